@@ -1,0 +1,336 @@
+"""The command line: `jexplore compare`, `explore`, `worlds`, `strategies`.
+
+Importing this loads neither jax nor numpy; every command imports what it needs when it runs. Wrong input ends with one
+line and status 2, an interruption with one line and status 130; neither leaves files.
+"""
+
+import contextlib
+import datetime
+import os
+import signal
+import sys
+import threading
+import time
+
+from jexplore import __version__
+from jexplore.config import InputError
+from jexplore.options import Compare, Explore, Strategies, Worlds, help_text, parse
+
+COMPILING = "jexplore: compiling (kept for later runs)"
+PATIENCE_S = 2.0  # work that lasts longer shows how far it is
+
+
+def main(argv=None):
+    """Runs a command.
+
+    Args:
+      argv: list of text; by default the arguments of this process.
+
+    Returns:
+      The exit status: 0; 2 for wrong input; 1 where memory or the reader of the output is gone; 130 if interrupted.
+    """
+    own = argv is None
+    arguments = sys.argv[1:] if own else list(argv)
+    try:
+        return _dispatch(arguments)
+    except InputError as error:
+        return _say(f"jexplore: error: {' '.join(str(error).split())}", 2)
+    except KeyboardInterrupt:
+        if own:
+            signal.signal(signal.SIGINT, signal.SIG_DFL)  # threads may take a moment to end: a second one kills
+        return _say("jexplore: interrupted, nothing was written", 130)
+    except MemoryError:
+        return _say("jexplore: error: out of memory; use a larger --cell-m or fewer episodes", 1)
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # or the interpreter complains when it ends
+        return 1
+
+
+def _say(line, status):
+    print(line, file=sys.stderr, flush=True)
+    return status
+
+
+def _dispatch(arguments):
+    if not arguments:
+        raise InputError("expected a command: compare, explore, worlds or strategies; see jexplore --help")
+    if arguments[0] in ("-h", "--help"):
+        print(help_text(), end="")
+    elif arguments[0] == "--version":
+        print(f"jexplore {__version__}")
+    else:
+        try:
+            options = parse(arguments)
+        except SystemExit:  # help has been printed
+            return 0
+        _RUN[type(options)](options, arguments)
+    sys.stdout.flush()
+    return 0
+
+
+class _Progress:
+    """A bar on stderr once work has lasted two seconds: how much is done, how fast it goes, how long it will take."""
+
+    def __init__(self, total, unit):
+        self.total, self.unit, self.bar = total, unit, None
+
+    def update(self, done):
+        from tqdm import tqdm
+
+        if self.bar is None:  # the clock starts when work does, not when compiling does
+            self.bar = tqdm(
+                total=self.total,
+                initial=done,
+                unit=f" {self.unit}",
+                delay=PATIENCE_S,
+                mininterval=0.5,
+                leave=False,
+                dynamic_ncols=True,
+            )
+        self.bar.update(done - self.bar.n)
+
+    def step(self, n=1):
+        self.update(n + (0 if self.bar is None else self.bar.n))
+
+    def close(self):
+        if self.bar is not None:
+            self.bar.close()
+
+
+@contextlib.contextmanager
+def _progress(total, unit):
+    progress = _Progress(total, unit)
+    try:
+        yield progress
+    finally:
+        progress.close()
+
+
+@contextlib.contextmanager
+def _note(text):
+    """Says on stderr what takes so long, once, if it takes long; the block gets a function that calls it off."""
+    timer = threading.Timer(PATIENCE_S, lambda: print(text, file=sys.stderr, flush=True))
+    timer.daemon = True
+    timer.start()
+    try:
+        yield timer.cancel
+    finally:
+        timer.cancel()
+
+
+@contextlib.contextmanager
+def _working(total, unit):
+    """Progress of compiled work: a note while it compiles, then a bar. The block gets the function to call."""
+    with _progress(total, unit) as progress, _note(COMPILING) as call_off:
+
+        def on_progress(done):
+            call_off()
+            progress.update(done)
+
+        yield on_progress
+
+
+class _Out:
+    """Where a command writes. Refused before anything is computed, written when everything is."""
+
+    def __init__(self, options, command):
+        from jexplore import store
+
+        self.given, self.overwrite, self.command = options.out, options.overwrite, command
+        self.began = time.perf_counter()
+        self.now = datetime.datetime.now(datetime.UTC)
+        store.check_out(self._folder(), self.overwrite)
+
+    def _folder(self):
+        from jexplore import store
+
+        # A default name is looked for again when writing: another run may have taken it since.
+        return store.default_out(self.command, self.now) if self.given is None else self.given
+
+    def record(self, arguments, options, **found):
+        """What run.json holds."""
+        from jexplore import store
+
+        wall_s = time.perf_counter() - self.began
+        return {
+            "command": ["jexplore", *arguments],
+            "started": self.now,
+            **found,
+            "wall_s": wall_s,
+            "configuration": options,
+            "environment": store.environment(),
+        }
+
+    def write(self, writers):
+        """Writes the files, all or none. Returns a line that says where; said last, so that a reader of the output who
+        goes away costs no results.
+        """
+        from jexplore import store
+
+        folder = store.write_run(self._folder(), writers, self.overwrite)
+        return f"wrote {', '.join(writers)} to {os.fspath(folder)}{os.sep}"
+
+
+def _compare(options, arguments):
+    from jexplore import batch, plot, store
+    from jexplore.comparison import assemble, prepare_jobs
+
+    out = _Out(options, "compare")
+    jobs = prepare_jobs(
+        options.worlds,
+        options.strategies,
+        episodes=options.episodes,
+        seed=options.seed,
+        cell_m=options.cell_m,
+        start=options.start,
+        lidar=options.lidar,
+        rules=options.episode,
+    )
+    batch.use_compilation_cache()
+    with _working(sum(len(job.starts) for job in jobs), "episodes") as on_progress:
+        report = batch.run(jobs, options.lidar, options.episode, on_progress=on_progress)
+    with _note("jexplore: computing statistics and drawing"):
+        found = assemble(jobs, report, options.episode)
+        table, warnings = found.to_markdown(), found.warnings
+        bars, paths = found.compare_figure(), found.paths_figure()
+        record = out.record(
+            arguments,
+            options,
+            episodes_per_s=found.episodes_per_s,
+            compile_s=found.compile_s,
+            run_s=found.run_s,
+            worlds=[_describe(world) for world in found.worlds],
+            summary=found.summary.to_dict("records"),
+            warnings=warnings,
+        )
+        wrote = out.write(
+            {
+                "episodes.parquet": lambda path: store.write_parquet(found.episodes, path),
+                "compare.png": lambda path: plot.save_figure(bars, path),
+                "paths.png": lambda path: plot.save_figure(paths, path),
+                "run.json": lambda path: store.write_json(record, path),
+            }
+        )
+    print(table)
+    for line in warnings:
+        print(f"warning: {line}")
+    print(wrote)
+
+
+def _explore(options, arguments):
+    from jexplore import plot, store
+    from jexplore.replay import MAX_FRAMES, prepare_job, run_job
+
+    out = _Out(options, "explore")
+    job = prepare_job(
+        options.world,
+        options.strategy,
+        seed=options.seed,
+        cell_m=options.cell_m,
+        start=_start(options.start),
+        lidar=options.lidar,
+        rules=options.episode,
+    )
+    with _note(COMPILING):
+        found = run_job(job, options.lidar, options.episode)
+    measures = {"world": found.world.name, "strategy": found.strategy, **found.measures}
+    record = out.record(arguments, options, result=measures, compile_s=found.compile_s, run_s=found.run_s)
+    with _progress(min(len(found.final.rows), MAX_FRAMES), "frames") as progress:
+        wrote = out.write(
+            {
+                "episode.png": lambda path: plot.save_figure(found.figure(), path),
+                "episode.gif": lambda path: found.save_gif(path, on_progress=progress.step),
+                "run.json": lambda path: store.write_json(record, path),
+            }
+        )
+    for name, value in measures.items():
+        text = "-" if value is None else f"{value:.3f}" if isinstance(value, float) else str(value)
+        print(f"{name:<18} {text}")
+    if found.measures["refused"]:
+        print("warning: refused steps leave no trace: the animation lacks their scans until its last frame")
+    print(wrote)
+
+
+def _start(text):
+    """`random`, `world`, or `row,col,heading_deg` as integers."""
+    if text in ("random", "world"):
+        return text
+    try:
+        row, col, heading = (int(part) for part in text.split(","))
+    except ValueError:
+        raise InputError(f"--start must be random, world or ROW,COL,HEADING_DEG, got {text!r}") from None
+    return row, col, heading
+
+
+def _describe(world):
+    """What a table of worlds says about one."""
+    rows, cols = world.shape
+    rooms = None if world.rooms is None else int(world.rooms.max()) + 1
+    return {
+        "world": world.name,
+        "rows": rows,
+        "cols": cols,
+        "cell_m": world.cell_m,
+        "free_m2": world.free_m2,
+        "rooms": rooms,
+        "start": world.start,
+    }
+
+
+def _worlds(options, arguments):
+    from jexplore.worlds import GENERATORS, generator_parameters
+
+    if not options.worlds and options.out is None:
+        print("Built-in worlds. A name may carry a seed and parameters: hospital#3:width_m=60,height_m=25\n")
+        for name in GENERATORS:
+            defaults = " ".join(f"{key}={value}" for key, value in generator_parameters(name).items())
+            print(f"  {name:<10}{defaults}")
+        print("\nMap files: map.yaml (ROS), map.png@16x16 (metres), map.png@0.05 (metres a pixel), map.map, plan.json")
+        return
+    from jexplore import plot, store
+    from jexplore.preflight import ready_worlds
+
+    out = _Out(options, "worlds")
+    with _note("jexplore: loading worlds"):
+        worlds = ready_worlds(options.worlds or tuple(GENERATORS), options.cell_m)
+    described = [_describe(world) for world in worlds]
+    rows = [("world", "cells", "metres", "free m²", "rooms", "start")]
+    for world, about in zip(worlds, described):
+        height, width = world.shape
+        start = "-" if world.start is None else "{},{},{}".format(*world.start)
+        size = f"{width * world.cell_m:.1f} x {height * world.cell_m:.1f}"
+        n_rooms = "-" if about["rooms"] is None else str(about["rooms"])
+        rows.append((world.name, f"{width} x {height}", size, f"{world.free_m2:.1f}", n_rooms, start))
+    record = out.record(arguments, options, worlds=described)
+    figure = plot.worlds_figure([(world.name, world) for world in worlds])
+    wrote = out.write(
+        {
+            "worlds.png": lambda path: plot.save_figure(figure, path),
+            "run.json": lambda path: store.write_json(record, path),
+        }
+    )
+    print(_table(rows))
+    print(wrote)
+
+
+def _table(rows):
+    """Rows of text as an aligned Markdown table; the first is the head."""
+    rows = [[" ".join(cell.split()).replace("|", "\\|") for cell in row] for row in rows]
+    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
+    rows.insert(1, ["-" * width for width in widths])
+    return "".join("| " + " | ".join(cell.ljust(width) for cell, width in zip(row, widths)) + " |\n" for row in rows)
+
+
+def _strategies(options, arguments):
+    from jexplore.policies import MODIFIERS, STRATEGIES, parameters_of
+
+    rows = [("strategy", "goes to", "parameters", "source")]
+    for name, entry in STRATEGIES.items():
+        given = ", ".join(f"{key}={value}" for key, value in parameters_of(name).items())
+        rows.append((name, entry.summary, given or "-", entry.source))
+    print(_table(rows))
+    print(_table([("modifier", "meaning"), *((f"+{name}", text) for name, text in MODIFIERS.items())]))
+    print("Names are put together as strategy+modifier:parameter=value,..., such as closest+recheck")
+
+
+_RUN = {Compare: _compare, Explore: _explore, Worlds: _worlds, Strategies: _strategies}

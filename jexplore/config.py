@@ -1,0 +1,82 @@
+"""Frozen settings of a run and the error for wrong input. Plain Python: importing this loads neither jax nor numpy.
+
+The command line builds its options from these classes; their docstrings are its help texts.
+"""
+
+import dataclasses
+import math
+
+
+class InputError(ValueError):
+    """Wrong input from outside: a file, a name, a number. The message is one line that says what would be right."""
+
+
+def require_number(name, value, *, low=0.0, high=math.inf, low_open=False, high_open=False):
+    """Refuse `value` unless it is a finite number within the bounds.
+
+    Args:
+      name: what the user calls it, for the message.
+      value: the number.
+      low, high: bounds, inclusive unless `low_open` / `high_open`.
+
+    Raises:
+      InputError: not a number, NaN, infinite, or outside the bounds.
+    """
+    is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
+    ok = is_number and math.isfinite(value)
+    ok = ok and (value > low if low_open else value >= low) and (value < high if high_open else value <= high)
+    if not ok:
+        above = f"{'above' if low_open else 'at least'} {low:g}"
+        below = "" if math.isinf(high) else f" and {'below' if high_open else 'at most'} {high:g}"
+        raise InputError(f"{name} must be a number {above}{below}, got {value!r}")
+    return value
+
+
+@dataclasses.dataclass(frozen=True)
+class Lidar:
+    """A planar laser scanner that looks forward. The defaults are a SICK LMS 200 as Stage models it."""
+
+    n_beams: int = 181
+    """Beams a scan, evenly spaced over the field of view, both edges included."""
+    fov_deg: float = 180.0
+    """Field of view, degrees. At 360 the beams are spaced so that first and last do not coincide."""
+    range_m: float = 8.0
+    """A beam sees what it enters at a distance below this, metres."""
+    sigma_m: float = 0.0
+    """Standard deviation of the range noise, metres."""
+    dropout: float = 0.0
+    """Probability that a beam returns nothing at all, and leaves the map as it is."""
+
+    def __post_init__(self):
+        require_number("lidar.n_beams", self.n_beams, low=1, high=4096)
+        require_number("lidar.fov_deg", self.fov_deg, low=0, high=360, low_open=self.n_beams > 1)
+        require_number("lidar.range_m", self.range_m, low_open=True, high=1000)
+        require_number("lidar.sigma_m", self.sigma_m, high=1000)
+        require_number("lidar.dropout", self.dropout, high=1, high_open=True)
+
+
+@dataclasses.dataclass(frozen=True)
+class Rules:
+    """The rules of an exploration episode, besides the scanner and the strategy."""
+
+    clearance_m: float = 0.30
+    """A cell is clear if it is free and no occupied cell lies within this distance, centre to centre, metres."""
+    near_m: float = 0.50
+    """Free cells within this distance of the robot are traversable even where they are not clear, metres."""
+    p_free: float = 0.25
+    """A known cell is free if its reflection probability is at most this, else occupied."""
+    look_around: bool = True
+    """Whether arriving at a live target turns the robot in place, with scans at +90, +180 and +270 degrees."""
+    max_steps: int | None = None
+    """Steps after which an episode ends as STEP_LIMIT. Default: the larger of 20000 and the number of cells."""
+    max_plans: int | None = None
+    """Plans after which an episode ends as PLAN_LIMIT. Default: the larger of 20000 and the number of cells."""
+
+    def __post_init__(self):
+        require_number("episode.clearance_m", self.clearance_m, high=10)
+        require_number("episode.near_m", self.near_m, high=10)
+        require_number("episode.p_free", self.p_free, high=1, high_open=True)
+        for name in ("max_steps", "max_plans"):
+            value = getattr(self, name)
+            if value is not None:
+                require_number(f"episode.{name}", value, low=1, high=2**24)

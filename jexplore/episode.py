@@ -1,0 +1,399 @@
+"""One exploration episode: a robot in an unknown world, from its first scan to a named outcome."""
+
+import enum
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+from jax import Array, lax
+
+from jexplore.distance import within
+from jexplore.frontier import traversable_cells
+from jexplore.grid import count, empty_grid, is_known
+from jexplore.navigate import Belief
+from jexplore.raycast import disturb, fold, scan
+from jexplore.reach import FAR, NO_MOTION, reach
+from jexplore.robot import motion_step, turn_between
+
+PERCENTILES = (50, 90, 95, 99)
+LOOK_AROUND = 3  # scans after a turn in place, 90 degrees apart
+
+
+class Outcome(enum.IntEnum):
+    """How an episode ended."""
+
+    RUNNING = 0
+    COMPLETE = 1  # no frontier left, and every cell that is clear and connected to the start is known
+    BLOCKED = 2  # no frontier left, but such a cell is unknown
+    STEP_LIMIT = 3
+    PLAN_LIMIT = 4
+    STUCK = 5  # the start is enclosed: no clear cell can be reached
+
+
+class Stream(enum.IntEnum):
+    """Independent streams of random numbers within one episode."""
+
+    SENSOR = 0
+    POLICY = 1
+
+
+@struct.dataclass
+class Truth:
+    """The world of an episode on the device, padded, with what the result is measured against."""
+
+    occupied: Array  # [H, W] bool; True in padding
+    rooms: Array  # [H, W] int32; -1 outside rooms and in padding
+    region: Array  # [H, W] int32, number of each 4-connected region of free cells
+    extent: Array  # [2] int32, height and width without padding
+
+
+@struct.dataclass
+class Numbers:
+    """The numbers of an episode that may be swept without compiling anew."""
+
+    p_free: Array  # float32
+    near_d2: Array  # int32, cells^2
+    look_around: Array  # bool
+    recheck: Array  # bool
+    max_steps: Array  # int32
+    max_plans: Array  # int32
+    sigma_cells: Array  # float32
+    dropout: Array  # float32
+    params: Any  # `Policy.params`
+
+
+@struct.dataclass
+class Result:
+    """What an episode measured: integers, so that equal results are equal bits. Metres and radians are made on the host."""
+
+    straight: Array  # int32, straight steps
+    diagonal: Array  # int32, diagonal steps
+    turns: Array  # int32, 45-degree turns, those in place included
+    scans: Array  # int32
+    plans: Array  # int32, the last one, that found nothing, included
+    exhausted: Array  # int32, targets that stayed live
+    outcome: Array  # int32, `Outcome`
+    known: Array  # int32, known cells
+    explored: Array  # int32, known cells among `explorable`
+    explorable: Array  # int32, free cells 4-connected to the start in the true world
+    room_entries: Array  # int32
+    straight_at: Array  # [4] int32, straight steps when 50, 90, 95, 99 % of `known` were known
+    diagonal_at: Array  # [4] int32, likewise
+    saturated: Array  # int32, cells out of reach at the end because their cost does not fit (see `reach.saturated`)
+    refused: Array  # int32, steps refused because the cell ahead was not free
+
+
+class Track(enum.IntEnum):
+    """Columns of a trail: one row for the start and one for every step, after the last scan made there."""
+
+    CELL = 0  # flat index (row * W + col) of the robot's cell
+    TARGET = 1  # flat index of the target it was heading for; -1 for none
+    LOOKED = 2  # scans made in place before going on, 90 degrees apart
+    KNOWN = 3  # known cells
+    DIAGONAL = 4  # diagonal steps so far
+
+
+class Setup(NamedTuple):
+    """What is fixed before an episode is compiled. Hashable."""
+
+    init: Callable  # `Policy.init`
+    select: Callable  # `Policy.select`
+    clearance_d2: int  # cells^2
+    first_scans: int  # scans all round at the start: 1, 2, 4 or 8
+    window: int  # half width of the square that one scan can change, cells
+    noisy: bool  # whether the scanner's noise is simulated
+    capacity: int  # T, steps that the trail has room for; at least max_steps
+
+
+@struct.dataclass
+class State:
+    """An episode under way."""
+
+    belief: Belief
+    route: Array  # [H, W] int8, see `reach.lay_route`
+    trail: Array  # [T + 1, 5] int32, see `Track`
+    carry: Any  # the policy's
+    target: Array  # [2] int32, row and col; -1 for none
+    looking: Array  # int32, scans in place still to be made
+    looked: Array  # int32, scans in place made since the last step
+    walking: Array  # bool, whether the plan is still being carried out
+    bumped: Array  # bool, whether the last step was refused
+    came_from: Array  # [2] int32, row and col before the last motion
+    known: Array  # int32, known cells
+    room: Array  # int32, the last room stood in; -1 for none yet
+    straight: Array  # int32, and so on as in `Result`
+    diagonal: Array
+    turns: Array
+    scans: Array
+    plans: Array
+    exhausted: Array
+    outcome: Array
+    room_entries: Array
+    saturated: Array
+    refused: Array
+
+
+def _known_nearby(grid, row, col, window):
+    """Known cells in the square that a scan can change: int32."""
+    shape = tuple(min(n, 2 * window + 1) for n in grid.hits.shape)
+    start = (row - window, col - window)  # clamped to the map by the slice
+    hits, misses = (lax.dynamic_slice(a, start, shape) for a in (grid.hits, grid.misses))
+    return count((hits | misses) != 0)
+
+
+def _sense(key, setup, truth, beams, numbers, state):
+    """One scan where the robot stands, counted into its map."""
+    belief = state.belief
+    where = belief.row, belief.col
+    seen = scan(truth.occupied, *where, belief.heading, beams)
+    if setup.noisy:
+        key = jax.random.fold_in(jax.random.fold_in(key, Stream.SENSOR), state.scans)
+        noise = {"sigma_cells": numbers.sigma_cells, "dropout": numbers.dropout}
+        seen = disturb(key, seen, *where, belief.heading, beams, belief.extent, **noise)
+    # The known cells are counted before and after in a loop of one turn: its results are stored, while a sum that is used
+    # in many places would be made anew in each, and would keep a copy of the map as it was.
+    def counted(state):
+        _, known, grid = state
+        outside = known - _known_nearby(grid, *where, setup.window)
+        return False, outside, grid
+
+    _, outside, grid = lax.while_loop(lambda s: s[0], counted, (state.walking | (state.scans >= 0), state.known, belief.grid))
+    grid = fold(grid, *where, belief.heading, seen, beams)
+    known = outside + _known_nearby(grid, *where, setup.window)
+    return state.replace(belief=belief.replace(grid=grid), scans=state.scans + 1, known=known)
+
+
+def _is_live(belief, row, col):
+    """Whether a cell is 8-adjacent to an unknown cell: bool."""
+    height, width = belief.driven.shape
+    r = row + jnp.asarray([-1, -1, -1, 0, 0, 1, 1, 1], jnp.int32)
+    c = col + jnp.asarray([-1, 0, 1, -1, 1, -1, 0, 1], jnp.int32)
+    inside = (r >= 0) & (r < belief.extent[0]) & (c >= 0) & (c < belief.extent[1])
+    r, c = jnp.clip(r, 0, height - 1), jnp.clip(c, 0, width - 1)
+    return jnp.any(inside & ((belief.grid.hits[r, c] | belief.grid.misses[r, c]) == 0))
+
+
+def _mark(mask, rows, cols, when=True):
+    """The mask with some cells set where `when`; a scatter, because it updates the mask in place."""
+    outside = mask.shape[0]  # a row that is not there: dropped
+    return mask.at[jnp.where(when, rows, outside), cols].set(True, mode="drop")
+
+
+def _record(state):
+    """Writes the trail's entry for the present step."""
+    width = state.belief.driven.shape[1]
+    row, col = state.target
+    target = jnp.where(row < 0, -1, row * width + col)
+    cell = state.belief.row * width + state.belief.col
+    entry = jnp.stack([cell, target, state.looked, state.known, state.diagonal])
+    return state.replace(
+        trail=lax.dynamic_update_slice(state.trail, entry[None], (state.straight + state.diagonal, jnp.int32(0)))
+    )
+
+
+def _move(truth, numbers, state):
+    """The next motion of a plan under way, before its scan: a step along the route, or 90 degrees in place.
+
+    A step into a cell that is not free is refused: the robot only turns towards it. A plan whose next step would be one
+    too many ends the episode. Does nothing once the plan is done.
+    """
+    belief = state.belief
+    looking = state.walking & (state.looking > 0)
+    at_limit = state.walking & ~looking & (state.straight + state.diagonal >= numbers.max_steps)
+    drow, dcol, heading = motion_step(state.route[belief.row, belief.col])
+    row, col = belief.row + drow, belief.col + dcol
+    hits, misses = belief.grid.hits[row, col], belief.grid.misses[row, col]
+    free = (hits + misses > 0) & (hits.astype(jnp.float32) <= belief.p_free * (hits + misses).astype(jnp.float32))
+    blocked = truth.occupied[row, col] | ~(free | belief.driven[row, col])
+    ahead = state.walking & ~looking & ~at_limit
+    steps, refused = ahead & ~blocked, ahead & blocked
+    diagonal = steps & (drow != 0) & (dcol != 0)
+    heading = jnp.where(looking, (belief.heading + 2) % 8, jnp.where(ahead, heading, belief.heading))
+    row, col = jnp.where(steps, row, belief.row), jnp.where(steps, col, belief.col)
+    room = truth.rooms[row, col]
+    entered = (room >= 0) & (room != state.room)
+    return state.replace(
+        belief=belief.replace(row=row, col=col, heading=heading),
+        came_from=jnp.stack([belief.row, belief.col]),
+        looking=state.looking - looking,
+        looked=jnp.where(steps, 0, state.looked + looking),
+        bumped=refused,
+        walking=state.walking & ~at_limit,
+        outcome=jnp.where(at_limit, Outcome.STEP_LIMIT, state.outcome),
+        turns=state.turns + turn_between(belief.heading, heading),
+        straight=state.straight + (steps & ~diagonal),
+        diagonal=state.diagonal + diagonal,
+        room=jnp.where(entered, room, state.room),
+        room_entries=state.room_entries + entered,
+        refused=state.refused + refused,
+    )
+
+
+def _arrive(state, arrived, live, numbers):
+    """What follows on arrival: a look around if the target is live and the rules say so; else the plan is done.
+
+    A target that is live after that is exhausted.
+    """
+    looks = arrived & live & numbers.look_around & (state.looked < LOOK_AROUND)
+    spent = arrived & live & ~looks
+    return state.replace(
+        belief=state.belief.replace(exhausted=_mark(state.belief.exhausted, *state.target, spent)),
+        looking=jnp.where(looks, LOOK_AROUND, state.looking),
+        exhausted=state.exhausted + spent,
+        walking=jnp.where(arrived, looks, state.walking),
+    )
+
+
+def _advance(key, setup, truth, beams, numbers, state):
+    """One scan of a plan under way, what it means for the plan, and the next motion if it goes on.
+
+    Scan first, motion last: everything that is read from the map is then read after its update, which can so be made in place.
+    """
+    belief = state.belief
+    # Both cells beside a diagonal step belong to the way driven; for a straight step they are its ends.
+    beside = (jnp.stack([belief.row, belief.row, state.came_from[0]]), jnp.stack([belief.col, state.came_from[1], belief.col]))
+    state = state.replace(belief=belief.replace(driven=_mark(belief.driven, *beside)))
+    state = _record(_sense(key, setup, truth, beams, numbers, state))
+    live = _is_live(state.belief, *state.target)
+    here = (belief.row == state.target[0]) & (belief.col == state.target[1])
+    given_up = state.bumped | (numbers.recheck & ~live & ~here)
+    state = state.replace(walking=~given_up)
+    state = _arrive(state, here & ~state.bumped & (state.looking == 0), live, numbers)
+    return _move(truth, numbers, state)
+
+
+def _plan(key, setup, truth, numbers, state):
+    """Asks the strategy for a target and makes the first motion; no target ends the episode as complete, as far as is known here."""
+    key = jax.random.fold_in(jax.random.fold_in(key, Stream.POLICY), state.plans)
+    carry, choice, route = setup.select(key, numbers.params, state.carry, state.belief, state.route)
+    none = choice.row < 0
+    state = state.replace(
+        carry=carry,
+        route=route,
+        target=jnp.stack([choice.row, choice.col]),
+        plans=state.plans + 1,
+        saturated=choice.saturated,
+        walking=~none,
+        outcome=jnp.where(none, Outcome.COMPLETE, state.outcome),
+    )
+    # A path of length 0 is an arrival, at a target that is live or would not have been chosen.
+    here = (state.belief.row == choice.row) & (state.belief.col == choice.col)
+    return _move(truth, numbers, _arrive(state, here, True, numbers))
+
+
+def run(key, setup, truth, beams, numbers, start):
+    """One exploration episode.
+
+    Args:
+      key: consumed.
+      setup: `Setup`. Static.
+      truth: `Truth`.
+      beams: `Beams` with 8 headings.
+      numbers: `Numbers`.
+      start: `[3]` int32, row, col and heading (units of 45 degrees).
+
+    Returns:
+      `(Result, State)`: what was measured, and the state at the end with the map and the trail.
+
+    Source:
+      Holz et al. 2010, Figure 3 and section 2.3.
+    """
+    row, col, heading = start
+    shape = truth.occupied.shape
+    flags = jnp.zeros(shape, bool)
+    clear = ~truth.occupied & ~within(truth.occupied, setup.clearance_d2)
+    around = traversable_cells(clear, ~truth.occupied, flags, row, col, numbers.near_d2)
+    goal = clear & (reach(around, row, col) < FAR)
+    rows, cols = (lax.broadcasted_iota(jnp.int32, shape, axis) for axis in (0, 1))
+    stuck = truth.occupied[row, col] | ~jnp.any(goal & ((rows != row) | (cols != col)))
+
+    zero = jnp.int32(0)
+    belief = Belief(
+        grid=empty_grid(shape),
+        driven=_mark(flags, row, col),
+        exhausted=flags,
+        row=row,
+        col=col,
+        heading=heading,
+        extent=truth.extent,
+        p_free=numbers.p_free,
+        near_d2=numbers.near_d2,
+        clearance_d2=setup.clearance_d2,
+    )
+    room = truth.rooms[row, col]
+    state = State(
+        belief=belief,
+        route=jnp.full(shape, NO_MOTION, jnp.int8),
+        trail=jnp.zeros((setup.capacity + 1, len(Track)), jnp.int32),
+        carry=setup.init(numbers.params, belief),
+        target=jnp.full((2,), -1, jnp.int32),
+        looking=zero,
+        looked=zero,
+        walking=jnp.bool_(False),
+        bumped=jnp.bool_(False),
+        came_from=jnp.stack([row, col]),
+        known=zero,
+        room=room,
+        straight=zero,
+        diagonal=zero,
+        turns=zero,
+        scans=zero,
+        plans=zero,
+        exhausted=zero,
+        outcome=jnp.where(stuck, Outcome.STUCK, Outcome.RUNNING).astype(jnp.int32),
+        room_entries=(room >= 0).astype(jnp.int32),
+        saturated=zero,
+        refused=zero,
+    )
+
+    def look_round(_, state):
+        state = _sense(key, setup, truth, beams, numbers, state)
+        belief = state.belief
+        return state.replace(belief=belief.replace(heading=(belief.heading + 8 // setup.first_scans) % 8))
+
+    def episode_step(state):
+        state = _plan(key, setup, truth, numbers, state)
+        state = lax.while_loop(
+            lambda s: s.walking, lambda s: _advance(key, setup, truth, beams, numbers, s), state
+        )
+        spent = (state.outcome == Outcome.RUNNING) & (state.plans >= numbers.max_plans)
+        return state.replace(outcome=jnp.where(spent, Outcome.PLAN_LIMIT, state.outcome))
+
+    state = _record(lax.fori_loop(0, jnp.where(stuck, 0, setup.first_scans), look_round, state))
+    state = lax.while_loop(lambda s: s.outcome == Outcome.RUNNING, episode_step, state)
+    missed = (state.outcome == Outcome.COMPLETE) & jnp.any(goal & ~is_known(state.belief.grid))
+    state = state.replace(outcome=jnp.where(missed, Outcome.BLOCKED, state.outcome))
+    return _measure(truth, start, state), state
+
+
+def _measure(truth, start, state):
+    """The result of an episode that has ended."""
+    explorable = truth.region == truth.region[start[0], start[1]]
+    explorable &= ~truth.occupied
+    steps = state.straight + state.diagonal
+    entry = lax.iota(jnp.int32, state.trail.shape[0])
+    known, diagonal = state.trail[:, Track.KNOWN], state.trail[:, Track.DIAGONAL]
+    # In whole numbers: 100 * known reaches q * final. Entries beyond the last step count as the last.
+    at = [
+        jnp.min(jnp.where((100 * known >= q * state.known) & (entry < steps), entry, steps)) for q in PERCENTILES
+    ]
+    at = jnp.stack(at)
+    return Result(
+        straight=state.straight,
+        diagonal=state.diagonal,
+        turns=state.turns,
+        scans=state.scans,
+        plans=state.plans,
+        exhausted=state.exhausted,
+        outcome=state.outcome,
+        known=state.known,
+        explored=jnp.sum(explorable & is_known(state.belief.grid), dtype=jnp.int32),
+        explorable=jnp.sum(explorable, dtype=jnp.int32),
+        room_entries=state.room_entries,
+        straight_at=at - diagonal[at],
+        diagonal_at=diagonal[at],
+        saturated=state.saturated,
+        refused=state.refused,
+    )

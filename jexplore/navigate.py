@@ -1,0 +1,200 @@
+"""What a strategy may ask of the robot's belief: where frontiers are, what they cost to reach, and the way to one of them.
+
+`nearest_frontier` looks into growing windows round the robot and fills the whole map only where these do not decide; its
+answer is always that of the whole map. `field` is the whole map at once, for strategies that compare all candidates.
+"""
+
+import math
+
+import jax.numpy as jnp
+from flax import struct
+from jax import Array, lax
+
+from jexplore.frontier import clear_cells, frontier_cells, traversable_cells
+from jexplore.grid import Grid, is_free, lowest
+from jexplore.reach import FAR, STRAIGHT, lay_route, reach, saturated, wave
+
+WAVES = (16, 32)  # half widths of the windows that a wavefront searches, cells
+SWEEP = 91  # half width of the window that raster sweeps fill
+
+
+@struct.dataclass
+class Belief:
+    """What the robot knows, and the numbers by which it judges that."""
+
+    grid: Grid  # [H, W]
+    driven: Array  # [H, W] bool, cells stood on, and those beside each diagonal step
+    exhausted: Array  # [H, W] bool, targets that stayed live however much they were looked at
+    row: Array  # int32, the robot's cell
+    col: Array  # int32
+    heading: Array  # int32, units of 45 degrees
+    extent: Array  # [2] int32, height and width of the world without padding
+    p_free: Array  # float32
+    near_d2: Array  # int32, cells^2
+    clearance_d2: int = struct.field(pytree_node=False)  # cells^2
+
+
+@struct.dataclass
+class Choice:
+    """A target and what it costs to get there."""
+
+    row: Array  # int32; -1: there is no target
+    col: Array  # int32; -1: there is no target
+    cost: Array  # int32, see reach.py; FAR: there is no target
+    saturated: Array  # int32, if there is no target: cells out of reach because their cost does not fit (`reach.saturated`)
+
+
+@struct.dataclass
+class Field:
+    """The reachability map of a belief, and its frontier."""
+
+    traversable: Array  # [H, W] bool
+    cost: Array  # [H, W] int32
+    candidates: Array  # [H, W] bool, reachable frontier cells that are not exhausted
+
+
+def _masks(belief, origin):
+    """Traversable and frontier cells of a belief, or of a window of it that begins at `origin`."""
+    clear = clear_cells(belief.grid, p_free=belief.p_free, clearance_d2=belief.clearance_d2)
+    free = is_free(belief.grid, belief.p_free)
+    traversable = traversable_cells(
+        clear, free, belief.driven, belief.row - origin[0], belief.col - origin[1], belief.near_d2
+    )
+    rows = lax.broadcasted_iota(jnp.int32, clear.shape, 0) + origin[0]
+    cols = lax.broadcasted_iota(jnp.int32, clear.shape, 1) + origin[1]
+    inside = (rows < belief.extent[0]) & (cols < belief.extent[1])
+    return traversable, frontier_cells(clear, belief.grid, inside) & ~belief.exhausted, rows, cols
+
+
+def field(belief, *, nearest_only=False):
+    """Costs of the whole map and the frontier cells that can be reached.
+
+    Args:
+      belief: `Belief`.
+      nearest_only: only the cheapest candidates are wanted; costs above theirs may not be final. Static.
+
+    Returns:
+      `Field`.
+
+    Source:
+      Holz et al. 2010, Figure 3, steps 1 to 4.
+    """
+    traversable, frontier, _, _ = _masks(belief, (0, 0))
+    cost = reach(traversable, belief.row, belief.col, frontier if nearest_only else None)
+    return Field(traversable, cost, frontier & (cost < FAR))
+
+
+def _first_at(mask):
+    """Row and column of the first True cell in (row, col) order; arbitrary if there is none."""
+    width = mask.shape[1]
+    at = jnp.argmax(mask.reshape(-1)).astype(jnp.int32)
+    return at // width, at % width
+
+
+def choose(belief, route, known, row, col):
+    """Makes a cell of a `Field` the target and lays the route to it.
+
+    Args:
+      belief: `Belief`.
+      route: `[H, W]` int8, see `reach.lay_route`.
+      known: `Field` of the belief.
+      row, col: int32, a cell with a finite cost; -1 for none.
+
+    Returns:
+      `(choice, route)`.
+    """
+    none = row < 0
+    start = (belief.row, belief.col)
+    target = (jnp.where(none, belief.row, row), jnp.where(none, belief.col, col))
+    route = lay_route(route, known.cost, known.traversable, start, target, (0, 0))
+    cost = jnp.where(none, FAR, known.cost[target])
+
+    def rim(_):
+        return False, saturated(known.cost, known.traversable)
+
+    _, out_of_reach = lax.while_loop(lambda s: s[0], rim, (none, jnp.int32(0)))
+    return Choice(row, col, cost, out_of_reach), route
+
+
+def _nearest_in_map(belief, route):
+    """The nearest frontier of the whole map: `(choice, route)`."""
+    known = field(belief, nearest_only=True)
+    best = lowest(jnp.where(known.candidates, known.cost, FAR))
+    row, col = _first_at(known.candidates & (known.cost == best))
+    none = best >= FAR
+    return choose(belief, route, known, jnp.where(none, -1, row), jnp.where(none, -1, col))
+
+
+def _nearest_in_window(belief, route, radius, swept):
+    """The nearest frontier if a window settles it: `(undecided, choice, route)`. By a wavefront, or by raster sweeps."""
+    halo = math.isqrt(belief.clearance_d2) + 1  # what decides about a cell of the window may lie this far outside it
+    shape = tuple(min(n, 2 * (radius + halo) + 1) for n in belief.driven.shape)
+    origin = tuple(
+        jnp.clip(at - radius - halo, 0, full - n)
+        for at, full, n in zip((belief.row, belief.col), belief.driven.shape, shape)
+    )
+
+    def cut(array):
+        return lax.dynamic_slice(array, origin, shape)
+
+    window = belief.replace(
+        grid=Grid(cut(belief.grid.hits), cut(belief.grid.misses)),
+        driven=cut(belief.driven),
+        exhausted=cut(belief.exhausted),
+    )
+    traversable, frontier, rows, cols = _masks(window, origin)
+    central = (jnp.abs(rows - belief.row) <= radius) & (jnp.abs(cols - belief.col) <= radius)
+    traversable, frontier = traversable & central, frontier & central
+    row, col = belief.row - origin[0], belief.col - origin[1]
+    # Every path that leaves the window costs more than `radius` straight steps: what costs no more is final.
+    bound = radius * STRAIGHT
+    if swept:
+        cost = reach(traversable, row, col, frontier)
+        best = lowest(jnp.where(frontier, cost, FAR))
+        decided = best <= bound
+    else:
+        cost, best, settled = wave(traversable, frontier, row, col, bound)
+        decided = best <= jnp.minimum(settled, bound)
+    at_row, at_col = _first_at(frontier & (cost == best))
+    target = (jnp.where(decided, at_row + origin[0], belief.row), jnp.where(decided, at_col + origin[1], belief.col))
+    route = lay_route(route, cost, traversable, (belief.row, belief.col), target, origin)
+    return ~decided, Choice(target[0], target[1], best, jnp.int32(0)), route
+
+
+def nearest_frontier(belief, route):
+    """The frontier cell with the shortest path, and the route to it.
+
+    Args:
+      belief: `Belief`.
+      route: `[H, W]` int8, see `reach.lay_route`.
+
+    Returns:
+      `(choice, route)`. Equal costs go to the lowest flat index; `choice.row` is -1 if no frontier can be reached.
+
+    Source:
+      Holz et al. 2010, equation 3. Changed: windows first.
+    """
+    none = jnp.int32(-1)
+    state = (jnp.bool_(True), Choice(none, none, jnp.int32(FAR), jnp.int32(0)), route)
+    for radius, swept in (*((radius, False) for radius in WAVES), (SWEEP, True)):
+        if 2 * radius < max(route.shape) - 16:  # else the whole map is hardly more work
+
+            def search(route, radius=radius, swept=swept):
+                return _nearest_in_window(belief, route, radius, swept)
+
+            state = _if_undecided(search, state)
+    _, choice, route = _if_undecided(lambda route: (False, *_nearest_in_map(belief, route)), state)
+    return choice, route
+
+
+def _if_undecided(search, state):
+    """`search(route)` unless the state `(undecided, choice, route)` is decided already.
+
+    A loop of at most one turn instead of a condition: a loop's buffers are updated in place, a condition's are copied.
+    """
+    undecided, choice, route = state
+
+    def once(state):
+        return (False, *search(state[3]))
+
+    return lax.while_loop(lambda s: s[0], once, (undecided, undecided, choice, route))[1:]

@@ -1,0 +1,184 @@
+"""The command line's options as frozen records, and their parsing: every mistake becomes one line.
+
+The docstrings are the help texts. Importing this loads neither jax nor numpy.
+"""
+
+import contextlib
+import dataclasses
+import difflib
+import io
+import os
+import re
+from typing import Annotated, Literal
+
+import tyro
+
+from jexplore.config import InputError, Lidar, Rules
+
+SMALL = "JEXPLORE_SMALL"
+"""Environment variable: set to anything but 0, the default comparison is a small one."""
+
+
+def _is_small():
+    return os.environ.get(SMALL, "0") not in ("", "0")
+
+
+def _default_worlds():
+    return ("cave", "maze") if _is_small() else ("cave", "office", "hospital")
+
+
+def _default_episodes():
+    return 5 if _is_small() else 20
+
+
+_Names = Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME [NAME ...]")]
+_World = Annotated[str, tyro.conf.arg(metavar="WORLD")]
+_Strategy = Annotated[str, tyro.conf.arg(metavar="STRATEGY")]
+_Out = Annotated[str | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="(default: runs/<UTC time>-<command>)")]
+
+
+@dataclasses.dataclass(frozen=True)
+class Compare:
+    """Compare strategies in worlds, all from the same starts.
+
+    Prints a Markdown table and writes episodes.parquet, run.json, compare.png and paths.png.
+    """
+
+    worlds: _Names = dataclasses.field(default_factory=_default_worlds)
+    """Worlds: names of generators such as cave#3, or map files; see `jexplore worlds`."""
+    strategies: _Names = ("closest", "closest+recheck", "random")
+    """Strategies; the others are compared with the first. See `jexplore strategies`."""
+    episodes: int = dataclasses.field(default_factory=_default_episodes)
+    """Episodes of each strategy in each world."""
+    seed: int = 0
+    """Seed of starts and draws."""
+    cell_m: float = 0.1
+    """Edge of a cell, metres."""
+    start: Literal["random", "world"] = "random"
+    """Starts drawn from the seed, or every world's own start for all episodes."""
+    out: _Out = None
+    """Folder to write."""
+    overwrite: bool = False
+    """Replace the run that the folder holds."""
+    lidar: Lidar = dataclasses.field(default_factory=Lidar)
+    episode: Rules = dataclasses.field(default_factory=Rules)
+
+
+@dataclasses.dataclass(frozen=True)
+class Explore:
+    """Run one episode and draw it.
+
+    Writes episode.png, episode.gif (known map, frontiers, target, path) and run.json. It is episode 0 of a comparison
+    with the same options.
+    """
+
+    world: _World = "cave"
+    """World: a generator's name such as cave#3, or a map file; see `jexplore worlds`."""
+    strategy: _Strategy = "closest+recheck"
+    """Strategy; see `jexplore strategies`."""
+    seed: int = 0
+    """Seed of the start and the draws."""
+    cell_m: float = 0.1
+    """Edge of a cell, metres."""
+    start: Annotated[str, tyro.conf.arg(metavar="{random,world,ROW,COL,HEADING_DEG}")] = "random"
+    """A start drawn from the seed, the world's own, or a cell and a heading that is a multiple of 45."""
+    out: _Out = None
+    """Folder to write."""
+    overwrite: bool = False
+    """Replace the run that the folder holds."""
+    lidar: Lidar = dataclasses.field(default_factory=Lidar)
+    episode: Rules = dataclasses.field(default_factory=Rules)
+
+
+@dataclasses.dataclass(frozen=True)
+class Worlds:
+    """List the built-in worlds, or measure and picture some.
+
+    Without names and --out, lists the generators and what they take. Else prints a table of the worlds named (by
+    default every generator) and writes worlds.png.
+    """
+
+    worlds: Annotated[tyro.conf.Positional[tuple[str, ...]], tyro.conf.arg(metavar="[NAME ...]")] = ()
+    """Generators such as cave#3, or map files: map.yaml (ROS), map.png@16x16 (metres), map.png@0.05 (metres a pixel),
+    map.map (MovingAI), plan.json (HouseExpo)."""
+    cell_m: float = 0.1
+    """Edge of a cell, metres."""
+    out: _Out = None
+    """Folder to write."""
+    overwrite: bool = False
+    """Replace the run that the folder holds."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Strategies:
+    """List strategies, modifiers, their parameters and sources."""
+
+
+COMMANDS = {"compare": Compare, "explore": Explore, "worlds": Worlds, "strategies": Strategies}
+
+
+def help_text():
+    """What `jexplore --help` prints."""
+    lines = ["usage: jexplore {" + ",".join(COMMANDS) + "} [options]", ""]
+    lines += ["A laboratory for mobile-robot exploration.", "", "commands:"]
+    lines += [f"  {name:<12}{(command.__doc__ or '').splitlines()[0]}" for name, command in COMMANDS.items()]
+    lines += ["", "options:", "  -h, --help  show this, or the options of a command: jexplore compare --help"]
+    return "\n".join([*lines, "  --version   show the version", ""])
+
+
+def parse(arguments):
+    """The record of a command and its options.
+
+    Args:
+      arguments: list of text, the command first.
+
+    Returns:
+      A record of a class in `COMMANDS`.
+
+    Raises:
+      InputError: an unknown command or option, a value of the wrong kind or out of bounds.
+      SystemExit: with status 0, once help has been printed.
+    """
+    name, *rest = arguments
+    if name not in COMMANDS:
+        near = difflib.get_close_matches(name, COMMANDS, n=1, cutoff=0.5)
+        hint = f" (did you mean {near[0]!r}?)" if near else ""
+        what = "expected a command first" if name.startswith("-") else "unknown command"
+        raise InputError(f"{what}: {name!r}; there are {', '.join(COMMANDS)}{hint}")
+    said = io.StringIO()
+    try:
+        with contextlib.redirect_stderr(said):
+            return tyro.cli(COMMANDS[name], prog=f"jexplore {name}", args=rest, config=(tyro.conf.FlagCreatePairsOff,))
+    except SystemExit as end:
+        if not end.code:
+            raise
+        raise InputError(one_line(said.getvalue()) or f"wrong options for {name}") from None
+
+
+_REWORDED = (
+    (r"^Error parsing [\w.-]*(lidar|episode): ", ""),
+    (r"^Error parsing (\S+): invalid literal for int\(\).*?: (.*)$", r"\1 must be an integer, got \2"),
+    (r"^Error parsing (\S+): could not convert string to float: (.*)$", r"\1 must be a number, got \2"),
+    (
+        r"^Error parsing (\S+): no type matching \{None\}\|INT .*? from \[(.*?)\]\. .*$",
+        r"\1 must be an integer, got \2",
+    ),
+    (r"^Error parsing ", ""),
+    (r"^invalid choice (.*) for argument '(.*)'\. Expected one of \((.*)\)\.$", r"\2 must be one of \3, got \1"),
+    (r"^Missing value for argument '(.*)'\..*$", r"\1 needs a value"),
+    (r"^Unrecognized options: (\S+?)(, .*)?$", r"unknown option \1"),
+)
+"""tyro's words, and ours where they are plainer."""
+
+
+def one_line(box):
+    """What tyro's box of several lines says, as one line."""
+    rows = [row.strip("│ ").strip() for row in box.splitlines() if row.strip() and row.strip()[0] not in "╭╰"]
+    parts = [[]]
+    for row in rows:
+        parts[-1].append(row) if set(row) != {"─"} else parts.append([])
+    text = " ".join(" ".join(parts[0]).split())
+    for pattern, better in _REWORDED:
+        text = re.sub(pattern, better, text)
+    meant = re.search(r"Perhaps you meant:\s+(--[\w.-]+)", " ".join(row for part in parts[1:] for row in part))
+    return text + (f"; did you mean {meant[1]}?" if meant else "")

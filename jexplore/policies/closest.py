@@ -1,0 +1,21 @@
+"""Closest frontier: always go to the frontier cell with the shortest path.
+
+Yamauchi, "A Frontier-Based Approach for Autonomous Exploration", CIRA 1997; as Holz et al. 2010, Figure 3, write it.
+"""
+
+from jexplore.navigate import nearest_frontier
+from jexplore.policies.record import Policy
+
+
+def _init(params, belief):
+    return ()
+
+
+def _select(key, params, carry, belief, route):
+    choice, route = nearest_frontier(belief, route)
+    return carry, choice, route
+
+
+def closest():
+    """The policy. Carry: `()`. Parameters: none."""
+    return Policy(_init, _select)

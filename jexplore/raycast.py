@@ -1,0 +1,342 @@
+"""Laser beams through a grid: the cells that each beam enters, where it ends, and what that tells the map.
+
+Two sources of beams, one kernel. `beam_table` traces the beams of a robot on the lattice (cell centres, headings in steps of
+45 degrees) once, on the host, in float64; `trace` traces the beams of any pose, inside jit. Both yield `Beams`; `scan`
+finds where beams end in a true map, `fold` counts the outcome into a `Grid`.
+"""
+
+import functools
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from flax import struct
+from jax import Array, lax
+
+from jexplore.config import Lidar
+from jexplore.grid import Grid, in_cells
+
+BLOCK = 8  # steps of a beam looked at together, before asking whether all beams have ended
+NOT_ENDED = 2**30  # step number of a beam that is still under way
+HEADINGS = 8  # lattice headings, 45 degrees apart
+
+
+@struct.dataclass
+class Beams:
+    """The cells that beams enter, in order, for each of K headings (8 in a `beam_table`, 1 from `trace`).
+
+    Steps count the cells entered after the robot's own; S is a multiple of `BLOCK`. B is the number of beams.
+    """
+
+    offset: Array  # [K, S, B] int32, flat cell entered at this step, relative to the robot's: drow * W + dcol
+    drow: Array  # [K, S, B] int32, row of the cell entered at this step, relative to the robot's; 0 beyond the range
+    dcol: Array  # [K, S, B] int32, column, likewise
+    entry: Array  # [K, S, B] float32, distance at which it is entered, cells; inf beyond the range
+    length: Array  # [K, B] int32, cells entered at a distance below the range
+
+
+@struct.dataclass
+class Scan:
+    """Where the beams of one scan ended."""
+
+    end: Array  # [B] int32, cells passed; also the step at which the beam was stopped, if it was
+    hit: Array  # [B] bool, stopped by an occupied cell (else the range ended it)
+
+
+def exact_direction(deg):
+    """Unit vector of an angle, free of rounding where the sine or cosine is 0, 1/2, 1 or sqrt(1/2).
+
+    Args:
+      deg: `[...]` float, degrees. Host.
+
+    Returns:
+      `(dx, dy)`, each `[...]` float64.
+    """
+    deg = np.asarray(deg, np.float64) % 360.0
+    dx, dy = np.cos(np.radians(deg)), np.sin(np.radians(deg))
+    for sign in (-1, 1):
+        for value in (0.0, 0.5, math.sqrt(0.5), 1.0):
+            dx = np.where(np.abs(dx - sign * value) < 1e-12, sign * value, dx)
+            dy = np.where(np.abs(dy - sign * value) < 1e-12, sign * value, dy)
+    return dx, dy
+
+
+def beam_angles_deg(lidar):
+    """Angles of a scanner's beams relative to its heading.
+
+    Args:
+      lidar: `Lidar`.
+
+    Returns:
+      `[B]` float64, degrees, from right to left. At a field of view of 360 degrees the last beam stops one step short of the first.
+    """
+    if lidar.n_beams == 1:
+        return np.zeros(1)
+    full = lidar.fov_deg == 360
+    step = lidar.fov_deg / (lidar.n_beams if full else lidar.n_beams - 1)
+    return -lidar.fov_deg / 2 + step * np.arange(lidar.n_beams)
+
+
+def _advance(xp, state, geometry):
+    """One step of Amanatides and Woo's traversal for every beam; through an exact corner it steps in x first."""
+    nx, ny = state
+    sign_x, sign_y, to_x, to_y, per_x, per_y = geometry
+    # The crossing distance comes from the crossing's number, never from a running sum: no drift along the beam.
+    at_x, at_y = (nx + to_x) * per_x, (ny + to_y) * per_y
+    step_x = at_x <= at_y
+    entry = xp.where(step_x, at_x, at_y)
+    nx, ny = xp.where(step_x, nx + 1, nx), xp.where(step_x, ny, ny + 1)
+    return (nx, ny), (sign_y * ny, sign_x * nx, entry)
+
+
+def _geometry(xp, dx, dy, x, y, far):
+    """Signs, distance to the first crossing in units of the crossings' spacing, and that spacing, on each axis."""
+    sign_x, sign_y = xp.where(dx < 0, -1, 1), xp.where(dy < 0, -1, 1)
+    to_x, to_y = xp.where(dx < 0, x, 1 - x), xp.where(dy < 0, y, 1 - y)
+    per_x = xp.where(dx == 0, far, 1 / xp.where(dx == 0, 1, xp.abs(dx)))
+    per_y = xp.where(dy == 0, far, 1 / xp.where(dy == 0, 1, xp.abs(dy)))
+    # A beam along an axis that starts on a cell's edge never crosses the other axis, not even at distance 0 * far.
+    return sign_x, sign_y, xp.where(dx == 0, 1, to_x), xp.where(dy == 0, 1, to_y), per_x, per_y
+
+
+def n_steps(range_cells):
+    """Steps that a beam of this range can need, rounded up to whole blocks. A Python int."""
+    return -(-(math.floor(range_cells * math.sqrt(2)) + 2) // BLOCK) * BLOCK
+
+
+@functools.lru_cache(maxsize=8)
+def beam_table(lidar, cell_m, width):
+    """The beams of a robot that stands on a cell's centre with a heading that is a multiple of 45 degrees.
+
+    Args:
+      lidar: `Lidar`.
+      cell_m: edge of a cell, metres.
+      width: W of the maps that the beams will cross, cells.
+
+    Returns:
+      `Beams` of numpy arrays, K = 8; index k is the heading 45 k degrees.
+
+    Source:
+      Amanatides and Woo 1987. A beam enters a cell at a distance strictly below the range, or not at all.
+    """
+    reach = in_cells(lidar.range_m, cell_m)
+    angles = 45.0 * np.arange(HEADINGS)[:, None] + beam_angles_deg(lidar)
+    dx, dy = exact_direction(angles)
+    geometry = _geometry(np, dx, dy, 0.5, 0.5, 1e30)
+    state = (np.zeros(dx.shape), np.zeros(dx.shape))
+    steps = []
+    for _ in range(n_steps(reach)):
+        state, step = _advance(np, state, geometry)
+        steps.append(step)
+    drow, dcol, entry = (np.stack([s[i] for s in steps], axis=1) for i in range(3))
+    within = entry < reach
+    drow, dcol = (np.where(within, d, 0).astype(np.int32) for d in (drow, dcol))
+    return Beams(
+        offset=drow * np.int32(width) + dcol,
+        drow=drow,  # type: ignore[arg-type]
+        dcol=dcol,  # type: ignore[arg-type]
+        entry=np.where(within, entry, np.inf).astype(np.float32),  # type: ignore[arg-type]
+        length=within.sum(axis=1).astype(np.int32),  # type: ignore[arg-type]
+    )
+
+
+@functools.partial(jax.jit, static_argnames=("max_range_m", "cell_m", "width"))
+def trace(pose, angles_rad, *, max_range_m, cell_m, width):
+    """The cells that beams from any pose enter.
+
+    Args:
+      pose: `(x_m, y_m, heading_rad)`, float scalars; x and y in the map's own frame (cell (0, 0) begins at 0, 0).
+      angles_rad: `[B]` float32, angles relative to the heading.
+      max_range_m: range, metres. Static.
+      cell_m: edge of a cell, metres. Static.
+      width: W of the maps that the beams will cross, cells. Static.
+
+    Returns:
+      `Beams`, K = 1, relative to the cell that holds the pose.
+
+    Source:
+      Amanatides and Woo 1987.
+    """
+    reach = in_cells(max_range_m, cell_m)
+    x, y, heading = (jnp.asarray(v, jnp.float32) for v in pose)
+    angle = heading + jnp.asarray(angles_rad, jnp.float32)
+    dx, dy = jnp.cos(angle), jnp.sin(angle)
+    # float32 angles at multiples of 45 degrees miss the exact direction by some 1e-7: snap what is that close.
+    for value in (0.0, 0.5, math.sqrt(0.5), 1.0):
+        for sign in (-1, 1):
+            dx = jnp.where(jnp.abs(dx - sign * value) < 1e-6, jnp.float32(sign * value), dx)
+            dy = jnp.where(jnp.abs(dy - sign * value) < 1e-6, jnp.float32(sign * value), dy)
+    x, y = x / cell_m, y / cell_m
+    geometry = _geometry(jnp, dx, dy, x - jnp.floor(x), y - jnp.floor(y), jnp.float32(1e30))
+
+    def step(state, _):
+        return _advance(jnp, state, geometry)
+
+    zero = jnp.zeros(angle.shape, jnp.int32)
+    _, (drow, dcol, entry) = lax.scan(step, (zero, zero), length=n_steps(reach))
+    within = entry < reach
+    drow, dcol = jnp.where(within, drow, 0)[None], jnp.where(within, dcol, 0)[None]
+    return Beams(
+        offset=drow * width + dcol,
+        drow=drow,
+        dcol=dcol,
+        entry=jnp.where(within, entry, jnp.inf)[None],
+        length=within.sum(axis=0, dtype=jnp.int32)[None],
+    )
+
+
+def _block(beams, heading, j, here):
+    """Flat cell numbers and step numbers of the j-th block of steps: `[BLOCK, B]` and `[BLOCK, 1]`."""
+    # Sliced before it is reshaped: a reshape of the whole table inside a loop is a copy of it.
+    offset = lax.dynamic_slice(beams.offset, (heading, j * BLOCK, 0), (1, BLOCK, beams.offset.shape[2]))[0]
+    return here + offset, j * BLOCK + lax.broadcasted_iota(jnp.int32, (BLOCK, 1), 0)
+
+
+@jax.jit
+def scan(occupied, row, col, heading, beams):
+    """Where beams end in a true map.
+
+    Args:
+      occupied: `[H, W]` bool. Its outermost rows and columns must be occupied: beams are not tested against the edge.
+      row, col: int32, the robot's cell.
+      heading: int32, which of the K headings of `beams`.
+      beams: `Beams`.
+
+    Returns:
+      `Scan`. The first occupied cell that a beam enters stops it; the robot's own cell stops none.
+    """
+    flat, here = occupied.reshape(-1), row * occupied.shape[1] + col
+    length = lax.dynamic_index_in_dim(beams.length, heading, keepdims=False)
+
+    def not_ended(state):
+        j, end = state
+        return (j * BLOCK < beams.offset.shape[1]) & (jnp.max(end) == NOT_ENDED)
+
+    def look(state):
+        j, end = state
+        cells, step = _block(beams, heading, j, here)
+        stopped = flat.at[cells].get(mode="clip", wrap_negative_indices=False) | (step >= length)
+        return j + 1, jnp.minimum(end, jnp.min(jnp.where(stopped, step, NOT_ENDED), axis=0))
+
+    start = jnp.full(length.shape, NOT_ENDED, jnp.int32)
+    _, end = lax.while_loop(not_ended, look, (jnp.int32(0), start))
+    return Scan(end=end, hit=end < length)
+
+
+@jax.jit
+def fold(grid, row, col, heading, seen, beams):
+    """Counts one scan into the map: a miss for every cell passed, a hit where a beam was stopped.
+
+    Args:
+      grid: `Grid`, `[H, W]`.
+      row, col, heading: int32, where the scan was made.
+      seen: `Scan`, which stays inside the map.
+      beams: `Beams`.
+
+    Returns:
+      `Grid`. The robot's own cell gets one miss, whatever the number of beams.
+
+    Source:
+      Holz et al. 2010, section 2.1.
+    """
+    height, width = grid.hits.shape
+    here, outside = row * width + col, height * width
+    last = jnp.max(seen.end)
+
+    def counted(state):
+        j, misses = state
+        cells, step = _block(beams, heading, j, here)
+        return j + 1, misses.at[jnp.where(step < seen.end, cells, outside)].add(1, mode="drop")
+
+    misses = grid.misses.reshape(-1).at[here].add(1)
+    _, misses = lax.while_loop(lambda s: s[0] * BLOCK < last, counted, (jnp.int32(0), misses))
+    step = jnp.minimum(seen.end, beams.offset.shape[1] - 1)
+    stop = here + beams.offset[heading, step, lax.iota(jnp.int32, step.shape[0])]
+    hits = grid.hits.reshape(-1).at[jnp.where(seen.hit, stop, outside)].add(1, mode="drop")
+    return Grid(hits=hits.reshape(height, width), misses=misses.reshape(height, width))
+
+
+def steps_inside(beams, row, col, heading, extent):
+    """How many steps each beam can make before it leaves the map.
+
+    Args:
+      beams: `Beams`.
+      row, col, heading: int32, where the beams start.
+      extent: `(height, width)` of the map without padding, int32 scalars.
+
+    Returns:
+      `[B]` int32.
+    """
+    r = row + lax.dynamic_index_in_dim(beams.drow, heading, keepdims=False)
+    c = col + lax.dynamic_index_in_dim(beams.dcol, heading, keepdims=False)
+    within = (r >= 0) & (r < extent[0]) & (c >= 0) & (c < extent[1])
+    step = lax.broadcasted_iota(jnp.int32, within.shape, 0)
+    return jnp.min(jnp.where(within, within.shape[0], step), axis=0)
+
+
+def disturb(key, seen, row, col, heading, beams, extent, *, sigma_cells, dropout):
+    """A scan as a noisy scanner reports it.
+
+    A beam that was stopped reports its distance plus Gaussian noise; it is read as a hit in the cell at that distance, or as
+    passing everything where that lies beyond the range. A beam that was not stopped is not disturbed. A beam that drops out
+    tells nothing. No beam is read as ending outside the map: it ends in the last cell inside.
+
+    Args:
+      key: consumed.
+      seen: `Scan`, `[B]`.
+      row, col, heading: int32, where the scan was made.
+      beams: `Beams`.
+      extent: `(height, width)` of the map without padding, int32 scalars.
+      sigma_cells: standard deviation of the range, cells; scalar.
+      dropout: probability that a beam drops out; scalar.
+
+    Returns:
+      `Scan`, `[B]`.
+    """
+    key_range, key_drop = jax.random.split(key)
+    n_beams = seen.end.shape[0]
+    entry = lax.dynamic_index_in_dim(beams.entry, heading, keepdims=False)
+    length = lax.dynamic_index_in_dim(beams.length, heading, keepdims=False)
+    at = jnp.minimum(seen.end, entry.shape[0] - 1)
+    distance = jnp.take_along_axis(entry, at[None], axis=0)[0] + sigma_cells * jax.random.normal(key_range, (n_beams,))
+    # The cell at a distance is the last one entered no later; a distance short of the first cell reads as the first.
+    step = jnp.sum(entry <= distance + 1e-6, axis=0, dtype=jnp.int32) - 1
+    step = jnp.clip(step, 0, steps_inside(beams, row, col, heading, extent) - 1)
+    end = jnp.where(seen.hit, step, seen.end)
+    hit = seen.hit & (end < length)
+    kept = jax.random.uniform(key_drop, (n_beams,)) >= dropout
+    return Scan(end=jnp.where(kept, end, 0), hit=hit & kept)
+
+
+def cast(occupied, pose, angles_rad, *, max_range_m, cell_m):
+    """Ranges of beams from any pose in a true map.
+
+    Args:
+      occupied: `[H, W]` bool. What lies outside the map counts as occupied.
+      pose: `(x_m, y_m, heading_rad)`, float scalars, inside the map; cell (0, 0) begins at (0, 0).
+      angles_rad: `[B]` float32, angles relative to the heading.
+      max_range_m: range, metres. Static.
+      cell_m: edge of a cell, metres. Static.
+
+    Returns:
+      `range_m`: `[B]` float32, metres to where the beam enters the cell that stops it; `max_range_m` if none does.
+      `hit`: `[B]` bool, whether one does.
+
+    Raises:
+      ValueError: while tracing, if `occupied` is not a bool matrix.
+
+    Source:
+      Amanatides and Woo 1987.
+    """
+    if occupied.ndim != 2 or occupied.dtype != bool:
+        raise ValueError(f"expected occupied: [H, W] bool, got {occupied.shape} {occupied.dtype}")
+    walled = jnp.pad(jnp.asarray(occupied), 1, constant_values=True)
+    x, y, heading = pose
+    beams = trace((x + cell_m, y + cell_m, heading), angles_rad, max_range_m=max_range_m, cell_m=cell_m, width=walled.shape[1])
+    row = jnp.floor(jnp.float32(y) / cell_m).astype(jnp.int32) + 1
+    col = jnp.floor(jnp.float32(x) / cell_m).astype(jnp.int32) + 1
+    seen = scan(walled, row, col, jnp.int32(0), beams)
+    at = jnp.minimum(seen.end, beams.entry.shape[1] - 1)
+    range_m = jnp.take_along_axis(beams.entry[0], at[None], axis=0)[0] * cell_m
+    return jnp.where(seen.hit, range_m, jnp.float32(max_range_m)), seen.hit

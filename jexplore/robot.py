@@ -1,0 +1,42 @@
+"""Kinematics of the robot that walks from cell to cell: motions, headings, turns.
+
+Headings are int32 in units of 45 degrees, counter-clockwise, 0 along +x (east).
+"""
+
+import jax.numpy as jnp
+
+from jexplore.reach import HEADING, MOTIONS
+
+EIGHTH_TURN_RAD = 0.7853981633974483
+
+
+def motion_step(motion):
+    """What a motion does to the robot.
+
+    Args:
+      motion: int, index into `reach.MOTIONS`; any shape.
+
+    Returns:
+      `(drow, dcol, heading)`, int32 of that shape.
+    """
+    table = jnp.asarray([(drow, dcol, heading) for (drow, dcol), heading in zip(MOTIONS, HEADING)], jnp.int32)
+    step = table[motion]
+    return step[..., 0], step[..., 1], step[..., 2]
+
+
+def turn_between(heading, new_heading):
+    """The smaller turn from one heading to another, in units of 45 degrees: int32, 0 to 4."""
+    turn = (new_heading - heading) % 8
+    return jnp.minimum(turn, 8 - turn)
+
+
+def scans_all_round(fov_deg):
+    """How many scans, evenly turned, see all round: the next of 1, 2, 4, 8, so that every heading is on the lattice.
+
+    Args:
+      fov_deg: field of view, degrees. A Python number.
+
+    Returns:
+      int. ceil(360 / fov) where that divides 8; below 45 degrees 8 scans leave gaps.
+    """
+    return next((n for n in (1, 2, 4) if n * fov_deg >= 360), 8)

@@ -1,0 +1,109 @@
+"""Worlds by name: generators, and readers of map files.
+
+Importing this loads neither jax nor an image library; `load_world` imports what a name needs.
+"""
+
+import importlib
+import inspect
+import os
+
+from jexplore.config import InputError, require_number
+from jexplore.worlds import names
+
+GENERATORS = {
+    "cave": "jexplore.worlds.cave:cave",
+    "office": "jexplore.worlds.office:office",
+    "hospital": "jexplore.worlds.hospital:hospital",
+    "maze": "jexplore.worlds.maze:maze",
+    "rooms": "jexplore.worlds.rooms:rooms",
+}
+"""World name -> "module:function". The function takes a seed and keyword parameters, `cell_m` among them."""
+
+
+def load_world(name, cell_m=0.1):
+    """The world of a name: a generated one, or one read from a map file.
+
+    `cave`, `cave#3`, `hospital#2:width_m=60,height_m=25`, `map.yaml`, `map.png@16x16`, `map.png@0.05:free=150`,
+    `map.map@0.1`, `plan.json`: `names.parse` has the grammar, the readers say what a file means.
+
+    Args:
+      name: world name or path.
+      cell_m: edge of a cell, metres. A file of another resolution is resampled; that never opens a wall.
+
+    Returns:
+      A `World` with an occupied ring and at least one free cell; its `name` is `name` as given.
+
+    Raises:
+      InputError: no such world, a parameter that it does not take, or a file that cannot be read as a map.
+    """
+    try:
+        name = os.fspath(name)
+    except TypeError:
+        raise InputError(f"world must be a name or a path, got {name!r}") from None
+    require_number("cell_m", cell_m, low=0.001, high=100)
+    parsed = names.parse(name, generators=tuple(GENERATORS))
+    world = _generate(parsed, cell_m) if parsed.kind == "generator" else _read(parsed, cell_m)
+
+    from jexplore.world import with_ring
+
+    world = with_ring(world.replace(name=name))
+    if world.occupied.all():
+        raise InputError(f"{name!r}: no free cell is left at cell_m = {cell_m:g}; use a smaller cell_m")
+    return world
+
+
+def generator_parameters(base):
+    """What a generator takes in a world name: parameter name -> default.
+
+    Args:
+      base: a key of `GENERATORS`.
+
+    Returns:
+      A dict in the order of the signature, without the seed and `cell_m`.
+    """
+    parameters = inspect.signature(_function(base)).parameters.values()
+    return {p.name: p.default for p in parameters if p.kind is p.KEYWORD_ONLY and p.name != "cell_m"}
+
+
+def _function(base):
+    module, _, function = GENERATORS[base].partition(":")
+    return getattr(importlib.import_module(module), function)
+
+
+def _generate(parsed, cell_m):
+    permitted = generator_parameters(parsed.base)
+    names.require_parameters(parsed, permitted)
+    given = {key: _as_default(parsed, key, value, permitted[key]) for key, value in parsed.parameters.items()}
+    return _function(parsed.base)(parsed.seed, cell_m=cell_m, **given)
+
+
+def _as_default(parsed, key, value, default):
+    """`value` in the type of the parameter's default, so that `width_m=60` is the metres 60.0."""
+    if isinstance(default, float) and type(value) is int:
+        return float(value)
+    if isinstance(default, (bool, int, float, str)) and type(value) is not type(default):
+        kinds = {bool: "true or false", int: "an integer", float: "a number", str: "a word"}
+        raise InputError(f"{parsed.name!r}: {key} must be {kinds[type(default)]}, got {value!r}")
+    return value
+
+
+def _read(parsed, cell_m):
+    if parsed.kind == "image":
+        from jexplore.worlds.images import load_image
+
+        names.require_parameters(parsed, {"free": 250})
+        return load_image(parsed.base, parsed.scale, cell_m=cell_m, **parsed.parameters)
+    names.require_parameters(parsed, {})
+    if parsed.kind == "movingai":
+        from jexplore.worlds.movingai import load_movingai
+
+        return load_movingai(parsed.base, parsed.scale, cell_m=cell_m)
+    if parsed.scale is not None:
+        raise InputError(f"{parsed.name!r}: a {parsed.kind} file has its own scale; leave out what follows the '@'")
+    if parsed.kind == "ROS":
+        from jexplore.worlds.ros import load_ros
+
+        return load_ros(parsed.base, cell_m=cell_m)
+    from jexplore.worlds.houseexpo import load_houseexpo
+
+    return load_houseexpo(parsed.base, cell_m=cell_m)

@@ -1,0 +1,166 @@
+"""The grammar of world names. Plain Python: importing this loads neither jax nor numpy.
+
+    generator[#seed][:key=value,...]        cave   cave#3   hospital#2:width_m=60,height_m=25
+    file[@scale][:key=value,...]            map.yaml   map.png@16x16   map.png@0.05:free=150   map.map@0.1   plan.json
+
+A name is a file if one of the known suffixes ends it or is followed by `@` or `:`; it is then cut there. A path may
+itself contain `#`, `@` and `:`. Where there are several places to cut, the longest path that exists as a file is
+taken, else the longest path. Every other name is a generator's.
+"""
+
+import dataclasses
+import difflib
+import math
+import os
+import re
+
+from jexplore.config import InputError, require_number
+
+SUFFIXES = {
+    "ROS": ("yaml", "yml"),
+    "image": ("png", "pgm", "pbm", "ppm", "jpg", "jpeg", "bmp", "gif", "tif", "tiff"),
+    "movingai": ("map",),
+    "HouseExpo": ("json",),
+}
+"""Kind of file -> its suffixes, in either case."""
+
+_KIND = {suffix: kind for kind, suffixes in SUFFIXES.items() for suffix in suffixes}
+_CUT = re.compile(r"\.(" + "|".join(sorted(_KIND, key=len, reverse=True)) + r")(?=$|[@:])", re.IGNORECASE)
+_GENERATOR = re.compile(r"(?P<base>[A-Za-z_][\w-]*)(#(?P<seed>[^:]*))?(:(?P<parameters>.*))?", re.DOTALL)
+_SEEDS = 2**32
+
+
+@dataclasses.dataclass(frozen=True)
+class WorldName:
+    """A world name, taken apart."""
+
+    name: str
+    """The whole, as the user typed it."""
+    kind: str
+    """`generator`, or a key of `SUFFIXES`."""
+    base: str
+    """Name of the generator, or path of the file."""
+    seed: int = 0
+    """Seed of a generator."""
+    scale: float | tuple[float, float] | None = None
+    """What follows the `@`: metres a pixel, or width and height in metres; None where there is none."""
+    parameters: dict[str, bool | int | float | str] = dataclasses.field(default_factory=dict)
+    """What follows the `:`."""
+
+
+def parse(name, *, generators):
+    """Take a world name apart, and refuse one that names nothing.
+
+    Whether a file can be read is for its reader to say; whether a generator takes the parameters, for
+    `require_parameters`.
+
+    Args:
+      name: the name.
+      generators: names of the generators there are.
+
+    Returns:
+      A `WorldName`.
+
+    Raises:
+      InputError: neither a file of a known kind nor a generator, or a malformed seed, scale or parameter.
+    """
+    cuts = [match.end() for match in _CUT.finditer(name)]
+    if cuts:
+        return _parse_file(name, max(cuts, key=lambda cut: (os.path.isfile(name[:cut]), cut)))
+    match = _GENERATOR.fullmatch(name)
+    base = match["base"] if match else ""
+    if base not in generators:
+        if os.path.isdir(name):
+            raise InputError(f"{name!r}: is a directory; name a map file in it")
+        if match is None or os.path.isfile(name):
+            suffixes = ", ".join("." + suffix for suffix in _KIND)
+            raise InputError(f"{name!r}: is neither {', '.join(generators)} nor a map file ending in {suffixes}")
+        raise InputError(
+            f"{name!r}: there is no world {base!r}; there are {_there_are(base, generators)} and map files"
+        )
+    return WorldName(
+        name=name,
+        kind="generator",
+        base=base,
+        seed=0 if match["seed"] is None else _seed(name, match["seed"]),
+        parameters={} if match["parameters"] is None else _parameters(name, match["parameters"]),
+    )
+
+
+def require_parameters(parsed, permitted):
+    """Refuse a parameter that the world does not take.
+
+    Args:
+      parsed: a `WorldName`.
+      permitted: the names that it takes.
+
+    Raises:
+      InputError: naming the first such parameter and what there is.
+    """
+    for key in parsed.parameters:
+        if key == "cell_m":
+            raise InputError(f"{parsed.name!r}: cell_m is an option of its own, not a parameter of the world's name")
+        if key not in permitted:
+            there_are = f"it takes {_there_are(key, permitted)}" if permitted else "it takes none"
+            raise InputError(f"{parsed.name!r}: there is no parameter {key!r}; {there_are}")
+
+
+def _there_are(word, known):
+    near = difflib.get_close_matches(word, known, n=1, cutoff=0.5)
+    return ", ".join(known) + (f" (did you mean {near[0]!r}?)" if near else "")
+
+
+def _parse_file(name, cut):
+    path, rest = name[:cut], name[cut:]
+    scale, colon, parameters = rest.partition(":")
+    return WorldName(
+        name=name,
+        kind=_KIND[path.rpartition(".")[2].lower()],
+        base=path,
+        scale=_scale(name, scale[1:]) if scale else None,
+        parameters=_parameters(name, parameters) if colon else {},
+    )
+
+
+def _seed(name, text):
+    if not re.fullmatch("[0-9]{1,10}", text) or int(text) >= _SEEDS:
+        raise InputError(f"{name!r}: the seed after '#' must be an integer from 0 to {_SEEDS - 1}, got {text!r}")
+    return int(text)
+
+
+def _scale(name, text):
+    numbers = [_number(part) for part in re.split("[xX]", text)]
+    if len(numbers) > 2 or any(isinstance(number, (bool, str)) for number in numbers):
+        raise InputError(
+            f"{name!r}: after '@' comes the size in metres, as 16x16, or the metres a pixel, as 0.05; got {text!r}"
+        )
+    for number in numbers:
+        require_number(f"{name!r}: every number after '@'", number, low_open=True, high=1e6)
+    return float(numbers[0]) if len(numbers) == 1 else (float(numbers[0]), float(numbers[1]))
+
+
+def _parameters(name, text):
+    parameters = {}
+    for part in text.split(","):
+        key, equals, value = part.partition("=")
+        if not (key.isidentifier() and equals and value):
+            raise InputError(f"{name!r}: parameters are written key=value,key=value; got {part!r}")
+        if key in parameters:
+            raise InputError(f"{name!r}: parameter {key!r} is given twice")
+        parameters[key] = _number(value)
+        if isinstance(parameters[key], float) and not math.isfinite(parameters[key]):
+            raise InputError(f"{name!r}: {key} must be finite, got {value!r}")
+    return parameters
+
+
+def _number(text):
+    """`text` as a bool, an int or a float where it is one."""
+    if text in ("true", "false"):
+        return text == "true"
+    for kind in (int, float):
+        if re.fullmatch(r"[-+.\w]+", text, re.ASCII) and "_" not in text:
+            try:
+                return kind(text)
+            except ValueError:
+                continue
+    return text

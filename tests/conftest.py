@@ -1,0 +1,57 @@
+"""Settings of all tests: no jit unless marked `jit`, one folder of compiled programs, no display."""
+
+import contextlib
+import os
+from pathlib import Path
+
+os.environ["MPLBACKEND"] = "Agg"
+os.environ.pop("JEXPLORE_SMALL", None)
+
+import hypothesis
+import jax
+import pytest
+
+hypothesis.settings.register_profile("jexplore", deadline=None, print_blob=True)
+hypothesis.settings.load_profile("jexplore")
+
+
+def pytest_configure(config):
+    """Compiled programs are kept from run to run, for the processes that tests start as well."""
+    if hasattr(config, "cache"):
+        folder = str(config.cache.mkdir("jax"))
+        os.environ["JAX_COMPILATION_CACHE_DIR"] = folder
+        jax.config.update("jax_compilation_cache_dir", folder)
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
+    jax.config.update("jax_disable_jit", True)
+
+
+@contextlib.contextmanager
+def _jit(on):
+    # For all threads, where `jax.disable_jit` is for this one.
+    before = jax.config.jax_disable_jit
+    jax.config.update("jax_disable_jit", not on)
+    try:
+        yield
+    finally:
+        jax.config.update("jax_disable_jit", before)
+
+
+@pytest.fixture(autouse=True)
+def _jit_as_marked(request):
+    with _jit(request.node.get_closest_marker("jit") is not None):
+        yield
+
+
+@pytest.fixture(scope="session")
+def jit_on():
+    """A context manager that switches jit on: for fixtures of wider scope, which a test's mark does not reach."""
+    return lambda: _jit(True)
+
+
+@pytest.fixture(scope="session")
+def maps():
+    """The folder of downloaded maps, `shared/maps` beside the checkout."""
+    folder = Path(__file__).resolve().parents[2] / "shared" / "maps"
+    if not folder.is_dir():
+        pytest.skip(f"the maps are not there: no folder {folder}")
+    return folder

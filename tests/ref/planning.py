@@ -1,0 +1,177 @@
+"""Oracle for planning: distances, reachability, paths, frontiers. Arrays are `[row, col]`, row 0 at the bottom."""
+
+import heapq
+import math
+
+import numpy as np
+
+FAR = 2**30
+STRAIGHT = 2**16
+DIAGONAL = round(math.sqrt(2) * 2**16)
+# Motions as (drow, dcol), in the order that breaks ties: E, N, W, S, NE, NW, SW, SE.
+MOTIONS = ((0, 1), (1, 0), (0, -1), (-1, 0), (1, 1), (1, -1), (-1, -1), (-1, 1))
+
+
+def radius2(radius_m, cell_m):
+    """The largest squared distance, cells^2, that counts as within `radius_m`."""
+    return math.floor((radius_m / cell_m) ** 2 + 1e-3)
+
+
+def classify(hits, misses, p_free=0.25):
+    """`(known, free, occupied)` of a reflection map: known = observed at all, free = known and p <= p_free."""
+    known = hits + misses > 0
+    p = hits / np.maximum(hits + misses, 1)
+    return known, known & (p <= p_free), known & (p > p_free)
+
+
+def nearest_site(sites):
+    """Squared distance to the nearest site, cells^2, and the flat index of that site; ties to the lowest index.
+
+    `FAR` and -1 everywhere if there is no site.
+    """
+    d2 = np.full(sites.shape, FAR, np.int64)
+    site = np.full(sites.shape, -1, np.int64)
+    rows, cols = np.indices(sites.shape)
+    for r, c in np.argwhere(sites):  # in ascending flat order, so only a strictly nearer site replaces one
+        here = (rows - r) ** 2 + (cols - c) ** 2
+        nearer = here < d2
+        d2[nearer] = here[nearer]
+        site[nearer] = r * sites.shape[1] + c
+    return d2, site
+
+
+def disc(shape, row, col, r2):
+    """Cells whose squared distance from `(row, col)` is at most `r2`."""
+    rows, cols = np.indices(shape)
+    return (rows - row) ** 2 + (cols - col) ** 2 <= r2
+
+
+def clear(free, occupied_known, r2):
+    """Free cells with no known occupied cell within squared distance `r2`, centre to centre."""
+    reach = math.isqrt(r2)
+    wide = np.pad(occupied_known, reach, constant_values=False)
+    height, width = free.shape
+    near_occupied = np.zeros(free.shape, bool)
+    for dr in range(-reach, reach + 1):
+        for dc in range(-reach, reach + 1):
+            if dr * dr + dc * dc <= r2:
+                near_occupied |= wide[reach + dr : reach + dr + height, reach + dc : reach + dc + width]
+    return free & ~near_occupied
+
+
+def traversable(free, occupied_known, driven, row, col, clear_r2, near_r2):
+    """Clear cells, free cells near the robot at `(row, col)`, and driven cells, whatever is known of these."""
+    return clear(free, occupied_known, clear_r2) | (free & disc(free.shape, row, col, near_r2)) | driven
+
+
+def may_step(passable, row, col, motion):
+    """Whether a step from `(row, col)` is allowed: its end passable and, if diagonal, both cells beside it too."""
+    dr, dc = motion
+
+    def at(r, c):
+        return 0 <= r < passable.shape[0] and 0 <= c < passable.shape[1] and bool(passable[r, c])
+
+    return at(row + dr, col + dc) and (dr == 0 or dc == 0 or (at(row + dr, col) and at(row, col + dc)))
+
+
+def step_cost(motion):
+    """Fixed-point cost of a motion."""
+    return DIAGONAL if motion[0] and motion[1] else STRAIGHT
+
+
+def dijkstra(passable, start):
+    """Reachability map: `(cost, pred)` of every cell from `start`, a passable `(row, col)`.
+
+    `cost`: int64, `FAR` where there is no way that costs less. `pred`: flat index of the cell before it on the way; -1
+    at the start and where there is no way. Among equal predecessors the first in the order of `MOTIONS` (motion into
+    the cell) is taken.
+    """
+    if not passable[start]:
+        raise ValueError(f"expected a passable start, got {start}")
+    height, width = passable.shape
+    cost = np.full(passable.shape, FAR, np.int64)
+    cost[start] = 0
+    queue = [(0, start)]
+    while queue:
+        d, (row, col) = heapq.heappop(queue)
+        if d > cost[row, col]:
+            continue
+        for motion in MOTIONS:
+            if may_step(passable, row, col, motion):
+                cell = row + motion[0], col + motion[1]
+                if d + step_cost(motion) < cost[cell]:
+                    cost[cell] = d + step_cost(motion)
+                    heapq.heappush(queue, (d + step_cost(motion), cell))
+
+    pred = np.full(passable.shape, -1, np.int64)
+    for row in range(height):
+        for col in range(width):
+            if (row, col) == start or cost[row, col] == FAR:
+                continue
+            for motion in MOTIONS:
+                before = row - motion[0], col - motion[1]
+                inside = 0 <= before[0] < height and 0 <= before[1] < width
+                if (
+                    inside
+                    and cost[before] + step_cost(motion) == cost[row, col]
+                    and may_step(passable, *before, motion)
+                ):
+                    pred[row, col] = before[0] * width + before[1]
+                    break
+    return cost, pred
+
+
+def path(pred, start, target):
+    """Cells of the way from `start` (left out) to `target`, as `(row, col)`; empty if they are the same cell."""
+    cells = []
+    cell = tuple(target)
+    while cell != tuple(start):
+        cells.append(cell)
+        if pred[cell] < 0:
+            raise ValueError(f"expected a reachable target, got {tuple(target)}")
+        cell = divmod(int(pred[cell]), pred.shape[1])
+    return cells[::-1]
+
+
+def beside_unknown(known):
+    """Cells with an unknown one among their eight neighbours; what lies outside the array is never unknown."""
+    height, width = known.shape
+    unknown = np.pad(~known, 1, constant_values=False)
+    out = np.zeros(known.shape, bool)
+    for dr, dc in MOTIONS:
+        out |= unknown[1 + dr : 1 + dr + height, 1 + dc : 1 + dc + width]
+    return out
+
+
+def frontier(clear_cells, cost, known, exhausted):
+    """Cells that are clear, reachable, 8-adjacent to an unknown cell, and not exhausted."""
+    return clear_cells & (cost < FAR) & beside_unknown(known) & ~exhausted
+
+
+def closest(targets, cost):
+    """Flat index of the cheapest target, ties to the lowest index; -1 for none."""
+    flat = np.flatnonzero(targets)
+    if not flat.size:
+        return -1
+    return int(min(flat, key=lambda i: (cost.flat[i], i)))
+
+
+def clusters(frontier_cells):
+    """8-connected components: a number from 0 for each, in the order of their lowest flat index; -1 elsewhere."""
+    height, width = frontier_cells.shape
+    label = np.full(frontier_cells.shape, -1, np.int64)
+    count = 0
+    for seed in map(tuple, np.argwhere(frontier_cells)):
+        if label[seed] >= 0:
+            continue
+        label[seed] = count
+        stack = [seed]
+        while stack:
+            row, col = stack.pop()
+            for dr, dc in MOTIONS:
+                r, c = row + dr, col + dc
+                if 0 <= r < height and 0 <= c < width and frontier_cells[r, c] and label[r, c] < 0:
+                    label[r, c] = count
+                    stack.append((r, c))
+        count += 1
+    return label

@@ -1,0 +1,313 @@
+"""Oracle for a whole exploration episode (Holz et al. 2010, sections 2.1 to 2.3), in plain loops.
+
+The world is static and the sensor perfect unless `sense` replaces it; the robot walks from cell centre to cell centre.
+"""
+
+import dataclasses
+import itertools
+import math
+
+import numpy as np
+
+from . import beams, planning
+
+HEADING_OF = dict(zip(planning.MOTIONS, (0, 90, 180, 270, 45, 135, 225, 315)))
+SHARES = (50, 90, 95, 99)
+
+
+@dataclasses.dataclass
+class Plan:
+    """One planning step. `target` is None, `cost` 0 and `path` empty if there was nothing left to go to."""
+
+    robot: tuple[int, int]  # (row, col) where it was made
+    target: tuple[int, int] | None  # (row, col)
+    cost: int  # fixed point, 2**16 a straight step
+    path: list  # (row, col) of every cell to come, without the robot's own
+
+
+@dataclasses.dataclass
+class Result:
+    """What came out of an episode; counts as the robot made them, metres and radians derived from them at the end."""
+
+    outcome: str = ""  # COMPLETE, BLOCKED, STUCK, STEP_LIMIT, PLAN_LIMIT
+    visited: list = dataclasses.field(default_factory=list)  # (row, col): the start, then one cell a step
+    headings: list = dataclasses.field(default_factory=list)  # degrees in [0, 360), one a scan
+    hits: np.ndarray | None = None  # [H, W] int64
+    misses: np.ndarray | None = None  # [H, W] int64
+    straight: int = 0  # straight steps
+    diagonal: int = 0  # diagonal steps
+    turns: int = 0  # units of 45 degrees
+    refused: int = 0  # steps refused
+    scans: int = 0
+    plans: int = 0
+    exhausted: int = 0
+    log: list = dataclasses.field(default_factory=list)  # a Plan for each plan
+    known_after_step: list = dataclasses.field(
+        default_factory=list
+    )  # known cells: initial scans, then each step's scan
+    known_after_scan: list = dataclasses.field(default_factory=list)  # (steps so far, known cells), one a scan
+    explored_fraction: float = 0.0
+    path_m: float = 0.0
+    turning_rad: float = 0.0
+    path_m_at: dict = dataclasses.field(default_factory=dict)  # per cent -> m, by `known_after_step`
+    path_m_at_any_scan: dict = dataclasses.field(default_factory=dict)  # per cent -> m, by `known_after_scan`
+    room_entries: int | None = None  # None without rooms
+
+    @property
+    def steps(self):
+        """Steps made, straight and diagonal."""
+        return self.straight + self.diagonal
+
+
+def initial_scan_count(fov_deg):
+    """Scans that look all round: ceil(360 / fov), raised to 1, 2, 4 or 8 so that headings stay on the lattice."""
+    return next((n for n in (1, 2, 4, 8) if n * fov_deg >= 360), 8)
+
+
+def connected(passable, start):
+    """Cells connected to `start` over `passable` by straight steps.
+
+    Diagonal steps would add none: the cells beside one have to be passable too.
+    """
+    seen = np.zeros(passable.shape, bool)
+    if not passable[start]:
+        return seen
+    seen[start] = True
+    stack = [start]
+    while stack:
+        row, col = stack.pop()
+        for motion in planning.MOTIONS[:4]:
+            cell = row + motion[0], col + motion[1]
+            if planning.may_step(passable, row, col, motion) and not seen[cell]:
+                seen[cell] = True
+                stack.append(cell)
+    return seen
+
+
+def goal_cells(occupied, start, clear_r2, near_r2):
+    """Truly clear cells connected to the start: what has to be known for COMPLETE."""
+    truly_clear = planning.clear(~occupied, occupied, clear_r2)
+    passable = truly_clear | (~occupied & planning.disc(occupied.shape, *start, near_r2))
+    return truly_clear & connected(passable, start)
+
+
+def count_room_entries(visited, rooms):
+    """Times that the robot came to stand in a room other than the last room it stood in; the first counts as one."""
+    entries, last = 0, -1
+    for cell in visited:
+        room = int(rooms[cell])
+        if room >= 0 and room != last:
+            entries += 1
+            last = room
+    return entries
+
+
+class Robot:
+    """The robot in its world, with its map, its odometer and its record."""
+
+    def __init__(self, occupied, start, heading_deg, sense, p_free):
+        self.occupied, self.sense, self.p_free = occupied, sense, p_free
+        self.cell, self.heading = start, heading_deg % 360
+        self.driven = np.zeros(occupied.shape, bool)
+        self.driven[start] = True
+        self.exhausted = np.zeros(occupied.shape, bool)
+        shape = occupied.shape
+        self.result = Result(visited=[start], hits=np.zeros(shape, np.int64), misses=np.zeros(shape, np.int64))
+
+    def classes(self):
+        """`(known, free, occupied)` as the robot believes them."""
+        return planning.classify(self.result.hits, self.result.misses, self.p_free)
+
+    def known_count(self):
+        """Cells observed so far, walls included."""
+        return int(self.classes()[0].sum())
+
+    def live(self, target):
+        """Whether a target is still beside an unknown cell."""
+        return bool(planning.beside_unknown(self.classes()[0])[target])
+
+    def scan(self, heading_deg):
+        """Make one scan and count it."""
+        beams.fold(self.result.hits, self.result.misses, *self.cell, self.sense(*self.cell, heading_deg))
+        self.result.headings.append(heading_deg)
+        self.result.scans += 1
+        self.result.known_after_scan.append((self.result.steps, self.known_count()))
+
+    def turn_to(self, heading_deg):
+        """Turn in place by the smaller way."""
+        difference = (heading_deg - self.heading) % 360
+        self.result.turns += min(difference, 360 - difference) // 45
+        self.heading = heading_deg % 360
+
+    def look_all_round(self, n):
+        """The scans at the start: they are no turns, and the heading stays."""
+        for i in range(n):
+            self.scan((self.heading + i * 360 // n) % 360)
+        self.result.known_after_step.append(self.known_count())
+
+    def look_around(self):
+        """Three scans, each after a quarter turn to the left; the last heading stays."""
+        for _ in range(3):
+            self.turn_to((self.heading + 90) % 360)
+            self.scan(self.heading)
+
+    def step(self, cell):
+        """Go to a neighbouring cell and scan; False if the step is refused (the robot turns and scans all the same)."""
+        row, col = self.cell
+        motion = cell[0] - row, cell[1] - col
+        self.turn_to(HEADING_OF[motion])
+        if self.occupied[cell] or not (self.classes()[1][cell] or self.driven[cell]):
+            self.result.refused += 1
+            self.scan(self.heading)
+            return False
+        self.cell = cell
+        self.result.visited.append(cell)
+        self.driven[cell] = True
+        if motion[0] and motion[1]:
+            self.result.diagonal += 1
+            self.driven[row + motion[0], col] = self.driven[row, col + motion[1]] = True
+        else:
+            self.result.straight += 1
+        self.scan(self.heading)
+        self.result.known_after_step.append(self.result.known_after_scan[-1][1])
+        return True
+
+    def plan(self, choose, clear_r2, near_r2):
+        """Choose a target and the way to it; the record says which."""
+        known, free, occupied = self.classes()
+        passable = planning.traversable(free, occupied, self.driven, *self.cell, clear_r2, near_r2)
+        cost, pred = planning.dijkstra(passable, self.cell)
+        targets = planning.frontier(planning.clear(free, occupied, clear_r2), cost, known, self.exhausted)
+        flat = np.flatnonzero(targets)
+        self.result.plans += 1
+        plan = Plan(self.cell, None, 0, [])
+        if flat.size:
+            if choose is None:
+                chosen = planning.closest(targets, cost)
+            else:
+                chosen = int(choose(flat, cost.flat[flat], self.result.plans - 1))
+            if chosen not in flat:
+                raise ValueError(f"expected one of the candidates, got {chosen}")
+            target = divmod(chosen, known.shape[1])
+            plan = Plan(self.cell, target, int(cost[target]), planning.path(pred, self.cell, target))
+        self.result.log.append(plan)
+        return plan
+
+    def arrive(self, target, look_around):
+        """Look around at a live target; one that is live even then is exhausted."""
+        if self.live(target):
+            if look_around:
+                self.look_around()
+            if self.live(target):
+                self.exhausted[target] = True
+                self.result.exhausted += 1
+
+
+def run(robot, goal, recheck, choose, clear_r2, near_r2, max_steps, max_plans, look_around):
+    """The episode after the initial scans; returns the name of its outcome."""
+    while True:
+        if robot.result.plans == max_plans:
+            return "PLAN_LIMIT"
+        plan = robot.plan(choose, clear_r2, near_r2)
+        if plan.target is None:
+            return "COMPLETE" if robot.classes()[0][goal].all() else "BLOCKED"
+        for cell in plan.path:
+            if robot.result.steps == max_steps:
+                return "STEP_LIMIT"
+            if not robot.step(cell):
+                break
+            if recheck and not robot.live(plan.target):
+                break
+        if robot.cell == plan.target:
+            robot.arrive(plan.target, look_around)
+
+
+def simulate(
+    occupied,
+    start_row,
+    start_col,
+    start_heading_deg,
+    *,
+    recheck,
+    choose=None,
+    cell_m=0.1,
+    n_beams=181,
+    fov_deg=180.0,
+    range_m=8.0,
+    clearance_m=0.3,
+    near_m=0.5,
+    p_free=0.25,
+    max_steps=None,
+    max_plans=None,
+    rooms=None,
+    look_around=True,
+    sense=None,
+):
+    """One episode, from the scans at the start to a named outcome.
+
+    Args:
+      occupied: `[H, W]` bool, the true world, with an occupied ring.
+      start_row, start_col, start_heading_deg: the first pose; the heading a multiple of 45.
+      recheck: whether a target that is no longer live is given up on the way.
+      choose: `choose(candidates, costs, plan_number)` -> one of the candidates: ascending flat indices of the frontier,
+        their fixed-point costs, plans made before this one. Default: the cheapest, ties to the lowest index.
+      max_steps, max_plans: bounds; default the larger of 20000 and the number of cells.
+      rooms: `[H, W]` int, room number, -1 for none.
+      sense: `sense(row, col, heading_deg)` -> list of `(missed, hit)`, in place of the perfect scanner.
+
+    Returns:
+      a `Result`.
+    """
+    if start_heading_deg % 45:
+        raise ValueError(f"expected a heading that is a multiple of 45 degrees, got {start_heading_deg}")
+    start = (int(start_row), int(start_col))
+    clear_r2, near_r2 = planning.radius2(clearance_m, cell_m), planning.radius2(near_m, cell_m)
+    bound = max(20000, occupied.size)
+
+    def perfect(row, col, heading_deg):
+        return beams.scan(occupied, row, col, heading_deg, n_beams, fov_deg, range_m / cell_m)
+
+    robot = Robot(occupied, start, int(start_heading_deg), sense or perfect, p_free)
+    goal = goal_cells(occupied, start, clear_r2, near_r2)
+    elsewhere = goal.copy()
+    elsewhere[start] = False
+    if occupied[start] or not elsewhere.any():
+        robot.result.outcome = "STUCK"
+        robot.result.known_after_step.append(0)
+    else:
+        robot.look_all_round(initial_scan_count(fov_deg))
+        steps_bound, plans_bound = (bound if m is None else m for m in (max_steps, max_plans))
+        robot.result.outcome = run(
+            robot, goal, recheck, choose, clear_r2, near_r2, steps_bound, plans_bound, look_around
+        )
+    measure(robot, start, cell_m, rooms)
+    return robot.result
+
+
+def measure(robot, start, cell_m, rooms):
+    """Fill in what is derived from the counts."""
+    result = robot.result
+    known = robot.classes()[0]
+    inside = connected(~robot.occupied, start)
+    result.explored_fraction = float(known[inside].mean()) if inside.any() else 0.0
+
+    lengths_m = [0.0]  # after every step; built from counts, so that no rounding piles up
+    straight = diagonal = 0
+    for a, b in itertools.pairwise(result.visited):
+        is_diagonal = a[0] != b[0] and a[1] != b[1]
+        straight, diagonal = straight + (not is_diagonal), diagonal + is_diagonal
+        lengths_m.append((straight + diagonal * math.sqrt(2)) * cell_m)
+    result.path_m = lengths_m[-1]
+    result.turning_rad = result.turns * math.pi / 4
+
+    final = int(known.sum())
+    by_step = [
+        *enumerate(result.known_after_step),
+        (result.steps, final),
+    ]  # scans in place may come after the last step
+    by_scan = [*result.known_after_scan, (result.steps, final)]
+    for share in SHARES:
+        for series, out in ((by_step, result.path_m_at), (by_scan, result.path_m_at_any_scan)):
+            out[share] = lengths_m[next(step for step, count in series if 100 * count >= share * final)]
+    if rooms is not None:
+        result.room_entries = count_room_entries(result.visited, rooms)

@@ -1,0 +1,153 @@
+"""Animations: which pixels come out, which frames are kept."""
+
+import numpy as np
+import pytest
+from matplotlib.colors import to_rgb
+from PIL import Image
+
+from jexplore import animate, plot
+from jexplore.config import InputError
+
+STATE = np.array([[2, 2, 2, 2], [2, 1, 1, 0], [2, 2, 0, 0]], dtype=np.uint8)
+
+
+def frame(number=0, state=STATE, **fields):
+    default = {
+        "state": state,
+        "frontier": np.zeros(state.shape, bool),
+        "row": 1,
+        "col": 1 + number % 2,
+        "heading_deg": 0,
+    }
+    default |= {"target": None, "rows": [1], "cols": [1], "caption": f"step {number}"}
+    return default | fields
+
+
+def gif_frames(path):
+    with Image.open(path) as image:
+        assert image.info["loop"] == 0
+        found = []
+        for number in range(image.n_frames):
+            image.seek(number)
+            found.append((np.asarray(image.convert("RGB")), image.info["duration"]))
+    return found
+
+
+def test_gif_pixels_by_hand(tmp_path):
+    frontier = np.zeros(STATE.shape, bool)
+    frontier[2, 3] = True
+    animate.animate_gif([frame(frontier=frontier, row=0, col=0, target=(2, 0))], tmp_path / "a.gif", cell_m=0.1)
+    ((picture, duration),) = gif_frames(tmp_path / "a.gif")
+    assert duration == 2000
+    assert picture.shape == (3 * 160 + 24, 640, 3)  # 160 pixels a cell, and the band
+    colours = np.array([[184] * 3, [255] * 3, [0] * 3, [224, 16, 16]])[np.where(frontier, 3, STATE)]
+    corner = picture[: 3 * 160][8::160, 8::160][::-1]  # the upper left corner of each cell
+    np.testing.assert_array_equal(corner, colours)
+    assert (picture[3 * 160 - 80, 80] == to_bytes(plot.ROBOT)).all()  # in the middle of cell (0, 0)
+    ring = (picture == to_bytes(plot.TARGET)).all(axis=-1)
+    rows, cols = np.nonzero(ring)
+    assert abs(rows.mean() - 80) < 1
+    assert abs(cols.mean() - 80) < 1
+    band = picture[3 * 160 :]
+    assert band[12, 8:120].min() < 100  # the caption
+    assert band[12, 500:].min() == 0  # the scale bar
+
+
+def to_bytes(colour):
+    return np.array([round(255 * value) for value in to_rgb(colour)])
+
+
+def test_gif_scale_bar_is_true(tmp_path):
+    animate.animate_gif([frame(state=np.ones((30, 40), np.uint8), caption="")], tmp_path / "a.gif", cell_m=0.25)
+    ((picture, _),) = gif_frames(tmp_path / "a.gif")
+    dark = np.nonzero((picture[30 * 16 + 12] == 0).all(axis=-1))[0]
+    assert dark[-1] - dark[dark > 500][0] == pytest.approx(2.0 / 0.25 * 16, abs=1)  # "2 m" at 16 pixels a cell
+
+
+def test_gif_path_is_drawn_between_cell_centres(tmp_path):
+    state = np.ones((10, 10), np.uint8)
+    animate.animate_gif([frame(state=state, rows=[2, 2], cols=[1, 8], row=9, col=9)], tmp_path / "a.gif", cell_m=0.1)
+    ((picture, _),) = gif_frames(tmp_path / "a.gif")
+    violet = (picture == (123, 44, 160)).all(axis=-1)
+    rows, cols = np.nonzero(violet)
+    assert rows.mean() == pytest.approx(640 - 2.5 * 64, abs=1)
+    assert (cols.min(), cols.max()) == (pytest.approx(1.5 * 64, abs=2), pytest.approx(8.5 * 64, abs=2))
+
+
+@pytest.mark.parametrize(("heading_deg", "toward"), [(0, (1, 0)), (90, (0, 1)), (225, (-1, -1))])
+def test_gif_robot_points_where_it_heads(heading_deg, toward):
+    image = animate.frame_image(
+        frame(state=np.ones((9, 9), np.uint8), row=4, col=4, heading_deg=heading_deg), cell_m=0.1
+    )
+    rows, cols = np.nonzero(np.asarray(image.convert("RGB"))[:630, :, 1] < 200)
+    points = np.stack([cols - 4.5 * 71, 4.5 * 71 - rows], axis=-1)
+    tip = points[np.argmax((points**2).sum(axis=1))]
+    assert tip @ np.array(toward) > 0.95 * np.hypot(*tip) * np.hypot(*toward)
+
+
+def test_gif_colours_do_not_flicker(tmp_path):
+    states = [np.where(np.arange(12).reshape(3, 4) < n, STATE, 0).astype(np.uint8) for n in range(1, 12)]
+    count = animate.animate_gif(
+        [frame(n, state) for n, state in enumerate(states)], tmp_path / "a.gif", cell_m=0.1, fps=10
+    )
+    found = gif_frames(tmp_path / "a.gif")
+    assert count == len(found) == 11
+    assert [duration for _, duration in found] == [100] * 10 + [2000]
+    code = np.array([65536, 256, 1])
+    for picture, _ in found:
+        assert np.isin(np.unique(picture @ code), np.array(animate._GIF_PALETTE) @ code).all()
+
+
+@pytest.mark.parametrize("as_list", [True, False])
+@pytest.mark.parametrize(("n", "most"), [(1, 5), (5, 5), (6, 5), (11, 5), (64, 5), (7, 1), (40, 2)])
+def test_gif_keeps_few_frames_evenly_and_the_last(n, most, as_list):
+    made = (lambda number=number: number for number in range(n))
+    kept = animate._thinned(list(made) if as_list else made, most)
+    assert len(kept) == min(n, most)
+    assert kept[-1] == n - 1
+    assert kept == sorted(set(kept))
+    if most > 1:
+        assert kept[0] == 0
+        gaps = np.diff(kept)
+        assert len(gaps) == 0 or gaps.max() <= 2 * n / most
+
+
+def test_gif_frames_may_share_one_buffer(tmp_path):
+    def frames():
+        state = np.zeros((3, 4), np.uint8)
+        for number in range(12):
+            state.flat[number] = 1
+            yield frame(number, state)
+
+    animate.animate_gif(frames(), tmp_path / "a.gif", cell_m=0.1)
+    counts = [(picture[:480] == 255).all(axis=-1).sum() for picture, _ in gif_frames(tmp_path / "a.gif")]
+    assert counts == sorted(counts)
+    assert counts[0] < counts[-1] / 5
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 700), (900, 3), (1300, 900)])
+def test_gif_of_any_shape(shape):
+    state = np.zeros(shape, np.uint8)
+    state[-1, -1] = 2
+    image = animate.frame_image(frame(state=state, row=0, col=0, caption="x" * 300), cell_m=0.05)
+    assert image.width >= 320
+    assert max(image.size) <= 640 + 24
+    assert (np.asarray(image) == 2).any()  # a wall of one cell survives the reduction
+
+
+def test_gif_errors(tmp_path):
+    with pytest.raises(ValueError, match="one or more frames"):
+        animate.animate_gif([], tmp_path / "a.gif", cell_m=0.1)
+    for wrong in ({"fps": 0}, {"fps": 51}, {"max_frames": 0}):
+        with pytest.raises(ValueError, match="expected 0 < fps"):
+            animate.animate_gif([frame()], tmp_path / "a.gif", cell_m=0.1, **wrong)
+    with pytest.raises(InputError, match="missing"):
+        animate.animate_gif([frame()], tmp_path / "missing" / "a.gif", cell_m=0.1)
+
+    def breaks():
+        yield frame()
+        raise RuntimeError("midway")
+
+    with pytest.raises(RuntimeError, match="midway"):
+        animate.animate_gif(breaks(), tmp_path / "a.gif", cell_m=0.1)
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,221 @@
+"""Comparisons: the table, its order and pairing, what a larger or smaller run changes, and what is refused."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+from test_measure import result
+
+from jexplore import batch, preflight, stats
+from jexplore.comparison import COLUMNS, assemble, compare, prepare_jobs
+from jexplore.config import InputError, Lidar, Rules
+from jexplore.world import occupancy_to_world
+
+LIDAR = Lidar(n_beams=37, range_m=1.0)
+
+
+def two_rooms(name="two rooms", rows=22, cols=34, door=8):
+    """A wall in the middle with a door; the robot does not see one room from the other."""
+    occupied = np.zeros((rows, cols), bool)
+    occupied[:, cols // 2] = True
+    occupied[door : door + 8, cols // 2] = False
+    return occupancy_to_world(occupied, name=name)
+
+
+def room_world(**fields):
+    world = two_rooms("with rooms")
+    rooms = np.where(world.occupied, -1, np.arange(world.shape[1])[None] > 17).astype(np.int32)
+    return world.replace(rooms=rooms, **fields)
+
+
+@pytest.fixture(scope="module")
+def found(jit_on):
+    progress = []
+    with jit_on():
+        comparison = compare(
+            [two_rooms(), room_world(start=(5, 5, 90))],
+            ["closest", "random", "closest+recheck"],
+            episodes=4,
+            seed=3,
+            lidar=LIDAR,
+            on_progress=progress.append,
+        )
+    assert progress[-1] == 24
+    return comparison
+
+
+def test_rows_are_ordered_and_paired(found):
+    table = found.to_pandas()
+    assert list(table.columns) == list(COLUMNS)
+    assert table["world"].tolist() == ["two rooms"] * 12 + ["with rooms"] * 12
+    assert table["strategy"].tolist() == (["closest"] * 4 + ["random"] * 4 + ["closest+recheck"] * 4) * 2
+    assert table["episode"].tolist() == [0, 1, 2, 3] * 6
+    assert set(table["seed"]) == {3}
+    starts = table[["start_row", "start_col", "start_heading_deg"]].to_numpy().reshape(2, 3, 4, 3)
+    assert (starts == starts[:, :1]).all()
+    assert len({tuple(start) for start in starts[0, 0]}) == 4
+
+
+def test_every_episode_explores_everything(found):
+    table = found.to_pandas()
+    assert set(table["outcome"]) == {"COMPLETE"}
+    assert table["explored_fraction"].between(0.9, 1).all()
+    assert (table["scans"] >= table["steps"] + 2).all()  # two scans all round at the start, one a step
+    at = table[[f"path_m_at_{q}" for q in (50, 90, 95, 99)]].to_numpy()
+    assert (np.diff(at, axis=1) >= 0).all()
+    assert (at[:, -1] <= table["path_m"]).all()
+
+
+def test_room_entries_are_null_without_rooms(found):
+    table = found.to_pandas()
+    assert str(table["room_entries"].dtype) == "Int64"
+    assert table["room_entries"][:12].isna().all()
+    assert (table["room_entries"][12:] >= 2).all()
+
+
+def test_the_same_plan_with_and_without_labels_is_explored_alike(found):
+    table = found.to_pandas().drop(columns=["world", "room_entries"])
+    assert table[:12].equals(table[12:].reset_index(drop=True))
+
+
+def test_summary_markdown_and_warnings(found):
+    assert found.summary["n"].tolist() == [4] * 6
+    assert found.summary["ratio"][0] == 1.0
+    assert found.summary["mean"][0] == pytest.approx(found.episodes["path_m"][:4].mean())
+    assert found.to_markdown() == stats.markdown_table(found.summary) == found._repr_markdown_()
+    assert found.warnings == []
+    assert found.episodes_per_s == pytest.approx(24 / found.run_s)
+    assert "3 strategies in 2 worlds, 24 episodes" in repr(found)
+
+
+def test_figures(found):
+    ax = Figure().add_subplot()
+    container = found.plot(ax, "with rooms")
+    assert [bar.get_width() for bar in container] == found.summary["mean"][3:].tolist()
+    assert found.plot(Figure().add_subplot())[0].get_width() == found.summary["mean"][0]
+    assert len(found.compare_figure().axes) == 2
+    assert len(found.paths_figure().axes) == 7  # two worlds of three strategies, and the colour bar
+    with pytest.raises(InputError, match="two rooms, with rooms, got 'x'"):
+        found.plot(ax, "x")
+
+
+def test_the_picture_of_a_path_is_that_of_episode_0(found):
+    for world, panels in found.first.items():
+        for seen in panels:
+            table = found.episodes
+            row = table[
+                (table["world"] == world) & (table["strategy"] == seen.strategy) & (table["episode"] == 0)
+            ].iloc[0]
+            assert (seen.rows[0], seen.cols[0]) == (row["start_row"], row["start_col"])
+            assert len(seen.rows) == row["steps"] + 1
+            assert seen.path_m == row["path_m"]
+            steps = np.hypot(np.diff(seen.rows), np.diff(seen.cols))
+            assert steps.sum() * seen.cell_m == pytest.approx(row["path_m"])
+
+
+@pytest.mark.jit
+def test_fewer_episodes_worlds_and_workers_change_no_row(found):
+    alone = compare(room_world(start=(5, 5, 90)), "random", episodes=2, seed=3, lidar=LIDAR, workers=1)
+    rows = found.to_pandas().query("world == 'with rooms' and strategy == 'random' and episode < 2")
+    assert alone.to_pandas().equals(rows.reset_index(drop=True))
+
+
+@pytest.mark.jit
+def test_start_of_the_world(found):
+    table = compare(room_world(start=(5, 5, 90)), "random", episodes=2, start="world", lidar=LIDAR).to_pandas()
+    assert table[["start_row", "start_col", "start_heading_deg"]].to_numpy().tolist() == [[5, 5, 90]] * 2
+    assert table["path_m"][0] != table["path_m"][1]  # equal starts, different draws
+
+
+def stub(outcomes, **fields):
+    """A comparison of two strategies whose episodes are written by hand."""
+    world = two_rooms("stub", 4, 6, 0)
+    jobs = prepare_jobs(
+        world,
+        ["closest", "random"],
+        episodes=2,
+        seed=0,
+        cell_m=1,
+        start="random",
+        lidar=LIDAR,
+        rules=Rules(clearance_m=0),
+    )
+    final = batch.Final(
+        *(np.zeros(world.shape, np.int32) for _ in range(2)), *(np.zeros(1, np.int32) for _ in range(6))
+    )
+    made = [batch.Outcomes(result(2, outcome=outcome, **fields), final) for outcome in outcomes]
+    return assemble(jobs, batch.Report(made, 1.0, 2.0), Rules())
+
+
+def test_a_comparison_by_hand():
+    found = stub([[1, 1], [1, 1]], straight=[10, 20])
+    assert found.to_pandas()["path_m"].tolist() == pytest.approx([1.0, 2.0, 1.0, 2.0])
+    assert found.summary["mean"].tolist() == pytest.approx([1.5, 1.5])
+    assert found.episodes_per_s == 2.0
+    assert found.compile_s == 1.0
+
+
+def test_warnings_are_told():
+    assert len(stub([[1, 1], [1, 1]]).warnings) == 0
+    assert "outcomes differ in 1 of 2 pairs" in stub([[1, 1], [1, 3]]).warnings[0]
+    lines = stub([[1, 1], [1, 1]], saturated=[0, 5]).warnings
+    assert lines == [
+        f"stub: {name}: in 1 of 2 episodes some cells were too far to plan to" for name in ("closest", "random")
+    ]
+
+
+@pytest.mark.parametrize(
+    ("worlds", "strategies", "options", "message"),
+    [
+        ([], "closest", {}, "worlds must name at least one"),
+        ("cave", [], {}, "strategies must name at least one"),
+        (["cave", "cave"], "closest", {}, "worlds must differ, got 'cave'"),
+        ("cave", ["random", "random"], {}, "strategies must differ, got 'random'"),
+        ("cavern", "closest", {}, "did you mean 'cave'"),
+        ("cave", "closets", {}, "did you mean 'closest'"),
+        ("cave", "closest+rechek", {}, "did you mean 'recheck'"),
+        ("cave", "closest", {"episodes": 0}, "episodes must be an integer from 1"),
+        ("cave", "closest", {"episodes": 2.5}, "episodes must be an integer from 1"),
+        ("cave", "closest", {"episodes": True}, "episodes must be an integer from 1"),
+        ("cave", "closest", {"episodes": 10**9}, "episodes must be an integer from 1 to 1000000, got 1000000000"),
+        ("cave", "closest", {"seed": -1}, "seed must be an integer from 0"),
+        ("cave", "closest", {"seed": 2**32}, "seed must be an integer from 0"),
+        ("cave", "closest", {"cell_m": math.nan}, "cell_m must be a number"),
+        ("cave", "closest", {"start": "wrold"}, "start must be random or world"),
+        ("cave", "closest", {"start": "world"}, "'cave': has no start of its own"),
+        ("cave", "closest", {"rules": Rules(clearance_m=9)}, "clearance_m must be below 32 cells"),
+        ("cave", "closest", {"rules": Rules(clearance_m=2.9)}, "clearance"),
+        (two_rooms(name=""), "closest", {}, "needs a name"),
+        (room_world(start=(0, 5, 0)), "closest", {"start": "world"}, "lies in a wall"),
+        (room_world(start=(5, 5, 30)), "closest", {"start": "world"}, "multiple of 45"),
+    ],
+)
+def test_what_is_refused(worlds, strategies, options, message, monkeypatch):
+    monkeypatch.setattr(batch, "run", lambda *_, **__: pytest.fail("ran"))
+    with pytest.raises(InputError, match=message) as error:
+        compare(worlds, strategies, **options)
+    assert "\n" not in str(error.value)
+
+
+def test_an_enclosed_start_is_refused():
+    occupied = np.zeros((30, 30), bool)
+    occupied[13:18, 13:18] = True
+    occupied[15, 15] = False
+    world = occupancy_to_world(occupied, name="cell").replace(start=(16, 16, 0))
+    with pytest.raises(InputError, match="is enclosed"):
+        compare(world, "closest", start="world")
+
+
+def test_what_does_not_fit_into_memory_is_refused(monkeypatch):
+    world, rules = two_rooms(), Rules()
+    need = preflight.memory_needed(world, LIDAR, rules, 1)
+    assert preflight.memory_needed(world, LIDAR, rules, 2) > 1.5 * need
+    assert preflight.memory_needed(world, LIDAR, dataclasses.replace(rules, max_steps=2**24), 1) > 10 * need
+    assert preflight.memory_needed(world, Lidar(n_beams=4096, range_m=1000), rules, 1) > 2**30
+    monkeypatch.setattr(preflight, "_memory", lambda: need)
+    with pytest.raises(InputError, match="'two rooms': 24 x 36 cells and 37 beams of 1 m need about"):
+        compare(world, "closest", lidar=LIDAR)
+    monkeypatch.setattr(preflight, "_memory", lambda: None)
+    preflight.require_memory(world, LIDAR, rules)

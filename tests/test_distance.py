@@ -1,0 +1,142 @@
+"""Exact distances: pencil cases, brute force and scipy, laws, bad input."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+from ref import maps, planning
+from scipy import ndimage
+
+from jexplore.distance import FAR, nearest_site, within
+
+SHAPES = ((1, 1), (1, 7), (6, 1), (6, 9))
+WITHIN = jax.jit(within, static_argnums=1)
+
+
+def masks(share=None):
+    cells = st.booleans() if share is None else st.floats(0, 1).map(lambda u: u < share)
+    return st.sampled_from(SHAPES).flatmap(lambda shape: hnp.arrays(bool, shape, elements=cells, fill=st.nothing()))
+
+
+def test_two_sites_by_hand():
+    sites = maps.walls("""
+        ....#
+        .....
+        #....
+    """)
+    d2, site = nearest_site(jnp.asarray(sites))
+    assert d2.dtype == site.dtype == jnp.int32
+    np.testing.assert_array_equal(d2[::-1], [[4, 5, 4, 1, 0], [1, 2, 5, 2, 1], [0, 1, 4, 5, 4]])
+    # (row 1, col 2) is equally far from both: the lower flat index, 0, wins
+    np.testing.assert_array_equal(site[::-1], [[0, 0, 14, 14, 14], [0, 0, 0, 14, 14], [0, 0, 0, 14, 14]])
+
+
+def test_equally_near_sites_give_the_lowest_index_in_every_direction():
+    sites = maps.walls("""
+        ..#..
+        .....
+        #...#
+        .....
+        ..#..
+    """)
+    d2, site = nearest_site(jnp.asarray(sites))
+    assert (int(d2[2, 2]), int(site[2, 2])) == (4, 2)
+    d2, site = nearest_site(jnp.asarray(sites & (np.arange(5)[:, None] > 0)))
+    assert (int(d2[2, 2]), int(site[2, 2])) == (4, 10)
+
+
+def test_edge_cases():
+    d2, site = nearest_site(jnp.zeros((3, 4), bool))
+    assert (np.asarray(d2) == FAR).all()
+    assert (np.asarray(site) == -1).all()
+    d2, site = nearest_site(jnp.ones((3, 4), bool))
+    assert not d2.any()
+    np.testing.assert_array_equal(site, np.arange(12).reshape(3, 4))
+    d2, site = nearest_site(jnp.asarray([[False, False, False, True]]))
+    np.testing.assert_array_equal(d2, [[9, 4, 1, 0]])
+    np.testing.assert_array_equal(site, [[3, 3, 3, 3]])
+
+
+@pytest.mark.jit
+@given(masks() | masks(0.1))
+@settings(max_examples=150, deadline=None)
+def test_nearest_site_is_brute_force_and_scipy(sites):
+    d2, site = nearest_site(jnp.asarray(sites))
+    expected_d2, expected_site = planning.nearest_site(sites)
+    np.testing.assert_array_equal(d2, expected_d2)
+    np.testing.assert_array_equal(site, expected_site)
+    if sites.any():
+        np.testing.assert_array_equal(d2, np.rint(ndimage.distance_transform_edt(~sites) ** 2))
+
+
+@pytest.mark.jit
+@given(masks(0.15), st.integers(1, 3))
+@settings(max_examples=40, deadline=None)
+def test_distances_turn_with_the_map(sites, quarters):
+    """Which of equally near sites is named does not: that is settled by the flat index."""
+    turned = nearest_site(jnp.asarray(np.rot90(sites, quarters)))[0]
+    np.testing.assert_array_equal(turned, np.rot90(nearest_site(jnp.asarray(sites))[0], quarters))
+
+
+@pytest.mark.jit
+def test_empty_space_around_changes_nothing():
+    sites = np.random.default_rng(3).random((6, 9)) < 0.1
+    d2, site = (np.asarray(a) for a in nearest_site(jnp.asarray(sites)))
+    d2_wide, site_wide = (np.asarray(a)[:6, :9] for a in nearest_site(jnp.asarray(np.pad(sites, ((0, 4), (0, 5))))))
+    np.testing.assert_array_equal(d2_wide, d2)
+    np.testing.assert_array_equal(site_wide // 14 * 9 + site_wide % 14, site)
+
+
+@pytest.mark.jit
+def test_rows_of_a_batch_are_independent_and_jit_changes_nothing():
+    sites = jnp.asarray(np.random.default_rng(4).random((3, 6, 9)) < [[[0.02]], [[0.2]], [[0.0]]])
+    batch = jax.vmap(nearest_site)(sites)
+    with jax.disable_jit():
+        for i in range(3):
+            for many, alone in zip(batch, nearest_site(sites[i])):
+                np.testing.assert_array_equal(many[i], alone)
+
+
+def test_within_by_hand():
+    mask = maps.walls("""
+        .....
+        .....
+        ..#..
+        .....
+        .....
+    """)
+    np.testing.assert_array_equal(within(jnp.asarray(mask), 0), mask)
+    np.testing.assert_array_equal(within(jnp.asarray(mask), 1), maps.walls("..... ..#.. .###. ..#.. ....."))
+    np.testing.assert_array_equal(within(jnp.asarray(mask), 2), maps.walls("..... .###. .###. .###. ....."))
+    np.testing.assert_array_equal(within(jnp.asarray(mask), 4), maps.walls("..#.. .###. ##### .###. ..#.."))
+    np.testing.assert_array_equal(within(jnp.asarray(mask), 5), maps.walls(".###. ##### ##### ##### .###."))
+
+
+@pytest.mark.parametrize("d2", [0, 1, 2, 4, 9, 200])
+@pytest.mark.jit
+@given(mask=masks(0.1) | masks())
+@settings(max_examples=15, deadline=None)
+def test_within_is_the_oracles_and_agrees_with_nearest_site(d2, mask):
+    near = np.asarray(WITHIN(jnp.asarray(mask), d2))
+    np.testing.assert_array_equal(near, ~planning.clear(np.ones(mask.shape, bool), mask, d2))
+    np.testing.assert_array_equal(near, planning.nearest_site(mask)[0] <= d2)
+
+
+@pytest.mark.jit
+@pytest.mark.parametrize("d2", [0, 1, 5, 9, 31**2, 32**2, 1000, 40**2])
+def test_within_reaches_across_many_rows(d2):
+    """Taller than a machine word, and radii longer than one."""
+    for seed in range(3):
+        mask = np.random.default_rng(seed).random((70, 12)) < 0.003
+        mask[33 * seed, 4] = True
+        near = np.asarray(WITHIN(jnp.asarray(mask), d2))
+        np.testing.assert_array_equal(near, ~planning.clear(np.ones(mask.shape, bool), mask, d2))
+
+
+@pytest.mark.parametrize("wrong", [jnp.zeros((3, 3), jnp.int32), jnp.zeros(3, bool), jnp.zeros((1, 2, 3), bool)])
+def test_what_is_no_mask_is_refused(wrong):
+    with pytest.raises(ValueError, match="expected sites"):
+        nearest_site(wrong)

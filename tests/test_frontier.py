@@ -1,0 +1,230 @@
+"""Clear, traversable and frontier cells and their clusters: pencil cases, the oracle, scipy, laws."""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+from ref import maps, planning
+from scipy import ndimage
+
+from jexplore.frontier import clear_cells, frontier_cells, frontier_clusters, label_clusters, traversable_cells
+from jexplore.grid import Grid
+
+SHAPES = ((1, 1), (1, 7), (7, 8))
+EIGHT = np.ones((3, 3), int)
+counts = st.sampled_from(SHAPES).flatmap(
+    lambda shape: st.tuples(*[hnp.arrays(np.int32, shape, elements=st.integers(0, 3), fill=st.just(0))] * 2)
+)
+masks = st.sampled_from(SHAPES).flatmap(lambda shape: hnp.arrays(bool, shape, fill=st.nothing()))
+
+
+def believed(text):
+    """A drawn belief: `?` unknown, `#` one hit, `.` one miss."""
+    cells = maps.drawn(text)
+    return Grid(jnp.asarray(cells == "#", jnp.int32), jnp.asarray(cells == ".", jnp.int32))
+
+
+BELIEF = """
+    ??????
+    #.....
+    #.....
+    #....?
+    ######
+"""
+
+
+def test_clear_cells_by_hand():
+    by_hand = {
+        0: maps.walls("...... .##### .##### .####. ......"),
+        1: maps.walls("...... ..#### ..#### ...... ......"),
+        4: maps.walls("...... ...### ...... ...... ......"),
+    }
+    for clearance_d2, expected in by_hand.items():
+        clear = clear_cells(believed(BELIEF), p_free=0.25, clearance_d2=clearance_d2)
+        np.testing.assert_array_equal(clear, expected)
+
+
+def test_a_frontier_by_hand():
+    grid = believed(BELIEF)
+    clear = clear_cells(grid, p_free=0.25, clearance_d2=1)
+    inside = jnp.ones(clear.shape, bool)
+    np.testing.assert_array_equal(frontier_cells(clear, grid, inside), maps.walls("...... ..#### ....## ...... ......"))
+    inside = inside.at[4].set(False)  # the top row is padding now
+    np.testing.assert_array_equal(frontier_cells(clear, grid, inside), maps.walls("...... ...... ....## ...... ......"))
+
+
+def test_traversable_cells_by_hand():
+    clear = jnp.asarray(maps.walls("..... ..... .#... ..... ....."))
+    free = jnp.asarray(maps.walls("##### ##### ##### ##.## #####"))
+    driven = jnp.asarray(maps.walls("....# ..... ..... ..... ....."))
+    by_hand = {
+        0: "....# ..... .##.. ..... .....",
+        1: "....# ..#.. .###. ..... .....",
+        2: "....# .###. .###. .#.#. .....",
+    }
+    for near_d2, expected in by_hand.items():
+        got = traversable_cells(clear, free, driven, 2, 2, jnp.int32(near_d2))
+        np.testing.assert_array_equal(got, maps.walls(expected))
+    # a robot just outside a window still reaches into it
+    got = traversable_cells(clear, free, driven, -1, 0, jnp.int32(2))
+    np.testing.assert_array_equal(got, maps.walls("....# ..... .#... ..... ##..."))
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_edge_cases(shape):
+    nothing, everything = jnp.zeros(shape, jnp.int32), jnp.ones(shape, jnp.int32)
+    inside = jnp.ones(shape, bool)
+    for grid in (Grid(nothing, nothing), Grid(everything, nothing)):  # all unknown, all wall
+        clear = clear_cells(grid, p_free=0.25, clearance_d2=9)
+        assert not clear.any()
+        assert not frontier_cells(clear, grid, inside).any()
+    grid = Grid(nothing, everything)  # all free: what lies outside is neither occupied nor unknown
+    clear = clear_cells(grid, p_free=0.25, clearance_d2=9)
+    assert clear.all()
+    assert not frontier_cells(clear, grid, inside).any()
+
+
+@functools.partial(jax.jit, static_argnames="clearance_d2")
+def everything(grid, driven, row, col, near_d2, inside, clearance_d2):
+    clear = clear_cells(grid, p_free=0.25, clearance_d2=clearance_d2)
+    free = (grid.hits + grid.misses > 0) & (3 * grid.hits <= grid.misses)
+    traversable = traversable_cells(clear, free, driven, row, col, near_d2)
+    return clear, traversable, frontier_cells(clear, grid, inside)
+
+
+@pytest.mark.jit
+@given(counts, st.sampled_from((0, 1, 4)), st.integers(0, 5), st.integers(0, 99))
+@settings(max_examples=120, deadline=None)
+def test_all_three_are_the_oracles(case, clearance_d2, near_d2, seed):
+    hits, misses = case
+    draw = np.random.default_rng(seed)
+    driven = draw.random(hits.shape) < 0.1
+    row, col = draw.integers(hits.shape[0]), draw.integers(hits.shape[1])
+    known, free, occupied = planning.classify(hits, misses)
+    clear, traversable, frontier = everything(
+        Grid(jnp.asarray(hits), jnp.asarray(misses)), driven, row, col, near_d2, np.ones(hits.shape, bool), clearance_d2
+    )
+    np.testing.assert_array_equal(clear, planning.clear(free, occupied, clearance_d2))
+    np.testing.assert_array_equal(
+        traversable, planning.traversable(free, occupied, driven, row, col, clearance_d2, near_d2)
+    )
+    np.testing.assert_array_equal(frontier, np.asarray(clear) & planning.beside_unknown(known))
+
+
+@pytest.mark.jit
+@given(counts, st.integers(1, 3))
+@settings(max_examples=40, deadline=None)
+def test_a_frontier_turns_with_the_map_and_padding_adds_nothing(case, quarters):
+    def found(hits, misses, inside):
+        return np.asarray(
+            everything(Grid(jnp.asarray(hits), jnp.asarray(misses)), inside & False, 0, 0, 0, inside, 1)[2]
+        )
+
+    inside = np.ones(case[0].shape, bool)
+    frontier = found(*case, inside)
+    turned = found(*(np.rot90(a, quarters) for a in case), np.rot90(inside, quarters))
+    np.testing.assert_array_equal(turned, np.rot90(frontier, quarters))
+    padded = found(*(np.pad(a, ((0, 2), (0, 3))) for a in (*case, inside)))
+    np.testing.assert_array_equal(padded, np.pad(frontier, ((0, 2), (0, 3))))
+
+
+# ---------------------------------------------------------------- clusters
+
+
+def test_clusters_by_hand():
+    frontier = maps.walls("""
+        ##..#
+        ..#..
+        .....
+        #####
+    """)
+    label = label_clusters(jnp.asarray(frontier))
+    np.testing.assert_array_equal(label[::-1], [[12, 12, 20, 20, 19], [20, 20, 12, 20, 20], [20] * 5, [0] * 5])
+    clusters = frontier_clusters(jnp.asarray(frontier), max_clusters=4)
+    np.testing.assert_array_equal(clusters.label[::-1], [[1, 1, -1, -1, 2], [-1, -1, 1, -1, -1], [-1] * 5, [0] * 5])
+    assert clusters.size.tolist() == [5, 3, 1, 0]
+    # the middle of the row; of the bent one (3, 1) is nearest to its centroid (2.67, 1)
+    assert list(zip(clusters.row.tolist(), clusters.col.tolist())) == [(0, 2), (3, 1), (3, 4), (-1, -1)]
+    assert (int(clusters.count), int(clusters.overflow)) == (3, 0)
+
+
+def test_clusters_that_do_not_fit_are_counted():
+    frontier = jnp.asarray(maps.walls("#.#.#.#"))
+    clusters = frontier_clusters(frontier, max_clusters=2)
+    assert clusters.label.tolist() == [[0, -1, 1, -1, -1, -1, -1]]
+    assert clusters.size.tolist() == [1, 1]
+    assert clusters.col.tolist() == [0, 2]
+    assert (int(clusters.count), int(clusters.overflow)) == (4, 2)
+
+
+def test_equally_central_members_give_the_lowest_index():
+    clusters = frontier_clusters(jnp.asarray(maps.walls("####")), max_clusters=1)
+    assert (int(clusters.row[0]), int(clusters.col[0])) == (0, 1)
+    clusters = frontier_clusters(jnp.asarray(maps.walls(".#. #.# .#.")), max_clusters=1)
+    assert (int(clusters.row[0]), int(clusters.col[0])) == (0, 1)
+
+
+def test_no_clusters():
+    clusters = frontier_clusters(jnp.zeros((2, 3), bool), max_clusters=2)
+    assert (np.asarray(clusters.label) == -1).all()
+    assert clusters.size.tolist() == [0, 0]
+    assert clusters.row.tolist() == clusters.col.tolist() == [-1, -1]
+    assert (int(clusters.count), int(clusters.overflow)) == (0, 0)
+    clusters = frontier_clusters(jnp.ones((1, 1), bool), max_clusters=1)
+    assert (clusters.label.tolist(), clusters.row.tolist(), clusters.col.tolist()) == ([[0]], [0], [0])
+
+
+CLUSTERS = jax.jit(frontier_clusters, static_argnames="max_clusters")
+
+
+@pytest.mark.jit
+@given(masks)
+@settings(max_examples=100, deadline=None)
+def test_clusters_are_scipys_and_the_oracles(mask):
+    numbers, n = ndimage.label(mask, EIGHT)
+    lowest = np.full(mask.shape, mask.size)
+    for number in range(1, n + 1):
+        lowest[numbers == number] = np.flatnonzero(numbers == number)[0]
+    np.testing.assert_array_equal(jax.jit(label_clusters)(jnp.asarray(mask)), lowest)
+    for slots in (3, 40):
+        clusters = CLUSTERS(jnp.asarray(mask), max_clusters=slots)
+        want = planning.clusters(mask)
+        np.testing.assert_array_equal(clusters.label, np.where(want < slots, want, -1))
+        assert int(clusters.count) == n
+        assert int(clusters.overflow) == max(n - slots, 0)
+        for i in range(slots):
+            cells = np.argwhere(want == i)
+            assert int(clusters.size[i]) == len(cells)
+            at = int(clusters.row[i]), int(clusters.col[i])
+            if not len(cells):
+                assert at == (-1, -1)
+                continue
+            off = ((cells * len(cells) - cells.sum(0)) ** 2).sum(1)  # exact, in units of 1 / size^2
+            chosen = off[(cells == at).all(1)]
+            assert len(chosen) == 1
+            assert chosen[0] == off.min()
+
+
+@pytest.mark.jit
+def test_a_winding_cluster_is_one():
+    mask = np.ones((41, 40), bool)
+    mask[1::2] = False
+    mask[np.arange(1, 41, 2), np.where(np.arange(20) % 2, 0, 39)] = True
+    label = np.asarray(jax.jit(label_clusters)(jnp.asarray(mask)))
+    assert set(label[mask]) == {0}
+    assert set(label[~mask]) == {mask.size}
+
+
+@pytest.mark.jit
+def test_rows_of_a_batch_are_independent_and_jit_changes_nothing():
+    mask = jnp.asarray(np.random.default_rng(1).random((3, 7, 8)) < [[[0.0]], [[0.3]], [[0.7]]])
+    batch = jax.vmap(lambda m: frontier_clusters(m, max_clusters=3))(mask)
+    for i in range(3):
+        with jax.disable_jit():
+            alone = frontier_clusters(mask[i], max_clusters=3)
+        jax.tree.map(lambda many, single, i=i: np.testing.assert_array_equal(many[i], single), batch, alone)

@@ -1,0 +1,365 @@
+"""Pictures: what the artists hold, which pixels come out, and that no two texts collide."""
+
+import itertools
+import math
+
+import matplotlib
+import numpy as np
+import pandas as pd
+import pytest
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
+from matplotlib.text import Text
+from PIL import Image
+
+from jexplore import plot
+from jexplore.config import InputError
+from jexplore.world import World
+
+STATE = np.array([[2, 2, 2, 2], [2, 1, 1, 0], [2, 2, 0, 0]], dtype=np.uint8)
+LONG = "decision-theoretic+recheck+segment:samples=500,lam=0.2"
+
+
+@pytest.fixture
+def ax():
+    figure = Figure(figsize=(4, 3))
+    yield figure.add_axes((0, 0, 1, 1))
+    figure.clear()
+
+
+def pixels(figure, dpi=100):
+    """The figure as RGB, `[H, W, 3]` uint8, row 0 at the top."""
+    figure.set_dpi(dpi)
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    return np.asarray(canvas.buffer_rgba())[..., :3]
+
+
+def shown_texts(figure):
+    """The texts that are drawn; tick labels beyond the limits of their axis are not."""
+    ticks = [
+        (tick, axis.get_view_interval())
+        for axes in figure.findobj(Axes)
+        for axis in (axes.xaxis, axes.yaxis)
+        for tick in axis.get_major_ticks()
+    ]
+    beyond = {
+        label
+        for tick, limits in ticks
+        for label in (tick.label1, tick.label2)
+        if not min(limits) <= tick.get_loc() <= max(limits)
+    }
+    for text in figure.findobj(Text):
+        hidden = text.axes is not None and not text.axes.get_visible()
+        if text.get_visible() and text.get_text().strip() and not hidden and text not in beyond:
+            yield text
+
+
+def check_texts(figure):
+    """No text that is shown leaves the figure or touches another one."""
+    pixels(figure)
+    renderer, page = figure.canvas.get_renderer(), figure.bbox.padded(2)
+    boxes = [(text.get_text(), text.get_window_extent(renderer).padded(-1.5)) for text in shown_texts(figure)]
+    assert len(boxes) > 0
+    outside = [text for text, box in boxes if not page.containsx(box.x0) or not page.containsx(box.x1)]
+    outside += [text for text, box in boxes if not page.containsy(box.y0) or not page.containsy(box.y1)]
+    assert outside == []
+    clashes = [(a, b) for (a, box_a), (b, box_b) in itertools.combinations(boxes, 2) if box_a.overlaps(box_b)]
+    assert clashes == []
+
+
+def summary(worlds, strategies):
+    rng = np.random.default_rng(0)
+    rows = [(w, s, rng.uniform(60, 600), rng.uniform(1, 120)) for w in worlds for s in strategies]
+    return pd.DataFrame(rows, columns=["world", "strategy", "mean", "sd"])
+
+
+def shown(figure):
+    return [ax for ax in figure.axes if ax.get_visible()]
+
+
+def world(rows=20, cols=30, **fields):
+    occupied = np.ones((rows, cols), dtype=bool)
+    occupied[1:-1, 1:-1] = False
+    return World(occupied=occupied, cell_m=0.1, **fields)
+
+
+def test_bars_by_hand(ax):
+    container = plot.bars(ax, ["a", "b"], [73.71, 70.45], [1.0, 0.97], "cave")
+    assert [bar.get_width() for bar in container] == [73.71, 70.45]
+    assert [text.get_text() for text in ax.texts] == ["73.7 ± 1.0", "70.5 ± 1.0"]
+    assert [label.get_text() for label in ax.get_yticklabels()] == ["a", "b"]
+    assert ax.get_title() == "cave"
+    assert ax.get_xlabel() == "path length (m)"
+    assert ax.yaxis_inverted()  # the first on top
+    assert ax.get_xlim()[0] == 0.0
+    (whiskers,) = ax.collections
+    ends = [segment[:, 0].tolist() for segment in whiskers.get_segments()]
+    np.testing.assert_allclose(ends, [[72.71, 74.71], [69.48, 71.42]])
+
+
+def test_bars_without_sd_and_without_data(ax):
+    container = plot.bars(ax, ["one", "none", "wide"], [5.0, math.nan, 3.0], [math.nan, math.nan, 4.0])
+    assert [bar.get_width() for bar in container] == [5.0, 0.0, 3.0]
+    assert [text.get_text() for text in ax.texts] == ["5.0", "no data", "3.0 ± 4.0"]
+    (whiskers,) = ax.collections
+    assert [segment[:, 0].tolist() for segment in whiskers.get_segments()] == [[0.0, 7.0]]  # never below 0 m
+
+
+def test_bars_of_zero_length(ax):
+    plot.bars(ax, ["stuck"], [0.0], [0.0])
+    assert ax.get_xlim()[1] > 0
+
+
+def test_styles_differ_and_do_not_depend_on_what_follows():
+    names = [f"s{i}" for i in range(20)]
+    styles = plot.style_of(names)
+    assert len({tuple(style.values()) for style in styles.values()}) == 20
+    assert list(plot.style_of(names[:3]).values()) == [styles[name] for name in names[:3]]
+
+
+def test_compare_figure_keeps_order_and_colours():
+    table = summary(["w1", "w2", "w3"], ["z", "a", "m"]).drop(index=4)  # w2 did not run a
+    figure = plot.compare_figure(table)
+    axes = shown(figure)
+    assert [ax.get_title() for ax in axes] == ["w1", "w2", "w3"]
+    colours = [[bar.get_facecolor()[:3] for bar in ax.patches] for ax in axes]
+    assert colours[0] == colours[1] == colours[2] == [to_rgb(colour) for colour in plot.PALETTE[:3]]
+    assert [label.get_text() for label in axes[0].get_yticklabels()] == ["z", "a", "m"]
+    assert [text.get_text() for text in axes[1].texts][1] == "no data"
+    assert axes[2].patches[1].get_width() == table["mean"][7]
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 5, 7, 40])
+def test_compare_figure_of_any_number_of_worlds(count):
+    names = [f"hospital#{i}:rooms=30,corridor=2.4,door=0.9,width=40" for i in range(count)]
+    figure = plot.compare_figure(summary(names, ["closest", "closest+recheck", LONG]))
+    assert len(shown(figure)) == count
+    check_texts(figure)
+    labelled = [ax for ax in shown(figure) if ax.get_xlabel()]
+    assert len(labelled) == min(count, figure.axes[0].get_gridspec().ncols)  # below the lowest panel of each column
+
+
+def test_compare_figure_with_long_and_odd_names():
+    odd = "maps/$a_b$/an_extremely_long_folder_name_without_any_break/avz5floor_closed.yaml"
+    figure = plot.compare_figure(summary([odd, "x" * 90, "b"], ["s" * 80, LONG, "c"]))
+    check_texts(figure)
+    assert "$" in shown(figure)[0].get_title()
+
+
+@pytest.mark.parametrize(
+    ("text", "width", "lines", "expected"),
+    [
+        ("closest", 10, 2, "closest"),
+        ("closest+recheck", 10, 2, "closest\n+recheck"),
+        ("a,b:c=1,d=2", 6, 3, "a,b\n:c=1,\nd=2"),
+        ("abcdefgh", 3, 3, "abc\ndef\ngh"),
+        ("abcdefghij", 5, 1, "a…hij"),
+        ("", 5, 1, ""),
+    ],
+)
+def test_wrapped(text, width, lines, expected):
+    assert plot.wrapped(text, width, max_lines=lines) == expected
+
+
+def test_map_by_pixels(ax):
+    image = plot.draw_map(ax, STATE, 0.5)
+    assert image.get_extent() == [0.0, 2.0, 0.0, 1.5]
+    assert ax.get_aspect() == 1.0
+    got = pixels(ax.figure, dpi=100)  # 400 x 300 pixels: a cell has 100 x 100
+    expected = np.array([[184] * 3, [255] * 3, [0] * 3])[STATE[::-1]]
+    np.testing.assert_array_equal(got[50::100, 50::100], expected)
+
+
+def test_path_by_hand(ax):
+    line, start, end = plot.draw_path(ax, [1, 1, 1, 4], [2, 3, 4, 4], 0.5)
+    np.testing.assert_allclose(
+        np.array(line.get_segments())[:, :, :],
+        [[[1.25, 0.75], [1.75, 0.75]], [[1.75, 0.75], [2.25, 0.75]], [[2.25, 0.75], [2.25, 2.25]]],
+    )
+    np.testing.assert_allclose(line.get_array(), [0.2, 0.4, 1.0])  # by distance, not by step
+    np.testing.assert_allclose(start.get_xydata(), [[1.25, 0.75]])
+    np.testing.assert_allclose(end.get_xydata(), [[2.25, 2.25]])
+    first, last = line.cmap(0.0), line.cmap(1.0)
+    assert first[2] > first[0]  # from blue
+    assert last[0] > last[2]  # to orange
+
+
+def test_path_of_one_cell_and_of_none(ax):
+    line, start, end = plot.draw_path(ax, [1], [2], 0.5)
+    assert len(line.get_segments()) == 0
+    np.testing.assert_array_equal(start.get_xydata(), end.get_xydata())
+    pixels(ax.figure)
+    with pytest.raises(ValueError, match="one or more cells"):
+        plot.draw_path(ax, [], [], 0.5)
+
+
+def test_path_that_stays(ax):
+    line, _, _ = plot.draw_path(ax, [1, 1], [2, 2], 0.5)
+    assert line.get_array().tolist() == [0.0]
+
+
+def test_frontiers_by_pixels(ax):
+    plot.draw_map(ax, STATE, 0.5)
+    mask = np.zeros(STATE.shape, dtype=bool)
+    mask[1, 2] = True
+    plot.draw_frontiers(ax, mask, 0.5)
+    got = pixels(ax.figure)[50::100, 50::100]
+    assert got[1, 2].tolist() == [224, 16, 16]
+    red = (got == [224, 16, 16]).all(axis=-1)
+    np.testing.assert_array_equal(red, mask[::-1])
+
+
+def test_target_place(ax):
+    ring, dot = plot.draw_target(ax, 1, 3, 0.5)
+    for artist in (ring, dot):
+        np.testing.assert_allclose(artist.get_xydata(), [[1.75, 0.75]])
+
+
+@pytest.mark.parametrize(
+    ("heading_deg", "toward"), [(0, (1, 0)), (90, (0, 1)), (180, (-1, 0)), (270, (0, -1)), (45, (1, 1))]
+)
+def test_robot_points_where_it_heads(ax, heading_deg, toward):
+    plot.draw_map(ax, np.ones((3, 4), dtype=np.uint8), 0.5)
+    ax.axis("off")
+    robot = plot.draw_robot(ax, 1, 2, heading_deg, 0.5, size=40)
+    np.testing.assert_allclose(robot.get_xydata(), [[1.25, 0.75]])
+    rows, cols = np.nonzero((pixels(ax.figure) < 250).any(axis=-1))
+    points = np.stack([cols - 249.5, 149.5 - rows], axis=-1)  # relative to the robot's cell centre, y up
+    tip = points[np.argmax((points**2).sum(axis=1))]
+    unit = np.array(toward) / np.hypot(*toward)
+    assert tip @ unit > 0.97 * np.hypot(*tip)
+
+
+def test_rooms_by_hand(ax):
+    rooms = np.full((5, 7), -1, dtype=np.int32)
+    rooms[1:4, 1:3], rooms[1:4, 4:6] = 0, 1
+    plan = World(occupied=rooms < 0, rooms=rooms, cell_m=1.0)
+    plan.occupied[2, 3] = False  # the door belongs to no room
+    image, texts = plot.draw_rooms(ax, plan)
+    colours = np.asarray(image.get_array())
+    assert np.array_equal(colours[0, 0], [0, 0, 0])
+    assert np.array_equal(colours[2, 3], [1, 1, 1])
+    assert len(np.unique(colours[rooms == 0], axis=0)) == 1
+    assert not np.array_equal(colours[1, 1], colours[1, 4])
+    assert [text.get_text() for text in texts] == ["0", "1"]
+    for number, text in enumerate(texts):
+        x, y = text.get_position()
+        assert rooms[int(y), int(x)] == number
+    assert plot.draw_rooms(ax, plan, numbers=False)[1] == []
+    assert plot.draw_rooms(ax, world())[1] == []
+
+
+def test_room_number_lies_inside_a_bent_room(ax):
+    rooms = np.full((9, 9), -1, dtype=np.int32)
+    rooms[1, 1:8] = rooms[1:8, 1] = 0  # an L: its centroid lies outside
+    _, (text,) = plot.draw_rooms(ax, World(occupied=rooms < 0, rooms=rooms, cell_m=1.0))
+    x, y = text.get_position()
+    assert rooms[int(y), int(x)] == 0
+
+
+def test_soft_colours_differ():
+    colours = plot.room_colours(60)
+    assert len(np.unique(colours.round(3), axis=0)) == 60
+    assert colours.min() > 0.6
+
+
+def entries():
+    tall, wide = np.ones((40, 20), np.uint8), np.ones((15, 60), np.uint8)
+    cells = np.arange(2, 12)
+    one = [
+        ("closest", tall, cells, cells, 0.1, 12.3),
+        (LONG, tall, cells, cells, 0.1, 11.0),
+        ("random", tall, [3], [4], 0.1, 0.0),
+    ]
+    return [
+        ("office#1", one),
+        ("maps/stage/hospital_section.png@56.5x25.3", [("closest", wide, cells, cells, 0.1, 45.6)]),
+    ]
+
+
+def test_paths_figure():
+    figure = plot.paths_figure(entries())
+    check_texts(figure)
+    panels = [ax for ax in shown(figure) if ax.images]
+    assert len(panels) == 4
+    assert [ax.get_title().split("\n")[-1] for ax in panels] == ["12.3 m", "11.0 m", "0.0 m", "45.6 m"]
+    assert panels[0].get_title().startswith("closest")
+    assert [ax.get_ylabel().split("\n")[0] for ax in panels] == [
+        "office#1",
+        "",
+        "",
+        panels[3].get_ylabel().split("\n")[0],
+    ]
+    assert panels[3].get_ylabel()
+    assert panels[3].images[0].get_array().shape == (15, 60, 3)
+
+
+def test_paths_figure_of_one_panel():
+    name, panels = entries()[0]
+    check_texts(plot.paths_figure([(name, panels[:1])]))
+
+
+@pytest.mark.parametrize("shape", [(40, 60), (90, 20), (15, 90)])
+def test_episode_figure(shape):
+    cells, known = np.arange(2, 12), np.array([100, 300, 500])
+    state = np.ones(shape, np.uint8)
+    figure = plot.episode_figure(
+        state,
+        cells,
+        cells,
+        0.1,
+        path_m=[0.0, 4.0, 8.0],
+        known_cells=known,
+        title="office#1, closest, episode 3: COMPLETE",
+    )
+    check_texts(figure)
+    left, right = figure.axes
+    assert left.images[0].get_array().shape == (*shape, 3)
+    (curve,) = right.collections
+    np.testing.assert_allclose(curve.get_segments(), [[[0, 1], [4, 3]], [[4, 3], [8, 5]]])
+    (share,) = right.child_axes
+    np.testing.assert_allclose(share.get_ylim(), [0.0, 105.0])
+
+
+def test_coverage_of_one_scan(ax):
+    plot.draw_coverage(ax, np.array([0.0]), np.array([2.0]))
+    pixels(ax.figure)
+    assert ax.get_ylim()[1] > 2.0
+
+
+def test_worlds_figure():
+    rooms = np.full((20, 30), -1, dtype=np.int32)
+    rooms[1:10, 1:10], rooms[12:18, 12:20] = 0, 4  # two rooms, numbered with a gap
+    plans = [("office#1", world(rooms=rooms, start=(5, 6, 90))), ("maze" * 25, world(90, 20)), ("cave", world(10, 60))]
+    figure = plot.worlds_figure([*plans, ("one", world(rooms=np.where(rooms == 4, -1, rooms)))])
+    check_texts(figure)
+    first, second, third, fourth = shown(figure)
+    assert first.get_xlabel() == "5 m² free, 2 rooms"
+    assert [second.get_xlabel(), third.get_xlabel(), fourth.get_xlabel()] == [
+        "16 m² free",
+        "5 m² free",
+        "5 m² free, 1 room",
+    ]
+    np.testing.assert_allclose(first.lines[0].get_xydata(), [[0.65, 0.55]])
+    assert not second.lines
+    assert first.get_title() == "office#1"
+
+
+def test_save_figure(tmp_path):
+    plot.save_figure(plot.compare_figure(summary(["w"], ["a"])), tmp_path / "compare.png", dpi=50)
+    with Image.open(tmp_path / "compare.png") as image:
+        assert image.format == "PNG"
+        assert np.asarray(image.convert("L")).min() < 50
+    plot.save_figure(plot.compare_figure(summary(["w"], ["a"])), tmp_path / "compare.svg")
+    assert "<svg" in (tmp_path / "compare.svg").read_text(encoding="utf-8")
+    with pytest.raises(InputError, match="missing"):
+        plot.save_figure(plot.compare_figure(summary(["w"], ["a"])), tmp_path / "missing" / "compare.png")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["compare.png", "compare.svg"]
+
+
+def test_figures_are_unknown_to_pyplot():
+    plot.compare_figure(summary(["w"], ["a"]))
+    assert matplotlib._pylab_helpers.Gcf.get_all_fig_managers() == []

@@ -1,0 +1,454 @@
+"""Beams: pencil cases, parity with the float64 oracle, laws, noise, bad input."""
+
+import functools
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from ref import beams as oracle
+from ref import maps
+from scipy import stats
+
+from jexplore import raycast
+from jexplore.config import Lidar
+from jexplore.grid import empty_grid
+
+RIGHT_ANGLES = Lidar(n_beams=4, fov_deg=360, range_m=3)  # looks back, right, ahead, left
+SHAPES = ((3, 3), (3, 9), (8, 7))
+
+ROOM = maps.walls("""
+    #######
+    #.....#
+    #..#..#
+    #.....#
+    #######
+""")
+
+
+def sense(occupied, row, col, heading, lidar, cell_m=1.0):
+    """One scan, folded into an empty map: `(hits, misses)`."""
+    table = raycast.beam_table(lidar, cell_m, occupied.shape[1])
+    seen = raycast.scan(jnp.asarray(occupied), row, col, heading, table)
+    grid = raycast.fold(empty_grid(occupied.shape), row, col, heading, seen, table)
+    return np.asarray(grid.hits), np.asarray(grid.misses)
+
+
+def expected(occupied, row, col, heading, lidar, cell_m=1.0):
+    """The same by the oracle."""
+    hits, misses = np.zeros(occupied.shape, int), np.zeros(occupied.shape, int)
+    beams = oracle.scan(occupied, row, col, 45 * heading, lidar.n_beams, lidar.fov_deg, lidar.range_m / cell_m)
+    oracle.fold(hits, misses, row, col, beams)
+    return hits, misses
+
+
+# ---------------------------------------------------------------- by hand
+
+
+def test_one_scan_by_hand():
+    hits, misses = sense(ROOM, 1, 2, 0, RIGHT_ANGLES)
+    assert maps.picture(hits, misses) == [
+        "??#????",
+        "??.????",
+        "??.????",
+        "#....??",  # ahead the range of 3 cells ends the beam after 3 cells entered
+        "??#????",
+    ]
+    assert hits.max() == 1
+    by_hand = maps.walls("""
+        .......
+        ..#....
+        ..#....
+        .####..
+        .......
+    """)
+    np.testing.assert_array_equal(misses, by_hand)  # one miss each, the robot's own cell too
+
+
+def test_a_beam_enters_what_lies_nearer_than_the_range_and_nothing_at_it():
+    for range_m, cells in ((0.5, 0), (0.51, 1), (1.5, 1), (2.5, 2), (2.51, 3)):
+        table = raycast.beam_table(Lidar(n_beams=1, range_m=range_m), 1.0, 9)
+        assert table.length[:, 0].tolist()[::2] == [cells] * 4
+        assert np.isinf(table.entry[0, cells:, 0]).all()
+        np.testing.assert_array_equal(table.entry[0, :cells, 0], 0.5 + np.arange(cells))
+        np.testing.assert_array_equal(table.dcol[0, :cells, 0], 1 + np.arange(cells))
+        assert not table.dcol[0, cells:, 0].any()
+
+
+def test_a_beam_through_exact_corners_steps_in_x_first():
+    table = raycast.beam_table(Lidar(n_beams=1, range_m=2.5), 1.0, 100)
+    for k, (drow, dcol) in {1: (1, 1), 3: (1, -1), 5: (-1, -1), 7: (-1, 1)}.items():
+        n = table.length[k, 0]
+        assert n == 4
+        np.testing.assert_array_equal(table.drow[k, :n, 0], [0, drow, drow, 2 * drow])
+        np.testing.assert_array_equal(table.dcol[k, :n, 0], [dcol, dcol, 2 * dcol, 2 * dcol])
+        np.testing.assert_array_equal(
+            table.offset[k, :n, 0], [dcol, 100 * drow + dcol, 100 * drow + 2 * dcol, 200 * drow + 2 * dcol]
+        )
+        np.testing.assert_allclose(table.entry[k, :n, 0], np.sqrt([0.5, 0.5, 4.5, 4.5]), rtol=1e-6)
+
+
+def test_a_corner_stops_a_beam_by_its_x_neighbour_only():
+    occupied = maps.walls("""
+        ####
+        #.##
+        #..#
+        ####
+    """)
+    lidar = Lidar(n_beams=1, range_m=9)
+    hits, _ = sense(occupied, 1, 1, 1, lidar)  # through the corner into the free x-neighbour, then into the block
+    assert np.argwhere(hits).tolist() == [[2, 2]]
+    hits, _ = sense(occupied.T, 1, 1, 1, lidar)
+    assert np.argwhere(hits).tolist() == [[2, 2]]
+    occupied[1, 2] = True
+    hits, _ = sense(occupied, 1, 1, 1, lidar)
+    assert np.argwhere(hits).tolist() == [[1, 2]]
+
+
+def test_angles_by_hand():
+    np.testing.assert_array_equal(raycast.beam_angles_deg(Lidar(n_beams=3, fov_deg=90)), [-45, 0, 45])
+    np.testing.assert_array_equal(raycast.beam_angles_deg(RIGHT_ANGLES), [-180, -90, 0, 90])
+    np.testing.assert_array_equal(raycast.beam_angles_deg(Lidar(n_beams=1)), [0])
+    np.testing.assert_array_equal(raycast.beam_angles_deg(Lidar()), np.arange(181) - 90)
+
+
+def test_directions_are_exact_on_the_lattice():
+    deg = [0, 30, 45, 60, 90, 120, 135, 180, 210, 225, 270, 315, 360, -45, 10]
+    dx, dy = raycast.exact_direction(deg)
+    for angle, x, y in zip(deg, dx, dy):
+        c, s = oracle.direction(angle)
+        assert abs(x - c) < 1e-15
+        assert abs(y - s) < 1e-15
+        if angle % 45 == 0:
+            assert (x, y) == (c, s)
+
+
+@pytest.mark.parametrize("occupied", [np.ones((1, 1), bool), np.ones((3, 3), bool), np.ones((1, 5), bool)])
+def test_all_wall(occupied):
+    row, col = occupied.shape[0] // 2, occupied.shape[1] // 2
+    range_m, hit = raycast.cast(jnp.asarray(occupied), ((col + 0.5), (row + 0.5), 0.0), np.radians([0, 90, 180, -90]),
+                                max_range_m=4.0, cell_m=1.0)  # fmt: skip
+    np.testing.assert_array_equal(range_m, [0.5] * 4)
+    assert hit.all()
+
+
+def test_outside_a_map_without_walls_everything_is_occupied():
+    free = jnp.zeros((1, 3), bool)
+    range_m, hit = raycast.cast(free, (1.25, 0.5, 0.0), np.radians([0, 90, 180, -90]), max_range_m=1.5, cell_m=1.0)
+    np.testing.assert_array_equal(range_m, [1.5, 0.5, 1.25, 0.5])
+    np.testing.assert_array_equal(hit, [False, True, True, True])
+
+
+# ---------------------------------------------------------------- the oracle
+
+
+@pytest.mark.parametrize(
+    ("lidar", "cell_m"),
+    [
+        (Lidar(), 0.1),
+        (Lidar(n_beams=1, range_m=1.0), 0.1),
+        (Lidar(n_beams=13, fov_deg=360, range_m=2.0), 0.1),
+        (Lidar(n_beams=8, fov_deg=360, range_m=7.0), 1.0),
+        (Lidar(n_beams=4, fov_deg=90, range_m=0.3), 0.07),
+    ],
+    ids=lambda v: f"{v.n_beams}x{v.fov_deg:g}" if isinstance(v, Lidar) else str(v),
+)
+def test_the_beam_table_is_the_oracles(lidar, cell_m):
+    width = 1000
+    table = raycast.beam_table(lidar, cell_m, width)
+    reach = round(lidar.range_m / cell_m, 9)
+    for k in range(8):
+        for b, angle in enumerate(oracle.lidar_angles(lidar.n_beams, lidar.fov_deg)):
+            entries = oracle.beam_entries(*oracle.direction(45 * k + angle), reach)
+            n = table.length[k, b]
+            assert n == len(entries) < table.entry.shape[1]
+            distance, drow, dcol = (np.array(v) for v in zip(*entries))
+            np.testing.assert_array_equal(table.drow[k, :n, b], drow)
+            np.testing.assert_array_equal(table.dcol[k, :n, b], dcol)
+            np.testing.assert_array_equal(table.offset[k, :n, b], drow * width + dcol)
+            np.testing.assert_allclose(table.entry[k, :n, b], distance, rtol=1e-6)
+            assert not table.offset[k, n:, b].any()
+    assert table.offset.shape[1] % raycast.BLOCK == 0
+    assert table.offset.shape[1] == raycast.n_steps(reach)
+
+
+@st.composite
+def places(draw):
+    """A ringed map, a free cell in it and one of the 8 headings."""
+    height, width = draw(st.sampled_from(SHAPES))
+    inner = draw(st.lists(st.booleans(), min_size=(height - 2) * (width - 2), max_size=(height - 2) * (width - 2)))
+    occupied = np.ones((height, width), bool)
+    occupied[1:-1, 1:-1] = np.reshape(inner, (height - 2, width - 2)) & (draw(st.integers(0, 2)) > 0)
+    row, col = draw(st.integers(1, height - 2)), draw(st.integers(1, width - 2))
+    return occupied, row, col, draw(st.integers(0, 7))
+
+
+LIDARS = (Lidar(n_beams=7, range_m=4), Lidar(n_beams=12, fov_deg=360, range_m=9), Lidar(n_beams=1, range_m=2))
+
+
+@pytest.mark.jit
+@given(places(), st.sampled_from(LIDARS))
+@settings(max_examples=150, deadline=None)
+def test_scans_are_the_oracles(place, lidar):
+    for got, want in zip(sense(*place, lidar), expected(*place, lidar)):
+        np.testing.assert_array_equal(got, want)
+
+
+def test_a_scan_of_default_size_is_the_oracles():
+    occupied, _ = maps.cluttered(5, 40, 50)
+    place = occupied, *np.argwhere(~occupied)[300].tolist(), 3
+    for got, want in zip(sense(*place, Lidar(range_m=4), 0.1), expected(*place, Lidar(range_m=4), 0.1)):
+        np.testing.assert_array_equal(got, want)
+
+
+@pytest.mark.jit
+@pytest.mark.parametrize("heading", range(8))
+def test_the_general_form_agrees_with_the_table_on_the_lattice(heading):
+    lidar = Lidar()
+    table = raycast.beam_table(lidar, 0.1, 300)
+    angles = np.radians(raycast.beam_angles_deg(lidar))
+    any_pose = raycast.trace((10.05, 3.45, heading * math.pi / 4), angles, max_range_m=8.0, cell_m=0.1, width=300)
+    assert any_pose.offset.shape == (1, *table.offset.shape[1:])
+    np.testing.assert_array_equal(any_pose.length[0], table.length[heading])
+    np.testing.assert_array_equal(any_pose.drow[0], table.drow[heading])
+    np.testing.assert_array_equal(any_pose.dcol[0], table.dcol[heading])
+    np.testing.assert_array_equal(any_pose.offset[0], table.offset[heading])
+    np.testing.assert_allclose(any_pose.entry[0], table.entry[heading], atol=1e-3)
+
+
+unit = st.integers(1, 1023).map(lambda n: n / 1024)
+
+
+@pytest.mark.jit
+@given(unit, unit, st.floats(-7, 7, width=32))
+@settings(max_examples=100, deadline=None)
+def test_a_beam_from_any_pose_is_the_oracles(x, y, heading):
+    """Where float64 itself leaves no doubt which line is crossed first."""
+    angles = np.arange(12, dtype=np.float32) * np.float32(0.5)
+    got = raycast.trace((x + 3, y + 5, heading), angles, max_range_m=6.0, cell_m=1.0, width=40)
+    compared = 0
+    for b, angle in enumerate(angles):
+        theta = float(np.float32(heading) + angle)
+        entries = oracle.beam_entries(
+            math.cos(theta), math.sin(theta), 6.001, float(np.float32(x + 3)) - 3, float(np.float32(y + 5)) - 5
+        )
+        distance = np.array([0, *(e[0] for e in entries)])
+        n = int((distance < 6).sum()) - 1
+        if (np.diff(distance) < 1e-3).any() or (np.abs(distance - 6) < 2e-3).any():
+            continue
+        compared += 1
+        assert int(got.length[0, b]) == n
+        assert [tuple(v) for v in np.stack([got.drow[0, :n, b], got.dcol[0, :n, b]], 1)] == [e[1:] for e in entries[:n]]
+        np.testing.assert_allclose(got.entry[0, :n, b], distance[1 : n + 1], atol=2e-4)
+    assert compared >= 3
+
+
+@pytest.mark.jit
+@given(places(), unit, unit, st.floats(-4, 4, width=32))
+@settings(max_examples=100, deadline=None)
+def test_cast_gives_the_oracles_ranges(place, x, y, heading):
+    occupied, row, col, _ = place
+    angles = np.linspace(-1, 1, 9, dtype=np.float32)
+    range_m, hit = raycast.cast(jnp.asarray(occupied), (0.1 * (col + x), 0.1 * (row + y), heading), angles,
+                                max_range_m=0.6, cell_m=0.1)  # fmt: skip
+    for b, angle in enumerate(angles):
+        theta = float(np.float32(heading) + angle)
+        want = [
+            oracle.cast(occupied, row, col, math.degrees(theta + nudge), 6.0, x, y)[1:] for nudge in (-1e-4, 0, 1e-4)
+        ]
+        if len({w[0] for w in want}) == 1 and abs(want[1][1] - 6) > 1e-2:  # not within a hair of another cell
+            assert bool(hit[b]) == (want[1][0] is not None)
+            assert float(range_m[b]) == pytest.approx(0.1 * want[1][1], abs=2e-4)
+
+
+@pytest.mark.parametrize("k", range(1, 9))
+def test_a_pose_on_the_edge_of_a_cell_is_in_one_cell_only(k):
+    """Whatever cell it is taken to be in, the walls must stand where they are."""
+    x_m = k * 0.1
+    pose = (x_m, 0.05, 0.0)
+    range_m, hit = raycast.cast(jnp.zeros((1, 10), bool), pose, np.radians([0, 180]), max_range_m=2.0, cell_m=0.1)
+    assert hit.all()
+    np.testing.assert_allclose(range_m, [1.0 - x_m, x_m], atol=1e-5)
+
+
+# ---------------------------------------------------------------- laws
+
+
+@pytest.mark.jit
+@given(places())
+@settings(max_examples=40, deadline=None)
+def test_half_a_turn_of_the_map_turns_the_scan(place):
+    """Exact for all beams: half a turn maps a step in x to a step in x."""
+    occupied, row, col, heading = place
+    height, width = occupied.shape
+    turned = np.rot90(occupied, 2), height - 1 - row, width - 1 - col, (heading + 4) % 8
+    for got, want in zip(sense(*turned, LIDARS[0]), sense(*place, LIDARS[0])):
+        np.testing.assert_array_equal(got, np.rot90(want, 2))
+
+
+@pytest.mark.jit
+@given(places())
+@settings(max_examples=40, deadline=None)
+def test_a_quarter_turn_of_the_map_turns_the_scan_of_beams_that_pass_no_exact_corner(place):
+    """A beam through an exact corner steps in x first, which after a quarter turn is y: no symmetry there."""
+    lidar = Lidar(n_beams=6, fov_deg=100, range_m=5)  # 10, 30 and 50 degrees off an axis
+    occupied, row, col, heading = place
+    heading -= heading % 2
+    turned = np.rot90(occupied[::-1])[::-1], col, occupied.shape[0] - 1 - row, (heading + 2) % 8
+    for got, want in zip(sense(*turned, lidar), sense(occupied, row, col, heading, lidar)):
+        np.testing.assert_array_equal(got, np.rot90(want[::-1])[::-1])
+
+
+@pytest.mark.jit
+@given(places())
+@settings(max_examples=40, deadline=None)
+def test_more_range_never_shows_fewer_cells(place):
+    before = np.zeros(place[0].shape, int)
+    for range_m in (1, 2, 3, 5):
+        seen = sum(sense(*place, Lidar(n_beams=7, range_m=range_m)))
+        assert (seen >= before).all()
+        before = seen
+
+
+@pytest.mark.jit
+def test_rows_of_a_batch_are_independent_and_jit_changes_nothing():
+    table = raycast.beam_table(LIDARS[1], 1.0, ROOM.shape[1])
+    cells = np.argwhere(~ROOM).astype(np.int32)
+    headings = np.arange(len(cells), dtype=np.int32) % 8
+
+    def one(row, col, heading):
+        seen = raycast.scan(jnp.asarray(ROOM), row, col, heading, table)
+        return seen, raycast.fold(empty_grid(ROOM.shape), row, col, heading, seen, table)
+
+    batch = jax.vmap(one)(*cells.T, headings)
+    for i in (0, 5, len(cells) - 1):
+        with jax.disable_jit():
+            alone = one(*cells[i], headings[i])
+        jax.tree.map(lambda many, single, i=i: np.testing.assert_array_equal(many[i], single), batch, alone)
+
+
+def test_folding_counts_every_scan():
+    table = raycast.beam_table(RIGHT_ANGLES, 1.0, ROOM.shape[1])
+    seen = raycast.scan(jnp.asarray(ROOM), 1, 2, 0, table)
+    grid = empty_grid(ROOM.shape)
+    for _ in range(3):
+        grid = raycast.fold(grid, 1, 2, 0, seen, table)
+    hits, misses = sense(ROOM, 1, 2, 0, RIGHT_ANGLES)
+    np.testing.assert_array_equal(grid.hits, 3 * hits)
+    np.testing.assert_array_equal(grid.misses, 3 * misses)
+
+
+# ---------------------------------------------------------------- noise
+
+
+def corridor(length):
+    """One free row of that length between walls."""
+    return np.pad(np.zeros((1, length), bool), 1, constant_values=True)
+
+
+def noisy(key, occupied, row, col, heading, lidar, sigma_cells=0.0, dropout=0.0, extent=None):
+    """`(seen, disturbed)`."""
+    table = raycast.beam_table(lidar, 1.0, occupied.shape[1])
+    seen = raycast.scan(jnp.asarray(occupied), row, col, heading, table)
+    extent = jnp.asarray(occupied.shape if extent is None else extent)
+    noise = {"sigma_cells": jnp.float32(sigma_cells), "dropout": jnp.float32(dropout)}
+    return seen, raycast.disturb(key, seen, row, col, heading, table, extent, **noise)
+
+
+# A bug of `disturb`: of two cells entered at one distance (an exact corner) it takes the later one.
+def test_without_sigma_and_dropout_nothing_is_disturbed():
+    lidar = Lidar(n_beams=16, fov_deg=360, range_m=3)  # beams at 45 degrees, which pass exact corners, among them
+    for row, col in np.argwhere(~ROOM):
+        for heading in (0, 1):
+            seen, disturbed = noisy(jax.random.key(1), ROOM, row, col, heading, lidar)
+            np.testing.assert_array_equal(disturbed.end, seen.end)
+            np.testing.assert_array_equal(disturbed.hit, seen.hit)
+
+
+@functools.cache
+def many_readings(length, range_m, sigma_cells, dropout, n=4000):
+    """Readings of one beam along a corridor that ends `length` cells ahead: `(end, hit)`, each `[n]`."""
+    keys = jax.random.split(jax.random.key(7), n)
+    one = jax.jit(
+        jax.vmap(
+            lambda k: noisy(
+                k, corridor(60), 1, 60 - length, 0, Lidar(n_beams=1, range_m=range_m), sigma_cells, dropout
+            )[1]
+        )
+    )
+    seen = one(keys)
+    return np.asarray(seen.end)[:, 0], np.asarray(seen.hit)[:, 0]
+
+
+@pytest.mark.jit
+def test_dropped_beams_tell_nothing_and_are_as_many_as_asked_for():
+    end, hit = many_readings(9, 30, 0.0, 0.2)
+    assert set(zip(end.tolist(), hit.tolist())) == {(0, False), (9, True)}
+    assert stats.binomtest(int((~hit).sum()), hit.size, 0.2).pvalue > 1e-3
+
+
+@pytest.mark.jit
+def test_the_range_error_has_the_given_spread_and_no_bias_but_the_cells_own():
+    """The wall's near edge is at 20.5 cells: a reading d falls into cell floor(d - 0.5), half a cell low on average."""
+    end, hit = many_readings(20, 50, 3.0, 0.0)
+    assert hit.all()
+    error = end - 20.0
+    inside = error < 0  # beyond the wall the map ends two cells on
+    assert stats.binomtest(int(inside.sum()), end.size, 0.5).pvalue > 1e-3
+    assert end.max() == 20  # the wall's cell is the last one inside the map
+    for k in (-1, -2, -3):
+        share = stats.norm.cdf(k)
+        assert stats.binomtest(int((error < 3 * k).sum()), end.size, share).pvalue > 1e-3
+
+
+# A bug of `disturb`: beyond the range no cell is entered, so the last one within it is taken, as a hit.
+@pytest.mark.jit
+def test_a_reading_beyond_the_range_is_no_hit():
+    """The wall's near edge is at 9.5 cells, the range is 10: with a sigma of 0.5 every sixth reading lies beyond."""
+    end, hit = many_readings(9, 10, 0.5, 0.0)
+    assert hit[end < 9].all()
+    beyond = int((~hit).sum())
+    assert stats.binomtest(beyond, hit.size, stats.norm.sf(1)).pvalue > 1e-3
+    assert set(end[~hit]) == {10}
+
+
+@pytest.mark.jit
+def test_no_reading_ends_before_the_first_cell_or_outside_the_map():
+    table = raycast.beam_table(Lidar(n_beams=9, fov_deg=360, range_m=30), 1.0, ROOM.shape[1])
+    one = jax.jit(jax.vmap(
+        lambda k: noisy(k, ROOM, 1, 2, 0, Lidar(n_beams=9, fov_deg=360, range_m=30), 5.0, extent=(5, 6))[1]
+    ))  # fmt: skip
+    seen = one(jax.random.split(jax.random.key(3), 500))
+    end, hit = np.asarray(seen.end), np.asarray(seen.hit)
+    assert (end >= 0).all()
+    assert (end == 0).any()
+    for b in range(9):
+        e = end[hit[:, b], b]
+        row, col = 1 + table.drow[0, e, b], 2 + table.dcol[0, e, b]
+        assert ((row >= 0) & (row < 5) & (col >= 0) & (col < 6)).all()
+
+
+def test_steps_inside_by_hand():
+    table = raycast.beam_table(Lidar(n_beams=4, fov_deg=360, range_m=4), 1.0, 9)
+    inside = raycast.steps_inside(table, 1, 2, 0, (5, 7))
+    s = table.entry.shape[1]
+    assert inside.tolist() == [2, 1, s, 3]  # back: columns 1, 0; right: row 0; ahead: all 4; left: rows 2 to 4
+
+
+def test_different_keys_differ_and_equal_keys_agree():
+    lidar = Lidar(n_beams=30, range_m=9)
+    read = [noisy(jax.random.key(k), ROOM, 1, 2, 1, lidar, 2.0, 0.3)[1] for k in (1, 1, 2)]
+    np.testing.assert_array_equal(read[0].end, read[1].end)
+    assert (np.asarray(read[0].end) != np.asarray(read[2].end)).any()
+
+
+# ---------------------------------------------------------------- bad input
+
+
+@pytest.mark.parametrize("wrong", [jnp.zeros((3, 3), jnp.int32), jnp.zeros(3, bool)])
+def test_what_is_no_occupancy_is_refused(wrong):
+    with pytest.raises(ValueError, match="expected occupied"):
+        raycast.cast(wrong, (0.5, 0.5, 0.0), np.zeros(1), max_range_m=1.0, cell_m=1.0)

@@ -1,0 +1,312 @@
+"""The reachability map: pencil cases, Dijkstra, laws, saturation, bad input."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+from ref import maps, planning
+
+from jexplore.reach import DIAGONAL, FAR, HEADING, MOTIONS, STRAIGHT, lay_route, predecessors, reach, saturated, wave
+
+S, D = STRAIGHT, DIAGONAL
+SHAPES = ((1, 1), (1, 8), (7, 1), (7, 9))
+LAY, SATURATED = jax.jit(lay_route), jax.jit(saturated)
+
+
+@st.composite
+def places(draw, shapes=SHAPES):
+    """Traversable cells, mostly, and a start among them."""
+    height, width = draw(st.sampled_from(shapes))
+    passable = draw(hnp.arrays(bool, (height, width), elements=st.integers(0, 3).map(bool), fill=st.nothing()))
+    row, col = draw(st.integers(0, height - 1)), draw(st.integers(0, width - 1))
+    passable[row, col] = True
+    return passable, row, col
+
+
+def flat_predecessors(came):
+    """Index of the cell before each cell, as the oracle has it; -1 for none."""
+    came = np.asarray(came)
+    rows, cols = np.indices(came.shape)
+    step = np.array(MOTIONS)[came]
+    return np.where(came < 0, -1, (rows - step[..., 0]) * came.shape[1] + cols - step[..., 1])
+
+
+def follow(route, start, target):
+    """Cells of a route after its start, and what they cost."""
+    cells, cost, (row, col) = [], 0, start
+    while (row, col) != tuple(target):
+        drow, dcol = MOTIONS[route[row, col]]
+        row, col, cost = row + drow, col + dcol, cost + (D if drow and dcol else S)
+        cells.append((row, col))
+        assert len(cells) <= route.size
+    return cells, cost
+
+
+def test_constants_are_the_oracles():
+    assert (STRAIGHT, DIAGONAL, FAR, MOTIONS) == (planning.STRAIGHT, planning.DIAGONAL, planning.FAR, planning.MOTIONS)
+    for (drow, dcol), heading in zip(MOTIONS, HEADING):
+        assert np.degrees(np.arctan2(drow, dcol)) % 360 == 45 * heading
+
+
+def test_a_room_with_a_wall_by_hand():
+    passable = ~maps.walls("""
+        .....
+        .##..
+        ..#..
+    """)
+    cost = reach(jnp.asarray(passable), 0, 0)
+    assert cost.dtype == jnp.int32
+    assert saturated(cost, jnp.asarray(passable)) == 0
+    by_hand = [
+        [2 * S, 3 * S, 4 * S, 5 * S, 6 * S],
+        [S, FAR, FAR, 6 * S, 5 * S + D],
+        [0, S, FAR, 7 * S, 6 * S + D],
+    ]
+    np.testing.assert_array_equal(cost[::-1], by_hand)
+    east, north, south, southeast, none = 0, 1, 3, 7, -1
+    came = predecessors(cost, jnp.asarray(passable))
+    assert came.dtype == jnp.int8
+    # (1, 4) is entered from (2, 3) diagonally; (0, 4) costs 6 S + D from (1, 4) southwards, or from (1, 3) diagonally:
+    # S comes before SE in the order of motions
+    by_hand = [[north, east, east, east, east], [north, none, none, south, southeast], [none, east, none, south, south]]
+    np.testing.assert_array_equal(came[::-1], by_hand)
+
+
+def test_a_diagonal_needs_both_cells_beside_it():
+    for text, cost in {".. ..": D, "#. ..": 2 * S, ".. .#": 2 * S, "#. .#": FAR}.items():
+        assert int(reach(jnp.asarray(~maps.walls(text)), 0, 0)[1, 1]) == cost
+
+
+def test_ties_go_to_the_first_motion_in_the_order():
+    """From the middle of an open field every cell off the axes and diagonals has several predecessors."""
+    came = np.asarray(predecessors(reach(jnp.ones((5, 5), bool), 2, 2), jnp.ones((5, 5), bool)))
+    e, n, w, s, ne, nw, sw, se = range(8)
+    by_hand = [[nw, n, n, n, ne], [w, nw, n, ne, e], [w, w, -1, e, e], [w, sw, s, se, e], [sw, s, s, s, se]]
+    np.testing.assert_array_equal(came[::-1], by_hand)
+
+
+@pytest.mark.jit
+def test_edge_cases():
+    for passable in (np.ones((1, 1), bool), np.zeros((1, 1), bool)):
+        cost = reach(jnp.asarray(passable), 0, 0)
+        assert cost.tolist() == [[0]]
+        assert saturated(cost, jnp.asarray(passable)) == 0
+        assert predecessors(cost, jnp.asarray(passable)).tolist() == [[-1]]
+    cost = reach(jnp.ones((1, 4), bool), 0, 1)
+    assert cost.tolist() == [[S, 0, S, 2 * S]]
+    cost = reach(jnp.ones((4, 1), bool), 3, 0)
+    assert cost.tolist() == [[3 * S], [2 * S], [S], [0]]
+    cost = reach(jnp.zeros((3, 3), bool), 1, 1)  # all wall: the start itself need not be traversable
+    assert cost.tolist() == [[FAR] * 3, [FAR, 0, FAR], [FAR] * 3]
+
+
+def test_a_start_in_a_wall_can_be_left():
+    passable = ~maps.walls("... .#. ...")
+    cost = reach(jnp.asarray(passable), 1, 1)
+    assert cost.tolist() == [[D, S, D], [S, 0, S], [D, S, D]]
+
+
+@pytest.mark.jit
+@given(places())
+@settings(max_examples=200, deadline=None)
+def test_costs_and_predecessors_are_dijkstras(place):
+    passable, row, col = place
+    cost = reach(jnp.asarray(passable), row, col)
+    want_cost, want_pred = planning.dijkstra(passable, (row, col))
+    np.testing.assert_array_equal(cost, want_cost)
+    np.testing.assert_array_equal(flat_predecessors(predecessors(cost, jnp.asarray(passable))), want_pred)
+    assert SATURATED(cost, jnp.asarray(passable)) == 0
+
+
+@pytest.mark.jit
+@pytest.mark.parametrize("seed", range(4))
+def test_a_labyrinth_of_one_long_way_is_dijkstras(seed):
+    """Many turns: the sweeps must run until nothing changes, and no further."""
+    passable = np.ones((41, 40), bool)
+    passable[1::2] = False
+    ends = np.random.default_rng(seed).integers(0, 40, 20)
+    passable[np.arange(1, 41, 2), ends] = True
+    for row, col in ((0, 0), (40, 39), (20, 5)):
+        cost = reach(jnp.asarray(passable), row, col)
+        np.testing.assert_array_equal(cost, planning.dijkstra(passable, (row, col))[0])
+
+
+@pytest.mark.jit
+@given(places(), st.integers(0, 3), st.booleans())
+@settings(max_examples=40, deadline=None)
+def test_costs_turn_and_mirror_with_the_map(place, quarters, mirror):
+    """Predecessors do not: their ties are pinned to the compass."""
+    passable, row, col = place
+    here = np.zeros(passable.shape, bool)
+    here[row, col] = True
+
+    def turn(array):
+        return np.rot90(np.asarray(array)[:, ::-1] if mirror else array, quarters)
+
+    (turned_row, turned_col), *_ = np.argwhere(turn(here))
+    np.testing.assert_array_equal(
+        reach(jnp.asarray(turn(passable)), turned_row, turned_col), turn(reach(jnp.asarray(passable), row, col))
+    )
+
+
+@pytest.mark.jit
+@given(places())
+@settings(max_examples=60, deadline=None)
+def test_no_neighbour_offers_a_cheaper_way(place):
+    passable, row, col = place
+    cost = np.asarray(reach(jnp.asarray(passable), row, col)).astype(np.int64)
+    for r, c in np.argwhere(cost < FAR):
+        for motion in MOTIONS:
+            if planning.may_step(passable, r, c, motion):
+                assert cost[r + motion[0], c + motion[1]] <= cost[r, c] + planning.step_cost(motion)
+    assert (cost[~passable] == FAR).all()
+
+
+@pytest.mark.jit
+@given(places())
+@settings(max_examples=60, deadline=None)
+def test_every_route_leads_from_the_start_to_its_target_at_the_exact_cost(place):
+    passable, row, col = place
+    cost = reach(jnp.asarray(passable), row, col)
+    pred = planning.dijkstra(passable, (row, col))[1]
+    blank = jnp.full(passable.shape, -1, jnp.int8)
+    for target in np.argwhere(np.asarray(cost) < FAR)[::5]:
+        route = np.asarray(LAY(blank, cost, jnp.asarray(passable), (row, col), tuple(target), (0, 0)))
+        cells, total = follow(route, (row, col), target)
+        assert total == cost[tuple(target)]
+        assert cells == planning.path(pred, (row, col), target)
+        assert (route >= 0).sum() == len(cells)  # nothing else was written
+
+
+def test_a_route_from_a_window_by_hand():
+    """Of a 1 x 3 window that begins at (1, 2) of the map."""
+    old = jnp.full((3, 6), 5, jnp.int8)
+    route = lay_route(old, jnp.asarray([[0, S, 2 * S]]), jnp.ones((1, 3), bool), (1, 2), (1, 4), (1, 2))
+    np.testing.assert_array_equal(route, [[5] * 6, [5, 5, 0, 0, 5, 5], [5] * 6])
+
+
+@pytest.mark.jit
+def test_empty_space_around_changes_nothing():
+    passable = np.random.default_rng(2).random((7, 9)) < 0.75
+    passable[3, 4] = True
+    cost = np.asarray(reach(jnp.asarray(passable), 3, 4))
+    wide = np.pad(passable, ((0, 4), (0, 3)))
+    cost_wide = reach(jnp.asarray(wide), 3, 4)
+    np.testing.assert_array_equal(cost_wide[:7, :9], cost)
+    assert (np.asarray(cost_wide)[~wide] == FAR).all()
+    came = predecessors(jnp.asarray(cost), jnp.asarray(passable))
+    np.testing.assert_array_equal(predecessors(cost_wide, jnp.asarray(wide))[:7, :9], came)
+
+
+@pytest.mark.jit
+def test_rows_of_a_batch_are_independent_and_jit_changes_nothing():
+    passable = jnp.asarray(np.random.default_rng(5).random((3, 7, 9)) < [[[0.6]], [[0.9]], [[1.0]]])
+    rows, cols = jnp.asarray([0, 3, 6]), jnp.asarray([0, 4, 8])
+    goals = jnp.zeros((3, 7, 9), bool).at[:, 5, 5].set(True)
+
+    def one(passable, goals, row, col):
+        cost = reach(passable, row, col)
+        return (
+            cost,
+            saturated(cost, passable),
+            predecessors(cost, passable),
+            wave(passable, goals, row, col, jnp.int32(6 * S)),
+        )
+
+    batch = jax.vmap(one)(passable, goals, rows, cols)
+    for i in range(2):
+        with jax.disable_jit(i == 0):
+            alone = one(passable[i], goals[i], rows[i], cols[i])
+        jax.tree.map(lambda many, single, i=i: np.testing.assert_array_equal(many[i], single), batch, alone)
+
+
+@pytest.mark.jit
+def test_costs_saturate_below_far_and_are_counted():
+    """A row of 16,390 cells: 16,383 steps fit, the next would cost FAR."""
+    row = jnp.ones((1, 16390), bool)
+    cost = reach(row, 0, 0)
+    np.testing.assert_array_equal(cost[0, :16384], S * np.arange(16384))
+    assert (np.asarray(cost[0, 16384:]) == FAR).all()
+    assert SATURATED(cost, row) == 1
+    cost = reach(row.at[0, 16384].set(False), 0, 0)  # what is not traversable would not have been reached anyway
+    assert (int(cost[0, 16383]), int(SATURATED(cost, row.at[0, 16384].set(False)))) == (FAR - S, 0)
+    row = jnp.ones((1, 40000), bool)
+    assert SATURATED(reach(row, 0, 20000), row) == 2
+
+
+@pytest.mark.jit
+@given(places(), st.integers(0, 2**30))
+@settings(max_examples=100, deadline=None)
+def test_with_goals_costs_are_final_up_to_the_cheapest_goals(place, seed):
+    passable, row, col = place
+    goals = np.random.default_rng(seed).random(passable.shape) < 0.1
+    cost = np.asarray(reach(jnp.asarray(passable), row, col, jnp.asarray(goals)))
+    exact = np.asarray(reach(jnp.asarray(passable), row, col))
+    best = exact[goals].min(initial=FAR)
+    assert cost[goals].min(initial=FAR) == best
+    assert (cost >= exact).all()
+    np.testing.assert_array_equal(cost <= best, exact <= best)
+    np.testing.assert_array_equal(cost[exact <= best], exact[exact <= best])
+
+
+# ---------------------------------------------------------------- wave
+
+
+def test_a_wave_stops_soon_after_the_nearest_goal_is_settled():
+    goals = jnp.zeros((1, 40), bool).at[0, 3].set(True).at[0, 35].set(True)
+    cost, best, settled = wave(jnp.ones((1, 40), bool), goals, 0, 0, jnp.int32(FAR))
+    assert int(best) == 3 * S <= int(settled) < 12 * S
+    assert cost[0, :4].tolist() == [0, S, 2 * S, 3 * S]
+    cost, best, settled = wave(jnp.ones((1, 40), bool), goals, 0, 3, jnp.int32(FAR))
+    assert (int(best), int(settled)) == (0, 0)
+
+
+def test_a_wave_stops_soon_after_its_bound():
+    goals = jnp.zeros((1, 40), bool).at[0, 30].set(True)
+    cost, best, settled = wave(jnp.ones((1, 40), bool), goals, 0, 0, jnp.int32(4 * S))
+    assert 4 * S <= int(settled) < 12 * S
+    assert cost[0, :5].tolist() == [S * i for i in range(5)]
+    assert int(best) >= 4 * S
+
+
+def test_a_wave_that_has_nothing_left_to_reach_has_settled_everything():
+    cost, best, settled = wave(jnp.asarray([[True, True, False, True]]), jnp.zeros((1, 4), bool), 0, 0, jnp.int32(FAR))
+    assert (cost.tolist(), int(best), int(settled)) == ([[0, S, FAR, FAR]], FAR, FAR)
+
+
+@pytest.mark.jit
+@given(places(), st.integers(0, 2**30), st.integers(1, 12))
+@settings(max_examples=150, deadline=None)
+def test_a_wave_agrees_with_reach_wherever_it_is_settled(place, seed, steps):
+    passable, row, col = place
+    goals = np.random.default_rng(seed).random(passable.shape) < 0.05
+    bound = steps * S
+    cost, best, settled = wave(jnp.asarray(passable), jnp.asarray(goals), row, col, jnp.int32(bound))
+    cost, best, settled = np.asarray(cost), int(best), int(settled)
+    exact = np.asarray(reach(jnp.asarray(passable), row, col))
+    nearest = exact[goals].min(initial=FAR)
+    assert (cost >= exact).all()
+    near = exact <= settled
+    np.testing.assert_array_equal(cost[near], exact[near])
+    np.testing.assert_array_equal(cost <= settled, near)
+    assert best >= nearest
+    assert settled >= bound or best <= settled  # it went as far as it was asked to
+    assert settled < FAR or best == nearest
+    if best <= settled:
+        assert best == nearest
+        came = predecessors(jnp.asarray(cost), jnp.asarray(passable))
+        pred = planning.dijkstra(passable, (row, col))[1]
+        here = exact <= best
+        np.testing.assert_array_equal(flat_predecessors(came)[here], pred[here])
+
+
+# ---------------------------------------------------------------- bad input
+
+
+@pytest.mark.parametrize("wrong", [jnp.zeros((3, 3), jnp.int32), jnp.zeros(3, bool)])
+def test_what_is_no_mask_is_refused(wrong):
+    with pytest.raises(ValueError, match="expected traversable"):
+        reach(wrong, 0, 0)

@@ -1,0 +1,275 @@
+"""Result files: round trips, atomicity, and folders that are refused."""
+
+import dataclasses
+import datetime
+import enum
+import json
+import math
+import os
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from jexplore import store
+from jexplore.config import InputError
+
+
+def episodes():
+    return pd.DataFrame(
+        {
+            "world": ["office#1", "höhle/$x|y.png@16x16"],
+            "episode": np.array([0, 1], dtype=np.int64),
+            "path_m": [0.1 + 0.2, math.nan],
+            "room_entries": pd.array([3, pd.NA], dtype="Int64"),
+        },
+        index=[5, 9],
+    )
+
+
+def files(folder):
+    return sorted(path.name for path in folder.iterdir())
+
+
+def test_parquet_round_trip_is_exact(tmp_path):
+    store.write_parquet(episodes(), tmp_path / "episodes.parquet")
+    back = store.read_parquet(tmp_path / "episodes.parquet", required=("world", "path_m"))
+    pd.testing.assert_frame_equal(back, episodes().reset_index(drop=True), check_exact=True)
+    assert back["room_entries"].dtype == "Int64"
+    assert files(tmp_path) == ["episodes.parquet"]
+
+
+def test_parquet_of_only_missing_rooms(tmp_path):
+    table = episodes().assign(room_entries=pd.array([pd.NA, pd.NA], dtype="Int64"))
+    store.write_parquet(table, tmp_path / "e.parquet")
+    assert store.read_parquet(tmp_path / "e.parquet")["room_entries"].dtype == "Int64"
+
+
+def test_json_whole(tmp_path):
+    class Outcome(enum.IntEnum):
+        COMPLETE = 0
+
+    @dataclasses.dataclass
+    class Point:
+        x: float
+        y: float
+
+    value = {
+        "n": np.int32(3),
+        "x": np.float32(0.5),
+        "missing": [math.nan, np.float64("nan"), math.inf, pd.NA, None],
+        "array": np.array([[1.0, np.nan], [2.0, 3.0]]),
+        "flag": np.bool_(True),
+        "at": datetime.datetime(2026, 11, 21, 9, 30, tzinfo=datetime.UTC),
+        "point": Point(1.0, math.nan),
+        "outcome": Outcome.COMPLETE,
+        "out": Path("runs") / "a",
+        7: (1, "ü"),
+    }
+    store.write_json(value, tmp_path / "run.json")
+    text = (tmp_path / "run.json").read_text(encoding="utf-8")
+    assert json.loads(text) == {
+        "n": 3,
+        "x": 0.5,
+        "missing": [None] * 5,
+        "array": [[1.0, None], [2.0, 3.0]],
+        "flag": True,
+        "at": "2026-11-21T09:30:00+00:00",
+        "point": {"x": 1.0, "y": None},
+        "outcome": "COMPLETE",
+        "out": os.path.join("runs", "a"),
+        "7": [1, "ü"],
+    }
+    assert text.endswith("}\n")
+    assert "ü" in text
+    assert "NaN" not in text
+
+
+def test_json_that_cannot_be_written_leaves_the_old_file(tmp_path):
+    path = tmp_path / "run.json"
+    store.write_json({"old": 1}, path)
+    with pytest.raises(TypeError, match="got object"):
+        store.write_json({"new": object()}, path)
+    assert json.loads(path.read_text()) == {"old": 1}
+    assert files(tmp_path) == ["run.json"]
+
+
+def test_a_failure_in_the_middle_leaves_the_old_file(tmp_path):
+    path = tmp_path / "run.json"
+    path.write_text("old")
+
+    def write_half():
+        with store.atomic(path) as part:
+            part.write_text("ne")
+            raise RuntimeError("killed")
+
+    with pytest.raises(RuntimeError, match="killed"):
+        write_half()
+    assert path.read_text() == "old"
+    assert files(tmp_path) == ["run.json"]
+
+
+def test_a_full_disk_is_one_line_and_leaves_nothing(tmp_path, monkeypatch):
+    def full(handle):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(store.os, "fsync", full)
+    with pytest.raises(InputError, match=r"run\.json must be a file that can be written: No space left on device$"):
+        store.write_json({}, tmp_path / "run.json")
+    assert files(tmp_path) == []
+
+
+def test_the_data_are_synced_before_the_replacement(tmp_path, monkeypatch):
+    calls = []
+    for name in ("fsync", "replace"):
+        real = getattr(os, name)
+        monkeypatch.setattr(store.os, name, lambda *args, name=name, real=real: (calls.append(name), real(*args)))
+    store.write_json({}, tmp_path / "run.json")
+    assert calls[:2] == ["fsync", "replace"]
+
+
+def test_written_files_have_the_usual_permissions(tmp_path):
+    (tmp_path / "usual").touch()
+    store.write_json({}, tmp_path / "run.json")
+    assert (tmp_path / "run.json").stat().st_mode == (tmp_path / "usual").stat().st_mode
+
+
+@pytest.mark.parametrize(
+    "write", [lambda path: store.write_json({}, path), lambda path: store.write_parquet(episodes(), path)]
+)
+def test_unwritable_places(tmp_path, write):
+    (tmp_path / "file").touch()
+    (tmp_path / "folder").mkdir()
+    for path in (tmp_path / "missing" / "x", tmp_path / "file" / "x", tmp_path / "folder"):
+        with pytest.raises(InputError) as caught:
+            write(path)
+        assert str(path) in str(caught.value)
+        assert "\n" not in str(caught.value)
+    assert files(tmp_path) == ["file", "folder"]
+
+
+def test_unreadable_parquet(tmp_path):
+    (tmp_path / "text.parquet").write_text("world,path_m\n")
+    (tmp_path / "empty.parquet").touch()
+    for name in ("text.parquet", "empty.parquet", "missing.parquet"):
+        with pytest.raises(InputError, match=name) as caught:
+            store.read_parquet(tmp_path / name)
+        assert "\n" not in str(caught.value)
+    store.write_parquet(episodes(), tmp_path / "e.parquet")
+    with pytest.raises(InputError, match=r"must have the column plans, got world, episode, path_m, room_entries$"):
+        store.read_parquet(tmp_path / "e.parquet", required=("world", "plans"))
+
+
+def test_claim_makes_the_folder_and_its_parents(tmp_path):
+    out = tmp_path / "a" / "b"
+    assert store.claim_out(out) == out
+    assert store.claim_out(str(out)) == out  # still without a run
+    assert files(out) == []
+
+
+@pytest.mark.parametrize("name", ["run.json", "episodes.parquet", "compare.png"])
+def test_claim_refuses_a_folder_with_a_run(tmp_path, name):
+    (tmp_path / name).write_text("old")
+    with pytest.raises(InputError, match=rf"holds a run \({name}\)"):
+        store.claim_out(tmp_path)
+    assert (tmp_path / name).read_text() == "old"
+
+
+def test_overwrite_removes_only_our_files(tmp_path):
+    for name in ("run.json", "compare.png", "notes.txt", "photo.png"):
+        (tmp_path / name).write_text(name)
+    (tmp_path / "paths.png").symlink_to(tmp_path / "photo.png")
+    assert store.claim_out(tmp_path, overwrite=True) == tmp_path
+    assert files(tmp_path) == ["notes.txt", "photo.png"]
+    assert (tmp_path / "photo.png").read_text() == "photo.png"
+
+
+def test_overwrite_does_not_remove_folders(tmp_path):
+    (tmp_path / "run.json").write_text("old")
+    (tmp_path / "worlds.png").mkdir()
+    with pytest.raises(InputError, match=r"worlds\.png must be a file"):
+        store.claim_out(tmp_path, overwrite=True)
+    assert files(tmp_path) == ["run.json", "worlds.png"]
+
+
+def test_claim_with_other_names(tmp_path):
+    (tmp_path / "unit-3.parquet").touch()
+    store.claim_out(tmp_path)
+    with pytest.raises(InputError, match=r"unit-3\.parquet"):
+        store.claim_out(tmp_path, names=("unit-3.parquet",))
+
+
+def test_claim_refuses_what_is_no_folder(tmp_path):
+    (tmp_path / "file").write_text("keep")
+    (tmp_path / "dangling").symlink_to(tmp_path / "nowhere")
+    bad = [tmp_path / "file", tmp_path / "file" / "below", tmp_path / "dangling", "", f"{tmp_path}/nul\0l"]
+    for path in bad:
+        for overwrite in (False, True):
+            with pytest.raises(InputError) as caught:
+                store.claim_out(path, overwrite=overwrite)
+            assert "\n" not in str(caught.value)
+    assert files(tmp_path) == ["dangling", "file"]
+
+
+def test_claim_leaves_nothing_half_made(tmp_path):
+    with pytest.raises(InputError, match="must be a folder that can be written: File name too long"):
+        store.claim_out(tmp_path / "a" / "b" / ("x" * 300))
+    assert files(tmp_path) == []
+
+
+def test_claim_of_a_folder_that_cannot_be_written(tmp_path, monkeypatch):
+    (tmp_path / "run.json").write_text("old")
+
+    def refuse(self, **options):
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(Path, "touch", refuse)
+    with pytest.raises(InputError, match="must be a folder that can be written: Permission denied"):
+        store.claim_out(tmp_path, overwrite=True)
+    with pytest.raises(InputError, match="Permission denied"):
+        store.claim_out(tmp_path / "new" / "run")
+    assert files(tmp_path) == ["run.json"]
+
+
+@pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() == 0, reason="root may write anywhere")
+def test_claim_of_a_read_only_folder(tmp_path):
+    folder = tmp_path / "fixed"
+    folder.mkdir(mode=0o555)
+    for path in (folder, folder / "run"):
+        with pytest.raises(InputError, match="Permission denied"):
+            store.claim_out(path)
+
+
+def test_default_out_is_unique(tmp_path):
+    now = datetime.datetime(2026, 11, 21, 9, 30, 42)
+    assert store.default_out("compare", now) == Path("runs/20261121T093042Z-compare")
+    names = []
+    for _ in range(3):
+        out = store.default_out("compare", now, root=tmp_path)
+        out.mkdir()
+        names.append(out.name)
+    assert names == ["20261121T093042Z-compare", "20261121T093042Z-compare-2", "20261121T093042Z-compare-3"]
+
+
+def test_default_out_is_in_utc():
+    zone = datetime.timezone(datetime.timedelta(hours=2))
+    assert store.default_out("x", datetime.datetime(2026, 1, 1, 1, 0, 0, tzinfo=zone)).name == "20251231T230000Z-x"
+    before = datetime.datetime.now(datetime.UTC).replace(microsecond=0, tzinfo=None)
+    stamp = datetime.datetime.strptime(store.default_out("x").name, "%Y%m%dT%H%M%SZ-x")
+    assert 0 <= (stamp - before).total_seconds() < 60
+
+
+def test_environment_is_json_and_names_what_matters(tmp_path):
+    found = store.environment()
+    store.write_json(found, tmp_path / "run.json")
+    assert json.loads((tmp_path / "run.json").read_text()) == found
+    assert found["numpy"] == np.__version__
+    assert found["pandas"] == pd.__version__
+    assert found["cpu_count"] >= 1
+    assert found["device_count"] >= 1
+    assert None not in (found["jexplore"], found["python"], found["jax"], found["jaxlib"], found["device"])
+
+
+def test_a_missing_package_is_none():
+    assert store._version("no-such-package-anywhere") is None

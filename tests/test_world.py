@@ -1,0 +1,329 @@
+"""World: the ring, padding, clearance, components, starts."""
+
+import networkx as nx
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+from scipy import ndimage
+
+from jexplore.config import InputError
+from jexplore.world import (
+    MAX_SIDE,
+    World,
+    check_start,
+    clear_cells,
+    draw_start,
+    draw_starts,
+    label_components,
+    occupancy_to_world,
+    pad,
+    start_region,
+    with_ring,
+)
+
+masks = hnp.arrays(bool, st.tuples(st.integers(1, 12), st.integers(1, 12)))
+
+
+def picture(*rows, **fields):
+    """A world from text, the first row at the top; `#` is occupied."""
+    return World(occupied=np.array([[c == "#" for c in row] for row in rows[::-1]]), **fields)
+
+
+def room(rows, cols, **fields):
+    """An empty room of so many free cells inside its ring."""
+    return with_ring(World(occupied=np.zeros((rows, cols), bool), **fields))
+
+
+# --- ring and padding
+
+
+def test_ring_is_added_and_everything_moves_along():
+    world = picture("..", ".#", start=(0, 1, 90), rooms=np.array([[0, 1], [2, -1]], np.int32), cell_m=0.5)
+    ringed = with_ring(world)
+    assert ringed.occupied.tolist() == [[1, 1, 1, 1], [1, 0, 1, 1], [1, 0, 0, 1], [1, 1, 1, 1]]
+    assert ringed.rooms.tolist() == [[-1, -1, -1, -1], [-1, 0, 1, -1], [-1, 2, -1, -1], [-1, -1, -1, -1]]
+    assert ringed.start == (1, 2, 90)
+    assert ringed.origin_m == (-0.5, -0.5)
+    assert ringed.free_m2 == world.free_m2 == 0.75
+
+
+@pytest.mark.parametrize("hole", [(0, 1), (2, 1), (1, 0), (1, 2)])
+def test_ring_is_added_for_one_hole_on_any_side_and_only_then(hole):
+    closed = picture("###", "#.#", "###")
+    assert with_ring(closed) is closed
+    occupied = closed.occupied.copy()
+    occupied[hole] = False
+    assert with_ring(World(occupied=occupied)).shape == (5, 5)
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 4), (4, 1)])
+def test_ring_of_the_smallest_worlds(shape):
+    assert with_ring(World(occupied=np.zeros(shape, bool))).shape == (shape[0] + 2, shape[1] + 2)
+    assert with_ring(World(occupied=np.ones(shape, bool))).shape == shape
+
+
+def test_ring_refuses_to_exceed_the_limit():
+    at_limit = World(occupied=np.zeros((1, MAX_SIDE - 2), bool))
+    assert with_ring(at_limit).shape == (3, MAX_SIDE)
+    with pytest.raises(InputError, match="4097 cells are more than 4096"):
+        with_ring(World(occupied=np.zeros((1, MAX_SIDE - 1), bool), name="long"))
+
+
+def test_pad_adds_at_the_top_and_the_right():
+    world = picture("###", "#.#", "###", rooms=np.zeros((3, 3), np.int32), start=(1, 1, 0))
+    padded = pad(world, (4, 5))
+    assert padded.shape == (4, 5)
+    assert (~padded.occupied).sum() == 1
+    assert not padded.occupied[1, 1]
+    assert padded.rooms[:3, :3].tolist() == [[0] * 3] * 3
+    assert (padded.rooms[3:] == -1).all()
+    assert (padded.rooms[:, 3:] == -1).all()
+    assert padded.start == (1, 1, 0)
+    assert padded.origin_m == world.origin_m
+
+
+@pytest.mark.parametrize("shape", [(2, 5), (5, 2), (5,), (5, 5, 5)])
+def test_pad_refuses_another_shape(shape):
+    with pytest.raises(ValueError, match="expected a shape of at least"):
+        pad(picture("###", "#.#", "###"), shape)
+
+
+# --- occupancy arrays
+
+
+def test_occupancy_follows_ros_and_unknown_is_occupied():
+    world = occupancy_to_world(np.array([[-1, 0, 25], [26, 100, 0]], np.int8), cell_m=0.2, origin_m=(1.0, 2.0))
+    assert world.occupied[1:-1, 1:-1].tolist() == [[1, 0, 0], [1, 1, 0]]
+    assert world.cell_m == 0.2
+    assert world.origin_m == pytest.approx((0.8, 1.8))
+    assert occupancy_to_world([[30, 60]], free_max=50).occupied[1].tolist() == [True, False, True, True]
+
+
+def test_occupancy_takes_bool_and_does_not_share_memory():
+    occupied = np.pad(np.zeros((1, 2), bool), 1, constant_values=True)
+    world = occupancy_to_world(occupied)
+    occupied[:] = True
+    assert world.occupied.tolist() == [[1] * 4, [1, 0, 0, 1], [1] * 4]
+
+
+@pytest.mark.parametrize(
+    ("occupancy", "line"),
+    [
+        (np.zeros((2, 2)), "got float64 of shape"),
+        (np.zeros(3, int), r"shape \(3,\)"),
+        (np.zeros((0, 3), int), r"shape \(0, 3\)"),
+        ([["a"]], "must be a matrix"),
+        ([[0, 101]], "got 0 to 101"),
+        ([[-2, 0]], "got -2 to 0"),
+        (np.array([[255, 0]], np.uint8), "got 0 to 255"),
+        ([[-1, 100]], "no cell is free"),
+        (np.zeros((1, 4097), np.int8), "more than 4096"),
+    ],
+)
+def test_bad_occupancy_is_refused(occupancy, line):
+    with pytest.raises(InputError, match=line) as error:
+        occupancy_to_world(occupancy, name="mine")
+    assert "\n" not in str(error.value)
+    assert "'mine'" in str(error.value)
+
+
+@pytest.mark.parametrize("cell_m", [0, -1, float("nan"), float("inf"), "a"])
+def test_bad_cell_is_refused(cell_m):
+    with pytest.raises(InputError, match="cell_m must be a number above 0"):
+        occupancy_to_world([[0]], cell_m=cell_m)
+
+
+# --- clearance
+
+
+def test_clearance_by_pencil():
+    occupied = np.zeros((5, 7), bool)
+    occupied[2, 3] = True
+    assert (~clear_cells(occupied, 0.10, 0.1)).astype(int).tolist() == [
+        [0, 0, 0, 0, 0, 0, 0],
+        [0, 0, 0, 1, 0, 0, 0],
+        [0, 0, 1, 1, 1, 0, 0],
+        [0, 0, 0, 1, 0, 0, 0],
+        [0, 0, 0, 0, 0, 0, 0],
+    ]
+    assert (~clear_cells(occupied, 0.15, 0.1)).sum() == 9  # d2 <= 2
+    assert (~clear_cells(occupied, 0.20, 0.1)).sum() == 13  # d2 <= 4
+    assert (~clear_cells(occupied, 0.0, 0.1)).sum() == 1
+
+
+@pytest.mark.parametrize("radius_m", [0.1, 0.2, 0.3, 0.6, 0.7])
+def test_a_radius_of_whole_cells_includes_the_cell_at_it(radius_m):
+    occupied = np.zeros((1, 20), bool)
+    occupied[0, 0] = True
+    n = round(radius_m * 10)
+    assert clear_cells(occupied, radius_m, 0.1).tolist() == [[False] * (n + 1) + [True] * (19 - n)]
+
+
+@settings(deadline=None, max_examples=60)
+@given(masks, st.sampled_from([0, 0.05, 0.1, 0.15, 0.3, 0.5, 3.0]))
+def test_clearance_equals_the_distance_transform(occupied, radius_m):
+    if occupied.any():
+        rows, cols = ndimage.distance_transform_edt(~occupied, return_distances=False, return_indices=True)
+        y, x = np.indices(occupied.shape)
+        expected = (rows - y) ** 2 + (cols - x) ** 2 > np.floor((radius_m / 0.1) ** 2 + 1e-3)
+    else:
+        expected = np.ones(occupied.shape, bool)
+    assert np.array_equal(clear_cells(occupied, radius_m, 0.1), expected)
+
+
+# --- components
+
+
+def test_components_by_pencil():
+    mask = np.array([[1, 0, 1, 1], [0, 1, 0, 1], [1, 1, 0, 1]], bool)
+    assert label_components(mask).tolist() == [[0, -1, 1, 1], [-1, 2, -1, 1], [2, 2, -1, 1]]
+
+
+def test_components_that_join_late():
+    comb = np.ones((9, 11), bool)
+    comb[:-1, 1::2] = False
+    assert np.array_equal(label_components(comb), np.where(comb, 0, -1))
+    spiral = np.array([[int(c) for c in row] for row in ("11111", "00001", "11101", "10001", "11111")], bool)
+    assert label_components(spiral).max() == 0
+
+
+@settings(deadline=None, max_examples=100)
+@given(masks)
+def test_components_equal_scipy_and_are_in_order(mask):
+    labels = label_components(mask)
+    expected, n = ndimage.label(mask)
+    assert labels.dtype == np.int32
+    assert np.array_equal(labels, expected - 1)  # scipy numbers them in scan order, too
+    assert labels.max(initial=-1) == n - 1
+
+
+@settings(deadline=None, max_examples=40)
+@given(masks)
+def test_components_are_what_the_robot_reaches_in_eight_directions(mask):
+    graph = nx.Graph()
+    cells = {(int(r), int(c)) for r, c in np.argwhere(mask)}
+    graph.add_nodes_from(cells)
+    for r, c in cells:
+        for dr, dc in ((0, 1), (1, 0), (1, 1), (1, -1)):
+            beside = {(r + dr, c), (r, c + dc)} - {(r, c)}
+            if (r + dr, c + dc) in cells and beside <= cells:
+                graph.add_edge((r, c), (r + dr, c + dc))
+    labels = label_components(mask)
+    for component in nx.connected_components(graph):
+        assert len({int(labels[cell]) for cell in component}) == 1
+    assert nx.number_connected_components(graph) == labels.max(initial=-1) + 1
+
+
+# --- starts
+
+
+def test_start_region_by_pencil():
+    world = room(5, 5)
+    expected = np.zeros((7, 7), bool)
+    expected[2:5, 2:5] = True
+    assert np.array_equal(start_region(world, 0.1), expected)
+    assert start_region(world, 0.3).sum() == 0
+    assert start_region(room(7, 7), 0.3).sum() == 1
+
+
+def test_start_region_is_the_largest_and_of_equals_the_first():
+    world = picture("########", "#..#...#", "########")
+    assert np.argwhere(start_region(world, 0))[:, 1].tolist() == [4, 5, 6]
+    world = picture("#######", "#..#..#", "#######")
+    assert np.argwhere(start_region(world, 0))[:, 1].tolist() == [1, 2]
+    world = picture("####", "#.##", "##.#", "####")  # corner to corner is no way
+    assert np.argwhere(start_region(world, 0)).tolist() == [[1, 2]]
+
+
+def test_a_start_depends_on_seed_and_number_alone():
+    world = room(6, 9)
+    starts = draw_starts(world, 7, 12, 0.1)
+    assert starts.dtype == np.int32
+    assert starts.shape == (12, 3)
+    assert np.array_equal(draw_starts(world, 7, 5, 0.1), starts[:5])
+    assert [draw_start(world, 7, i, 0.1) for i in range(12)] == [tuple(start) for start in starts.tolist()]
+    assert np.array_equal(draw_starts(pad(world, (40, 50)), 7, 12, 0.1), starts)
+    assert not np.array_equal(draw_starts(world, 8, 12, 0.1), starts)
+    assert draw_starts(world, 7, 0, 0.1).shape == (0, 3)
+
+
+def test_drawn_starts_are_uniform_over_cells_and_headings():
+    world = room(2, 3)
+    starts = draw_starts(world, 0, 2400, 0)
+    cells, counts = np.unique(starts[:, :2], axis=0, return_counts=True)
+    assert cells.tolist() == [[r, c] for r in (1, 2) for c in (1, 2, 3)]
+    assert abs(counts - 400).max() < 80  # 4 sigma is 73
+    headings, counts = np.unique(starts[:, 2], return_counts=True)
+    assert headings.tolist() == [0, 45, 90, 135, 180, 225, 270, 315]
+    assert abs(counts - 300).max() < 70
+
+
+def test_a_drawn_start_has_passed_the_check():
+    world = room(8, 8)
+    for start in draw_starts(world, 3, 10, 0.2).tolist():
+        assert check_start(world, start, 0.2) == tuple(start)
+
+
+def test_drawing_without_room_or_with_a_bad_seed_is_refused():
+    with pytest.raises(InputError, match=r"'closet': no cell has more than 0.3 m of clearance"):
+        draw_start(room(5, 5, name="closet"), 0, 0, 0.3)
+    with pytest.raises(InputError, match="no cell has more than"):
+        draw_starts(room(5, 5), 0, 3, 0.3)
+    with pytest.raises(InputError, match="at least 0, got seed -1"):
+        draw_start(room(5, 5), -1, 0, 0)
+    with pytest.raises(InputError, match="number -1"):
+        draw_start(room(5, 5), 0, -1, 0)
+
+
+def test_a_given_start_is_made_plain():
+    assert check_start(room(9, 9), (np.int32(5), np.int64(5), -45), 0.3) == (5, 5, 315)
+    assert check_start(room(9, 9), [5, 5, 720], 0.3) == (5, 5, 0)
+
+
+@pytest.mark.parametrize(
+    ("start", "line"),
+    [
+        ((11, 5, 0), r"lies outside; rows are 0 to 10, columns 0 to 10"),
+        ((5, -1, 0), "lies outside"),
+        ((0, 5, 0), "lies in a wall"),
+        ((5, 5, 30), "multiple of 45 degrees, got 30"),
+        ((5, 5), "three integers"),
+        ((5.5, 5, 0), "three integers"),
+        (7, "three integers"),
+        ("abc", "three integers"),
+    ],
+)
+def test_a_bad_start_is_refused(start, line):
+    with pytest.raises(InputError, match=line) as error:
+        check_start(room(9, 9, name="hall"), start, 0.3)
+    assert "\n" not in str(error.value)
+
+
+def test_a_start_beside_a_wall_may_leave_over_near_cells_only():
+    world = room(9, 30)  # clear at 0.3 m: rows 4 to 6, columns 4 to 27
+    assert check_start(world, (1, 1, 0), 0.3, near_m=0.5) == (1, 1, 0)  # (4, 4) lies 0.42 m away
+    with pytest.raises(InputError, match=r"is enclosed; no cell with more than 0.3 m"):
+        check_start(world, (1, 1, 0), 0.3, near_m=0.2)
+
+
+def test_a_start_behind_a_wall_is_enclosed_however_near_clear_cells_are():
+    world = picture(
+        "#########",
+        "#.#.....#",
+        "#.#.....#",
+        "###.....#",
+        "#########",
+    )
+    assert check_start(world, (2, 4, 0), 0) == (2, 4, 0)
+    assert check_start(world, (2, 1, 0), 0) == (2, 1, 0)  # the other cell of the closet is clear at radius 0
+    with pytest.raises(InputError, match="is enclosed"):
+        check_start(world, (2, 1, 0), 0.1)
+
+
+def test_the_only_clear_cell_is_enclosed_by_definition():
+    with pytest.raises(InputError, match="is enclosed"):
+        check_start(room(7, 7), (4, 4, 0), 0.3)
+    with pytest.raises(InputError, match="is enclosed"):
+        check_start(picture("###", "#.#", "###"), (1, 1, 0), 0)
