@@ -27,8 +27,8 @@ def pack(mask):
     return words
 
 
-def unpack(words, height):
-    """The mask that `pack` packed: `[height, W]` bool."""
+def unpack(words, height=None):
+    """The mask that `pack` packed: `[height, W]` bool; by default with all 32 rows of every word."""
     n, width = words.shape
     shift = lax.broadcasted_iota(jnp.uint32, (n, WORD, width), 1)
     return ((words[:, None, :] >> shift) & 1 != 0).reshape(n * WORD, width)[:height]
@@ -39,19 +39,17 @@ def shifted(words, drow, dcol):
 
     Args:
       words: `[K, W]` uint32.
-      drow, dcol: int, |drow| < 32. Static.
+      drow, dcol: int. Static.
 
     Returns:
       `[K, W]` uint32.
     """
     n, width = words.shape
-    if dcol:
-        padded = jnp.pad(words, ((0, 0), (max(-dcol, 0), max(dcol, 0))))
-        words = padded[:, max(dcol, 0) : max(dcol, 0) + width]
-    if drow > 0:
-        above = jnp.pad(words, ((0, 1), (0, 0)))[1:]
-        words = (words >> drow) | (above << (WORD - drow))
-    elif drow < 0:
-        below = jnp.pad(words, ((1, 0), (0, 0)))[:n]
-        words = (words << -drow) | (below >> (WORD + drow))
-    return words
+    whole, rest = divmod(drow, WORD)
+    before, after = max(-whole, 0), max(whole + 1, 0)
+    left, right = min(max(-dcol, 0), width), min(max(dcol, 0), width)
+    padded = jnp.pad(words, ((before, after), (left, right)))
+    rows = padded[whole + before : whole + before + n + 1, right : right + width]
+    if not rest:
+        return rows[:n]
+    return (rows[:n] >> rest) | (rows[1:] << (WORD - rest))

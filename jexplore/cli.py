@@ -82,6 +82,7 @@ class _Progress:
                 total=self.total,
                 initial=done,
                 unit=f" {self.unit}",
+                bar_format="{l_bar}{bar}| {n_fmt}/{total_fmt}{unit} [{elapsed}<{remaining}, {rate_noinv_fmt}]",
                 delay=PATIENCE_S,
                 mininterval=0.5,
                 leave=False,
@@ -219,9 +220,11 @@ def _compare(options, arguments):
 
 def _explore(options, arguments):
     from jexplore import plot, store
-    from jexplore.replay import MAX_FRAMES, prepare_job, run_job
+    from jexplore.preflight import require_integer
+    from jexplore.replay import prepare_job, run_job
 
     out = _Out(options, "explore")
+    require_integer("frames", options.frames, 1, 10_000)
     job = prepare_job(
         options.world,
         options.strategy,
@@ -235,11 +238,11 @@ def _explore(options, arguments):
         found = run_job(job, options.lidar, options.episode)
     measures = {"world": found.world.name, "strategy": found.strategy, **found.measures}
     record = out.record(arguments, options, result=measures, compile_s=found.compile_s, run_s=found.run_s)
-    with _progress(min(len(found.final.rows), MAX_FRAMES), "frames") as progress:
+    with _progress(min(len(found.final.rows), options.frames), "frames") as progress:
         wrote = out.write(
             {
                 "episode.png": lambda path: plot.save_figure(found.figure(), path),
-                "episode.gif": lambda path: found.save_gif(path, on_progress=progress.step),
+                "episode.gif": lambda path: found.save_gif(path, max_frames=options.frames, on_progress=progress.step),
                 "run.json": lambda path: store.write_json(record, path),
             }
         )

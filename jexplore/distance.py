@@ -75,16 +75,11 @@ def within(mask, d2):
 
     Args:
       mask: `[H, W]` bool.
-      d2: largest squared distance that counts, cells^2 (see `grid.radius_d2`). Static, below 1024.
+      d2: largest squared distance that counts, cells^2 (see `grid.radius_d2`). Static.
 
     Returns:
       `[H, W]` bool. Outside the map counts as False.
-
-    Raises:
-      ValueError: while tracing, if the distance does not fit.
     """
-    if not 0 <= d2 < bits.WORD**2:
-        raise ValueError(f"expected 0 <= d2 < {bits.WORD**2}, got {d2}")
     return bits.unpack(within_packed(bits.pack(mask), d2), mask.shape[0])
 
 

@@ -9,12 +9,14 @@ import jax.numpy as jnp
 from flax import struct
 from jax import Array, lax
 
-from jexplore.distance import within
-from jexplore.frontier import traversable_cells
+from jexplore import bits
+from jexplore.control import stored
+from jexplore.distance import within_packed
+from jexplore.frontier import disc
 from jexplore.grid import count, empty_grid, is_known
 from jexplore.navigate import Belief
 from jexplore.raycast import disturb, fold, scan
-from jexplore.reach import FAR, NO_MOTION, reach
+from jexplore.reach import FAR, NO_MOTION, reach_packed
 from jexplore.robot import motion_step, turn_between
 
 PERCENTILES = (50, 90, 95, 99)
@@ -138,7 +140,7 @@ class State:
 def _known_nearby(grid, row, col, window):
     """Known cells in the square that a scan can change: int32."""
     shape = tuple(min(n, 2 * window + 1) for n in grid.hits.shape)
-    start = (row - window, col - window)  # clamped to the map by the slice
+    start = jnp.maximum(row - window, 0), jnp.maximum(col - window, 0)  # a slice clamps at the far edge, but wraps at the near one
     hits, misses = (lax.dynamic_slice(a, start, shape) for a in (grid.hits, grid.misses))
     return count((hits | misses) != 0)
 
@@ -152,15 +154,10 @@ def _sense(key, setup, truth, beams, numbers, state):
         key = jax.random.fold_in(jax.random.fold_in(key, Stream.SENSOR), state.scans)
         noise = {"sigma_cells": numbers.sigma_cells, "dropout": numbers.dropout}
         seen = disturb(key, seen, *where, belief.heading, beams, belief.extent, **noise)
-    # The known cells are counted before and after in a loop of one turn: its results are stored, while a sum that is used
-    # in many places would be made anew in each, and would keep a copy of the map as it was.
-    def counted(state):
-        _, known, grid = state
-        outside = known - _known_nearby(grid, *where, setup.window)
-        return False, outside, grid
-
-    _, outside, grid = lax.while_loop(lambda s: s[0], counted, (state.walking | (state.scans >= 0), state.known, belief.grid))
-    grid = fold(grid, *where, belief.heading, seen, beams)
+    # Counted before and after in the square that the scan can change. The count before is added where it changes nothing
+    # (it is never negative), so that it comes before the update, which can then be made in place.
+    outside = stored(state.scans >= 0, lambda: state.known - _known_nearby(belief.grid, *where, setup.window))
+    grid = fold(belief.grid, belief.row + jnp.minimum(outside, 0), belief.col, belief.heading, seen, beams)
     known = outside + _known_nearby(grid, *where, setup.window)
     return state.replace(belief=belief.replace(grid=grid), scans=state.scans + 1, known=known)
 
@@ -303,9 +300,12 @@ def run(key, setup, truth, beams, numbers, start):
     row, col, heading = start
     shape = truth.occupied.shape
     flags = jnp.zeros(shape, bool)
-    clear = ~truth.occupied & ~within(truth.occupied, setup.clearance_d2)
-    around = traversable_cells(clear, ~truth.occupied, flags, row, col, numbers.near_d2)
-    goal = clear & (reach(around, row, col) < FAR)
+    free, walls, near = stored(
+        row >= 0, lambda: [bits.pack(m) for m in (~truth.occupied, truth.occupied, disc(shape, row, col, numbers.near_d2))]
+    )
+    clear = free & ~within_packed(walls, setup.clearance_d2)
+    around = clear | (free & near)
+    goal = (bits.unpack(clear) & (reach_packed(around, row, col) < FAR))[: shape[0]]
     rows, cols = (lax.broadcasted_iota(jnp.int32, shape, axis) for axis in (0, 1))
     stuck = truth.occupied[row, col] | ~jnp.any(goal & ((rows != row) | (cols != col)))
 

@@ -1,12 +1,16 @@
 """Where a robot may go and where the unknown begins: clear, traversable and frontier cells, and clusters of frontier cells."""
 
+from typing import NamedTuple
+
 import jax
 import jax.numpy as jnp
-from jax import Array, lax
 from flax import struct
+from jax import Array, lax
 
-from jexplore.distance import within
-from jexplore.grid import any_within_one, is_free, is_known, is_occupied
+from jexplore import bits
+from jexplore.control import stored
+from jexplore.distance import within, within_packed
+from jexplore.grid import any_within_one, any_within_one_packed, is_free, is_known, is_occupied
 
 
 def clear_cells(grid, *, p_free, clearance_d2):
@@ -26,6 +30,22 @@ def clear_cells(grid, *, p_free, clearance_d2):
     return is_free(grid, p_free) & ~within(is_occupied(grid, p_free), clearance_d2)
 
 
+def disc(shape, row, col, d2):
+    """Cells within a distance of a cell.
+
+    Args:
+      shape: `(H, W)`. Static.
+      row, col: int32; may lie outside.
+      d2: largest squared distance that counts, cells^2; scalar.
+
+    Returns:
+      `[H, W]` bool.
+    """
+    rows = lax.broadcasted_iota(jnp.int32, shape, 0)
+    cols = lax.broadcasted_iota(jnp.int32, shape, 1)
+    return (rows - row) ** 2 + (cols - col) ** 2 <= d2
+
+
 def traversable_cells(clear, free, driven, row, col, near_d2):
     """Cells that a path may use: clear ones, free ones near the robot, and the way that the robot has driven.
 
@@ -39,10 +59,7 @@ def traversable_cells(clear, free, driven, row, col, near_d2):
     Returns:
       `[H, W]` bool.
     """
-    rows = lax.broadcasted_iota(jnp.int32, clear.shape, 0)
-    cols = lax.broadcasted_iota(jnp.int32, clear.shape, 1)
-    near = (rows - row) ** 2 + (cols - col) ** 2 <= near_d2
-    return clear | (free & near) | driven
+    return clear | (free & disc(clear.shape, row, col, near_d2)) | driven
 
 
 def frontier_cells(clear, grid, inside):
@@ -60,6 +77,43 @@ def frontier_cells(clear, grid, inside):
       Holz et al. 2010, equation 2. Changed: unknown is "never observed", not p = 0.5.
     """
     return clear & any_within_one(~is_known(grid) & inside)
+
+
+class Masks(NamedTuple):
+    """What a plan needs to know of every cell, packed (see bits.py)."""
+
+    traversable: Array  # [ceil(H / 32), W] uint32
+    frontier: Array  # [ceil(H / 32), W] uint32, exhausted targets left out
+
+
+def plan_masks(grid, driven, exhausted, inside, row, col, *, p_free, near_d2, clearance_d2):
+    """Traversable and frontier cells at once, as `clear_cells`, `traversable_cells` and `frontier_cells` define them.
+
+    Args:
+      grid: `Grid`, `[H, W]`.
+      driven, exhausted, inside: `[H, W]` bool.
+      row, col: int32, the robot's cell, inside the arrays.
+      p_free, near_d2: scalars.
+      clearance_d2: cells^2. Static.
+
+    Returns:
+      `Masks`.
+    """
+    shape = driven.shape
+
+    def pack_all():
+        cells = is_occupied(grid, p_free), is_known(grid), driven, exhausted, inside, disc(shape, row, col, near_d2)
+        return [bits.pack(mask) for mask in cells]
+
+    occupied, known, driven, exhausted, inside, near = stored(row >= 0, pack_all)
+
+    def judge():
+        free = known & ~occupied
+        clear = free & ~within_packed(occupied, clearance_d2)
+        frontier = clear & any_within_one_packed(inside & ~known) & ~exhausted
+        return Masks(clear | (free & near) | driven, frontier)
+
+    return stored(row >= 0, judge)
 
 
 @struct.dataclass

@@ -10,12 +10,13 @@ import jax.numpy as jnp
 from flax import struct
 from jax import Array, lax
 
-from jexplore.frontier import clear_cells, frontier_cells, traversable_cells
-from jexplore.grid import Grid, is_free, lowest
-from jexplore.reach import FAR, STRAIGHT, lay_route, reach, saturated, wave
+from jexplore import bits
+from jexplore.control import run_if, stored
+from jexplore.frontier import plan_masks
+from jexplore.grid import Grid, lowest
+from jexplore.reach import FAR, STRAIGHT, lay_route, reach_packed, saturated, wave_packed
 
-WAVES = (16, 32)  # half widths of the windows that a wavefront searches, cells
-SWEEP = 91  # half width of the window that raster sweeps fill
+WAVE, SWEEP = 64, 128  # sides of the windows that a wavefront and raster sweeps search, cells
 
 
 @struct.dataclass
@@ -53,17 +54,15 @@ class Field:
     candidates: Array  # [H, W] bool, reachable frontier cells that are not exhausted
 
 
-def _masks(belief, origin):
-    """Traversable and frontier cells of a belief, or of a window of it that begins at `origin`."""
-    clear = clear_cells(belief.grid, p_free=belief.p_free, clearance_d2=belief.clearance_d2)
-    free = is_free(belief.grid, belief.p_free)
-    traversable = traversable_cells(
-        clear, free, belief.driven, belief.row - origin[0], belief.col - origin[1], belief.near_d2
-    )
-    rows = lax.broadcasted_iota(jnp.int32, clear.shape, 0) + origin[0]
-    cols = lax.broadcasted_iota(jnp.int32, clear.shape, 1) + origin[1]
+def _masks(belief, origin=(0, 0)):
+    """`frontier.Masks` of a belief, or of a window of it that begins at `origin`."""
+    rows = lax.broadcasted_iota(jnp.int32, belief.driven.shape, 0) + origin[0]
+    cols = lax.broadcasted_iota(jnp.int32, belief.driven.shape, 1) + origin[1]
     inside = (rows < belief.extent[0]) & (cols < belief.extent[1])
-    return traversable, frontier_cells(clear, belief.grid, inside) & ~belief.exhausted, rows, cols
+    return plan_masks(
+        belief.grid, belief.driven, belief.exhausted, inside, belief.row - origin[0], belief.col - origin[1],
+        p_free=belief.p_free, near_d2=belief.near_d2, clearance_d2=belief.clearance_d2,
+    )  # fmt: skip
 
 
 def field(belief, *, nearest_only=False):
@@ -79,9 +78,11 @@ def field(belief, *, nearest_only=False):
     Source:
       Holz et al. 2010, Figure 3, steps 1 to 4.
     """
-    traversable, frontier, _, _ = _masks(belief, (0, 0))
-    cost = reach(traversable, belief.row, belief.col, frontier if nearest_only else None)
-    return Field(traversable, cost, frontier & (cost < FAR))
+    height = belief.driven.shape[0]
+    masks = _masks(belief)
+    traversable, frontier = bits.unpack(masks.traversable), bits.unpack(masks.frontier)
+    cost = reach_packed(masks.traversable, belief.row, belief.col, frontier if nearest_only else None)
+    return Field(traversable[:height], cost[:height], (frontier & (cost < FAR))[:height])
 
 
 def _first_at(mask):
@@ -109,10 +110,7 @@ def choose(belief, route, known, row, col):
     route = lay_route(route, known.cost, known.traversable, start, target, (0, 0))
     cost = jnp.where(none, FAR, known.cost[target])
 
-    def rim(_):
-        return False, saturated(known.cost, known.traversable)
-
-    _, out_of_reach = lax.while_loop(lambda s: s[0], rim, (none, jnp.int32(0)))
+    out_of_reach = run_if(none, lambda _: saturated(known.cost, known.traversable), jnp.int32(0))
     return Choice(row, col, cost, out_of_reach), route
 
 
@@ -125,12 +123,16 @@ def _nearest_in_map(belief, route):
     return choose(belief, route, known, jnp.where(none, -1, row), jnp.where(none, -1, col))
 
 
-def _nearest_in_window(belief, route, radius, swept):
-    """The nearest frontier if a window settles it: `(undecided, choice, route)`. By a wavefront, or by raster sweeps."""
+def _nearest_in_window(belief, route, side, swept):
+    """The nearest frontier if a window settles it: `(undecided, choice, route)`. By a wavefront, or by raster sweeps.
+
+    Windows are as wide as a power of two, because flat indices are then cheap to take apart.
+    """
     halo = math.isqrt(belief.clearance_d2) + 1  # what decides about a cell of the window may lie this far outside it
-    shape = tuple(min(n, 2 * (radius + halo) + 1) for n in belief.driven.shape)
+    radius = side // 2 - halo - 1
+    shape = tuple(min(n, side) for n in belief.driven.shape)
     origin = tuple(
-        jnp.clip(at - radius - halo, 0, full - n)
+        jnp.clip(at - side // 2, 0, full - n)
         for at, full, n in zip((belief.row, belief.col), belief.driven.shape, shape)
     )
 
@@ -142,22 +144,23 @@ def _nearest_in_window(belief, route, radius, swept):
         driven=cut(belief.driven),
         exhausted=cut(belief.exhausted),
     )
-    traversable, frontier, rows, cols = _masks(window, origin)
-    central = (jnp.abs(rows - belief.row) <= radius) & (jnp.abs(cols - belief.col) <= radius)
-    traversable, frontier = traversable & central, frontier & central
     row, col = belief.row - origin[0], belief.col - origin[1]
+    rows, cols = (jnp.abs(lax.broadcasted_iota(jnp.int32, shape, axis) - at) for axis, at in ((0, row), (1, col)))
+    masks = _masks(window, origin)
+    central = stored(row >= 0, lambda: bits.pack((rows <= radius) & (cols <= radius)))
+    words, frontier = masks.traversable & central, bits.unpack(masks.frontier & central)
     # Every path that leaves the window costs more than `radius` straight steps: what costs no more is final.
     bound = radius * STRAIGHT
     if swept:
-        cost = reach(traversable, row, col, frontier)
+        cost = reach_packed(words, row, col, frontier)
         best = lowest(jnp.where(frontier, cost, FAR))
         decided = best <= bound
     else:
-        cost, best, settled = wave(traversable, frontier, row, col, bound)
+        cost, best, settled = wave_packed(words, frontier, row, col, bound)
         decided = best <= jnp.minimum(settled, bound)
     at_row, at_col = _first_at(frontier & (cost == best))
     target = (jnp.where(decided, at_row + origin[0], belief.row), jnp.where(decided, at_col + origin[1], belief.col))
-    route = lay_route(route, cost, traversable, (belief.row, belief.col), target, origin)
+    route = lay_route(route, cost, bits.unpack(words), (belief.row, belief.col), target, origin)
     return ~decided, Choice(target[0], target[1], best, jnp.int32(0)), route
 
 
@@ -176,25 +179,13 @@ def nearest_frontier(belief, route):
     """
     none = jnp.int32(-1)
     state = (jnp.bool_(True), Choice(none, none, jnp.int32(FAR), jnp.int32(0)), route)
-    for radius, swept in (*((radius, False) for radius in WAVES), (SWEEP, True)):
-        if 2 * radius < max(route.shape) - 16:  # else the whole map is hardly more work
+    for side, swept in ((WAVE, False), (SWEEP, True)):
+        # A window must be larger than the clearance, and pays only where the whole map is much more work.
+        if side > 4 * math.isqrt(belief.clearance_d2) and side < max(route.shape):
 
-            def search(route, radius=radius, swept=swept):
-                return _nearest_in_window(belief, route, radius, swept)
+            def search(state, side=side, swept=swept):
+                return _nearest_in_window(belief, state[2], side, swept)
 
-            state = _if_undecided(search, state)
-    _, choice, route = _if_undecided(lambda route: (False, *_nearest_in_map(belief, route)), state)
+            state = run_if(state[0], search, state)
+    _, choice, route = run_if(state[0], lambda state: (False, *_nearest_in_map(belief, state[2])), state)
     return choice, route
-
-
-def _if_undecided(search, state):
-    """`search(route)` unless the state `(undecided, choice, route)` is decided already.
-
-    A loop of at most one turn instead of a condition: a loop's buffers are updated in place, a condition's are copied.
-    """
-    undecided, choice, route = state
-
-    def once(state):
-        return (False, *search(state[3]))
-
-    return lax.while_loop(lambda s: s[0], once, (undecided, undecided, choice, route))[1:]

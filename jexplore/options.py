@@ -28,7 +28,7 @@ def _default_worlds():
 
 
 def _default_episodes():
-    return 5 if _is_small() else 20
+    return 5 if _is_small() else 12
 
 
 _Names = Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME [NAME ...]")]
@@ -82,6 +82,8 @@ class Explore:
     """Edge of a cell, metres."""
     start: Annotated[str, tyro.conf.arg(metavar="{random,world,ROW,COL,HEADING_DEG}")] = "random"
     """A start drawn from the seed, the world's own, or a cell and a heading that is a multiple of 45."""
+    frames: int = 300
+    """Frames of the animation at most, evenly spaced."""
     out: _Out = None
     """Folder to write."""
     overwrite: bool = False
@@ -145,14 +147,24 @@ def parse(arguments):
         hint = f" (did you mean {near[0]!r}?)" if near else ""
         what = "expected a command first" if name.startswith("-") else "unknown command"
         raise InputError(f"{what}: {name!r}; there are {', '.join(COMMANDS)}{hint}")
-    said = io.StringIO()
+
+    def read():
+        return tyro.cli(COMMANDS[name], prog=f"jexplore {name}", args=rest, config=(tyro.conf.FlagCreatePairsOff,))
+
+    said = _Page()
     try:
-        with contextlib.redirect_stderr(said):
-            return tyro.cli(COMMANDS[name], prog=f"jexplore {name}", args=rest, config=(tyro.conf.FlagCreatePairsOff,))
+        with contextlib.redirect_stderr(said), contextlib.redirect_stdout(said):
+            return read()
     except SystemExit as end:
-        if not end.code:
-            raise
-        raise InputError(one_line(said.getvalue()) or f"wrong options for {name}") from None
+        if end.code:
+            raise InputError(one_line(said.getvalue()) or f"wrong options for {name}") from None
+    return read()  # help was asked for: once more, now in the terminal's width and colours
+
+
+class _Page(io.StringIO):
+    """Takes what tyro prints, for which it looks like a file: no colours, and the frames that `one_line` knows."""
+
+    encoding = "utf-8"
 
 
 _REWORDED = (
@@ -164,7 +176,7 @@ _REWORDED = (
         r"\1 must be an integer, got \2",
     ),
     (r"^Error parsing ", ""),
-    (r"^invalid choice (.*) for argument '(.*)'\. Expected one of \((.*)\)\.$", r"\2 must be one of \3, got \1"),
+    (r"^invalid choice (.*) for argument '(.*)'\. Expected one of \((.*)\) ?\.$", r"\2 must be one of \3, got \1"),
     (r"^Missing value for argument '(.*)'\..*$", r"\1 needs a value"),
     (r"^Unrecognized options: (\S+?)(, .*)?$", r"unknown option \1"),
 )

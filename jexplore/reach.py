@@ -10,6 +10,7 @@ import jax.numpy as jnp
 from jax import lax
 
 from jexplore import bits
+from jexplore.control import stored
 from jexplore.grid import beside, bordered, count, lowest
 
 STRAIGHT = 2**16
@@ -28,13 +29,13 @@ def _motions_into(words):
     return [words] * 4 + diagonal
 
 
-def _barriers(traversable):
-    """For each motion 0 where a robot can make it into the cell and FAR where it cannot: list of 8 `[H, W]` int32.
+def _barriers(words):
+    """For each motion 0 where a robot can make it into the cell and FAR where it cannot: list of 8 `[32 K, W]` int32.
 
     As a floor under the cost after the motion (a maximum), never as a summand: two FARs would overflow.
     """
-    possible = _motions_into(bits.pack(traversable))
-    straight, *diagonal = (jnp.where(bits.unpack(m, traversable.shape[0]), 0, FAR) for m in possible[3:])
+    possible = stored(words[0, 0] >= 0, lambda: _motions_into(words)[3:])
+    straight, *diagonal = (jnp.where(bits.unpack(m), 0, FAR) for m in possible)
     return [straight] * 4 + diagonal
 
 
@@ -74,7 +75,15 @@ def wave(traversable, goals, row, col, bound):
     Source:
       Bellman and Ford's relaxation; after t rounds every path of cost t straight steps, which has at most t motions, is in.
     """
-    barriers = _barriers(traversable)
+    words = bits.pack(traversable)
+    goals = jnp.pad(goals, ((0, bits.WORD * words.shape[0] - goals.shape[0]), (0, 0)))
+    cost, best, settled = wave_packed(words, goals, row, col, bound)
+    return cost[: traversable.shape[0]], best, settled
+
+
+def wave_packed(words, goals, row, col, bound):
+    """`wave` with packed traversable cells, `[K, W]` uint32; goals and costs are `[32 K, W]`."""
+    barriers = _barriers(words)
 
     def under_way(state):
         settled, _, best, changed = state
@@ -88,7 +97,7 @@ def wave(traversable, goals, row, col, bound):
         return settled + ROUNDS * STRAIGHT, new, best, changed
 
     first = jnp.where(goals[row, col], 0, FAR)
-    start = (jnp.int32(0), _source(traversable.shape, row, col), first, True)
+    start = (jnp.int32(0), _source(goals.shape, row, col), first, True)
     settled, cost, best, changed = lax.while_loop(under_way, grow, start)
     return cost, best, jnp.where(changed, settled, FAR)
 
@@ -100,21 +109,19 @@ def _sweep(cost, barriers, reverse):
 
     Args:
       cost: `[H + 2, W + 2]` int32, with a border of FAR.
-      barriers: three `[H, W]`: straight ahead, ahead and to higher columns, ahead and to lower columns.
+      barriers: `[H, W]` int32, straight ahead; or three of them: also ahead and to higher columns, to lower columns.
       reverse: whether rows are taken from the last to the first. Static.
     """
-    straight, up, down = barriers
-    height, width = straight.shape
+    height, width = barriers[0].shape
 
     def row(i, cost):
         at = height - 1 - i if reverse else i
         before = lax.dynamic_slice(cost, (at + 2 if reverse else at, 0), (1, width + 2))
-        here = lax.dynamic_slice(cost, (at + 1, 1), (1, width))
-        ahead, to_higher, to_lower = (lax.dynamic_slice(b, (at, 0), (1, width)) for b in (straight, up, down))
-        best = jnp.maximum(before[:, 1:-1] + STRAIGHT, ahead)
-        best = jnp.minimum(best, jnp.maximum(before[:, :-2] + DIAGONAL, to_higher))
-        best = jnp.minimum(best, jnp.maximum(before[:, 2:] + DIAGONAL, to_lower))
-        return lax.dynamic_update_slice(cost, jnp.minimum(here, best), (at + 1, 1))
+        best = lax.dynamic_slice(cost, (at + 1, 1), (1, width))
+        steps = (before[:, 1:-1] + STRAIGHT, before[:, :-2] + DIAGONAL, before[:, 2:] + DIAGONAL)
+        for step, barrier in zip(steps, barriers):
+            best = jnp.minimum(best, jnp.maximum(step, lax.dynamic_slice(barrier, (at, 0), (1, width))))
+        return lax.dynamic_update_slice(cost, best, (at + 1, 1))
 
     return lax.fori_loop(0, height, row, cost)
 
@@ -141,22 +148,39 @@ def reach(traversable, row, col, goals=None):
     """
     if traversable.ndim != 2 or traversable.dtype != bool:
         raise ValueError(f"expected traversable: [H, W] bool, got {traversable.shape} {traversable.dtype}")
-    straight, (ne, nw, sw, se) = (b := _barriers(traversable))[0], b[4:]
-    ahead = (straight, ne, nw), (straight, se, sw)
-    across = tuple(b.T for b in (straight, ne, se)), tuple(b.T for b in (straight, nw, sw))  # rows and columns exchanged
+    words = bits.pack(traversable)
+    if goals is not None:
+        goals = jnp.pad(goals, ((0, bits.WORD * words.shape[0] - goals.shape[0]), (0, 0)))
+    return reach_packed(words, row, col, goals)[: traversable.shape[0]]
+
+
+def reach_packed(words, row, col, goals=None):
+    """`reach` with packed traversable cells.
+
+    Args:
+      words: `[K, W]` uint32.
+      row, col: int32, start.
+      goals: `[32 K, W]` bool, or None.
+
+    Returns:
+      `[32 K, W]` int32.
+    """
+    straight, (ne, nw, sw, se) = (b := _barriers(words))[0], b[4:]
+    across = (straight.T,)  # rows and columns exchanged: east is ahead
 
     def sweep(state):
         cost, _, n = state
-        new = _sweep(_sweep(cost.T, across[0], reverse=False), across[1], reverse=True).T
-        new = _sweep(_sweep(new, ahead[0], reverse=False), ahead[1], reverse=True)
+        new = _sweep(_sweep(cost.T, across, reverse=False), across, reverse=True).T
+        new = _sweep(_sweep(new, (straight, ne, nw), reverse=False), (straight, se, sw), reverse=True)
         # Costs depend on cheaper costs only: once no cost below the best goal's changes any more, the best goals are settled.
         change = lowest(jnp.where(new != cost, new, FAR))
         best = FAR if goals is None else lowest(jnp.where(goals, new[1:-1, 1:-1], FAR))
         return new, change < best, n + 1
 
     # A path of n cells is settled after at most n sweeps.
-    cost = bordered(_source(traversable.shape, row, col), FAR)
-    cost, _, _ = lax.while_loop(lambda s: s[1] & (s[2] < traversable.size), sweep, (cost, True, jnp.int32(0)))
+    height, width = straight.shape
+    cost = _source((height + 2, width + 2), row + 1, col + 1)
+    cost, _, _ = lax.while_loop(lambda s: s[1] & (s[2] < height * width), sweep, (cost, True, jnp.int32(0)))
     return cost[1:-1, 1:-1]
 
 

@@ -85,7 +85,7 @@ def test_summary_markdown_and_warnings(found):
     assert found.summary["ratio"][0] == 1.0
     assert found.summary["mean"][0] == pytest.approx(found.episodes["path_m"][:4].mean())
     assert found.to_markdown() == stats.markdown_table(found.summary) == found._repr_markdown_()
-    assert found.warnings == []
+    assert found.warnings == stats.warnings_of(found.episodes)
     assert found.episodes_per_s == pytest.approx(24 / found.run_s)
     assert "3 strategies in 2 worlds, 24 episodes" in repr(found)
 

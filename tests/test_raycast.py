@@ -54,7 +54,7 @@ def test_one_scan_by_hand():
         "??#????",
         "??.????",
         "??.????",
-        "#....??",  # ahead the range of 3 cells ends the beam after 3 cells entered
+        "#.....?",  # ahead the range of 3 cells ends the beam after 3 cells entered
         "??#????",
     ]
     assert hits.max() == 1
@@ -62,7 +62,7 @@ def test_one_scan_by_hand():
         .......
         ..#....
         ..#....
-        .####..
+        .#####.
         .......
     """)
     np.testing.assert_array_equal(misses, by_hand)  # one miss each, the robot's own cell too

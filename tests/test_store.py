@@ -273,3 +273,50 @@ def test_environment_is_json_and_names_what_matters(tmp_path):
 
 def test_a_missing_package_is_none():
     assert store._version("no-such-package-anywhere") is None
+
+
+def test_check_leaves_everything_as_it_is(tmp_path):
+    store.check_out(tmp_path / "a" / "b")
+    assert list(tmp_path.iterdir()) == []
+    (tmp_path / "run.json").write_text("{}")
+    with pytest.raises(InputError, match="holds a run"):
+        store.check_out(tmp_path)
+    store.check_out(tmp_path, overwrite=True)
+    assert [path.name for path in tmp_path.iterdir()] == ["run.json"]
+
+
+def test_a_run_is_written_whole(tmp_path):
+    out = tmp_path / "a" / "b"
+    writers = {"run.json": lambda path: path.write_text("new"), "paths.png": lambda path: path.write_text("new")}
+    assert store.write_run(out, writers) == out
+    (out / "compare.png").write_text("old")
+    (out / "notes.txt").write_text("mine")
+    with pytest.raises(InputError, match="holds a run"):
+        store.write_run(out, writers)
+    store.write_run(str(out), {"run.json": lambda path: path.write_text("newer")}, overwrite=True)
+    assert {path.name: path.read_text() for path in out.iterdir()} == {"run.json": "newer", "notes.txt": "mine"}
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, ValueError, InputError])
+def test_a_run_that_fails_in_the_middle_leaves_everything_as_it_was(tmp_path, error):
+    def fails(path):
+        path.write_text("half")
+        raise error
+
+    writers = {"run.json": lambda path: path.write_text("new"), "paths.png": fails}
+    with pytest.raises(error):
+        store.write_run(tmp_path / "new" / "run", writers)
+    assert list(tmp_path.iterdir()) == []
+    (tmp_path / "run.json").write_text("old")
+    with pytest.raises(error):
+        store.write_run(tmp_path, writers, overwrite=True)
+    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {"run.json": "old"}
+
+
+def test_a_run_on_a_full_disk_is_one_line(tmp_path):
+    def fails(path):
+        raise OSError(28, "No space left on device")
+
+    with pytest.raises(InputError, match="No space left on device"):
+        store.write_run(tmp_path / "new", {"run.json": fails})
+    assert list(tmp_path.iterdir()) == []

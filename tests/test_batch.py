@@ -1,0 +1,196 @@
+"""Many episodes: a result depends neither on what else runs, nor on order, number of cores and padding."""
+
+import threading
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from ref import maps, simulator
+from scipy import ndimage
+
+from jexplore import batch, episode
+from jexplore.batch import Job, bucket, prepare
+from jexplore.config import Lidar, Rules
+from jexplore.episode import Outcome
+from jexplore.policies import parse_strategy
+from jexplore.raycast import beam_table
+from jexplore.world import World, draw_starts, pad
+
+LIDAR, RULES = Lidar(range_m=2.0, n_beams=37), Rules(max_plans=30)
+
+
+@pytest.mark.parametrize(
+    ("n", "padded"),
+    [(1, 64), (64, 64), (65, 96), (96, 96), (97, 128), (128, 128), (129, 160), (256, 256), (257, 320), (1000, 1024),
+     (1025, 1280), (4096, 4096)],
+)  # fmt: skip
+def test_buckets_by_hand(n, padded):
+    assert bucket(n) == padded
+
+
+def test_buckets_waste_little_and_keep_the_order():
+    sizes = [bucket(n) for n in range(1, 1500)]
+    assert sizes == sorted(sizes)
+    assert all(n <= size < max(1.25 * n, n + 32, 65) for n, size in enumerate(sizes, 1))
+    assert len(set(sizes)) < 20
+
+
+def test_a_world_is_padded_with_walls():
+    occupied, rooms = maps.cluttered(1, 40, 70)
+    site = prepare(World(occupied=occupied, rooms=rooms), LIDAR, Rules(near_m=0.4, max_steps=9))
+    assert site.truth.occupied.shape == (64, 96)
+    np.testing.assert_array_equal(site.truth.occupied[:40, :70], occupied)
+    assert site.truth.occupied[40:].all()
+    assert site.truth.occupied[:, 70:].all()
+    assert (np.asarray(site.truth.rooms)[40:] == -1).all()
+    np.testing.assert_array_equal(site.truth.rooms[:40, :70], rooms)
+    assert site.truth.extent.tolist() == [40, 70]
+    assert (site.clearance_d2, site.near_d2, site.first_scans, site.max_steps, site.max_plans) == (9, 16, 2, 9, 20000)
+    assert not site.noisy
+    assert site.capacity >= site.max_steps
+    region, n = ndimage.label(~occupied)
+    pairs = set(zip(region.ravel().tolist(), np.asarray(site.truth.region)[:40, :70].ravel().tolist()))
+    assert len(pairs) == n + 1  # one number for each region
+
+
+def test_the_trail_has_room_for_as_many_steps_as_are_asked_for():
+    world = World(occupied=maps.walls("### #.# ###"))
+    assert prepare(world, LIDAR, Rules(max_steps=30_000)).capacity >= 30_000
+    assert prepare(world, LIDAR, Rules()).capacity >= 20_000
+
+
+@pytest.fixture(scope="module")
+def jobs():
+    """Two worlds, of one padded size, and three strategies."""
+    worlds = []
+    for seed, shape in ((1, (40, 44)), (2, (50, 36))):
+        occupied, rooms = maps.cluttered(seed, *shape)
+        worlds.append(World(occupied=occupied, rooms=rooms, name=f"cluttered {seed}"))
+    strategies = [parse_strategy(name) for name in ("closest", "closest+recheck", "random+recheck")]
+    return [
+        Job(world, strategy, draw_starts(world, 5, 4, RULES.clearance_m), seed=7)
+        for world in worlds
+        for strategy in strategies
+    ]
+
+
+@pytest.fixture(scope="module")
+def one_worker(jobs, jit_on):
+    with jit_on():
+        return batch.run(jobs, LIDAR, RULES, workers=1).outcomes
+
+
+def assert_equal(got, want):
+    """Results and first maps, bit by bit."""
+    jax.tree.map(np.testing.assert_array_equal, got.result, want.result)
+    for a, b in zip(got.first, want.first):
+        np.testing.assert_array_equal(a, b)
+
+
+@pytest.mark.jit
+def test_two_workers_and_another_order_give_the_same(jobs, one_worker):
+    report = batch.run(jobs[::-1], LIDAR, RULES, workers=2)
+    for got, want in zip(report.outcomes[::-1], one_worker):
+        assert_equal(got, want)
+    assert report.run_s > 0
+    assert report.compile_s > 0
+
+
+@pytest.mark.jit
+def test_alone_or_with_others_gives_the_same(jobs, one_worker):
+    for i in (1, 5):
+        (alone,) = batch.run([jobs[i]], LIDAR, RULES, workers=1).outcomes
+        assert_equal(alone, one_worker[i])
+
+
+@pytest.mark.jit
+def test_fewer_episodes_of_a_job_are_its_first_ones(jobs, one_worker):
+    (few,) = batch.run([jobs[5]._replace(starts=jobs[5].starts[:2])], LIDAR, RULES, workers=2).outcomes
+    jax.tree.map(lambda a, b: np.testing.assert_array_equal(a, b[:2]), few.result, one_worker[5].result)
+
+
+@pytest.mark.jit
+def test_padding_changes_nothing(jobs, one_worker):
+    """A world with walls added above and on the right falls into another bucket; draws do not depend on it."""
+    larger = [jobs[i]._replace(world=pad(jobs[i].world, (60, 70))) for i in (1, 2)]
+    for got, i in zip(batch.run(larger, LIDAR, RULES, workers=1).outcomes, (1, 2)):
+        height, width = jobs[i].world.shape
+        got = got._replace(first=got.first._replace(
+            hits=got.first.hits[:height, :width], misses=got.first.misses[:height, :width]
+        ))  # fmt: skip
+        assert_equal(got, one_worker[i])
+
+
+@pytest.mark.jit
+def test_results_are_in_the_order_of_starts_and_are_the_simulators(jobs, one_worker):
+    job, (result, first) = jobs[1], one_worker[1]
+    for i, start in enumerate(job.starts):
+        want = simulator.simulate(
+            job.world.occupied, *map(int, start), recheck=True, n_beams=37, range_m=2.0, max_plans=30,
+            rooms=job.world.rooms,
+        )  # fmt: skip
+        got = [int(getattr(result, name)[i]) for name in ("straight", "diagonal", "turns", "scans", "plans", "known")]
+        known = int((want.hits + want.misses > 0).sum())
+        assert got == [want.straight, want.diagonal, want.turns, want.scans, want.plans, known]
+        assert Outcome(int(result.outcome[i])).name == want.outcome
+        assert int(result.room_entries[i]) == want.room_entries
+        if i == 0:
+            assert list(zip(first.rows.tolist(), first.cols.tolist())) == want.visited
+            np.testing.assert_array_equal(first.hits, want.hits)
+            np.testing.assert_array_equal(first.misses, want.misses)
+            on_the_way = [(int(r), int(c)) for r, c in zip(first.target_rows, first.target_cols)]
+            assert set(on_the_way[1:]) <= {plan.target for plan in want.log}
+            assert first.known[-1] == known
+            assert int(first.looked.sum()) == want.scans - 2 - want.steps
+
+
+@pytest.mark.jit
+def test_another_seed_draws_other_targets(jobs, one_worker):
+    (other,) = batch.run([jobs[5]._replace(seed=8)], LIDAR, RULES, workers=1).outcomes
+    assert (other.result.straight != one_worker[5].result.straight).any()
+    assert len(set(one_worker[5].result.straight.tolist())) > 1
+
+
+@pytest.mark.jit
+def test_progress_counts_every_episode(jobs):
+    seen = []
+    batch.run(jobs[:2], LIDAR, RULES, workers=2, on_progress=seen.append)
+    assert seen == sorted(seen)
+    assert seen[-1] == 8
+
+
+@pytest.mark.jit
+def test_an_interrupt_leaves_no_thread_behind(jobs):
+    def interrupt(done):
+        raise KeyboardInterrupt
+
+    before = set(threading.enumerate())
+    with pytest.raises(KeyboardInterrupt):
+        batch.run(jobs[:2], LIDAR, RULES, workers=2, on_progress=interrupt)
+    assert set(threading.enumerate()) <= before
+
+
+def test_no_key_is_used_twice():
+    """A random strategy with a noisy scanner in a tiny world, every use of a key checked."""
+    occupied = maps.walls("###### #....# #....# ######")
+    lidar = Lidar(n_beams=5, range_m=2.0, sigma_m=0.2, dropout=0.1)
+    strategy = parse_strategy("random+recheck")
+    truth = episode.Truth(
+        occupied=jnp.asarray(occupied),
+        rooms=jnp.full(occupied.shape, -1, jnp.int32),
+        region=jnp.asarray(~occupied, jnp.int32),
+        extent=jnp.asarray(occupied.shape, jnp.int32),
+    )
+    numbers = episode.Numbers(
+        p_free=jnp.float32(0.25), near_d2=jnp.int32(1), look_around=jnp.bool_(True), recheck=jnp.bool_(True),
+        max_steps=jnp.int32(3), max_plans=jnp.int32(3), sigma_cells=jnp.float32(0.2), dropout=jnp.float32(0.1),
+        params=(),
+    )  # fmt: skip
+    setup = episode.Setup(strategy.policy.init, strategy.policy.select, 0, 2, 4, True, 3)
+    with jax.debug_key_reuse(True):
+        result, _ = episode.run(
+            jax.random.key(3), setup, truth, jax.device_put(beam_table(lidar, 1.0, 6)), numbers,
+            jnp.asarray([1, 1, 0], jnp.int32),
+        )  # fmt: skip
+    assert int(result.plans) > 0

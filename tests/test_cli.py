@@ -1,0 +1,336 @@
+"""The command line: what it writes, what it says, what it refuses, how it ends."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pandas as pd
+import pytest
+from PIL import Image
+
+import jexplore
+from jexplore import batch, cli, options, store
+from jexplore.comparison import COLUMNS
+from jexplore.config import InputError
+
+LIDAR = ("--lidar.n-beams", "37", "--lidar.range-m", "1")
+
+
+@pytest.fixture(scope="module")
+def plan(tmp_path_factory):
+    """Two small rooms as an image of 34 x 22 pixels."""
+    grey = np.full((22, 34), 255, np.uint8)
+    grey[[0, -1]], grey[:, [0, -1]] = 0, 0
+    grey[:, 17], grey[8:16, 17] = 0, 255
+    path = tmp_path_factory.mktemp("maps") / "plan.png"
+    Image.fromarray(grey).save(path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def world(plan):
+    return f"{plan}@0.1"
+
+
+@pytest.fixture(scope="module")
+def ran(world, tmp_path_factory, jit_on):
+    """The folder of one comparison."""
+    out = tmp_path_factory.mktemp("runs") / "new" / "run"
+    strategies = ("closest", "random", "closest+recheck")
+    with jit_on():
+        status = cli.main(
+            [
+                *("compare", "--worlds", world, "--strategies", *strategies, "--episodes", "3", "--seed", "3"),
+                *("--out", str(out), *LIDAR),
+            ]
+        )
+    assert status == 0
+    return out
+
+
+def files(folder):
+    return sorted(path.name for path in folder.iterdir())
+
+
+def refused(capsys, arguments, message):
+    """Runs a command that must end with one line and status 2."""
+    assert cli.main([str(argument) for argument in arguments]) == 2
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert said.err.startswith("jexplore: error: ")
+    assert said.err.count("\n") == 1
+    assert message in said.err
+
+
+def test_compare_writes_a_whole_run(ran, world):
+    assert files(ran) == ["compare.png", "episodes.parquet", "paths.png", "run.json"]
+    table = pd.read_parquet(ran / "episodes.parquet")
+    assert list(table.columns) == list(COLUMNS)
+    assert table["world"].tolist() == [world] * 9
+    assert table["strategy"].tolist() == ["closest"] * 3 + ["random"] * 3 + ["closest+recheck"] * 3
+    assert table["room_entries"].isna().all()
+    for name in ("compare.png", "paths.png"):
+        with Image.open(ran / name) as image:
+            image.verify()
+
+
+def test_run_json(ran, world):
+    record = json.loads((ran / "run.json").read_text())
+    assert record["episodes_per_s"] == pytest.approx(9 / record["run_s"])
+    assert record["wall_s"] >= record["run_s"] + record["compile_s"]
+    assert record["configuration"]["lidar"]["range_m"] == 1.0
+    assert record["configuration"]["episode"]["clearance_m"] == 0.3
+    assert record["configuration"]["worlds"] == [world]
+    assert record["environment"]["jexplore"] == jexplore.__version__
+    assert record["environment"]["device"]
+    assert record["worlds"][0]["rows"] == 22
+    assert [row["n"] for row in record["summary"]] == [3, 3, 3]
+    assert record["command"][:2] == ["jexplore", "compare"]
+
+
+@pytest.mark.jit
+def test_compare_again_is_the_same_and_prints_the_table(ran, world, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    command = [
+        "compare",
+        "--worlds",
+        world,
+        "--strategies",
+        "closest",
+        "random",
+        "--episodes",
+        "2",
+        "--seed",
+        "3",
+        *LIDAR,
+    ]
+    assert cli.main(command) == 0
+    said = capsys.readouterr().out
+    assert said.startswith("| world ")
+    assert "| random " in said
+    (folder,) = (tmp_path / "runs").iterdir()
+    assert folder.name.endswith("Z-compare")
+    assert said.splitlines()[-1] == f"wrote episodes.parquet, compare.png, paths.png, run.json to runs/{folder.name}/"
+    again, whole = (pd.read_parquet(at / "episodes.parquet") for at in (folder, ran))
+    pd.testing.assert_frame_equal(again, whole[(whole["episode"] < 2)][:4].reset_index(drop=True))
+
+
+def test_a_run_is_not_overwritten(ran, world, capsys, monkeypatch):
+    monkeypatch.setattr(batch, "run", lambda *_, **__: pytest.fail("ran"))
+    before = (ran / "run.json").read_bytes()
+    refused(capsys, ["compare", "--worlds", world, "--out", ran], "holds a run")
+    refused(capsys, ["explore", "--world", world, "--out", ran], "holds a run")
+    refused(capsys, ["worlds", world, "--out", ran], "holds a run")
+    assert (ran / "run.json").read_bytes() == before
+
+
+@pytest.mark.jit
+def test_explore_overwrites_when_told(ran, world, tmp_path, capsys):
+    (tmp_path / "run.json").write_text("old")
+    (tmp_path / "compare.png").write_text("old")
+    (tmp_path / "mine.txt").write_text("mine")
+    command = ["explore", "--world", world, "--strategy", "closest", "--seed", "3", *LIDAR, "--out", str(tmp_path)]
+    assert cli.main([*command, "--overwrite", "--frames", "7"]) == 0
+    assert files(tmp_path) == ["episode.gif", "episode.png", "mine.txt", "run.json"]
+    row = pd.read_parquet(ran / "episodes.parquet").iloc[0]
+    assert json.loads((tmp_path / "run.json").read_text())["result"]["path_m"] == row["path_m"]
+    assert f"path_m             {row['path_m']:.3f}" in capsys.readouterr().out
+    with Image.open(tmp_path / "episode.gif") as image:
+        assert image.n_frames == 7
+
+
+@pytest.mark.jit
+def test_an_interruption_is_one_line_and_leaves_the_old_run(ran, world, tmp_path, capsys, monkeypatch):
+    def interrupted(*_, **__):
+        raise KeyboardInterrupt
+
+    command = ["explore", "--world", world, "--strategy", "closest", "--seed", "3", *LIDAR, "--out", str(tmp_path)]
+    (tmp_path / "run.json").write_text("old")
+    for where in ("write_json", "environment"):
+        with monkeypatch.context() as patch:
+            patch.setattr(store, where, interrupted)
+            assert cli.main([*command, "--overwrite"]) == 130
+        said = capsys.readouterr()
+        assert said.err.endswith("jexplore: interrupted, nothing was written\n")
+        assert files(tmp_path) == ["run.json"]
+        assert (tmp_path / "run.json").read_text() == "old"
+
+
+def test_worlds_are_listed(capsys):
+    assert cli.main(["worlds"]) == 0
+    said = capsys.readouterr().out
+    for name in jexplore.GENERATORS:
+        assert f"\n  {name} " in said
+    assert "corridor_m=" in said
+
+
+def test_worlds_are_measured_and_pictured(world, tmp_path, capsys):
+    assert cli.main(["worlds", world, "rooms:width_m=6,height_m=5", "--out", str(tmp_path / "a")]) == 0
+    said = capsys.readouterr().out
+    assert f"| {world} " in said
+    assert "| 34 x 22 | 3.4 x 2.2 |" in " ".join(said.split())
+    assert files(tmp_path / "a") == ["run.json", "worlds.png"]
+
+
+def test_strategies_are_listed(capsys):
+    assert cli.main(["strategies"]) == 0
+    said = capsys.readouterr().out
+    for word in ("closest", "random", "+recheck", "Holz et al. 2010"):
+        assert word in said
+
+
+def test_version_and_help(capsys):
+    assert cli.main(["--version"]) == 0
+    assert capsys.readouterr().out == f"jexplore {jexplore.__version__}\n"
+    assert cli.main(["--help"]) == 0
+    said = capsys.readouterr().out
+    assert all(f"\n  {name} " in said for name in options.COMMANDS)
+    assert cli.main(["explore", "--help"]) == 0
+    assert "--lidar.range-m" in capsys.readouterr().out
+
+
+def test_the_defaults_are_smaller_on_request(monkeypatch):
+    large = options.parse(["compare"])
+    monkeypatch.setenv(options.SMALL, "1")
+    small = options.parse(["compare"])
+    assert small.episodes * len(small.worlds) < large.episodes * len(large.worlds) / 4
+    monkeypatch.setenv(options.SMALL, "0")
+    assert options.parse(["compare"]) == large
+
+
+@pytest.mark.parametrize(
+    ("command", "message"),
+    [
+        ("", "expected a command"),
+        (
+            "compar",
+            "unknown command: 'compar'; there are compare, explore, worlds, strategies (did you mean 'compare'?)",
+        ),
+        ("--worlds cave", "expected a command first"),
+        ("compare --epsodes 3", "unknown option --epsodes; did you mean --episodes?"),
+        ("compare --lidar.rang-m 3", "did you mean --lidar.range-m?"),
+        ("compare --zzz", "unknown option --zzz"),
+        ("compare extra", "unknown option extra"),
+        ("compare --episodes x", "--episodes must be an integer, got 'x'"),
+        ("compare --episodes 1.5", "--episodes must be an integer, got '1.5'"),
+        ("compare --episodes 0", "episodes must be an integer from 1"),
+        ("compare --episodes -3", "episodes must be an integer from 1"),
+        ("compare --episodes", "--episodes needs a value"),
+        ("compare --seed -1", "seed must be an integer from 0"),
+        ("compare --cell-m x", "--cell-m must be a number, got 'x'"),
+        ("compare --cell-m nan", "cell_m must be a number"),
+        ("compare --cell-m 0", "cell_m must be a number"),
+        ("compare --cell-m -0.1", "cell_m must be a number"),
+        ("compare --cell-m 0.001", "cells"),
+        ("compare --start here", "--start must be one of 'random', 'world', got 'here'"),
+        ("compare --start world", "has no start of its own"),
+        ("compare --lidar.n-beams 0", "lidar.n_beams must be a number at least 1"),
+        ("compare --lidar.range-m inf", "lidar.range_m must be a number"),
+        ("compare --lidar.range-m 1000 --lidar.n-beams 4096 --cell-m 0.02 --worlds maze", "GiB"),
+        ("compare --episode.p-free nan", "episode.p_free must be a number"),
+        ("compare --episode.max-steps nan", "--episode.max-steps must be an integer"),
+        ("compare --episode.clearance-m 5", "episode.clearance_m must be below"),
+        ("compare --worlds", "worlds must name at least one"),
+        ("compare --worlds cavern", "did you mean 'cave'"),
+        ("compare --worlds cave#x", "seed"),
+        ("compare --worlds cave:depth=3", "there is no parameter 'depth'"),
+        ("compare --worlds cave cave", "worlds must differ"),
+        ("compare --worlds missing.png@0.1", "there is no such file"),
+        ("compare --strategies", "strategies must name at least one"),
+        ("compare --strategies closets", "did you mean 'closest'"),
+        ("compare --strategies closest+rechek", "did you mean 'recheck'"),
+        ("compare --strategies closest:range=3", "parameter"),
+        ("compare --out", "--out needs a value"),
+        ("explore --start 1,2", "--start must be random, world or ROW,COL,HEADING_DEG, got '1,2'"),
+        ("explore --start 0,0,0", "lies in a wall"),
+        ("explore --start 9999,0,0", "lies outside"),
+        ("explore --start 80,20,17", "multiple of 45"),
+        ("explore --strategy closets", "did you mean 'closest'"),
+        ("explore --frames 0", "frames must be an integer from 1"),
+        ("explore --seed x", "--seed must be an integer"),
+        ("worlds --cell-m nan cave", "cell_m must be a number"),
+        ("worlds cavern", "did you mean 'cave'"),
+        ("strategies closest", "unknown option closest"),
+    ],
+)
+def test_bad_input_is_one_line(command, message, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(batch, "run", lambda *_, **__: pytest.fail("ran"))
+    refused(capsys, command.split(" ") if command else [], message)
+    assert files(tmp_path) == []
+
+
+def test_places_that_cannot_be_written(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(batch, "run", lambda *_, **__: pytest.fail("ran"))
+    file = tmp_path / "file"
+    file.write_text("")
+    refused(capsys, ["compare", "--out", file], "must be a folder, got a file")
+    refused(capsys, ["compare", "--out", file / "below"], "file")
+    refused(capsys, ["compare", "--out", ""], "must have a name")
+    refused(capsys, ["compare", "--out", "/proc/1/new"], "must be a folder that can be written")
+    assert files(tmp_path) == ["file"]
+
+
+def test_unreadable_maps(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "empty.png").write_bytes(b"")
+    (tmp_path / "text.png").write_text("no image")
+    (tmp_path / "no_image.yaml").write_text("image: gone.pgm\nresolution: 0.05\norigin: [0, 0, 0]\n")
+    Image.new("L", (1, 1), 0).save(tmp_path / "black.png")
+    for name in ("empty.png@0.1", "text.png@0.1", "no_image.yaml", "black.png@0.1", "black.png@0x0", str(tmp_path)):
+        refused(capsys, ["worlds", name], "")
+
+
+def test_a_message_stays_on_one_line(capsys, monkeypatch):
+    def fails(*_):
+        raise InputError("first\nsecond")
+
+    monkeypatch.setattr(cli, "_dispatch", fails)
+    refused(capsys, ["worlds"], "first second")
+
+
+def test_no_memory_and_no_reader(capsys, monkeypatch):
+    def fails(*_):
+        raise MemoryError
+
+    monkeypatch.setattr(cli, "_dispatch", fails)
+    assert cli.main(["worlds"]) == 1
+    assert capsys.readouterr().err.startswith("jexplore: error: out of memory")
+
+
+def test_tyro_boxes_become_lines():
+    rows = ("A sentence  ", "of two rows.", "────────────", "Perhaps you meant:", "    --good INT")
+    box = "\n".join(["╭─ Title ─╮", *(f"│ {row} │" for row in rows), "╰─────────╯"])
+    assert options.one_line(box) == "A sentence of two rows.; did you mean --good?"
+    assert options.one_line("plain words") == "plain words"
+
+
+def test_python_m_and_exit_status():
+    command = [sys.executable, "-m", "jexplore"]
+    done = subprocess.run([*command, "--version"], capture_output=True, text=True)
+    assert (done.returncode, done.stdout) == (0, f"jexplore {jexplore.__version__}\n")
+    done = subprocess.run([*command, "compare", "--episodes", "x"], capture_output=True, text=True)
+    assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="needs signals")
+def test_control_c_ends_a_run_with_one_line(world, tmp_path):
+    command = [sys.executable, "-m", "jexplore", "compare", "--worlds", world, "--episodes", "50000", *LIDAR]
+    process = subprocess.Popen([*command, "--out", "run"], cwd=tmp_path, stderr=subprocess.PIPE, text=True)
+    try:
+        deadline = time.monotonic() + 120
+        while "episodes/s" not in process.stderr.readline(40):  # the bar: work has begun
+            assert time.monotonic() < deadline
+            assert process.poll() is None
+        process.send_signal(signal.SIGINT)
+        _, said = process.communicate(timeout=60)
+    finally:
+        process.kill()
+    assert process.returncode == 130
+    assert "Traceback" not in said
+    assert said.endswith("jexplore: interrupted, nothing was written\n")
+    assert files(tmp_path) == []

@@ -1,0 +1,92 @@
+"""Imports go strictly downward: no module knows one above it or beside it."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+PACKAGE = Path(__file__).resolve().parents[1] / "jexplore"
+
+FLOORS = {
+    "config": 0,
+    "bits": 0,
+    "grid": 1,
+    "distance": 2,
+    "raycast": 2,
+    "reach": 2,
+    "frontier": 3,
+    "robot": 3,
+    "world": 3,
+    "navigate": 4,
+    "worlds": 5,
+    "policies": 5,
+    "episode": 6,
+    "measure": 7,
+    "stats": 7,
+    "store": 7,
+    "batch": 8,
+    "plot": 8,
+    "animate": 9,
+    "preflight": 9,
+    "comparison": 10,
+    "replay": 11,
+    "options": 11,
+    "cli": 12,
+    "__main__": 13,
+}
+"""Floor of every module; a package is one. `__init__` stands apart: it holds the version and loads by name."""
+
+
+def floor_of(path):
+    return path.relative_to(PACKAGE).parts[0].removesuffix(".py")
+
+
+def imported(tree):
+    """Names of the modules of this package that a syntax tree imports, those in functions included."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            names = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, "imports are absolute"
+            names = [node.module]
+            if node.module == "jexplore":
+                names = [f"jexplore.{alias.name}" for alias in node.names if alias.name != "__version__"]
+        else:
+            continue
+        yield from (name.split(".")[1] for name in names if name.startswith("jexplore."))
+
+
+def rising(source, name, floors):
+    """The imports of a module `name` that do not go downward."""
+    own = floors[name]
+    return sorted({other for other in imported(ast.parse(source)) if other != name and floors[other] >= own})
+
+
+MODULES = sorted(path for path in PACKAGE.rglob("*.py") if path != PACKAGE / "__init__.py")
+
+
+@pytest.mark.parametrize("path", MODULES, ids=lambda path: str(path.relative_to(PACKAGE)))
+def test_imports_go_downward(path):
+    source, name = path.read_text(encoding="utf-8"), floor_of(path)
+    assert rising(source, name, FLOORS) == []
+    package = path.relative_to(PACKAGE).parts[:-1]
+    if not package:
+        assert name not in imported(ast.parse(source)), "imports itself"
+
+
+def test_every_module_has_a_floor_and_every_floor_a_module():
+    assert {floor_of(path) for path in MODULES} == set(FLOORS)
+
+
+def test_the_test_finds_what_it_looks_for():
+    floors = {"low": 0, "beside": 1, "own": 1, "high": 2}
+    for source, expected in [
+        ("import jexplore.low, jax", []),
+        ("from jexplore import __version__, low", []),
+        ("from jexplore.high import x", ["high"]),
+        ("from jexplore.beside.part import x", ["beside"]),
+        ("def f():\n    from jexplore import high", ["high"]),
+        ("if TYPE_CHECKING:\n    import jexplore.high.x", ["high"]),
+        ("from jexplore.own import part", []),
+    ]:
+        assert rising(source, "own", floors) == expected
