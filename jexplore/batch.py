@@ -203,8 +203,9 @@ def start_backend():
     """Starts JAX for running one program on every core, instead of one program on all cores.
 
     XLA splits operations of a few thousand elements over the cores of a CPU, which costs more than it gains when every
-    core has an episode of its own (measured: a third of the time of an episode on 2 cores, a sixth beside other work). It
-    reads the number of threads for that from the variable NPROC when it starts, so this must come before JAX is first used;
+    core has an episode of its own (measured: a third of the time of an episode on 2 cores, a sixth beside other work).
+    It reads the number of threads for that from the variable NPROC when it starts, so this must come before JAX is
+    first used;
     later calls, or calls in a notebook that has used JAX before, change nothing but speed.
     """
     before = os.environ.get("NPROC")
@@ -222,10 +223,10 @@ def start_backend():
 def use_compilation_cache():
     """Keeps compiled programs on disk, so that a later process need not compile them again.
 
-    In `$JAX_COMPILATION_CACHE_DIR` if that is set, else in `$XDG_CACHE_HOME/jexplore` (`~/.cache/jexplore`). A folder that
-    cannot be written means no cache.
+    In `$JAX_COMPILATION_CACHE_DIR` if that is set, else in `$XDG_CACHE_HOME/jexplore` (`~/.cache/jexplore`). A folder
+    that cannot be written means no cache.
     """
-    if jax.config.jax_compilation_cache_dir is None:
+    if jax.config.values["jax_compilation_cache_dir"] is None:
         folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "jexplore"
         with contextlib.suppress(OSError):
             folder.mkdir(parents=True, exist_ok=True)
@@ -280,7 +281,8 @@ class _Line:
         seconds = time.perf_counter() - began
         results = jax.tree.map(lambda a: np.asarray(a)[:n], results)
         if first == 0:
-            self.first = _final(*last, int(results.straight[-1] + results.diagonal[-1]), self.job.world)
+            grid, trail = last
+            self.first = _final(grid, trail, int(results.straight[-1] + results.diagonal[-1]), self.job.world)
         return first, results, seconds
 
 
@@ -311,7 +313,8 @@ def _compile(jobs, lidar, rules, workers):
 def run(jobs, lidar, rules, *, workers=None, on_progress=None):
     """Runs every episode of every job.
 
-    An episode's result depends on its world, start, strategy, seed and number, not on what else runs, nor on how many cores.
+    An episode's result depends on its world, start, strategy, seed and number, not on what else runs, nor on how many
+    cores.
 
     Args:
       jobs: list of `Job`, each with at least one start.
@@ -355,6 +358,7 @@ def run(jobs, lidar, rules, *, workers=None, on_progress=None):
     run_s = time.perf_counter() - began
     outcomes = []
     for line in lines:
+        assert line.first is not None  # the chunk with episode 0 has run
         pieces = [results for _, results in sorted(line.pieces, key=lambda piece: piece[0])]
         outcomes.append(Outcomes(jax.tree.map(lambda *a: np.concatenate(a), *pieces), line.first))
     return Report(outcomes, compile_s, run_s)

@@ -1,7 +1,7 @@
 """Two idioms of control flow that XLA's CPU compiler rewards. Both are loops of at most one turn.
 
-A loop's buffers are updated in place and stored when it ends. A condition's are copied; and a value that is used in many
-places without a loop around it is often computed anew in each of them.
+A loop's buffers are updated in place and stored when it ends. A condition's are copied; and a value that is used in
+many places without a loop around it is often computed anew in each of them.
 """
 
 import jax

@@ -34,8 +34,8 @@ def nearest_site(sites):
       ValueError: while tracing, if `sites` is not a bool matrix.
 
     Source:
-      Saito and Toriwaki 1994: columns first, then along the rows. Changed: the search along the rows stops as soon as no
-      offset can bring anything nearer.
+      Saito and Toriwaki 1994: columns first, then along the rows. Changed: the search along the rows stops as soon as
+        no offset can bring anything nearer.
     """
     if sites.ndim != 2 or sites.dtype != bool:
         raise ValueError(f"expected sites: [H, W] bool, got {sites.shape} {sites.dtype}")

@@ -68,7 +68,9 @@ class Numbers:
 
 @struct.dataclass
 class Result:
-    """What an episode measured: integers, so that equal results are equal bits. Metres and radians are made on the host."""
+    """What an episode measured: integers, so that equal results are equal bits. Metres and radians are made on
+    the host.
+    """
 
     straight: Array  # int32, straight steps
     diagonal: Array  # int32, diagonal steps
@@ -140,7 +142,10 @@ class State:
 def _known_nearby(grid, row, col, window):
     """Known cells in the square that a scan can change: int32."""
     shape = tuple(min(n, 2 * window + 1) for n in grid.hits.shape)
-    start = jnp.maximum(row - window, 0), jnp.maximum(col - window, 0)  # a slice clamps at the far edge, but wraps at the near one
+    start = (
+        jnp.maximum(row - window, 0),
+        jnp.maximum(col - window, 0),
+    )  # a slice clamps at the far edge, but wraps at the near one
     hits, misses = (lax.dynamic_slice(a, start, shape) for a in (grid.hits, grid.misses))
     return count((hits | misses) != 0)
 
@@ -154,11 +159,13 @@ def _sense(key, setup, truth, beams, numbers, state):
         key = jax.random.fold_in(jax.random.fold_in(key, Stream.SENSOR), state.scans)
         noise = {"sigma_cells": numbers.sigma_cells, "dropout": numbers.dropout}
         seen = disturb(key, seen, *where, belief.heading, beams, belief.extent, **noise)
-    # Counted before and after in the square that the scan can change. The count before is added where it changes nothing
-    # (it is never negative), so that it comes before the update, which can then be made in place.
-    outside = stored(state.scans >= 0, lambda: state.known - _known_nearby(belief.grid, *where, setup.window))
+    # Counted before and after in the square that the scan can change. The count before is added where it changes
+    # nothing (it is never negative), so that it comes before the update, which can then be made in place.
+    outside = stored(
+        state.scans >= 0, lambda: state.known - _known_nearby(belief.grid, belief.row, belief.col, setup.window)
+    )
     grid = fold(belief.grid, belief.row + jnp.minimum(outside, 0), belief.col, belief.heading, seen, beams)
-    known = outside + _known_nearby(grid, *where, setup.window)
+    known = outside + _known_nearby(grid, belief.row, belief.col, setup.window)
     return state.replace(belief=belief.replace(grid=grid), scans=state.scans + 1, known=known)
 
 
@@ -236,7 +243,7 @@ def _arrive(state, arrived, live, numbers):
     looks = arrived & live & numbers.look_around & (state.looked < LOOK_AROUND)
     spent = arrived & live & ~looks
     return state.replace(
-        belief=state.belief.replace(exhausted=_mark(state.belief.exhausted, *state.target, spent)),
+        belief=state.belief.replace(exhausted=_mark(state.belief.exhausted, state.target[0], state.target[1], spent)),
         looking=jnp.where(looks, LOOK_AROUND, state.looking),
         exhausted=state.exhausted + spent,
         walking=jnp.where(arrived, looks, state.walking),
@@ -246,11 +253,15 @@ def _arrive(state, arrived, live, numbers):
 def _advance(key, setup, truth, beams, numbers, state):
     """One scan of a plan under way, what it means for the plan, and the next motion if it goes on.
 
-    Scan first, motion last: everything that is read from the map is then read after its update, which can so be made in place.
+    Scan first, motion last: everything that is read from the map is then read after its update, which can so be made
+    in place.
     """
     belief = state.belief
     # Both cells beside a diagonal step belong to the way driven; for a straight step they are its ends.
-    beside = (jnp.stack([belief.row, belief.row, state.came_from[0]]), jnp.stack([belief.col, state.came_from[1], belief.col]))
+    beside = (
+        jnp.stack([belief.row, belief.row, state.came_from[0]]),
+        jnp.stack([belief.col, state.came_from[1], belief.col]),
+    )
     state = state.replace(belief=belief.replace(driven=_mark(belief.driven, *beside)))
     state = _record(_sense(key, setup, truth, beams, numbers, state))
     live = _is_live(state.belief, *state.target)
@@ -262,7 +273,9 @@ def _advance(key, setup, truth, beams, numbers, state):
 
 
 def _plan(key, setup, truth, numbers, state):
-    """Asks the strategy for a target and makes the first motion; no target ends the episode as complete, as far as is known here."""
+    """Asks the strategy for a target and makes the first motion; no target ends the episode as complete, as far
+    as is known here.
+    """
     key = jax.random.fold_in(jax.random.fold_in(key, Stream.POLICY), state.plans)
     carry, choice, route = setup.select(key, numbers.params, state.carry, state.belief, state.route)
     none = choice.row < 0
@@ -301,7 +314,8 @@ def run(key, setup, truth, beams, numbers, start):
     shape = truth.occupied.shape
     flags = jnp.zeros(shape, bool)
     free, walls, near = stored(
-        row >= 0, lambda: [bits.pack(m) for m in (~truth.occupied, truth.occupied, disc(shape, row, col, numbers.near_d2))]
+        row >= 0,
+        lambda: [bits.pack(m) for m in (~truth.occupied, truth.occupied, disc(shape, row, col, numbers.near_d2))],
     )
     clear = free & ~within_packed(walls, setup.clearance_d2)
     around = clear | (free & near)
@@ -355,9 +369,7 @@ def run(key, setup, truth, beams, numbers, start):
 
     def episode_step(state):
         state = _plan(key, setup, truth, numbers, state)
-        state = lax.while_loop(
-            lambda s: s.walking, lambda s: _advance(key, setup, truth, beams, numbers, s), state
-        )
+        state = lax.while_loop(lambda s: s.walking, lambda s: _advance(key, setup, truth, beams, numbers, s), state)
         spent = (state.outcome == Outcome.RUNNING) & (state.plans >= numbers.max_plans)
         return state.replace(outcome=jnp.where(spent, Outcome.PLAN_LIMIT, state.outcome))
 
@@ -376,9 +388,7 @@ def _measure(truth, start, state):
     entry = lax.iota(jnp.int32, state.trail.shape[0])
     known, diagonal = state.trail[:, Track.KNOWN], state.trail[:, Track.DIAGONAL]
     # In whole numbers: 100 * known reaches q * final. Entries beyond the last step count as the last.
-    at = [
-        jnp.min(jnp.where((100 * known >= q * state.known) & (entry < steps), entry, steps)) for q in PERCENTILES
-    ]
+    at = [jnp.min(jnp.where((100 * known >= q * state.known) & (entry < steps), entry, steps)) for q in PERCENTILES]
     at = jnp.stack(at)
     return Result(
         straight=state.straight,

@@ -1,4 +1,6 @@
-"""Where a robot may go and where the unknown begins: clear, traversable and frontier cells, and clusters of frontier cells."""
+"""Where a robot may go and where the unknown begins: clear, traversable and frontier cells, and clusters of
+frontier cells.
+"""
 
 from typing import NamedTuple
 
@@ -132,7 +134,9 @@ def label_clusters(mask):
     """For every True cell the lowest flat index of its 8-connected group; H * W elsewhere. `[H, W]` int32."""
     height, width = mask.shape
     none = height * width
-    index = lax.broadcasted_iota(jnp.int32, (height, width), 0) * width + lax.broadcasted_iota(jnp.int32, (height, width), 1)
+    index = lax.broadcasted_iota(jnp.int32, (height, width), 0) * width + lax.broadcasted_iota(
+        jnp.int32, (height, width), 1
+    )
 
     def spread(state):
         label, _ = state

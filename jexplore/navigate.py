@@ -1,7 +1,9 @@
-"""What a strategy may ask of the robot's belief: where frontiers are, what they cost to reach, and the way to one of them.
+"""What a strategy may ask of the robot's belief: where frontiers are, what they cost to reach, and the way to one of
+them.
 
-`nearest_frontier` looks into growing windows round the robot and fills the whole map only where these do not decide; its
-answer is always that of the whole map. `field` is the whole map at once, for strategies that compare all candidates.
+`nearest_frontier` looks into growing windows round the robot and fills the whole map only where these do not decide;
+its answer is always that of the whole map. `field` is the whole map at once, for strategies that compare all
+candidates.
 """
 
 import math
@@ -42,7 +44,9 @@ class Choice:
     row: Array  # int32; -1: there is no target
     col: Array  # int32; -1: there is no target
     cost: Array  # int32, see reach.py; FAR: there is no target
-    saturated: Array  # int32, if there is no target: cells out of reach because their cost does not fit (`reach.saturated`)
+    saturated: (
+        Array  # int32, if there is no target: cells out of reach because their cost does not fit (`reach.saturated`)
+    )
 
 
 @struct.dataclass

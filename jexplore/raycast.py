@@ -1,8 +1,8 @@
 """Laser beams through a grid: the cells that each beam enters, where it ends, and what that tells the map.
 
-Two sources of beams, one kernel. `beam_table` traces the beams of a robot on the lattice (cell centres, headings in steps of
-45 degrees) once, on the host, in float64; `trace` traces the beams of any pose, inside jit. Both yield `Beams`; `scan`
-finds where beams end in a true map, `fold` counts the outcome into a `Grid`.
+Two sources of beams, one kernel. `beam_table` traces the beams of a robot on the lattice (cell centres, headings in
+steps of 45 degrees) once, on the host, in float64; `trace` traces the beams of any pose, inside jit. Both yield
+`Beams`; `scan` finds where beams end in a true map, `fold` counts the outcome into a `Grid`.
 """
 
 import functools
@@ -14,7 +14,6 @@ import numpy as np
 from flax import struct
 from jax import Array, lax
 
-from jexplore.config import Lidar
 from jexplore.grid import Grid, in_cells
 
 BLOCK = 8  # steps of a beam looked at together, before asking whether all beams have ended
@@ -69,7 +68,8 @@ def beam_angles_deg(lidar):
       lidar: `Lidar`.
 
     Returns:
-      `[B]` float64, degrees, from right to left. At a field of view of 360 degrees the last beam stops one step short of the first.
+      `[B]` float64, degrees, from right to left. At a field of view of 360 degrees the last beam stops one step short
+      of the first.
     """
     if lidar.n_beams == 1:
         return np.zeros(1)
@@ -133,7 +133,7 @@ def beam_table(lidar, cell_m, width):
     within = entry < reach
     drow, dcol = (np.where(within, d, 0).astype(np.int32) for d in (drow, dcol))
     return Beams(
-        offset=drow * np.int32(width) + dcol,
+        offset=drow * np.int32(width) + dcol,  # type: ignore[arg-type]
         drow=drow,  # type: ignore[arg-type]
         dcol=dcol,  # type: ignore[arg-type]
         entry=np.where(within, entry, np.inf).astype(np.float32),  # type: ignore[arg-type]
@@ -278,9 +278,9 @@ def steps_inside(beams, row, col, heading, extent):
 def disturb(key, seen, row, col, heading, beams, extent, *, sigma_cells, dropout):
     """A scan as a noisy scanner reports it.
 
-    A beam that was stopped reports its distance plus Gaussian noise; it is read as a hit in the cell at that distance, or as
-    passing everything where that lies beyond the range. A beam that was not stopped is not disturbed. A beam that drops out
-    tells nothing. No beam is read as ending outside the map: it ends in the last cell inside.
+    A beam that was stopped reports its distance plus Gaussian noise; it is read as a hit in the cell at that distance,
+    or as passing everything where that lies beyond the range. A beam that was not stopped is not disturbed. A beam that
+    drops out tells nothing. No beam is read as ending outside the map: it ends in the last cell inside.
 
     Args:
       key: consumed.
@@ -333,7 +333,9 @@ def cast(occupied, pose, angles_rad, *, max_range_m, cell_m):
         raise ValueError(f"expected occupied: [H, W] bool, got {occupied.shape} {occupied.dtype}")
     walled = jnp.pad(jnp.asarray(occupied), 1, constant_values=True)
     x, y, heading = pose
-    beams = trace((x + cell_m, y + cell_m, heading), angles_rad, max_range_m=max_range_m, cell_m=cell_m, width=walled.shape[1])
+    beams = trace(
+        (x + cell_m, y + cell_m, heading), angles_rad, max_range_m=max_range_m, cell_m=cell_m, width=walled.shape[1]
+    )
     row = jnp.floor(jnp.float32(y) / cell_m).astype(jnp.int32) + 1
     col = jnp.floor(jnp.float32(x) / cell_m).astype(jnp.int32) + 1
     seen = scan(walled, row, col, jnp.int32(0), beams)

@@ -1,8 +1,10 @@
 """The reachability map: the cost of the shortest path from the robot to every cell, and the way there.
 
-Costs are int32 fixed point, so that every algorithm, batch and device gives the same bits: 2**16 a straight step, round(sqrt(2) * 2**16) a
-diagonal one. A diagonal step needs both cells beside it traversable. `reach` fills a whole map with raster sweeps; `wave`
-grows a wavefront and stops as soon as the nearest goal is settled. Both end in the same costs where both have settled.
+Costs are int32 fixed point, so that every algorithm, batch and device gives the same bits: 2**16 a straight step,
+round(sqrt(2) * 2**16) a
+diagonal one. A diagonal step needs both cells beside it traversable. `reach` fills a whole map with raster sweeps;
+`wave` grows a wavefront and stops as soon as the nearest goal is settled. Both end in the same costs where both have
+settled.
 """
 
 import jax
@@ -24,7 +26,9 @@ NO_MOTION = -1
 
 
 def _motions_into(words):
-    """For each motion, the cells into which a robot can make it: list of 8 packed masks, from the packed traversable cells."""
+    """For each motion, the cells into which a robot can make it: list of 8 packed masks, from the packed
+    traversable cells.
+    """
     diagonal = [words & bits.shifted(words, -drow, 0) & bits.shifted(words, 0, -dcol) for drow, dcol in MOTIONS[4:]]
     return [words] * 4 + diagonal
 
@@ -73,7 +77,8 @@ def wave(traversable, goals, row, col, bound):
         nothing was left to reach (then FAR).
 
     Source:
-      Bellman and Ford's relaxation; after t rounds every path of cost t straight steps, which has at most t motions, is in.
+      Bellman and Ford's relaxation; after t rounds every path of cost t straight steps, which has at most t motions,
+      is in.
     """
     words = bits.pack(traversable)
     goals = jnp.pad(goals, ((0, bits.WORD * words.shape[0] - goals.shape[0]), (0, 0)))
@@ -136,15 +141,15 @@ def reach(traversable, row, col, goals=None):
       goals: `[H, W]` bool, or None. If given, only the cheapest goals are wanted: costs above theirs may not be final.
 
     Returns:
-      `[H, W]` int32, 2**16 a straight step; FAR where no path leads, or none cheaper than FAR (16,384 straight steps; see
-      `saturated`).
+      `[H, W]` int32, 2**16 a straight step; FAR where no path leads, or none cheaper than FAR (16,384 straight steps;
+      see `saturated`).
 
     Raises:
       ValueError: while tracing, if `traversable` is not a bool matrix.
 
     Source:
-      Holz et al. 2010, section 2.2 (Dijkstra without a goal). Changed: raster sweeps to the fixpoint, exact because costs
-      are integers.
+      Holz et al. 2010, section 2.2 (Dijkstra without a goal). Changed: raster sweeps to the fixpoint, exact because
+      costs are integers.
     """
     if traversable.ndim != 2 or traversable.dtype != bool:
         raise ValueError(f"expected traversable: [H, W] bool, got {traversable.shape} {traversable.dtype}")
@@ -172,7 +177,8 @@ def reach_packed(words, row, col, goals=None):
         cost, _, n = state
         new = _sweep(_sweep(cost.T, across, reverse=False), across, reverse=True).T
         new = _sweep(_sweep(new, (straight, ne, nw), reverse=False), (straight, se, sw), reverse=True)
-        # Costs depend on cheaper costs only: once no cost below the best goal's changes any more, the best goals are settled.
+        # Costs depend on cheaper costs only: once no cost below the best goal's changes any more, the best goals are
+        # settled.
         change = lowest(jnp.where(new != cost, new, FAR))
         best = FAR if goals is None else lowest(jnp.where(goals, new[1:-1, 1:-1], FAR))
         return new, change < best, n + 1
@@ -246,7 +252,8 @@ def lay_route(route, cost, traversable, start, target, origin):
     """Writes the way from the start to a target into a map of motions: the path read-out.
 
     Args:
-      route: `[H, W]` int8, index into `MOTIONS`; at each cell of the path the motion to its next cell is written, the rest stays.
+      route: `[H, W]` int8, index into `MOTIONS`; at each cell of the path the motion to its next cell is written, the
+        rest stays.
       cost: `[h, w]` int32, from `reach` or `wave`, of a window of the map or of all of it.
       traversable: `[h, w]` bool, what `cost` was made from.
       start, target: `(row, col)` int32, in the map; both inside the window, `target` with a final cost.

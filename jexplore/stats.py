@@ -209,10 +209,9 @@ def summarise(episodes, *, confidence=0.95, n_resamples=9999, seed=0):
 
     Returns:
       A DataFrame with the columns `SUMMARY_COLUMNS`: `n` episodes; `mean`, `sd` (divided by n - 1; NaN for one episode)
-        and the interval
-      `ci_low`, `ci_high` of the path length, metres; `ratio`, `ratio_low`, `ratio_high`, `p` from `paired_ratio`; the
-      means of `plans`, `scans`, `turning_rad`, `explored_fraction`, `exhausted` and `room_entries` (NaN without rooms);
-      `outcomes`, text such as "COMPLETE 98, BLOCKED 2".
+        and the interval `ci_low`, `ci_high` of the path length, metres; `ratio`, `ratio_low`, `ratio_high`, `p` from
+        `paired_ratio`; the means of `plans`, `scans`, `turning_rad`, `explored_fraction`, `exhausted` and
+        `room_entries` (NaN without rooms); `outcomes`, text such as "COMPLETE 98, BLOCKED 2".
 
     Raises:
       InputError: an episode occurs twice, or paired episodes start differently.

@@ -303,8 +303,7 @@ def environment():
 
     Returns:
       A dict: `jexplore`, `python` and the packages' versions (None for one that is not installed), `platform`,
-        `machine`, `cpu_count`, and jax's
-      `backend`, `device` (kind of the first one) and `device_count`.
+        `machine`, `cpu_count`, and jax's `backend`, `device` (kind of the first one) and `device_count`.
     """
     import jax
 

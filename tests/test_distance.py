@@ -126,9 +126,9 @@ def test_within_is_the_oracles_and_agrees_with_nearest_site(d2, mask):
 
 
 @pytest.mark.jit
-@pytest.mark.parametrize("d2", [0, 5, 9, 31**2, 1000, 1023])
+@pytest.mark.parametrize("d2", [0, 5, 9, 31**2, 1023, 1024, 40**2, 80**2])
 def test_within_reaches_across_many_rows(d2):
-    """Taller than a machine word, and radii nearly as long as one."""
+    """Taller than a machine word, and radii longer than one, and longer than the map."""
     for seed in range(3):
         mask = np.random.default_rng(seed).random((70, 12)) < 0.003
         mask[33 * seed, 4] = True
@@ -140,9 +140,3 @@ def test_within_reaches_across_many_rows(d2):
 def test_what_is_no_mask_is_refused(wrong):
     with pytest.raises(ValueError, match="expected sites"):
         nearest_site(wrong)
-
-
-@pytest.mark.parametrize("wrong", [-1, 1024])
-def test_a_distance_that_does_not_fit_is_refused(wrong):
-    with pytest.raises(ValueError, match="d2 < 1024"):
-        within(jnp.zeros((3, 3), bool), wrong)

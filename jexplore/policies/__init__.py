@@ -1,7 +1,7 @@
 """Strategies by name, and the grammar of their names: `name+modifier+...:key=value,...`.
 
-A strategy is one file with one constructor that returns a `Policy`. To add one: write the file, add a line to `STRATEGIES`, a
-test, and a line to the changelog.
+A strategy is one file with one constructor that returns a `Policy`. To add one: write the file, add a line to
+`STRATEGIES`, a test, and a line to the changelog.
 """
 
 import difflib
@@ -15,7 +15,9 @@ from jexplore.policies.uniform import uniform
 
 STRATEGIES = {
     "closest": Entry(closest, "the frontier cell with the shortest path", "Yamauchi 1997; Holz et al. 2010, Figure 3"),
-    "random": Entry(uniform, "a frontier cell drawn uniformly from the reachable ones", "Holz et al. 2010, section 3.2"),
+    "random": Entry(
+        uniform, "a frontier cell drawn uniformly from the reachable ones", "Holz et al. 2010, section 3.2"
+    ),
 }
 MODIFIERS = {
     "recheck": "give up a target as soon as it is no longer live, and choose anew (Holz et al. 2010, section 2.3)",
@@ -77,5 +79,7 @@ def parse_strategy(text):
             number = float(value)
         except ValueError:
             raise InputError(f"expected a number for {key} in {text!r}, got {value!r}") from None
-        given[key] = require_number(key, int(number) if isinstance(allowed[key], int) and number.is_integer() else number)
+        given[key] = require_number(
+            key, int(number) if isinstance(allowed[key], int) and number.is_integer() else number
+        )
     return Strategy(name=text, policy=STRATEGIES[name].make(**given), recheck="recheck" in modifiers)

@@ -3,6 +3,7 @@
 Importing this loads neither jax nor an image library; `load_world` imports what a name needs.
 """
 
+import dataclasses
 import importlib
 import inspect
 import os
@@ -46,7 +47,7 @@ def load_world(name, cell_m=0.1):
 
     from jexplore.world import with_ring
 
-    world = with_ring(world.replace(name=name))
+    world = with_ring(dataclasses.replace(world, name=name))
     if world.occupied.all():
         raise InputError(f"{name!r}: no free cell is left at cell_m = {cell_m:g}; use a smaller cell_m")
     return world

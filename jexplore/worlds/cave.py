@@ -145,7 +145,7 @@ def _distance(shape, obstacles):
     """The least distance between the cells of two masks, cells; infinite if one is empty."""
     if not (shape.any() and obstacles.any()):
         return np.inf
-    return ndimage.distance_transform_edt(~obstacles)[shape].min()
+    return np.asarray(ndimage.distance_transform_edt(~obstacles))[shape].min()
 
 
 def _draw_group(rng, size_m, leaning):

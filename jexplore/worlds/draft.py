@@ -152,9 +152,9 @@ class Plan:
 
     def gap(self, stretch, width, at=0.5):
         """A door in a stretch of wall. `at` goes from 0, at its lower end, to 1; jambs remain at both ends."""
-        low, high = stretch[2:]
+        vertical, wall, low, high = stretch
         margin = min((high - low) / 2, width / 2 + WALL_M / 2 + 0.25)
-        self.doors.append(Door(*stretch[:2], low + margin + at * (high - low - 2 * margin), width, low, high))
+        self.doors.append(Door(vertical, wall, low + margin + at * (high - low - 2 * margin), width, low, high))
 
     def door(self, a, b, width, at=0.5):
         """A door between two rooms, in the longest stretch of wall that they share."""

@@ -57,6 +57,7 @@ def hospital(
 def _ward(rng, plan, end, stack, corridor_m, kinds):
     """The ward from x = 0 to `end`. Returns the number of its corridor."""
     lines = stack[1::2]
+    x = 0.0
     if len(lines) == 1:
         corridor = plan.room((0.0, lines[0][0], end, lines[0][1]))
     else:

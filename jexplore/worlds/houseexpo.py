@@ -74,12 +74,7 @@ def _numbers(path, key, value, width):
         numbers = np.array(value, float) if value else np.empty((0, width))
     except (TypeError, ValueError, OverflowError):
         numbers = np.empty(0)
-    if (
-        numbers.ndim != 2
-        or numbers.shape[1] != width
-        or not np.isfinite(numbers).all()
-        or np.abs(numbers).max(initial=0) > 1e6
-    ):
+    if numbers.shape[1:] != (width,) or not np.isfinite(numbers).all() or np.abs(numbers).max(initial=0) > 1e6:
         raise InputError(f"{path!r}: {key} must be a list of [{', '.join(['metres'] * width)}]")
     return numbers
 
@@ -130,7 +125,8 @@ def _rooms(path, categories, low, cell_m, occupied):
     for number in np.lexsort((-np.arange(len(cells)), -area)):  # the largest first, so that the smallest stays
         x0, y0, x1, y1 = cells[number]
         # cells with their centres in the box
-        row, col = (_between(*sorted(ends), n) for ends, n in zip(((y0, y1), (x0, x1)), occupied.shape))
+        row = _between(min(y0, y1), max(y0, y1), occupied.shape[0])
+        col = _between(min(x0, x1), max(x0, x1), occupied.shape[1])
         rooms[row, col] = number
     rooms[occupied] = -1
     return rooms

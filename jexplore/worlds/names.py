@@ -69,7 +69,7 @@ def parse(name, *, generators):
         return _parse_file(name, max(cuts, key=lambda cut: (os.path.isfile(name[:cut]), cut)))
     match = _GENERATOR.fullmatch(name)
     base = match["base"] if match else ""
-    if base not in generators:
+    if match is None or base not in generators:
         if os.path.isdir(name):
             raise InputError(f"{name!r}: is a directory; name a map file in it")
         if match is None or os.path.isfile(name):
