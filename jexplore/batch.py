@@ -238,7 +238,7 @@ def _final(grid, trail, steps, world):
     """The host's view of the last map and trail."""
     height, width = world.shape
     hits, misses, trail = np.asarray(grid.hits), np.asarray(grid.misses), np.asarray(trail[: steps + 1])
-    row, col = np.divmod(trail[:, Track.CELL], hits.shape[1])
+    row, col = np.divmod(trail[:, Track.SPOT] // 4, hits.shape[1])
     target = trail[:, Track.TARGET]
     target_row, target_col = np.where(target < 0, -1, np.divmod(target, hits.shape[1]))
     return Final(
@@ -248,7 +248,7 @@ def _final(grid, trail, steps, world):
         cols=col,
         target_rows=target_row,
         target_cols=target_col,
-        looked=trail[:, Track.LOOKED],
+        looked=trail[:, Track.SPOT] % 4,
         known=trail[:, Track.KNOWN],
     )
 

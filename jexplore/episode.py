@@ -92,11 +92,9 @@ class Result:
 class Track(enum.IntEnum):
     """Columns of a trail: one row for the start and one for every step, after the last scan made there."""
 
-    CELL = 0  # flat index (row * W + col) of the robot's cell
+    SPOT = 0  # 4 * flat index (row * W + col) of the robot's cell + scans made in place there before going on, 0 to 3
     TARGET = 1  # flat index of the target it was heading for; -1 for none
-    LOOKED = 2  # scans made in place before going on, 90 degrees apart
-    KNOWN = 3  # known cells
-    DIAGONAL = 4  # diagonal steps so far
+    KNOWN = 2  # known cells
 
 
 class Setup(NamedTuple):
@@ -117,7 +115,7 @@ class State:
 
     belief: Belief
     route: Array  # [H, W] int8, see `reach.lay_route`
-    trail: Array  # [T + 1, 5] int32, see `Track`
+    trail: Array  # [T + 1, 3] int32, see `Track`
     carry: Any  # the policy's
     target: Array  # [2] int32, row and col; -1 for none
     looking: Array  # int32, scans in place still to be made
@@ -191,7 +189,7 @@ def _record(state):
     row, col = state.target
     target = jnp.where(row < 0, -1, row * width + col)
     cell = state.belief.row * width + state.belief.col
-    entry = jnp.stack([cell, target, state.looked, state.known, state.diagonal])
+    entry = jnp.stack([4 * cell + state.looked, target, state.known])
     return state.replace(
         trail=lax.dynamic_update_slice(state.trail, entry[None], (state.straight + state.diagonal, jnp.int32(0)))
     )
@@ -319,9 +317,9 @@ def run(key, setup, truth, beams, numbers, start):
     )
     clear = free & ~within_packed(walls, setup.clearance_d2)
     around = clear | (free & near)
-    goal = (bits.unpack(clear) & (reach_packed(around, row, col) < FAR))[: shape[0]]
+    goal = clear & bits.pack(reach_packed(around, row, col) < FAR)  # packed: it is kept for the whole episode
     rows, cols = (lax.broadcasted_iota(jnp.int32, shape, axis) for axis in (0, 1))
-    stuck = truth.occupied[row, col] | ~jnp.any(goal & ((rows != row) | (cols != col)))
+    stuck = truth.occupied[row, col] | ~jnp.any(goal & bits.pack((rows != row) | (cols != col)))
 
     zero = jnp.int32(0)
     belief = Belief(
@@ -375,7 +373,7 @@ def run(key, setup, truth, beams, numbers, start):
 
     state = _record(lax.fori_loop(0, jnp.where(stuck, 0, setup.first_scans), look_round, state))
     state = lax.while_loop(lambda s: s.outcome == Outcome.RUNNING, episode_step, state)
-    missed = (state.outcome == Outcome.COMPLETE) & jnp.any(goal & ~is_known(state.belief.grid))
+    missed = (state.outcome == Outcome.COMPLETE) & jnp.any(goal & ~bits.pack(is_known(state.belief.grid)))
     state = state.replace(outcome=jnp.where(missed, Outcome.BLOCKED, state.outcome))
     return _measure(truth, start, state), state
 
@@ -386,10 +384,14 @@ def _measure(truth, start, state):
     explorable &= ~truth.occupied
     steps = state.straight + state.diagonal
     entry = lax.iota(jnp.int32, state.trail.shape[0])
-    known, diagonal = state.trail[:, Track.KNOWN], state.trail[:, Track.DIAGONAL]
     # In whole numbers: 100 * known reaches q * final. Entries beyond the last step count as the last.
-    at = [jnp.min(jnp.where((100 * known >= q * state.known) & (entry < steps), entry, steps)) for q in PERCENTILES]
-    at = jnp.stack(at)
+    reached = [(100 * state.trail[:, Track.KNOWN] >= q * state.known) & (entry < steps) for q in PERCENTILES]
+    at = jnp.stack([jnp.min(jnp.where(r, entry, steps)) for r in reached])
+    # A step to the next column or the next row is straight.
+    cell = state.trail[:, Track.SPOT] // 4
+    jump = jnp.abs(cell[1:] - cell[:-1])
+    is_diagonal = (jump != 1) & (jump != truth.occupied.shape[1])
+    diagonal_at = jnp.stack([jnp.sum(is_diagonal & (entry[:-1] < n), dtype=jnp.int32) for n in at])
     return Result(
         straight=state.straight,
         diagonal=state.diagonal,
@@ -402,8 +404,8 @@ def _measure(truth, start, state):
         explored=jnp.sum(explorable & is_known(state.belief.grid), dtype=jnp.int32),
         explorable=jnp.sum(explorable, dtype=jnp.int32),
         room_entries=state.room_entries,
-        straight_at=at - diagonal[at],
-        diagonal_at=diagonal[at],
+        straight_at=at - diagonal_at,
+        diagonal_at=diagonal_at,
         saturated=state.saturated,
         refused=state.refused,
     )

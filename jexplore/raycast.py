@@ -33,6 +33,7 @@ class Beams:
     dcol: Array  # [K, S, B] int32, column, likewise
     entry: Array  # [K, S, B] float32, distance at which it is entered, cells; inf beyond the range
     length: Array  # [K, B] int32, cells entered at a distance below the range
+    reach: Array  # float32, the range, cells
 
 
 @struct.dataclass
@@ -138,6 +139,7 @@ def beam_table(lidar, cell_m, width):
         dcol=dcol,  # type: ignore[arg-type]
         entry=np.where(within, entry, np.inf).astype(np.float32),  # type: ignore[arg-type]
         length=within.sum(axis=1).astype(np.int32),  # type: ignore[arg-type]
+        reach=np.float32(reach),  # type: ignore[arg-type]
     )
 
 
@@ -183,6 +185,7 @@ def trace(pose, angles_rad, *, max_range_m, cell_m, width):
         dcol=dcol,
         entry=jnp.where(within, entry, jnp.inf)[None],
         length=within.sum(axis=0, dtype=jnp.int32)[None],
+        reach=jnp.float32(reach),
     )
 
 
@@ -298,12 +301,13 @@ def disturb(key, seen, row, col, heading, beams, extent, *, sigma_cells, dropout
     n_beams = seen.end.shape[0]
     entry = lax.dynamic_index_in_dim(beams.entry, heading, keepdims=False)
     length = lax.dynamic_index_in_dim(beams.length, heading, keepdims=False)
-    at = jnp.minimum(seen.end, entry.shape[0] - 1)
-    distance = jnp.take_along_axis(entry, at[None], axis=0)[0] + sigma_cells * jax.random.normal(key_range, (n_beams,))
-    # The cell at a distance is the last one entered no later; a distance short of the first cell reads as the first.
-    step = jnp.sum(entry <= distance + 1e-6, axis=0, dtype=jnp.int32) - 1
-    step = jnp.clip(step, 0, steps_inside(beams, row, col, heading, extent) - 1)
-    end = jnp.where(seen.hit, step, seen.end)
+    at = jnp.take_along_axis(entry, jnp.minimum(seen.end, entry.shape[0] - 1)[None], axis=0)[0]
+    distance = at + sigma_cells * jax.random.normal(key_range, (n_beams,))
+    # The cell at a distance is the last one entered before it; a distance short of the first cell reads as the first.
+    step = jnp.where(distance == at, seen.end, jnp.sum(entry < distance, axis=0, dtype=jnp.int32) - 1)
+    step = jnp.where(distance < beams.reach, jnp.maximum(step, 0), length)
+    last = steps_inside(beams, row, col, heading, extent) - 1
+    end = jnp.where(seen.hit, jnp.minimum(step, last), seen.end)
     hit = seen.hit & (end < length)
     kept = jax.random.uniform(key_drop, (n_beams,)) >= dropout
     return Scan(end=jnp.where(kept, end, 0), hit=hit & kept)

@@ -46,6 +46,7 @@ class Result:
         default_factory=list
     )  # known cells: initial scans, then each step's scan
     known_after_scan: list = dataclasses.field(default_factory=list)  # (steps so far, known cells), one a scan
+    target_after_scan: list = dataclasses.field(default_factory=list)  # (steps so far, target then or None), one a scan
     explored_fraction: float = 0.0
     path_m: float = 0.0
     turning_rad: float = 0.0
@@ -111,6 +112,7 @@ class Robot:
         self.driven = np.zeros(occupied.shape, bool)
         self.driven[start] = True
         self.exhausted = np.zeros(occupied.shape, bool)
+        self.target = None
         shape = occupied.shape
         self.result = Result(visited=[start], hits=np.zeros(shape, np.int64), misses=np.zeros(shape, np.int64))
 
@@ -132,6 +134,7 @@ class Robot:
         self.result.headings.append(heading_deg)
         self.result.scans += 1
         self.result.known_after_scan.append((self.result.steps, self.known_count()))
+        self.result.target_after_scan.append((self.result.steps, self.target))
 
     def turn_to(self, heading_deg):
         """Turn in place by the smaller way."""
@@ -191,6 +194,7 @@ class Robot:
             target = divmod(chosen, known.shape[1])
             plan = Plan(self.cell, target, int(cost[target]), planning.path(pred, self.cell, target))
         self.result.log.append(plan)
+        self.target = plan.target
         return plan
 
     def arrive(self, target, look_around):
