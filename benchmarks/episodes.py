@@ -339,7 +339,11 @@ def yardstick_cases(args):
     path = args.yardstick or YARDSTICK
     if args.no_yardstick or (args.yardstick is None and not path.is_file()):
         return None, []
-    if args.yardstick is None and importlib.util.find_spec("numba") is None:
+    if not path.is_file():
+        raise InputError(f"--yardstick {path}: must be a Python file")
+    if importlib.util.find_spec("numba") is None:
+        if args.yardstick is not None:
+            raise InputError(f"--yardstick {path}: needs numba, which the extra bench installs")
         print("The yardstick needs numba (extra bench): left out.", file=sys.stderr)
         return None, []
     worlds = [SHARED / "maps" / "stage" / name for name in YARDSTICK_MAPS]

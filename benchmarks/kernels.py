@@ -169,7 +169,7 @@ def scans(recording):
     def other(update):
         hits, misses = np.zeros((2, occupied.size), np.int32)
         end, visited = oracles.walk(
-            occupied.reshape(-1), offset, length, row * width, col, heading, hits, misses, update
+            occupied.reshape(-1), offset, length, row * width + col, heading, hits, misses, update
         )
         return end, hits.reshape(occupied.shape), misses.reshape(occupied.shape), visited
 

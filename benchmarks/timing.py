@@ -3,6 +3,7 @@
 import argparse
 import contextlib
 import hashlib
+import importlib.util
 import math
 import os
 import platform
@@ -10,6 +11,7 @@ import statistics
 import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
+from importlib.metadata import version
 from pathlib import Path
 from typing import NamedTuple
 
@@ -128,7 +130,7 @@ def surroundings():
     load = os.getloadavg()[0] if hasattr(os, "getloadavg") else None
     return {
         **store.environment(),
-        "numba": store._version("numba"),
+        "numba": version("numba") if importlib.util.find_spec("numba") else None,
         "cpu": _cpu_model(),
         "cores": cores(),
         "load_1min": load,

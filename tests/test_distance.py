@@ -48,6 +48,12 @@ def test_equally_near_sites_give_the_lowest_index_in_every_direction():
     assert (int(d2[2, 2]), int(site[2, 2])) == (4, 10)
 
 
+def test_a_tie_at_the_very_end_of_the_search_counts():
+    """The upper site is found first; the one in the same row is as near and comes before it."""
+    _, site = nearest_site(jnp.asarray([[True, False], [False, True]]))
+    assert site.tolist() == [[0, 0], [0, 3]]
+
+
 def test_edge_cases():
     d2, site = nearest_site(jnp.zeros((3, 4), bool))
     assert (np.asarray(d2) == FAR).all()

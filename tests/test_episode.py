@@ -346,7 +346,7 @@ def test_noisy_episodes_replay_with_the_kernels_own_readings(seed, p_free):
     occupied, _ = maps.cluttered(40 + seed, 40, 44)
     lidar = Lidar(range_m=2.0, n_beams=37, sigma_m=0.3, dropout=0.1)
     rules = Rules(clearance_m=0.0, near_m=0.0, p_free=p_free, max_steps=150, max_plans=60)
-    start = a_start(seed, occupied, Rules())
+    start = a_start(seed, occupied, rules)
     beams = beam_table(lidar, 0.1, SHAPE[1])
     walled = jnp.asarray(np.pad(occupied, [(0, 64 - n) for n in occupied.shape], constant_values=True))
     key, scans = jax.random.fold_in(jax.random.key(seed), Stream.SENSOR), []

@@ -10,6 +10,7 @@ PACKAGE = Path(__file__).resolve().parents[1] / "jexplore"
 FLOORS = {
     "config": 0,
     "bits": 0,
+    "control": 0,
     "grid": 1,
     "distance": 2,
     "raycast": 2,

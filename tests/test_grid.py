@@ -32,6 +32,7 @@ def test_a_map_by_hand():
     np.testing.assert_array_equal(G.is_occupied(grid, 0.25), [[False, False, False, True, True, True]])
     np.testing.assert_array_equal(G.is_free(grid, 0.0), [[False, True, False, False, False, False]])
     assert G.probability(grid).dtype == jnp.float32
+    assert G.probability(make([[1, 0]], [[0, 1]])).tolist() == [[1, 0]]  # one observation is enough
 
 
 def test_an_empty_map_is_unknown_everywhere():
