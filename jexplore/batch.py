@@ -326,10 +326,10 @@ def run(jobs, lidar, rules, *, workers=None, on_progress=None):
     Returns:
       `Report`.
     """
+    start_backend()  # before anything else asks JAX for its devices
     if workers is None:
         workers = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
         workers = workers if jax.default_backend() == "cpu" else 1
-    start_backend()
     began = time.perf_counter()
     lines = _compile(jobs, lidar, rules, workers)
     compile_s, began = time.perf_counter() - began, time.perf_counter()

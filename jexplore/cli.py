@@ -6,8 +6,8 @@ line and status 2, an interruption with one line and status 130; neither leaves 
 
 import contextlib
 import datetime
+import io
 import os
-import signal
 import sys
 import threading
 import time
@@ -17,6 +17,7 @@ from jexplore.config import InputError
 from jexplore.options import Compare, Explore, Strategies, Worlds, help_text, parse
 
 COMPILING = "jexplore: compiling (kept for later runs)"
+LONGEST = 400  # characters of a message; a name or a file may be quoted in it
 PATIENCE_S = 2.0  # work that lasts longer shows how far it is
 
 
@@ -30,24 +31,32 @@ def main(argv=None):
       The exit status: 0; 2 for wrong input; 1 where memory or the reader of the output is gone; 130 if interrupted.
     """
     own = argv is None
+    if sys.stdout is None:  # closed by the shell
+        sys.stdout = open(os.devnull, "w")  # noqa: SIM115
+    if own and isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="replace")
     arguments = sys.argv[1:] if own else list(argv)
     try:
         return _dispatch(arguments)
     except InputError as error:
         return _say(f"jexplore: error: {' '.join(str(error).split())}", 2)
     except KeyboardInterrupt:
+        status = _say("jexplore: interrupted, nothing was written", 130)
         if own:
-            signal.signal(signal.SIGINT, signal.SIG_DFL)  # threads may take a moment to end: a second one kills
-        return _say("jexplore: interrupted, nothing was written", 130)
+            os._exit(status)  # at once: a program that is being compiled cannot be stopped in another way
+        return status
     except MemoryError:
         return _say("jexplore: error: out of memory; use a larger --cell-m or fewer episodes", 1)
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # or the interpreter complains when it ends
         return 1
+    except OSError as error:  # files are checked below: this is the standard output
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+        return _say(f"jexplore: error: cannot write the output: {error.strerror or error}", 1)
 
 
 def _say(line, status):
-    print(line, file=sys.stderr, flush=True)
+    print(line if len(line) <= LONGEST else line[: LONGEST - 3] + "...", file=sys.stderr, flush=True)
     return status
 
 
@@ -137,7 +146,8 @@ class _Out:
     def __init__(self, options, command):
         from jexplore import store
 
-        self.given, self.overwrite, self.command = options.out, options.overwrite, command
+        self.given = None if options.out is None else os.path.expanduser(options.out)
+        self.overwrite, self.command = options.overwrite, command
         self.began = time.perf_counter()
         self.now = datetime.datetime.now(datetime.UTC)
         store.check_out(self._folder(), self.overwrite)

@@ -28,9 +28,10 @@ if TYPE_CHECKING:
     import pandas as pd
 
 COLUMNS = (
-    *("world", "strategy", "episode", "seed", "start_row", "start_col", "start_heading_deg", "path_m", "turning_rad"),
+    *("world", "strategy", "episode", "seed", "start_row", "start_col", "path_m", "turning_rad"),
     *("steps", "scans", "plans", "outcome", "exhausted", "explored_fraction"),
-    *("path_m_at_50", "path_m_at_90", "path_m_at_95", "path_m_at_99", "room_entries", "refused", "saturated"),
+    *("path_m_at_50", "path_m_at_90", "path_m_at_95", "path_m_at_99", "room_entries"),
+    *("start_heading_deg", "refused", "saturated"),
 )
 """Columns of a table of episodes. `stats` and `plot` read them by these names."""
 

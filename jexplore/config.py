@@ -5,13 +5,26 @@ The command line builds its options from these classes; their docstrings are its
 
 import dataclasses
 import math
+import numbers
+from typing import Any
 
 
 class InputError(ValueError):
     """Wrong input from outside: a file, a name, a number. The message is one line that says what would be right."""
 
 
-def require_number(name, value, *, low=0.0, high=math.inf, low_open=False, high_open=False):
+def require_whole(name, value, *, low, high):
+    """`value` as an int within the bounds, both inclusive.
+
+    Raises:
+      InputError: not a whole number, or outside the bounds.
+    """
+    if not isinstance(value, numbers.Integral) or isinstance(value, bool) or not low <= value <= high:
+        raise InputError(f"{name} must be an integer from {low} to {high}, got {value!r}")
+    return int(value)
+
+
+def require_number(name, value, *, low=0.0, high=math.inf, low_open=False, high_open=False) -> Any:
     """Refuse `value` unless it is a finite number within the bounds.
 
     Args:
@@ -22,13 +35,15 @@ def require_number(name, value, *, low=0.0, high=math.inf, low_open=False, high_
     Raises:
       InputError: not a number, NaN, infinite, or outside the bounds.
     """
-    is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
-    ok = is_number and math.isfinite(value)
-    ok = ok and (value > low if low_open else value >= low) and (value < high if high_open else value <= high)
+    is_number = isinstance(value, numbers.Real) and not isinstance(value, bool)
+    number: Any = value
+    ok = is_number and math.isfinite(number)
+    ok = ok and (number > low if low_open else number >= low) and (number < high if high_open else number <= high)
     if not ok:
-        above = f"{'above' if low_open else 'at least'} {low:g}"
-        below = "" if math.isinf(high) else f" and {'below' if high_open else 'at most'} {high:g}"
-        raise InputError(f"{name} must be a number {above}{below}, got {value!r}")
+        above = "" if math.isinf(low) else f" {'above' if low_open else 'at least'} {low:g}"
+        below = "" if math.isinf(high) else f"{' and' if above else ''} {'below' if high_open else 'at most'} {high:g}"
+        kind = "a number" if above or below else "a finite number"
+        raise InputError(f"{name} must be {kind}{above}{below}, got {value!r}")
     return value
 
 
@@ -48,7 +63,7 @@ class Lidar:
     """Probability that a beam returns nothing at all, and leaves the map as it is."""
 
     def __post_init__(self):
-        require_number("lidar.n_beams", self.n_beams, low=1, high=4096)
+        require_whole("lidar.n_beams", self.n_beams, low=1, high=4096)
         require_number("lidar.fov_deg", self.fov_deg, low=0, high=360, low_open=self.n_beams > 1)
         require_number("lidar.range_m", self.range_m, low_open=True, high=1000)
         require_number("lidar.sigma_m", self.sigma_m, high=1000)
@@ -76,7 +91,9 @@ class Rules:
         require_number("episode.clearance_m", self.clearance_m, high=10)
         require_number("episode.near_m", self.near_m, high=10)
         require_number("episode.p_free", self.p_free, high=1, high_open=True)
+        if not isinstance(self.look_around, bool):
+            raise InputError(f"episode.look_around must be True or False, got {self.look_around!r}")
         for name in ("max_steps", "max_plans"):
             value = getattr(self, name)
             if value is not None:
-                require_number(f"episode.{name}", value, low=1, high=2**24)
+                require_whole(f"episode.{name}", value, low=1, high=2**24)

@@ -11,7 +11,7 @@ from jexplore.config import InputError, Lidar, Rules
 from jexplore.grid import in_cells, radius_d2
 from jexplore.policies import parse_strategy
 from jexplore.raycast import HEADINGS, n_steps
-from jexplore.world import World, check_start, draw_start, draw_starts
+from jexplore.world import World, check_start, checked, draw_start, draw_starts
 from jexplore.worlds import load_world
 
 LIDAR, RULES = Lidar(), Rules()  # the defaults
@@ -40,7 +40,12 @@ def require_integer(name, value, low, high):
 
 def _listed(kind, items):
     """A list of one or more different items; a single one may stand for itself."""
-    items = [items] if isinstance(items, (str, os.PathLike, World)) else list(items)
+    if isinstance(items, (str, os.PathLike, World)):
+        items = [items]
+    try:
+        items = list(items)
+    except TypeError:
+        raise InputError(f"{kind} must be names, got {items!r}") from None
     if not items:
         raise InputError(f"{kind} must name at least one, got none")
     return items
@@ -66,13 +71,13 @@ def ready_worlds(worlds, cell_m):
       InputError: none, one twice, a `World` without a name or free cell, or a name that cannot be loaded.
     """
     worlds = _listed("worlds", worlds)
-    _require_different("worlds", [w.name if isinstance(w, World) else os.fspath(w) for w in worlds])
+    _require_different("worlds", [w.name if isinstance(w, World) else str(w) for w in worlds])
     for world in worlds:
         if isinstance(world, World) and not world.name:
             raise InputError("a world needs a name to be told from others: world.replace(name=...)")
-        if isinstance(world, World) and np.all(world.occupied):
-            raise InputError(f"{world.name!r}: no cell is free")
-    return [world if isinstance(world, World) else load_world(world, cell_m) for world in worlds]
+        if not isinstance(world, (str, os.PathLike, World)):
+            raise InputError(f"a world must be a name, a path or a World, got {world!r}")
+    return [checked(world) if isinstance(world, World) else load_world(world, cell_m) for world in worlds]
 
 
 def ready_strategies(strategies):
@@ -85,6 +90,9 @@ def ready_strategies(strategies):
       InputError: none, one twice, or a name that says nothing.
     """
     strategies = _listed("strategies", strategies)
+    for name in strategies:
+        if not isinstance(name, str):
+            raise InputError(f"a strategy must be a name, got {name!r}")
     _require_different("strategies", strategies)
     return [parse_strategy(name) for name in strategies]
 

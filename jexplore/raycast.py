@@ -102,8 +102,8 @@ def _geometry(xp, dx, dy, x, y, far):
 
 
 def n_steps(range_cells):
-    """Steps that a beam of this range can need, rounded up to whole blocks. A Python int."""
-    return -(-(math.floor(range_cells * math.sqrt(2)) + 2) // BLOCK) * BLOCK
+    """Steps that a beam can need from anywhere in a cell, and one more that ends it, in whole blocks. A Python int."""
+    return -(-(math.floor(range_cells * math.sqrt(2)) + 3) // BLOCK) * BLOCK
 
 
 @functools.lru_cache(maxsize=8)

@@ -1,10 +1,9 @@
 """The reachability map: the cost of the shortest path from the robot to every cell, and the way there.
 
 Costs are int32 fixed point, so that every algorithm, batch and device gives the same bits: 2**16 a straight step,
-round(sqrt(2) * 2**16) a
-diagonal one. A diagonal step needs both cells beside it traversable. `reach` fills a whole map with raster sweeps;
-`wave` grows a wavefront and stops as soon as the nearest goal is settled. Both end in the same costs where both have
-settled.
+round(sqrt(2) * 2**16) a diagonal one. A diagonal step needs both cells beside it traversable. `reach` fills a whole map
+with raster sweeps; `wave` grows a wavefront and stops as soon as the nearest goal is settled. Both end in the same
+costs where both have settled.
 """
 
 import jax

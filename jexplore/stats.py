@@ -345,6 +345,18 @@ def _unequal(ours, theirs, tolerance):
     )
 
 
+def _cut_short(episodes):
+    """A line for every strategy in a world with episodes that a limit ended, or with refused steps."""
+    for world, strategies in _groups(episodes).items():
+        for strategy, rows in strategies.items():
+            limited = int(rows["outcome"].isin(["STEP_LIMIT", "PLAN_LIMIT"]).sum())
+            if limited:
+                yield f"{world}: {strategy}: {limited} of {len(rows)} episodes were cut short by a limit"
+            refused = int(rows["refused"].sum()) if "refused" in rows else 0
+            if refused:
+                yield f"{world}: {strategy}: {refused} steps were refused, into cells that proved not to be free"
+
+
 def warnings_of(episodes, *, tolerance=0.01):
     """What makes the comparison with the first strategy unfair, and the ratio at equal coverage.
 
@@ -381,4 +393,4 @@ def warnings_of(episodes, *, tolerance=0.01):
             unequal = _unequal(ours, theirs, tolerance) if len(ours) else None
             if unequal:
                 found.append(f"{name}: {unequal}")
-    return found
+    return found + list(_cut_short(episodes))

@@ -22,8 +22,8 @@ from jexplore import __version__
 from jexplore.config import InputError
 
 OUR_FILES = (
-    *("run.json", "episodes.parquet", "summary.parquet", "summary.json", "summary.md", "table.md", "warnings.txt"),
-    *("compare.png", "paths.png", "episode.png", "episode.gif", "replay.gif", "worlds.png", "map.png"),
+    *("run.json", "episodes.parquet", "compare.png", "paths.png"),  # compare
+    *("episode.png", "episode.gif", "worlds.png"),  # explore, worlds
 )
 """Names that a run writes into its folder: their presence marks it as taken, and only they are ever replaced."""
 

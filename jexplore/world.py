@@ -7,6 +7,7 @@ import numpy as np
 from flax import struct
 
 from jexplore.config import InputError, require_number
+from jexplore.grid import radius_d2
 
 MAX_SIDE = 4096  # cells along the longer side, ring included
 HEADINGS_DEG = (0, 45, 90, 135, 180, 225, 270, 315)
@@ -37,6 +38,33 @@ class World:
     def free_m2(self):
         """Area of the free cells, square metres."""
         return float((~self.occupied).sum()) * self.cell_m**2
+
+
+def checked(world):
+    """A world that a caller has made, after a look at what the kernels rely on.
+
+    Args:
+      world: a `World`.
+
+    Returns:
+      The same world `with_ring`.
+
+    Raises:
+      InputError: arrays of another shape or dtype than `World` says, sizes out of range, or no free cell.
+    """
+    name, occupied = world.name or "world", np.asarray(world.occupied)
+    if occupied.ndim != 2 or occupied.dtype != bool or not occupied.size:
+        raise InputError(f"{name!r}: occupied must be [H, W] bool, got {occupied.shape} {occupied.dtype}")
+    require_side(name, *occupied.shape)
+    require_number(f"{name!r}: cell_m", world.cell_m, low_open=True, high=100)
+    rooms = world.rooms
+    if rooms is not None and (
+        np.shape(rooms) != occupied.shape or not np.issubdtype(np.asarray(rooms).dtype, np.integer)
+    ):
+        raise InputError(f"{name!r}: rooms must be integers of shape {occupied.shape}, got {np.shape(rooms)}")
+    if occupied.all():
+        raise InputError(f"{name!r}: no cell is free")
+    return with_ring(world)
 
 
 def with_ring(world):
@@ -138,11 +166,6 @@ def occupancy_to_world(occupancy, *, cell_m=0.1, name="", origin_m=(0.0, 0.0), f
     if occupied.all():
         raise InputError(f"{what!r}: no cell is free (occupancy 0 to {free_max})")
     return with_ring(World(occupied=occupied, cell_m=float(cell_m), name=name, origin_m=tuple(origin_m)))
-
-
-def radius_d2(radius_m, cell_m):
-    """The largest squared distance, in cells^2, that lies within a radius: `floor((radius/cell)^2 + 1e-3)`."""
-    return math.floor((radius_m / cell_m) ** 2 + 1e-3)
 
 
 def clear_cells(occupied, clearance_m, cell_m):

@@ -171,6 +171,7 @@ def test_an_interrupt_leaves_no_thread_behind(jobs):
     assert set(threading.enumerate()) <= before
 
 
+@pytest.mark.jit
 def test_no_key_is_used_twice():
     """A random strategy with a noisy scanner in a tiny world, every use of a key checked."""
     occupied = maps.walls("###### #....# #....# ######")
@@ -188,9 +189,8 @@ def test_no_key_is_used_twice():
         params=(),
     )  # fmt: skip
     setup = episode.Setup(strategy.policy.init, strategy.policy.select, 0, 2, 4, True, 3)
+    beams = jax.device_put(beam_table(lidar, 1.0, 6))
+    start = jnp.asarray([1, 1, 0], jnp.int32)
     with jax.debug_key_reuse(True):
-        result, _ = episode.run(
-            jax.random.key(3), setup, truth, jax.device_put(beam_table(lidar, 1.0, 6)), numbers,
-            jnp.asarray([1, 1, 0], jnp.int32),
-        )  # fmt: skip
+        result, _ = jax.jit(lambda key: episode.run(key, setup, truth, beams, numbers, start))(jax.random.key(3))
     assert int(result.plans) > 0

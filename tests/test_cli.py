@@ -228,7 +228,7 @@ def test_the_defaults_are_smaller_on_request(monkeypatch):
         ("compare --cell-m 0.001", "cells"),
         ("compare --start here", "--start must be one of 'random', 'world', got 'here'"),
         ("compare --start world", "has no start of its own"),
-        ("compare --lidar.n-beams 0", "lidar.n_beams must be a number at least 1"),
+        ("compare --lidar.n-beams 0", "lidar.n_beams must be an integer from 1 to 4096"),
         ("compare --lidar.range-m inf", "lidar.range_m must be a number"),
         ("compare --lidar.range-m 1000 --lidar.n-beams 4096 --cell-m 0.02 --worlds maze", "GiB"),
         ("compare --episode.p-free nan", "episode.p_free must be a number"),

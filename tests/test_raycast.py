@@ -358,7 +358,6 @@ def noisy(key, occupied, row, col, heading, lidar, sigma_cells=0.0, dropout=0.0,
     return seen, raycast.disturb(key, seen, row, col, heading, table, extent, **noise)
 
 
-# A bug of `disturb`: of two cells entered at one distance (an exact corner) it takes the later one.
 def test_without_sigma_and_dropout_nothing_is_disturbed():
     lidar = Lidar(n_beams=16, fov_deg=360, range_m=3)  # beams at 45 degrees, which pass exact corners, among them
     for row, col in np.argwhere(~ROOM):
@@ -404,7 +403,6 @@ def test_the_range_error_has_the_given_spread_and_no_bias_but_the_cells_own():
         assert stats.binomtest(int((error < 3 * k).sum()), end.size, share).pvalue > 1e-3
 
 
-# A bug of `disturb`: beyond the range no cell is entered, so the last one within it is taken, as a hit.
 @pytest.mark.jit
 def test_a_reading_beyond_the_range_is_no_hit():
     """The wall's near edge is at 9.5 cells, the range is 10: with a sigma of 0.5 every sixth reading lies beyond."""

@@ -264,6 +264,13 @@ def test_a_wave_stops_soon_after_the_nearest_goal_is_settled():
     assert (int(best), int(settled)) == (0, 0)
 
 
+def test_a_wave_does_not_stop_at_a_goal_that_it_has_met_but_not_settled():
+    """Four diagonal motions cost more than five straight ones would: what four rounds have found is not yet final."""
+    goals = jnp.zeros((6, 6), bool).at[4, 4].set(True)
+    _, best, settled = wave(jnp.ones((6, 6), bool), goals, 0, 0, jnp.int32(FAR))
+    assert int(best) == 4 * D <= int(settled)
+
+
 def test_a_wave_stops_soon_after_its_bound():
     goals = jnp.zeros((1, 40), bool).at[0, 30].set(True)
     cost, best, settled = wave(jnp.ones((1, 40), bool), goals, 0, 0, jnp.int32(4 * S))

@@ -318,7 +318,8 @@ def test_truncated_paths_are_compared_at_equal_coverage():
         ],
         ignore_index=True,
     )
-    (line,) = stats.warnings_of(episodes)
+    line, cut = stats.warnings_of(episodes)
+    assert "1 of 3 episodes were cut short" in cut
     level = 0.95 * 0.55
     at_level = 5.0 + (level - 0.5) / 0.4 * 16.0
     equal = (46 + 18 + 46) / (23 + at_level + 23)
