@@ -17,6 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 import oracles
 from jax import lax
+from jax.experimental.compilation_cache import compilation_cache
 from scipy import ndimage
 from timing import (
     at_least_one,
@@ -440,6 +441,9 @@ def main():
     if not oracles.NATIVE:
         print("Without numba (extra bench) its references are checked, but not timed.", file=sys.stderr)
     recording = record(args.world)
+    # Recording reads and keeps compiled programs; from here on compiling means compiling.
+    jax.config.update("jax_enable_compilation_cache", False)
+    compilation_cache.reset_cache()
     kernels = [*scans(recording), mask_kernel(recording), cluster_kernel(recording)]
     kernels += [kernel(world) for world in maps for kernel in (reach_kernel, site_kernel)]
     with one_core() as report["pinned"]:

@@ -28,7 +28,7 @@ def _default_worlds():
 
 
 def _default_episodes():
-    return 5 if _is_small() else 30
+    return 5 if _is_small() else 20
 
 
 _Names = Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME [NAME ...]")]

@@ -235,6 +235,22 @@ def test_a_frontier_just_inside_and_just_outside_a_window():
 
 
 @pytest.mark.jit
+def test_equal_costs_inside_and_outside_a_window_go_to_the_lowest_index():
+    """Two corridors of one length, one of them bent and so nearer as the crow flies: a window may see its end alone."""
+    for turns in range(4):
+        for length in (*range(26, 34), *range(57, 66)):
+            misses = np.zeros((SIDE, SIDE), int)
+            misses[96 - length : 97, 96] = 1  # straight down
+            misses[96, 96 - length + 5 : 97] = misses[96:102, 96 - length + 5] = 1  # to the left, and five cells up
+            hits = 1 - misses
+            hits[96 - length - 1, 96] = hits[102, 96 - length + 5] = 0  # unknown
+            hits, misses = np.rot90(hits, turns), np.rot90(misses, turns)
+            row, col = (96, 96) if turns == 0 else ((95, 96), (95, 95), (96, 95))[turns - 1]
+            assert misses[row, col] == 1
+            assert int(both(believe(hits, misses, row, col)).cost) == length * S
+
+
+@pytest.mark.jit
 def test_rows_of_a_batch_are_independent():
     beliefs = [random_belief(seed, (8, 7), 0.1, 0.2, 1) for seed in range(3)]
     stacked = jax.tree.map(lambda *a: jnp.stack(a), *beliefs)
