@@ -326,7 +326,12 @@ def parse():
     parser.add_argument("--strategies", nargs="+", default=["closest+recheck"], help="as for jexplore compare")
     parser.add_argument("--episodes", type=at_least_one, default=16, help="of each strategy in each world")
     parser.add_argument("--repeat", type=at_least_one, default=3, help="times that all of them are run")
-    parser.add_argument("--workers", type=at_least_one, nargs="+", help="threads; default: 1, and one a core")
+    parser.add_argument(
+        "--workers",
+        type=at_least_one,
+        nargs="+",
+        help="threads; default: 1. XLA fixes its pool at start: one run for each number tells most",
+    )
     parser.add_argument("--yardstick", type=Path, help=f"numba simulator to compare with; default {YARDSTICK} if there")
     parser.add_argument("--no-yardstick", action="store_true", help="leave it out")
     parser.add_argument("--no-memory", action="store_true", help=f"leave out the map of {MEMORY_SIDE} x {MEMORY_SIDE}")
@@ -360,11 +365,11 @@ def main():
     check_out(args.out)
     strategies = [parse_strategy(name) for name in args.strategies]
     worlds = [load_world(name) for name in args.worlds]
-    batch.start_backend()
+    batch.start_backend(max(args.workers or [1]))
     if args.cache:
         batch.use_compilation_cache()
     all_cores = cores() if jax.default_backend() == "cpu" else 1
-    workers = sorted(set(args.workers or [1, all_cores]))
+    workers = sorted(set(args.workers or [1]))
     yardstick, yardstick_worlds = yardstick_cases(args)
     report = {"environment": surroundings(), "episodes": args.episodes, "repeat": args.repeat, "cached": args.cache}
     compiler = Compiler()

@@ -436,7 +436,7 @@ def main():
     check_out(args.out)
     maps: list[World] = [load_world(name) for name in args.maps]
     load_world(args.world)
-    batch.start_backend()
+    batch.start_backend(1)
     report = {"environment": surroundings(), "repeat": args.repeat}
     if not oracles.NATIVE:
         print("Without numba (extra bench) its references are checked, but not timed.", file=sys.stderr)

@@ -199,18 +199,20 @@ class Report(NamedTuple):
     run_s: float  # seconds in which compiled programs ran
 
 
-def start_backend():
-    """Starts JAX for running one program on every core, instead of one program on all cores.
+def start_backend(workers):
+    """Starts JAX with as many threads as there are to be workers.
 
-    XLA splits operations of a few thousand elements over the cores of a CPU, which costs more than it gains when every
-    core has an episode of its own (measured: a third of the time of an episode on 2 cores, a sixth beside other work).
-    It reads the number of threads for that from the variable NPROC when it starts, so this must come before JAX is
-    first used;
-    later calls, or calls in a notebook that has used JAX before, change nothing but speed.
+    XLA runs programs on a pool of its own, which must have a thread for every worker. It also splits operations of a few
+    thousand elements over the threads of that pool, which costs a lone worker more than it gains (measured: a tenth of an
+    episode's time on a quiet machine, a third beside other work): so one worker gets one thread. The size of the pool is
+    read from the variable NPROC when JAX starts; this must come before JAX is first used, and changes nothing later, as
+    in a notebook that has used JAX before: that costs speed, never results.
+
+    Args:
+      workers: threads that will call compiled programs at the same time.
     """
     before = os.environ.get("NPROC")
-    os.environ["NPROC"] = "1"
-    jax.config.update("jax_cpu_enable_async_dispatch", False)  # programs run in the threads that call them
+    os.environ["NPROC"] = str(workers)
     try:
         jax.local_devices()
     finally:
@@ -326,10 +328,10 @@ def run(jobs, lidar, rules, *, workers=None, on_progress=None):
     Returns:
       `Report`.
     """
-    start_backend()  # before anything else asks JAX for its devices
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    start_backend(workers or cores)  # before anything else asks JAX for its devices
     if workers is None:
-        workers = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-        workers = workers if jax.default_backend() == "cpu" else 1
+        workers = cores if jax.default_backend() == "cpu" else 1
     began = time.perf_counter()
     lines = _compile(jobs, lidar, rules, workers)
     compile_s, began = time.perf_counter() - began, time.perf_counter()

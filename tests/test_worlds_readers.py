@@ -416,7 +416,7 @@ def test_ros_yaml_is_read_as_written_by_people(tmp_path):
         ({"resolution": 5000}, "more than 4096"),
         ({"origin": [0, 0]}, r"origin must be \[x, y, yaw\]"),
         ({"origin": "0 0 0"}, r"origin must be \[x, y, yaw\]"),
-        ({"origin": [0, math.nan, 0]}, "origin must be a number"),
+        ({"origin": [0, math.nan, 0]}, "origin must be a finite number"),
         ({"origin": [0, 0, 0.5]}, "the map is turned by yaw = 0.5; only origin"),
         ({"negate": 2}, "negate must be a number"),
         ({"occupied_thresh": 65}, "occupied_thresh must be a number at least 0 and at most 1"),
@@ -494,7 +494,7 @@ def test_bad_things_to_write_are_refused(tmp_path):
     refused("from -1 to 100, got int64", write_ros, [[0, 101]], tmp_path / "m.yaml")
     refused("got float64", write_ros, [[0.5]], tmp_path / "m.yaml")
     refused("cell_m must be a number above 0", write_ros, [[0]], tmp_path / "m.yaml", cell_m=0)
-    refused("origin_m must be a number", write_ros, [[0]], tmp_path / "m.yaml", origin_m=(math.nan, 0))
+    refused("origin_m must be a finite number", write_ros, [[0]], tmp_path / "m.yaml", origin_m=(math.nan, 0))
     assert list(tmp_path.iterdir()) == []
 
 
