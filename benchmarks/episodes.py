@@ -21,7 +21,6 @@ from timing import (
     busiest,
     check_out,
     control,
-    cores,
     finish,
     guarded,
     interleaved,
@@ -368,7 +367,6 @@ def main():
     batch.start_backend(max(args.workers or [1]))
     if args.cache:
         batch.use_compilation_cache()
-    all_cores = cores() if jax.default_backend() == "cpu" else 1
     workers = sorted(set(args.workers or [1]))
     yardstick, yardstick_worlds = yardstick_cases(args)
     report = {"environment": surroundings(), "episodes": args.episodes, "repeat": args.repeat, "cached": args.cache}

@@ -202,11 +202,11 @@ class Report(NamedTuple):
 def start_backend(workers):
     """Starts JAX with as many threads as there are to be workers.
 
-    XLA runs programs on a pool of its own, which must have a thread for every worker. It also splits operations of a few
-    thousand elements over the threads of that pool, which costs a lone worker more than it gains (measured: a tenth of an
-    episode's time on a quiet machine, a third beside other work): so one worker gets one thread. The size of the pool is
-    read from the variable NPROC when JAX starts; this must come before JAX is first used, and changes nothing later, as
-    in a notebook that has used JAX before: that costs speed, never results.
+    XLA runs programs on a pool of its own, which must have a thread for every worker. It also splits operations of a
+    few thousand elements over the threads of that pool, which costs a lone worker more than it gains (measured: a tenth
+    of an episode's time on a quiet machine, a third beside other work): so one worker gets one thread. The size of the
+    pool is read from the variable NPROC when JAX starts; this must come before JAX is first used, and changes nothing
+    later, as in a notebook that has used JAX before: that costs speed, never results.
 
     Args:
       workers: threads that will call compiled programs at the same time.
