@@ -1,54 +1,25 @@
-"""Many episodes: compiled once per map size and strategy, one after the other on every core.
+"""Many episodes: on the cores of a CPU one after the other, on an accelerator in lockstep, with equal results.
 
-An episode is serial and full of decisions, so a CPU core runs episodes one at a time with true control flow (a batched
-`while_loop` would run each to the slowest lane). Threads share one compiled program; XLA releases the interpreter lock.
+An episode is serial and full of decisions. A CPU core runs episodes one at a time with true control flow (engine
+"serial"): threads share one compiled program, and XLA releases the interpreter lock. An accelerator needs thousands of
+episodes at once (engine "lockstep"). Several devices share the work through `shard_map`, each with its own
+part and no word between them; several processes (`jax.distributed`) do as well.
 """
 
 import contextlib
-import functools
-import math
 import os
-import time
-from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
 from pathlib import Path
 from typing import NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
-from jax import lax
 
-from jexplore import episode
-from jexplore.bits import WORD
-from jexplore.episode import Numbers, Result, Setup, Track, Truth
-from jexplore.grid import Grid, in_cells, radius_d2
+from jexplore import lockstep, serial
+from jexplore.config import InputError
+from jexplore.episode import Result, Track
 from jexplore.policies import Strategy
-from jexplore.raycast import beam_table
-from jexplore.robot import scans_all_round
+from jexplore.site import ENGINES, line_of, prepare
 from jexplore.world import World
-
-CHUNK = 64  # most episodes in one call of the compiled program
-CHUNK_S = 1.0  # seconds that a call should take: how often progress moves, and how long Ctrl-C waits
-LEAST_LIMIT = 20_000  # default bound of steps and plans on small maps
-
-
-class Prepared(NamedTuple):
-    """A world, a scanner and rules on the device, ready for episodes."""
-
-    truth: Truth
-    beams: object  # `raycast.Beams`
-    clearance_d2: int
-    first_scans: int
-    window: int
-    noisy: bool
-    capacity: int
-    near_d2: int
-    max_steps: int
-    max_plans: int
-    sigma_cells: float
-    dropout: float
-    p_free: float
-    look_around: bool
 
 
 class Final(NamedTuple):
@@ -64,117 +35,6 @@ class Final(NamedTuple):
     known: np.ndarray  # [n + 1] int32, known cells then
 
 
-def bucket(n):
-    """The size to which a side of n cells is padded: of 4, 5, 6 or 7 times a power of two the next, in multiples of 32.
-
-    So that maps of similar size share a compiled program, at the price of at most a quarter more rows and columns.
-    """
-    step = max(WORD, 2 ** (math.ceil(math.log2(max(n, 1))) - 3))
-    return max(2 * WORD, math.ceil(n / step) * step)
-
-
-def prepare(world, lidar, rules):
-    """Pads a world, traces the scanner's beams and moves both to the device.
-
-    Args:
-      world: `World`.
-      lidar: `Lidar`.
-      rules: `Rules`.
-
-    Returns:
-      `Prepared`.
-    """
-    from scipy import ndimage
-
-    height, width = world.shape
-    shape = bucket(height), bucket(width)
-    pad = [(0, full - n) for full, n in zip(shape, world.shape)]
-    rooms = world.rooms if world.rooms is not None else np.full(world.shape, -1, np.int32)
-    region = ndimage.label(~world.occupied)[0].astype(np.int32)  # type: ignore[index]
-    truth = Truth(
-        occupied=np.pad(world.occupied, pad, constant_values=True),  # type: ignore[arg-type]
-        rooms=np.pad(rooms, pad, constant_values=-1),  # type: ignore[arg-type]
-        region=np.pad(region, pad),  # type: ignore[arg-type]
-        extent=np.asarray(world.shape, np.int32),  # type: ignore[arg-type]
-    )
-    limit = max(LEAST_LIMIT, height * width)
-    max_steps = rules.max_steps or limit
-    return Prepared(
-        truth=jax.device_put(truth),
-        beams=jax.device_put(beam_table(lidar, world.cell_m, shape[1])),
-        clearance_d2=radius_d2(rules.clearance_m, world.cell_m),
-        first_scans=scans_all_round(lidar.fov_deg),
-        window=math.ceil(in_cells(lidar.range_m + 4 * lidar.sigma_m, world.cell_m)) + 1,
-        noisy=lidar.sigma_m > 0 or lidar.dropout > 0,
-        capacity=max(LEAST_LIMIT, shape[0] * shape[1]) if max_steps <= limit else max_steps,
-        near_d2=radius_d2(rules.near_m, world.cell_m),
-        max_steps=max_steps,
-        max_plans=rules.max_plans or limit,
-        sigma_cells=lidar.sigma_m / world.cell_m,
-        dropout=lidar.dropout,
-        p_free=rules.p_free,
-        look_around=rules.look_around,
-    )
-
-
-def _setup(prepared, strategy):
-    return Setup(
-        init=strategy.policy.init,
-        select=strategy.policy.select,
-        clearance_d2=prepared.clearance_d2,
-        first_scans=prepared.first_scans,
-        window=prepared.window,
-        noisy=prepared.noisy,
-        capacity=prepared.capacity,
-    )
-
-
-def _numbers(prepared, strategy):
-    return Numbers(
-        p_free=np.float32(prepared.p_free),  # type: ignore[arg-type]
-        near_d2=np.int32(prepared.near_d2),  # type: ignore[arg-type]
-        look_around=np.bool_(prepared.look_around),  # type: ignore[arg-type]
-        recheck=np.bool_(strategy.recheck),  # type: ignore[arg-type]
-        max_steps=np.int32(prepared.max_steps),  # type: ignore[arg-type]
-        max_plans=np.int32(prepared.max_plans),  # type: ignore[arg-type]
-        sigma_cells=np.float32(prepared.sigma_cells),  # type: ignore[arg-type]
-        dropout=np.float32(prepared.dropout),  # type: ignore[arg-type]
-        params=strategy.policy.params,
-    )
-
-
-@functools.partial(jax.jit, static_argnames=("setup",))
-def run_chunk(setup, seed, numbers_of, starts, count, truth, beams, numbers):
-    """Up to C episodes of one world and strategy, one after the other.
-
-    Args:
-      setup: `Setup`. Static.
-      seed: uint32.
-      numbers_of: `[C]` int32, number of each episode; with the seed it makes the episode's key.
-      starts: `[C, 3]` int32, row, col, heading (units of 45 degrees).
-      count: int32, episodes to run; the rest of the C are left alone.
-      truth, beams, numbers: `Truth`, `Beams`, `Numbers`.
-
-    Returns:
-      `Result` with a leading axis C, zeros from `count` on; and grid and trail of the last episode run.
-    """
-    shape = truth.occupied.shape
-
-    def one(i, state):
-        results, _ = state
-        key = jax.random.fold_in(jax.random.key(seed), numbers_of[i])
-        result, final = episode.run(key, setup, truth, beams, numbers, starts[i])
-        results = jax.tree.map(lambda all_, new: all_.at[i].set(new), results, result)
-        return results, (final.belief.grid, final.trail)
-
-    blank = jax.eval_shape(
-        lambda: episode.run(jax.random.key(0), setup, truth, beams, numbers, jnp.zeros(3, jnp.int32))
-    )
-    results = jax.tree.map(lambda x: jnp.zeros((starts.shape[0], *x.shape), x.dtype), blank[0])
-    last = Grid(jnp.zeros(shape, jnp.int32), jnp.zeros(shape, jnp.int32)), jnp.zeros(blank[1].trail.shape, jnp.int32)
-    return lax.fori_loop(0, count, one, (results, last))
-
-
 class Job(NamedTuple):
     """Episodes of one strategy in one world."""
 
@@ -187,8 +47,8 @@ class Job(NamedTuple):
 class Outcomes(NamedTuple):
     """What `run` returns for one job."""
 
-    result: Result  # numpy, with a leading axis N
-    first: Final  # the map and the way of episode 0
+    result: Result  # numpy, with a leading axis N; outcome RUNNING where the run was interrupted before
+    first: Final | None  # the map and the way of episode 0; None where the run was interrupted before
 
 
 class Report(NamedTuple):
@@ -197,6 +57,12 @@ class Report(NamedTuple):
     outcomes: list[Outcomes]  # in the order of the jobs
     compile_s: float  # seconds spent compiling, or loading compiled programs
     run_s: float  # seconds in which compiled programs ran
+    engine: str = "serial"
+    devices: int = 1
+    lanes: int = 1  # most episodes at a time on one device; in the serial engine one a worker
+    useful: float | None = None  # share of the lanes that made a step, over all turns; None in the serial engine
+    useful_plans: float | None = None  # share of the places in planning groups that were taken, likewise
+    interrupted: bool = False  # whether Ctrl-C ended it early; what was finished then is there
 
 
 def start_backend(workers):
@@ -236,10 +102,10 @@ def use_compilation_cache():
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
 
 
-def _final(grid, trail, steps, world):
+def _final(hits, misses, trail, steps, world):
     """The host's view of the last map and trail."""
     height, width = world.shape
-    hits, misses, trail = np.asarray(grid.hits), np.asarray(grid.misses), np.asarray(trail[: steps + 1])
+    trail = trail[: steps + 1]
     row, col = np.divmod(trail[:, Track.SPOT] // 4, hits.shape[1])
     target = trail[:, Track.TARGET]
     target_row, target_col = np.where(target < 0, -1, np.divmod(target, hits.shape[1]))
@@ -255,112 +121,90 @@ def _final(grid, trail, steps, world):
     )
 
 
-class _Line:
-    """One job on its way: what is left to do, how long an episode takes, what came back."""
+def _across_processes(lines):
+    """What all processes found, in every process."""
+    from jax.experimental import multihost_utils
 
-    def __init__(self, job, program, arguments):
-        self.job, self.program, self.arguments = job, program, arguments
-        self.next, self.episode_s, self.pieces, self.first = 0, None, [], None
-
-    def take(self, workers):
-        """The next chunk, `(first episode, number)`: the first episode alone, then as many as take about a second."""
-        left = len(self.job.starts) - self.next
-        n = 1 if self.episode_s is None else int(CHUNK_S / max(self.episode_s, 1e-6))
-        n = max(1, min(n, CHUNK, -(-left // workers)))
-        chunk = self.next, n
-        self.next += n
-        return chunk
-
-    def call(self, first, n):
-        """Runs a chunk: `(first, results [n], seconds)`."""
-        starts = np.zeros((CHUNK, 3), np.int32)
-        starts[:n] = self.job.starts[first : first + n]
-        starts[:n, 2] //= 45
-        numbers = np.arange(first, first + CHUNK, dtype=np.int32)
-        began = time.perf_counter()
-        out = self.program(np.uint32(self.job.seed), numbers, starts, np.int32(n), *self.arguments)
-        results, last = jax.block_until_ready(out)
-        seconds = time.perf_counter() - began
-        results = jax.tree.map(lambda a: np.asarray(a)[:n], results)
-        if first == 0:
-            grid, trail = last
-            self.first = _final(grid, trail, int(results.straight[-1] + results.diagonal[-1]), self.job.world)
-        return first, results, seconds
+    for line in lines:
+        parts = multihost_utils.process_allgather(line.results)  # every episode ran in one process, zeros elsewhere
+        line.results = jax.tree.map(lambda a: np.asarray(a).sum(axis=0, dtype=a.dtype), parts)
+        shape, trail = line.site.truth.occupied.shape, (line.setup.capacity + 1, len(Track))
+        blank = tuple(np.zeros((2, *shape), np.int32)), np.zeros(trail, np.int32)
+        mine = tuple(jax.tree.leaves(line.first or blank))
+        line.first = multihost_utils.broadcast_one_to_all(mine)  # from the first process, which runs episode 0
 
 
-def _compile(jobs, lidar, rules, workers):
-    """A line for every job. Jobs that differ in numbers only share a program."""
-    prepared, programs, lines = {}, {}, []
-    for job in jobs:
-        key = id(job.world)
-        if key not in prepared:
-            prepared[key] = prepare(job.world, lidar, rules)
-        site = prepared[key]
-        arguments = site.truth, site.beams, _numbers(site, job.strategy)
-        setup, shape = _setup(site, job.strategy), site.truth.occupied.shape
-        kind = setup, shape, jax.tree.map(jnp.shape, arguments)
-        programs.setdefault(str(kind), (setup, arguments))
-        lines.append((job, str(kind), arguments))
-    blank = np.uint32(0), np.zeros(CHUNK, np.int32), np.zeros((CHUNK, 3), np.int32), np.int32(0)
-
-    def compile_one(kind):
-        setup, arguments = programs[kind]
-        return kind, run_chunk.lower(setup, *blank, *arguments).compile()
-
-    with ThreadPoolExecutor(workers) as pool:
-        compiled = dict(pool.map(compile_one, programs))
-    return [_Line(job, compiled[kind], arguments) for job, kind, arguments in lines]
-
-
-def run(jobs, lidar, rules, *, workers=None, on_progress=None):
+def run(jobs, lidar, rules, *, engine=None, kernels=None, lanes=None, workers=None, on_progress=None):
     """Runs every episode of every job.
 
-    An episode's result depends on its world, start, strategy, seed and number, not on what else runs, nor on how many
-    cores.
+    An episode's result depends on its world, start, strategy, seed and number, not on what else runs, nor on the
+    engine, the kernels, or the number of lanes, cores, devices or processes.
+
+    Ctrl-C ends the run early: the report then holds what was finished. Where nothing was, it is raised.
 
     Args:
-      jobs: list of `Job`, each with at least one start.
+      jobs: list of `Job`, each with at least one start. In every process the same.
       lidar: `Lidar`.
       rules: `Rules`.
-      workers: threads; default the number of CPU cores this process may use, and 1 on an accelerator.
+      engine: one of `ENGINES`; by default serial on a CPU, else lockstep.
+      kernels: `Kernels`; by default those that suit the engine.
+      lanes: lanes on each device in lockstep; by default as many as its memory holds, at most 4096.
+      workers: threads of the serial engine on one device; by default the CPU cores that this process may use.
       on_progress: called with the number of episodes finished so far, now and then, from the calling thread.
 
     Returns:
       `Report`.
+
+    Raises:
+      InputError: an engine that does not exist, lanes or workers below 1.
     """
+    if engine is not None and engine not in ENGINES:
+        raise InputError(f"engine must be one of {', '.join(ENGINES)}, got {engine!r}")
+    for name, value in (("lanes", lanes), ("workers", workers)):
+        if value is not None and value < 1:
+            raise InputError(f"{name} must be at least 1, got {value}")
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     start_backend(workers or cores)  # before anything else asks JAX for its devices
-    if workers is None:
-        workers = cores if jax.default_backend() == "cpu" else 1
-    began = time.perf_counter()
-    lines = _compile(jobs, lidar, rules, workers)
-    compile_s, began = time.perf_counter() - began, time.perf_counter()
-    waiting, running, done = list(lines), {}, 0
-    pool = ThreadPoolExecutor(workers)
+    devices = jax.local_devices()
+    engine = engine or ("serial" if devices[0].platform == "cpu" else "lockstep")
+    here, processes = jax.process_index(), jax.process_count()
+    sites, lines = {}, []
+    for job in jobs:
+        site = sites.setdefault(id(job.world), None) or prepare(job.world, lidar, rules)
+        sites[id(job.world)] = site
+        which = np.arange(here, len(job.starts), processes)
+        lines.append(line_of(site, job.strategy, job.starts, job.seed, kernels or ENGINES[engine], which))
+    tally = lockstep.Tally()
+    report_progress = on_progress or (lambda done: None)
+    interrupted = False
     try:
-        while waiting or running:
-            while waiting and len(running) < workers:
-                line = waiting[0]
-                running[pool.submit(line.call, *line.take(workers))] = line
-                if line.next >= len(line.job.starts):
-                    waiting.remove(line)
-                elif line.episode_s is None:  # let the others begin until this one's pace is known
-                    waiting.append(waiting.pop(0))
-            for future in wait(running, return_when=FIRST_COMPLETED).done:
-                line = running.pop(future)
-                first, results, seconds = future.result()
-                n = len(results.outcome)
-                line.episode_s = seconds / n
-                line.pieces.append((first, results))
-                done += n
-            if on_progress is not None:
-                on_progress(done)
-    finally:
-        pool.shutdown(wait=True, cancel_futures=True)
-    run_s = time.perf_counter() - began
-    outcomes = []
-    for line in lines:
-        assert line.first is not None  # the chunk with episode 0 has run
-        pieces = [results for _, results in sorted(line.pieces, key=lambda piece: piece[0])]
-        outcomes.append(Outcomes(jax.tree.map(lambda *a: np.concatenate(a), *pieces), line.first))
-    return Report(outcomes, compile_s, run_s)
+        if engine == "serial":
+            tally.lanes = workers = (workers or cores) if len(devices) == 1 else 1
+            serial.run(lines, devices, workers, tally, report_progress)
+        else:
+            lockstep.run(lines, devices, lanes, tally, report_progress)
+    except KeyboardInterrupt:
+        if processes > 1 or not any(line.results.outcome.any() for line in lines):
+            raise
+        interrupted = True
+    if processes > 1:
+        _across_processes(lines)
+    return Report(
+        outcomes=[_outcomes(job, line) for job, line in zip(jobs, lines)],
+        compile_s=tally.compile_s,
+        run_s=tally.run_s,
+        engine=engine,
+        devices=len(devices) * processes,
+        lanes=tally.lanes,
+        useful=tally.useful,
+        useful_plans=tally.useful_plans,
+        interrupted=interrupted,
+    )
+
+
+def _outcomes(job, line):
+    result = line.results
+    if line.first is None:  # interrupted before
+        return Outcomes(result, None)
+    hits, misses, trail = (np.asarray(a) for a in jax.tree.leaves(line.first))
+    return Outcomes(result, _final(hits, misses, trail, int(result.straight[0] + result.diagonal[0]), job.world))

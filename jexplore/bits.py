@@ -35,6 +35,13 @@ def unpack(words, height=None):
     return ((words[:, None, :] >> shift) & 1 != 0).reshape(n * WORD, width)[:height]
 
 
+def transposed(words):
+    """The packed mask with rows and columns exchanged: `[K, W]` to `[ceil(W / 32), 32 K]` uint32."""
+    n, width = words.shape
+    shift = lax.broadcasted_iota(jnp.uint32, (width, n, WORD), 2)
+    return pack(((words.T[:, :, None] >> shift) & 1 != 0).reshape(width, n * WORD))
+
+
 def shifted(words, drow, dcol):
     """What lies at `(row + drow, col + dcol)` of every cell; False outside the map.
 

@@ -1,4 +1,4 @@
-"""The command line: `jexplore compare`, `explore`, `worlds`, `strategies`.
+"""The command line: `jexplore compare`, `explore`, `worlds`, `strategies`, `bench`.
 
 Importing this loads neither jax nor numpy; every command imports what it needs when it runs. Wrong input ends with one
 line and status 2, an interruption with one line and status 130; neither leaves files.
@@ -14,7 +14,7 @@ import time
 
 from jexplore import __version__
 from jexplore.config import InputError
-from jexplore.options import Compare, Explore, Strategies, Worlds, help_text, parse
+from jexplore.options import Bench, Compare, Explore, Strategies, Worlds, help_text, parse
 
 COMPILING = "jexplore: compiling (kept for later runs)"
 LONGEST = 400  # characters of a message; a name or a file may be quoted in it
@@ -62,7 +62,7 @@ def _say(line, status):
 
 def _dispatch(arguments):
     if not arguments:
-        raise InputError("expected a command: compare, explore, worlds or strategies; see jexplore --help")
+        raise InputError("expected a command: compare, explore, worlds, strategies or bench; see jexplore --help")
     if arguments[0] in ("-h", "--help"):
         print(help_text(), end="")
     elif arguments[0] == "--version":
@@ -72,7 +72,9 @@ def _dispatch(arguments):
             options = parse(arguments)
         except SystemExit:  # help has been printed
             return 0
-        _RUN[type(options)](options, arguments)
+        status = _RUN[type(options)](options, arguments) or 0
+        sys.stdout.flush()
+        return status
     sys.stdout.flush()
     return 0
 
@@ -199,7 +201,10 @@ def _compare(options, arguments):
     )
     batch.use_compilation_cache()
     with _working(sum(len(job.starts) for job in jobs), "episodes") as on_progress:
-        report = batch.run(jobs, options.lidar, options.episode, on_progress=on_progress)
+        engine = None if options.engine == "auto" else options.engine
+        report = batch.run(
+            jobs, options.lidar, options.episode, engine=engine, lanes=options.lanes, on_progress=on_progress
+        )
     with _note("jexplore: computing statistics and drawing"):
         found = assemble(jobs, report, options.episode)
         table, warnings = found.to_markdown(), found.warnings
@@ -210,6 +215,12 @@ def _compare(options, arguments):
             episodes_per_s=found.episodes_per_s,
             compile_s=found.compile_s,
             run_s=found.run_s,
+            engine=report.engine,
+            devices=report.devices,
+            lanes=report.lanes,
+            useful=report.useful,
+            useful_plans=report.useful_plans,
+            interrupted=found.interrupted,
             worlds=[_describe(world) for world in found.worlds],
             summary=found.summary.to_dict("records"),
             warnings=warnings,
@@ -226,6 +237,9 @@ def _compare(options, arguments):
     for line in warnings:
         print(f"warning: {line}")
     print(wrote)
+    if report.interrupted:
+        return _say("jexplore: interrupted, what was finished was written", 130)
+    return 0
 
 
 def _explore(options, arguments):
@@ -346,4 +360,35 @@ def _strategies(options, arguments):
     print("Names are put together as strategy+modifier:parameter=value,..., such as closest+recheck")
 
 
-_RUN = {Compare: _compare, Explore: _explore, Worlds: _worlds, Strategies: _strategies}
+def _bench(options, arguments):
+    from jexplore import bench, plot, store
+    from jexplore.bench import plots, tables
+
+    out = _Out(options, "bench")
+    plan = bench.prepare(
+        worlds=options.worlds,
+        strategies=options.strategies,
+        engine=options.engine,
+        batch_sizes=options.batch_sizes,
+        sides=options.sides,
+        episodes=options.episodes,
+        repeat=options.repeat,
+        quick=options.quick,
+    )
+    with _progress(plan.total, "measurements") as progress:
+        progress.update(0)
+        report = bench.run(plan, cache=options.cache, on_progress=progress.update)
+    figure = plots.figure(report)
+    record = out.record(arguments, options, measured=report["settings"])
+    wrote = out.write(
+        {
+            "bench.json": lambda path: store.write_json(report, path),
+            "bench.png": lambda path: plot.save_figure(figure, path),
+            "run.json": lambda path: store.write_json(record, path),
+        }
+    )
+    print(tables.tables(report))
+    print(f"\n{wrote}")
+
+
+_RUN = {Compare: _compare, Explore: _explore, Worlds: _worlds, Strategies: _strategies, Bench: _bench}

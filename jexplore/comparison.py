@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from jexplore import batch, stats
 from jexplore.config import InputError
+from jexplore.episode import Outcome
 from jexplore.measure import columns, map_state
 from jexplore.preflight import (
     LIDAR,
@@ -61,6 +62,8 @@ class Comparison:
     """Seconds spent compiling, or loading compiled programs."""
     run_s: float
     """Seconds in which compiled programs ran."""
+    interrupted: int = 0
+    """Episodes that are missing because the run was interrupted; of the others, those that every strategy finished."""
 
     @functools.cached_property
     def summary(self):
@@ -70,7 +73,8 @@ class Comparison:
     @functools.cached_property
     def warnings(self):
         """What makes the comparison unfair or inexact: a list of lines."""
-        return [*stats.warnings_of(self.episodes), *_saturated(self.episodes)]
+        lines = [f"interrupted: {self.interrupted} episodes are missing"] if self.interrupted else []
+        return [*lines, *stats.warnings_of(self.episodes), *_saturated(self.episodes)]
 
     @property
     def episodes_per_s(self):
@@ -146,10 +150,12 @@ def compare(
     start="random",
     lidar=LIDAR,
     rules=RULES,
+    engine=None,
+    lanes=None,
     workers=None,
     on_progress=None,
 ):
-    """Runs every strategy in every world, from the same starts.
+    """Runs every strategy in every world, from the same starts. An interruption keeps what is finished.
 
     Args:
       worlds: names (`worlds.load_world`) or `World`s; one may stand for itself.
@@ -160,7 +166,9 @@ def compare(
       start: "random", or "world" for every world's own start in every episode.
       lidar: `Lidar`.
       rules: `Rules`.
-      workers: threads; by default one a core.
+      engine: one of `batch.ENGINES`; by default "serial" on a CPU, "lockstep" on an accelerator. Results are equal.
+      lanes: episodes at a time on each device in lockstep; by default as many as its memory holds.
+      workers: threads of the serial engine; by default one a core.
       on_progress: called now and then with the number of episodes finished.
 
     Returns:
@@ -173,7 +181,8 @@ def compare(
         worlds, strategies, episodes=episodes, seed=seed, cell_m=cell_m, start=start, lidar=lidar, rules=rules
     )
     batch.use_compilation_cache()
-    return assemble(jobs, batch.run(jobs, lidar, rules, workers=workers, on_progress=on_progress), rules)
+    report = batch.run(jobs, lidar, rules, engine=engine, lanes=lanes, workers=workers, on_progress=on_progress)
+    return assemble(jobs, report, rules)
 
 
 def prepare_jobs(worlds, strategies, *, episodes, seed, cell_m, start, lidar, rules):
@@ -192,18 +201,35 @@ def prepare_jobs(worlds, strategies, *, episodes, seed, cell_m, start, lidar, ru
 
 
 def assemble(jobs, report, rules):
-    """The `Comparison` of jobs that have run."""
+    """The `Comparison` of jobs that have run.
+
+    Of a run that was interrupted it holds the episodes that every strategy has finished in a world.
+
+    Raises:
+      KeyboardInterrupt: there are none.
+    """
     import pandas as pd
 
+    finished = {}
+    for job, (result, _) in zip(jobs, report.outcomes):
+        ended = result.outcome != Outcome.RUNNING
+        finished[job.world.name] = finished.get(job.world.name, True) & ended
     tables, worlds, first = [], {}, {}
     for job, (result, final) in zip(jobs, report.outcomes):
-        world, strategy = job.world, job.strategy.name
+        world, strategy, kept = job.world, job.strategy.name, finished[job.world.name]
+        if not kept.any():
+            continue
         found = columns(result, job.starts, seed=job.seed, cell_m=world.cell_m, has_rooms=world.rooms is not None)
-        tables.append(pd.DataFrame({"world": os.fspath(world.name), "strategy": strategy, **found}))
-        tables[-1]["room_entries"] = tables[-1]["room_entries"].astype("Int64")
+        table = pd.DataFrame({"world": os.fspath(world.name), "strategy": strategy, **found})
+        table["room_entries"] = table["room_entries"].astype("Int64")
+        tables.append(table[kept])
         worlds[world.name] = world
-        state = map_state(final.hits, final.misses, rules.p_free)
-        seen = Seen(strategy, state, final.rows, final.cols, world.cell_m, float(found["path_m"][0]))
-        first.setdefault(world.name, []).append(seen)
+        if kept[0]:
+            state = map_state(final.hits, final.misses, rules.p_free)
+            seen = Seen(strategy, state, final.rows, final.cols, world.cell_m, float(found["path_m"][0]))
+            first.setdefault(world.name, []).append(seen)
+    if not tables:
+        raise KeyboardInterrupt
     table = pd.concat(tables, ignore_index=True).loc[:, list(COLUMNS)]
-    return Comparison(table, tuple(worlds.values()), first, report.compile_s, report.run_s)
+    missing = sum(len(job.starts) for job in jobs) - len(table)
+    return Comparison(table, tuple(worlds.values()), first, report.compile_s, report.run_s, missing)

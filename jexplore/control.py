@@ -1,15 +1,68 @@
-"""Two idioms of control flow that XLA's CPU compiler rewards. Both are loops of at most one turn.
+"""Idioms of control flow that do the right thing for one robot and for many in lockstep.
 
-A loop's buffers are updated in place and stored when it ends. A condition's are copied; and a value that is used in
-many places without a loop around it is often computed anew in each of them.
+For one robot all three are plain loops: XLA's CPU compiler updates a loop's buffers in place and stores them when it
+ends, where it copies those of a condition, and computes anew, in each of many uses, what no loop stores.
+
+Under `vmap`, where XLA would compute both sides of a condition for every lane, and keep every lane of a loop waiting
+with a copy of its state, they are written by hand: `run_if` works on the lanes that need it, a fraction of all at a
+time; `repeat` lets finished lanes run on idly.
 """
 
 import jax
+import jax.numpy as jnp
 from jax import lax
+from jax.custom_batching import custom_vmap
+from jax.extend.core import jaxpr_as_fun
+
+SHARE = 8  # a condition under vmap is worked off by groups of one lane in so many
+
+
+def _hoisted(function, *examples):
+    """A function with what it closes over as an argument: `(f, closed)` with `f(closed, *args)` = `function(*args)`."""
+    leaves, tree = jax.tree.flatten(examples)
+    jaxpr, shapes = jax.make_jaxpr(lambda *leaves: function(*jax.tree.unflatten(tree, leaves)), return_shape=True)(
+        *leaves
+    )
+
+    def pure(closed, *args):
+        out = jaxpr_as_fun(jaxpr.replace(consts=list(closed)))(*jax.tree.leaves(args))
+        return jax.tree.unflatten(jax.tree.structure(shapes), out)
+
+    return pure, list(jaxpr.consts)
+
+
+def _axes(batched):
+    return jax.tree.map(lambda b: 0 if b else None, batched)
+
+
+def _wide(n, tree, batched):
+    """A pytree with a leading axis of n on every leaf."""
+    return jax.tree.map(lambda a, b: a if b else jnp.broadcast_to(a, (n, *jnp.shape(a))), tree, batched)
+
+
+def _all_batched(tree):
+    return jax.tree.map(lambda _: True, tree)
+
+
+def take(tree, at):
+    """Lanes `at` (`[m]` int32) of a pytree; a lane beyond the last gives the last."""
+    return jax.tree.map(lambda a: a.at[at].get(mode="clip", wrap_negative_indices=False), tree)
+
+
+def put(tree, at, values):
+    """A pytree with its lanes `at` (`[m]` int32) replaced; what lies beyond the last lane is dropped."""
+    return jax.tree.map(lambda a, new: a.at[at].set(new, mode="drop"), tree, values)
+
+
+def first_lanes(mask, m):
+    """The first m lanes of a mask: `[m]` int32; the number of lanes where there are fewer."""
+    return jnp.nonzero(mask, size=m, fill_value=mask.shape[0])[0].astype(jnp.int32)
 
 
 def run_if(predicate, function, otherwise):
     """`function(otherwise)` if a condition holds, else `otherwise`.
+
+    Under `vmap` the lanes for which it holds are gathered, an eighth of all at a time, until none is left.
 
     Args:
       predicate: bool scalar.
@@ -19,7 +72,72 @@ def run_if(predicate, function, otherwise):
     Returns:
       pytree like `otherwise`.
     """
-    return lax.while_loop(lambda s: s[0], lambda s: (False, function(s[1])), (predicate, otherwise))[1]
+
+    def alone(predicate, function, state):
+        return lax.while_loop(lambda s: s[0], lambda s: (False, function(s[1])), (predicate, state))[1]
+
+    if jax.config.values["jax_disable_jit"]:
+        return alone(predicate, function, otherwise)
+    otherwise = jax.tree.map(jnp.asarray, otherwise)
+    pure, closed = _hoisted(function, otherwise)
+
+    @custom_vmap
+    def call(predicate, closed, state):
+        return alone(predicate, lambda state: pure(closed, state), state)
+
+    @call.def_vmap
+    def in_lanes(n, batched, predicate, closed, state):
+        state, axes = _wide(n, state, batched[2]), (_axes(batched[1]), 0)
+        if not batched[0]:
+            out = alone(predicate, lambda state: jax.vmap(pure, axes)(closed, state), state)
+            return out, _all_batched(out)
+
+        def turn(carry):
+            left, state = carry
+            at = first_lanes(left, -(-n // SHARE))
+            some = jax.tree.map(lambda a, b: take(a, at) if b else a, closed, batched[1])
+            new = jax.vmap(pure, axes)(some, take(state, at))
+            return left.at[at].set(False, mode="drop"), put(state, at, new)
+
+        _, out = lax.while_loop(lambda carry: jnp.any(carry[0]), turn, (predicate, state))
+        return out, _all_batched(out)
+
+    return call(jnp.asarray(predicate), closed, otherwise)
+
+
+def repeat(going, body, state):
+    """`body` applied to a state for as long as `going(state)` holds.
+
+    Args:
+      going: takes the state, returns a bool scalar.
+      body: takes and returns a state. It must leave a state that is not going as it is: under `vmap` it is applied
+        until no lane is going.
+      state: pytree of arrays.
+
+    Returns:
+      the state at the end.
+    """
+    if jax.config.values["jax_disable_jit"]:
+        return lax.while_loop(going, body, state)
+    state = jax.tree.map(jnp.asarray, state)
+    pure_going, closed_going = _hoisted(going, state)
+    pure_body, closed_body = _hoisted(body, state)
+
+    @custom_vmap
+    def call(closed, state):
+        return lax.while_loop(lambda s: pure_going(closed[0], s), lambda s: pure_body(closed[1], s), state)
+
+    @call.def_vmap
+    def in_lanes(n, batched, closed, state):
+        (going_axes, body_axes), state = _axes(batched[0]), _wide(n, state, batched[1])
+        out = lax.while_loop(
+            lambda s: jnp.any(jax.vmap(pure_going, (going_axes, 0))(closed[0], s)),
+            lambda s: jax.vmap(pure_body, (body_axes, 0))(closed[1], s),
+            state,
+        )
+        return out, _all_batched(out)
+
+    return call((closed_going, closed_body), state)
 
 
 def stored(truth, function):
@@ -32,5 +150,25 @@ def stored(truth, function):
     Returns:
       what `function` returns.
     """
-    blank = jax.tree.map(lambda x: jax.numpy.zeros(x.shape, x.dtype), jax.eval_shape(function))
-    return run_if(truth, lambda _: function(), blank)
+
+    def alone(truth, function):
+        blank = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), jax.eval_shape(function))
+        return lax.while_loop(lambda s: s[0], lambda s: (False, function()), (truth, blank))[1]
+
+    if jax.config.values["jax_disable_jit"]:
+        return alone(truth, function)
+    pure, closed = _hoisted(function)
+
+    @custom_vmap
+    def call(truth, closed):
+        return alone(truth, lambda: pure(closed))
+
+    @call.def_vmap
+    def in_lanes(n, batched, _, closed):
+        if not any(jax.tree.leaves(batched[1])):
+            out = pure(closed)
+            return out, jax.tree.map(lambda _: False, out)
+        out = jax.vmap(pure, (_axes(batched[1]),), axis_size=n)(closed)
+        return out, _all_batched(out)
+
+    return call(jnp.asarray(truth), closed)

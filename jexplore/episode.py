@@ -6,20 +6,22 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from flax import struct
 from jax import Array, lax
 
 from jexplore import bits
-from jexplore.control import stored
+from jexplore.control import run_if, stored
 from jexplore.distance import within_packed
 from jexplore.frontier import disc
 from jexplore.grid import count, empty_grid, is_known
 from jexplore.navigate import Belief
 from jexplore.raycast import disturb, fold, scan
-from jexplore.reach import FAR, NO_MOTION, reach_packed
+from jexplore.reach import NO_MOTION, flood
 from jexplore.robot import motion_step, turn_between
 
 PERCENTILES = (50, 90, 95, 99)
+STRIDE = 16  # cells by which the square moves in which known cells are counted
 LOOK_AROUND = 3  # scans after a turn in place, 90 degrees apart
 
 
@@ -43,12 +45,12 @@ class Stream(enum.IntEnum):
 
 @struct.dataclass
 class Truth:
-    """The world of an episode on the device, padded, with what the result is measured against."""
+    """M worlds of one padded size on the device, one above the other, with what results are measured against."""
 
-    occupied: Array  # [H, W] bool; True in padding
-    rooms: Array  # [H, W] int32; -1 outside rooms and in padding
-    region: Array  # [H, W] int32, number of each 4-connected region of free cells
-    extent: Array  # [2] int32, height and width without padding
+    occupied: Array  # [M * H, W] bool; True in padding
+    rooms: Array  # [M * H, W] int32; -1 outside rooms and in padding
+    region: Array  # [M * H, W] int32, number of each 4-connected region of free cells
+    extent: Array  # [M, 2] int32, height and width without padding
 
 
 @struct.dataclass
@@ -89,6 +91,14 @@ class Result:
     refused: Array  # int32, steps refused because the cell ahead was not free
 
 
+def no_results(n):
+    """`Result` of zeros, `[n]`, numpy: outcome RUNNING."""
+    at = ("straight_at", "diagonal_at")
+    shapes = {name: (n, len(PERCENTILES)) if name in at else (n,) for name in Result.__dataclass_fields__}
+    zeros: dict[str, Any] = {name: np.zeros(shape, np.int32) for name, shape in shapes.items()}
+    return Result(**zeros)
+
+
 class Track(enum.IntEnum):
     """Columns of a trail: one row for the start and one for every step, after the last scan made there."""
 
@@ -107,6 +117,8 @@ class Setup(NamedTuple):
     window: int  # half width of the square that one scan can change, cells
     noisy: bool  # whether the scanner's noise is simulated
     capacity: int  # T, steps that the trail has room for; at least max_steps
+    reach: str = "sweeps"  # one of `reach.METHODS`
+    scan: str = "blocks"  # one of `raycast.METHODS`
 
 
 @struct.dataclass
@@ -114,6 +126,8 @@ class State:
     """An episode under way."""
 
     belief: Belief
+    base: Array  # int32, row of its world's first row in `Truth`
+    goal: Array  # [ceil(H / 32), W] uint32, packed: cells that are known when the episode is complete
     route: Array  # [H, W] int8, see `reach.lay_route`
     trail: Array  # [T + 1, 3] int32, see `Track`
     carry: Any  # the policy's
@@ -124,6 +138,8 @@ class State:
     bumped: Array  # bool, whether the last step was refused
     came_from: Array  # [2] int32, row and col before the last motion
     known: Array  # int32, known cells
+    corner: Array  # [2] int32, row and col of the square in which known cells are counted, see `_square`
+    outside: Array  # int32, known cells outside it
     room: Array  # int32, the last room stood in; -1 for none yet
     straight: Array  # int32, and so on as in `Result`
     diagonal: Array
@@ -137,34 +153,42 @@ class State:
     refused: Array
 
 
-def _known_nearby(grid, row, col, window):
-    """Known cells in the square that a scan can change: int32."""
-    shape = tuple(min(n, 2 * window + 1) for n in grid.hits.shape)
-    start = (
-        jnp.maximum(row - window, 0),
-        jnp.maximum(col - window, 0),
-    )  # a slice clamps at the far edge, but wraps at the near one
-    hits, misses = (lax.dynamic_slice(a, start, shape) for a in (grid.hits, grid.misses))
+def _square(row, col, shape, window):
+    """The corner of a square that holds every cell that a scan can change, and its shape: `((row, col), (h, w))`.
+
+    It moves by `STRIDE` cells at a time, so that its known cells need not be counted anew for every scan.
+    """
+    size = tuple(min(n, 2 * window + STRIDE) for n in shape)
+    corner = [jnp.clip((at - window) // STRIDE * STRIDE, 0, n - m) for at, n, m in zip((row, col), shape, size)]
+    return jnp.stack(corner), size
+
+
+def _known_in(grid, corner, size):
+    """Known cells in a square: int32."""
+    hits, misses = (lax.dynamic_slice(a, corner, size) for a in (grid.hits, grid.misses))
     return count((hits | misses) != 0)
 
 
-def _sense(key, setup, truth, beams, numbers, state):
-    """One scan where the robot stands, counted into its map."""
+def _sense(key, setup, truth, beams, numbers, state, when):
+    """One scan where the robot stands, counted into its map, or nothing."""
     belief = state.belief
     where = belief.row, belief.col
-    seen = scan(truth.occupied, *where, belief.heading, beams)
+    seen = scan(truth.occupied, state.base + belief.row, belief.col, belief.heading, beams, method=setup.scan)
     if setup.noisy:
         key = jax.random.fold_in(jax.random.fold_in(key, Stream.SENSOR), state.scans)
         noise = {"sigma_cells": numbers.sigma_cells, "dropout": numbers.dropout}
         seen = disturb(key, seen, *where, belief.heading, beams, belief.extent, **noise)
-    # Counted before and after in the square that the scan can change. The count before is added where it changes
-    # nothing (it is never negative), so that it comes before the update, which can then be made in place.
-    outside = stored(
-        state.scans >= 0, lambda: state.known - _known_nearby(belief.grid, belief.row, belief.col, setup.window)
+    corner, size = _square(*where, belief.driven.shape, setup.window)
+    # Known cells outside the square, counted before the update. The number is added where it changes nothing (it is
+    # never negative), so that it is made first, and the update can then be made in place.
+    outside = run_if(
+        jnp.any(corner != state.corner), lambda _: state.known - _known_in(belief.grid, corner, size), state.outside
     )
-    grid = fold(belief.grid, belief.row + jnp.minimum(outside, 0), belief.col, belief.heading, seen, beams)
-    known = outside + _known_nearby(grid, belief.row, belief.col, setup.window)
-    return state.replace(belief=belief.replace(grid=grid), scans=state.scans + 1, known=known)
+    row = belief.row + jnp.minimum(outside, 0)
+    grid = fold(belief.grid, row, belief.col, belief.heading, seen, beams, when=when, method=setup.scan)
+    known = outside + _known_in(grid, corner, size)
+    state = state.replace(corner=corner, outside=outside, scans=state.scans + when, known=known)
+    return state.replace(belief=belief.replace(grid=grid))
 
 
 def _is_live(belief, row, col):
@@ -183,16 +207,15 @@ def _mark(mask, rows, cols, when=True):
     return mask.at[jnp.where(when, rows, outside), cols].set(True, mode="drop")
 
 
-def _record(state):
-    """Writes the trail's entry for the present step."""
+def _record(state, when=True):
+    """Writes the trail's entry for the present step, or nothing."""
     width = state.belief.driven.shape[1]
     row, col = state.target
     target = jnp.where(row < 0, -1, row * width + col)
     cell = state.belief.row * width + state.belief.col
     entry = jnp.stack([4 * cell + state.looked, target, state.known])
-    return state.replace(
-        trail=lax.dynamic_update_slice(state.trail, entry[None], (state.straight + state.diagonal, jnp.int32(0)))
-    )
+    step = jnp.where(when, state.straight + state.diagonal, state.trail.shape[0])
+    return state.replace(trail=state.trail.at[step].set(entry, mode="drop"))
 
 
 def _move(truth, numbers, state):
@@ -208,13 +231,13 @@ def _move(truth, numbers, state):
     row, col = belief.row + drow, belief.col + dcol
     hits, misses = belief.grid.hits[row, col], belief.grid.misses[row, col]
     free = (hits + misses > 0) & (hits.astype(jnp.float32) <= belief.p_free * (hits + misses).astype(jnp.float32))
-    blocked = truth.occupied[row, col] | ~(free | belief.driven[row, col])
+    blocked = truth.occupied[state.base + row, col] | ~(free | belief.driven[row, col])
     ahead = state.walking & ~looking & ~at_limit
     steps, refused = ahead & ~blocked, ahead & blocked
     diagonal = steps & (drow != 0) & (dcol != 0)
     heading = jnp.where(looking, (belief.heading + 2) % 8, jnp.where(ahead, heading, belief.heading))
     row, col = jnp.where(steps, row, belief.row), jnp.where(steps, col, belief.col)
-    room = truth.rooms[row, col]
+    room = truth.rooms[state.base + row, col]
     entered = (room >= 0) & (room != state.room)
     return state.replace(
         belief=belief.replace(row=row, col=col, heading=heading),
@@ -248,31 +271,47 @@ def _arrive(state, arrived, live, numbers):
     )
 
 
-def _advance(key, setup, truth, beams, numbers, state):
+def advance(key, setup, truth, beams, numbers, state):
     """One scan of a plan under way, what it means for the plan, and the next motion if it goes on.
 
     Scan first, motion last: everything that is read from the map is then read after its update, which can so be made
-    in place.
+    in place. Does nothing to the maps, the trail and what is counted once the plan is done.
+
+    Args:
+      key: as for `begin`.
+      setup, truth, beams, numbers: as for `begin`.
+      state: `State`.
+
+    Returns:
+      `State`.
     """
-    belief = state.belief
+    belief, walking = state.belief, state.walking
     # Both cells beside a diagonal step belong to the way driven; for a straight step they are its ends.
     beside = (
         jnp.stack([belief.row, belief.row, state.came_from[0]]),
         jnp.stack([belief.col, state.came_from[1], belief.col]),
     )
-    state = state.replace(belief=belief.replace(driven=_mark(belief.driven, *beside)))
-    state = _record(_sense(key, setup, truth, beams, numbers, state))
+    state = state.replace(belief=belief.replace(driven=_mark(belief.driven, *beside, walking)))
+    state = _record(_sense(key, setup, truth, beams, numbers, state, walking), walking)
     live = _is_live(state.belief, *state.target)
     here = (belief.row == state.target[0]) & (belief.col == state.target[1])
     given_up = state.bumped | (numbers.recheck & ~live & ~here)
-    state = state.replace(walking=~given_up)
-    state = _arrive(state, here & ~state.bumped & (state.looking == 0), live, numbers)
+    state = state.replace(walking=walking & ~given_up)
+    state = _arrive(state, walking & here & ~state.bumped & (state.looking == 0), live, numbers)
     return _move(truth, numbers, state)
 
 
-def _plan(key, setup, truth, numbers, state):
+def plan(key, setup, truth, numbers, state):
     """Asks the strategy for a target and makes the first motion; no target ends the episode as complete, as far
     as is known here.
+
+    Args:
+      key: as for `begin`.
+      setup, truth, numbers: as for `begin`.
+      state: `State` of a running episode that carries out no plan.
+
+    Returns:
+      `State`.
     """
     key = jax.random.fold_in(jax.random.fold_in(key, Stream.POLICY), state.plans)
     carry, choice, route = setup.select(key, numbers.params, state.carry, state.belief, state.route)
@@ -291,35 +330,39 @@ def _plan(key, setup, truth, numbers, state):
     return _move(truth, numbers, _arrive(state, here, True, numbers))
 
 
-def run(key, setup, truth, beams, numbers, start):
-    """One exploration episode.
+def limit_plans(numbers, state):
+    """Ends an episode whose plan is done and that may make no other."""
+    spent = (state.outcome == Outcome.RUNNING) & ~state.walking & (state.plans >= numbers.max_plans)
+    return state.replace(outcome=jnp.where(spent, Outcome.PLAN_LIMIT, state.outcome))
+
+
+def begin(key, setup, truth, beams, numbers, world, start):
+    """An episode that has made its first scans.
 
     Args:
-      key: consumed.
+      key: of the episode; consumed by all of its parts together, each drawing from streams of its own.
       setup: `Setup`. Static.
       truth: `Truth`.
       beams: `Beams` with 8 headings.
       numbers: `Numbers`.
+      world: int32, which of the M worlds.
       start: `[3]` int32, row, col and heading (units of 45 degrees).
 
     Returns:
-      `(Result, State)`: what was measured, and the state at the end with the map and the trail.
-
-    Source:
-      Holz et al. 2010, Figure 3 and section 2.3.
+      `State`.
     """
     row, col, heading = start
-    shape = truth.occupied.shape
+    shape = truth.occupied.shape[0] // truth.extent.shape[0], truth.occupied.shape[1]
+    base = world * shape[0]
+    occupied = lax.dynamic_slice(truth.occupied, (base, jnp.int32(0)), shape)
     flags = jnp.zeros(shape, bool)
     free, walls, near = stored(
-        row >= 0,
-        lambda: [bits.pack(m) for m in (~truth.occupied, truth.occupied, disc(shape, row, col, numbers.near_d2))],
+        row >= 0, lambda: [bits.pack(m) for m in (~occupied, occupied, disc(shape, row, col, numbers.near_d2))]
     )
     clear = free & ~within_packed(walls, setup.clearance_d2)
-    around = clear | (free & near)
-    goal = clear & bits.pack(reach_packed(around, row, col) < FAR)  # packed: it is kept for the whole episode
+    goal = clear & flood(clear | (free & near), row, col)
     rows, cols = (lax.broadcasted_iota(jnp.int32, shape, axis) for axis in (0, 1))
-    stuck = truth.occupied[row, col] | ~jnp.any(goal & bits.pack((rows != row) | (cols != col)))
+    stuck = occupied[row, col] | ~jnp.any(goal & bits.pack((rows != row) | (cols != col)))
 
     zero = jnp.int32(0)
     belief = Belief(
@@ -329,14 +372,17 @@ def run(key, setup, truth, beams, numbers, start):
         row=row,
         col=col,
         heading=heading,
-        extent=truth.extent,
+        extent=truth.extent[world],
         p_free=numbers.p_free,
         near_d2=numbers.near_d2,
         clearance_d2=setup.clearance_d2,
+        reach=setup.reach,
     )
-    room = truth.rooms[row, col]
+    room = truth.rooms[base + row, col]
     state = State(
         belief=belief,
+        base=base,
+        goal=goal,
         route=jnp.full(shape, NO_MOTION, jnp.int8),
         trail=jnp.zeros((setup.capacity + 1, len(Track)), jnp.int32),
         carry=setup.init(numbers.params, belief),
@@ -347,6 +393,8 @@ def run(key, setup, truth, beams, numbers, start):
         bumped=jnp.bool_(False),
         came_from=jnp.stack([row, col]),
         known=zero,
+        corner=_square(row, col, shape, setup.window)[0],
+        outside=zero,
         room=room,
         straight=zero,
         diagonal=zero,
@@ -361,36 +409,56 @@ def run(key, setup, truth, beams, numbers, start):
     )
 
     def look_round(_, state):
-        state = _sense(key, setup, truth, beams, numbers, state)
+        state = _sense(key, setup, truth, beams, numbers, state, ~stuck)
         belief = state.belief
         return state.replace(belief=belief.replace(heading=(belief.heading + 8 // setup.first_scans) % 8))
 
+    return _record(lax.fori_loop(0, setup.first_scans, look_round, state))
+
+
+def run(key, setup, truth, beams, numbers, world, start):
+    """One exploration episode.
+
+    Args: as for `begin`.
+
+    Returns:
+      `(Result, State)`: what was measured, and the state at the end with the map and the trail.
+
+    Source:
+      Holz et al. 2010, Figure 3 and section 2.3.
+    """
+
     def episode_step(state):
-        state = _plan(key, setup, truth, numbers, state)
-        state = lax.while_loop(lambda s: s.walking, lambda s: _advance(key, setup, truth, beams, numbers, s), state)
-        spent = (state.outcome == Outcome.RUNNING) & (state.plans >= numbers.max_plans)
-        return state.replace(outcome=jnp.where(spent, Outcome.PLAN_LIMIT, state.outcome))
+        state = plan(key, setup, truth, numbers, state)
+        state = lax.while_loop(lambda s: s.walking, lambda s: advance(key, setup, truth, beams, numbers, s), state)
+        return limit_plans(numbers, state)
 
-    state = _record(lax.fori_loop(0, jnp.where(stuck, 0, setup.first_scans), look_round, state))
+    state = begin(key, setup, truth, beams, numbers, world, start)
     state = lax.while_loop(lambda s: s.outcome == Outcome.RUNNING, episode_step, state)
-    missed = (state.outcome == Outcome.COMPLETE) & jnp.any(goal & ~bits.pack(is_known(state.belief.grid)))
-    state = state.replace(outcome=jnp.where(missed, Outcome.BLOCKED, state.outcome))
-    return _measure(truth, start, state), state
+    return finish(truth, state), state
 
 
-def _measure(truth, start, state):
-    """The result of an episode that has ended."""
-    explorable = truth.region == truth.region[start[0], start[1]]
-    explorable &= ~truth.occupied
+def finish(truth, state):
+    """The `Result` of an episode that has ended.
+
+    Args:
+      truth: `Truth`.
+      state: `State`.
+    """
+    shape = state.belief.driven.shape
+    occupied, region = (lax.dynamic_slice(a, (state.base, jnp.int32(0)), shape) for a in (truth.occupied, truth.region))
+    known = is_known(state.belief.grid)
+    missed = (state.outcome == Outcome.COMPLETE) & jnp.any(state.goal & ~bits.pack(known))
+    cell = state.trail[:, Track.SPOT] // 4
+    explorable = (region == region[cell[0] // shape[1], cell[0] % shape[1]]) & ~occupied
     steps = state.straight + state.diagonal
     entry = lax.iota(jnp.int32, state.trail.shape[0])
     # In whole numbers: 100 * known reaches q * final. Entries beyond the last step count as the last.
     reached = [(100 * state.trail[:, Track.KNOWN] >= q * state.known) & (entry < steps) for q in PERCENTILES]
     at = jnp.stack([jnp.min(jnp.where(r, entry, steps)) for r in reached])
     # A step to the next column or the next row is straight.
-    cell = state.trail[:, Track.SPOT] // 4
     jump = jnp.abs(cell[1:] - cell[:-1])
-    is_diagonal = (jump != 1) & (jump != truth.occupied.shape[1])
+    is_diagonal = (jump != 1) & (jump != shape[1])
     diagonal_at = jnp.stack([jnp.sum(is_diagonal & (entry[:-1] < n), dtype=jnp.int32) for n in at])
     return Result(
         straight=state.straight,
@@ -399,9 +467,9 @@ def _measure(truth, start, state):
         scans=state.scans,
         plans=state.plans,
         exhausted=state.exhausted,
-        outcome=state.outcome,
+        outcome=jnp.where(missed, Outcome.BLOCKED, state.outcome),
         known=state.known,
-        explored=jnp.sum(explorable & is_known(state.belief.grid), dtype=jnp.int32),
+        explored=jnp.sum(explorable & known, dtype=jnp.int32),
         explorable=jnp.sum(explorable, dtype=jnp.int32),
         room_entries=state.room_entries,
         straight_at=at - diagonal_at,

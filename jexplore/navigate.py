@@ -15,10 +15,10 @@ from jax import Array, lax
 from jexplore import bits
 from jexplore.control import run_if, stored
 from jexplore.frontier import plan_masks
-from jexplore.grid import Grid, lowest
-from jexplore.reach import FAR, STRAIGHT, lay_route, reach_packed, saturated, wave_packed
+from jexplore.grid import Grid, count, lowest
+from jexplore.reach import DIAGONAL, FAR, STRAIGHT, STRIDES, lay_route, reach_packed, saturated
 
-WAVE, SWEEP = 64, 128  # sides of the windows that a wavefront and raster sweeps search, cells
+WINDOWS = (64, 128)  # sides of the windows that are searched first, cells
 
 
 @struct.dataclass
@@ -35,6 +35,7 @@ class Belief:
     p_free: Array  # float32
     near_d2: Array  # int32, cells^2
     clearance_d2: int = struct.field(pytree_node=False)  # cells^2
+    reach: str = struct.field(pytree_node=False, default="sweeps")  # one of `reach.METHODS`
 
 
 @struct.dataclass
@@ -85,14 +86,17 @@ def field(belief, *, nearest_only=False):
     height = belief.driven.shape[0]
     masks = _masks(belief)
     traversable, frontier = bits.unpack(masks.traversable), bits.unpack(masks.frontier)
-    cost = reach_packed(masks.traversable, belief.row, belief.col, frontier if nearest_only else None)
+    cost = reach_packed(
+        masks.traversable, belief.row, belief.col, frontier if nearest_only else None, method=belief.reach
+    )
     return Field(traversable[:height], cost[:height], (frontier & (cost < FAR))[:height])
 
 
 def _first_at(mask):
     """Row and column of the first True cell in (row, col) order; arbitrary if there is none."""
-    width = mask.shape[1]
-    at = jnp.argmax(mask.reshape(-1)).astype(jnp.int32)
+    height, width = mask.shape
+    index = lax.broadcasted_iota(jnp.int32, mask.shape, 0) * width + lax.broadcasted_iota(jnp.int32, mask.shape, 1)
+    at = jnp.minimum(lowest(jnp.where(mask, index, height * width)), height * width - 1)
     return at // width, at % width
 
 
@@ -111,10 +115,12 @@ def choose(belief, route, known, row, col):
     none = row < 0
     start = (belief.row, belief.col)
     target = (jnp.where(none, belief.row, row), jnp.where(none, belief.col, col))
-    route = lay_route(route, known.cost, known.traversable, start, target, (0, 0))
+    route = lay_route(route, known.cost, known.traversable, start, target, (0, 0), stride=STRIDES[belief.reach])
     cost = jnp.where(none, FAR, known.cost[target])
 
-    out_of_reach = run_if(none, lambda _: saturated(known.cost, known.traversable), jnp.int32(0))
+    # Only beside cells whose cost hardly fits can there be some whose cost does not.
+    dear = lowest(jnp.where(known.cost < FAR, -known.cost, 0)) <= DIAGONAL - FAR
+    out_of_reach = run_if(none & dear, lambda _: saturated(known.cost, known.traversable), jnp.int32(0))
     return Choice(row, col, cost, out_of_reach), route
 
 
@@ -127,8 +133,8 @@ def _nearest_in_map(belief, route):
     return choose(belief, route, known, jnp.where(none, -1, row), jnp.where(none, -1, col))
 
 
-def _nearest_in_window(belief, route, side, swept):
-    """The nearest frontier if a window settles it: `(undecided, choice, route)`. By a wavefront, or by raster sweeps.
+def _nearest_in_window(belief, route, side):
+    """The nearest frontier if a window settles it: `(undecided, choice, route)`.
 
     Windows are as wide as a power of two, because flat indices are then cheap to take apart.
     """
@@ -155,16 +161,14 @@ def _nearest_in_window(belief, route, side, swept):
     words, frontier = masks.traversable & central, bits.unpack(masks.frontier & central)
     # Every path that leaves the window costs more than `radius` straight steps: what costs no more is final.
     bound = radius * STRAIGHT
-    if swept:
-        cost = reach_packed(words, row, col, frontier)
-        best = lowest(jnp.where(frontier, cost, FAR))
-        decided = best <= bound
-    else:
-        cost, best, settled = wave_packed(words, frontier, row, col, bound)
-        decided = best <= jnp.minimum(settled, bound)
+    limit = jnp.where(count((masks.frontier & central) != 0) > 0, bound, -1)  # nothing to look for: not at all
+    cost = reach_packed(words, row, col, frontier, limit=limit, method=belief.reach)
+    best = lowest(jnp.where(frontier, cost, FAR))
+    decided = best <= bound
     at_row, at_col = _first_at(frontier & (cost == best))
     target = (jnp.where(decided, at_row + origin[0], belief.row), jnp.where(decided, at_col + origin[1], belief.col))
-    route = lay_route(route, cost, bits.unpack(words), (belief.row, belief.col), target, origin)
+    start = (belief.row, belief.col)
+    route = lay_route(route, cost, bits.unpack(words), start, target, origin, stride=STRIDES[belief.reach])
     return ~decided, Choice(target[0], target[1], best, jnp.int32(0)), route
 
 
@@ -183,12 +187,12 @@ def nearest_frontier(belief, route):
     """
     none = jnp.int32(-1)
     state = (jnp.bool_(True), Choice(none, none, jnp.int32(FAR), jnp.int32(0)), route)
-    for side, swept in ((WAVE, False), (SWEEP, True)):
+    for side in WINDOWS:
         # A window must be larger than the clearance, and pays only where the whole map is much more work.
-        if side > 4 * math.isqrt(belief.clearance_d2) and side < max(route.shape):
+        if side > 4 * math.isqrt(belief.clearance_d2) and 2 * side <= max(route.shape):
 
-            def search(state, side=side, swept=swept):
-                return _nearest_in_window(belief, state[2], side, swept)
+            def search(state, side=side):
+                return _nearest_in_window(belief, state[2], side)
 
             state = run_if(state[0], search, state)
     _, choice, route = run_if(state[0], lambda state: (False, *_nearest_in_map(belief, state[2])), state)

@@ -56,6 +56,11 @@ class Compare:
     """Edge of a cell, metres."""
     start: Literal["random", "world"] = "random"
     """Starts drawn from the seed, or every world's own start for all episodes."""
+    engine: Literal["auto", "serial", "lockstep"] = "auto"
+    """How episodes run: one after the other on each core, or many in lockstep, as suits a GPU. The results are equal.
+    By default what suits the machine."""
+    lanes: int | None = None
+    """Episodes at a time in lockstep; by default as many as the memory holds."""
     out: _Out = None
     """Folder to write."""
     overwrite: bool = False
@@ -111,12 +116,50 @@ class Worlds:
     """Replace the run that the folder holds."""
 
 
+_Numbers = Annotated[tuple[int, ...] | None, tyro.conf.arg(metavar="N [N ...]", help_behavior_hint="")]
+_Number = Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="")]
+_OwnNames = Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="NAME [NAME ...]", help_behavior_hint="")]
+
+
+@dataclasses.dataclass(frozen=True)
+class Bench:
+    """Measure what everything costs on this machine.
+
+    Kernels beside other libraries, episodes by batch size and by map size, an episode's parts, memory, compiling. Runs
+    on one core, or on the first accelerator. Prints Markdown tables and writes bench.json, bench.png and run.json. A
+    quiet machine gives good figures.
+    """
+
+    worlds: _OwnNames = None
+    """Worlds in which episodes are run, as for `jexplore compare` (default: cave office hospital)."""
+    strategies: _OwnNames = None
+    """Strategies (default: closest+recheck)."""
+    batch_sizes: _Numbers = None
+    """Episodes of the serial engine, lanes in lockstep (default: 1 4 16 64; up to 4096 lanes on an accelerator)."""
+    sides: _Numbers = None
+    """Maps of so many cells a side, 32 to 2048, by which cost is measured (default: 64 128 256 512)."""
+    engine: _OwnNames = None
+    """Engines: serial, lockstep or both (default: what suits the machine)."""
+    episodes: _Number = None
+    """Least number of episodes in lockstep, and that of the serial engine by map size (default: 16)."""
+    repeat: _Number = None
+    """Turns of every measurement (default: 5)."""
+    quick: bool = False
+    """Smaller defaults: the cave, batches of 1 and 4, sides 64 and 128, 4 episodes, 2 turns."""
+    cache: bool = False
+    """Use compiled programs that earlier commands have kept: times of compiling are then those of loading."""
+    out: _Out = None
+    """Folder to write."""
+    overwrite: bool = False
+    """Replace the run that the folder holds."""
+
+
 @dataclasses.dataclass(frozen=True)
 class Strategies:
     """List strategies, modifiers, their parameters and sources."""
 
 
-COMMANDS = {"compare": Compare, "explore": Explore, "worlds": Worlds, "strategies": Strategies}
+COMMANDS = {"compare": Compare, "explore": Explore, "worlds": Worlds, "strategies": Strategies, "bench": Bench}
 
 
 def help_text():
@@ -174,6 +217,10 @@ _REWORDED = (
     (
         r"^Error parsing (\S+): no type matching \{None\}\|INT .*? from \[(.*?)\]\. .*$",
         r"\1 must be an integer, got \2",
+    ),
+    (
+        r"^Error parsing (\S+): no type matching \{None\}\|\{\[INT .*? from (\[.*?\])\. .*$",
+        r"\1 must be integers, got \2",
     ),
     (r"^Error parsing ", ""),
     (r"^invalid choice (.*) for argument '(.*)'\. Expected one of \((.*)\) ?\.$", r"\2 must be one of \3, got \1"),

@@ -5,12 +5,12 @@ import os
 
 import numpy as np
 
-from jexplore.batch import LEAST_LIMIT, bucket
 from jexplore.bits import WORD
 from jexplore.config import InputError, Lidar, Rules
 from jexplore.grid import in_cells, radius_d2
 from jexplore.policies import parse_strategy
 from jexplore.raycast import HEADINGS, n_steps
+from jexplore.site import LEAST_LIMIT, bucket
 from jexplore.world import World, check_start, checked, draw_start, draw_starts
 from jexplore.worlds import load_world
 

@@ -17,6 +17,7 @@ from jax import Array, lax
 from jexplore.grid import Grid, in_cells
 
 BLOCK = 8  # steps of a beam looked at together, before asking whether all beams have ended
+METHODS = ("blocks", "whole")
 NOT_ENDED = 2**30  # step number of a beam that is still under way
 HEADINGS = 8  # lattice headings, 45 degrees apart
 
@@ -29,6 +30,7 @@ class Beams:
     """
 
     offset: Array  # [K, S, B] int32, flat cell entered at this step, relative to the robot's: drow * W + dcol
+    by_beam: Array  # [K, S / BLOCK, B, BLOCK] int32, the same numbers, block by block, beam after beam
     drow: Array  # [K, S, B] int32, row of the cell entered at this step, relative to the robot's; 0 beyond the range
     dcol: Array  # [K, S, B] int32, column, likewise
     entry: Array  # [K, S, B] float32, distance at which it is entered, cells; inf beyond the range
@@ -106,6 +108,17 @@ def n_steps(range_cells):
     return -(-(math.floor(range_cells * math.sqrt(2)) + 3) // BLOCK) * BLOCK
 
 
+def by_beam(offset):
+    """Cell numbers block by block, beam after beam: `[K, S, B]` as `[K, S / BLOCK, B, BLOCK]`.
+
+    Counted in this order, two beams side by side, which enter the same cells near the robot, add to a cell one long
+    after the other. In the order of steps they do so one right after the other, and each waits for the one before
+    (measured: 1.7 times the time).
+    """
+    n_headings, n, n_beams = offset.shape
+    return offset.reshape(n_headings, n // BLOCK, BLOCK, n_beams).swapaxes(2, 3)
+
+
 @functools.lru_cache(maxsize=8)
 def beam_table(lidar, cell_m, width):
     """The beams of a robot that stands on a cell's centre with a heading that is a multiple of 45 degrees.
@@ -133,8 +146,10 @@ def beam_table(lidar, cell_m, width):
     drow, dcol, entry = (np.stack([s[i] for s in steps], axis=1) for i in range(3))
     within = entry < reach
     drow, dcol = (np.where(within, d, 0).astype(np.int32) for d in (drow, dcol))
+    offset = drow * np.int32(width) + dcol
     return Beams(
-        offset=drow * np.int32(width) + dcol,  # type: ignore[arg-type]
+        offset=offset,  # type: ignore[arg-type]
+        by_beam=by_beam(offset),  # type: ignore[arg-type]
         drow=drow,  # type: ignore[arg-type]
         dcol=dcol,  # type: ignore[arg-type]
         entry=np.where(within, entry, np.inf).astype(np.float32),  # type: ignore[arg-type]
@@ -179,8 +194,10 @@ def trace(pose, angles_rad, *, max_range_m, cell_m, width):
     _, (drow, dcol, entry) = lax.scan(step, (zero, zero), length=n_steps(reach))
     within = entry < reach
     drow, dcol = jnp.where(within, drow, 0)[None], jnp.where(within, dcol, 0)[None]
+    offset = drow * width + dcol
     return Beams(
-        offset=drow * width + dcol,
+        offset=offset,
+        by_beam=by_beam(offset),
         drow=drow,
         dcol=dcol,
         entry=jnp.where(within, entry, jnp.inf)[None],
@@ -189,15 +206,13 @@ def trace(pose, angles_rad, *, max_range_m, cell_m, width):
     )
 
 
-def _block(beams, heading, j, here):
-    """Flat cell numbers and step numbers of the j-th block of steps: `[BLOCK, B]` and `[BLOCK, 1]`."""
-    # Sliced before it is reshaped: a reshape of the whole table inside a loop is a copy of it.
-    offset = lax.dynamic_slice(beams.offset, (heading, j * BLOCK, 0), (1, BLOCK, beams.offset.shape[2]))[0]
-    return here + offset, j * BLOCK + lax.broadcasted_iota(jnp.int32, (BLOCK, 1), 0)
+def _known_method(method):
+    if method not in METHODS:
+        raise ValueError(f"expected method: one of {', '.join(METHODS)}, got {method!r}")
 
 
-@jax.jit
-def scan(occupied, row, col, heading, beams):
+@functools.partial(jax.jit, static_argnames=("method",))
+def scan(occupied, row, col, heading, beams, *, method="blocks"):
     """Where beams end in a true map.
 
     Args:
@@ -205,12 +220,25 @@ def scan(occupied, row, col, heading, beams):
       row, col: int32, the robot's cell.
       heading: int32, which of the K headings of `beams`.
       beams: `Beams`.
+      method: one of `METHODS`; the beams' ends are the same. "blocks" looks at a few steps of all beams at a time until
+        all have ended and is for one robot on a CPU, "whole" looks at all steps at once and is for many in lockstep.
+        Static.
 
     Returns:
       `Scan`. The first occupied cell that a beam enters stops it; the robot's own cell stops none.
+
+    Raises:
+      ValueError: while tracing, if the method is not known.
     """
+    _known_method(method)
     flat, here = occupied.reshape(-1), row * occupied.shape[1] + col
     length = lax.dynamic_index_in_dim(beams.length, heading, keepdims=False)
+
+    def first_stop(offset, first):
+        """The first step of some, `[n, B]`, at which each beam is stopped or ends."""
+        step = first + lax.broadcasted_iota(jnp.int32, (offset.shape[0], 1), 0)
+        stopped = flat.at[here + offset].get(mode="clip", wrap_negative_indices=False) | (step >= length)
+        return jnp.min(jnp.where(stopped, step, NOT_ENDED), axis=0)
 
     def not_ended(state):
         j, end = state
@@ -218,17 +246,20 @@ def scan(occupied, row, col, heading, beams):
 
     def look(state):
         j, end = state
-        cells, step = _block(beams, heading, j, here)
-        stopped = flat.at[cells].get(mode="clip", wrap_negative_indices=False) | (step >= length)
-        return j + 1, jnp.minimum(end, jnp.min(jnp.where(stopped, step, NOT_ENDED), axis=0))
+        # Sliced before it is reshaped: a reshape of the whole table inside a loop is a copy of it.
+        offset = lax.dynamic_slice(beams.offset, (heading, j * BLOCK, 0), (1, BLOCK, length.shape[0]))[0]
+        return j + 1, jnp.minimum(end, first_stop(offset, j * BLOCK))
 
-    start = jnp.full(length.shape, NOT_ENDED, jnp.int32)
-    _, end = lax.while_loop(not_ended, look, (jnp.int32(0), start))
+    if method == "blocks":
+        start = jnp.full(length.shape, NOT_ENDED, jnp.int32)
+        _, end = lax.while_loop(not_ended, look, (jnp.int32(0), start))
+    else:
+        end = first_stop(lax.dynamic_index_in_dim(beams.offset, heading, keepdims=False), 0)
     return Scan(end=end, hit=end < length)
 
 
-@jax.jit
-def fold(grid, row, col, heading, seen, beams):
+@functools.partial(jax.jit, static_argnames=("method",))
+def fold(grid, row, col, heading, seen, beams, *, when=True, method="blocks"):
     """Counts one scan into the map: a miss for every cell passed, a hit where a beam was stopped.
 
     Args:
@@ -236,27 +267,46 @@ def fold(grid, row, col, heading, seen, beams):
       row, col, heading: int32, where the scan was made.
       seen: `Scan`, which stays inside the map.
       beams: `Beams`.
+      when: bool scalar; if False, nothing is counted.
+      method: one of `METHODS`; the counts are the same. "blocks" stops where the longest beam ends and is for one
+        map on a CPU, "whole" counts all steps of all beams at once and is for many maps in lockstep. Static.
 
     Returns:
       `Grid`. The robot's own cell gets one miss, whatever the number of beams.
 
+    Raises:
+      ValueError: while tracing, if the method is not known.
+
     Source:
       Holz et al. 2010, section 2.1.
     """
+    _known_method(method)
     height, width = grid.hits.shape
     here, outside = row * width + col, height * width
-    last = jnp.max(seen.end)
+    end, hit = jnp.where(when, seen.end, 0), seen.hit & when
+    misses = grid.misses.reshape(-1).at[here].add(jnp.asarray(when, jnp.int32))
+
+    def cells(offset, first):
+        """Cells that some blocks of steps pass; a cell that is not there where the beam has ended."""
+        step = first + lax.broadcasted_iota(jnp.int32, offset.shape, offset.ndim - 1)
+        for i in range(offset.ndim - 2):
+            step += BLOCK * lax.broadcasted_iota(jnp.int32, offset.shape, i)
+        return jnp.where(step < end[:, None], here + offset, outside)
 
     def counted(state):
         j, misses = state
-        cells, step = _block(beams, heading, j, here)
-        return j + 1, misses.at[jnp.where(step < seen.end, cells, outside)].add(1, mode="drop")
+        offset = lax.dynamic_slice(beams.by_beam, (heading, j, 0, 0), (1, 1, *beams.by_beam.shape[2:]))[0, 0]
+        return j + 1, misses.at[cells(offset, j * BLOCK)].add(1, mode="drop")
 
-    misses = grid.misses.reshape(-1).at[here].add(1)
-    _, misses = lax.while_loop(lambda s: s[0] * BLOCK < last, counted, (jnp.int32(0), misses))
-    step = jnp.minimum(seen.end, beams.offset.shape[1] - 1)
+    if method == "blocks":
+        last = jnp.max(end)
+        _, misses = lax.while_loop(lambda s: s[0] * BLOCK < last, counted, (jnp.int32(0), misses))
+    else:
+        offset = lax.dynamic_index_in_dim(beams.by_beam, heading, keepdims=False)
+        misses = misses.at[cells(offset, 0)].add(1, mode="drop")
+    step = jnp.minimum(end, beams.offset.shape[1] - 1)
     stop = here + beams.offset[heading, step, lax.iota(jnp.int32, step.shape[0])]
-    hits = grid.hits.reshape(-1).at[jnp.where(seen.hit, stop, outside)].add(1, mode="drop")
+    hits = grid.hits.reshape(-1).at[jnp.where(hit, stop, outside)].add(1, mode="drop")
     return Grid(hits=hits.reshape(height, width), misses=misses.reshape(height, width))
 
 

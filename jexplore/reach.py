@@ -1,17 +1,17 @@
 """The reachability map: the cost of the shortest path from the robot to every cell, and the way there.
 
 Costs are int32 fixed point, so that every algorithm, batch and device gives the same bits: 2**16 a straight step,
-round(sqrt(2) * 2**16) a diagonal one. A diagonal step needs both cells beside it traversable. `reach` fills a whole map
-with raster sweeps; `wave` grows a wavefront and stops as soon as the nearest goal is settled. Both end in the same
-costs where both have settled.
+round(sqrt(2) * 2**16) a diagonal one. A diagonal step needs both cells beside it traversable.
 """
+
+import functools
 
 import jax
 import jax.numpy as jnp
-from jax import lax
+from jax import Array, lax
 
 from jexplore import bits
-from jexplore.control import stored
+from jexplore.control import repeat, stored
 from jexplore.grid import beside, bordered, count, lowest
 
 STRAIGHT = 2**16
@@ -32,26 +32,26 @@ def _motions_into(words):
     return [words] * 4 + diagonal
 
 
-def _barriers(words):
+def _floors(motions):
     """For each motion 0 where a robot can make it into the cell and FAR where it cannot: list of 8 `[32 K, W]` int32.
 
     As a floor under the cost after the motion (a maximum), never as a summand: two FARs would overflow.
     """
-    possible = stored(words[0, 0] >= 0, lambda: _motions_into(words)[3:])
-    straight, *diagonal = (jnp.where(bits.unpack(m), 0, FAR) for m in possible)
+    straight, *diagonal = (jnp.where(bits.unpack(m), 0, FAR) for m in motions[3:])
     return [straight] * 4 + diagonal
 
 
-def _relax(cost, barriers):
-    """The cheapest cost of every cell after at most one more motion: `[H, W]` int32."""
-    b = bordered(cost, FAR)
+def _relax(b, floors):
+    """The cheapest cost of every cell after at most one more motion: `[H, W]` int32, from `[H + 2, W + 2]` with a
+    border of FAR.
+    """
     straight = jnp.minimum(
         jnp.minimum(beside(b, 0, -1), beside(b, 0, 1)), jnp.minimum(beside(b, -1, 0), beside(b, 1, 0))
     )
-    best = jnp.maximum(straight + STRAIGHT, barriers[0])
-    for (drow, dcol), barrier in zip(MOTIONS[4:], barriers[4:]):
-        best = jnp.minimum(best, jnp.maximum(beside(b, -drow, -dcol) + DIAGONAL, barrier))
-    return jnp.minimum(cost, best)
+    best = jnp.maximum(straight + STRAIGHT, floors[0])
+    for (drow, dcol), floor in zip(MOTIONS[4:], floors[4:]):
+        best = jnp.minimum(best, jnp.maximum(beside(b, -drow, -dcol) + DIAGONAL, floor))
+    return jnp.minimum(beside(b, 0, 0), best)
 
 
 def _source(shape, row, col):
@@ -59,134 +59,188 @@ def _source(shape, row, col):
     return lax.dynamic_update_slice(jnp.full(shape, FAR, jnp.int32), jnp.zeros((1, 1), jnp.int32), (row, col))
 
 
-@jax.jit
-def wave(traversable, goals, row, col, bound):
-    """Costs from a cell outwards, as far as needed to settle the nearest goal.
-
-    Args:
-      traversable: `[H, W]` bool; the start need not be.
-      goals: `[H, W]` bool.
-      row, col: int32, start.
-      bound: int32, cost at which to give up.
-
-    Returns:
-      `cost`: `[H, W]` int32. Exact wherever it is at most `settled`; elsewhere an upper bound, or FAR.
-      `best`: int32, cost of the nearest goal if that is at most `settled`, else an upper bound, or FAR.
-      `settled`: int32, every cell this near has its final cost: `bound` at least, unless a goal was settled earlier or
-        nothing was left to reach (then FAR).
-
-    Source:
-      Bellman and Ford's relaxation; after t rounds every path of cost t straight steps, which has at most t motions,
-      is in.
-    """
-    words = bits.pack(traversable)
-    goals = jnp.pad(goals, ((0, bits.WORD * words.shape[0] - goals.shape[0]), (0, 0)))
-    cost, best, settled = wave_packed(words, goals, row, col, bound)
-    return cost[: traversable.shape[0]], best, settled
-
-
-def wave_packed(words, goals, row, col, bound):
-    """`wave` with packed traversable cells, `[K, W]` uint32; goals and costs are `[32 K, W]`."""
-    barriers = _barriers(words)
-
-    def under_way(state):
-        settled, _, best, changed = state
-        return changed & (best > settled) & (settled < bound)
-
-    def grow(state):
-        settled, cost, _, _ = state
-        new = lax.fori_loop(0, ROUNDS, lambda _, cost: _relax(cost, barriers), cost)
-        best = lowest(jnp.where(goals, new, FAR))
-        changed = count(new != cost) > 0
-        return settled + ROUNDS * STRAIGHT, new, best, changed
-
-    first = jnp.where(goals[row, col], 0, FAR)
-    start = (jnp.int32(0), _source(goals.shape, row, col), first, True)
-    settled, cost, best, changed = lax.while_loop(under_way, grow, start)
-    return cost, best, jnp.where(changed, settled, FAR)
-
-
-def _sweep(cost, barriers, reverse):
+def _sweep(cost, possible, rows, reverse):
     """Motions from each row into the next (or the one before, if `reverse`), row after row.
 
     One buffer, read and written in place a row at a time: half the time of a scan that stacks its rows.
 
     Args:
       cost: `[H + 2, W + 2]` int32, with a border of FAR.
-      barriers: `[H, W]` int32, straight ahead; or three of them: also ahead and to higher columns, to lower columns.
+      possible: three of `[H / 32, W]` uint32, the cells into which a robot can move straight ahead, ahead and to higher
+        columns, ahead and to lower columns. Packed, as a barrier of a whole map costs more to make than to use.
+      rows: `(first, last)` int32, rows to be entered.
       reverse: whether rows are taken from the last to the first. Static.
     """
-    height, width = barriers[0].shape
+    width = cost.shape[1] - 2
 
     def row(i, cost):
-        at = height - 1 - i if reverse else i
+        at = rows[0] + rows[1] - i if reverse else i
         before = lax.dynamic_slice(cost, (at + 2 if reverse else at, 0), (1, width + 2))
         best = lax.dynamic_slice(cost, (at + 1, 1), (1, width))
         steps = (before[:, 1:-1] + STRAIGHT, before[:, :-2] + DIAGONAL, before[:, 2:] + DIAGONAL)
-        for step, barrier in zip(steps, barriers):
-            best = jnp.minimum(best, jnp.maximum(step, lax.dynamic_slice(barrier, (at, 0), (1, width))))
+        for step, words in zip(steps, possible):
+            here = lax.dynamic_slice(words, (at // bits.WORD, 0), (1, width)) >> jnp.uint32(at % bits.WORD)
+            best = jnp.minimum(best, jnp.where(here & 1 != 0, step, FAR))
         return lax.dynamic_update_slice(cost, best, (at + 1, 1))
 
-    return lax.fori_loop(0, height, row, cost)
+    return lax.fori_loop(rows[0], rows[1] + 1, row, cost)
 
 
-@jax.jit
-def reach(traversable, row, col, goals=None):
+@functools.partial(jax.jit, static_argnames=("method",))
+def reach(traversable, row, col, goals=None, *, method="sweeps"):
     """Cost of the shortest path from a cell to every cell: the reachability map.
 
     Args:
       traversable: `[H, W]` bool; the start need not be.
       row, col: int32, start, inside the map.
       goals: `[H, W]` bool, or None. If given, only the cheapest goals are wanted: costs above theirs may not be final.
+      method: one of `METHODS`; the costs are the same. "sweeps" is for one map on a CPU, "wave" for many maps in
+        lockstep. Static.
 
     Returns:
       `[H, W]` int32, 2**16 a straight step; FAR where no path leads, or none cheaper than FAR (16,384 straight steps;
       see `saturated`).
 
     Raises:
-      ValueError: while tracing, if `traversable` is not a bool matrix.
+      ValueError: while tracing, if `traversable` is not a bool matrix, or the method is not known.
 
     Source:
-      Holz et al. 2010, section 2.2 (Dijkstra without a goal). Changed: raster sweeps to the fixpoint, exact because
-      costs are integers.
+      Holz et al. 2010, section 2.2 (Dijkstra without a goal). Changed: relaxed to the fixpoint, exact because costs are
+      integers: row by row (sweeps), or everywhere at once, motion by motion (wave: Bellman and Ford).
     """
     if traversable.ndim != 2 or traversable.dtype != bool:
         raise ValueError(f"expected traversable: [H, W] bool, got {traversable.shape} {traversable.dtype}")
     words = bits.pack(traversable)
     if goals is not None:
         goals = jnp.pad(goals, ((0, bits.WORD * words.shape[0] - goals.shape[0]), (0, 0)))
-    return reach_packed(words, row, col, goals)[: traversable.shape[0]]
+    return reach_packed(words, row, col, goals, method=method)[: traversable.shape[0]]
 
 
-def reach_packed(words, row, col, goals=None):
+def reach_packed(words, row, col, goals=None, *, limit: Array | int = FAR, method="sweeps"):
     """`reach` with packed traversable cells.
 
     Args:
       words: `[K, W]` uint32.
       row, col: int32, start.
       goals: `[32 K, W]` bool, or None.
+      limit: int32, costs above it may not be final either.
+      method: one of `METHODS`. Static.
 
     Returns:
       `[32 K, W]` int32.
     """
-    straight, (ne, nw, sw, se) = (b := _barriers(words))[0], b[4:]
-    across = (straight.T,)  # rows and columns exchanged: east is ahead
+    if method not in METHODS:
+        raise ValueError(f"expected method: one of {', '.join(METHODS)}, got {method!r}")
+    return METHODS[method](words, row, col, goals, jnp.int32(limit))
+
+
+def _horizon(cost, goals, limit):
+    """What costs must be final: those up to that of the cheapest goal, and up to the limit."""
+    return limit if goals is None else jnp.minimum(limit, lowest(jnp.where(goals, cost, FAR)))
+
+
+def _wave(words, row, col, goals, limit):
+    """`reach_packed`, all cells at once: after t rounds every path of t motions is in, so every cost up to t."""
+    motions = stored(words[0, 0] >= 0, lambda: _motions_into(words))
+
+    def under_way(state):
+        settled, _, horizon, changed = state
+        return changed & (settled <= horizon) & (settled < FAR)
+
+    def grow(state):
+        settled, cost, _, changed = state
+        floors = _floors(motions)
+        new = lax.fori_loop(0, ROUNDS, lambda _, cost: _relax(bordered(cost, FAR), floors), cost)
+        # Costs only ever get closer to what is final, so that a wave that has ended may run on.
+        settled = jnp.minimum(settled + ROUNDS * STRAIGHT, FAR)
+        return settled, new, _horizon(new, goals, limit), changed & (count(new != cost) > 0)
+
+    cost = _source((bits.WORD * words.shape[0], words.shape[1]), row, col)
+    return repeat(under_way, grow, (jnp.int32(0), cost, _horizon(cost, goals, limit), limit >= 0))[1]
+
+
+def _sweeps(words, row, col, goals, limit):
+    """`reach_packed`, row by row in turn upwards, downwards, and across."""
+    height, width = bits.WORD * words.shape[0], words.shape[1]
+    if spare := -width % bits.WORD:
+        goals = None if goals is None else jnp.pad(goals, ((0, 0), (0, spare)))
+        return _sweeps(jnp.pad(words, ((0, 0), (0, spare))), row, col, goals, limit)[:, :width]
+
+    def prepare():
+        across = bits.transposed(words)
+        return _motions_into(words), _motions_into(across), _extent(across), _extent(words)
+
+    motions, across, rows, cols = stored(words[0, 0] >= 0, prepare)
+
+    def up_and_down(cost, motions, extent, start, far):
+        """Two sweeps, of the rows that hold traversable cells no further than `far`."""
+        rows = jnp.maximum(extent[0], start - far), jnp.minimum(extent[1], start + far)
+        ahead, (ne, nw, sw, se) = motions[0], motions[4:]
+        return _sweep(_sweep(cost, (ahead, ne, nw), rows, reverse=False), (ahead, se, sw), rows, reverse=True)
 
     def sweep(state):
-        cost, _, n = state
-        new = _sweep(_sweep(cost.T, across, reverse=False), across, reverse=True).T
-        new = _sweep(_sweep(new, (straight, ne, nw), reverse=False), (straight, se, sw), reverse=True)
-        # Costs depend on cheaper costs only: once no cost below the best goal's changes any more, the best goals are
-        # settled.
-        change = lowest(jnp.where(new != cost, new, FAR))
-        best = FAR if goals is None else lowest(jnp.where(goals, new[1:-1, 1:-1], FAR))
-        return new, change < best, n + 1
+        cost, far, _, n = state
+        cost = up_and_down(cost.T, across, cols, col, far).T
+        cost = up_and_down(cost, motions, rows, row, far)
+        inner = cost[1:-1, 1:-1]
+        # Costs depend on cheaper costs only: once one more motion makes no cost lower up to the horizon, all costs up
+        # to there are final. The last sweep has made all motions to lower rows.
+        after = FAR
+        for (drow, dcol), possible in zip(MOTIONS, motions):
+            if drow >= 0:
+                step = DIAGONAL if drow and dcol else STRAIGHT
+                after = jnp.minimum(after, jnp.where(bits.unpack(possible), beside(cost, -drow, -dcol) + step, FAR))
+        change = lowest(jnp.where(after < inner, after, FAR))
+        horizon = _horizon(inner, goals, limit)
+        return cost, horizon // STRAIGHT, (change <= horizon) & (change < FAR), n + 1
 
+    # The first sweeps go a little further than the nearest goal is in a straight line: often that is enough.
+    first = limit // STRAIGHT
+    if goals is not None:
+        away = [jnp.abs(lax.broadcasted_iota(jnp.int32, goals.shape, i) - at) for i, at in enumerate((row, col))]
+        first = jnp.minimum(first, 3 * lowest(jnp.where(goals, jnp.maximum(*away), FAR // 4)) // 2 + 2)
     # A path of n cells is settled after at most n sweeps.
-    height, width = straight.shape
-    cost = _source((height + 2, width + 2), row + 1, col + 1)
-    cost, _, _ = lax.while_loop(lambda s: s[1] & (s[2] < height * width), sweep, (cost, True, jnp.int32(0)))
-    return cost[1:-1, 1:-1]
+    start = _source((height + 2, width + 2), row + 1, col + 1), first, limit >= 0, jnp.int32(0)
+    return lax.while_loop(lambda s: s[2] & (s[3] < height * width), sweep, start)[0][1:-1, 1:-1]
+
+
+METHODS = {"sweeps": _sweeps, "wave": _wave}
+STRIDES = {"sweeps": 1, "wave": 8}  # for `lay_route` beside each method: in lockstep a look costs more than a motion
+
+
+def flood(words, row, col):
+    """The cells to which a path leads, however long.
+
+    Args:
+      words: `[K, W]` uint32, packed traversable cells; the start need not be one.
+      row, col: int32, start.
+
+    Returns:
+      `[K, W]` uint32, packed; the start is among them.
+    """
+    motions = stored(words[0, 0] >= 0, lambda: _motions_into(words))
+    at = jnp.stack([lax.broadcasted_iota(jnp.int32, words.shape, axis) for axis in (0, 1)])
+    here = (at[0] == row // bits.WORD) & (at[1] == col)
+    start = jnp.where(here, jnp.uint32(1) << jnp.uint32(row % bits.WORD), jnp.uint32(0))
+
+    def step(_, reached):
+        for (drow, dcol), possible in zip(MOTIONS, motions):
+            reached = reached | (possible & bits.shifted(reached, -drow, -dcol))
+        return reached
+
+    def spread(state):
+        reached, _ = state
+        new = lax.fori_loop(0, 2 * ROUNDS, step, reached)
+        return new, jnp.any(new != reached)
+
+    return repeat(lambda state: state[1], spread, (start, words[0, 0] >= 0))[0]
+
+
+def _extent(words):
+    """`(first, last)` column with a True cell; `last < first` if there is none. int32 scalars."""
+    width = words.shape[1]
+    used, at = jnp.any(words != 0, axis=0), lax.iota(jnp.int32, width)
+    return jnp.min(jnp.where(used, at, width)), jnp.max(jnp.where(used, at, -1))
 
 
 def saturated(cost, traversable):
@@ -247,7 +301,7 @@ def predecessors(cost, traversable):
     return _last_motion(*(jnp.stack(a).reshape(3, 3, *cost.shape) for a in around))
 
 
-def lay_route(route, cost, traversable, start, target, origin):
+def lay_route(route, cost, traversable, start, target, origin, *, stride=1):
     """Writes the way from the start to a target into a map of motions: the path read-out.
 
     Args:
@@ -257,6 +311,7 @@ def lay_route(route, cost, traversable, start, target, origin):
       traversable: `[h, w]` bool, what `cost` was made from.
       start, target: `(row, col)` int32, in the map; both inside the window, `target` with a final cost.
       origin: `(row, col)` int32 of the window's cell (0, 0) in the map.
+      stride: motions between two looks at whether the start is reached. Static.
 
     Returns:
       `route`: `[H, W]` int8. Following it from the start ends at the target, after at most h * w motions.
@@ -270,9 +325,14 @@ def lay_route(route, cost, traversable, start, target, origin):
 
     def back(state):
         n, row, col, route = state
+        going = under_way(state)
         corner = row - origin[0], col - origin[1]
         motion = _last_motion(*(lax.dynamic_slice(a, corner, (3, 3)) for a in (cost, traversable)))
-        row, col = row - motions[motion, 0], col - motions[motion, 1]
-        return n + 1, row, col, lax.dynamic_update_slice(route, motion[None, None], (row, col))
+        motion = jnp.where(going, motion, route[row, col])
+        row, col = (jnp.where(going, at - motions[motion, axis], at) for axis, at in enumerate((row, col)))
+        return n + going, row, col, lax.dynamic_update_slice(route, motion[None, None], (row, col))
 
-    return lax.while_loop(under_way, back, (jnp.int32(0), target[0], target[1], route))[3]
+    def walk(state):
+        return back(state) if stride == 1 else lax.fori_loop(0, stride, lambda _, state: back(state), state)
+
+    return repeat(under_way, walk, (jnp.int32(0), target[0], target[1], route))[3]

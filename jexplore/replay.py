@@ -32,6 +32,7 @@ from jexplore.preflight import (
 )
 from jexplore.raycast import disturb, fold, scan
 from jexplore.reach import HEADING, MOTIONS
+from jexplore.site import prepare
 from jexplore.world import World
 
 MAX_FRAMES = 300
@@ -186,7 +187,7 @@ def _rescan(grid, row, col, heading, number, key, truth, beams, sigma_cells, dro
     if noisy:
         key = jax.random.fold_in(jax.random.fold_in(key, Stream.SENSOR), number)
         noise = {"sigma_cells": sigma_cells, "dropout": dropout}
-        seen = disturb(key, seen, row, col, heading, beams, truth.extent, **noise)
+        seen = disturb(key, seen, row, col, heading, beams, truth.extent[0], **noise)
     return fold(grid, row, col, heading, seen, beams)
 
 
@@ -237,7 +238,7 @@ def frames(episode, *, max_frames=MAX_FRAMES):
 
 def _states(episode):
     """After each step: `(step, grid, belief, heading)`."""
-    final, site = episode.final, batch.prepare(episode.world, episode.lidar, episode.rules)
+    final, site = episode.final, prepare(episode.world, episode.lidar, episode.rules)
     shape = site.truth.occupied.shape
     rescan = functools.partial(
         _rescan,
@@ -273,7 +274,7 @@ def _states(episode):
             row=jnp.int32(row),
             col=jnp.int32(col),
             heading=jnp.int32(heading),
-            extent=site.truth.extent,
+            extent=jnp.asarray(site.truth.extent[0]),
             p_free=jnp.float32(site.p_free),
             near_d2=jnp.int32(site.near_d2),
             clearance_d2=site.clearance_d2,

@@ -24,6 +24,7 @@ from jexplore.config import InputError
 OUR_FILES = (
     *("run.json", "episodes.parquet", "compare.png", "paths.png"),  # compare
     *("episode.png", "episode.gif", "worlds.png"),  # explore, worlds
+    *("bench.json", "bench.png"),  # bench
 )
 """Names that a run writes into its folder: their presence marks it as taken, and only they are ever replaced."""
 

@@ -10,11 +10,12 @@ from ref import maps, simulator
 from scipy import ndimage
 
 from jexplore import batch, episode
-from jexplore.batch import Job, bucket, prepare
+from jexplore.batch import Job
 from jexplore.config import Lidar, Rules
 from jexplore.episode import Outcome
 from jexplore.policies import parse_strategy
 from jexplore.raycast import beam_table
+from jexplore.site import bucket, prepare
 from jexplore.world import World, draw_starts, pad
 
 LIDAR, RULES = Lidar(range_m=2.0, n_beams=37), Rules(max_plans=30)
@@ -45,7 +46,7 @@ def test_a_world_is_padded_with_walls():
     assert site.truth.occupied[:, 70:].all()
     assert (np.asarray(site.truth.rooms)[40:] == -1).all()
     np.testing.assert_array_equal(site.truth.rooms[:40, :70], rooms)
-    assert site.truth.extent.tolist() == [40, 70]
+    assert site.truth.extent.tolist() == [[40, 70]]
     assert (site.clearance_d2, site.near_d2, site.first_scans, site.max_steps, site.max_plans) == (9, 16, 2, 9, 20000)
     assert not site.noisy
     assert site.capacity >= site.max_steps
@@ -166,8 +167,7 @@ def test_an_interrupt_leaves_no_thread_behind(jobs):
         raise KeyboardInterrupt
 
     before = set(threading.enumerate())
-    with pytest.raises(KeyboardInterrupt):
-        batch.run(jobs[:2], LIDAR, RULES, workers=2, on_progress=interrupt)
+    assert batch.run(jobs[:2], LIDAR, RULES, workers=2, on_progress=interrupt).interrupted
     assert set(threading.enumerate()) <= before
 
 
@@ -181,7 +181,7 @@ def test_no_key_is_used_twice():
         occupied=jnp.asarray(occupied),
         rooms=jnp.full(occupied.shape, -1, jnp.int32),
         region=jnp.asarray(~occupied, jnp.int32),
-        extent=jnp.asarray(occupied.shape, jnp.int32),
+        extent=jnp.asarray([occupied.shape], jnp.int32),
     )
     numbers = episode.Numbers(
         p_free=jnp.float32(0.25), near_d2=jnp.int32(1), look_around=jnp.bool_(True), recheck=jnp.bool_(True),
@@ -192,5 +192,5 @@ def test_no_key_is_used_twice():
     beams = jax.device_put(beam_table(lidar, 1.0, 6))
     start = jnp.asarray([1, 1, 0], jnp.int32)
     with jax.debug_key_reuse(True):
-        result, _ = jax.jit(lambda key: episode.run(key, setup, truth, beams, numbers, start))(jax.random.key(3))
+        result, _ = jax.jit(lambda key: episode.run(key, setup, truth, beams, numbers, 0, start))(jax.random.key(3))
     assert int(result.plans) > 0

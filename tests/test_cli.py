@@ -208,7 +208,8 @@ def test_the_defaults_are_smaller_on_request(monkeypatch):
         ("", "expected a command"),
         (
             "compar",
-            "unknown command: 'compar'; there are compare, explore, worlds, strategies (did you mean 'compare'?)",
+            "unknown command: 'compar'; there are compare, explore, worlds, strategies, bench "
+            "(did you mean 'compare'?)",
         ),
         ("--worlds cave", "expected a command first"),
         ("compare --epsodes 3", "unknown option --epsodes; did you mean --episodes?"),
@@ -318,7 +319,7 @@ def test_python_m_and_exit_status():
 
 
 @pytest.mark.skipif(os.name != "posix", reason="needs signals")
-def test_control_c_ends_a_run_with_one_line(world, tmp_path):
+def test_control_c_ends_a_run_and_keeps_what_is_finished(world, tmp_path):
     command = [sys.executable, "-m", "jexplore", "compare", "--worlds", world, "--episodes", "50000", *LIDAR]
     process = subprocess.Popen([*command, "--out", "run"], cwd=tmp_path, stderr=subprocess.PIPE, text=True)
     try:
@@ -332,5 +333,9 @@ def test_control_c_ends_a_run_with_one_line(world, tmp_path):
         process.kill()
     assert process.returncode == 130
     assert "Traceback" not in said
-    assert said.endswith("jexplore: interrupted, nothing was written\n")
-    assert files(tmp_path) == []
+    assert said.endswith("jexplore: interrupted, what was finished was written\n")
+    record = json.loads((tmp_path / "run" / "run.json").read_text())
+    table = pd.read_parquet(tmp_path / "run" / "episodes.parquet")
+    assert 0 < len(table) == 150_000 - record["interrupted"]
+    assert record["warnings"][0] == f"interrupted: {record['interrupted']} episodes are missing"
+    assert table.groupby("strategy")["episode"].agg(list).map(tuple).nunique() == 1

@@ -157,6 +157,18 @@ def test_a_comparison_by_hand():
     assert found.compile_s == 1.0
 
 
+def test_of_an_interrupted_run_the_pairs_are_kept():
+    found = stub([[1, 0], [1, 1]], straight=[10, 20])
+    assert found.to_pandas()[["strategy", "episode"]].to_numpy().tolist() == [["closest", 0], ["random", 0]]
+    assert found.interrupted == 2
+    assert found.warnings == ["interrupted: 2 episodes are missing"]
+    assert [seen.strategy for seen in found.first["stub"]] == ["closest", "random"]
+    late = stub([[0, 1], [1, 1]])  # episode 0 is missing: no map to show
+    assert (late.to_pandas()["episode"].tolist(), late.first) == ([1, 1], {})
+    with pytest.raises(KeyboardInterrupt):
+        stub([[0, 1], [1, 0]])
+
+
 def test_warnings_are_told():
     assert len(stub([[1, 1], [1, 1]]).warnings) == 0
     assert "outcomes differ in 1 of 2 pairs" in stub([[1, 1], [1, 3]]).warnings[0]

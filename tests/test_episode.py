@@ -15,7 +15,7 @@ from jexplore.config import Lidar, Rules
 from jexplore.episode import Numbers, Outcome, Setup, Stream, Track, Truth
 from jexplore.grid import in_cells, radius_d2
 from jexplore.policies import parse_strategy
-from jexplore.raycast import Beams, beam_table, disturb, scan
+from jexplore.raycast import Beams, beam_table, by_beam, disturb, scan
 from jexplore.robot import scans_all_round
 
 CAPACITY = 20_000
@@ -29,7 +29,7 @@ def truth_of(occupied, rooms, shape):
         occupied=np.pad(occupied, grow, constant_values=True),
         rooms=np.pad(rooms, grow, constant_values=-1),
         region=np.pad(ndimage.label(~occupied)[0].astype(np.int32), grow),
-        extent=np.asarray(occupied.shape, np.int32),
+        extent=np.asarray([occupied.shape], np.int32),
     )
 
 
@@ -55,15 +55,19 @@ def window_of(lidar, cell_m):
 @functools.partial(jax.jit, static_argnames="static")
 def compiled(static, key, first_scans, truth, beams, numbers, start):
     """`static` is a `Setup` but for the scans all round at the start, which may vary: fewer programs to compile."""
-    return episode.run(key, static._replace(first_scans=first_scans), truth, beams, numbers, start)
+    return episode.run(key, static._replace(first_scans=first_scans), truth, beams, numbers, jnp.int32(0), start)
 
 
 def with_idle_beams(beams, n_steps, n_beams):
     """The same beams in larger arrays: beams of no length, which see nothing, so that scanners share a program."""
     steps, count = (full - n for full, n in zip((n_steps, n_beams), beams.offset.shape[1:]))
     grow = ((0, 0), (0, steps), (0, count))
+    offset, drow, dcol = (np.pad(a, grow) for a in (beams.offset, beams.drow, beams.dcol))
     return Beams(
-        *(np.pad(a, grow) for a in (beams.offset, beams.drow, beams.dcol)),
+        offset=offset,
+        by_beam=by_beam(offset),
+        drow=drow,
+        dcol=dcol,
         entry=np.pad(beams.entry, grow, constant_values=np.inf),
         length=np.pad(beams.length, ((0, 0), (0, count))),
         reach=beams.reach,

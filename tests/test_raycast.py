@@ -30,11 +30,15 @@ ROOM = maps.walls("""
 
 
 def sense(occupied, row, col, heading, lidar, cell_m=1.0):
-    """One scan, folded into an empty map: `(hits, misses)`."""
+    """One scan, folded into an empty map: `(hits, misses)`, by every method."""
     table = raycast.beam_table(lidar, cell_m, occupied.shape[1])
-    seen = raycast.scan(jnp.asarray(occupied), row, col, heading, table)
-    grid = raycast.fold(empty_grid(occupied.shape), row, col, heading, seen, table)
-    return np.asarray(grid.hits), np.asarray(grid.misses)
+    found = []
+    for method in raycast.METHODS:
+        seen = raycast.scan(jnp.asarray(occupied), row, col, heading, table, method=method)
+        grid = raycast.fold(empty_grid(occupied.shape), row, col, heading, seen, table, method=method)
+        found.append((seen.end, seen.hit, np.asarray(grid.hits), np.asarray(grid.misses)))
+    jax.tree.map(np.testing.assert_array_equal, *found)
+    return found[0][2:]
 
 
 def expected(occupied, row, col, heading, lidar, cell_m=1.0):
@@ -339,6 +343,20 @@ def test_folding_counts_every_scan():
     hits, misses = sense(ROOM, 1, 2, 0, RIGHT_ANGLES)
     np.testing.assert_array_equal(grid.hits, 3 * hits)
     np.testing.assert_array_equal(grid.misses, 3 * misses)
+
+
+@pytest.mark.parametrize("method", raycast.METHODS)
+def test_nothing_is_counted_when_nothing_is_to_be(method):
+    table = raycast.beam_table(RIGHT_ANGLES, 1.0, ROOM.shape[1])
+    seen = raycast.scan(jnp.asarray(ROOM), 1, 2, 0, table)
+    grid = raycast.fold(empty_grid(ROOM.shape), 1, 2, 0, seen, table, when=jnp.bool_(False), method=method)
+    assert not np.asarray(grid.hits | grid.misses).any()
+
+
+def test_a_method_that_does_not_exist_is_refused():
+    table = raycast.beam_table(RIGHT_ANGLES, 1.0, ROOM.shape[1])
+    with pytest.raises(ValueError, match="one of blocks, whole, got 'half'"):
+        raycast.scan(jnp.asarray(ROOM), 1, 2, 0, table, method="half")
 
 
 # ---------------------------------------------------------------- noise

@@ -1,5 +1,7 @@
 """The reachability map: pencil cases, Dijkstra, laws, saturation, bad input."""
 
+import functools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -9,11 +11,25 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from ref import maps, planning
 
-from jexplore.reach import DIAGONAL, FAR, HEADING, MOTIONS, STRAIGHT, lay_route, predecessors, reach, saturated, wave
+from jexplore import bits
+from jexplore.reach import (
+    DIAGONAL,
+    FAR,
+    HEADING,
+    METHODS,
+    MOTIONS,
+    STRAIGHT,
+    flood,
+    lay_route,
+    predecessors,
+    reach,
+    reach_packed,
+    saturated,
+)
 
 S, D = STRAIGHT, DIAGONAL
 SHAPES = ((1, 1), (1, 8), (7, 1), (7, 9))
-LAY, SATURATED = jax.jit(lay_route), jax.jit(saturated)
+LAY, SATURATED = jax.jit(lay_route, static_argnames="stride"), jax.jit(saturated)
 
 
 @st.composite
@@ -174,7 +190,9 @@ def test_every_route_leads_from_the_start_to_its_target_at_the_exact_cost(place)
     pred = planning.dijkstra(passable, (row, col))[1]
     blank = jnp.full(passable.shape, -1, jnp.int8)
     for target in np.argwhere(np.asarray(cost) < FAR)[::5]:
-        route = np.asarray(LAY(blank, cost, jnp.asarray(passable), (row, col), tuple(target), (0, 0)))
+        args = blank, cost, jnp.asarray(passable), (row, col), tuple(target), (0, 0)
+        route = np.asarray(LAY(*args))
+        np.testing.assert_array_equal(LAY(*args, stride=4), route)
         cells, total = follow(route, (row, col), target)
         assert total == cost[tuple(target)]
         assert cells == planning.path(pred, (row, col), target)
@@ -213,7 +231,8 @@ def test_rows_of_a_batch_are_independent_and_jit_changes_nothing():
             cost,
             saturated(cost, passable),
             predecessors(cost, passable),
-            wave(passable, goals, row, col, jnp.int32(6 * S)),
+            reach(passable, row, col, goals, method="wave"),
+            bits.unpack(flood(bits.pack(passable), row, col), 7),
         )
 
     batch = jax.vmap(one)(passable, goals, rows, cols)
@@ -252,62 +271,86 @@ def test_with_goals_costs_are_final_up_to_the_cheapest_goals(place, seed):
     np.testing.assert_array_equal(cost[exact <= best], exact[exact <= best])
 
 
-# ---------------------------------------------------------------- wave
-
-
-def test_a_wave_stops_soon_after_the_nearest_goal_is_settled():
-    goals = jnp.zeros((1, 40), bool).at[0, 3].set(True).at[0, 35].set(True)
-    cost, best, settled = wave(jnp.ones((1, 40), bool), goals, 0, 0, jnp.int32(FAR))
-    assert int(best) == 3 * S <= int(settled) < 12 * S
-    assert cost[0, :4].tolist() == [0, S, 2 * S, 3 * S]
-    cost, best, settled = wave(jnp.ones((1, 40), bool), goals, 0, 3, jnp.int32(FAR))
-    assert (int(best), int(settled)) == (0, 0)
-
-
-def test_a_wave_does_not_stop_at_a_goal_that_it_has_met_but_not_settled():
-    """Four diagonal motions cost more than five straight ones would: what four rounds have found is not yet final."""
-    goals = jnp.zeros((6, 6), bool).at[4, 4].set(True)
-    _, best, settled = wave(jnp.ones((6, 6), bool), goals, 0, 0, jnp.int32(FAR))
-    assert int(best) == 4 * D <= int(settled)
-
-
-def test_a_wave_stops_soon_after_its_bound():
-    goals = jnp.zeros((1, 40), bool).at[0, 30].set(True)
-    cost, best, settled = wave(jnp.ones((1, 40), bool), goals, 0, 0, jnp.int32(4 * S))
-    assert 4 * S <= int(settled) < 12 * S
-    assert cost[0, :5].tolist() == [S * i for i in range(5)]
-    assert int(best) >= 4 * S
-
-
-def test_a_wave_that_has_nothing_left_to_reach_has_settled_everything():
-    cost, best, settled = wave(jnp.asarray([[True, True, False, True]]), jnp.zeros((1, 4), bool), 0, 0, jnp.int32(FAR))
-    assert (cost.tolist(), int(best), int(settled)) == ([[0, S, FAR, FAR]], FAR, FAR)
+# ---------------------------------------------------------------- methods
 
 
 @pytest.mark.jit
-@given(places(), st.integers(0, 2**30), st.integers(1, 12))
-@settings(max_examples=150, deadline=None)
-def test_a_wave_agrees_with_reach_wherever_it_is_settled(place, seed, steps):
+@given(places())
+@settings(max_examples=100, deadline=None)
+def test_both_methods_give_the_same_costs(place):
+    passable, row, col = place
+    both = [np.asarray(reach(jnp.asarray(passable), row, col, method=method)) for method in METHODS]
+    np.testing.assert_array_equal(*both)
+
+
+@functools.partial(jax.jit, static_argnames="method")
+def _limited(passable, goals, row, col, limit, method):
+    words = bits.pack(passable)
+    goals = jnp.pad(goals, ((0, 32 * words.shape[0] - passable.shape[0]), (0, 0)))
+    return reach_packed(words, row, col, goals, limit=limit, method=method)[: passable.shape[0]]
+
+
+def limited(passable, goals, row, col, limit, method):
+    """Costs that need only be final up to a limit, and up to the cheapest goals."""
+    return np.asarray(_limited(jnp.asarray(passable), jnp.asarray(goals), row, col, limit, method))
+
+
+FLOOD = jax.jit(lambda passable, row, col: bits.unpack(flood(bits.pack(passable), row, col), passable.shape[0]))
+
+
+@pytest.mark.jit
+@pytest.mark.parametrize("method", METHODS)
+@given(place=places(), seed=st.integers(0, 2**30), steps=st.integers(-1, 12))
+@settings(max_examples=100, deadline=None)
+def test_costs_are_final_up_to_the_limit_and_the_cheapest_goals(method, place, seed, steps):
     passable, row, col = place
     goals = np.random.default_rng(seed).random(passable.shape) < 0.05
-    bound = steps * S
-    cost, best, settled = wave(jnp.asarray(passable), jnp.asarray(goals), row, col, jnp.int32(bound))
-    cost, best, settled = np.asarray(cost), int(best), int(settled)
+    cost = limited(passable, goals, row, col, steps * S, method)
     exact = np.asarray(reach(jnp.asarray(passable), row, col))
-    nearest = exact[goals].min(initial=FAR)
+    final = exact <= min(steps * S, exact[goals].min(initial=FAR))
     assert (cost >= exact).all()
-    near = exact <= settled
-    np.testing.assert_array_equal(cost[near], exact[near])
-    np.testing.assert_array_equal(cost <= settled, near)
-    assert best >= nearest
-    assert settled >= bound or best <= settled  # it went as far as it was asked to
-    assert settled < FAR or best == nearest
-    if best <= settled:
-        assert best == nearest
+    np.testing.assert_array_equal(cost[final], exact[final])
+    if steps >= 0:
         came = predecessors(jnp.asarray(cost), jnp.asarray(passable))
         pred = planning.dijkstra(passable, (row, col))[1]
-        here = exact <= best
-        np.testing.assert_array_equal(flat_predecessors(came)[here], pred[here])
+        np.testing.assert_array_equal(flat_predecessors(came)[final], pred[final])
+
+
+@pytest.mark.jit
+def test_a_wave_does_not_stop_at_a_goal_that_it_has_met_but_not_settled():
+    """Four diagonal motions cost more than five straight ones would: what four rounds have found is not yet final."""
+    goals = np.zeros((6, 6), bool)
+    goals[4, 4] = goals[0, 5] = True
+    cost = limited(np.ones((6, 6), bool), goals, 0, 0, FAR, "wave")
+    assert (cost[4, 4], cost[0, 5]) == (4 * D, 5 * S)
+
+
+@pytest.mark.jit
+@pytest.mark.parametrize("method", METHODS)
+def test_goals_of_equal_cost_are_all_final(method):
+    """Two goals at the same cost, one of which the first sweeps reach by a longer way."""
+    rows = ["..#....", "..#.##.", "..#.#..", "..#.#.#", "....#..", ".####..", "......."]
+    passable = np.array([[c == "." for c in row] for row in rows])
+    exact = np.asarray(reach(jnp.asarray(passable), 0, 0))
+    for cost in np.unique(exact[exact < FAR]):
+        goals = exact == cost
+        np.testing.assert_array_equal(limited(passable, goals, 0, 0, FAR, method)[goals], cost)
+
+
+@pytest.mark.jit
+@given(places())
+@settings(max_examples=100, deadline=None)
+def test_a_flood_reaches_what_has_a_cost(place):
+    passable, row, col = place
+    np.testing.assert_array_equal(
+        FLOOD(jnp.asarray(passable), row, col), np.asarray(reach(jnp.asarray(passable), row, col)) < FAR
+    )
+
+
+@pytest.mark.jit
+def test_a_flood_has_no_limit_of_cost_and_keeps_its_start():
+    assert FLOOD(jnp.ones((1, 16390), bool), 0, 0).all()
+    assert np.argwhere(FLOOD(jnp.zeros((3, 3), bool), 1, 2)).tolist() == [[1, 2]]
 
 
 # ---------------------------------------------------------------- bad input
@@ -317,3 +360,8 @@ def test_a_wave_agrees_with_reach_wherever_it_is_settled(place, seed, steps):
 def test_what_is_no_mask_is_refused(wrong):
     with pytest.raises(ValueError, match="expected traversable"):
         reach(wrong, 0, 0)
+
+
+def test_a_method_that_does_not_exist_is_refused():
+    with pytest.raises(ValueError, match="one of sweeps, wave, got 'dijkstra'"):
+        reach(jnp.ones((3, 3), bool), 0, 0, method="dijkstra")

@@ -1,10 +1,17 @@
-"""Slow or native answers that the kernels are compared with: plain loops, compiled by numba where it is installed."""
+"""Other answers that the kernels are compared with: by scipy and scikit-image, and plain loops compiled by numba.
+
+scikit-image and numba are used where they are installed.
+"""
+
+import math
+from typing import Any
 
 import numpy as np
-from scipy import ndimage
+from scipy import ndimage, sparse
+from scipy.sparse import csgraph
 
 try:
-    from numba import njit
+    from numba import njit  # type: ignore[import-not-found]
 
     NATIVE = True
 except ImportError:
@@ -14,6 +21,14 @@ except ImportError:
         """Without numba the loops run as they are: the same answers, but not worth timing."""
         return function
 
+
+try:
+    import skimage  # type: ignore[import-not-found]
+
+    SKIMAGE = True
+except ImportError:
+    skimage: Any = None
+    SKIMAGE = False
 
 STRAIGHT, DIAGONAL, FAR = 2**16, 92682, 2**30
 
@@ -130,24 +145,99 @@ def walk(occupied, offset, length, cells, headings, hits, misses, update):
 
 def masks(hits, misses, driven, exhausted, inside, row, col, *, p_free, near_d2, clearance_d2):
     """Traversable and frontier cells by scipy, arguments as for `frontier.plan_masks`: two `[H, W]` bool."""
+
+    def near_walls(occupied):
+        if not occupied.any():
+            return occupied
+        distance = np.asarray(ndimage.distance_transform_edt(~occupied))
+        return np.rint(distance**2) <= clearance_d2
+
+    def beside(mask):
+        return ndimage.binary_dilation(mask, np.ones((3, 3), bool))
+
+    return _masks(hits, misses, driven, exhausted, inside, row, col, p_free, near_d2, near_walls, beside)
+
+
+def masks_skimage(hits, misses, driven, exhausted, inside, row, col, *, p_free, near_d2, clearance_d2):
+    """The same by scikit-image: clearance as a dilation by a disc."""
+    radius = math.isqrt(clearance_d2)
+    rows, cols = np.ogrid[-radius : radius + 1, -radius : radius + 1]
+    disc = rows**2 + cols**2 <= clearance_d2
+
+    def near_walls(occupied):
+        return skimage.morphology.dilation(occupied, disc)
+
+    def beside(mask):
+        return skimage.morphology.dilation(mask, np.ones((3, 3), bool))
+
+    return _masks(hits, misses, driven, exhausted, inside, row, col, p_free, near_d2, near_walls, beside)
+
+
+def _masks(hits, misses, driven, exhausted, inside, row, col, p_free, near_d2, near_walls, beside):
     seen = hits + misses
     occupied = (seen > 0) & (hits.astype(np.float32) > np.float32(p_free) * seen.astype(np.float32))
     free = (seen > 0) & ~occupied
-    clear = free.copy()
-    if occupied.any():
-        clear &= np.rint(ndimage.distance_transform_edt(~occupied) ** 2) > clearance_d2
+    clear = free & ~near_walls(occupied)
     rows, cols = np.ogrid[: free.shape[0], : free.shape[1]]
     near = (rows - row) ** 2 + (cols - col) ** 2 <= near_d2
-    frontier = clear & ndimage.binary_dilation(inside & (seen == 0), np.ones((3, 3), bool)) & ~exhausted
-    return clear | (free & near) | driven, frontier
+    return clear | (free & near) | driven, clear & beside(inside & (seen == 0)) & ~exhausted
 
 
 def clusters(frontier):
-    """8-connected groups by scipy: labels in the order of lowest flat index (-1 elsewhere), and sizes."""
-    labels, count = ndimage.label(frontier, np.ones((3, 3), int))
-    first = np.full(count + 1, frontier.size)
-    np.minimum.at(first, labels.reshape(-1), np.arange(frontier.size))
+    """8-connected groups by scipy, as `in_order`."""
+    labels, count = ndimage.label(frontier, np.ones((3, 3), int))  # type: ignore[misc]
+    return in_order(labels, count)
+
+
+def clusters_skimage(frontier):
+    """The same by scikit-image."""
+    labels, count = skimage.measure.label(frontier, connectivity=2, return_num=True)  # type: ignore[misc]
+    return in_order(labels, count)
+
+
+def in_order(labels, count):
+    """Labels from 1 to count (0: none) as numbers in the order of their lowest flat index (-1: none), and sizes."""
+    first = np.full(count + 1, labels.size)
+    np.minimum.at(first, labels.reshape(-1), np.arange(labels.size))
     order = np.full(count + 1, -1)
     order[1 + np.argsort(first[1:])] = np.arange(count)
     labels = order[labels]
     return labels, np.bincount(labels[labels >= 0], minlength=count)
+
+
+def motion_graph(traversable):
+    """Cells as nodes, motions as edges with their cost: a scipy sparse matrix `[H * W, H * W]`, float64."""
+    height, width = traversable.shape
+    index = np.arange(height * width).reshape(height, width)
+    ends, costs = [], []
+    for drow, dcol in ((0, 1), (1, 0), (1, 1), (1, -1)):
+        rows, cols = slice(0, height - drow), slice(max(-dcol, 0), width - max(dcol, 0))
+        to_rows, to_cols = slice(drow, height), slice(max(dcol, 0), width - max(-dcol, 0))
+        possible = traversable[rows, cols] & traversable[to_rows, to_cols]
+        if drow and dcol:
+            possible &= traversable[rows, to_cols] & traversable[to_rows, cols]
+        a, b = index[rows, cols][possible], index[to_rows, to_cols][possible]
+        ends += [(a, b), (b, a)]
+        costs += 2 * [np.full(len(a), DIAGONAL if drow and dcol else STRAIGHT, np.float64)]
+    a, b = (np.concatenate([pair[i] for pair in ends]) for i in (0, 1))
+    return sparse.csr_matrix((np.concatenate(costs), (a, b)), shape=(index.size, index.size))
+
+
+def graph_costs(graph, shape, row, col):
+    """Dijkstra's algorithm of scipy on a `motion_graph`, from a traversable cell: `[H, W]` int32, FAR as above."""
+    cost = csgraph.dijkstra(graph, indices=row * shape[1] + col)
+    return np.where(np.isinf(cost), FAR, cost).astype(np.int32).reshape(shape)
+
+
+def flooded(clear, row, col):
+    """The 4-connected component of a True cell, by scipy: `[H, W]` bool.
+
+    A diagonal step needs both cells beside it, so that steps in 8 directions lead no further.
+    """
+    labels = np.asarray(ndimage.label(clear)[0])  # type: ignore[index]
+    return labels == labels[row, col]
+
+
+def flooded_skimage(clear, row, col):
+    """The same by scikit-image."""
+    return skimage.segmentation.flood(clear, (row, col), connectivity=1)

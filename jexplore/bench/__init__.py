@@ -1,0 +1,226 @@
+"""What everything costs: kernels, whole episodes by both engines, an episode's parts, memory, compiling.
+
+`prepare` refuses what cannot be measured, `run` measures, `tables.tables` and `plots.figure` show the report.
+"""
+
+import contextlib
+import dataclasses
+import itertools
+from typing import Any
+
+import jax
+from jax.experimental.compilation_cache import compilation_cache
+
+from jexplore import batch
+from jexplore.bench import engines, kernels, rates, recording, shares
+from jexplore.bench.engines import LIDAR, RULES
+from jexplore.bench.timing import one_core, speed_clock, surroundings
+from jexplore.config import InputError
+from jexplore.policies import Strategy, parse_strategy
+from jexplore.preflight import (
+    MAX_EPISODES,
+    ready_starts,
+    ready_strategies,
+    ready_worlds,
+    require_integer,
+    require_memory,
+)
+from jexplore.world import World
+
+DEFAULT = {
+    "worlds": ("cave", "office", "hospital"),
+    "strategies": ("closest+recheck",),
+    "batches": (1, 4, 16, 64),
+    "sides": (64, 128, 256, 512),
+    "episodes": 16,
+    "repeat": 5,
+}
+BATCHES_ACCELERATOR = (1, 4, 16, 64, 256, 1024, 4096)  # lanes
+QUICK = {"worlds": ("cave",), "batches": (1, 4), "sides": (64, 128), "episodes": 4, "repeat": 2}
+MAX_BATCH, LEAST_SIDE, MAX_SIDE, MAX_REPEAT = 2**16, 32, 2048, 1000
+GENERATOR, LEAST_M, CELL_M = "cave", 6.4, 0.1  # of the worlds of a given side
+
+
+@dataclasses.dataclass(frozen=True)
+class Plan:
+    """What is to be measured."""
+
+    worlds: list[World]
+    strategies: list[Strategy]
+    engines: tuple[str, ...]
+    batches: dict[str, tuple[int, ...]]  # by engine
+    sized: list[World]  # one for each side
+    sides: tuple[int, ...]
+    episodes: int
+    repeat: int
+
+    @property
+    def total(self):
+        """Measurements, of which `run` tells when one is done."""
+        n_kernels = 1 + len(self.sized)
+        n_episodes = (len(self.worlds) + len(self.sized)) * len(self.strategies)
+        return n_kernels + n_episodes + len(self.worlds) * len(self.strategies)
+
+
+def sized_name(side):
+    """The name of a world of so many cells a side, and the edge of its cells in metres."""
+    cell_m = max(CELL_M, LEAST_M / side)
+    return f"{GENERATOR}:width_m={side * cell_m:g},height_m={side * cell_m:g}", cell_m
+
+
+def _numbers(name, values, low, high):
+    values = tuple(require_integer(name, value, low, high) for value in values)
+    if not values or len(set(values)) < len(values):
+        raise InputError(f"{name} must be one or more different integers, got {list(values)}")
+    return tuple(sorted(values))
+
+
+def _worlds_of(names, cell_m):
+    """Worlds that episodes can be run in."""
+    worlds = ready_worlds(names, cell_m)
+    for world in worlds:
+        require_memory(world, LIDAR, RULES)
+        ready_starts(world, "random", 1, seed=engines.SEED, rules=RULES)
+    return worlds
+
+
+def prepare(
+    *, worlds=None, strategies=None, engine=None, batch_sizes=None, sides=None, episodes=None, repeat=None, quick=False
+):
+    """Checks and loads everything, and starts JAX with one thread. What is None has a default.
+
+    Args:
+      worlds, strategies: names.
+      engine: names of engines; by default the backend's own.
+      batch_sizes: episodes of the serial engine, lanes in lockstep.
+      sides: of the maps by which cost is measured, cells.
+      episodes: least number of episodes in lockstep, and that of the serial engine by map size.
+      repeat: turns of every measurement.
+      quick: whether the defaults are small.
+
+    Returns:
+      `Plan`.
+
+    Raises:
+      InputError: anything that cannot be measured.
+    """
+    default = DEFAULT | (QUICK if quick else {})
+    if engine is not None and not engine:
+        raise InputError(f"engine must be one or more of {', '.join(batch.ENGINES)}, got none")
+    for name in engine or ():
+        if name not in batch.ENGINES:
+            raise InputError(f"engine must be one of {', '.join(batch.ENGINES)}, got {name!r}")
+    given = None if batch_sizes is None else _numbers("batch-sizes", batch_sizes, 1, MAX_BATCH)
+    sides = _numbers("sides", default["sides"] if sides is None else sides, LEAST_SIDE, MAX_SIDE)
+    numbers = {"episodes": (episodes, MAX_EPISODES), "repeat": (repeat, MAX_REPEAT)}
+    counts = {
+        name: require_integer(name, default[name] if value is None else value, 1, high)
+        for name, (value, high) in numbers.items()
+    }
+    strategies = ready_strategies(default["strategies"] if strategies is None else strategies)
+    worlds = _worlds_of(default["worlds"] if worlds is None else worlds, CELL_M)
+    sized = [world for side in sides for world in _worlds_of(*sized_name(side))]
+    batch.start_backend(1)
+    on_cpu = jax.default_backend() == "cpu"
+    chosen = tuple(dict.fromkeys(engine or ("serial" if on_cpu else "lockstep",)))
+    large = not on_cpu and not quick
+    batches = {
+        name: given or (BATCHES_ACCELERATOR if large and name == "lockstep" else default["batches"]) for name in chosen
+    }
+    return Plan(worlds, strategies, chosen, batches, sized, sides, **counts)
+
+
+@contextlib.contextmanager
+def _compiling(cache):
+    """Compiled programs are neither read from disk nor kept there, unless they may be."""
+    if cache:
+        batch.use_compilation_cache()
+        yield
+        return
+    before = jax.config.values["jax_enable_compilation_cache"]
+    jax.config.update("jax_enable_compilation_cache", False)
+    compilation_cache.reset_cache()
+    try:
+        yield
+    finally:
+        jax.config.update("jax_enable_compilation_cache", before)
+        compilation_cache.reset_cache()
+
+
+def run(plan, *, cache=False, on_progress=lambda done: None):
+    """Measures everything.
+
+    Args:
+      plan: `Plan`.
+      cache: whether compiled programs may be read from disk, and are kept there: times of compiling are then those of
+        loading.
+      on_progress: called with the number of measurements done so far.
+
+    Returns:
+      The report: dicts and lists that JSON can hold.
+    """
+    report: dict[str, Any] = {"environment": surroundings(), "settings": _settings(plan, cache)}
+    report |= {"kernels": [], "batches": [], "sides": [], "shares": []}
+    compiler, done = engines.Compiler(), 0
+
+    def one_more():
+        nonlocal done
+        done += 1
+        on_progress(done)
+
+    with _compiling(cache):
+        _episodes(plan, compiler, report, one_more)
+        _parts(plan, compiler, report, one_more)
+        for side, world in zip(plan.sides, plan.sized):
+            made = (kernels.measure(kernel, plan.repeat) for kernel in kernels.whole_map(world))
+            report["kernels"] += [{**row, "side": side} for row in made]
+            one_more()
+        report["rates"] = rates.rates()
+    report["programs"] = compiler.programs
+    return report
+
+
+def _settings(plan, cache):
+    with one_core() as pinned:
+        return {
+            "worlds": [world.name for world in plan.worlds],
+            "strategies": [strategy.name for strategy in plan.strategies],
+            "engines": list(plan.engines),
+            "batches": {name: list(sizes) for name, sizes in plan.batches.items()},
+            "sides": list(plan.sides),
+            "generator": GENERATOR,
+            "episodes": plan.episodes,
+            "repeat": plan.repeat,
+            "cached": cache,
+            "pinned": pinned,
+            "clock": speed_clock(),
+        }
+
+
+def _episodes(plan, compiler, report, one_more):
+    """Whole episodes by world and batch size, and by map size."""
+    for world, strategy in itertools.product(plan.worlds, plan.strategies):
+        wanted = [(engine, size) for engine in plan.engines for size in plan.batches[engine]]
+        report["batches"] += engines.measure(compiler, world, strategy, wanted, plan.episodes, plan.repeat)
+        one_more()
+    for (side, world), strategy in itertools.product(zip(plan.sides, plan.sized), plan.strategies):
+        wanted = [
+            (engine, plan.episodes if engine == "serial" else plan.batches[engine][-1]) for engine in plan.engines
+        ]
+        rows = engines.measure(compiler, world, strategy, wanted, plan.episodes, plan.repeat)
+        report["sides"] += [{**row, "side": side} for row in rows]
+        one_more()
+
+
+def _parts(plan, compiler, report, one_more):
+    """Kernels along the way of an episode of `closest` in the first world, and, on a CPU, shares of every episode."""
+    own = batch.ENGINES["serial" if speed_clock() == "cpu" else "lockstep"]
+    seen = recording.record(compiler, plan.worlds[0], parse_strategy("closest+recheck"), own.reach)
+    report["kernels"] += [kernels.measure(kernel, plan.repeat) for kernel in kernels.scans(seen)]
+    report["kernels"].append(kernels.measure_plans(seen, shares.cells_of(seen.beliefs), plan.repeat))
+    one_more()
+    for world, strategy in itertools.product(plan.worlds, plan.strategies):
+        if jax.default_backend() == "cpu":
+            seen = recording.record(compiler, world, strategy, batch.ENGINES["serial"].reach)
+            report["shares"].append(shares.measure(compiler, seen, strategy, plan.repeat))
+        one_more()

@@ -1,0 +1,254 @@
+"""Whole episodes by both engines' own programs: each compiled once, on the first device, and run many times."""
+
+import functools
+import math
+import os
+import statistics
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+import numpy as np
+
+from jexplore import lanes, serial
+from jexplore.batch import ENGINES
+from jexplore.bench.timing import compiled, interleaved, mean_and_se, speed_clock, spread
+from jexplore.config import Lidar, Rules
+from jexplore.episode import Outcome
+from jexplore.measure import path_m
+from jexplore.site import numbers_of, prepare, setup_of
+from jexplore.world import draw_starts
+
+LIDAR, RULES = Lidar(), Rules()
+SEED = 0
+MEMORY_SHARE = 0.8  # of the free memory that lanes may take
+TURNS = 2**14  # turns of one call in lockstep
+REFILLS = 2  # episodes a lane at least, so that lanes are filled again
+
+
+class Run(NamedTuple):
+    """What a program returned."""
+
+    result: object  # `Result`, numpy, `[N]`
+    last: object = None  # `(grid, trail)` of the last episode; serial engine only
+    useful: float | None = None  # as in `batch.Report`
+    useful_plans: float | None = None
+
+
+class Program(NamedTuple):
+    """A compiled program with its arguments."""
+
+    run: Callable  # `[N, 3]` starts, heading in degrees, to `Run`
+    about: dict  # for the report
+    lanes: int | None = None  # None in the serial engine
+    episodes: int | None = None  # N that it is for; None for any
+
+
+def size_of(tree):
+    """Bytes of a pytree of arrays, or of their shapes."""
+    return sum(math.prod(leaf.shape) * np.dtype(leaf.dtype).itemsize for leaf in jax.tree.leaves(tree))
+
+
+def _headings(starts):
+    """Starts with their heading in units of 45 degrees."""
+    starts = np.array(starts, np.int32)
+    starts[:, 2] //= 45
+    return starts
+
+
+def free_bytes():
+    """Free memory of the first device; of the machine where the device does not tell; None where neither does."""
+    stats = jax.local_devices()[0].memory_stats()
+    if stats:
+        return stats["bytes_limit"] - stats["bytes_in_use"]
+    try:
+        return os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    except (AttributeError, OSError, ValueError):
+        return None
+
+
+def _memory(program):
+    """Bytes by the compiler's own account; None where it gives none."""
+    found = program.memory_analysis()
+    names = ("argument", "output", "temp", "alias")
+    return None if found is None else {name: int(getattr(found, f"{name}_size_in_bytes")) for name in names}
+
+
+class Compiler:
+    """Compiles programs one after the other; cases that differ in numbers only share one."""
+
+    def __init__(self):
+        self.made = {}
+        self.programs = []  # what every compiled program took
+
+    def _program(self, key, about, lowering, lane_bytes):
+        """The compiled program of a key, and what it took; `lane_bytes` makes a lane's from the compiler's account."""
+        if key not in self.made:
+            program, took = compiled(lowering)
+            memory = _memory(program)
+            lane = None if memory is None else int(lane_bytes(memory))
+            about = {**about, **took, "memory": memory, "lane_bytes": lane}
+            self.programs.append(about)
+            self.made[key] = program, about
+        return self.made[key]
+
+    def serial(self, world, strategy):
+        """The serial engine's `Program` of a world and a strategy."""
+        site = prepare(world, LIDAR, RULES)
+        setup = setup_of(site, strategy, ENGINES["serial"])
+        shared = jax.device_put((site.truth, site.beams, numbers_of(site, strategy)))
+        n = serial.CHUNK
+        blank = np.zeros(n, np.int32), np.zeros((n, 3), np.int32), np.int32(0), np.uint32(SEED)
+
+        def one_episode(memory):
+            """An episode's buffers: without the room for the results of the rest of a chunk."""
+            results = jax.eval_shape(functools.partial(serial.run_chunk, setup), *blank, *shared)[0]
+            return memory["temp"] + memory["output"] - (n - 1) * size_of(results) // n
+
+        call, about = self._program(
+            str(("serial", setup, jax.tree.map(np.shape, shared))),
+            {**_about("serial", world, strategy, site), "lanes": None, "lane_bytes_estimate": None},
+            lambda: serial.run_chunk.lower(setup, *blank, *shared),
+            one_episode,
+        )
+
+        def run(starts):
+            parts, last, starts = [], None, _headings(starts)
+            for first in range(0, len(starts), n):
+                some = starts[first : first + n]
+                which, padded = np.zeros(n, np.int32), np.zeros((n, 3), np.int32)
+                which[: len(some)], padded[: len(some)] = np.arange(first, first + len(some)), some
+                found, last = jax.block_until_ready(call(which, padded, np.int32(len(some)), np.uint32(SEED), *shared))
+                parts.append(jax.tree.map(np.asarray, found))
+            return Run(jax.tree.map(lambda *a: np.concatenate(a)[: len(starts)], *parts), last)
+
+        return Program(run, about)
+
+    def lockstep(self, world, strategy, n_lanes, episodes):
+        """The lockstep engine's `Program` for so many episodes in so many lanes, or as many as the memory holds."""
+        site = prepare(world, LIDAR, RULES)
+        setup = setup_of(site, strategy, ENGINES["lockstep"])
+        numbers = jax.tree.map(lambda a: np.asarray(a)[None], numbers_of(site, strategy))
+        lines = lanes.Lines(np.zeros(1, np.int32), np.full(1, SEED, np.uint32), numbers)  # type: ignore[arg-type]
+        shared = jax.device_put((lines, site.truth, site.beams))
+
+        def queue_of(starts):
+            n = len(starts)
+            at = np.arange(n, dtype=np.int32)
+            return lanes.Queue(np.zeros(n, np.int32), at, _headings(starts), np.int32(n))  # type: ignore[arg-type]
+
+        queue = queue_of(np.zeros((episodes, 3), np.int32))
+        one = jax.eval_shape(functools.partial(lanes.empty, setup, n_lanes=1), queue, *shared)
+        estimate, free = int(lanes.lane_bytes(one, site.beams)), free_bytes()
+        if free is not None:
+            n_lanes = max(1, min(n_lanes, int(MEMORY_SHARE * free / estimate)))
+        empty = functools.partial(lanes.empty, setup, n_lanes=n_lanes)
+        work = jax.eval_shape(empty, queue, *shared)
+        not_lanes = size_of((work.results, work.grids, work.trails))
+        step = jax.jit(functools.partial(lanes.go_on, setup), donate_argnums=0)
+        kind = str((setup, n_lanes, episodes, jax.tree.map(np.shape, shared)))
+        about = {**_about("lockstep", world, strategy, site), "lanes": n_lanes, "lane_bytes_estimate": estimate}
+        begin, _ = self._untold(("begin", kind), lambda: jax.jit(empty).lower(queue, *shared))
+        call, about = self._program(
+            ("lockstep", kind),
+            about,
+            lambda: step.lower(work, queue, np.int32(1), *shared),
+            lambda memory: (memory["temp"] + memory["output"] - not_lanes) / n_lanes,
+        )
+
+        def run(starts):
+            queue = jax.device_put(queue_of(starts))
+            work, done, uses = begin(queue, *shared), 0, []
+            while done < len(starts):
+                work, use = call(work, queue, np.int32(TURNS), *shared)
+                done = int(work.done)
+                uses.append(jax.tree.map(int, use))
+            turns, walked, groups, planned = (
+                sum(getattr(use, name) for use in uses) for name in ("turns", "walked", "groups", "planned")
+            )
+            places = groups * -(-n_lanes // lanes.PLANNERS)
+            return Run(
+                jax.tree.map(np.asarray, work.results),
+                useful=walked / (turns * n_lanes) if turns else None,
+                useful_plans=planned / places if places else None,
+            )
+
+        return Program(run, about, n_lanes, episodes)
+
+    def _untold(self, key, lowering):
+        """A program that is too small to be told of."""
+        if key not in self.made:
+            self.made[key] = compiled(lowering)
+        return self.made[key]
+
+
+def _about(engine, world, strategy, site):
+    return {
+        "engine": engine,
+        "world": world.name,
+        "strategy": strategy.name,
+        "padded_shape": list(site.truth.occupied.shape),
+    }
+
+
+def program_of(compiler, engine, world, strategy, batch, episodes):
+    """The `Program` for a batch: so many episodes of the serial engine, so many lanes in lockstep."""
+    if engine == "serial":
+        return compiler.serial(world, strategy)._replace(episodes=batch)
+    return compiler.lockstep(world, strategy, batch, max(episodes, REFILLS * batch))
+
+
+def same(results):
+    """Whether `Result`s are equal to the last bit, as far as the shortest goes."""
+    n = min(len(result.outcome) for result in results)
+    first, *others = ([np.asarray(a)[:n] for a in jax.tree.leaves(result)] for result in results)
+    return all(all(np.array_equal(a, b) for a, b in zip(first, other)) for other in others)
+
+
+def quality(result, cell_m):
+    """What the episodes found: a dict."""
+    return {
+        "path_m": mean_and_se(path_m(result.straight, result.diagonal, cell_m)),
+        "explored_fraction": float(np.mean(result.explored / np.maximum(result.explorable, 1))),
+        "complete": float(np.mean(result.outcome == Outcome.COMPLETE)),
+        "plans": float(np.mean(result.plans)),
+        "scans": float(np.mean(result.scans)),
+        "steps": float(np.mean(result.straight + result.diagonal)),
+    }
+
+
+def measure(compiler, world, strategy, wanted, episodes, repeat):
+    """Times whole episodes of a world and a strategy: a list of dicts, one for each of `wanted`.
+
+    Args:
+      compiler: `Compiler`.
+      world, strategy: `World`, `Strategy`.
+      wanted: list of `(engine, batch)`.
+      episodes: least number of episodes in lockstep.
+      repeat: turns.
+    """
+    programs = [program_of(compiler, *kind, batch, episodes) for kind, batch in
+                (((engine, world, strategy), batch) for engine, batch in wanted)]  # fmt: skip
+    starts = draw_starts(world, SEED, max(program.episodes for program in programs), RULES.clearance_m)
+    tasks = {i: functools.partial(p.run, starts[: p.episodes]) for i, p in enumerate(programs)}
+    for task in tasks.values():  # the first call loads what later ones find in place
+        task()
+    runs = interleaved(tasks, repeat)
+    results = [turn.result for turns in runs.values() for turn, _ in turns]
+    equal = same(results)  # across engines and batches
+    rows = []
+    for (engine, batch), (i, program) in zip(wanted, enumerate(programs)):
+        n, found = program.episodes, quality(runs[i][0][0].result, world.cell_m)
+        wall = [took.wall / n for _, took in runs[i]]
+        cpu = [took.cpu / n for _, took in runs[i]]
+        seconds = statistics.median({"wall": wall, "cpu": cpu}[speed_clock()])
+        rows.append({
+            "world": world.name, "shape": list(world.shape), "strategy": strategy.name,
+            "engine": engine, "batch": batch, "lanes": program.lanes, "episodes": n,
+            "wall_s": spread(wall), "cpu_s": spread(cpu), "episodes_per_s": 1 / seconds,
+            **{f"{name}_per_s": found[name] / seconds for name in ("steps", "scans", "plans")},
+            "useful": runs[i][0][0].useful, "useful_plans": runs[i][0][0].useful_plans,
+            "lane_bytes": program.about["lane_bytes"], "lane_bytes_estimate": program.about["lane_bytes_estimate"],
+            "quality": found, "equal": equal,
+        })  # fmt: skip
+    return rows

@@ -1,0 +1,423 @@
+"""Kernels one by one, on one map, each beside other answers to the same question and beside its floor."""
+
+import math
+import statistics
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from scipy import ndimage
+
+from jexplore import bits, navigate
+from jexplore.bench import oracles
+from jexplore.bench.engines import RULES, SEED
+from jexplore.bench.rates import Work, floor_s
+from jexplore.bench.timing import compiled, interleaved, ratio, speed_clock, spread, timed
+from jexplore.distance import nearest_site
+from jexplore.frontier import frontier_clusters, plan_masks
+from jexplore.grid import Grid, empty_grid, radius_d2
+from jexplore.raycast import METHODS as SCAN_METHODS
+from jexplore.raycast import fold, scan
+from jexplore.reach import FAR, METHODS, NO_MOTION, flood, reach
+from jexplore.world import clear_cells, draw_start
+
+CALL_S = 0.02  # seconds that one timed call should last
+PLAN_PASSES = 10  # plans from the same belief in one timed call
+CLUSTERS = 256  # slots
+NEVER = 123_456_789  # a value that no result holds, which the compiler cannot know
+BELIEF_BYTES = 10  # of a cell of a belief: hits, misses, driven, exhausted
+
+
+class Reference(NamedTuple):
+    """Another answer to a kernel's question."""
+
+    name: str
+    answer: Callable[[], Any]  # for all units of the kernel's pass
+    agree: Callable[[Any, Any], bool]  # of our output and the answer
+    timed: bool = True  # whether its time says anything
+
+
+class Kernel(NamedTuple):
+    """A kernel on one input."""
+
+    name: str
+    on: str  # what it works on
+    shape: tuple[int, int]
+    step: Callable  # (i, last output, arguments) -> output
+    vary: Callable  # (never, arguments) -> arguments; `never` is False, in a way the compiler cannot tell
+    start: Any  # pytree like the output
+    arguments: Any  # pytree of arrays
+    units: int  # calls in a row that make up one measured pass
+    references: list[Reference]
+    work: Work
+
+
+def never(out):
+    """False, but only known when the output is."""
+    return jax.tree.leaves(out)[0].reshape(-1)[-1] == NEVER
+
+
+def _looped(kernel):
+    """The kernel in a loop inside a program, so that calling it is not measured: `f(passes, units, out, arguments)`.
+
+    What it works on is varied in every round, by nothing in fact, so that no part of the work leaves the loop.
+    """
+
+    def run(passes, units, out, arguments):
+        def body(i, state):
+            out, arguments = state
+            arguments = kernel.vary(never(out), arguments)
+            return kernel.step(i % units, out, arguments), arguments
+
+        return lax.fori_loop(0, passes * units, body, (out, arguments))[0]
+
+    return jax.jit(run)
+
+
+def _as_it_is(_, arguments):
+    """For kernels that meet another pose in every round."""
+    return arguments
+
+
+def blank(tree):
+    """Zeros like shapes, numpy."""
+    return jax.tree.map(lambda x: np.zeros(x.shape, x.dtype), tree)
+
+
+def microseconds(runs, units):
+    """Times of `interleaved` runs by name, and by clock: `{name: {"wall": [...], "cpu": [...]}}` a unit."""
+    return {
+        name: {clock: [1e6 * getattr(took, clock) / units[name] for _, took in turns] for clock in ("wall", "cpu")}
+        for name, turns in runs.items()
+    }
+
+
+def _row(name, on, shape, took, ours, references, work):
+    """A kernel's entry of the report."""
+    median = statistics.median(ours[speed_clock()])
+    floor_us = 1e6 * floor_s(work)
+    return {
+        "kernel": name,
+        "on": on,
+        "shape": list(shape),
+        **took,
+        "wall_us": spread(ours["wall"]),
+        "cpu_us": spread(ours["cpu"]),
+        "us": median,
+        "references": [
+            {
+                "reference": reference,
+                "equal": bool(equal),
+                "wall_us": spread(found["wall"]) if found else None,
+                "cpu_us": spread(found["cpu"]) if found else None,
+                "ratio": ratio(ours[speed_clock()], found[speed_clock()]) if found else None,
+            }
+            for reference, equal, found in references
+        ],
+        "equal": all(bool(equal) for _, equal, _ in references),
+        "work": work._asdict(),
+        "floor_us": floor_us,
+        "k": floor_us / median,
+    }
+
+
+def measure(kernel, repeat):
+    """Times one kernel: a dict for the report."""
+    start, arguments = jax.device_put((kernel.start, kernel.arguments))
+    units = np.int32(kernel.units)
+    program, took = compiled(lambda: _looped(kernel).lower(np.int32(1), units, start, arguments))
+
+    def ours(passes=1):
+        return jax.block_until_ready(program(np.int32(passes), units, start, arguments))
+
+    answer = jax.tree.map(np.asarray, ours())
+    equal = [reference.agree(answer, reference.answer()) for reference in kernel.references]
+    _, once = timed(ours)
+    passes = max(1, math.ceil(CALL_S / max(once.wall, 1e-6)))
+    tasks = {"": lambda: ours(passes)} | {r.name: r.answer for r in kernel.references if r.timed}
+    calls = dict.fromkeys(tasks, kernel.units) | {"": passes * kernel.units}
+    found = microseconds(interleaved(tasks, repeat), calls)
+    references = [(r.name, ok, found.get(r.name)) for r, ok in zip(kernel.references, equal)]
+    return _row(kernel.name, kernel.on, kernel.shape, took, found[""], references, kernel.work)
+
+
+def scans(recording):
+    """Ranges, and scans counted into the map, along an episode's whole way: list of `Kernel`."""
+    truth, beams = recording.site.truth.occupied, recording.site.beams
+    offset, length, occupied = (np.asarray(a) for a in (beams.offset, beams.length, truth))
+    row, col, heading = recording.poses.T.copy()
+    n, shape = len(recording.poses), occupied.shape
+
+    def answer(update=True):
+        hits, misses = np.zeros((2, occupied.size), np.int32)
+        cells = row * shape[1] + col
+        end, visited = oracles.walk(occupied.reshape(-1), offset, length, cells, heading, hits, misses, update)
+        return end, hits.reshape(shape), misses.reshape(shape), visited
+
+    def ranges(method):
+        def step(i, ends, arguments):
+            truth, beams, poses = arguments
+            end = scan(truth, *poses[i], beams, method=method).end
+            return lax.dynamic_update_slice(ends, end[None], (i, jnp.int32(0)))
+
+        return step
+
+    def update(method):
+        def step(i, grid, arguments):
+            truth, beams, poses = arguments
+            seen = scan(truth, *poses[i], beams, method=method)
+            return fold(grid, *poses[i], seen, beams, method=method)
+
+        return step
+
+    def same_map(grid, expected):
+        height, width = recording.world.shape
+        return all(
+            np.array_equal(ours, theirs) and np.array_equal(ours[:height, :width], seen)
+            for ours, theirs, seen in zip((grid.hits, grid.misses), expected[1:3], (recording.hits, recording.misses))
+        )
+
+    visited = float(answer()[3]) / n
+    shared = {
+        "on": f"{recording.world.name}, {n} scans", "shape": recording.world.shape, "vary": _as_it_is,
+        "arguments": (truth, beams, recording.poses), "units": n,
+    }  # fmt: skip
+    numba = "cell by cell, numba", oracles.NATIVE
+    ends, grid = np.zeros((n, length.shape[1]), np.int32), jax.tree.map(np.asarray, empty_grid(shape))
+    only, both = Work(gathers=visited), Work(gathers=visited, scatters=visited)
+    of_ranges = Reference(
+        numba[0], lambda: answer(False), lambda ends, expected: np.array_equal(ends, expected[0]), numba[1]
+    )
+    of_map = Reference(numba[0], answer, same_map, numba[1])
+    made = []
+    for method in SCAN_METHODS:
+        made += [
+            Kernel(f"scan, {method}", step=ranges(method), start=ends, references=[of_ranges], work=only, **shared),
+            Kernel(
+                f"scan and fold, {method}", step=update(method), start=grid, references=[of_map], work=both, **shared
+            ),
+        ]
+    return made
+
+
+def half_known(world):
+    """What a robot knows of a world within half its longer side round a drawn start: arguments of `plan_masks`."""
+    row, col, _ = draw_start(world, SEED, 0, RULES.clearance_m)
+    rows, cols = np.indices(world.shape)
+    known = (rows - row) ** 2 + (cols - col) ** 2 <= (max(world.shape) // 2) ** 2
+    hits, misses = (np.where(known & mask, 3, 0).astype(np.int32) for mask in (world.occupied, ~world.occupied))
+    nothing = np.zeros(world.shape, bool)
+    driven = nothing.copy()
+    driven[row, col] = True
+    return hits, misses, driven, nothing, ~nothing, np.int32(row), np.int32(col)
+
+
+def _mask_numbers(world):
+    return {
+        "p_free": RULES.p_free,
+        "near_d2": radius_d2(RULES.near_m, world.cell_m),
+        "clearance_d2": radius_d2(RULES.clearance_m, world.cell_m),
+    }
+
+
+def vary_masks(never, arguments):
+    """Arguments of `plan_masks`, varied by nothing."""
+    grid, driven, exhausted, inside, row, col = arguments
+    grid = grid.replace(hits=grid.hits.at[0, 0].add(never))
+    driven, exhausted, inside = (a.at[0, 0].set(a[0, 0] ^ never) for a in (driven, exhausted, inside))
+    return grid, driven, exhausted, inside, row, col
+
+
+def _mask_kernel(world, shared):
+    hits, misses, *rest = half_known(world)
+    numbers = _mask_numbers(world)
+    arguments = Grid(hits, misses), *rest  # type: ignore[arg-type]
+
+    def step(_, out, arguments):
+        return plan_masks(*arguments, **numbers)
+
+    def agree(out, expected):
+        return all(np.array_equal(bits.unpack(a, world.shape[0]), b) for a, b in zip(out, expected))
+
+    references = [Reference("scipy.ndimage", lambda: oracles.masks(hits, misses, *rest, **numbers), agree)]
+    if oracles.SKIMAGE:
+        references.append(Reference("skimage", lambda: oracles.masks_skimage(hits, misses, *rest, **numbers), agree))
+    start = blank(jax.eval_shape(lambda a: step(0, None, a), arguments))
+    cells = world.occupied.size
+    work = Work(bytes=(BELIEF_BYTES + 1 + 1 / 4) * cells)
+    return Kernel("masks", step=step, vary=vary_masks, start=start, arguments=arguments, references=references,
+                  work=work, **shared)  # fmt: skip
+
+
+def _cluster_kernel(world, shared):
+    frontier = oracles.masks(*half_known(world), **_mask_numbers(world))[1]
+
+    def step(_, out, frontier):
+        return frontier_clusters(frontier, max_clusters=CLUSTERS)
+
+    def agree(out, expected):
+        labels, sizes = expected
+        count = len(sizes)
+        fits = int(out.count) == count and int(out.overflow) == 0
+        return fits and np.array_equal(out.label, labels) and np.array_equal(out.size[:count], sizes)
+
+    references = [Reference("scipy.ndimage", lambda: oracles.clusters(frontier), agree)]
+    if oracles.SKIMAGE:
+        references.append(Reference("skimage", lambda: oracles.clusters_skimage(frontier), agree))
+    start = blank(jax.eval_shape(lambda a: step(0, None, a), frontier))
+    return Kernel("clusters", step=step, vary=_first_cell_never, start=start, arguments=frontier,
+                  references=references, work=Work(bytes=5 * frontier.size), **shared)  # fmt: skip
+
+
+def _first_cell_never(never, mask):
+    return mask.at[0, 0].set(mask[0, 0] ^ never)
+
+
+def _reach_kernels(world, shared):
+    """The whole reachability map of a world's clear cells by each method."""
+    row, col, _ = draw_start(world, SEED, 0, RULES.clearance_m)
+    clear = clear_cells(world.occupied, RULES.clearance_m, world.cell_m)
+    graph, nothing = oracles.motion_graph(clear), np.zeros_like(clear)
+    reached = int(oracles.flooded(clear, row, col).sum())
+    references = [
+        Reference("Dijkstra, scipy (graph given)", lambda: oracles.graph_costs(graph, clear.shape, row, col),
+                  np.array_equal)
+    ]  # fmt: skip
+    if oracles.NATIVE:
+        heap = Reference(
+            "Dijkstra, numba", lambda: oracles.dijkstra(clear, row, col, nothing, False)[0], np.array_equal
+        )
+        references.append(heap)
+
+    def by(method):
+        return lambda _, out, arguments: reach(*arguments, method=method)
+
+    return [
+        Kernel(f"reach, {method}", step=by(method), vary=lambda never, a: (_first_cell_never(never, a[0]), *a[1:]),
+               start=np.zeros(clear.shape, np.int32), arguments=(clear, np.int32(row), np.int32(col)),
+               references=references, work=Work(bytes=5 * clear.size, ops=reached), **shared)
+        for method in METHODS
+    ]  # fmt: skip
+
+
+def _flood_kernel(world, shared):
+    row, col, _ = draw_start(world, SEED, 0, RULES.clearance_m)
+    clear = clear_cells(world.occupied, RULES.clearance_m, world.cell_m)
+    words = np.asarray(bits.pack(jnp.asarray(clear)))
+
+    def agree(out, expected):
+        return np.array_equal(bits.unpack(out, clear.shape[0]), expected)
+
+    references = [Reference("scipy.ndimage", lambda: oracles.flooded(clear, row, col), agree)]
+    if oracles.SKIMAGE:
+        references.append(Reference("skimage", lambda: oracles.flooded_skimage(clear, row, col), agree))
+    return Kernel("flood", step=lambda _, out, arguments: flood(*arguments),
+                  vary=lambda never, a: (a[0].at[0, 0].set(a[0][0, 0] ^ never), *a[1:]),
+                  start=np.zeros_like(words), arguments=(words, np.int32(row), np.int32(col)),
+                  references=references, work=Work(bytes=2 * words.nbytes), **shared)  # fmt: skip
+
+
+def _site_kernel(world, shared):
+    """Distance to the nearest wall, and which cell that is."""
+    walls = world.occupied
+
+    def agree(out, expected):
+        d2, site = out
+        rows, cols = np.indices(walls.shape)
+        at = np.divmod(site, walls.shape[1])
+        own = (at[0] - rows) ** 2 + (at[1] - cols) ** 2
+        return np.array_equal(d2, np.rint(expected[0] ** 2)) and walls[at].all() and np.array_equal(own, d2)
+
+    reference = Reference("scipy.ndimage", lambda: ndimage.distance_transform_edt(~walls, return_indices=True), agree)
+    start = (np.zeros(walls.shape, np.int32), np.zeros(walls.shape, np.int32))
+    return Kernel("nearest site", step=lambda _, out, walls: nearest_site(walls), vary=_first_cell_never,
+                  start=start, arguments=walls, references=[reference], work=Work(bytes=9 * walls.size),
+                  **shared)  # fmt: skip
+
+
+def whole_map(world):
+    """The kernels that work on a whole map, on a world: list of `Kernel`."""
+    height, width = world.shape
+    shared = {"on": f"{world.name.partition(':')[0]}, {height} x {width}", "shape": world.shape, "units": 1}
+    return [
+        _mask_kernel(world, shared), _cluster_kernel(world, shared), *_reach_kernels(world, shared),
+        _flood_kernel(world, shared), _site_kernel(world, shared),
+    ]  # fmt: skip
+
+
+@jax.jit
+def _plans(passes, belief, route):
+    """`passes` plans from the same belief."""
+
+    def body(_, state):
+        choice, route, grid = state
+        no = choice.cost == NEVER
+        grid = grid.replace(hits=grid.hits.at[0, 0].add(no))
+        return *navigate.nearest_frontier(belief.replace(row=belief.row + no, grid=grid), route), grid
+
+    zero = jnp.int32(0)
+    state = navigate.Choice(zero, zero, zero, zero), route, belief.grid
+    return lax.fori_loop(0, passes, body, state)[:2]
+
+
+def _judged(belief):
+    """Traversable and frontier cells of a belief by scipy."""
+    shape = belief.driven.shape
+    rows, cols = np.ogrid[: shape[0], : shape[1]]
+    inside = (rows < int(belief.extent[0])) & (cols < int(belief.extent[1]))
+    hits, misses, driven, exhausted = (
+        np.asarray(a) for a in (belief.grid.hits, belief.grid.misses, belief.driven, belief.exhausted)
+    )
+    numbers = {
+        "p_free": float(belief.p_free),
+        "near_d2": int(belief.near_d2),
+        "clearance_d2": belief.clearance_d2,
+    }
+    row, col = int(belief.row), int(belief.col)
+    return oracles.masks(hits, misses, driven, exhausted, inside, row, col, **numbers)
+
+
+def measure_plans(recording, cells, repeat):
+    """Times the nearest frontier and the route to it at every plan of an episode: a dict for the report.
+
+    Args:
+      recording: `Recording` of a strategy that goes there.
+      cells: cells that a plan looks at, on average.
+      repeat: turns.
+    """
+    beliefs = recording.beliefs
+    shape = beliefs[0].driven.shape
+    route = jnp.full(shape, NO_MOTION, jnp.int8)
+    program, took = compiled(lambda: _plans.lower(np.int32(1), beliefs[0], route))
+    found = [jax.tree.map(int, program(np.int32(1), belief, route)[0]) for belief in beliefs]
+    judged = [_judged(belief) for belief in beliefs]
+    places = [(int(belief.row), int(belief.col)) for belief in beliefs]
+
+    def other():
+        return [oracles.dijkstra(mask, *at, goals, True) for (mask, goals), at in zip(judged, places)]
+
+    def wanted(cost, target):
+        at = divmod(int(target), shape[1]) if target >= 0 else (-1, -1)
+        return (*at, int(cost[at]) if target >= 0 else FAR)
+
+    equal = all(
+        (choice.row, choice.col, choice.cost) == wanted(*theirs)
+        and (choice.row, choice.col) == (own if own is not None else (-1, -1))
+        for choice, theirs, own in zip(found, other(), recording.targets)
+    )
+    passes = np.int32(PLAN_PASSES)
+
+    def ours():
+        for belief in beliefs:
+            jax.block_until_ready(program(passes, belief, route))
+
+    tasks = {"": ours} | ({"other": other} if oracles.NATIVE else {})
+    units = {"": PLAN_PASSES * len(beliefs), "other": len(beliefs)}
+    times = microseconds(interleaved(tasks, repeat), units)
+    reference = "masks given, Dijkstra up to the first frontier, numba", equal, times.get("other")
+    on = f"{recording.world.name}, {len(beliefs)} plans"
+    return _row(f"plan, {beliefs[0].reach}", on, recording.world.shape, took, times[""], [reference],
+                Work(bytes=BELIEF_BYTES * cells))  # fmt: skip

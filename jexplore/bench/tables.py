@@ -1,0 +1,111 @@
+"""A benchmark's report as Markdown."""
+
+from jexplore.bench.shares import PARTS
+
+MIB = 2**20
+
+
+def markdown(header, rows):
+    """A Markdown table.
+
+    Args:
+      header: column names.
+      rows: lists of text and numbers; None becomes a dash, a float three significant digits.
+    """
+
+    def text(value):
+        if value is None:
+            return "–"
+        if isinstance(value, bool):
+            return "yes" if value else "NO"
+        if not isinstance(value, float):
+            return str(value).replace("|", "\\|")
+        return f"{value:.0f}" if abs(value) >= 100 else f"{value:#.3g}".rstrip(".")
+
+    lines = [header, ["---"] * len(header), *([text(value) for value in row] for row in rows)]
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+
+
+def plus_minus(value):
+    """Mean and standard error, as text."""
+    return f"{value['mean']:.1f}" + ("" if value["se"] is None else f" ± {value['se']:.1f}")
+
+
+def percent(value):
+    """A share, as text."""
+    return None if value is None else f"{100 * value:.0f} %"
+
+
+def _mib(n_bytes):
+    return None if n_bytes is None else n_bytes / MIB
+
+
+def kernels(rows):
+    """The kernels beside their references: a row each."""
+    header = [
+        "kernel", "on", "compile s", "CPU µs", "least", "µs by the clock", "floor µs", "k", "reference",
+        "its CPU µs", "ratio", "equal",
+    ]  # fmt: skip
+    lines = []
+    for row in rows:
+        own = [
+            row["kernel"], row["on"], row["trace_s"] + row["compile_s"], row["cpu_us"]["median"], row["cpu_us"]["min"],
+            row["wall_us"]["median"], row["floor_us"], row["k"],
+        ]  # fmt: skip
+        for i, other in enumerate(row["references"]):
+            cpu_us = other["cpu_us"] and other["cpu_us"]["median"]
+            lines.append([*(own if i == 0 else [""] * len(own)), other["reference"], cpu_us, other["ratio"],
+                          other["equal"]])  # fmt: skip
+    return markdown(header, lines)
+
+
+def episodes(rows):
+    """Whole episodes: a row each."""
+    header = [
+        "world", "cells", "strategy", "engine", "batch", "lanes", "episodes", "ms/episode", "CPU ms", "episodes/s",
+        "steps/s", "useful", "useful plans", "path m", "explored", "COMPLETE", "MiB", "estimated", "equal",
+    ]  # fmt: skip
+    return markdown(header, [
+        [
+            row["world"].rpartition("/")[2], "{} x {}".format(*row["shape"]), row["strategy"], row["engine"],
+            row["batch"], row["lanes"], row["episodes"], 1e3 * row["wall_s"]["median"], 1e3 * row["cpu_s"]["median"],
+            row["episodes_per_s"], row["steps_per_s"], percent(row["useful"]), percent(row["useful_plans"]),
+            plus_minus(row["quality"]["path_m"]), f"{row['quality']['explored_fraction']:.3f}",
+            percent(row["quality"]["complete"]), _mib(row["lane_bytes"]), _mib(row["lane_bytes_estimate"]),
+            row["equal"],
+        ]
+        for row in rows
+    ])  # fmt: skip
+
+
+def shares(rows):
+    """Where an episode's time goes: a row each."""
+    header = ["world", "strategy", "ms", "scans", "plans", *PARTS]
+    return markdown(header, [
+        [row["world"].rpartition("/")[2], row["strategy"], 1e3 * row["episode_s"], row["scans"], row["plans"],
+         *(percent(row["shares"][part]) for part in PARTS)]
+        for row in rows
+    ])  # fmt: skip
+
+
+def programs(rows):
+    """What compiling took: a row for each program."""
+    header = ["engine", "first for", "strategy", "padded", "lanes", "trace s", "compile s", "CPU s", "temporary MiB"]
+    return markdown(header, [
+        [row["engine"], row["world"].rpartition("/")[2], row["strategy"], "{} x {}".format(*row["padded_shape"]),
+         row["lanes"], row["trace_s"], row["compile_s"], row["cpu_s"],
+         None if row["memory"] is None else row["memory"]["temp"] / MIB]
+        for row in rows
+    ])  # fmt: skip
+
+
+def tables(report):
+    """The whole report."""
+    parts = [
+        ("Kernels", kernels(report["kernels"])),
+        ("Episodes by batch size", episodes(report["batches"])),
+        ("Episodes by map size", episodes(report["sides"])),
+        ("Where an episode's time goes", shares(report["shares"]) if report["shares"] else ""),
+        ("Programs", programs(report["programs"])),
+    ]
+    return "\n\n".join(f"{title}:\n\n{text}" for title, text in parts if text)

@@ -1,0 +1,147 @@
+"""Timing on a noisy machine: turns, one core, and what the machine is."""
+
+import contextlib
+import math
+import os
+import platform
+import statistics
+import time
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import NamedTuple
+
+import jax
+
+from jexplore import store
+
+
+class Seconds(NamedTuple):
+    """One measurement."""
+
+    wall: float  # by the clock on the wall
+    cpu: float  # of processor time, all threads of this process together
+
+
+def timed(function):
+    """Calls a function: `(what it returned, Seconds)`."""
+    wall, cpu = time.perf_counter(), time.process_time()
+    out = function()
+    return out, Seconds(time.perf_counter() - wall, time.process_time() - cpu)
+
+
+def compiled(lowering):
+    """Traces and compiles a program.
+
+    Args:
+      lowering: function of no arguments that returns what `jax.jit(...).lower(...)` does.
+
+    Returns:
+      The program, and what it took: a dict.
+    """
+    lowered, tracing = timed(lowering)
+    program, compiling = timed(lowered.compile)
+    return program, {"trace_s": tracing.wall, "compile_s": compiling.wall, "cpu_s": tracing.cpu + compiling.cpu}
+
+
+def interleaved(functions, repeat):
+    """Times functions in turn, so that a slow spell of the machine meets all of them; every other turn backwards.
+
+    On one core, where there is a CPU only.
+
+    Args:
+      functions: `{name: function of no arguments}`.
+      repeat: turns.
+
+    Returns:
+      `{name: [(what it returned, Seconds), ...]}`, one entry a turn.
+    """
+    found = {name: [] for name in functions}
+    with one_core():
+        for turn in range(repeat):
+            names = list(functions) if turn % 2 == 0 else list(reversed(functions))
+            for name in names:
+                found[name].append(timed(functions[name]))
+    return found
+
+
+def spread(values):
+    """Median and least of some numbers, as a dict."""
+    return {"median": statistics.median(values), "min": min(values)}
+
+
+def ratio(numerators, denominators):
+    """Median of the turn-by-turn ratios."""
+    return statistics.median(a / b for a, b in zip(numerators, denominators))
+
+
+def mean_and_se(values):
+    """Mean and its standard error (None for one value), as a dict."""
+    values = [float(v) for v in values]
+    se = statistics.stdev(values) / math.sqrt(len(values)) if len(values) > 1 else None
+    return {"mean": statistics.fmean(values), "se": se}
+
+
+def speed_clock():
+    """Which of `Seconds` tells the speed: processor time on a CPU, which others may use as well; else the clock."""
+    return "cpu" if jax.default_backend() == "cpu" else "wall"
+
+
+def cores():
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _threads():
+    """Ids of this process's threads; 0, the calling one, where the system does not list them."""
+    with contextlib.suppress(OSError):
+        return [int(name) for name in os.listdir("/proc/self/task")]
+    return [0]
+
+
+@contextlib.contextmanager
+def one_core():
+    """Keeps every thread that this process has on one core, where JAX computes on a CPU and the system can do that.
+
+    Yields whether it does.
+    """
+    if not hasattr(os, "sched_setaffinity") or jax.default_backend() != "cpu":
+        yield False
+        return
+    before = os.sched_getaffinity(0)
+
+    def pin(cpus):
+        for thread in _threads():
+            with contextlib.suppress(ProcessLookupError):  # it has ended
+                os.sched_setaffinity(thread, cpus)
+
+    pin({max(before)})
+    try:
+        yield True
+    finally:
+        pin(before)
+
+
+def _cpu_model():
+    with contextlib.suppress(OSError):
+        for line in Path("/proc/cpuinfo").read_text().splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    return platform.processor() or None
+
+
+def _version(package):
+    with contextlib.suppress(PackageNotFoundError):
+        return version(package)
+    return None
+
+
+def surroundings():
+    """Versions, device, processor, and how busy the machine is: a dict."""
+    load = os.getloadavg()[0] if hasattr(os, "getloadavg") else None
+    return {
+        **store.environment(),
+        **{name: _version(name) for name in ("numba", "scikit-image")},
+        "cpu": _cpu_model(),
+        "cores": cores(),
+        "load_1min": load,
+    }
