@@ -129,16 +129,16 @@ def _across_processes(lines):
         parts = multihost_utils.process_allgather(line.results)  # every episode ran in one process, zeros elsewhere
         line.results = jax.tree.map(lambda a: np.asarray(a).sum(axis=0, dtype=a.dtype), parts)
         shape, trail = line.site.truth.occupied.shape, (line.setup.capacity + 1, len(Track))
-        blank = tuple(np.zeros((2, *shape), np.int32)), np.zeros(trail, np.int32)
-        mine = tuple(jax.tree.leaves(line.first or blank))
-        line.first = multihost_utils.broadcast_one_to_all(mine)  # from the first process, which runs episode 0
+        first = line.first or (*np.zeros((2, *shape), np.int32), np.zeros(trail, np.int32))
+        line.first = multihost_utils.broadcast_one_to_all(first)  # from the first process, which runs episode 0
 
 
 def run(jobs, lidar, rules, *, engine=None, kernels=None, lanes=None, workers=None, on_progress=None):
     """Runs every episode of every job.
 
     An episode's result depends on its world, start, strategy, seed and number, not on what else runs, nor on the
-    engine, the kernels, or the number of lanes, cores, devices or processes.
+    engine, the kernels, or the number of lanes, cores, devices or processes. Between kinds of devices that holds for a
+    scanner without noise: noise is drawn in floating point, which they may round differently.
 
     Ctrl-C ends the run early: the report then holds what was finished. Where nothing was, it is raised.
 
@@ -156,7 +156,8 @@ def run(jobs, lidar, rules, *, engine=None, kernels=None, lanes=None, workers=No
       `Report`.
 
     Raises:
-      InputError: an engine that does not exist, lanes or workers below 1.
+      InputError: an engine that does not exist, lanes or workers below 1, lanes for the serial engine.
+      MemoryError: a device's memory does not suffice, not even for half the lanes.
     """
     if engine is not None and engine not in ENGINES:
         raise InputError(f"engine must be one of {', '.join(ENGINES)}, got {engine!r}")
@@ -167,6 +168,8 @@ def run(jobs, lidar, rules, *, engine=None, kernels=None, lanes=None, workers=No
     start_backend(workers or cores)  # before anything else asks JAX for its devices
     devices = jax.local_devices()
     engine = engine or ("serial" if devices[0].platform == "cpu" else "lockstep")
+    if lanes is not None and engine == "serial":
+        raise InputError(f"lanes are for the engine lockstep, got {lanes} for serial")
     here, processes = jax.process_index(), jax.process_count()
     sites, lines = {}, []
     for job in jobs:
@@ -187,6 +190,10 @@ def run(jobs, lidar, rules, *, engine=None, kernels=None, lanes=None, workers=No
         if processes > 1 or not any(line.results.outcome.any() for line in lines):
             raise
         interrupted = True
+    except jax.errors.JaxRuntimeError as error:
+        if "RESOURCE_EXHAUSTED" in str(error):
+            raise MemoryError(str(error)) from error
+        raise
     if processes > 1:
         _across_processes(lines)
     return Report(
@@ -206,5 +213,5 @@ def _outcomes(job, line):
     result = line.results
     if line.first is None:  # interrupted before
         return Outcomes(result, None)
-    hits, misses, trail = (np.asarray(a) for a in jax.tree.leaves(line.first))
+    hits, misses, trail = (np.asarray(a) for a in line.first)
     return Outcomes(result, _final(hits, misses, trail, int(result.straight[0] + result.diagonal[0]), job.world))

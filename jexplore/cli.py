@@ -1,11 +1,13 @@
 """The command line: `jexplore compare`, `explore`, `worlds`, `strategies`, `bench`.
 
 Importing this loads neither jax nor numpy; every command imports what it needs when it runs. Wrong input ends with one
-line and status 2, an interruption with one line and status 130; neither leaves files.
+line and status 2 and leaves no files, an interruption with one line and status 130; a comparison then keeps what is
+finished.
 """
 
 import contextlib
 import datetime
+import functools
 import io
 import os
 import sys
@@ -46,7 +48,7 @@ def main(argv=None):
             os._exit(status)  # at once: a program that is being compiled cannot be stopped in another way
         return status
     except MemoryError:
-        return _say("jexplore: error: out of memory; use a larger --cell-m or fewer episodes", 1)
+        return _say("jexplore: error: out of memory; use a larger --cell-m, fewer episodes or fewer --lanes", 1)
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # or the interpreter complains when it ends
         return 1
@@ -208,7 +210,8 @@ def _compare(options, arguments):
     with _note("jexplore: computing statistics and drawing"):
         found = assemble(jobs, report, options.episode)
         table, warnings = found.to_markdown(), found.warnings
-        bars, paths = found.compare_figure(), found.paths_figure()
+        # Without any episode 0, as after an early interruption, there is no path to draw.
+        figures = {"compare.png": found.compare_figure()} | ({"paths.png": found.paths_figure()} if found.first else {})
         record = out.record(
             arguments,
             options,
@@ -228,8 +231,7 @@ def _compare(options, arguments):
         wrote = out.write(
             {
                 "episodes.parquet": lambda path: store.write_parquet(found.episodes, path),
-                "compare.png": lambda path: plot.save_figure(bars, path),
-                "paths.png": lambda path: plot.save_figure(paths, path),
+                **{name: functools.partial(plot.save_figure, figure) for name, figure in figures.items()},
                 "run.json": lambda path: store.write_json(record, path),
             }
         )

@@ -69,21 +69,24 @@ def run(lines, devices, n_lanes, tally, on_progress):
 def _run_group(lines, devices, n_lanes, tally, on_progress):
     """Lines of one kind: how many episodes they were. Memory that runs out halves the lanes, once."""
     total = sum(len(line.which) for line in lines)
-    group = _Group(lines, devices)
-    n_lanes = n_lanes or group.fitting_lanes()
-    finished = 0
+    group, seen, left = _Group(lines, devices), 0, total
+    n_lanes = min(n_lanes or group.fitting_lanes(), -(-total // len(devices)))
 
-    def progress(n):
-        on_progress(finished + n)
+    def progress(done):
+        nonlocal seen
+        seen = max(seen, total - left + done)
+        on_progress(seen)
 
-    try:
-        group.run(n_lanes, tally, progress)
-    except jax.errors.JaxRuntimeError as error:
-        if "RESOURCE_EXHAUSTED" not in str(error) or n_lanes < 2:
-            raise
-        warnings.warn(f"out of device memory with {n_lanes} lanes: going on with {n_lanes // 2}", stacklevel=2)
-        finished = total - sum(len(line.left) for line in lines)
-        group.run(n_lanes // 2, tally, progress)
+    for n in (n_lanes, n_lanes // 2):
+        left = sum(len(line.left) for line in lines)
+        try:
+            group.run(n, tally, progress)
+            break
+        except jax.errors.JaxRuntimeError as error:
+            if "RESOURCE_EXHAUSTED" not in str(error) or n < n_lanes or n < 2:
+                raise
+        # Out here the lanes that did not fit are forgotten.
+        warnings.warn(f"out of device memory with {n} lanes: going on with {n // 2}", stacklevel=2)
     return total
 
 
@@ -177,15 +180,15 @@ class _Group:
         """Hands the results so far to their lines."""
         if any(a.is_deleted() for a in jax.tree.leaves(work)):  # lost in a call that failed
             return
+        # All of it to the host before any of it is handed on: an interruption in between must leave no half.
         queue, results = jax.tree.map(np.asarray, (queue, work.results))
+        grids, trails = jax.tree.map(np.asarray, (work.grids, work.trails))
         for device in range(len(self.devices)):
             ended = np.arange(queue.line.shape[1]) < queue.count[device]
             ended &= results.outcome[device] != Outcome.RUNNING
             for i, line in enumerate(self.lines):
                 of_line = ended & (queue.line[device] == i)
                 which = queue.number[device][of_line]
-                if len(which) == 0:
-                    continue
-                line.put(which, jax.tree.map(lambda a, d=device, m=of_line: a[d][m], results))
                 if (which == 0).any():
-                    line.first = jax.tree.map(lambda a, d=device, i=i: np.asarray(a[d, i]), (work.grids, work.trails))
+                    line.first = grids.hits[device, i], grids.misses[device, i], trails[device, i]
+                line.put(which, jax.tree.map(lambda a, d=device, m=of_line: a[d][m], results))

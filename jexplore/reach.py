@@ -184,7 +184,7 @@ def _sweeps(words, row, col, goals, limit):
         cost = up_and_down(cost, motions, rows, row, far)
         inner = cost[1:-1, 1:-1]
         # Costs depend on cheaper costs only: once one more motion makes no cost lower up to the horizon, all costs up
-        # to there are final. The last sweep has made all motions to lower rows.
+        # to there are final. The last sweep has made all motions to lower rows, where it went as far as the horizon.
         after = FAR
         for (drow, dcol), possible in zip(MOTIONS, motions):
             if drow >= 0:
@@ -192,7 +192,8 @@ def _sweeps(words, row, col, goals, limit):
                 after = jnp.minimum(after, jnp.where(bits.unpack(possible), beside(cost, -drow, -dcol) + step, FAR))
         change = lowest(jnp.where(after < inner, after, FAR))
         horizon = _horizon(inner, goals, limit)
-        return cost, horizon // STRAIGHT, (change <= horizon) & (change < FAR), n + 1
+        improved = (change <= horizon) & (change < FAR)
+        return cost, horizon // STRAIGHT, improved | (horizon // STRAIGHT > far), n + 1
 
     # The first sweeps go a little further than the nearest goal is in a straight line: often that is enough.
     first = limit // STRAIGHT
@@ -287,7 +288,7 @@ def predecessors(cost, traversable):
     Among several that cost the same, the first in the order of `MOTIONS`: E, N, W, S, NE, NW, SW, SE.
 
     Args:
-      cost: `[H, W]` int32, from `reach`, or the settled part of a `wave`.
+      cost: `[H, W]` int32, from `reach`.
       traversable: `[H, W]` bool, what `cost` was made from.
 
     Returns:
@@ -307,7 +308,7 @@ def lay_route(route, cost, traversable, start, target, origin, *, stride=1):
     Args:
       route: `[H, W]` int8, index into `MOTIONS`; at each cell of the path the motion to its next cell is written, the
         rest stays.
-      cost: `[h, w]` int32, from `reach` or `wave`, of a window of the map or of all of it.
+      cost: `[h, w]` int32, from `reach`, of a window of the map or of all of it.
       traversable: `[h, w]` bool, what `cost` was made from.
       start, target: `(row, col)` int32, in the map; both inside the window, `target` with a final cost.
       origin: `(row, col)` int32 of the window's cell (0, 0) in the map.

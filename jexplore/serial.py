@@ -85,11 +85,12 @@ class _Task:
         began = time.perf_counter()
         results, last = jax.block_until_ready(self.program(numbers, starts, count, *self.arguments))
         seconds = time.perf_counter() - began
-        for i in range(d):
-            some = jax.tree.map(lambda a, i=i: np.asarray(a[i][: count[i]]), results)
-            self.line.put(which[i::d], some)
         if which[0] == 0:
-            self.line.first = jax.tree.map(lambda a: np.asarray(a[0]), last)
+            grid, trail = jax.tree.map(lambda a: np.asarray(a)[0], last)
+            self.line.first = grid.hits, grid.misses, trail
+        results = jax.tree.map(np.asarray, results)
+        for i in range(d):
+            self.line.put(which[i::d], jax.tree.map(lambda a, i=i: a[i, : count[i]], results))
         return n, seconds
 
 

@@ -125,6 +125,14 @@ def setup_of(site, strategy, kernels):
     )
 
 
+def _number(value):
+    """A parameter as an array: integers as int32, others as float32, so that it is the same in every program."""
+    value = np.asarray(value)
+    return value.astype(
+        np.int32 if value.dtype.kind in "iu" else value.dtype if value.dtype.kind == "b" else np.float32
+    )
+
+
 def numbers_of(site, strategy):
     """The `Numbers` of a strategy in a `Site`."""
     return Numbers(
@@ -136,7 +144,7 @@ def numbers_of(site, strategy):
         max_plans=np.int32(site.max_plans),  # type: ignore[arg-type]
         sigma_cells=np.float32(site.sigma_cells),  # type: ignore[arg-type]
         dropout=np.float32(site.dropout),  # type: ignore[arg-type]
-        params=strategy.policy.params,
+        params=jax.tree.map(_number, strategy.policy.params),
     )
 
 
@@ -151,7 +159,7 @@ class Line:
     starts: np.ndarray  # [N, 3] int32, row, col, heading (units of 45 degrees)
     which: np.ndarray  # [n] int32, numbers of the episodes to be run here; ascending
     results: Result = dataclasses.field(init=False)  # numpy, [N]; outcome RUNNING where there is none yet
-    first: tuple | None = None  # of episode 0, padded: a pytree with the leaves hits, misses, trail
+    first: tuple | None = None  # of episode 0, padded: hits, misses `[H, W]` and trail `[T + 1, 3]`
     lock: threading.Lock = dataclasses.field(default_factory=threading.Lock)
 
     def __post_init__(self):
@@ -169,9 +177,9 @@ class Line:
 
     @property
     def kind(self):
-        """What must be equal for two lines to share a compiled program: text."""
-        shapes = jax.tree.map(np.shape, (self.site.truth, self.site.beams, self.numbers))
-        return str((self.setup, shapes))
+        """What must be equal for two lines to share a compiled program. Hashable."""
+        leaves, tree = jax.tree.flatten((self.site.truth, self.site.beams, self.numbers))
+        return self.setup, tree, tuple((a.shape, a.dtype) for a in leaves)
 
 
 def line_of(site, strategy, starts, seed, kernels, which):

@@ -338,6 +338,23 @@ def test_goals_of_equal_cost_are_all_final(method):
 
 
 @pytest.mark.jit
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("turns", range(4))
+@pytest.mark.parametrize("wide", [1, 3])
+def test_a_goal_behind_a_wall_is_found_however_far_the_way_round_is(method, turns, wide):
+    """A long U: the goal is near in a straight line, and the way there leads far to one side and back."""
+    passable, goals, start = (np.zeros((96, 96), bool) for _ in range(3))
+    passable[15:86, 10 : 10 + wide] = passable[15:86, 22 : 22 + wide] = True
+    passable[15 : 15 + wide, 10 : 22 + wide] = True
+    start[85, 10] = goals[85, 22] = True
+    passable, goals, start = (np.rot90(a, turns) for a in (passable, goals, start))
+    row, col = np.argwhere(start)[0]
+    cost = limited(passable, goals, row, col, FAR, method)
+    exact = planning.dijkstra(passable, (row, col))[0]
+    assert cost[goals] == exact[goals] > 80 * S
+
+
+@pytest.mark.jit
 @given(places())
 @settings(max_examples=100, deadline=None)
 def test_a_flood_reaches_what_has_a_cost(place):
