@@ -184,7 +184,7 @@ def _sweeps(words, row, col, goals, limit):
         cost = up_and_down(cost, motions, rows, row, far)
         inner = cost[1:-1, 1:-1]
         # Costs depend on cheaper costs only: once one more motion makes no cost lower up to the horizon, all costs up
-        # to there are final. The last sweep has made all motions to lower rows, where it went as far as the horizon.
+        # to there are final. The last sweep has made all motions to lower rows up to the horizon, which never grows.
         after = FAR
         for (drow, dcol), possible in zip(MOTIONS, motions):
             if drow >= 0:
@@ -192,16 +192,10 @@ def _sweeps(words, row, col, goals, limit):
                 after = jnp.minimum(after, jnp.where(bits.unpack(possible), beside(cost, -drow, -dcol) + step, FAR))
         change = lowest(jnp.where(after < inner, after, FAR))
         horizon = _horizon(inner, goals, limit)
-        improved = (change <= horizon) & (change < FAR)
-        return cost, horizon // STRAIGHT, improved | (horizon // STRAIGHT > far), n + 1
+        return cost, horizon // STRAIGHT, (change <= horizon) & (change < FAR), n + 1
 
-    # The first sweeps go a little further than the nearest goal is in a straight line: often that is enough.
-    first = limit // STRAIGHT
-    if goals is not None:
-        away = [jnp.abs(lax.broadcasted_iota(jnp.int32, goals.shape, i) - at) for i, at in enumerate((row, col))]
-        first = jnp.minimum(first, 3 * lowest(jnp.where(goals, jnp.maximum(*away), FAR // 4)) // 2 + 2)
     # A path of n cells is settled after at most n sweeps.
-    start = _source((height + 2, width + 2), row + 1, col + 1), first, limit >= 0, jnp.int32(0)
+    start = _source((height + 2, width + 2), row + 1, col + 1), limit // STRAIGHT, limit >= 0, jnp.int32(0)
     return lax.while_loop(lambda s: s[2] & (s[3] < height * width), sweep, start)[0][1:-1, 1:-1]
 
 
