@@ -28,6 +28,10 @@ _MODULE_OF = {
     "Comparison": "comparison",
     "explore": "replay",
     "Episode": "replay",
+    "reproduce": "reproduction",
+    "Reproduction": "reproduction",
+    "segment_maps": "segmentation",
+    "Segmentation": "segmentation",
 }
 
 __all__ = [
@@ -38,13 +42,17 @@ __all__ = [
     "Episode",
     "InputError",
     "Lidar",
+    "Reproduction",
     "Rules",
+    "Segmentation",
     "World",
     "__version__",
     "compare",
     "explore",
     "load_world",
     "occupancy_to_world",
+    "reproduce",
+    "segment_maps",
 ]
 
 if TYPE_CHECKING:
@@ -52,6 +60,8 @@ if TYPE_CHECKING:
     from jexplore.config import InputError, Lidar, Rules
     from jexplore.policies import MODIFIERS, STRATEGIES
     from jexplore.replay import Episode, explore
+    from jexplore.reproduction import Reproduction, reproduce
+    from jexplore.segmentation import Segmentation, segment_maps
     from jexplore.world import World, occupancy_to_world
     from jexplore.worlds import GENERATORS, load_world
 

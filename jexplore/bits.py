@@ -61,3 +61,39 @@ def shifted(words, drow, dcol):
     if not rest:
         return rows[:n]
     return (rows[:n] >> rest) | (rows[1:] << (WORD - rest))
+
+
+def _nth_bit(word, n):
+    """Position of the n-th set bit of a word, counted from 0; arbitrary if it has no more than n."""
+    at = jnp.zeros_like(n)
+    for width in (16, 8, 4, 2, 1):
+        low = lax.population_count(word & jnp.uint32(2**width - 1)).astype(jnp.int32)
+        above = n >= low
+        word = jnp.where(above, word >> width, word)
+        n, at = jnp.where(above, n - low, n), jnp.where(above, at + width, at)
+    return at
+
+
+def nth_cells(words, n):
+    """True cells of a mask by their number in (row, col) order.
+
+    Args:
+      words: `[K, W]` uint32, packed.
+      n: `[m]` int32, counted from 0.
+
+    Returns:
+      `[m]` int32, flat index (row * W + col); 32 K * W where there are not so many.
+    """
+    height, width = WORD * words.shape[0], words.shape[1]
+    across = transposed(words).T.reshape(-1)  # one word for every 32 columns of a row, row after row
+    per_row = across.shape[0] // height
+    until = jnp.cumsum(lax.population_count(across).astype(jnp.int32))
+    at = jnp.minimum(jnp.searchsorted(until, n, side="right").astype(jnp.int32), across.shape[0] - 1)
+    before = until[at] - lax.population_count(across[at]).astype(jnp.int32)
+    cell = at // per_row * width + at % per_row * WORD + _nth_bit(across[at], n - before)
+    return jnp.where(n < until[-1], cell, height * width)
+
+
+def first_cells(words, size):
+    """The first True cells of a mask in (row, col) order: `nth_cells` of 0 to `size` - 1 (static)."""
+    return nth_cells(words, lax.iota(jnp.int32, size))

@@ -1,8 +1,8 @@
-"""The command line: `jexplore compare`, `explore`, `worlds`, `strategies`, `bench`.
+"""The command line: `jexplore compare`, `explore`, `reproduce`, `worlds`, `strategies`, `bench`.
 
 Importing this loads neither jax nor numpy; every command imports what it needs when it runs. Wrong input ends with one
-line and status 2 and leaves no files, an interruption with one line and status 130; a comparison then keeps what is
-finished.
+line and status 2 and leaves no files, an interruption with one line and status 130; a comparison or reproduction then
+keeps what is finished.
 """
 
 import contextlib
@@ -16,9 +16,10 @@ import time
 
 from jexplore import __version__
 from jexplore.config import InputError
-from jexplore.options import Bench, Compare, Explore, Strategies, Worlds, help_text, parse
+from jexplore.options import COMMANDS, Bench, Compare, Explore, Reproduce, Segment, Strategies, Worlds, help_text, parse
 
 COMPILING = "jexplore: compiling (kept for later runs)"
+FINISHING = "jexplore: computing statistics and drawing"
 LONGEST = 400  # characters of a message; a name or a file may be quoted in it
 PATIENCE_S = 2.0  # work that lasts longer shows how far it is
 
@@ -64,7 +65,7 @@ def _say(line, status):
 
 def _dispatch(arguments):
     if not arguments:
-        raise InputError("expected a command: compare, explore, worlds, strategies or bench; see jexplore --help")
+        raise InputError(f"expected a command: {', '.join(COMMANDS)}; see jexplore --help")
     if arguments[0] in ("-h", "--help"):
         print(help_text(), end="")
     elif arguments[0] == "--version":
@@ -186,14 +187,74 @@ class _Out:
         return f"wrote {', '.join(writers)} to {os.fspath(folder)}{os.sep}"
 
 
+def _run_jobs(options, jobs):
+    """Compiles and runs, with a note and a bar: a `batch.Report`."""
+    from jexplore import batch
+
+    batch.use_compilation_cache()
+    engine = None if options.engine == "auto" else options.engine
+    with _working(sum(len(job.starts) for job in jobs), "episodes") as on_progress:
+        return batch.run(
+            jobs, options.lidar, options.episode, engine=engine, lanes=options.lanes, on_progress=on_progress
+        )
+
+
+def _finish(out, found, report, text, figures, record):
+    """Writes and prints what `_compare` and `_reproduce` have in common. Returns the exit status.
+
+    Args:
+      out: `_Out`.
+      found: `Comparison`.
+      report: `batch.Report`.
+      text: the tables.
+      figures: `{name: Figure}`.
+      record: called with more entries of run.json, returns all.
+    """
+    from jexplore import plot, store
+
+    record = record(
+        episodes_per_s=found.episodes_per_s,
+        compile_s=found.compile_s,
+        run_s=found.run_s,
+        engine=report.engine,
+        devices=report.devices,
+        lanes=report.lanes,
+        useful=report.useful,
+        useful_plans=report.useful_plans,
+        interrupted=found.interrupted,
+        worlds=[_describe(world) for world in found.worlds],
+        summary=found.summary.to_dict("records"),
+        warnings=found.warnings,
+    )
+    wrote = out.write(
+        {
+            "episodes.parquet": lambda path: store.write_parquet(found.episodes, path),
+            **{name: functools.partial(plot.save_figure, figure) for name, figure in figures.items()},
+            "run.json": lambda path: store.write_json(record, path),
+        }
+    )
+    print(text)
+    for line in found.warnings:
+        print(f"warning: {line}")
+    print(wrote)
+    if report.interrupted:
+        return _say("jexplore: interrupted, what was finished was written", 130)
+    return 0
+
+
 def _compare(options, arguments):
-    from jexplore import batch, plot, store
     from jexplore.comparison import assemble, prepare_jobs
+    from jexplore.standings import LEAGUE_STRATEGIES, league_worlds
 
     out = _Out(options, "compare")
+    worlds, strategies = options.worlds, options.strategies
+    if options.league:
+        default = Compare()
+        worlds = league_worlds() if worlds == default.worlds else worlds
+        strategies = LEAGUE_STRATEGIES if strategies == default.strategies else strategies
     jobs = prepare_jobs(
-        options.worlds,
-        options.strategies,
+        worlds,
+        strategies,
         episodes=options.episodes,
         seed=options.seed,
         cell_m=options.cell_m,
@@ -201,47 +262,52 @@ def _compare(options, arguments):
         lidar=options.lidar,
         rules=options.episode,
     )
-    batch.use_compilation_cache()
-    with _working(sum(len(job.starts) for job in jobs), "episodes") as on_progress:
-        engine = None if options.engine == "auto" else options.engine
-        report = batch.run(
-            jobs, options.lidar, options.episode, engine=engine, lanes=options.lanes, on_progress=on_progress
-        )
-    with _note("jexplore: computing statistics and drawing"):
+    report = _run_jobs(options, jobs)
+    with _note(FINISHING):
         found = assemble(jobs, report, options.episode)
-        table, warnings = found.to_markdown(), found.warnings
+        if options.league:
+            return _finish_league(out, found, report, functools.partial(out.record, arguments, options))
         # Without any episode 0, as after an early interruption, there is no path to draw.
         figures = {"compare.png": found.compare_figure()} | ({"paths.png": found.paths_figure()} if found.first else {})
-        record = out.record(
-            arguments,
-            options,
-            episodes_per_s=found.episodes_per_s,
-            compile_s=found.compile_s,
-            run_s=found.run_s,
-            engine=report.engine,
-            devices=report.devices,
-            lanes=report.lanes,
-            useful=report.useful,
-            useful_plans=report.useful_plans,
-            interrupted=found.interrupted,
-            worlds=[_describe(world) for world in found.worlds],
-            summary=found.summary.to_dict("records"),
-            warnings=warnings,
-        )
-        wrote = out.write(
-            {
-                "episodes.parquet": lambda path: store.write_parquet(found.episodes, path),
-                **{name: functools.partial(plot.save_figure, figure) for name, figure in figures.items()},
-                "run.json": lambda path: store.write_json(record, path),
-            }
-        )
-    print(table)
-    for line in warnings:
-        print(f"warning: {line}")
-    print(wrote)
-    if report.interrupted:
-        return _say("jexplore: interrupted, what was finished was written", 130)
-    return 0
+        record = functools.partial(out.record, arguments, options)
+        return _finish(out, found, report, found.to_markdown(), figures, record)
+
+
+def _finish_league(out, found, report, record):
+    """Measures what a plan costs, and writes and prints the standings. Returns the exit status."""
+    from jexplore import plot_standings
+    from jexplore.bench.plans import plan_costs
+    from jexplore.standings import standings_table
+
+    world, names = found.worlds[0], list(dict.fromkeys(found.episodes["strategy"]))
+    plan_ms = {} if report.interrupted else plan_costs(world, names)
+    text = f"{standings_table(found.standings, plan_ms)}\nms a plan: on one core, in {world.name}, {world.shape[1]} x "
+    text += f"{world.shape[0]} cells, every strategy on the same maps\n"
+    record = functools.partial(record, standings=found.standings.to_dict("records"), plan_ms=plan_ms)
+    return _finish(out, found, report, text, {"league.png": plot_standings.figure(found.standings)}, record)
+
+
+def _reproduce(options, arguments):
+    from jexplore import reproduction
+
+    out = _Out(options, "reproduce")
+    jobs = reproduction.prepare(
+        options.paper,
+        maps=options.maps,
+        episodes=options.episodes,
+        seed=options.seed,
+        cell_m=options.cell_m,
+        lidar=options.lidar,
+        rules=options.episode,
+    )
+    report = _run_jobs(options, jobs)
+    with _note(FINISHING):
+        found = reproduction.assemble(options.paper, options.maps, jobs, report, options.episode)
+        tables, orderings = (table.to_dict("records") for table in (found.tables, found.orderings))
+        entries = {"notes": found.notes, "tables": tables, "orderings": orderings}
+        record = functools.partial(out.record, arguments, options, **entries)
+        figures = {"reproduce.png": found.figure()}
+        return _finish(out, found.comparison, report, found.to_markdown(), figures, record)
 
 
 def _explore(options, arguments):
@@ -277,6 +343,48 @@ def _explore(options, arguments):
         print(f"{name:<18} {text}")
     if found.measures["refused"]:
         print("warning: refused steps leave no trace: the animation lacks their scans until its last frame")
+    print(wrote)
+
+
+def _segment(options, arguments):
+    from jexplore import batch, plot, store
+    from jexplore.plot_segments import figure
+    from jexplore.preflight import require_integer
+    from jexplore.segmentation import SHARES, segment_maps
+
+    out = _Out(options, "segment")
+    if not options.maps:
+        raise InputError("expected a map: map.png@0.05 (metres a pixel), map.yaml, or a generator such as office#3")
+    require_integer("seed", options.seed, 0, 2**32 - 1)
+    batch.use_compilation_cache()
+    with _working(len(options.maps) * (1 + len(SHARES) * options.partial), "maps") as on_progress:
+        found = segment_maps(
+            options.maps,
+            truth=options.truth,
+            variants=options.variant,
+            partial=options.partial,
+            cell_m=options.cell_m,
+            prominence_m=options.prominence_m,
+            gamma=options.gamma,
+            metric=options.metric,
+            lines=options.lines,
+            seed=options.seed,
+            on_progress=on_progress,
+        )
+    record = out.record(arguments, options, scores=found.scores.to_dict("records"))
+    wrote = out.write(
+        {
+            "scores.parquet": lambda path: store.write_parquet(found.scores, path),
+            "segments.png": lambda path: plot.save_figure(figure(found.pictures, found.scores), path),
+            "run.json": lambda path: store.write_json(record, path),
+        }
+    )
+    print(found.to_markdown())
+    overflow = found.scores[found.scores["overflow"] > 0]
+    for _, row in overflow.iterrows():
+        print(
+            f"warning: {row['map']}: {row['variant']}: {row['overflow']} Voronoi nodes or critical points did not fit"
+        )
     print(wrote)
 
 
@@ -393,4 +501,12 @@ def _bench(options, arguments):
     print(f"\n{wrote}")
 
 
-_RUN = {Compare: _compare, Explore: _explore, Worlds: _worlds, Strategies: _strategies, Bench: _bench}
+_RUN = {
+    Compare: _compare,
+    Explore: _explore,
+    Reproduce: _reproduce,
+    Segment: _segment,
+    Worlds: _worlds,
+    Strategies: _strategies,
+    Bench: _bench,
+}

@@ -23,6 +23,7 @@ from jexplore.preflight import (
     require_integer,
     require_memory,
 )
+from jexplore.standings import standings
 from jexplore.world import World
 
 if TYPE_CHECKING:
@@ -32,7 +33,7 @@ COLUMNS = (
     *("world", "strategy", "episode", "seed", "start_row", "start_col", "path_m", "turning_rad"),
     *("steps", "scans", "plans", "outcome", "exhausted", "explored_fraction"),
     *("path_m_at_50", "path_m_at_90", "path_m_at_95", "path_m_at_99", "room_entries"),
-    *("start_heading_deg", "refused", "saturated"),
+    *("start_heading_deg", "refused", "saturated", "overflow"),
 )
 """Columns of a table of episodes. `stats` and `plot` read them by these names."""
 
@@ -71,10 +72,15 @@ class Comparison:
         return stats.summarise(self.episodes)
 
     @functools.cached_property
+    def standings(self):
+        """One row a strategy, over all worlds: see `standings.standings`."""
+        return standings(self.episodes)
+
+    @functools.cached_property
     def warnings(self):
         """What makes the comparison unfair or inexact: a list of lines."""
         lines = [f"interrupted: {self.interrupted} episodes are missing"] if self.interrupted else []
-        return [*lines, *stats.warnings_of(self.episodes), *_saturated(self.episodes)]
+        return [*lines, *stats.warnings_of(self.episodes), *_bounds_met(self.episodes)]
 
     @property
     def episodes_per_s(self):
@@ -130,13 +136,20 @@ class Comparison:
         return f"<Comparison of {n_strategies} strategies in {len(self.worlds)} worlds, {len(self.episodes)} episodes>"
 
 
-def _saturated(episodes):
-    """Warnings about episodes whose last plan met costs beyond what it can express."""
+BOUNDS = {
+    "saturated": "some cells were too far to plan to",
+    "overflow": "a plan had to leave out some frontier clusters, mixed cells, Voronoi nodes or critical points",
+}
+
+
+def _bounds_met(episodes):
+    """Warnings about episodes that met a bound of what a plan can express or has room for."""
     lines = []
     for (world, strategy), rows in episodes.groupby(["world", "strategy"], sort=False):
-        count = int((rows["saturated"] > 0).sum())
-        if count:
-            lines.append(f"{world}: {strategy}: in {count} of {len(rows)} episodes some cells were too far to plan to")
+        for column, what in BOUNDS.items():
+            count = int((rows[column] > 0).sum())
+            if count:
+                lines.append(f"{world}: {strategy}: in {count} of {len(rows)} episodes {what}")
     return lines
 
 

@@ -9,65 +9,73 @@ from jax import lax
 from jexplore import bits
 
 FAR = 2**30  # no site at all
+REACH = 1023  # cells; a site further away is not found
+CODES = 2 * (REACH + 1)  # a candidate in one number: its squared distance times this, plus its column's offset
 
 
-def _nearer(d2, site, other_d2, other_site):
-    """The nearer of two candidates per cell; a tie goes to the lower flat index."""
-    better = (other_d2 < d2) | ((other_d2 == d2) & (other_site < site))
-    return jnp.where(better, other_d2, d2), jnp.where(better, other_site, site)
+def nearest_offset(sites):
+    """Squared distance to the nearest site of every cell, and how far away that is in rows and columns.
+
+    Ties go to the lowest column, then to the lowest row. Exact: integers throughout.
+
+    Args:
+      sites: `[H, W]` bool, True at a site.
+
+    Returns:
+      `d2`: `[H, W]` int32, squared distance, cells^2; `FAR` without any site within `REACH` cells.
+      `drow`, `dcol`: `[H, W]` int32, the site's row and column relative to the cell's; 0 without any.
+
+    Source:
+      Saito and Toriwaki 1994: columns first, then along the rows. Changed: the search along the rows stops as soon as
+        no offset can bring anything nearer; distance and site are one number, so that a comparison is one minimum.
+    """
+    height, width = sites.shape
+    rows = lax.broadcasted_iota(jnp.int32, (height, width), 0)
+    below = lax.cummax(jnp.where(sites, rows, -height - REACH), axis=0)  # nearest site row at or below, in the column
+    above = lax.cummin(jnp.where(sites, rows, 2 * height + REACH), axis=0, reverse=True)
+    off = jnp.where(rows - below <= above - rows, below, above) - rows
+    none = jnp.uint32(2**31)  # twice it still fits
+    near = jnp.where(jnp.abs(off) <= REACH, (off * off * CODES + REACH + 1).astype(jnp.uint32), none)
+    wide = jnp.pad(near, ((0, 0), (width, width)), constant_values=none)
+
+    def may_improve(state):
+        dx, best = state
+        furthest = jnp.max(lax.optimization_barrier(jnp.max(best, axis=0)))
+        return (dx < min(width, REACH + 1)) & ((dx * dx * CODES).astype(jnp.uint32) <= furthest)
+
+    def widen(state):
+        dx, best = state
+        for offset in (-dx, dx):
+            other = lax.dynamic_slice_in_dim(wide, width + offset, width, axis=1)
+            best = jnp.minimum(best, other + (dx * dx * CODES + offset).astype(jnp.uint32))
+        return dx + 1, best
+
+    _, best = lax.while_loop(may_improve, widen, (jnp.int32(1), near))
+    found = best < none
+    dcol = jnp.where(found, (best % CODES).astype(jnp.int32) - (REACH + 1), 0)
+    drow = jnp.take_along_axis(off, lax.broadcasted_iota(jnp.int32, (height, width), 1) + dcol, axis=1)
+    return jnp.where(found, (best // CODES).astype(jnp.int32), FAR), jnp.where(found, drow, 0), dcol
 
 
 @jax.jit
 def nearest_site(sites):
     """Squared distance to the nearest site of every cell, and which site it is.
 
-    Ties go to the lowest flat index. Exact: integers throughout.
-
     Args:
-      sites: `[H, W]` bool, True at a site. H and W at most 16384.
+      sites: `[H, W]` bool, True at a site. H * W below 2**31.
 
     Returns:
-      `d2`: `[H, W]` int32, squared distance, cells^2; `FAR` without any site.
-      `site`: `[H, W]` int32, flat index (row * W + col) of the nearest site; -1 without any site.
+      `d2`: `[H, W]` int32, as for `nearest_offset`.
+      `site`: `[H, W]` int32, flat index (row * W + col) of the nearest site; -1 without any.
 
     Raises:
       ValueError: while tracing, if `sites` is not a bool matrix.
-
-    Source:
-      Saito and Toriwaki 1994: columns first, then along the rows. Changed: the search along the rows stops as soon as
-        no offset can bring anything nearer.
     """
     if sites.ndim != 2 or sites.dtype != bool:
         raise ValueError(f"expected sites: [H, W] bool, got {sites.shape} {sites.dtype}")
-    height, width = sites.shape
-    none = height * width
-    rows = lax.broadcasted_iota(jnp.int32, (height, width), 0)
-    cols = lax.broadcasted_iota(jnp.int32, (height, width), 1)
-    below = lax.cummax(jnp.where(sites, rows, -height), axis=0)  # nearest site row at or below, in the same column
-    above = lax.cummin(jnp.where(sites, rows, 2 * height), axis=0, reverse=True)
-    row = jnp.where(rows - below <= above - rows, below, above)
-    found = (row >= 0) & (row < height)
-    d2 = jnp.where(found, (row - rows) ** 2, FAR)
-    site = jnp.where(found, row * width + cols, none)
-    # A candidate from an offset of dx columns adds dx^2 to the column's own distance. Columns outside have no site.
-    wide_d2 = jnp.pad(d2, ((0, 0), (width, width)), constant_values=FAR)
-    wide_site = jnp.pad(site, ((0, 0), (width, width)), constant_values=none)
-
-    def may_improve(state):
-        dx, best, _ = state
-        return (dx < width) & (dx * dx <= jnp.max(best))
-
-    def widen(state):
-        dx, best, best_site = state
-        for start in (width - dx, width + dx):
-            other = lax.dynamic_slice_in_dim(wide_d2, start, width, axis=1)
-            other = jnp.where(other < FAR, other + dx * dx, FAR)
-            other_site = lax.dynamic_slice_in_dim(wide_site, start, width, axis=1)
-            best, best_site = _nearer(best, best_site, other, other_site)
-        return dx + 1, best, best_site
-
-    _, d2, site = lax.while_loop(may_improve, widen, (jnp.int32(1), d2, site))
-    return d2, jnp.where(site < none, site, -1)
+    d2, drow, dcol = nearest_offset(sites)
+    rows, cols = (lax.broadcasted_iota(jnp.int32, sites.shape, axis) for axis in (0, 1))
+    return d2, jnp.where(d2 < FAR, (rows + drow) * sites.shape[1] + cols + dcol, -1)
 
 
 def within(mask, d2):

@@ -59,6 +59,7 @@ class Numbers:
 
     p_free: Array  # float32
     near_d2: Array  # int32, cells^2
+    cell_m: Array  # float32, edge of a cell, metres
     look_around: Array  # bool
     recheck: Array  # bool
     max_steps: Array  # int32
@@ -89,6 +90,7 @@ class Result:
     diagonal_at: Array  # [4] int32, likewise
     saturated: Array  # int32, cells out of reach at the end because their cost does not fit (see `reach.saturated`)
     refused: Array  # int32, steps refused because the cell ahead was not free
+    overflow: Array  # int32, things that the strategy had no room for, all plans together
 
 
 def no_results(n):
@@ -112,6 +114,7 @@ class Setup(NamedTuple):
 
     init: Callable  # `Policy.init`
     select: Callable  # `Policy.select`
+    live: Callable | None  # `Policy.live`
     clearance_d2: int  # cells^2
     first_scans: int  # scans all round at the start: 1, 2, 4 or 8
     window: int  # half width of the square that one scan can change, cells
@@ -132,6 +135,7 @@ class State:
     trail: Array  # [T + 1, 3] int32, see `Track`
     carry: Any  # the policy's
     target: Array  # [2] int32, row and col; -1 for none
+    is_view: Array  # bool, whether it is a view point
     looking: Array  # int32, scans in place still to be made
     looked: Array  # int32, scans in place made since the last step
     walking: Array  # bool, whether the plan is still being carried out
@@ -151,6 +155,7 @@ class State:
     room_entries: Array
     saturated: Array
     refused: Array
+    overflow: Array
 
 
 def _square(row, col, shape, window):
@@ -293,33 +298,38 @@ def advance(key, setup, truth, beams, numbers, state):
     )
     state = state.replace(belief=belief.replace(driven=_mark(belief.driven, *beside, walking)))
     state = _record(_sense(key, setup, truth, beams, numbers, state, walking), walking)
-    live = _is_live(state.belief, *state.target)
     here = (belief.row == state.target[0]) & (belief.col == state.target[1])
+    live = _is_live(state.belief, *state.target)
+    if setup.live is not None:
+        asked = state.is_view & state.walking & (numbers.recheck | here)
+        live = run_if(asked, lambda _: setup.live(numbers.params, state.belief, beams, *state.target), live)
     given_up = state.bumped | (numbers.recheck & ~live & ~here)
     state = state.replace(walking=walking & ~given_up)
     state = _arrive(state, walking & here & ~state.bumped & (state.looking == 0), live, numbers)
     return _move(truth, numbers, state)
 
 
-def plan(key, setup, truth, numbers, state):
+def plan(key, setup, truth, beams, numbers, state):
     """Asks the strategy for a target and makes the first motion; no target ends the episode as complete, as far
     as is known here.
 
     Args:
       key: as for `begin`.
-      setup, truth, numbers: as for `begin`.
+      setup, truth, beams, numbers: as for `begin`.
       state: `State` of a running episode that carries out no plan.
 
     Returns:
       `State`.
     """
     key = jax.random.fold_in(jax.random.fold_in(key, Stream.POLICY), state.plans)
-    carry, choice, route = setup.select(key, numbers.params, state.carry, state.belief, state.route)
+    carry, choice, route = setup.select(key, numbers.params, state.carry, state.belief, beams, state.route)
     none = choice.row < 0
     state = state.replace(
         carry=carry,
         route=route,
         target=jnp.stack([choice.row, choice.col]),
+        is_view=jnp.asarray(choice.is_view),
+        overflow=state.overflow + choice.overflow,
         plans=state.plans + 1,
         saturated=choice.saturated,
         walking=~none,
@@ -375,8 +385,10 @@ def begin(key, setup, truth, beams, numbers, world, start):
         extent=truth.extent[world],
         p_free=numbers.p_free,
         near_d2=numbers.near_d2,
+        cell_m=numbers.cell_m,
         clearance_d2=setup.clearance_d2,
         reach=setup.reach,
+        scan=setup.scan,
     )
     room = truth.rooms[base + row, col]
     state = State(
@@ -387,6 +399,7 @@ def begin(key, setup, truth, beams, numbers, world, start):
         trail=jnp.zeros((setup.capacity + 1, len(Track)), jnp.int32),
         carry=setup.init(numbers.params, belief),
         target=jnp.full((2,), -1, jnp.int32),
+        is_view=jnp.bool_(False),
         looking=zero,
         looked=zero,
         walking=jnp.bool_(False),
@@ -406,6 +419,7 @@ def begin(key, setup, truth, beams, numbers, world, start):
         room_entries=(room >= 0).astype(jnp.int32),
         saturated=zero,
         refused=zero,
+        overflow=zero,
     )
 
     def look_round(_, state):
@@ -429,7 +443,7 @@ def run(key, setup, truth, beams, numbers, world, start):
     """
 
     def episode_step(state):
-        state = plan(key, setup, truth, numbers, state)
+        state = plan(key, setup, truth, beams, numbers, state)
         state = lax.while_loop(lambda s: s.walking, lambda s: advance(key, setup, truth, beams, numbers, s), state)
         return limit_plans(numbers, state)
 
@@ -476,4 +490,5 @@ def finish(truth, state):
         diagonal_at=diagonal_at,
         saturated=state.saturated,
         refused=state.refused,
+        overflow=state.overflow,
     )

@@ -9,8 +9,8 @@ import jax.numpy as jnp
 from flax import struct
 from jax import Array, lax
 
-from jexplore import bits
-from jexplore.control import stored
+from jexplore import bits, sparse
+from jexplore.control import repeat, stored
 from jexplore.distance import within, within_packed
 from jexplore.grid import any_within_one, any_within_one_packed, is_free, is_known, is_occupied
 
@@ -124,77 +124,87 @@ class Clusters:
 
     label: Array  # [H, W] int32, number of the cell's cluster; -1 where there is none, or it did not fit
     size: Array  # [M] int32, cells; 0 in an unused slot
-    row: Array  # [M] int32, member cell nearest to the cluster's centroid; -1 in an unused slot
+    row: Array  # [M] int32, of the member cell that stands for the cluster; -1 in an unused slot
     col: Array  # [M] int32, likewise
     count: Array  # int32, clusters on the map, whether they fit or not
     overflow: Array  # int32, clusters that did not fit into M slots
+    left_out: Array  # int32, frontier cells that were not looked at, because there were too many
 
 
-def label_clusters(mask):
-    """For every True cell the lowest flat index of its 8-connected group; H * W elsewhere. `[H, W]` int32."""
-    height, width = mask.shape
-    none = height * width
-    index = lax.broadcasted_iota(jnp.int32, (height, width), 0) * width + lax.broadcasted_iota(
-        jnp.int32, (height, width), 1
-    )
+def label_clusters(cells):
+    """For every cell of a list the lowest slot of its 8-connected group: `[K]` int32; K in an unused slot.
+
+    Args:
+      cells: `sparse.Cells`.
+    """
+    size = cells.cell.shape[0]
+    slots = lax.iota(jnp.int32, size)
+    used = jnp.any(cells.near < size, axis=1)
 
     def spread(state):
         label, _ = state
-        padded = lax.optimization_barrier(jnp.pad(label, 1, constant_values=none))
-        rows = jnp.minimum(jnp.minimum(padded[:height], padded[1 : height + 1]), padded[2:])
-        new = jnp.minimum(jnp.minimum(rows[:, :width], rows[:, 1 : width + 1]), rows[:, 2:])
-        new = jnp.where(mask, new, none)
+        around = jnp.min(label.at[cells.near].get(mode="fill", fill_value=size), axis=1)
+        new = jnp.minimum(label, around)
         # Pointer jumping: a cell also learns what the cell that it points at has learnt.
-        at = jnp.minimum(new, none - 1).reshape(-1)
-        new = jnp.where(mask, jnp.minimum(new, new.reshape(-1)[at].reshape(height, width)), none)
+        new = jnp.minimum(new, new[new])
         return new, jnp.any(new != label)
 
-    label, _ = lax.while_loop(lambda s: s[1], spread, (jnp.where(mask, index, none), True))
+    label, _ = repeat(lambda state: state[1], spread, (slots, jnp.any(used)))
     return label
 
 
-def frontier_clusters(frontier, *, max_clusters):
+def frontier_clusters(frontier, cost=None, *, max_clusters, max_cells=None):
     """Groups of frontier cells that touch each other along edges or corners.
 
     Args:
       frontier: `[H, W]` bool.
+      cost: `[H, W]` int32, or None: what makes one member stand for its cluster, the lowest; by default the squared
+        distance from the cluster's centroid.
       max_clusters: M, slots. Static. Clusters beyond it are counted in `overflow`, not kept.
+      max_cells: frontier cells that are looked at, the first in (row, col) order; by default one in 16 of the map, at
+        least 256. Static.
 
     Returns:
-      `Clusters`. Among members equally near to the centroid, the one with the lowest flat index.
+      `Clusters`. Among members that are equally good, the one with the lowest flat index stands for all.
 
     Source:
       Yamauchi 1997 (frontier regions). Changed: the representative is a member, so that it is always a frontier cell.
     """
     height, width = frontier.shape
     none = height * width
-    lowest = label_clusters(frontier).reshape(-1)
-    index = lax.iota(jnp.int32, none)
-    is_first = lowest == index
+    cells = sparse.listed(frontier, min(none, max(256, none // 16) if max_cells is None else max_cells))
+    size = cells.cell.shape[0]
+    lowest = label_clusters(cells)
+    is_first = (lowest == lax.iota(jnp.int32, size)) & (cells.cell < none)
     number = jnp.cumsum(is_first, dtype=jnp.int32) - 1  # number of each cluster, at its first cell
-    label = jnp.where(lowest < none, number[jnp.minimum(lowest, none - 1)], max_clusters)
+    label = jnp.where(cells.cell < none, number[lowest], max_clusters)
     slot = jnp.minimum(label, max_clusters)  # clusters that do not fit go to one slot too many, which is cut off
     count = jnp.sum(is_first, dtype=jnp.int32)
 
     def total(values):
         return jax.ops.segment_sum(values, slot, max_clusters + 1)
 
-    rows, cols = index // width, index % width
-    size = total(jnp.where(label < max_clusters, 1, 0))
+    rows, cols = cells.cell // width, cells.cell % width
+    sizes = total(jnp.where(label < max_clusters, 1, 0))
     sum_row, sum_col = total(rows), total(cols)
-    # Distance to the centroid in units of 1 / size, squared: integers would overflow, and equal distances must tie.
-    dr = (rows * size[slot] - sum_row[slot]).astype(jnp.float32) / jnp.maximum(size[slot], 1)
-    dc = (cols * size[slot] - sum_col[slot]).astype(jnp.float32) / jnp.maximum(size[slot], 1)
-    d2 = dr * dr + dc * dc
-    nearest = jax.ops.segment_min(jnp.where(label < max_clusters, d2, jnp.inf), slot, max_clusters + 1)
-    member = jnp.where((d2 == nearest[slot]) & (label < max_clusters), index, none)
+    if cost is None:
+        # In units of 1 / size, squared: integers would overflow, and equal distances must tie.
+        dr = (rows * sizes[slot] - sum_row[slot]).astype(jnp.float32) / jnp.maximum(sizes[slot], 1)
+        dc = (cols * sizes[slot] - sum_col[slot]).astype(jnp.float32) / jnp.maximum(sizes[slot], 1)
+        off = dr * dr + dc * dc
+    else:
+        off = sparse.at(cost, cells.cell, 0)
+    best = jax.ops.segment_min(off, slot, max_clusters + 1)
+    member = jnp.where((off == best[slot]) & (label < max_clusters), cells.cell, none)
     chosen = jax.ops.segment_min(member, slot, max_clusters + 1)[:max_clusters]
-    used = size[:max_clusters] > 0
+    used = sizes[:max_clusters] > 0
+    kept = jnp.where(label < max_clusters, label, -1)
     return Clusters(
-        label=jnp.where(label < max_clusters, label, -1).reshape(height, width),
-        size=size[:max_clusters],
+        label=jnp.full((none,), -1, jnp.int32).at[cells.cell].set(kept, mode="drop").reshape(height, width),
+        size=sizes[:max_clusters],
         row=jnp.where(used, chosen // width, -1),
         col=jnp.where(used, chosen % width, -1),
         count=count,
         overflow=jnp.maximum(count - max_clusters, 0),
+        left_out=cells.overflow,
     )

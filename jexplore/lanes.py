@@ -163,14 +163,14 @@ def _start(setup, queue, lines, truth, beams, work, m):
     )
 
 
-def _plan(setup, queue, lines, truth, work, m):
+def _plan(setup, queue, lines, truth, beams, work, m):
     """Up to m lanes without a plan make one: `(work, how many)`."""
     lanes = first_lanes(_waiting(work), m)
     at = take(work.at, lanes)
     numbers = take(lines.numbers, queue.line[at])
 
     def one(key, numbers, state):
-        return episode.limit_plans(numbers, episode.plan(key, setup, truth, numbers, state))
+        return episode.limit_plans(numbers, episode.plan(key, setup, truth, beams, numbers, state))
 
     # Planning neither reads the trail and the goal, nor changes the map and the way driven.
     old = work.state.replace(trail=None, goal=None)
@@ -240,7 +240,7 @@ def go_on(setup, work, queue, turns, lines, truth, beams):
 
     def planned(state):
         work, use = state
-        work, n = _plan(setup, queue, lines, truth, work, planners)
+        work, n = _plan(setup, queue, lines, truth, beams, work, planners)
         return work, use.replace(groups=use.groups + 1, planned=use.planned + n)
 
     def turn(state):

@@ -77,5 +77,6 @@ def columns(result, starts, *, seed, cell_m, has_rooms):
         table[f"path_m_at_{q}"] = path_m(result.straight_at[:, i], result.diagonal_at[:, i], cell_m)
     table["room_entries"] = [int(count) if has_rooms else None for count in result.room_entries]
     table["refused"] = result.refused.astype(np.int64)
+    table["overflow"] = result.overflow.astype(np.int64)
     table["saturated"] = result.saturated.astype(np.int64)
     return table

@@ -7,8 +7,10 @@ candidates.
 """
 
 import math
+from typing import Any
 
 import jax.numpy as jnp
+import numpy as np
 from flax import struct
 from jax import Array, lax
 
@@ -34,8 +36,10 @@ class Belief:
     extent: Array  # [2] int32, height and width of the world without padding
     p_free: Array  # float32
     near_d2: Array  # int32, cells^2
+    cell_m: Array  # float32, edge of a cell, metres
     clearance_d2: int = struct.field(pytree_node=False)  # cells^2
     reach: str = struct.field(pytree_node=False, default="sweeps")  # one of `reach.METHODS`
+    scan: str = struct.field(pytree_node=False, default="blocks")  # one of `raycast.METHODS`
 
 
 @struct.dataclass
@@ -48,6 +52,10 @@ class Choice:
     saturated: (
         Array  # int32, if there is no target: cells out of reach because their cost does not fit (`reach.saturated`)
     )
+    is_view: Any = np.bool_(False)  # bool, whether it is a view point: live while `Policy.live` says so
+    overflow: Any = np.int32(
+        0
+    )  # int32, things that the strategy had no room for (frontier clusters, Voronoi nodes, ...)
 
 
 @struct.dataclass
@@ -92,7 +100,7 @@ def field(belief, *, nearest_only=False):
     return Field(traversable[:height], cost[:height], (frontier & (cost < FAR))[:height])
 
 
-def _first_at(mask):
+def first_at(mask):
     """Row and column of the first True cell in (row, col) order; arbitrary if there is none."""
     height, width = mask.shape
     index = lax.broadcasted_iota(jnp.int32, mask.shape, 0) * width + lax.broadcasted_iota(jnp.int32, mask.shape, 1)
@@ -128,7 +136,7 @@ def _nearest_in_map(belief, route):
     """The nearest frontier of the whole map: `(choice, route)`."""
     known = field(belief, nearest_only=True)
     best = lowest(jnp.where(known.candidates, known.cost, FAR))
-    row, col = _first_at(known.candidates & (known.cost == best))
+    row, col = first_at(known.candidates & (known.cost == best))
     none = best >= FAR
     return choose(belief, route, known, jnp.where(none, -1, row), jnp.where(none, -1, col))
 
@@ -165,7 +173,7 @@ def _nearest_in_window(belief, route, side):
     cost = reach_packed(words, row, col, frontier, limit=limit, method=belief.reach)
     best = lowest(jnp.where(frontier, cost, FAR))
     decided = best <= bound
-    at_row, at_col = _first_at(frontier & (cost == best))
+    at_row, at_col = first_at(frontier & (cost == best))
     target = (jnp.where(decided, at_row + origin[0], belief.row), jnp.where(decided, at_col + origin[1], belief.col))
     start = (belief.row, belief.col)
     route = lay_route(route, cost, bits.unpack(words), start, target, origin, stride=STRIDES[belief.reach])

@@ -31,6 +31,10 @@ def _default_episodes():
     return 5 if _is_small() else 20
 
 
+def _default_paper_episodes():
+    return 5 if _is_small() else 100
+
+
 _Names = Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME [NAME ...]")]
 _World = Annotated[str, tyro.conf.arg(metavar="WORLD")]
 _Strategy = Annotated[str, tyro.conf.arg(metavar="STRATEGY")]
@@ -56,6 +60,9 @@ class Compare:
     """Edge of a cell, metres."""
     start: Literal["random", "world"] = "random"
     """Starts drawn from the seed, or every world's own start for all episodes."""
+    league: bool = False
+    """Every strategy in 40 worlds of five kinds, unless --worlds and --strategies say otherwise: prints who ranks where
+    over all worlds, and what a plan costs, and writes league.png instead of the pictures of single worlds."""
     engine: Literal["auto", "serial", "lockstep"] = "auto"
     """How episodes run: one after the other on each core, or many in lockstep, as suits a GPU. The results are equal.
     By default what suits the machine."""
@@ -95,6 +102,72 @@ class Explore:
     """Replace the run that the folder holds."""
     lidar: Lidar = dataclasses.field(default_factory=Lidar)
     episode: Rules = dataclasses.field(default_factory=Rules)
+
+
+@dataclasses.dataclass(frozen=True)
+class Reproduce:
+    """Reproduce a paper's tables: its strategies in its environments, beside its own figures.
+
+    Prints a Markdown table an environment, and which of the orderings that the paper claims hold here. Writes
+    episodes.parquet, run.json and reproduce.png.
+    """
+
+    paper: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="[PAPER]")] = "holz2010"
+    """The paper: holz2010 (Holz, Basilico, Amigoni, Behnke 2010)."""
+    maps: Annotated[str | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")] = None
+    """Folder of the paper's maps: stage/cave_filled.png, avz/avz5floor_open.yaml, stage/hospital_section.png.
+    By default built-in counterparts stand in for them."""
+    episodes: int = dataclasses.field(default_factory=_default_paper_episodes)
+    """Episodes of each strategy in each environment; the first are also reported alone, as many as the paper's runs."""
+    seed: int = 0
+    """Seed of starts and draws."""
+    cell_m: float = 0.1
+    """Edge of a cell, metres."""
+    engine: Literal["auto", "serial", "lockstep"] = "auto"
+    """How episodes run, as for `jexplore compare`."""
+    lanes: int | None = None
+    """Episodes at a time in lockstep; by default as many as the memory holds."""
+    out: _Out = None
+    """Folder to write."""
+    overwrite: bool = False
+    """Replace the run that the folder holds."""
+    lidar: Lidar = dataclasses.field(default_factory=Lidar)
+    episode: Rules = dataclasses.field(default_factory=Rules)
+
+
+@dataclasses.dataclass(frozen=True)
+class Segment:
+    """Divide maps into rooms by their Voronoi graph, and score the rooms.
+
+    Prints a Markdown table of scores a variant and writes segments.png, scores.parquet and run.json.
+    """
+
+    maps: Annotated[tyro.conf.Positional[tuple[str, ...]], tyro.conf.arg(metavar="MAP [MAP ...]")] = ()
+    """Maps, as for `jexplore worlds`: map.png@0.05 (metres a pixel), map.yaml, or generators such as office#3."""
+    truth: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="GT [GT ...]", help_behavior_hint="")] = None
+    """Pictures of the maps with doorways closed by lines, in the same order and size; generators know their rooms."""
+    variant: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME [NAME ...]", help_behavior_hint="")] = (
+        *("thrun", "wurm", "holz"),
+    )
+    """Variants: thrun, wurm, holz (default: all)."""
+    partial: bool = False
+    """Also segment the maps that an exploring robot has when it knows 25, 50 and 75 % of what it will know."""
+    cell_m: float = 0.05
+    """Edge of a cell, metres."""
+    prominence_m: float = 0.15
+    """How much the clearance must rise on both sides of a critical point, metres; 0: any local minimum."""
+    gamma: float = 3.0
+    """How far apart two obstacle cells must be to have a Voronoi edge between them, cells."""
+    metric: Literal["geodesic", "euclidean"] = "geodesic"
+    """What "closest segment" means: along paths, or as the crow flies (the paper's letter)."""
+    lines: bool = False
+    """Split along the line between the two nearest obstacles (Thrun 1998)."""
+    seed: int = 0
+    """Seed of the episodes that partial maps come from."""
+    out: _Out = None
+    """Folder to write."""
+    overwrite: bool = False
+    """Replace the run that the folder holds."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -159,7 +232,15 @@ class Strategies:
     """List strategies, modifiers, their parameters and sources."""
 
 
-COMMANDS = {"compare": Compare, "explore": Explore, "worlds": Worlds, "strategies": Strategies, "bench": Bench}
+COMMANDS = {
+    "compare": Compare,
+    "explore": Explore,
+    "reproduce": Reproduce,
+    "segment": Segment,
+    "worlds": Worlds,
+    "strategies": Strategies,
+    "bench": Bench,
+}
 
 
 def help_text():

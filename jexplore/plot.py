@@ -83,7 +83,7 @@ def _centres_m(cells, cell_m):
     return (np.asarray(cells, dtype=np.float64) + 0.5) * cell_m
 
 
-def bars(ax, labels, means, sds, title="", *, styles=None):
+def bars(ax, labels, means, sds, title="", *, styles=None, at=None, thickness=0.72):
     """Mean path lengths as bars with whiskers of one standard deviation and the numbers beside them, the first on top.
 
     Args:
@@ -92,6 +92,8 @@ def bars(ax, labels, means, sds, title="", *, styles=None):
       means, sds: `[K]` metres; a NaN mean leaves a gap marked "no data", a NaN or zero sd has no whisker.
       title: of the axes.
       styles: `[K]` dicts of bar properties (`facecolor`, `hatch`); by default the palette in order.
+      at: `[K]` places on the axis, rising; by default 0 to K - 1.
+      thickness: of a bar, on the same scale.
 
     Returns:
       The `BarContainer`.
@@ -100,9 +102,9 @@ def bars(ax, labels, means, sds, title="", *, styles=None):
       Holz et al. 2010, Figure 8. Changed: the bars lie, so that long names stay readable.
     """
     means, sds = np.asarray(means, dtype=np.float64), np.asarray(sds, dtype=np.float64)
-    at, known = np.arange(len(means)), np.isfinite(means)
+    at, known = np.arange(len(means)) if at is None else np.asarray(at), np.isfinite(means)
     length, spread = np.where(known, means, 0.0), np.where(known & np.isfinite(sds), sds, 0.0)
-    container = ax.barh(at, length, height=0.72, edgecolor="black", linewidth=0.6)
+    container = ax.barh(at, length, height=thickness, edgecolor="black", linewidth=0.6)
     for bar, style in zip(container, styles or style_of(range(len(means))).values()):
         bar.set(**style)
     some = spread > 0
@@ -114,7 +116,7 @@ def bars(ax, labels, means, sds, title="", *, styles=None):
         x = 0.0 if math.isnan(mean) else mean + (sd if math.isfinite(sd) else 0.0)
         ax.text(x + 0.025 * longest, y, text, va="center", ha="left", fontsize=8)
     ax.set_xlim(0, 1.55 * longest)
-    ax.set_ylim(len(means) - 0.5, -0.5)
+    ax.set_ylim(at[-1] + 0.5, at[0] - 0.5)
     ax.set_yticks(at, labels, fontsize=8)
     ax.tick_params(axis="y", length=0)
     ax.tick_params(axis="x", labelsize=8)

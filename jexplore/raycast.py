@@ -36,6 +36,7 @@ class Beams:
     entry: Array  # [K, S, B] float32, distance at which it is entered, cells; inf beyond the range
     length: Array  # [K, B] int32, cells entered at a distance below the range
     reach: Array  # float32, the range, cells
+    around: int = struct.field(pytree_node=False, default=1)  # scans, evenly turned, that see all round
 
 
 @struct.dataclass
@@ -119,6 +120,42 @@ def by_beam(offset):
     return offset.reshape(n_headings, n // BLOCK, BLOCK, n_beams).swapaxes(2, 3)
 
 
+def scans_all_round(fov_deg):
+    """How many scans, evenly turned, see all round: the next of 1, 2, 4, 8, so that every heading is on the lattice.
+
+    Args:
+      fov_deg: field of view, degrees. A Python number.
+
+    Returns:
+      int. ceil(360 / fov) where that divides 8; below 45 degrees 8 scans leave gaps.
+    """
+    return next((n for n in (1, 2, 4) if n * fov_deg >= 360), HEADINGS)
+
+
+def all_round(beams):
+    """The beams of a look all round, from scans at evenly turned headings, as those of one scan.
+
+    Args:
+      beams: `Beams` of 8 headings.
+
+    Returns:
+      `Beams`, K = 1, with `around` times as many beams.
+    """
+
+    def joined(table, axis):
+        return jnp.concatenate([table[k : k + 1] for k in range(0, HEADINGS, HEADINGS // beams.around)], axis=axis)
+
+    return Beams(
+        offset=joined(beams.offset, 2),
+        by_beam=joined(beams.by_beam, 2),
+        drow=joined(beams.drow, 2),
+        dcol=joined(beams.dcol, 2),
+        entry=joined(beams.entry, 2),
+        length=joined(beams.length, 1),
+        reach=beams.reach,
+    )
+
+
 @functools.lru_cache(maxsize=8)
 def beam_table(lidar, cell_m, width):
     """The beams of a robot that stands on a cell's centre with a heading that is a multiple of 45 degrees.
@@ -155,6 +192,7 @@ def beam_table(lidar, cell_m, width):
         entry=np.where(within, entry, np.inf).astype(np.float32),  # type: ignore[arg-type]
         length=within.sum(axis=1).astype(np.int32),  # type: ignore[arg-type]
         reach=np.float32(reach),  # type: ignore[arg-type]
+        around=scans_all_round(lidar.fov_deg),
     )
 
 

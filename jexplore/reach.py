@@ -22,6 +22,7 @@ ROUNDS = 4  # relaxations between two looks at what they changed
 MOTIONS = ((0, 1), (1, 0), (0, -1), (-1, 0), (1, 1), (1, -1), (-1, -1), (-1, 1))
 HEADING = (0, 2, 4, 6, 1, 3, 5, 7)  # heading of each motion, in units of 45 degrees, counter-clockwise from east
 NO_MOTION = -1
+STEPS = (STRAIGHT, DIAGONAL)
 
 
 def _motions_into(words):
@@ -41,16 +42,16 @@ def _floors(motions):
     return [straight] * 4 + diagonal
 
 
-def _relax(b, floors):
+def _relax(b, floors, steps):
     """The cheapest cost of every cell after at most one more motion: `[H, W]` int32, from `[H + 2, W + 2]` with a
     border of FAR.
     """
     straight = jnp.minimum(
         jnp.minimum(beside(b, 0, -1), beside(b, 0, 1)), jnp.minimum(beside(b, -1, 0), beside(b, 1, 0))
     )
-    best = jnp.maximum(straight + STRAIGHT, floors[0])
+    best = jnp.maximum(straight + steps[0], floors[0])
     for (drow, dcol), floor in zip(MOTIONS[4:], floors[4:]):
-        best = jnp.minimum(best, jnp.maximum(beside(b, -drow, -dcol) + DIAGONAL, floor))
+        best = jnp.minimum(best, jnp.maximum(beside(b, -drow, -dcol) + steps[1], floor))
     return jnp.minimum(beside(b, 0, 0), best)
 
 
@@ -59,7 +60,7 @@ def _source(shape, row, col):
     return lax.dynamic_update_slice(jnp.full(shape, FAR, jnp.int32), jnp.zeros((1, 1), jnp.int32), (row, col))
 
 
-def _sweep(cost, possible, rows, reverse):
+def _sweep(cost, possible, rows, steps, reverse):
     """Motions from each row into the next (or the one before, if `reverse`), row after row.
 
     One buffer, read and written in place a row at a time: half the time of a scan that stacks its rows.
@@ -69,6 +70,7 @@ def _sweep(cost, possible, rows, reverse):
       possible: three of `[H / 32, W]` uint32, the cells into which a robot can move straight ahead, ahead and to higher
         columns, ahead and to lower columns. Packed, as a barrier of a whole map costs more to make than to use.
       rows: `(first, last)` int32, rows to be entered.
+      steps: what a straight and a diagonal step cost. Static.
       reverse: whether rows are taken from the last to the first. Static.
     """
     width = cost.shape[1] - 2
@@ -77,8 +79,8 @@ def _sweep(cost, possible, rows, reverse):
         at = rows[0] + rows[1] - i if reverse else i
         before = lax.dynamic_slice(cost, (at + 2 if reverse else at, 0), (1, width + 2))
         best = lax.dynamic_slice(cost, (at + 1, 1), (1, width))
-        steps = (before[:, 1:-1] + STRAIGHT, before[:, :-2] + DIAGONAL, before[:, 2:] + DIAGONAL)
-        for step, words in zip(steps, possible):
+        after = (before[:, 1:-1] + steps[0], before[:, :-2] + steps[1], before[:, 2:] + steps[1])
+        for step, words in zip(after, possible):
             here = lax.dynamic_slice(words, (at // bits.WORD, 0), (1, width)) >> jnp.uint32(at % bits.WORD)
             best = jnp.minimum(best, jnp.where(here & 1 != 0, step, FAR))
         return lax.dynamic_update_slice(cost, best, (at + 1, 1))
@@ -131,7 +133,30 @@ def reach_packed(words, row, col, goals=None, *, limit: Array | int = FAR, metho
     """
     if method not in METHODS:
         raise ValueError(f"expected method: one of {', '.join(METHODS)}, got {method!r}")
-    return METHODS[method](words, row, col, goals, jnp.int32(limit))
+    return METHODS[method](words, None, (row, col), goals, jnp.int32(limit), STEPS)
+
+
+def nearest_source(words, sources, n, *, method="sweeps"):
+    """Which of many sources is the nearest, along paths.
+
+    Args:
+      words: `[K, W]` uint32, packed traversable cells.
+      sources: `[32 K, W]` int32, number of the source in each cell, at least 0 and less than n; -1 where there is none.
+      n: sources, at most 4096. Static.
+      method: one of `METHODS`. Static.
+
+    Returns:
+      `[32 K, W]` int32, number of the nearest source; -1 where no path leads. Equally near ones: the lowest. Lengths
+        are in units of which a straight step has 70 and a diagonal one 99 (sqrt(2) to 1 in 10,000); a path of more than
+        2**30 / 70 / n straight steps, n rounded up to a power of two, does not count.
+    """
+    if method not in METHODS:
+        raise ValueError(f"expected method: one of {', '.join(METHODS)}, got {method!r}")
+    # A cost and a source in one number: its lowest bits are the source's.
+    scale = 2 ** max(n - 1, 1).bit_length()
+    start = jnp.where(sources >= 0, sources, FAR)
+    cost = METHODS[method](words, start, (0, 0), None, jnp.int32(FAR), (70 * scale, 99 * scale))
+    return jnp.where(cost < FAR, cost % scale, -1)
 
 
 def _horizon(cost, goals, limit):
@@ -139,8 +164,8 @@ def _horizon(cost, goals, limit):
     return limit if goals is None else jnp.minimum(limit, lowest(jnp.where(goals, cost, FAR)))
 
 
-def _wave(words, row, col, goals, limit):
-    """`reach_packed`, all cells at once: after t rounds every path of t motions is in, so every cost up to t."""
+def _wave(words, start, at, goals, limit, steps):
+    """`_sweeps`, all cells at once: after t rounds every path of t motions is in, so every cost up to t."""
     motions = stored(words[0, 0] >= 0, lambda: _motions_into(words))
 
     def under_way(state):
@@ -150,21 +175,30 @@ def _wave(words, row, col, goals, limit):
     def grow(state):
         settled, cost, _, changed = state
         floors = _floors(motions)
-        new = lax.fori_loop(0, ROUNDS, lambda _, cost: _relax(bordered(cost, FAR), floors), cost)
+        new = lax.fori_loop(0, ROUNDS, lambda _, cost: _relax(bordered(cost, FAR), floors, steps), cost)
         # Costs only ever get closer to what is final, so that a wave that has ended may run on.
-        settled = jnp.minimum(settled + ROUNDS * STRAIGHT, FAR)
+        settled = jnp.minimum(settled + ROUNDS * steps[0], FAR)
         return settled, new, _horizon(new, goals, limit), changed & (count(new != cost) > 0)
 
-    cost = _source((bits.WORD * words.shape[0], words.shape[1]), row, col)
+    cost = _source((bits.WORD * words.shape[0], words.shape[1]), *at) if start is None else start
     return repeat(under_way, grow, (jnp.int32(0), cost, _horizon(cost, goals, limit), limit >= 0))[1]
 
 
-def _sweeps(words, row, col, goals, limit):
-    """`reach_packed`, row by row in turn upwards, downwards, and across."""
+def _sweeps(words, start, at, goals, limit, steps):
+    """Costs of the cheapest paths, row by row in turn upwards, downwards, and across.
+
+    Args:
+      words: `[K, W]` uint32, packed traversable cells.
+      start: `[32 K, W]` int32, costs to begin with, FAR where there is none; None for 0 at one cell.
+      at: `(row, col)` int32, that cell.
+      goals, limit: as for `reach_packed`; None and FAR if `start` is given.
+      steps: what a straight and a diagonal step cost. Static.
+    """
     height, width = bits.WORD * words.shape[0], words.shape[1]
     if spare := -width % bits.WORD:
         goals = None if goals is None else jnp.pad(goals, ((0, 0), (0, spare)))
-        return _sweeps(jnp.pad(words, ((0, 0), (0, spare))), row, col, goals, limit)[:, :width]
+        start = None if start is None else jnp.pad(start, ((0, 0), (0, spare)), constant_values=FAR)
+        return _sweeps(jnp.pad(words, ((0, 0), (0, spare))), start, at, goals, limit, steps)[:, :width]
 
     def prepare():
         across = bits.transposed(words)
@@ -172,31 +206,33 @@ def _sweeps(words, row, col, goals, limit):
 
     motions, across, rows, cols = stored(words[0, 0] >= 0, prepare)
 
-    def up_and_down(cost, motions, extent, start, far):
+    def up_and_down(cost, motions, extent, middle, far):
         """Two sweeps, of the rows that hold traversable cells no further than `far`."""
-        rows = jnp.maximum(extent[0], start - far), jnp.minimum(extent[1], start + far)
+        rows = jnp.maximum(extent[0], middle - far), jnp.minimum(extent[1], middle + far)
         ahead, (ne, nw, sw, se) = motions[0], motions[4:]
-        return _sweep(_sweep(cost, (ahead, ne, nw), rows, reverse=False), (ahead, se, sw), rows, reverse=True)
+        cost = _sweep(cost, (ahead, ne, nw), rows, steps, reverse=False)
+        return _sweep(cost, (ahead, se, sw), rows, steps, reverse=True)
 
     def sweep(state):
         cost, far, _, n = state
-        cost = up_and_down(cost.T, across, cols, col, far).T
-        cost = up_and_down(cost, motions, rows, row, far)
+        cost = up_and_down(cost.T, across, cols, at[1], far).T
+        cost = up_and_down(cost, motions, rows, at[0], far)
         inner = cost[1:-1, 1:-1]
         # Costs depend on cheaper costs only: once one more motion makes no cost lower up to the horizon, all costs up
         # to there are final. The last sweep has made all motions to lower rows up to the horizon, which never grows.
         after = FAR
         for (drow, dcol), possible in zip(MOTIONS, motions):
             if drow >= 0:
-                step = DIAGONAL if drow and dcol else STRAIGHT
+                step = steps[1] if drow and dcol else steps[0]
                 after = jnp.minimum(after, jnp.where(bits.unpack(possible), beside(cost, -drow, -dcol) + step, FAR))
         change = lowest(jnp.where(after < inner, after, FAR))
         horizon = _horizon(inner, goals, limit)
-        return cost, horizon // STRAIGHT, (change <= horizon) & (change < FAR), n + 1
+        return cost, horizon // steps[0], (change <= horizon) & (change < FAR), n + 1
 
+    cost = _source((height + 2, width + 2), at[0] + 1, at[1] + 1) if start is None else bordered(start, FAR)
     # A path of n cells is settled after at most n sweeps.
-    start = _source((height + 2, width + 2), row + 1, col + 1), limit // STRAIGHT, limit >= 0, jnp.int32(0)
-    return lax.while_loop(lambda s: s[2] & (s[3] < height * width), sweep, start)[0][1:-1, 1:-1]
+    state = cost, limit // STRAIGHT if start is None else jnp.int32(FAR), limit >= 0, jnp.int32(0)
+    return lax.while_loop(lambda s: s[2] & (s[3] < height * width), sweep, state)[0][1:-1, 1:-1]
 
 
 METHODS = {"sweeps": _sweeps, "wave": _wave}

@@ -236,6 +236,27 @@ def frames(episode, *, max_frames=MAX_FRAMES):
         )
 
 
+def maps_at(episode, shares):
+    """The maps that the robot had when it knew some shares of the cells that it knew in the end.
+
+    Args:
+      episode: `Episode`.
+      shares: ascending numbers from 0 to 1.
+
+    Yields:
+      `[H, W]` uint8 for each, see `measure.map_state`.
+    """
+    height, width = episode.world.shape
+    left = list(shares)
+    for step, grid, _, _ in _states(episode):
+        while left and episode.final.known[step] >= left[0] * episode.final.known[-1]:
+            left.pop(0)
+            hits, misses = (np.asarray(a)[:height, :width] for a in (grid.hits, grid.misses))
+            yield map_state(hits, misses, episode.rules.p_free)
+        if not left:
+            return
+
+
 def _states(episode):
     """After each step: `(step, grid, belief, heading)`."""
     final, site = episode.final, prepare(episode.world, episode.lidar, episode.rules)
@@ -277,6 +298,7 @@ def _states(episode):
             extent=jnp.asarray(site.truth.extent[0]),
             p_free=jnp.float32(site.p_free),
             near_d2=jnp.int32(site.near_d2),
+            cell_m=jnp.float32(site.cell_m),
             clearance_d2=site.clearance_d2,
         )
         yield step, grid, belief, (heading + 2 * looked) % 8

@@ -28,15 +28,3 @@ def turn_between(heading, new_heading):
     """The smaller turn from one heading to another, in units of 45 degrees: int32, 0 to 4."""
     turn = (new_heading - heading) % 8
     return jnp.minimum(turn, 8 - turn)
-
-
-def scans_all_round(fov_deg):
-    """How many scans, evenly turned, see all round: the next of 1, 2, 4, 8, so that every heading is on the lattice.
-
-    Args:
-      fov_deg: field of view, degrees. A Python number.
-
-    Returns:
-      int. ceil(360 / fov) where that divides 8; below 45 degrees 8 scans leave gaps.
-    """
-    return next((n for n in (1, 2, 4) if n * fov_deg >= 360), 8)

@@ -13,8 +13,7 @@ from jexplore.bits import WORD
 from jexplore.config import InputError
 from jexplore.episode import Numbers, Outcome, Result, Setup, Truth, no_results
 from jexplore.grid import in_cells, radius_d2
-from jexplore.raycast import beam_table
-from jexplore.robot import scans_all_round
+from jexplore.raycast import beam_table, scans_all_round
 
 LEAST_LIMIT = 20_000  # default bound of steps and plans on small maps
 
@@ -54,6 +53,7 @@ class Site(NamedTuple):
     sigma_cells: float
     dropout: float
     p_free: float
+    cell_m: float
     look_around: bool
 
 
@@ -106,6 +106,7 @@ def prepare(world, lidar, rules):
         sigma_cells=lidar.sigma_m / world.cell_m,
         dropout=lidar.dropout,
         p_free=rules.p_free,
+        cell_m=world.cell_m,
         look_around=rules.look_around,
     )
 
@@ -115,6 +116,7 @@ def setup_of(site, strategy, kernels):
     return Setup(
         init=strategy.policy.init,
         select=strategy.policy.select,
+        live=strategy.policy.live,
         clearance_d2=site.clearance_d2,
         first_scans=site.first_scans,
         window=site.window,
@@ -138,6 +140,7 @@ def numbers_of(site, strategy):
     return Numbers(
         p_free=np.float32(site.p_free),  # type: ignore[arg-type]
         near_d2=np.int32(site.near_d2),  # type: ignore[arg-type]
+        cell_m=np.float32(site.cell_m),  # type: ignore[arg-type]
         look_around=np.bool_(site.look_around),  # type: ignore[arg-type]
         recheck=np.bool_(strategy.recheck),  # type: ignore[arg-type]
         max_steps=np.int32(site.max_steps),  # type: ignore[arg-type]

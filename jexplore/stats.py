@@ -239,11 +239,18 @@ def summarise(episodes, *, confidence=0.95, n_resamples=9999, seed=0):
     return pd.DataFrame(table, columns=list(SUMMARY_COLUMNS))
 
 
-def _number(value, decimals):
+def number_text(value, decimals):
+    """A number with so many decimals; a missing one is `-`."""
     return "-" if not math.isfinite(value) else f"{value:.{decimals}f}"
 
 
-def _interval(low, high, decimals):
+def spread_text(mean, sd):
+    """`mean ± sd` with two decimals, without the part that is missing."""
+    return number_text(mean, 2) + (f" ± {sd:.2f}" if math.isfinite(sd) else "")
+
+
+def interval_text(low, high, decimals):
+    """`[low, high]`; one with a missing end is `-`."""
     return "-" if not (math.isfinite(low) and math.isfinite(high)) else f"[{low:.{decimals}f}, {high:.{decimals}f}]"
 
 
@@ -251,8 +258,9 @@ def _p_value(p):
     return "-" if not math.isfinite(p) else "<0.001" if p < 0.001 else f"{p:.3f}"
 
 
-def _ratio(ratio, low, high):
-    return " ".join(part for part in (_number(ratio, 3), _interval(low, high, 3)) if part != "-") or "-"
+def ratio_text(ratio, low=math.nan, high=math.nan):
+    """A ratio and its interval with three decimals, without the part that is missing."""
+    return " ".join(part for part in (number_text(ratio, 3), interval_text(low, high, 3)) if part != "-") or "-"
 
 
 def markdown_table(summary, *, confidence=0.95):
@@ -271,17 +279,32 @@ def markdown_table(summary, *, confidence=0.95):
     head += ["plans", "scans", "turning rad", "explored", "exhausted", "room entries", "outcomes"]
     lines = []
     for row in summary.itertuples(index=False):
-        path = _number(row.mean, 2) + (f" ± {row.sd:.2f}" if math.isfinite(row.sd) else "")
-        line = [row.world, row.strategy, str(row.n), path, _interval(row.ci_low, row.ci_high, decimals)]
-        line += [_ratio(row.ratio, row.ratio_low, row.ratio_high), _p_value(row.p)]
-        line += [_number(row.plans, 1), _number(row.scans, 1), _number(row.turning_rad, 1)]
-        line += [_number(row.explored_fraction, 3), _number(row.exhausted, 1), _number(row.room_entries, 1)]
-        lines.append([" ".join(cell.split()).replace("|", "\\|") for cell in (*line, row.outcomes)])
-    left = [name in ("world", "strategy", "outcomes") for name in head]
+        path = spread_text(row.mean, row.sd)
+        line = [row.world, row.strategy, str(row.n), path, interval_text(row.ci_low, row.ci_high, decimals)]
+        line += [ratio_text(row.ratio, row.ratio_low, row.ratio_high), _p_value(row.p)]
+        line += [number_text(row.plans, 1), number_text(row.scans, 1), number_text(row.turning_rad, 1)]
+        line += [number_text(row.explored_fraction, 3), number_text(row.exhausted, 1), number_text(row.room_entries, 1)]
+        lines.append([*line, row.outcomes])
+    return aligned_table(head, lines, left=("world", "strategy", "outcomes"))
+
+
+def aligned_table(head, lines, *, left):
+    """Texts as one aligned Markdown table.
+
+    Args:
+      head: `[K]` texts, the names of the columns.
+      lines: lists of `[K]` texts. Bars in them are escaped.
+      left: names of the columns that are aligned to the left; the others are to the right.
+
+    Returns:
+      Text that ends with a newline.
+    """
+    lines = [[" ".join(cell.split()).replace("|", "\\|") for cell in line] for line in lines]
+    is_left = [name in left for name in head]
     widths = [max(3, *(len(line[i]) for line in [head, *lines])) for i in range(len(head))]
-    rule = ["-" * width if is_left else "-" * (width - 1) + ":" for width, is_left in zip(widths, left)]
+    rule = ["-" * width if to_left else "-" * (width - 1) + ":" for width, to_left in zip(widths, is_left)]
     text = [
-        [cell.ljust(width) if is_left else cell.rjust(width) for cell, width, is_left in zip(line, widths, left)]
+        [cell.ljust(width) if to_left else cell.rjust(width) for cell, width, to_left in zip(line, widths, is_left)]
         for line in [head, rule, *lines]
     ]
     return "".join("| " + " | ".join(line) + " |\n" for line in text)
@@ -315,7 +338,7 @@ def _ratio_text(values, reference, keep):
     if not keep.any():
         return "no pair to compare"
     found = paired_ratio(values[keep], reference[keep])
-    return f"{_ratio(found.ratio, found.low, found.high)} over {found.n} pair{'s' if found.n > 1 else ''}"
+    return f"{ratio_text(found.ratio, found.low, found.high)} over {found.n} pair{'s' if found.n > 1 else ''}"
 
 
 def _unequal(ours, theirs, tolerance):

@@ -22,9 +22,11 @@ from jexplore import __version__
 from jexplore.config import InputError
 
 OUR_FILES = (
-    *("run.json", "episodes.parquet", "compare.png", "paths.png"),  # compare
+    *("run.json", "episodes.parquet", "compare.png", "paths.png", "league.png"),  # compare
     *("episode.png", "episode.gif", "worlds.png"),  # explore, worlds
     *("bench.json", "bench.png"),  # bench
+    *("scores.parquet", "segments.png"),  # segment
+    "reproduce.png",  # reproduce
 )
 """Names that a run writes into its folder: their presence marks it as taken, and only they are ever replaced."""
 

@@ -25,6 +25,7 @@ def loaded_after(code):
         "import jexplore; jexplore.__version__; dir(jexplore); jexplore.Lidar; jexplore.GENERATORS",
         "from jexplore.cli import main; assert main(['--help']) == 0",
         "from jexplore.cli import main; assert main(['compare', '--help']) == 0",
+        "from jexplore.cli import main; assert main(['reproduce', '--help']) == 0",
         "from jexplore.cli import main; assert main(['compare', '--episodes', 'x']) == 2",
     ],
 )

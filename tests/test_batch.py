@@ -184,11 +184,12 @@ def test_no_key_is_used_twice():
         extent=jnp.asarray([occupied.shape], jnp.int32),
     )
     numbers = episode.Numbers(
-        p_free=jnp.float32(0.25), near_d2=jnp.int32(1), look_around=jnp.bool_(True), recheck=jnp.bool_(True),
+        p_free=jnp.float32(0.25), near_d2=jnp.int32(1), cell_m=jnp.float32(1), look_around=jnp.bool_(True),
+        recheck=jnp.bool_(True),
         max_steps=jnp.int32(3), max_plans=jnp.int32(3), sigma_cells=jnp.float32(0.2), dropout=jnp.float32(0.1),
         params=(),
     )  # fmt: skip
-    setup = episode.Setup(strategy.policy.init, strategy.policy.select, 0, 2, 4, True, 3)
+    setup = episode.Setup(strategy.policy.init, strategy.policy.select, None, 0, 2, 4, True, 3)
     beams = jax.device_put(beam_table(lidar, 1.0, 6))
     start = jnp.asarray([1, 1, 0], jnp.int32)
     with jax.debug_key_reuse(True):

@@ -208,7 +208,7 @@ def test_the_defaults_are_smaller_on_request(monkeypatch):
         ("", "expected a command"),
         (
             "compar",
-            "unknown command: 'compar'; there are compare, explore, worlds, strategies, bench "
+            "unknown command: 'compar'; there are compare, explore, reproduce, worlds, strategies, bench "
             "(did you mean 'compare'?)",
         ),
         ("--worlds cave", "expected a command first"),

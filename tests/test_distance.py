@@ -30,11 +30,11 @@ def test_two_sites_by_hand():
     d2, site = nearest_site(jnp.asarray(sites))
     assert d2.dtype == site.dtype == jnp.int32
     np.testing.assert_array_equal(d2[::-1], [[4, 5, 4, 1, 0], [1, 2, 5, 2, 1], [0, 1, 4, 5, 4]])
-    # (row 1, col 2) is equally far from both: the lower flat index, 0, wins
+    # (row 1, col 2) is equally far from both: the lower column wins
     np.testing.assert_array_equal(site[::-1], [[0, 0, 14, 14, 14], [0, 0, 0, 14, 14], [0, 0, 0, 14, 14]])
 
 
-def test_equally_near_sites_give_the_lowest_index_in_every_direction():
+def test_equally_near_sites_give_the_lowest_column_then_the_lowest_row():
     sites = maps.walls("""
         ..#..
         .....
@@ -43,13 +43,13 @@ def test_equally_near_sites_give_the_lowest_index_in_every_direction():
         ..#..
     """)
     d2, site = nearest_site(jnp.asarray(sites))
-    assert (int(d2[2, 2]), int(site[2, 2])) == (4, 2)
-    d2, site = nearest_site(jnp.asarray(sites & (np.arange(5)[:, None] > 0)))
     assert (int(d2[2, 2]), int(site[2, 2])) == (4, 10)
+    d2, site = nearest_site(jnp.asarray(sites & (np.arange(5) > 0)))
+    assert (int(d2[2, 2]), int(site[2, 2])) == (4, 2)
 
 
 def test_a_tie_at_the_very_end_of_the_search_counts():
-    """The upper site is found first; the one in the same row is as near and comes before it."""
+    """The site in the same column is found first; the one in the column before is as near."""
     _, site = nearest_site(jnp.asarray([[True, False], [False, True]]))
     assert site.tolist() == [[0, 0], [0, 3]]
 
@@ -82,7 +82,7 @@ def test_nearest_site_is_brute_force_and_scipy(sites):
 @given(masks(0.15), st.integers(1, 3))
 @settings(max_examples=40, deadline=None)
 def test_distances_turn_with_the_map(sites, quarters):
-    """Which of equally near sites is named does not: that is settled by the flat index."""
+    """Which of equally near sites is named does not: that is settled by the column."""
     turned = nearest_site(jnp.asarray(np.rot90(sites, quarters)))[0]
     np.testing.assert_array_equal(turned, np.rot90(nearest_site(jnp.asarray(sites))[0], quarters))
 

@@ -15,8 +15,7 @@ from jexplore.config import Lidar, Rules
 from jexplore.episode import Numbers, Outcome, Setup, Stream, Track, Truth
 from jexplore.grid import in_cells, radius_d2
 from jexplore.policies import parse_strategy
-from jexplore.raycast import Beams, beam_table, by_beam, disturb, scan
-from jexplore.robot import scans_all_round
+from jexplore.raycast import Beams, beam_table, by_beam, disturb, scan, scans_all_round
 
 CAPACITY = 20_000
 
@@ -37,6 +36,7 @@ def numbers_of(strategy, lidar, rules, cell_m):
     return Numbers(
         p_free=np.float32(rules.p_free),
         near_d2=np.int32(radius_d2(rules.near_m, cell_m)),
+        cell_m=np.float32(cell_m),
         look_around=np.bool_(rules.look_around),
         recheck=np.bool_(strategy.recheck),
         max_steps=np.int32(rules.max_steps or CAPACITY),
@@ -84,6 +84,7 @@ def play(
     static = Setup(
         strategy.policy.init,
         strategy.policy.select,
+        strategy.policy.live,
         radius_d2(rules.clearance_m, cell_m),
         0,
         window_of(lidar, cell_m) if window is None else window,

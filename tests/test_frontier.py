@@ -12,7 +12,7 @@ from hypothesis.extra import numpy as hnp
 from ref import maps, planning
 from scipy import ndimage
 
-from jexplore.frontier import clear_cells, frontier_cells, frontier_clusters, label_clusters, traversable_cells
+from jexplore.frontier import clear_cells, frontier_cells, frontier_clusters, traversable_cells
 from jexplore.grid import Grid
 
 SHAPES = ((1, 1), (1, 7), (7, 8))
@@ -143,8 +143,6 @@ def test_clusters_by_hand():
         .....
         #####
     """)
-    label = label_clusters(jnp.asarray(frontier))
-    np.testing.assert_array_equal(label[::-1], [[12, 12, 20, 20, 19], [20, 20, 12, 20, 20], [20] * 5, [0] * 5])
     clusters = frontier_clusters(jnp.asarray(frontier), max_clusters=4)
     np.testing.assert_array_equal(clusters.label[::-1], [[1, 1, -1, -1, 2], [-1, -1, 1, -1, -1], [-1] * 5, [0] * 5])
     assert clusters.size.tolist() == [5, 3, 1, 0]
@@ -162,11 +160,27 @@ def test_clusters_that_do_not_fit_are_counted():
     assert (int(clusters.count), int(clusters.overflow)) == (4, 2)
 
 
+def test_frontier_cells_that_are_not_looked_at_are_counted():
+    frontier = jnp.asarray(maps.walls("#.#.###"))
+    clusters = frontier_clusters(frontier, max_clusters=4, max_cells=3)
+    assert clusters.label.tolist() == [[0, -1, 1, -1, 2, -1, -1]]
+    assert (int(clusters.count), int(clusters.left_out)) == (3, 2)
+
+
 def test_equally_central_members_give_the_lowest_index():
     clusters = frontier_clusters(jnp.asarray(maps.walls("####")), max_clusters=1)
     assert (int(clusters.row[0]), int(clusters.col[0])) == (0, 1)
     clusters = frontier_clusters(jnp.asarray(maps.walls(".#. #.# .#.")), max_clusters=1)
     assert (int(clusters.row[0]), int(clusters.col[0])) == (0, 1)
+
+
+def test_the_cheapest_member_stands_for_its_cluster():
+    frontier = jnp.asarray(maps.walls("##..# ..#.. ..... #####"))
+    cost = np.array([[9, 8, 7, 7, 9], [0, 0, 0, 0, 0], [0, 0, 5, 0, 0], [5, 6, 0, 0, 2**30]])
+    clusters = frontier_clusters(frontier, jnp.asarray(cost, jnp.int32), max_clusters=4)
+    # ties at 7 and at 5 go to the lowest index; cheaper cells that are no members do not count
+    assert list(zip(clusters.row.tolist(), clusters.col.tolist())) == [(0, 2), (2, 2), (3, 4), (-1, -1)]
+    assert clusters.size.tolist() == [5, 3, 1, 0]
 
 
 def test_no_clusters():
@@ -186,11 +200,7 @@ CLUSTERS = jax.jit(frontier_clusters, static_argnames="max_clusters")
 @given(masks)
 @settings(max_examples=100, deadline=None)
 def test_clusters_are_scipys_and_the_oracles(mask):
-    numbers, n = ndimage.label(mask, EIGHT)
-    lowest = np.full(mask.shape, mask.size)
-    for number in range(1, n + 1):
-        lowest[numbers == number] = np.flatnonzero(numbers == number)[0]
-    np.testing.assert_array_equal(jax.jit(label_clusters)(jnp.asarray(mask)), lowest)
+    n = ndimage.label(mask, EIGHT)[1]
     for slots in (3, 40):
         clusters = CLUSTERS(jnp.asarray(mask), max_clusters=slots)
         want = planning.clusters(mask)
@@ -211,13 +221,29 @@ def test_clusters_are_scipys_and_the_oracles(mask):
 
 
 @pytest.mark.jit
+@given(masks, st.integers(0, 2**30))
+@settings(max_examples=60, deadline=None)
+def test_the_cheapest_member_is_the_oracles(mask, seed):
+    cost = np.random.default_rng(seed).integers(0, 6, mask.shape).astype(np.int32)
+    clusters = CLUSTERS(jnp.asarray(mask), jnp.asarray(cost), max_clusters=3)
+    want = planning.clusters(mask)
+    for i in range(3):
+        expected = planning.closest(want == i, cost)
+        at = int(clusters.row[i]), int(clusters.col[i])
+        assert at == (divmod(expected, mask.shape[1]) if expected >= 0 else (-1, -1))
+
+
+@pytest.mark.jit
 def test_a_winding_cluster_is_one():
     mask = np.ones((41, 40), bool)
     mask[1::2] = False
     mask[np.arange(1, 41, 2), np.where(np.arange(20) % 2, 0, 39)] = True
-    label = np.asarray(jax.jit(label_clusters)(jnp.asarray(mask)))
-    assert set(label[mask]) == {0}
-    assert set(label[~mask]) == {mask.size}
+    clusters = jax.jit(frontier_clusters, static_argnames=("max_clusters", "max_cells"))(
+        jnp.asarray(mask), max_clusters=3, max_cells=1000
+    )
+    assert int(clusters.count) == 1
+    assert set(np.asarray(clusters.label)[mask]) == {0}
+    assert set(np.asarray(clusters.label)[~mask]) == {-1}
 
 
 @pytest.mark.jit

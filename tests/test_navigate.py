@@ -30,6 +30,7 @@ def believe(hits, misses, row, col, *, driven=None, exhausted=None, extent=None,
         extent=jnp.asarray(shape if extent is None else extent, jnp.int32),
         p_free=jnp.float32(0.25),
         near_d2=jnp.int32(near_d2),
+        cell_m=jnp.float32(0.1),
         clearance_d2=clearance_d2,
     )
 

@@ -9,7 +9,7 @@ from jexplore import replay
 from jexplore.batch import Final
 from jexplore.comparison import compare
 from jexplore.config import InputError, Lidar, Rules
-from jexplore.robot import scans_all_round
+from jexplore.raycast import scans_all_round
 
 LIDAR = Lidar(n_beams=37, range_m=1.0)
 NOISY = Lidar(n_beams=37, range_m=1.0, sigma_m=0.03, dropout=0.2)

@@ -14,12 +14,13 @@ from jexplore import bits
 from jexplore.batch import ENGINES
 from jexplore.bench.engines import RULES, SEED
 from jexplore.bench.kernels import NEVER, blank, never, vary_masks
+from jexplore.bench.plans import plan_program
 from jexplore.bench.timing import interleaved, speed_clock
 from jexplore.frontier import plan_masks
 from jexplore.grid import Grid, empty_grid
 from jexplore.navigate import WINDOWS
 from jexplore.raycast import Scan, fold, scan
-from jexplore.reach import FAR, NO_MOTION, STRAIGHT, reach_packed
+from jexplore.reach import FAR, STRAIGHT, reach_packed
 from jexplore.site import numbers_of, setup_of
 from jexplore.world import draw_starts
 
@@ -143,29 +144,6 @@ def _scan_programs(recording):
     return lambda: ranges(truth, beams, poses), lambda: update(beams, poses, seen)
 
 
-def _plan_program(strategy, setup, params, shape):
-    """Function of a belief and a carry that plans `PASSES` times."""
-    route = jnp.full(shape, NO_MOTION, jnp.int8)
-
-    @jax.jit
-    def plans(belief, route, carry):
-        def body(i, state):
-            choice, route, grid = state
-            no = choice.cost == NEVER
-            grid = grid.replace(hits=grid.hits.at[0, 0].add(no))
-            here = belief.replace(row=belief.row + no, grid=grid)
-            key = jax.random.fold_in(jax.random.key(SEED), i)
-            _, choice, route = setup.select(key, params, carry, here, route)
-            return choice, route, grid
-
-        key = jax.random.key(SEED)
-        first = jax.eval_shape(lambda b: setup.select(key, params, carry, b, route)[1], belief)
-        start = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), first)
-        return lax.fori_loop(0, PASSES, body, (start, route, belief.grid))[:2]
-
-    return lambda belief: plans(belief, route, setup.init(params, belief))
-
-
 def measure(compiler, recording, strategy, repeat):
     """Shares of an episode's time: a dict for the report.
 
@@ -184,7 +162,7 @@ def measure(compiler, recording, strategy, repeat):
     seen = [look for belief in beliefs for look in looks(belief, wants_nearest(strategy))]
     seen = jax.device_put([look._asdict() for look in seen])
     ranges, update = _scan_programs(recording)
-    plan = _plan_program(strategy, setup, params, site.truth.occupied.shape)
+    plan = plan_program(strategy, setup, params, site.beams, site.truth.occupied.shape, PASSES)
     first, passes = beliefs[0], np.int32(PASSES)
     numbers = first.p_free, first.near_d2
 

@@ -10,17 +10,50 @@ from typing import NamedTuple
 
 from jexplore.config import InputError, require_number
 from jexplore.policies.closest import closest
+from jexplore.policies.decision_theoretic import decision_theoretic
+from jexplore.policies.distance_advantage import distance_advantage
+from jexplore.policies.gain_rate import gain_rate
+from jexplore.policies.mcdm import mcdm
 from jexplore.policies.record import Entry, Policy
+from jexplore.policies.segmented import KINDS, segmented
+from jexplore.policies.tour import tour
 from jexplore.policies.uniform import uniform
+from jexplore.policies.utility import utility
 
 STRATEGIES = {
     "closest": Entry(closest, "the frontier cell with the shortest path", "Yamauchi 1997; Holz et al. 2010, Figure 3"),
     "random": Entry(
         uniform, "a frontier cell drawn uniformly from the reachable ones", "Holz et al. 2010, section 3.2"
     ),
+    "decision-theoretic": Entry(
+        decision_theoretic,
+        "the sampled view point with the most information, discounted by the path",
+        "Gonzalez-Banos and Latombe 2002; Holz et al. 2010, section 3.2",
+    ),
+    "gain-rate": Entry(
+        gain_rate, "the sampled view point with the most information for a metre of path", "Schmid et al. 2020"
+    ),
+    "utility": Entry(
+        utility,
+        "the frontier cluster with the most unknown area in sight less beta times the path",
+        "Burgard et al. 2005",
+    ),
+    "distance-advantage": Entry(
+        distance_advantage, "the frontier cluster near to the robot and far from the others", "Ericson et al. 2025"
+    ),
+    "tour": Entry(
+        tour, "the first stop of a short route through all frontier clusters", "Osswald et al. 2016; Croes 1958"
+    ),
+    "mcdm": Entry(
+        mcdm,
+        "the frontier cluster with the best Choquet integral of unknown area, path and known area",
+        "Basilico and Amigoni 2011",
+    ),
 }
 MODIFIERS = {
     "recheck": "give up a target as soon as it is no longer live, and choose anew (Holz et al. 2010, section 2.3)",
+    "segment": "frontier cells in the robot's own room first; =thrun, =wurm, =holz (default) say how rooms are found, "
+    "=auto only in rooms, not in corridors and halls (Holz et al. 2010, section 2.4)",
 }
 
 
@@ -40,9 +73,36 @@ def unknown(kind, word, known):
     return InputError(f"unknown {kind} {word!r}{hint} (there are: {have})")
 
 
+def _numbers(make):
+    """Numbers that a constructor takes, with their defaults: dict."""
+    parameters = inspect.signature(make).parameters.values()
+    return {p.name: p.default for p in parameters if isinstance(p.default, int | float)}
+
+
 def parameters_of(name):
     """Parameters of a strategy and their defaults, from its constructor's signature: dict of numbers."""
-    return {p.name: p.default for p in inspect.signature(STRATEGIES[name].make).parameters.values()}
+    return _numbers(STRATEGIES[name].make)
+
+
+MODIFIER_PARAMETERS = {"recheck": {}, "segment": _numbers(segmented)}
+"""Parameters that a modifier adds to those of the strategy, with their defaults."""
+
+
+def _modifiers(words, text):
+    """Modifiers and what stands behind their `=`: dict; None for nothing."""
+    given = {}
+    for word in words:
+        name, equals, kind = word.partition("=")
+        if name not in MODIFIERS:
+            raise unknown(f"modifier in {text!r}:", name, MODIFIERS)
+        if name in given:
+            raise InputError(f"modifier {name!r} is given twice in {text!r}")
+        if equals and name != "segment":
+            raise InputError(f"modifier {name!r} takes no value, got {word!r}")
+        if equals and kind not in KINDS:
+            raise unknown(f"kind of {name!r}:", kind, KINDS)
+        given[name] = kind if equals else None
+    return given
 
 
 def parse_strategy(text):
@@ -58,21 +118,19 @@ def parse_strategy(text):
       InputError: unknown name, modifier or parameter, a modifier given twice, a value that is not a number.
     """
     head, colon, tail = text.partition(":")
-    name, *modifiers = head.split("+")
+    name, *words = head.split("+")
     if name not in STRATEGIES:
         raise unknown("strategy", name, STRATEGIES)
+    modifiers = _modifiers(words, text)
+    own, allowed, given = parameters_of(name), parameters_of(name), {}
     for modifier in modifiers:
-        if modifier not in MODIFIERS:
-            raise unknown(f"modifier in {text!r}:", modifier, MODIFIERS)
-        if modifiers.count(modifier) > 1:
-            raise InputError(f"modifier {modifier!r} is given twice in {text!r}")
-    allowed, given = parameters_of(name), {}
+        allowed |= MODIFIER_PARAMETERS[modifier]
     if colon and not tail:
         raise InputError(f"expected key=value after the colon in {text!r}")
     for item in tail.split(",") if tail else ():
         key, equals, value = item.partition("=")
         if key not in allowed:
-            raise unknown(f"parameter of {name!r}:", key, allowed)
+            raise unknown(f"parameter of {head!r}:", key, allowed)
         if not equals or key in given:
             raise InputError(f"expected {key}=NUMBER once in {text!r}, got {item!r}")
         try:
@@ -82,4 +140,8 @@ def parse_strategy(text):
         given[key] = require_number(
             key, int(number) if isinstance(allowed[key], int) and number.is_integer() else number
         )
-    return Strategy(name=text, policy=STRATEGIES[name].make(**given), recheck="recheck" in modifiers)
+    policy = STRATEGIES[name].make(**{key: value for key, value in given.items() if key in own})
+    if "segment" in modifiers:
+        more = {key: value for key, value in given.items() if key not in own}
+        policy = segmented(policy, modifiers["segment"] or "holz", **more)
+    return Strategy(name=text, policy=policy, recheck="recheck" in modifiers)

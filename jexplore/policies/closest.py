@@ -11,7 +11,7 @@ def _init(params, belief):
     return ()
 
 
-def _select(key, params, carry, belief, route):
+def _select(key, params, carry, belief, beams, route):
     choice, route = nearest_frontier(belief, route)
     return carry, choice, route
 

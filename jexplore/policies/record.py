@@ -11,8 +11,9 @@ class Policy(NamedTuple):
     """
 
     init: Callable  # (params, belief) -> carry, before the first plan
-    select: Callable  # (key, params, carry, belief, route) -> (carry, Choice, route); the key is consumed
+    select: Callable  # (key, params, carry, belief, beams, route) -> (carry, Choice, route); the key is consumed
     params: Any = ()  # pytree of numbers
+    live: Callable | None = None  # (params, belief, beams, row, col) -> bool: whether a view point is worth going to
 
 
 class Entry(NamedTuple):

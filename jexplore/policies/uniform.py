@@ -24,7 +24,7 @@ def kth_true(mask, k):
     return row, col
 
 
-def _select(key, params, carry, belief, route):
+def _select(key, params, carry, belief, beams, route):
     known = field(belief)
     n = jnp.sum(known.candidates, dtype=jnp.int32)
     # Drawn as a number below n, never over the padded map: the draw does not depend on the map's padding.

@@ -25,14 +25,14 @@ def classify(hits, misses, p_free=0.25):
 
 
 def nearest_site(sites):
-    """Squared distance to the nearest site, cells^2, and the flat index of that site; ties to the lowest index.
+    """Squared distance to the nearest site, cells^2, and the flat index of that site; ties to the lowest column, then row.
 
     `FAR` and -1 everywhere if there is no site.
     """
     d2 = np.full(sites.shape, FAR, np.int64)
     site = np.full(sites.shape, -1, np.int64)
     rows, cols = np.indices(sites.shape)
-    for r, c in np.argwhere(sites):  # in ascending flat order, so only a strictly nearer site replaces one
+    for c, r in np.argwhere(sites.T):  # in the order that settles ties, so only a strictly nearer site replaces one
         here = (rows - r) ** 2 + (cols - c) ** 2
         nearer = here < d2
         d2[nearer] = here[nearer]

@@ -1,0 +1,152 @@
+"""What a look all round from a view point would tell: scans simulated on the map so far.
+
+Unknown cells let beams through, and count as information.
+"""
+
+import math
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from flax import struct
+from jax import Array, lax
+
+from jexplore import bits
+from jexplore.grid import Grid, count, empty_grid, entropy, is_known, is_occupied
+from jexplore.raycast import fold, scan
+
+
+@struct.dataclass
+class Prospect:
+    """A map made ready for simulated scans. M slots for the cells at which beams have disagreed so far."""
+
+    stops: Array  # [H, W] bool, cells that stop a beam
+    unknown: Array  # [H, W] bool, cells that nobody has observed, inside the world
+    mixed: Array  # [M] int32, flat index of cells with both hits and misses; H * W in an unused slot
+    hits: Array  # [M] float32, theirs
+    misses: Array  # [M] float32
+    before: Array  # [M] float32, their entropy, bits; 0 in an unused slot
+    overflow: Array  # int32, such cells that did not fit: their change of entropy is not counted
+
+
+class Told(NamedTuple):
+    """What a look all round from a cell would tell."""
+
+    gain: Array  # float32, bits: entropy of the map before less that after the simulated scan
+    unknown: Array  # int32, unknown cells that its beams would pass; each is one bit of the gain
+    known: Array  # int32, known cells likewise
+
+
+def stops_and_unknown(grid, extent, p_free):
+    """Cells that stop a simulated beam, and cells of which it would tell something new.
+
+    Beams end at the world's outermost cells, known or not.
+
+    Args:
+      grid: `Grid`, `[H, W]`.
+      extent: `(height, width)` of the world without padding, int32.
+      p_free: scalar.
+
+    Returns:
+      two of `[H, W]` bool.
+    """
+    rows, cols = (lax.broadcasted_iota(jnp.int32, grid.hits.shape, axis) for axis in (0, 1))
+    inner = (rows > 0) & (cols > 0) & (rows < extent[0] - 1) & (cols < extent[1] - 1)
+    return is_occupied(grid, p_free) | ~inner, ~is_known(grid) & inner
+
+
+def prospect(grid, extent, p_free):
+    """`Prospect` of a map. Arguments as for `stops_and_unknown`. One cell in 16 may be mixed."""
+    stops, unknown = stops_and_unknown(grid, extent, p_free)
+    mixed = (grid.hits > 0) & (grid.misses > 0)
+    none = mixed.size
+    at = bits.first_cells(bits.pack(mixed), max(256, none // 16))
+    at = jnp.where(at < none, at, none)
+    hits, misses = (a.reshape(-1).at[at].get(mode="fill", fill_value=0) for a in (grid.hits, grid.misses))
+    before = jnp.where(at < none, entropy(Grid(hits, misses)), 0.0)
+    overflow = jnp.maximum(jnp.sum(mixed, dtype=jnp.int32) - at.shape[0], 0)
+    return Prospect(stops, unknown, at, hits.astype(jnp.float32), misses.astype(jnp.float32), before, overflow)
+
+
+def window_of(beams, shape):
+    """Sides of the square, at most the map, that holds all that a look from its middle can reach: `(h, w)`, static."""
+    radius = math.ceil(beams.offset.shape[1] / math.sqrt(2)) + 1
+    return tuple(min(2 * radius + 1, n) for n in shape)
+
+
+def _corner(row, col, size, shape):
+    """Where the window of a look from a cell begins: `(row, col)`."""
+    return [jnp.clip(at - m // 2, 0, n - m) for at, n, m in zip((row, col), shape, size)]
+
+
+def most(prospect, row, col, beams):
+    """What looks from some cells can tell at most: the entropy of all that lies in reach, walls or not.
+
+    Args:
+      prospect: `Prospect`.
+      row, col: `[n]` int32.
+      beams: `Beams`.
+
+    Returns:
+      `[n]` float32, bits; no gain is larger.
+    """
+    shape = prospect.stops.shape
+    size = window_of(beams, shape)
+    entropy_of = prospect.unknown.astype(jnp.float32).reshape(-1).at[prospect.mixed].add(prospect.before, mode="drop")
+    table = jnp.cumsum(jnp.cumsum(entropy_of.reshape(shape), axis=0), axis=1)
+    table = jnp.pad(table, ((1, 0), (1, 0)))
+    top, left = _corner(row, col, size, shape)
+    bottom, right = top + size[0], left + size[1]
+    inside = table[bottom, right] - table[top, right] - table[bottom, left] + table[top, left]
+    return inside * (1 + 1e-4) + 1  # more than what float32 loses
+
+
+def look(prospect, row, col, beams, scratch, *, method="blocks"):
+    """What a look all round from a cell would tell.
+
+    Args:
+      prospect: `Prospect`.
+      row, col: int32, the cell.
+      beams: `Beams` from `raycast.all_round`.
+      scratch: `Grid` of zeros, `[H, W]`.
+      method: one of `raycast.METHODS`. Static.
+
+    Returns:
+      `(Told, scratch)`; the scratch is zeros again.
+
+    Source:
+      Holz et al. 2010, section 3.2, where the sign of the difference is a misprint.
+    """
+    shape, zero = prospect.stops.shape, jnp.int32(0)
+    found = scan(prospect.stops, row, col, zero, beams, method=method)
+    scratch = fold(scratch, row, col, zero, found, beams, method=method)
+    size = window_of(beams, shape)
+    corner = _corner(row, col, size, shape)
+    passed, unknown = (lax.dynamic_slice(a, corner, size) for a in (scratch.misses, prospect.unknown))
+    seen = count((passed > 0) & unknown)
+    known = count(passed > 0) - seen
+
+    def after(array):
+        return array.reshape(-1).at[prospect.mixed].get(mode="fill", fill_value=0).astype(jnp.float32)
+
+    # Without a Grid: hits and misses as float32 are exact up to 2**24.
+    hits, misses = prospect.hits + after(scratch.hits), prospect.misses + after(scratch.misses)
+    n = jnp.maximum(hits + misses, 1.0)
+    entropy_after = -sum(jnp.where(q > 0, q * jnp.log2(jnp.where(q > 0, q, 1.0)), 0.0) for q in (hits / n, misses / n))
+    change = jnp.sum(jnp.where(prospect.before > 0, prospect.before - entropy_after, 0.0))
+    blank = jnp.zeros(size, jnp.int32)
+    scratch = Grid(*(lax.dynamic_update_slice(a, blank, corner) for a in (scratch.hits, scratch.misses)))
+    return Told(seen.astype(jnp.float32) + change, seen, known), scratch
+
+
+def unknown_seen(grid, extent, p_free, row, col, beams, *, method="blocks"):
+    """How many unknown cells a look all round from a cell would show: int32, the `unknown` of a `look`.
+
+    Args:
+      grid, extent, p_free: as for `stops_and_unknown`.
+      row, col, beams, method: as for `look`.
+    """
+    stops, unknown = stops_and_unknown(grid, extent, p_free)
+    zero = jnp.int32(0)
+    found = scan(stops, row, col, zero, beams, method=method)
+    passed = fold(empty_grid(stops.shape), row, col, zero, found, beams, method=method).misses
+    return count((passed > 0) & unknown)

@@ -1,0 +1,114 @@
+"""Papers whose tables can be reproduced: their figures and what they claim, as data.
+
+To add a paper: write its record, and add it to `PAPERS`.
+"""
+
+from typing import NamedTuple
+
+
+class Claim(NamedTuple):
+    """Paths of strategy `a` are shorter, or longer, than those of `b`."""
+
+    environment: str
+    a: str
+    b: str
+    direction: str  # "shorter" or "longer"
+    than: float = 1.0  # what the ratio of the means a / b must pass
+    than_in: str | None = None  # or the environment whose ratio a / b it must pass
+    words: str = ""  # what that adds to "a shorter than b"
+
+
+class Environment(NamedTuple):
+    """An environment of a paper."""
+
+    where: str  # its table and figure
+    file: str  # its map, in a folder of maps
+    scale: str  # what follows the map's name: its size
+    counterpart: str  # the built-in world that is most like it
+    paths: dict[str, tuple[float, float]]  # strategy -> mean and standard deviation of the path length, metres
+
+
+class Paper(NamedTuple):
+    """What a paper reports."""
+
+    title: str
+    runs: int  # the paper's, of each strategy in each environment
+    reference: str  # the strategy that ratios are taken to
+    short: dict[str, str]  # strategy -> the paper's abbreviation
+    environments: dict[str, Environment]
+    claims: tuple[Claim, ...]
+    remark: str  # what it leaves open
+
+
+RANDOM, CLOSEST, RECHECK = "random", "closest", "closest+recheck"
+SEGMENT = "closest+recheck+segment"
+DT100, DT500 = "decision-theoretic:samples=100", "decision-theoretic:samples=500"
+
+HOLZ2010 = Paper(
+    title="Holz, Basilico, Amigoni, Behnke 2010: Evaluating the Efficiency of Frontier-based Exploration Strategies",
+    runs=10,
+    reference=CLOSEST,
+    short={RANDOM: "RF", CLOSEST: "CF", RECHECK: "CF+RR", SEGMENT: "CF+RR+Seg.", DT100: "DT n=100", DT500: "DT n=500"},
+    environments={
+        "Cave": Environment(
+            where="Table 1, Figure 8a",
+            file="stage/cave_filled.png",
+            scale="@16x16",
+            counterpart="cave",
+            paths={
+                RANDOM: (102.84, 34.50),
+                CLOSEST: (73.71, 1.00),
+                RECHECK: (70.45, 0.97),
+                SEGMENT: (72.89, 5.77),
+                DT100: (100.01, 17.64),
+                DT500: (98.27, 11.76),
+            },
+        ),
+        "AVZ": Environment(
+            where="Table 2, Figure 8b",
+            file="avz/avz5floor_open.yaml",
+            scale="",
+            counterpart="office",
+            paths={
+                RANDOM: (601.51, 141.93),
+                CLOSEST: (382.07, 3.99),
+                RECHECK: (361.88, 3.01),
+                SEGMENT: (359.77, 12.91),
+                DT500: (447.68, 32.78),
+            },
+        ),
+        "Hospital": Environment(
+            where="Table 3, Figure 8c",
+            file="stage/hospital_section.png",
+            scale="@49.3x20.1",
+            counterpart="hospital",
+            paths={
+                RANDOM: (669.17, 186.41),
+                CLOSEST: (281.07, 3.82),
+                RECHECK: (253.09, 3.12),
+                SEGMENT: (221.37, 19.97),
+                DT500: (312.68, 38.11),
+            },
+        ),
+    },
+    claims=(
+        *(
+            Claim(environment, *claim)
+            for environment in ("Cave", "AVZ", "Hospital")
+            for claim in (
+                (RECHECK, CLOSEST, "shorter"),
+                (RANDOM, CLOSEST, "longer"),
+                (DT500, CLOSEST, "longer"),
+                (DT500, RANDOM, "shorter"),
+                (SEGMENT, RECHECK, "longer" if environment == "Cave" else "shorter"),
+            )
+        ),
+        Claim("Cave", DT500, DT100, "shorter"),
+        Claim("Hospital", SEGMENT, RECHECK, "shorter", than=0.875, words="by 12.5 % or more"),
+        Claim("Hospital", SEGMENT, RECHECK, "shorter", than_in="Cave", words="more so than in Cave"),
+        Claim("Hospital", SEGMENT, RECHECK, "shorter", than_in="AVZ", words="more so than in AVZ"),
+    ),
+    remark="The paper does not say where its runs start, nor how far its scanner sees. Here every episode has a start "
+    "of its own, drawn at random, so that standard deviations are those between starts as well.",
+)
+PAPERS = {"holz2010": HOLZ2010}

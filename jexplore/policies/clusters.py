@@ -1,0 +1,138 @@
+"""What strategies that choose among frontier clusters share: the clusters, what a look from each would tell, and how
+far they lie apart.
+"""
+
+import dataclasses
+import math
+
+import jax.numpy as jnp
+from flax import struct
+from jax import Array
+
+from jexplore import bits
+from jexplore.control import repeat
+from jexplore.frontier import frontier_clusters
+from jexplore.gain import look, prospect
+from jexplore.grid import empty_grid
+from jexplore.navigate import choose
+from jexplore.raycast import all_round
+from jexplore.reach import FAR, STRAIGHT, reach_packed
+
+CLUSTERS = 64  # most clusters that are told apart
+COARSEST = 4  # cells a side, of the blocks that paths between clusters are measured in
+
+
+@struct.dataclass
+class Targets:
+    """A frontier cell for each cluster, the one with the shortest path. M slots, in the order of lowest flat index."""
+
+    row: Array  # [M] int32; -1 in an unused slot
+    col: Array  # [M] int32
+    used: Array  # [M] bool
+    path_m: Array  # [M] float32, from the robot; inf in an unused slot
+    overflow: Array  # int32, clusters and frontier cells that did not fit
+
+
+def targets(belief, known):
+    """`Targets` of a belief and its `Field`."""
+    found = frontier_clusters(known.candidates, known.cost, max_clusters=CLUSTERS)
+    used = found.row >= 0
+    cost = known.cost[jnp.maximum(found.row, 0), jnp.maximum(found.col, 0)]
+    path_m = jnp.where(used, cost.astype(jnp.float32) * (belief.cell_m / STRAIGHT), jnp.inf)
+    return Targets(found.row, found.col, used, path_m, found.overflow + found.left_out)
+
+
+def seen_from(belief, at, beams):
+    """What looks all round from every target would tell.
+
+    Args:
+      belief: `Belief`.
+      at: `Targets`.
+      beams: `Beams`.
+
+    Returns:
+      `unknown`: `[M]` int32, unknown cells that would be seen; 0 in an unused slot.
+      `known`: `[M]` int32, known cells likewise.
+    """
+    ahead, beams = prospect(belief.grid, belief.extent, belief.p_free), all_round(beams)
+    n = jnp.sum(at.used, dtype=jnp.int32)  # used slots come first
+
+    def evaluate(state):
+        i, seen, scratch = state
+        i_ = jnp.minimum(i, at.row.shape[0] - 1)
+        where = jnp.maximum(at.row[i_], 0), jnp.maximum(at.col[i_], 0)
+        told, scratch = look(ahead, *where, beams, scratch, method=belief.scan)
+        new = jnp.stack([told.unknown, told.known])
+        on = i < n
+        return i + on, seen.at[:, jnp.where(on, i, seen.shape[1])].set(new, mode="drop"), scratch
+
+    state = jnp.int32(0), jnp.zeros((2, *at.row.shape), jnp.int32), empty_grid(belief.driven.shape)
+    seen = repeat(lambda state: state[0] < n, evaluate, state)[1]
+    return seen[0], seen[1]
+
+
+def blocks_of(clearance_d2):
+    """Side of the largest blocks, cells, of which one that holds a traversable cell may count as traversable without a
+    way through a wall: what is not clear round a wall is at least 2 r + 1 cells thick. Static.
+    """
+    return min(COARSEST, math.isqrt(clearance_d2) + 1)
+
+
+def apart(belief, known, at):
+    """Path lengths between all targets, on a map of blocks of up to 4 x 4 cells.
+
+    Args:
+      belief: `Belief`.
+      known: its `Field`.
+      at: `Targets`.
+
+    Returns:
+      `[M, M]` float32, metres, symmetric, 0 on the diagonal; inf where a slot is unused or no path leads.
+    """
+    side = blocks_of(belief.clearance_d2)
+    height, width = known.traversable.shape
+    pad = ((0, -height % side), (0, -width % side))
+    blocks = jnp.pad(known.traversable, pad).reshape(-(-height // side), side, -(-width // side), side).any(axis=(1, 3))
+    words = bits.pack(blocks)
+    row, col = jnp.maximum(at.row, 0) // side, jnp.maximum(at.col, 0) // side
+    n = jnp.sum(at.used, dtype=jnp.int32)
+
+    def spread(state):
+        i, table = state
+        i_ = jnp.minimum(i, row.shape[0] - 1)
+        cost = reach_packed(words, row[i_], col[i_], method=belief.reach)[row, col]
+        on = i < n
+        return i + on, table.at[jnp.where(on, i, table.shape[0])].set(cost, mode="drop")
+
+    table = jnp.full((row.shape[0], row.shape[0]), FAR, jnp.int32)
+    _, table = repeat(lambda state: state[0] < n, spread, (jnp.int32(0), table))
+    table = jnp.where(at.used[None] & at.used[:, None], table, FAR)
+    return jnp.where(table < FAR, table.astype(jnp.float32) * (side * belief.cell_m / STRAIGHT), jnp.inf)
+
+
+def go_to(belief, route, known, at, which):
+    """Makes a target the choice: `(choice, route)`. `which`: int32 slot; -1 for none."""
+    none = which < 0
+    slot = jnp.maximum(which, 0)
+    choice, route = choose(belief, route, known, jnp.where(none, -1, at.row[slot]), jnp.where(none, -1, at.col[slot]))
+    return dataclasses.replace(choice, overflow=at.overflow), route
+
+
+def best_of(at, worth, usable):
+    """The slot of the greatest worth among some; among none of them the one with the shortest path; -1 without targets.
+
+    Args:
+      at: `Targets`.
+      worth: `[M]` float32.
+      usable: `[M]` bool.
+    """
+    usable = usable & at.used
+    chosen = jnp.argmax(jnp.where(usable, worth, -jnp.inf))
+    nearest = jnp.argmin(at.path_m)
+    which = jnp.where(jnp.any(usable), chosen, nearest).astype(jnp.int32)
+    return jnp.where(jnp.any(at.used), which, -1)
+
+
+def init(params, belief):
+    """The `init` of these strategies. Carry: `()`."""
+    return ()

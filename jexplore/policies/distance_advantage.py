@@ -1,0 +1,51 @@
+"""Distance advantage: go to the frontier cluster that is near to the robot and far from the other clusters.
+
+Ericson, Pedro, Jensfelt, "Information Gain Is Not All You Need", 2025, arXiv 2504.01980. Gain only decides which
+clusters are considered at all: what is left behind alone costs a detour later.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+
+from jexplore.config import require_number, require_whole
+from jexplore.navigate import field
+from jexplore.policies.clusters import apart, best_of, go_to, init, seen_from, targets
+from jexplore.policies.record import Policy
+
+
+class Params(NamedTuple):
+    """Parameters."""
+
+    weight: float  # of the mean distance from the other clusters, beside the robot's own path
+    min_gain: int  # unknown cells that a look must show for a cluster to be considered
+
+
+def advantage(path_m, apart_m, used, weight):
+    """Mean distance from the other targets, weighted, less the robot's path: `[M]` float32, metres.
+
+    Args:
+      path_m: `[M]` float32.
+      apart_m: `[M, M]` float32; inf where no path leads: such pairs do not count.
+      used: `[M]` bool, targets that count.
+      weight: scalar.
+    """
+    other = used[:, None] & used[None] & jnp.isfinite(apart_m) & ~jnp.eye(len(used), dtype=bool)
+    n = jnp.sum(other, axis=1)
+    remote = jnp.sum(jnp.where(other, apart_m, 0.0), axis=1) / jnp.maximum(n, 1)
+    return weight * remote - path_m
+
+
+def _select(key, params, carry, belief, beams, route):
+    known = field(belief)
+    at = targets(belief, known)
+    unknown, _ = seen_from(belief, at, beams)
+    usable = at.used & (unknown >= params.min_gain)
+    worth = advantage(at.path_m, apart(belief, known, at), usable, params.weight)
+    return carry, *go_to(belief, route, known, at, best_of(at, worth, usable))
+
+
+def distance_advantage(weight=1.0, min_gain=1):
+    """The policy. Carry: `()`. Parameters: `Params`."""
+    params = Params(require_number("weight", weight, high=100), require_whole("min_gain", min_gain, low=0, high=2**20))
+    return Policy(init, _select, params)

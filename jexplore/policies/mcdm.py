@@ -1,0 +1,81 @@
+"""Multi-criteria decision making: several criteria put together by a Choquet integral.
+
+Basilico and Amigoni, "Exploration strategies based on multi-criteria decision making for searching environments in
+rescue operations", Autonomous Robots 31(4), 2011. The criteria are unknown area in sight (A), path length (d) and, in
+place of the probability of transmission, known area in sight (O), by which a robot localises itself, as in their
+earlier exploration strategies. The default weights are the paper's, with O in place of P.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+
+from jexplore.config import InputError, require_number
+from jexplore.navigate import field
+from jexplore.policies.clusters import best_of, go_to, init, seen_from, targets
+from jexplore.policies.record import Policy
+
+
+class Params(NamedTuple):
+    """The fuzzy measure: the weight of every set of criteria but the empty one (0) and the whole one (1)."""
+
+    a: float
+    d: float
+    o: float
+    ad: float
+    ao: float
+    do: float
+
+
+def relative(value, used):
+    """Values between those of the worst and of the best used slot, as 0 to 1; 1 where all are equal. `[M]` float32."""
+    low = jnp.min(jnp.where(used, value, jnp.inf))
+    span = jnp.max(jnp.where(used, value, -jnp.inf)) - low
+    return jnp.where(used, jnp.where(span > 0, (value - low) / jnp.where(span > 0, span, 1.0), 1.0), 0.0)
+
+
+def choquet(utilities, measure):
+    """Choquet integral of each column.
+
+    Args:
+      utilities: `[n, M]` float32, of n criteria.
+      measure: `[2**n]` float32, weight of every set of criteria; bit i stands for criterion i.
+
+    Returns:
+      `[M]` float32.
+    """
+    order = jnp.argsort(utilities, axis=0)
+    sorted_ = jnp.take_along_axis(utilities, order, axis=0)
+    steps = jnp.diff(sorted_, axis=0, prepend=0.0)
+    # The set of criteria that are at least as well fulfilled as each.
+    sets = jnp.cumsum((1 << order)[::-1], axis=0)[::-1]
+    return jnp.sum(steps * measure[sets], axis=0)
+
+
+def _select(key, params, carry, belief, beams, route):
+    known = field(belief)
+    at = targets(belief, known)
+    unknown, seen_known = seen_from(belief, at, beams)
+    criteria = unknown.astype(jnp.float32), -jnp.where(at.used, at.path_m, 0.0), seen_known.astype(jnp.float32)
+    utilities = jnp.stack([relative(value, at.used) for value in criteria])
+    measure = jnp.stack([jnp.float32(0), params.a, params.d, params.ad, params.o, params.ao, params.do, jnp.float32(1)])
+    worth = choquet(utilities, measure)
+    return carry, *go_to(belief, route, known, at, best_of(at, worth, at.used))
+
+
+def mcdm(a=0.5, d=0.3, o=0.2, ad=0.95, ao=0.7, do=0.4):
+    """The policy. Carry: `()`. Parameters: `Params`.
+
+    Raises:
+      InputError: a weight outside 0 to 1, or larger than that of a larger set.
+    """
+    params = Params(
+        *(require_number(name, value, high=1) for name, value in zip(Params._fields, (a, d, o, ad, ao, do)))
+    )
+    for pair in ("ad", "ao", "do"):
+        for one in pair:
+            if getattr(params, one) > getattr(params, pair):
+                raise InputError(
+                    f"{pair} must be at least {one}, got {getattr(params, pair)} and {getattr(params, one)}"
+                )
+    return Policy(init, _select, params)

@@ -1,0 +1,116 @@
+"""Tour: the first stop of a short route from the robot through all frontier clusters, planned anew every time.
+
+Frontier clusters as cities of a travelling salesman, without return: Osswald, Bennewitz, Burgard, Stachniss,
+"Speeding-Up Robot Exploration by Exploiting Background Information", RA-L 1(2), 2016, there with a
+floor plan; built by nearest insertion (Rosenkrantz, Stearns, Lewis 1977) and improved by 2-opt (Croes 1958).
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jax import lax
+
+from jexplore.config import require_whole
+from jexplore.control import repeat
+from jexplore.navigate import field
+from jexplore.policies.clusters import CLUSTERS, apart, go_to, init, seen_from, targets
+from jexplore.policies.record import Policy
+
+FAR_M = 1e6  # stands for "no path", so that sums stay finite
+
+
+class Params(NamedTuple):
+    """Parameters."""
+
+    min_gain: int  # unknown cells that a look must show for a cluster to be a stop
+
+
+def inserted(length, n):
+    """An open route from node 0 by nearest insertion.
+
+    Args:
+      length: `[N, N]` float32, symmetric, between all nodes; nodes 1 to n are to be visited.
+      n: int32, at most N - 1.
+
+    Returns:
+      `[N]` int32, nodes in the order of the route, the first n + 1 of which count.
+    """
+    size = length.shape[0]
+    nodes = lax.iota(jnp.int32, size)
+
+    def insert(state):
+        count, route, outside, near = state
+        # The node nearest to the route goes where it makes it the least longer: between two stops or at the end.
+        node = jnp.argmin(jnp.where(outside, near, jnp.inf)).astype(jnp.int32)
+        after = jnp.roll(route, -1)
+        detour = length[route, node] + length[node, after] - length[route, after]
+        detour = jnp.where(nodes == count - 1, length[route, node], detour)
+        at = jnp.argmin(jnp.where(nodes < count, detour, jnp.inf)).astype(jnp.int32) + 1
+        new = jnp.where(nodes < at, route, jnp.where(nodes == at, node, jnp.roll(route, 1)))
+        on = count <= n
+        return (
+            count + on, jnp.where(on, new, route), outside & ~(on & (nodes == node)), jnp.minimum(near, length[node]),
+        )  # fmt: skip
+
+    outside = (nodes > 0) & (nodes <= n)
+    state = jnp.int32(1), jnp.zeros(size, jnp.int32), outside, length[0]
+    return repeat(lambda state: state[0] <= n, insert, state)[1]
+
+
+def improved(length, route, n):
+    """The route after turning round stretches of it for as long as that makes it shorter, the best turn first.
+
+    Args:
+      length, n: as for `inserted`.
+      route: `[N]` int32.
+
+    Returns:
+      `[N]` int32. Node 0 stays first.
+    """
+    size = length.shape[0]
+    nodes = lax.iota(jnp.int32, size)
+
+    def best_turn(route):
+        # Turning stops i..j round replaces the ways into i and out of j; behind the last stop there is none.
+        before, after = jnp.roll(route, 1), jnp.roll(route, -1)
+        enter, leave = length[before, route], jnp.where(nodes < n, length[route, after], 0.0)
+        swapped = length[before[:, None], route[None]] + jnp.where(
+            nodes[None] < n, length[route[:, None], after[None]], 0.0
+        )
+        gain = enter[:, None] + leave[None] - swapped
+        valid = (nodes[:, None] >= 1) & (nodes[None] > nodes[:, None]) & (nodes[None] <= n)
+        gain = jnp.where(valid, gain, -jnp.inf)
+        at = jnp.argmax(gain)
+        return gain.reshape(-1)[at], at // size, at % size
+
+    def turn(state):
+        i, route, saved, first, last = state
+        on = saved > 1e-3
+        place = jnp.where((nodes >= first) & (nodes <= last) & on, first + last - nodes, nodes)
+        route = route[place]
+        return i + on, route, *best_turn(route)
+
+    state = jnp.int32(0), route, *best_turn(route)
+    return repeat(lambda state: (state[2] > 1e-3) & (state[0] < size * size), turn, state)[1]
+
+
+def _select(key, params, carry, belief, beams, route):
+    known = field(belief)
+    at = targets(belief, known)
+    unknown, _ = seen_from(belief, at, beams)
+    usable = at.used & (unknown >= params.min_gain)
+    usable = jnp.where(jnp.any(usable), usable, at.used)
+    stops = jnp.argsort(~usable, stable=True)  # slots to be visited first, in their order
+    n = jnp.sum(usable, dtype=jnp.int32)
+    apart_m = jnp.minimum(apart(belief, known, at), FAR_M)[stops][:, stops]
+    path_m = jnp.minimum(at.path_m, FAR_M)[stops]
+    length = jnp.zeros((CLUSTERS + 1, CLUSTERS + 1), jnp.float32)
+    length = length.at[1:, 1:].set(apart_m).at[0, 1:].set(path_m).at[1:, 0].set(path_m)
+    order = improved(length, inserted(length, n), n)
+    which = jnp.where(n > 0, stops[jnp.maximum(order[1] - 1, 0)], -1).astype(jnp.int32)
+    return carry, *go_to(belief, route, known, at, which)
+
+
+def tour(min_gain=1):
+    """The policy. Carry: `()`. Parameters: `Params`."""
+    return Policy(init, _select, Params(require_whole("min_gain", min_gain, low=0, high=2**20)))

@@ -1,0 +1,34 @@
+"""Utility: go to the frontier cluster with the greatest gain less what the way there costs.
+
+Burgard, Moors, Stachniss, Schneider, "Coordinated Multi-Robot Exploration", IEEE T-RO 21(3), 2005: utility minus beta
+times cost. Changed: one robot, for which the utility is the area that a look would show, as in Stachniss and Burgard,
+"Exploring Unknown Environments with Mobile Robots using Coverage Maps", IJCAI 2003.
+"""
+
+from typing import NamedTuple
+
+from jexplore.config import require_number, require_whole
+from jexplore.navigate import field
+from jexplore.policies.clusters import best_of, go_to, init, seen_from, targets
+from jexplore.policies.record import Policy
+
+
+class Params(NamedTuple):
+    """Parameters."""
+
+    beta: float  # m^2 of unknown space that a metre of the way must bring
+    min_gain: int  # unknown cells that a look must show for a cluster to be considered
+
+
+def _select(key, params, carry, belief, beams, route):
+    known = field(belief)
+    at = targets(belief, known)
+    unknown, _ = seen_from(belief, at, beams)
+    worth = unknown * belief.cell_m**2 - params.beta * at.path_m
+    return carry, *go_to(belief, route, known, at, best_of(at, worth, unknown >= params.min_gain))
+
+
+def utility(beta=5.0, min_gain=1):
+    """The policy. Carry: `()`. Parameters: `Params`."""
+    params = Params(require_number("beta", beta, high=1e6), require_whole("min_gain", min_gain, low=0, high=2**20))
+    return Policy(init, _select, params)

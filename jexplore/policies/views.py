@@ -1,0 +1,152 @@
+"""What strategies that go to view points share: samples near frontiers, and the best of them by gain and path."""
+
+import dataclasses
+import math
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+
+from jexplore import bits
+from jexplore.config import require_number, require_whole
+from jexplore.control import repeat
+from jexplore.gain import look, most, prospect, unknown_seen
+from jexplore.grid import empty_grid, lowest
+from jexplore.navigate import choose, field, first_at
+from jexplore.raycast import all_round
+from jexplore.reach import FAR, STRAIGHT
+
+SAMPLES = 1024  # most samples a plan
+
+
+class Views(NamedTuple):
+    """Parameters of a strategy that goes to view points."""
+
+    weight: float  # of the path length, in the strategy's own unit
+    samples: int  # view points that are drawn for a plan, at most `SAMPLES`
+    spread_m: float  # how far they may lie from a frontier cell
+    min_gain: int  # unknown cells that a view point must show to be worth going to
+
+
+def views(weight, samples, spread_m, min_gain):
+    """`Views`, checked. `weight` is `(name, value)`.
+
+    Raises:
+      InputError: a number out of its range.
+    """
+    return Views(
+        require_number(*weight, high=1e6),
+        require_whole("samples", samples, low=1, high=SAMPLES),
+        require_number("spread_m", spread_m, high=100),
+        require_whole("min_gain", min_gain, low=1, high=2**20),
+    )
+
+
+def metres(cost, cell_m):
+    """A path's cost (see reach.py) as a length, metres: float32."""
+    return cost.astype(jnp.float32) * (cell_m / STRAIGHT)
+
+
+def drawn(key, belief, known, params):
+    """View points near frontiers: a frontier cell each, drawn uniformly, and a cell in a disc round it.
+
+    Draw i depends on the key and i only, neither on how many there are nor on the map's padding. Where the disc's cell
+    cannot be reached, the frontier cell itself is the view point.
+
+    Args:
+      key: consumed.
+      belief: `Belief`.
+      known: its `Field`.
+      params: `Views`.
+
+    Returns:
+      `row`, `col`: `[SAMPLES]` int32, the first `params.samples` of which count; H and 0 where there is no frontier.
+
+    Source:
+      Gonzalez-Banos and Latombe 2002. Changed: uniform over frontier cells, and reachable, not merely visible.
+    """
+    height, width = known.cost.shape
+    key_which, key_where = jax.random.split(key)
+    n = jnp.sum(known.candidates, dtype=jnp.int32)
+    which = jax.random.randint(key_which, (SAMPLES,), 0, jnp.maximum(n, 1))
+    cell = jnp.minimum(bits.nth_cells(bits.pack(known.candidates), which), height * width)
+    row, col = cell // width, cell % width
+    share, turn = jax.random.uniform(key_where, (2, SAMPLES))
+    distance = jnp.sqrt(share) * params.spread_m / belief.cell_m
+    near_row = row + jnp.round(distance * jnp.sin(2 * math.pi * turn)).astype(jnp.int32)
+    near_col = col + jnp.round(distance * jnp.cos(2 * math.pi * turn)).astype(jnp.int32)
+    at = jnp.clip(near_row, 0, height - 1), jnp.clip(near_col, 0, width - 1)
+    good = (near_row == at[0]) & (near_col == at[1]) & (known.cost[at] < FAR) & ~belief.exhausted[at] & (n > 0)
+    return jnp.where(good, near_row, row), jnp.where(good, near_col, col)
+
+
+def best_view(utility, key, params, belief, known, beams):
+    """The view point of the greatest utility.
+
+    Args:
+      utility: `(params, gain, path_m) -> float32`, growing with the gain, bits. Static.
+      key: consumed.
+      params: `Views`.
+      belief: `Belief`.
+      known: its `Field`.
+      beams: `Beams`.
+
+    Returns:
+      `(cell, overflow)`: flat index, -1 if no view point shows enough; cells whose entropy could not be counted.
+        Equal utilities go to the lowest index.
+    """
+    height, width = known.cost.shape
+    row, col = drawn(key, belief, known, params)
+    usable = (row < height) & (lax.iota(jnp.int32, SAMPLES) < params.samples)
+    row = jnp.minimum(row, height - 1)
+    ahead = prospect(belief.grid, belief.extent, belief.p_free)
+    beams = all_round(beams)
+    path_m = metres(known.cost[row, col], belief.cell_m)
+    # The most promising ones first, until the best that was found is better than what the next could be.
+    hope = jnp.where(usable, utility(params, most(ahead, row, col, beams), path_m), -jnp.inf)
+    order = jnp.argsort(-hope)
+    row, col, path_m, hope = row[order], col[order], path_m[order], hope[order]
+
+    def going(state):
+        i, best, _, _ = state
+        return (
+            (i < SAMPLES) & (hope[jnp.minimum(i, SAMPLES - 1)] >= best) & (hope[jnp.minimum(i, SAMPLES - 1)] > -jnp.inf)
+        )
+
+    def evaluate(state):
+        i, best, cell, scratch = state
+        on, i_ = going(state), jnp.minimum(i, SAMPLES - 1)
+        told, scratch = look(ahead, row[i_], col[i_], beams, scratch, method=belief.scan)
+        worth, here = utility(params, told.gain, path_m[i_]), row[i_] * width + col[i_]
+        better = on & (told.unknown >= params.min_gain) & ((worth > best) | ((worth == best) & (here < cell)))
+        return i + on, jnp.where(better, worth, best), jnp.where(better, here, cell), scratch
+
+    state = jnp.int32(0), jnp.float32(-jnp.inf), jnp.int32(height * width), empty_grid((height, width))
+    _, _, cell, _ = repeat(going, evaluate, state)
+    return jnp.where(cell < height * width, cell, -1), ahead.overflow
+
+
+def select(utility, key, params, carry, belief, beams, route):
+    """The `select` of a strategy with a utility: the best view point, or the nearest frontier if none shows enough."""
+    known = field(belief)
+    width = known.cost.shape[1]
+    cell, overflow = best_view(utility, key, params, belief, known, beams)
+    nearest = lowest(jnp.where(known.candidates, known.cost, FAR))
+    row, col = first_at(known.candidates & (known.cost == nearest))
+    is_view, none = cell >= 0, nearest >= FAR
+    row = jnp.where(none, -1, jnp.where(is_view, cell // width, row))
+    col = jnp.where(none, -1, jnp.where(is_view, cell % width, col))
+    choice, route = choose(belief, route, known, row, col)
+    return carry, dataclasses.replace(choice, is_view=is_view & ~none, overflow=overflow), route
+
+
+def live(params, belief, beams, row, col):
+    """The `live` of such a strategy: a look from the view point would still show enough."""
+    seen = unknown_seen(belief.grid, belief.extent, belief.p_free, row, col, all_round(beams), method=belief.scan)
+    return seen >= params.min_gain
+
+
+def init(params, belief):
+    """The `init` of such a strategy. Carry: `()`."""
+    return ()

@@ -1,0 +1,351 @@
+"""Rooms: free space cut at the narrow places of its Voronoi graph (Holz et al. 2010, section 2.4 and Figure 7)."""
+
+import functools
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+from jax import Array, lax
+
+from jexplore import bits, sparse
+from jexplore.control import repeat
+from jexplore.distance import nearest_offset, nearest_site
+from jexplore.grid import beside, bordered
+from jexplore.reach import nearest_source
+from jexplore.skeleton import Graph, voronoi_graph
+
+VARIANTS = {"thrun": 2**30, "wurm": 1, "holz": 2}
+"""Name -> how many nodes of the reduced Voronoi graph a critical point may lie away from a junction."""
+
+METRICS = ("geodesic", "euclidean")
+LINE = 256  # cells of a splitting line, at most
+
+
+@struct.dataclass
+class Criteria:
+    """What makes a critical point. Numbers that may be swept without compiling anew."""
+
+    max_hops: Array  # int32, nodes of the reduced graph up to a junction
+    prominence: Array  # float32, cells: how much the clearance must rise on both sides; 0: any local minimum
+    gamma: Array  # float32, cells: how far apart two obstacle cells must be to have a Voronoi edge between them
+    max_clearance: Array  # float32, cells: the widest critical point
+    longest_first: Array  # bool, whether groups with the longest shared border are merged first, or the shortest
+
+
+class Form(NamedTuple):
+    """What fixes shapes and code. Hashable."""
+
+    nodes: int  # cells of the Voronoi graph, at most
+    splits: int  # critical points, at most
+    metric: str = "geodesic"  # one of METRICS: what "closest segment" means
+    lines: bool = False  # split along the line between the two nearest obstacles (Thrun 1998)
+    reach: str = "sweeps"  # one of `reach.METHODS`
+
+
+@struct.dataclass
+class Segments:
+    """Free space in segments."""
+
+    label: Array  # [H, W] int32, segment of every free cell, 0 or more, not consecutive; -1 for none
+    graph: Graph  # the Voronoi graph, K slots
+    critical: Array  # [K] bool, slots of the graph that are critical points
+    group: Array  # [2 C] int32, segment that each side of each split has become part of
+    seed: Array  # [2 C] int32, flat index of the cell that each side of each split grew from; H * W for none
+    split_d2: Array  # [C] int32, squared clearance of each split's critical point, cells^2; 0 in an unused slot
+    count: Array  # int32, critical points
+    overflow: Array  # int32, cells of the graph and critical points that did not fit
+
+
+def form_for(shape, **changes):
+    """The `Form` that suits a map of a shape: one cell in 16 may lie on the Voronoi graph, one in 1024 be critical.
+
+    Args:
+      shape: `(H, W)`.
+      changes: fields of `Form` that are to differ.
+    """
+    nodes = max(256, 2 ** (shape[0] * shape[1] // 16 - 1).bit_length())
+    return Form(nodes, min(max(32, nodes // 64), 1024))._replace(**changes)
+
+
+def criteria(variant="holz", *, prominence=1.0, gamma=3.0, max_clearance=float("inf"), longest_first=True):
+    """`Criteria` of a variant. Lengths in cells."""
+    return Criteria(
+        max_hops=jnp.int32(VARIANTS[variant]),
+        prominence=jnp.float32(prominence),
+        gamma=jnp.float32(gamma),
+        max_clearance=jnp.float32(max_clearance),
+        longest_first=jnp.bool_(longest_first),
+    )
+
+
+class _Walks(NamedTuple):
+    """Walks along the graph's chains. State 2 k + j stands for: at node k, on the way to its j-th neighbour.
+
+    Level l of a table tells of the first 2**l nodes ahead. Only the first `levels` of them are filled in.
+    """
+
+    levels: Array  # int32
+    ahead: Array  # [L, 2 K + 1] int32, state after them; 2 K: past the end of the chain
+    top: Array  # [L, 2 K + 1] int32, largest key among them; -1 for none
+    bottom: Array  # [L, 2 K + 1] int32, smallest key; NO_KEY for none
+
+
+NO_KEY = 2**31 - 1
+
+
+def _chains(graph):
+    """The next node of every state, and the state that follows it: `([2 K + 1], [2 K + 1])` int32."""
+    size = graph.cell.shape[0]
+    nodes = lax.iota(jnp.int32, size)
+    order = jnp.where(graph.link < size, lax.broadcasted_iota(jnp.int32, graph.link.shape, 1), 8)
+    first = jnp.min(order, axis=1)
+    second = jnp.min(jnp.where(order > first[:, None], order, 8), axis=1)
+    pair = [jnp.where(at < 8, graph.link[nodes, jnp.minimum(at, 7)], size) for at in (first, second)]
+    pair = [jnp.where(graph.degree <= 2, next_, size) for next_ in pair]
+    head = jnp.append(jnp.stack(pair, axis=1).reshape(-1), size)
+    # From a node of degree 2 on to its other neighbour; every other node ends the chain.
+    passes = (graph.degree == 2)[jnp.minimum(head, size - 1)] & (head < size)
+    came_from = jnp.append(jnp.repeat(nodes, 2), size)
+    back = head[jnp.minimum(2 * head, 2 * size)] == came_from
+    return head, jnp.where(passes, 2 * head + back, 2 * size)
+
+
+def _doubled(head, after, keys):
+    """`_Walks` of a graph's chains: as many levels as the longest chain needs."""
+    size = keys.shape[0]
+    at = jnp.minimum(head, size - 1)
+    tables = after, jnp.where(head < size, keys[at], -1), jnp.where(head < size, keys[at], NO_KEY)
+    tables = tuple(jnp.zeros(((2 * size).bit_length(), *a.shape), jnp.int32).at[0].set(a) for a in tables)
+
+    def going(state):
+        n, (ahead, _, _) = state
+        return (n < ahead.shape[0]) & jnp.any(ahead[n - 1] < 2 * size)
+
+    def level(state):
+        n, tables = state
+        ahead, top, bottom = (a[n - 1] for a in tables)
+        new = ahead[ahead], jnp.maximum(top, top[ahead]), jnp.minimum(bottom, bottom[ahead])
+        return n + going(state), tuple(lax.dynamic_update_slice(a, b[None], (n, 0)) for a, b in zip(tables, new))
+
+    return _Walks(*(lambda n, tables: (n, *tables))(*repeat(going, level, (jnp.int32(1), tables))))
+
+
+def _barrier(walks, keys, upwards):
+    """For every state the largest key that is met before one smaller than the node's own, or before the chain ends.
+
+    `[2 K]` int32; -1 where the very next key is smaller or there is none. With `upwards` False the other way round:
+    the smallest before a larger one, NO_KEY where the next is larger.
+    """
+    own = jnp.repeat(keys, 2)
+
+    def descend(i, state):
+        at, best = state
+        ahead, top, bottom = (a[walks.levels - 1 - i] for a in walks[1:])
+        if upwards:
+            on = bottom[at] > own
+            best = jnp.where(on, jnp.maximum(best, top[at]), best)
+        else:
+            on = top[at] < own
+            best = jnp.where(on, jnp.minimum(best, bottom[at]), best)
+        return jnp.where(on, ahead[at], at), best
+
+    start = lax.iota(jnp.int32, own.shape[0]), jnp.full(own.shape, -1 if upwards else NO_KEY, jnp.int32)
+    return lax.fori_loop(0, walks.levels, descend, start)[1]
+
+
+def critical_points(graph, criteria):
+    """Nodes at which free space is narrow.
+
+    A node of degree 2 whose clearance is a local minimum along its chain: on either side the clearance rises by the
+    prominence before it falls below the node's, or the chain ends. On the way to a junction there are fewer than
+    `max_hops` other minima and maxima.
+
+    Args:
+      graph: `Graph`.
+      criteria: `Criteria`.
+
+    Returns:
+      `[K]` bool.
+
+    Source:
+      Holz et al. 2010, Figure 7, step 2, following the text of section 2.4; Thrun 1998 and Wurm et al. 2008 as
+        variants.
+    """
+    size = graph.cell.shape[0]
+    index_bits = (size - 1).bit_length()
+    # One number that orders nodes by clearance, then by index.
+    keys = jnp.minimum(graph.d2, 2 ** (31 - index_bits) - 2) * 2**index_bits + lax.iota(jnp.int32, size)
+    head, after = _chains(graph)
+    walks = _doubled(head, after, keys)
+
+    def clearance(key):
+        return jnp.sqrt((key >> index_bits).astype(jnp.float32))
+
+    own, prominence = clearance(jnp.repeat(keys, 2)), criteria.prominence
+    highest, lowest = _barrier(walks, keys, True), _barrier(walks, keys, False)
+    rises = (highest >= 0) & (clearance(highest) - own >= prominence)
+    falls = (lowest < NO_KEY) & (own - clearance(lowest) >= prominence)
+    passing = graph.degree == 2
+    minimum = passing & jnp.all(rises.reshape(size, 2), axis=1)
+    extreme = minimum | (passing & jnp.all(falls.reshape(size, 2), axis=1))
+
+    def hop(i, state):
+        ahead, hops, last = state
+        # What the walk so far says and what it says from where it has come to.
+        return ahead[ahead], hops + hops[ahead], jnp.where(ahead < 2 * size, last[ahead], last)
+
+    at = jnp.minimum(head, size - 1)
+    hops = jnp.where((head < size) & extreme[at], 1, 0)
+    state = after, hops, head
+    _, hops, last = lax.fori_loop(0, walks.levels, hop, state)
+    ends_at = jnp.where(after < 2 * size, last, head)[: 2 * size]
+    at_junction = (ends_at < size) & (graph.degree[jnp.minimum(ends_at, size - 1)] >= 3)
+    near = at_junction & (hops[: 2 * size] < criteria.max_hops)
+    near = jnp.any(near.reshape(size, 2), axis=1) | (criteria.max_hops >= VARIANTS["thrun"])
+    return minimum & near & (graph.d2 <= criteria.max_clearance**2)
+
+
+def borders(label, n):
+    """How many pairs of cells side by side belong to each pair of labels: `[n, n]` int32, at (lower, higher)."""
+    b = bordered(label, -1)
+    total = jnp.zeros((n * n,), jnp.int32)
+    for drow, dcol in ((0, 1), (1, 0)):
+        other = beside(b, drow, dcol)
+        low, high = jnp.minimum(label, other), jnp.maximum(label, other)
+        pair = jnp.where((low >= 0) & (low < high), low * n + high, n * n)
+        total = total.at[pair.reshape(-1)].add(1, mode="drop")
+    return total.reshape(n, n)
+
+
+def merged(shared, longest_first, keep_apart=True):
+    """Joins segments that touch and do not come from the same split, the longest shared border first.
+
+    Segments 2 k and 2 k + 1 come from split k: no two groups that hold opposite sides of one split are joined.
+
+    Args:
+      shared: `[2 C, 2 C]` int32, from `borders`.
+      longest_first: bool; False: the shortest first.
+      keep_apart: whether splits matter. Static.
+
+    Returns:
+      `[2 C]` int32, the lowest segment of the group that each segment is part of.
+
+    Source:
+      Holz et al. 2010, Figure 7, steps 5 and 6. Changed: an order, because the result depends on it; ties go to the
+        lowest labels.
+    """
+    n = shared.shape[0]
+    edges = min(n * n, 4 * n)  # a planar graph has fewer than three times as many edges as nodes
+    at = bits.first_cells(bits.pack(shared > 0), edges)
+    length = shared.reshape(-1).at[at].get(mode="fill", fill_value=0)
+    order = jnp.argsort(jnp.where(at < n * n, jnp.where(longest_first, -length, length), NO_KEY))
+    low, high = at[order] // n, at[order] % n
+    used = jnp.sum(length > 0)
+
+    def join(state):
+        i, group = state
+        a, b = group[low[i]], group[high[i]]
+        side = group[0::2], group[1::2]
+        opposite = jnp.any(((side[0] == a) & (side[1] == b)) | ((side[0] == b) & (side[1] == a))) & keep_apart
+        joined = jnp.where(group == jnp.maximum(a, b), jnp.minimum(a, b), group)
+        return i + 1, jnp.where(opposite | (i >= used), group, joined)
+
+    return repeat(lambda state: state[0] < used, join, (jnp.int32(0), lax.iota(jnp.int32, n)))[1]
+
+
+def _line_cells(obstacle, cell):
+    """Cells of the lines from critical points to their two nearest obstacles, at either side.
+
+    Args:
+      obstacle: `[H, W]` bool.
+      cell: `[C]` int32, flat index; H * W for none.
+    """
+    height, width = obstacle.shape
+    _, drow, dcol = nearest_offset(obstacle)
+    row, col = cell // width, cell % width
+    around = [(0, 0), (0, 1), (1, 0), (0, -1), (-1, 0), (1, 1), (1, -1), (-1, -1), (-1, 1)]
+    sites = []
+    for dr, dc in around:
+        r, c = jnp.clip(row + dr, 0, height - 1), jnp.clip(col + dc, 0, width - 1)
+        sites.append((r + drow[r, c], c + dcol[r, c]))
+    one = sites[0]
+    apart = jnp.stack([(r - one[0]) ** 2 + (c - one[1]) ** 2 for r, c in sites])
+    which = jnp.argmax(apart, axis=0)
+    other = [jnp.stack([s[axis] for s in sites])[which, lax.iota(jnp.int32, cell.shape[0])] for axis in (0, 1)]
+    mask = jnp.zeros((height * width,), bool)
+    share = (jnp.arange(LINE, dtype=jnp.float32) / (LINE - 1))[None]
+    for to_row, to_col in (one, other):
+        r = jnp.round(row[:, None] + share * (to_row - row)[:, None]).astype(jnp.int32)
+        c = jnp.round(col[:, None] + share * (to_col - col)[:, None]).astype(jnp.int32)
+        at = jnp.where((cell < height * width)[:, None], r * width + c, height * width)
+        mask = mask.at[at].set(True, mode="drop")
+    return mask.reshape(height, width)
+
+
+def _padded(array, fill):
+    return jnp.pad(array, ((0, -array.shape[0] % bits.WORD), (0, 0)), constant_values=fill)
+
+
+@functools.partial(jax.jit, static_argnames=("form",))
+def segment(free, criteria, *, form):
+    """Divides free space into segments, roughly rooms.
+
+    Args:
+      free: `[H, W]` bool, cells known to be free; all others count as obstacles, and so does what lies outside.
+      criteria: `Criteria`.
+      form: `Form`. Static.
+
+    Returns:
+      `Segments`. Free cells that no seed reaches have the label -1; without any critical point all have.
+
+    Raises:
+      ValueError: while tracing, if `free` is not a bool matrix or the metric is not known.
+
+    Source:
+      Holz et al. 2010, Figure 7. Changed: closest along paths, so that segments do not leak through walls
+        (`metric="euclidean"` is the literal form); the order of merging is fixed; see `skeleton.voronoi_graph`.
+    """
+    if free.ndim != 2 or free.dtype != bool:
+        raise ValueError(f"expected free: [H, W] bool, got {free.shape} {free.dtype}")
+    if form.metric not in METRICS:
+        raise ValueError(f"expected metric: one of {', '.join(METRICS)}, got {form.metric!r}")
+    height, width = free.shape
+    none, n = height * width, 2 * form.splits
+    graph = voronoi_graph(~free, criteria.gamma**2, size=form.nodes)
+    critical = critical_points(graph, criteria)
+    node = jnp.nonzero(critical, size=form.splits, fill_value=form.nodes)[0]
+    head = _chains(graph)[0]
+    sides = jnp.stack([head[jnp.minimum(2 * node + j, 2 * form.nodes)] for j in (0, 1)], axis=1).reshape(-1)
+    sides = jnp.where(jnp.repeat(node, 2) < form.nodes, sides, form.nodes)
+    seed = sparse.at(graph.cell, sides, none)
+    at_seed = jnp.full((none,), n, jnp.int32).at[seed].min(lax.iota(jnp.int32, n), mode="drop").reshape(height, width)
+
+    passable = free
+    if form.lines:
+        passable = free & (~_line_cells(~free, sparse.at(graph.cell, node, none)) | (at_seed < n))
+    if form.metric == "geodesic":
+        sources = jnp.where((at_seed < n) & free, at_seed, -1)
+        label = nearest_source(bits.pack(passable), _padded(sources, -1), n, method=form.reach)[:height]
+    else:
+        site = nearest_site(at_seed < n)[1]
+        label = jnp.where(passable & (site >= 0), at_seed.reshape(-1)[jnp.maximum(site, 0)], -1)
+    group = merged(borders(label, n), criteria.longest_first, keep_apart=not form.lines)
+    label = jnp.where(label >= 0, group[jnp.maximum(label, 0)], -1)
+    if form.lines:
+        # The lines themselves go to the segments beside them.
+        for _ in range(2):
+            b = bordered(label, -1)
+            around = [beside(b, *step) for step in sparse.NEIGHBOURS[:4]]
+            label = jnp.where((label < 0) & free, functools.reduce(jnp.maximum, around), label)
+    count = jnp.sum(critical, dtype=jnp.int32)
+    return Segments(
+        label=label,
+        graph=graph,
+        critical=critical,
+        group=group,
+        seed=seed,
+        split_d2=sparse.at(graph.d2, node, 0),
+        count=count,
+        overflow=graph.overflow + jnp.maximum(count - form.splits, 0),
+    )

@@ -1,0 +1,369 @@
+"""Papers reproduced: their figures, their claims on tables by hand, small real runs, what is refused."""
+
+import json
+import math
+import shutil
+
+import numpy as np
+import pandas as pd
+import pytest
+from PIL import Image
+from test_plot import check_texts
+
+import jexplore
+from jexplore import batch, cli, options, papers, plot, stats
+from jexplore.comparison import COLUMNS, Comparison
+from jexplore.config import InputError, Lidar
+from jexplore.policies import MODIFIERS, STRATEGIES, parse_strategy
+from jexplore.reproduction import Reproduction, prepare, reproduce, verdict, world_names
+
+LIDAR, CLI_LIDAR = Lidar(n_beams=37, range_m=2.0), ("--lidar.n-beams", "37", "--lidar.range-m", "2")
+HERE = ("random", "closest", "closest+recheck")
+PAPER = papers.HOLZ2010
+TEXT = """
+Cave Random Frontier 102.84 ± 34.50
+Cave Closest Frontier 73.71 ± 1.00
+Cave Closest Frontier + RR 70.45 ± 0.97
+Cave Closest Frontier + RR + Seg. 72.89 ± 5.77
+Cave Decision Theoretic (n=100) 100.01 ± 17.64
+Cave Decision Theoretic (n=500) 98.27 ± 11.76
+AVZ Random Frontier 601.51 ± 141.93
+AVZ Closest Frontier 382.07 ± 3.99
+AVZ Closest Frontier + RR 361.88 ± 3.01
+AVZ Closest Frontier + RR + Seg. 359.77 ± 12.91
+AVZ Decision Theoretic (n=500) 447.68 ± 32.78
+Hospital Random Frontier 669.17 ± 186.41
+Hospital Closest Frontier 281.07 ± 3.82
+Hospital Closest Frontier + RR 253.09 ± 3.12
+Hospital Closest Frontier + RR + Seg. 221.37 ± 19.97
+Hospital Decision Theoretic (n=500) 312.68 ± 38.11
+"""
+"""Tables 1 to 3, as printed."""
+NAMES = {
+    "Random Frontier": "random",
+    "Closest Frontier": "closest",
+    "Closest Frontier + RR": "closest+recheck",
+    "Closest Frontier + RR + Seg.": "closest+recheck+segment",
+    "Decision Theoretic (n=100)": "decision-theoretic:samples=100",
+    "Decision Theoretic (n=500)": "decision-theoretic:samples=500",
+}
+
+
+def tiny(*worlds):
+    """The paper with two environments, in these worlds, and with the strategies `HERE`."""
+    environments = {
+        name: PAPER.environments[name]._replace(
+            counterpart=world, paths={key: PAPER.environments[name].paths[key] for key in HERE}
+        )
+        for name, world in zip(("Cave", "AVZ"), worlds)
+    }
+    claims = [claim for claim in PAPER.claims if claim.environment in environments and {claim.a, claim.b} <= {*HERE}]
+    return PAPER._replace(environments=environments, claims=tuple(claims))
+
+
+def made(means, *, paper=PAPER, n=12, spread=0.0, outcomes=()):
+    """A reproduction of made-up episodes: `means` {environment: {strategy: path length}}, with noise of `spread`."""
+    worlds, rng, tables = world_names(paper), np.random.default_rng(0), []
+    for environment, paths in means.items():
+        ordered = sorted(paths, key=lambda name: name != "closest")
+        for strategy in ordered:
+            table = pd.DataFrame(0, index=range(n), columns=list(COLUMNS))
+            path_m = paths[strategy] * rng.uniform(1 - spread, 1 + spread, n)
+            outcome = ["COMPLETE"] * (n - len(outcomes)) + list(outcomes)
+            found = {"world": worlds[environment], "strategy": strategy, "episode": range(n), "path_m": path_m}
+            tables.append(table.assign(**found, outcome=outcome, explored_fraction=1.0))
+    comparison = Comparison(pd.concat(tables, ignore_index=True), (), {}, 1.0, 1.0)
+    return Reproduction(paper, comparison, worlds, ("a note",))
+
+
+def as_published():
+    return {name: {key: path[0] for key, path in found.paths.items()} for name, found in PAPER.environments.items()}
+
+
+def test_the_figures_are_those_of_the_paper():
+    lines = [line.partition(" ") for line in TEXT.strip().splitlines()]
+    said = [(place, *rest.rsplit(" ", 3)) for place, _, rest in lines]
+    printed = [(place, NAMES[name], float(mean), float(sd)) for place, name, mean, _, sd in said]
+    paths = {name: environment.paths for name, environment in PAPER.environments.items()}
+    assert [(place, name, *path) for place in paths for name, path in paths[place].items()] == printed
+    assert list(PAPER.short) == list(NAMES.values())
+    assert list(PAPER.short.values()) == ["RF", "CF", "CF+RR", "CF+RR+Seg.", "DT n=100", "DT n=500"]
+
+
+def test_every_strategy_parses():
+    if "decision-theoretic" not in STRATEGIES or "segment" not in MODIFIERS:
+        pytest.skip("decision-theoretic and +segment are not there yet")
+    assert [parse_strategy(name).name for name in PAPER.short] == list(PAPER.short)
+
+
+def test_the_claims_hold_in_the_papers_own_figures():
+    found = made(as_published()).orderings
+    assert set(found["verdict"]) == {"holds"}
+    np.testing.assert_allclose(found["ratio"], found["paper_ratio"])
+    assert len(found) == 3 * 5 + 4
+    segment = found[found["claim"].str.startswith("closest+recheck+segment")].set_index(["environment", "claim"])
+    plain = "closest+recheck+segment {} than closest+recheck"
+    assert segment["paper_ratio"]["Cave", plain.format("longer")] == pytest.approx(72.89 / 70.45)
+    assert segment["paper_ratio"]["AVZ", plain.format("shorter")] == pytest.approx(359.77 / 361.88)
+    by = segment.loc[("Hospital", plain.format("shorter") + " by 12.5 % or more")]
+    assert (round(1 - by["paper_ratio"], 3), by["than"]) == (0.125, 0.875)
+    than = segment.loc[("Hospital", plain.format("shorter") + " more so than in Cave")]
+    assert than["than"] == pytest.approx(72.89 / 70.45)
+
+
+def test_no_claim_holds_where_everything_is_turned_round():
+    means = {
+        place: {key: 1e4 / path for key, path in paths.items() if "decision" not in key}
+        for place, paths in as_published().items()
+    }
+    found = made(means).orderings
+    told = found[~found["claim"].str.contains("decision")]
+    assert set(told["verdict"]) == {"does not hold"}
+    rest = found[found["claim"].str.contains("decision")]  # did not run
+    assert set(rest["verdict"]) == {"undecided"}
+    assert set(rest["pairs"]) == {0}
+    assert rest["ratio"].isna().all()
+
+
+def test_where_nothing_differs_or_all_is_noise_nothing_is_decided():
+    equal = {place: dict.fromkeys(paths, 100.0) for place, paths in as_published().items()}
+    found = made(equal).orderings.set_index("claim")["verdict"]
+    assert found.pop("closest+recheck+segment shorter than closest+recheck by 12.5 % or more") == "does not hold"
+    assert set(found) == {"undecided"}
+    found = made({"Cave": dict.fromkeys(HERE, 100.0)}, spread=0.5).orderings
+    assert set(found["verdict"]) == {"undecided"}
+    assert (found["ratio_low"] < 1)[:2].all()
+    assert (found["ratio_high"] > 1)[:2].all()
+
+
+@pytest.mark.parametrize(
+    ("interval", "shorter", "longer"),
+    [
+        ((0.8, 0.9), "holds", "does not hold"),
+        ((1.1, 1.2), "does not hold", "holds"),
+        ((0.9, 1.1), "undecided", "undecided"),
+        ((0.9, 1.0), "undecided", "undecided"),
+        ((1.0, 1.0), "undecided", "undecided"),
+        ((math.nan, math.nan), "undecided", "undecided"),
+        ((0.8, 0.9, 0.95, 1.1), "holds", "does not hold"),
+        ((0.8, 0.9, 0.85, 1.1), "undecided", "undecided"),
+        ((0.8, 0.9, math.nan, math.nan), "undecided", "undecided"),
+    ],
+)
+def test_verdicts(interval, shorter, longer):
+    assert verdict("shorter", *interval) == shorter
+    assert verdict("longer", *interval) == longer
+
+
+def test_tables_by_hand():
+    found = made({"Cave": {"random": 200.0, "closest": 100.0, "closest+recheck": 90.0}}, outcomes=["BLOCKED"])
+    table = found.tables
+    assert table["strategy"].tolist() == list(HERE)  # the paper's order
+    assert table["paper_mean"].tolist() == [102.84, 73.71, 70.45]
+    assert table["mean"].tolist() == pytest.approx([200, 100, 90])
+    assert table["ratio"].tolist() == pytest.approx([2.0, 1.0, 0.9])
+    assert table["paper_ratio"].tolist() == pytest.approx([102.84 / 73.71, 1.0, 70.45 / 73.71])
+    assert table["n"].tolist() == [12] * 3
+    assert table["first_n"].tolist() == [10] * 3
+    assert table["outcomes"].tolist() == ["COMPLETE 11, BLOCKED 1"] * 3
+    assert found.orderings["complete"][0] == 11
+    text = found.to_markdown()
+    assert text == found._repr_markdown_()
+    assert text.startswith(f"# {PAPER.title}\n\na note\n\n## Cave (Table 1, Figure 8a): cave\n\n| strategy ")
+    line = next(line for line in text.splitlines() if line.startswith("| closest+recheck "))
+    cells = [cell.strip() for cell in line.strip("|").split("|")]
+    assert cells[1:4] == ["70.45 ± 0.97", "12", "90.00 ± 0.00"]
+    assert cells[5:9] == ["90.00 ± 0.00", "0.956", "0.900 [0.900, 0.900]", "1.000"]
+    assert "ours m, first 10 episodes" in text
+    assert "## Hospital (Table 3, Figure 8c): hospital\n\nNothing has run here." in text
+    assert "| Cave        | closest+recheck shorter than closest" in text
+
+
+def test_the_first_ten_are_the_first_ten():
+    found = made({"Cave": {"closest": 100.0, "random": 150.0}}, spread=0.3, n=25)
+    episodes = found.to_pandas()
+    for row in found.tables.itertuples():
+        path_m = episodes[(episodes["strategy"] == row.strategy) & (episodes["episode"] < 10)]["path_m"]
+        assert (row.first_mean, row.first_sd) == pytest.approx((path_m.mean(), path_m.std(ddof=1)))
+        assert row.mean != row.first_mean
+
+
+def test_what_is_left_of_an_interrupted_run_is_told():
+    found = made({"Cave": {"closest": 100.0, "random": 150.0}}, n=12)
+    late = found.comparison.episodes[found.comparison.episodes["episode"] >= 10]
+    text = Reproduction(PAPER, Comparison(late, (), {}, 1.0, 1.0, 20), found.worlds, ()).to_markdown()
+    assert "first 0 episodes" in text
+    assert "nan" not in text
+
+
+def test_figure_shows_both_in_the_papers_order():
+    figure = made(as_published(), spread=0.2).figure()
+    check_texts(figure)
+    assert [ax.get_title().splitlines()[0] for ax in figure.axes] == ["Cave", "AVZ", "Hospital"]
+    cave, avz, _ = figure.axes
+    assert [label.get_text() for label in cave.get_yticklabels()] == list(PAPER.short.values())
+    assert [label.get_text() for label in avz.get_yticklabels()][-1] == "DT n=500"
+    assert cave.patches[1].get_width() == 102.84
+    assert cave.patches[0].get_width() == pytest.approx(102.84, rel=0.2)
+    assert cave.patches[0].get_y() < cave.patches[1].get_y()  # ours above: the axis points down
+    assert cave.patches[0].get_facecolor() == avz.patches[0].get_facecolor() != cave.patches[2].get_facecolor()
+    assert cave.patches[-2].get_facecolor() == avz.patches[-2].get_facecolor()  # DT n=500, sixth here and fifth there
+
+
+@pytest.fixture
+def no_run(monkeypatch):
+    monkeypatch.setattr(batch, "run", lambda *_, **__: pytest.fail("ran"))
+
+
+def folder_of_maps(path, but=None):
+    """Small maps under the names that the paper's have."""
+    for environment in PAPER.environments.values():
+        if environment.file == but:
+            continue
+        file = path / environment.file
+        file.parent.mkdir(exist_ok=True)
+        if file.suffix == ".yaml":
+            head = "resolution: 0.05\norigin: [0, 0, 0]\nnegate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.2\n"
+            file.write_text(f"image: {file.stem}.pgm\n{head}")
+            file = file.with_suffix(".pgm")
+        grey = np.full((60, 80), 255, np.uint8)
+        grey[[0, -1]], grey[:, [0, -1]] = 0, 0
+        Image.fromarray(grey).save(file)
+    return path
+
+
+@pytest.mark.parametrize("missing", [environment.file for environment in PAPER.environments.values()])
+def test_a_missing_map_is_named(missing, tmp_path, no_run):
+    folder_of_maps(tmp_path, but=missing)
+    with pytest.raises(InputError, match=f"there is no file {tmp_path / missing}$") as error:
+        reproduce(maps=tmp_path)
+    assert "\n" not in str(error.value)
+
+
+def test_maps_are_loaded_at_their_scale(tmp_path, monkeypatch):
+    short = {
+        name: found._replace(paths={"closest": (1, 1), "random": (2, 1)}) for name, found in PAPER.environments.items()
+    }
+    monkeypatch.setitem(papers.PAPERS, "tiny", PAPER._replace(environments=short))
+    folder_of_maps(tmp_path)
+    jobs = prepare("tiny", maps=tmp_path, episodes=2, seed=0, cell_m=0.1, lidar=LIDAR, rules=jexplore.Rules())
+    assert [job.strategy.name for job in jobs] == ["closest", "random"] * 3
+    names = [f"{tmp_path}/{name}" for name in ("stage/cave_filled.png@16x16", "avz/avz5floor_open.yaml")]
+    assert [job.world.name for job in jobs[::2]] == [*names, f"{tmp_path}/stage/hospital_section.png@49.3x20.1"]
+    assert [tuple(side // 10 for side in job.world.shape) for job in jobs[::2]] == [(16, 16), (3, 4), (20, 49)]
+    shutil.rmtree(tmp_path / "stage")  # names are still known when the run has ended
+    assert world_names(PAPER, tmp_path)["Cave"] == names[0]
+
+
+def test_the_maps_of_the_paper_can_be_loaded(maps):
+    shorter = {name: found._replace(paths={"closest": (1, 1)}) for name, found in PAPER.environments.items()}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(papers.PAPERS, "tiny", PAPER._replace(environments=shorter))
+        jobs = prepare("tiny", maps=maps, episodes=1, seed=0, cell_m=0.1, lidar=Lidar(), rules=jexplore.Rules())
+    assert [round(job.world.free_m2) for job in jobs] == [192, 314, 887]
+
+
+@pytest.fixture(scope="module")
+def small():
+    """The name of a small paper in two tiny worlds."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(papers.PAPERS, "tiny", tiny("cave:width_m=6.4,height_m=6.4", "cave#1:width_m=6.4,height_m=6.4"))
+        yield "tiny"
+
+
+@pytest.fixture(scope="module")
+def ran(small, jit_on):
+    with jit_on():
+        return reproduce(small, episodes=3, seed=1, lidar=LIDAR)
+
+
+def test_a_small_run(ran):
+    table = ran.to_pandas()
+    assert list(table.columns) == list(COLUMNS)
+    assert len(table) == 2 * 3 * 3
+    assert ran.tables["environment"].tolist() == ["Cave"] * 3 + ["AVZ"] * 3
+    for row in ran.tables.itertuples():
+        ours = table[(table["world"] == row.world) & (table["strategy"] == row.strategy)]["path_m"]
+        theirs = table[(table["world"] == row.world) & (table["strategy"] == "closest")]["path_m"]
+        assert row.mean == pytest.approx(ours.mean())
+        assert row.ratio == pytest.approx(stats.paired_ratio(ours, theirs).ratio)
+    assert ran.orderings["pairs"].tolist() == [3] * 4
+    assert "NOT the paper's maps" in ran.to_markdown()
+    assert "18 episodes" in repr(ran)
+    check_texts(ran.figure())
+
+
+@pytest.mark.jit
+def test_the_command_writes_a_whole_run(ran, small, tmp_path, capsys):
+    out = tmp_path / "run"
+    command = ["reproduce", small, "--episodes", "3", "--seed", "1", "--out", str(out), *CLI_LIDAR]
+    assert cli.main(command) == 0
+    said = capsys.readouterr().out
+    assert said.startswith(ran.to_markdown())
+    assert said.splitlines()[-1] == f"wrote episodes.parquet, reproduce.png, run.json to {out}/"
+    pd.testing.assert_frame_equal(pd.read_parquet(out / "episodes.parquet"), ran.to_pandas())
+    record = json.loads((out / "run.json").read_text())
+    assert [row["paper_mean"] for row in record["tables"]] == ran.tables["paper_mean"].tolist()
+    assert [row["verdict"] for row in record["orderings"]] == ran.orderings["verdict"].tolist()
+    assert record["notes"] == list(ran.notes)
+    assert record["interrupted"] == 0
+    with Image.open(out / "reproduce.png") as image:
+        image.verify()
+    assert cli.main(command) == 2
+    assert "holds a run" in capsys.readouterr().err
+
+
+@pytest.mark.jit
+def test_an_interruption_keeps_pairs(small, tmp_path, capsys, monkeypatch):
+    run = batch.run
+
+    def interrupted(jobs, *rest, **options):
+        report = run(jobs, *rest, **options)
+        for found in report.outcomes[3:]:  # of the second world nothing has finished
+            found.result.outcome[:] = 0
+        report.outcomes[2].result.outcome[1] = 0
+        return report._replace(interrupted=True)
+
+    monkeypatch.setattr(batch, "run", interrupted)
+    assert cli.main(["reproduce", small, "--episodes", "3", "--out", str(tmp_path), *CLI_LIDAR]) == 130
+    said = capsys.readouterr()
+    assert "Nothing has run here." in said.out
+    assert said.err.endswith("jexplore: interrupted, what was finished was written\n")
+    table = pd.read_parquet(tmp_path / "episodes.parquet")
+    assert table["episode"].tolist() == [0, 2] * 3
+    assert json.loads((tmp_path / "run.json").read_text())["interrupted"] == 12
+
+
+@pytest.mark.parametrize(
+    ("command", "message"),
+    [
+        ("holz2011", "unknown paper 'holz2011'; did you mean 'holz2010'? (there are: holz2010"),
+        ("tiny --episodes 0", "episodes must be an integer from 1"),
+        ("tiny --maps nowhere", "there is no file nowhere/stage/cave_filled.png"),
+        ("tiny --episods 3", "did you mean --episodes?"),
+        ("tiny tiny", "unknown option tiny"),
+    ],
+)
+def test_bad_input_is_one_line(command, message, small, no_run, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert cli.main(["reproduce", *command.split()]) == 2
+    said = capsys.readouterr()
+    assert (said.out, said.err.count("\n")) == ("", 1)
+    assert message in said.err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_default_is_smaller_on_request(monkeypatch):
+    assert options.parse(["reproduce"]).episodes == 100
+    monkeypatch.setenv(options.SMALL, "1")
+    assert options.parse(["reproduce", "holz2010"]).episodes == 5
+
+
+def test_bars_at_places():
+    from matplotlib.figure import Figure
+
+    ax = Figure().add_subplot()
+    container = plot.bars(ax, ["a", "b"], [1.0, 2.0], [0.0, 0.0], at=[0.0, 3.0], thickness=1.0)
+    assert [bar.get_y() + 0.5 for bar in container] == [0.0, 3.0]
+    assert [bar.get_height() for bar in container] == [1.0, 1.0]
+    assert ax.get_ylim() == (3.5, -0.5)
