@@ -218,13 +218,14 @@ def borders(label, n):
     return total.reshape(n, n)
 
 
-def merged(shared, longest_first, keep_apart=True):
+def merged(shared, start, longest_first, keep_apart=True):
     """Joins segments that touch and do not come from the same split, the longest shared border first.
 
     Segments 2 k and 2 k + 1 come from split k: no two groups that hold opposite sides of one split are joined.
 
     Args:
-      shared: `[2 C, 2 C]` int32, from `borders`.
+      shared: `[2 C, 2 C]` int32, from `borders`: of single segments, not of the groups that they become part of.
+      start: `[2 C]` int32, for each segment the lowest that grew from the same cell.
       longest_first: bool; False: the shortest first.
       keep_apart: whether splits matter. Static.
 
@@ -251,7 +252,7 @@ def merged(shared, longest_first, keep_apart=True):
         joined = jnp.where(group == jnp.maximum(a, b), jnp.minimum(a, b), group)
         return i + 1, jnp.where(opposite | (i >= used), group, joined)
 
-    return repeat(lambda state: state[0] < used, join, (jnp.int32(0), lax.iota(jnp.int32, n)))[1]
+    return repeat(lambda state: state[0] < used, join, (jnp.int32(0), start))[1]
 
 
 def _line_cells(obstacle, cell):
@@ -292,12 +293,15 @@ def segment(free, criteria, *, form):
     """Divides free space into segments, roughly rooms.
 
     Args:
-      free: `[H, W]` bool, cells known to be free; all others count as obstacles, and so does what lies outside.
+      free: `[H, W]` bool, cells known to be free; all others count as obstacles. What lies outside the map is no
+        obstacle: it should have a wall all round, as worlds have. A passage needs three free cells across to have an
+        axis that can be split.
       criteria: `Criteria`.
       form: `Form`. Static.
 
     Returns:
-      `Segments`. Free cells that no seed reaches have the label -1; without any critical point all have.
+      `Segments`. Free cells that no seed reaches have the label -1; without any critical point all have. With
+        splitting lines both sides of a line are one segment where another way joins them.
 
     Raises:
       ValueError: while tracing, if `free` is not a bool matrix or the metric is not known.
@@ -323,14 +327,16 @@ def segment(free, criteria, *, form):
 
     passable = free
     if form.lines:
-        passable = free & (~_line_cells(~free, sparse.at(graph.cell, node, none)) | (at_seed < n))
+        passable = free & ~_line_cells(~free, sparse.at(graph.cell, node, none))
     if form.metric == "geodesic":
         sources = jnp.where((at_seed < n) & free, at_seed, -1)
         label = nearest_source(bits.pack(passable), _padded(sources, -1), n, method=form.reach)[:height]
     else:
         site = nearest_site(at_seed < n)[1]
         label = jnp.where(passable & (site >= 0), at_seed.reshape(-1)[jnp.maximum(site, 0)], -1)
-    group = merged(borders(label, n), criteria.longest_first, keep_apart=not form.lines)
+    # Two splits side by side may share a cell between them, which only one segment can grow from.
+    start = jnp.where(seed < none, sparse.at(at_seed, seed, n), lax.iota(jnp.int32, n))
+    group = merged(borders(label, n), start, criteria.longest_first, keep_apart=not form.lines)
     label = jnp.where(label >= 0, group[jnp.maximum(label, 0)], -1)
     if form.lines:
         # The lines themselves go to the segments beside them.

@@ -34,7 +34,7 @@ def medial_axis(d2, drow, dcol, gamma2):
       gamma2: how far apart two obstacle cells must be to count as different obstacles, cells^2, exclusive; scalar.
 
     Returns:
-      `[H, W]` bool. False at obstacles and beside the map's edge.
+      `[H, W]` bool. False at obstacles.
 
     Source:
       Hesselink and Roerdink 2008, integer medial axis, with constant pruning.

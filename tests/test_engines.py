@@ -101,6 +101,17 @@ def test_a_strategy_that_draws_gives_the_same_in_both_engines():
     assert both[0].outcomes[0].result.plans.max() > 1
 
 
+@pytest.mark.jit
+@pytest.mark.parametrize("name", ["decision-theoretic+recheck:samples=20", "tour", "closest+recheck+segment=auto"])
+def test_strategies_that_look_ahead_or_divide_the_map_give_the_same_in_both_engines(name):
+    occupied, rooms = maps.cluttered(1, 32, 36)
+    world = World(occupied=occupied, rooms=rooms, name="cluttered")
+    jobs = [Job(world, parse_strategy(name), draw_starts(world, 4, 5, RULES.clearance_m), seed=7)]
+    both = [batch.run(jobs, LIDAR, RULES, engine=engine) for engine in ("serial", "lockstep")]
+    assert_equal(*both)
+    assert both[0].outcomes[0].result.plans.max() > 1
+
+
 def test_the_engine_step_by_step_without_jit():
     """Two episodes of a plan or so in a world of a few cells, with every loop in plain Python."""
     world = World(occupied=maps.walls("##### #...# #.#.# ##### #####"), name="tiny", cell_m=0.5)

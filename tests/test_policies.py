@@ -1,5 +1,8 @@
 """Strategies: their names, and what each of them chooses."""
 
+import math
+
+import chex
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -7,12 +10,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
-from ref import maps
+from ref.beliefs import belief_of, choice_of
 from scipy import stats
 
 from jexplore.config import InputError
-from jexplore.grid import Grid
-from jexplore.navigate import Belief, field, nearest_frontier
+from jexplore.navigate import field, nearest_frontier
 from jexplore.policies import MODIFIERS, STRATEGIES, parameters_of, parse_strategy
 from jexplore.policies.uniform import kth_true
 from jexplore.reach import FAR
@@ -24,30 +26,6 @@ TEXT = """
     ..#...
     ?....?
 """
-
-
-def belief_of(text, grow=(0, 0)):
-    cells = np.pad(maps.drawn(text), [(0, n) for n in grow], constant_values=" ")
-    (row, col), *_ = np.argwhere(cells == "R")
-    return Belief(
-        grid=Grid(jnp.asarray(cells == "#", jnp.int32), jnp.asarray((cells == ".") | (cells == "R"), jnp.int32)),
-        driven=jnp.asarray(cells == "R"),
-        exhausted=jnp.zeros(cells.shape, bool),
-        row=jnp.int32(row),
-        col=jnp.int32(col),
-        heading=jnp.int32(0),
-        extent=jnp.asarray(maps.drawn(text).shape, jnp.int32),
-        p_free=jnp.float32(0.25),
-        near_d2=jnp.int32(0),
-        clearance_d2=0,
-    )
-
-
-def choice_of(name, key, belief):
-    policy = parse_strategy(name).policy
-    carry = policy.init(policy.params, belief)
-    route = jnp.full(belief.driven.shape, -1, jnp.int8)
-    return policy.select(key, policy.params, carry, belief, route)
 
 
 # ---------------------------------------------------------------- names
@@ -62,6 +40,19 @@ def test_names_are_kept_verbatim():
     assert set(MODIFIERS) >= {"recheck"}
 
 
+def test_modifiers_take_a_kind_and_numbers():
+    holz, wurm, auto = (parse_strategy(f"closest+segment{kind}").policy for kind in ("", "=wurm", "=auto"))
+    assert (holz.params.max_hops, wurm.params.max_hops, auto.params.max_hops) == (2, 1, 2)
+    assert holz == parse_strategy("closest+segment=holz").policy
+    assert (holz.params.door_m, auto.params.door_m) == (math.inf, 1.6)
+    both = parse_strategy("decision-theoretic+segment=wurm+recheck:samples=100,prominence_m=1,lam=2")
+    assert both.recheck
+    assert both.policy.params.prominence_m == 1
+    assert both.policy.params.inner == parse_strategy("decision-theoretic:lam=2,samples=100").policy.params
+    assert both.policy.params.inner.samples == 100
+    assert parse_strategy("decision-theoretic").policy.params.samples == 500
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
@@ -73,6 +64,35 @@ def test_names_are_kept_verbatim():
         ("closest:", "expected key=value after the colon"),
         ("closest:samples=5", "unknown parameter of 'closest'"),
         ("+recheck", "unknown strategy ''"),
+        ("closest+recheck=1", "modifier 'recheck' takes no value, got 'recheck=1'"),
+        ("closest+recheck=", "modifier 'recheck' takes no value"),
+        ("closest+segment=foo", "unknown kind of 'segment': 'foo' (there are: thrun, wurm, holz, auto)"),
+        ("closest+segment=hols", "did you mean 'holz'?"),
+        ("closest+segment=", "unknown kind of 'segment': ''"),
+        ("closest+segment+segment=wurm", "'segment' is given twice"),
+        ("decision-theoretic:samples=0", "samples must be an integer from 1 to 1024, got 0"),
+        ("decision-theoretic:samples=2000", "samples must be an integer from 1 to 1024, got 2000"),
+        ("decision-theoretic:samples=1.5", "samples must be an integer from 1 to 1024, got 1.5"),
+        ("decision-theoretic:lam=-1", "lam must be a number at least 0"),
+        ("decision-theoretic:lam=nan", "lam must be"),
+        ("decision-theoretic:lam=inf", "lam must be"),
+        ("decision-theoretic:lam=much", "expected a number for lam"),
+        ("decision-theoretic:lam", "expected lam=NUMBER once"),
+        ("decision-theoretic:lam=1,lam=2", "expected lam=NUMBER once"),
+        ("decision-theoretic:min_gain=0", "min_gain must be an integer from 1"),
+        ("gain-rate:plus_m=-1", "plus_m must be a number at least 0"),
+        ("gain-rate:lam=1", "unknown parameter of 'gain-rate': 'lam'"),
+        ("utility:beta=-0.1", "beta must be a number at least 0"),
+        ("distance-advantage:weight=1000", "weight must be a number at least 0 and at most 100"),
+        ("tour:min_gain=0.5", "min_gain must be an integer from 0"),
+        ("mcdm:a=1.5", "a must be a number at least 0 and at most 1"),
+        ("mcdm:ad=0.1", "ad must be at least a, got 0.1 and 0.5"),
+        ("mcdm:o=0.8", "ao must be at least o, got 0.7 and 0.8"),
+        ("closest:prominence_m=1", "unknown parameter of 'closest': 'prominence_m'"),
+        ("closest+recheck:prominence_m=1", "unknown parameter of 'closest+recheck': 'prominence_m'"),
+        ("closest+segment:prominence_m=-1", "prominence_m must be a number at least 0"),
+        ("closest+segment=auto:room_m2=nan", "room_m2 must be"),
+        ("closest+segment:room_m2=3", "unknown parameter"),
     ],
 )
 def test_wrong_names_are_refused_in_one_line(text, message):
@@ -86,18 +106,23 @@ def test_wrong_names_are_refused_in_one_line(text, message):
 
 
 @pytest.mark.jit
-@pytest.mark.parametrize("name", STRATEGIES)
+@pytest.mark.parametrize("name", [*STRATEGIES, "closest+segment", "random+segment=auto", "decision-theoretic+segment"])
 def test_every_strategy_keeps_the_contract(name):
-    """A candidate with its cost and a route; -1 and FAR where there is none; the same for the same key."""
-    assert all(isinstance(v, int | float) for v in parameters_of(name).values())
-    assert STRATEGIES[name].summary
-    assert STRATEGIES[name].source
-    select = jax.jit(lambda key, belief: choice_of(name, key, belief))
+    """A candidate or a view point with its cost and a route; -1 and FAR where there is none; the same for the same key;
+    traced once.
+    """
+    entry = name.partition("+")[0]
+    assert all(isinstance(v, int | float) for v in parameters_of(entry).values())
+    assert STRATEGIES[entry].summary
+    assert STRATEGIES[entry].source
+    chex.clear_trace_counter()
+    select = jax.jit(chex.assert_max_traces(lambda key, belief: choice_of(name, key, belief), n=1))
     belief = belief_of(TEXT)
     known = field(belief)
     for seed in range(5):
         _, choice, route = select(jax.random.key(seed), belief)
-        assert known.candidates[choice.row, choice.col]
+        assert known.candidates[choice.row, choice.col] | choice.is_view
+        assert known.cost[choice.row, choice.col] < FAR
         assert choice.cost == known.cost[choice.row, choice.col]
         again = select(jax.random.key(seed), belief)
         jax.tree.map(np.testing.assert_array_equal, again[1:], (choice, route))

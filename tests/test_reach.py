@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
-from ref import maps, planning
+from ref import maps, planning, rooms
 
 from jexplore import bits
 from jexplore.reach import (
@@ -21,6 +21,7 @@ from jexplore.reach import (
     STRAIGHT,
     flood,
     lay_route,
+    nearest_source,
     predecessors,
     reach,
     reach_packed,
@@ -370,6 +371,73 @@ def test_a_flood_has_no_limit_of_cost_and_keeps_its_start():
     assert np.argwhere(FLOOD(jnp.zeros((3, 3), bool), 1, 2)).tolist() == [[1, 2]]
 
 
+# ---------------------------------------------------------------- nearest source
+
+
+@functools.partial(jax.jit, static_argnames=("n", "method"))
+def nearest(passable, sources, n, method):
+    spare = -passable.shape[0] % bits.WORD
+    padded = jnp.pad(sources, ((0, spare), (0, 0)), constant_values=-1)
+    return nearest_source(bits.pack(passable), padded, n, method=method)[: passable.shape[0]]
+
+
+@pytest.mark.jit
+@pytest.mark.parametrize("method", METHODS)
+def test_the_nearest_source_by_hand(method):
+    passable = ~maps.walls("....#... .##.#.#. ...#..#.")
+    sources = np.full((3, 8), -1, np.int32)
+    sources[1, 0], sources[2, 3], sources[0, 7] = 1, 2, 0
+    # (2, 1) is two steps from source 1, around the corner, and two from source 2; no path leads through the wall
+    by_hand = [[1, 1, 2, 2, -1, 0, 0, 0], [1, -1, -1, 2, -1, 0, -1, 0], [1, 1, 1, -1, 0, 0, -1, 0]]
+    np.testing.assert_array_equal(nearest(passable, sources, 3, method)[::-1], by_hand)
+
+
+@pytest.mark.jit
+@pytest.mark.parametrize("method", METHODS)
+def test_a_diagonal_motion_counts_99_and_a_straight_one_70(method):
+    """Five diagonal motions are longer than seven straight ones, and shorter than that and one diagonal one."""
+    passable = np.zeros((7, 9), bool)
+    passable[[0, 0, 1, 1, 2, 2, 3, 3, 4, 4, 5], [0, 1, 1, 2, 2, 3, 3, 4, 4, 5, 5]] = True
+    passable[1:6, :6] |= np.tri(5, 6, 0, bool)
+    passable[0, 1] = passable[5, 6:9] = True
+    sources = np.full((7, 9), -1, np.int32)
+    sources[0, 0] = 1
+    length = rooms.distances(passable, [(0, 0)])[0]
+    assert length[5, 5] == 5 * 99
+    found = np.asarray(nearest(passable, sources, 3, method))
+    np.testing.assert_array_equal(found == 1, length < np.inf)
+
+
+@pytest.mark.jit
+@pytest.mark.parametrize("method", METHODS)
+@given(place=places(((1, 8), (7, 9))), seed=st.integers(0, 2**30))
+@settings(max_examples=80, deadline=None)
+def test_the_nearest_source_is_dijkstras_from_every_source(method, place, seed):
+    passable, _, _ = place
+    draw = np.random.default_rng(seed)
+    cells = np.argwhere(passable)
+    cells = cells[draw.permutation(len(cells))[: draw.integers(0, 7)]]
+    sources = np.full(passable.shape, -1, np.int32)
+    numbers = draw.integers(0, 3, len(cells))  # the same number in several cells
+    sources[tuple(cells.T)] = numbers
+    expected = np.full(passable.shape, -1)
+    if len(cells):
+        length = rooms.distances(passable, cells)
+        least = np.array([length[numbers == i].min(0, initial=np.inf) for i in range(3)])
+        expected = np.where(least.min(0) < np.inf, least.argmin(0), -1)
+    np.testing.assert_array_equal(nearest(passable, sources, 3, method), expected)
+
+
+@pytest.mark.jit
+def test_sources_of_a_batch_are_independent():
+    draw = np.random.default_rng(7)
+    passable, sources = draw.random((3, 7, 9)) < 0.8, draw.integers(-40, 3, (3, 7, 9)).astype(np.int32).clip(-1)
+    for method in METHODS:
+        batch = jax.vmap(functools.partial(nearest, n=3, method=method))(passable, sources)
+        for i in range(3):
+            np.testing.assert_array_equal(batch[i], nearest(passable[i], sources[i], 3, method))
+
+
 # ---------------------------------------------------------------- bad input
 
 
@@ -382,3 +450,8 @@ def test_what_is_no_mask_is_refused(wrong):
 def test_a_method_that_does_not_exist_is_refused():
     with pytest.raises(ValueError, match="one of sweeps, wave, got 'dijkstra'"):
         reach(jnp.ones((3, 3), bool), 0, 0, method="dijkstra")
+
+
+def test_a_method_that_does_not_exist_is_refused_for_sources():
+    with pytest.raises(ValueError, match="one of sweeps, wave, got 'dijkstra'"):
+        nearest_source(jnp.zeros((1, 3), jnp.uint32), jnp.full((32, 3), -1), 2, method="dijkstra")

@@ -6,6 +6,7 @@ A strategy is one file with one constructor that returns a `Policy`. To add one:
 
 import difflib
 import inspect
+import math
 from typing import NamedTuple
 
 from jexplore.config import InputError, require_number
@@ -84,8 +85,12 @@ def parameters_of(name):
     return _numbers(STRATEGIES[name].make)
 
 
-MODIFIER_PARAMETERS = {"recheck": {}, "segment": _numbers(segmented)}
-"""Parameters that a modifier adds to those of the strategy, with their defaults."""
+def _modifier_parameters(modifiers):
+    """Parameters that modifiers add to those of the strategy, with their defaults: dict."""
+    if "segment" not in modifiers:
+        return {}
+    found = _numbers(segmented)
+    return found if modifiers["segment"] == "auto" else {key: found[key] for key in ("prominence_m", "gamma")}
 
 
 def _modifiers(words, text):
@@ -123,8 +128,7 @@ def parse_strategy(text):
         raise unknown("strategy", name, STRATEGIES)
     modifiers = _modifiers(words, text)
     own, allowed, given = parameters_of(name), parameters_of(name), {}
-    for modifier in modifiers:
-        allowed |= MODIFIER_PARAMETERS[modifier]
+    allowed |= _modifier_parameters(modifiers)
     if colon and not tail:
         raise InputError(f"expected key=value after the colon in {text!r}")
     for item in tail.split(",") if tail else ():
@@ -137,9 +141,8 @@ def parse_strategy(text):
             number = float(value)
         except ValueError:
             raise InputError(f"expected a number for {key} in {text!r}, got {value!r}") from None
-        given[key] = require_number(
-            key, int(number) if isinstance(allowed[key], int) and number.is_integer() else number
-        )
+        whole = isinstance(allowed[key], int) and number.is_integer()
+        given[key] = require_number(key, int(number) if whole else number, low=-math.inf)
     policy = STRATEGIES[name].make(**{key: value for key, value in given.items() if key in own})
     if "segment" in modifiers:
         more = {key: value for key, value in given.items() if key not in own}

@@ -11,7 +11,7 @@ from jax import Array
 
 from jexplore import bits
 from jexplore.control import repeat
-from jexplore.frontier import frontier_clusters
+from jexplore.frontier import clear_cells, frontier_clusters
 from jexplore.gain import look, prospect
 from jexplore.grid import empty_grid
 from jexplore.navigate import choose
@@ -72,27 +72,30 @@ def seen_from(belief, at, beams):
 
 
 def blocks_of(clearance_d2):
-    """Side of the largest blocks, cells, of which one that holds a traversable cell may count as traversable without a
-    way through a wall: what is not clear round a wall is at least 2 r + 1 cells thick. Static.
+    """Side of the largest blocks, cells, of which one that holds a clear cell may count as passable without a way
+    through a straight wall: what is not clear round it is at least 2 r + 1 cells thick. Static.
     """
     return min(COARSEST, math.isqrt(clearance_d2) + 1)
 
 
-def apart(belief, known, at):
-    """Path lengths between all targets, on a map of blocks of up to 4 x 4 cells.
+def apart(belief, at):
+    """Path lengths between all targets, roughly: on a map of blocks of up to 4 x 4 cells, of which every one that holds
+    a clear cell, or one that was driven on, can be passed. Slanting walls and slivers of unknown cells thinner than a
+    block may be crossed.
 
     Args:
       belief: `Belief`.
-      known: its `Field`.
       at: `Targets`.
 
     Returns:
-      `[M, M]` float32, metres, symmetric, 0 on the diagonal; inf where a slot is unused or no path leads.
+      `[M, M]` float32, metres, symmetric; 0 on the diagonal of used slots; inf where a slot is unused or no path leads.
     """
     side = blocks_of(belief.clearance_d2)
-    height, width = known.traversable.shape
+    # Not what is traversable near the robot besides: beside a thin wall that would leave too little of it.
+    clear = clear_cells(belief.grid, p_free=belief.p_free, clearance_d2=belief.clearance_d2) | belief.driven
+    height, width = clear.shape
     pad = ((0, -height % side), (0, -width % side))
-    blocks = jnp.pad(known.traversable, pad).reshape(-(-height // side), side, -(-width // side), side).any(axis=(1, 3))
+    blocks = jnp.pad(clear, pad).reshape(-(-height // side), side, -(-width // side), side).any(axis=(1, 3))
     words = bits.pack(blocks)
     row, col = jnp.maximum(at.row, 0) // side, jnp.maximum(at.col, 0) // side
     n = jnp.sum(at.used, dtype=jnp.int32)

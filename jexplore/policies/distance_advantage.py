@@ -41,7 +41,7 @@ def _select(key, params, carry, belief, beams, route):
     at = targets(belief, known)
     unknown, _ = seen_from(belief, at, beams)
     usable = at.used & (unknown >= params.min_gain)
-    worth = advantage(at.path_m, apart(belief, known, at), usable, params.weight)
+    worth = advantage(at.path_m, apart(belief, at), usable, params.weight)
     return carry, *go_to(belief, route, known, at, best_of(at, worth, usable))
 
 

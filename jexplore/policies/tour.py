@@ -102,7 +102,7 @@ def _select(key, params, carry, belief, beams, route):
     usable = jnp.where(jnp.any(usable), usable, at.used)
     stops = jnp.argsort(~usable, stable=True)  # slots to be visited first, in their order
     n = jnp.sum(usable, dtype=jnp.int32)
-    apart_m = jnp.minimum(apart(belief, known, at), FAR_M)[stops][:, stops]
+    apart_m = jnp.minimum(apart(belief, at), FAR_M)[stops][:, stops]
     path_m = jnp.minimum(at.path_m, FAR_M)[stops]
     length = jnp.zeros((CLUSTERS + 1, CLUSTERS + 1), jnp.float32)
     length = length.at[1:, 1:].set(apart_m).at[0, 1:].set(path_m).at[1:, 0].set(path_m)

@@ -25,7 +25,8 @@ def classify(hits, misses, p_free=0.25):
 
 
 def nearest_site(sites):
-    """Squared distance to the nearest site, cells^2, and the flat index of that site; ties to the lowest column, then row.
+    """Squared distance to the nearest site, cells^2, and the flat index of that site; ties to the lowest column, then
+    row.
 
     `FAR` and -1 everywhere if there is no site.
     """

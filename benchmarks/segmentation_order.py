@@ -1,0 +1,52 @@
+"""How far the choices that the paper leaves open move the segmentation: order of merging, metric, splitter, prominence.
+
+    python benchmarks/segmentation_order.py MAP.png...
+
+Maps at 0.05 m a pixel with ground truth beside them (`NAME_gt_segmentation.png`). One row a choice, all by `holz`.
+"""
+
+import os
+import sys
+
+import numpy as np
+
+from jexplore import segment
+from jexplore.bench.tables import markdown
+from jexplore.scores import regions_of, rooms_of, score
+from jexplore.segmentation import segmentations
+from jexplore.worlds.images import load_image
+
+CHOICES = {
+    "as shipped (prominence 0.15 m)": ({"prominence": 3.0}, {}),
+    "shortest border first": ({"prominence": 3.0, "longest_first": False}, {}),
+    "Euclidean (literal)": ({"prominence": 3.0}, {"metric": "euclidean"}),
+    "splitting lines (Thrun 1998)": ({"prominence": 3.0}, {"lines": True}),
+    "any minimum (literal)": ({"prominence": 0.0}, {}),
+    "any minimum, Euclidean (literal)": ({"prominence": 0.0}, {"metric": "euclidean"}),
+    "prominence 0.05 m": ({"prominence": 1.0}, {}),
+    "prominence 0.1 m": ({"prominence": 2.0}, {}),
+    "prominence 0.2 m": ({"prominence": 4.0}, {}),
+    "gamma 2 cells": ({"prominence": 3.0, "gamma": 2.0}, {}),
+    "gamma 8 cells": ({"prominence": 3.0, "gamma": 8.0}, {}),
+}
+
+
+def main(paths):
+    found = {name: [] for name in CHOICES}
+    for path in paths:
+        stem = os.path.splitext(path)[0].removesuffix("_furnitures")
+        world, truth = load_image(path, 0.05, cell_m=0.05), load_image(f"{stem}_gt_segmentation.png", 0.05, cell_m=0.05)
+        free, rooms = ~world.occupied, rooms_of(~truth.occupied & ~world.occupied)
+        for name, (numbers, form) in CHOICES.items():
+            (made,) = segmentations(free, [segment.criteria("holz", **numbers)], **form)
+            found[name].append(score(rooms, regions_of(np.where(free, made.label, -1), free)))
+    rows = []
+    for name, scores in found.items():
+        mcc = [s["mcc"] for s in scores]
+        error = float(np.mean([s["room_count_error"] for s in scores]))
+        rows.append([name, f"{np.mean(mcc):.3f}", f"{np.median(mcc):.3f}", f"{error:+.1f}"])
+    print(markdown([f"{len(paths)} maps", "MCC mean", "median", "room error"], rows))
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

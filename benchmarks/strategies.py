@@ -1,0 +1,35 @@
+"""What a plan of each strategy costs on one core, on maps of 256 x 256 cells.
+
+    taskset -c 0 python benchmarks/strategies.py
+
+Every strategy plans on the same maps: those at which `closest+recheck` made its plans. A modifier's cost is the
+difference to the strategy without it.
+"""
+
+import os
+import sys
+
+from jexplore.batch import start_backend, use_compilation_cache
+from jexplore.bench.plans import plan_costs
+from jexplore.bench.tables import markdown
+from jexplore.worlds import load_world
+
+WORLDS = ("cave:width_m=25.6,height_m=25.6", "office:width_m=25.6,height_m=25.6")
+NAMES = (
+    *("closest", "closest+segment", "random", "decision-theoretic:samples=100", "decision-theoretic:samples=500"),
+    *("gain-rate", "utility", "distance-advantage", "tour", "mcdm"),
+)
+
+
+def main():
+    start_backend(1)
+    use_compilation_cache()
+    repeat = int(os.environ.get("REPEAT", "5"))
+    costs = {world: plan_costs(load_world(world), NAMES, repeat=repeat) for world in WORLDS}
+    rows = [[name, *(costs[world][name] for world in WORLDS)] for name in NAMES]
+    rows.append(["the segmentation alone", *(costs[w]["closest+segment"] - costs[w]["closest"] for w in WORLDS)])
+    print(markdown(["ms a plan", *WORLDS], rows))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,330 @@
+"""Strategies that choose among frontier clusters: by hand on small maps, and their parts beside brute force."""
+
+import itertools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+from ref import beliefs, planning
+from ref import gain as oracle
+
+from jexplore.config import Lidar
+from jexplore.navigate import field
+from jexplore.policies import clusters
+from jexplore.policies.distance_advantage import advantage
+from jexplore.policies.mcdm import choquet, relative
+from jexplore.policies.tour import improved, inserted
+from jexplore.reach import STRAIGHT, reach
+
+ONE_METRE = {"cell_m": 1.0, "reach": "wave", "scan": "whole"}
+CROSS = Lidar(n_beams=4, fov_deg=360, range_m=4.0)  # in cells of one metre: four cells back, right, ahead, left
+STAR = Lidar(n_beams=8, fov_deg=360, range_m=1.5)  # the eight cells around
+
+# One step to the left a frontier that shows 1 cell, six to the right one that shows 3; known cells 5 from either.
+CORRIDOR = """
+    ##############
+    #?.R......???#
+    ##############
+"""
+NEAR, FAR_OFF = (1, 2), (1, 9)
+
+# Three unknown niches. The frontier at each is three cells wide; the nearest of them stands for all.
+NICHES = """
+    ##################
+    ##?#######?###?###
+    #......R.........#
+    ##################
+"""
+A, B, C = (1, 3), (1, 9), (1, 13)  # paths from the robot 4, 2, 6; A to B 6, B to C 4, A to C 10
+
+
+# ---------------------------------------------------------------- by hand
+
+
+@pytest.mark.jit
+@pytest.mark.parametrize(
+    ("name", "numbers"),
+    [
+        # 1 - beta beside 3 - 6 beta: the same at beta = 0.4. By default 5.
+        ("utility", {"beta=0": FAR_OFF, "beta=0.39": FAR_OFF, "beta=0.41": NEAR, "": NEAR,
+                     "min_gain=2": FAR_OFF, "beta=0,min_gain=4": NEAR}),
+        # Both are alike in known cells. The near one is best in d and o, the far one in a and o.
+        ("mcdm", {"": FAR_OFF, "do=0.69": FAR_OFF, "do=0.71": NEAR, "ao=0.5,do=0.51": NEAR}),
+    ],
+)  # fmt: skip
+def test_much_to_see_far_off_or_little_near_by(name, numbers):
+    belief = beliefs.belief_of(CORRIDOR, **ONE_METRE)
+    for text, want in numbers.items():
+        assert beliefs.target_of(f"{name}:{text}".rstrip(":"), belief, CROSS) == want
+    if name == "utility":
+        # Area in square metres: with cells of half a metre 1/4 - beta / 2 beside 3/4 - 3 beta, the same at beta = 0.2.
+        belief, lidar = belief.replace(cell_m=jnp.float32(0.5)), Lidar(n_beams=4, fov_deg=360, range_m=2.0)
+        for text, want in {"beta=0.19": FAR_OFF, "beta=0.21": NEAR}.items():
+            assert beliefs.target_of(f"{name}:{text}", belief, lidar) == want
+
+
+@pytest.mark.jit
+def test_every_pair_of_criteria_has_a_weight_of_its_own():
+    """The near one is best in unknown cells (3 beside 1) and path, the far one in known cells (6 beside 5)."""
+    belief = beliefs.belief_of("############# ##########.## #???.R.....?# #############", **ONE_METRE)
+    near, far_off = (1, 4), (1, 10)
+    for text, want in {"": near, "o=0.6,ao=0.6,do=0.6,ad=0.61": near, "o=0.6,ao=0.6,do=0.6,ad=0.59": far_off}.items():
+        assert beliefs.target_of(f"mcdm:{text}".rstrip(":"), belief, CROSS) == want
+
+
+@pytest.mark.jit
+@pytest.mark.parametrize(
+    ("name", "numbers"),
+    [
+        # Mean distance from the others 8, 5, 7, less the path 4, 2, 6; where nothing shows enough: the nearest.
+        ("distance-advantage", {"weight=0": B, "weight=0.6": B, "weight=0.7": A, "": A, "min_gain=2": B}),
+        # Ways through all: A B C 14, B A C 18, B C A 16, C B A 16. The nearest stop is not the first.
+        ("tour", {"": A, "min_gain=2": A}),
+    ],
+)
+def test_three_niches(name, numbers):
+    for text, want in numbers.items():
+        assert beliefs.target_of(f"{name}:{text}".rstrip(":"), beliefs.belief_of(NICHES, **ONE_METRE), STAR) == want
+
+
+@jax.jit
+def everything(belief, beams):
+    """`Targets`, what is seen from them, how far apart they are, and traversable cells."""
+    known = field(belief)
+    at = clusters.targets(belief, known)
+    return at, clusters.seen_from(belief, at, beams), clusters.apart(belief, at), known.traversable
+
+
+@pytest.mark.jit
+def test_targets_by_hand():
+    belief = beliefs.belief_of(NICHES, **ONE_METRE)
+    at, (unknown, seen_known), apart_m, _ = everything(belief, beliefs.table(STAR, belief))
+    n = int(at.used.sum())
+    assert list(zip(at.row[:n].tolist(), at.col[:n].tolist())) == [A, B, C]
+    assert at.path_m[:n].tolist() == [4, 2, 6]
+    assert np.isinf(at.path_m[n:]).all()
+    assert (np.asarray(at.row[n:]) == -1).all()
+    assert at.overflow == 0
+    want = np.full((len(at.row), len(at.row)), np.inf)
+    want[:3, :3] = [[0, 6, 10], [6, 0, 4], [10, 4, 0]]
+    np.testing.assert_array_equal(apart_m, want)
+    assert unknown[:4].tolist() == [1, 1, 1, 0]
+    assert seen_known[:4].tolist() == [3, 3, 3, 0]
+
+
+def test_the_best_of_some_targets():
+    at = clusters.Targets(*jnp.asarray([[0, 0, 0, -1]] * 2), jnp.asarray([1, 1, 1, 0], bool),
+                          jnp.asarray([3.0, 2, 4, jnp.inf]), jnp.int32(0))  # fmt: skip
+    worth = jnp.asarray([1.0, 2, 3, 4])
+    for usable, want in (([1, 1, 1, 1], 2), ([1, 1, 0, 1], 1), ([1, 0, 0, 0], 0), ([0, 0, 0, 1], 1), ([0] * 4, 1)):
+        assert clusters.best_of(at, worth, jnp.asarray(usable, bool)) == want
+    assert clusters.best_of(at, worth, jnp.asarray([1, 1, 1, 0], bool)).dtype == jnp.int32
+    assert clusters.best_of(at.replace(used=at.used & False), worth, worth > 0) == -1
+
+
+# ---------------------------------------------------------------- how far targets lie apart
+
+
+@pytest.mark.jit
+@pytest.mark.parametrize("clearance_d2", [0, 9])
+def test_distances_on_blocks_are_near_the_exact_ones(clearance_d2):
+    """And what is seen from the targets is what a look from each of them tells."""
+    shape, compared, lidar = (60, 70), 0, Lidar(n_beams=12, fov_deg=360, range_m=0.5)
+    side = clusters.blocks_of(clearance_d2)
+    assert side == (1 if clearance_d2 == 0 else 4)
+    for seed in range(4):
+        belief = beliefs.but_for_spots(seed, shape, clearance_d2=clearance_d2)
+        beams = beliefs.table(lidar, belief)
+        at, (unknown, seen_known), got, passable = jax.tree.map(np.asarray, everything(belief, beams))
+        hits, misses = np.asarray(belief.grid.hits), np.asarray(belief.grid.misses)
+        n = at.used.sum()
+        assert not unknown[n:].any()
+        assert not seen_known[n:].any()
+        assert np.isinf(got[n:]).all()
+        assert np.isinf(got[:, n:]).all()
+        got = got[:n, :n]
+        np.testing.assert_array_equal(got, got.T)
+        assert not got.diagonal().any()
+        for i in range(n):
+            where = int(at.row[i]), int(at.col[i])
+            assert (unknown[i], seen_known[i]) == oracle.look(hits, misses, shape, *where, 12, 360, 5)[1:]
+            cost, _ = planning.dijkstra(passable, where)
+            exact = cost[at.row[:n], at.col[:n]] / planning.STRAIGHT * 0.1
+            if clearance_d2 == 0:
+                np.testing.assert_allclose(got[i], exact, rtol=1e-5)
+            # Both ends may lie anywhere in their blocks, and ways through blocks cut corners and make steps.
+            assert (np.abs(got[i] - exact) <= 3 * side * 0.1 + 0.1 * exact).all()
+            compared += n
+    assert compared > 20
+
+
+@pytest.mark.jit
+@pytest.mark.jit
+@pytest.mark.parametrize("wall", [28, 29, 30, 31])
+def test_no_way_leads_through_a_thin_wall_beside_the_robot(wall):
+    cells = np.full((60, 70), ".")
+    cells[[0, -1], :] = cells[:, [0, -1]] = cells[wall, :60] = "#"
+    cells[15:18, 9:12] = cells[39:42, 9:12] = "?"
+    cells[wall - 4, 10] = "R"
+    belief = beliefs.belief_from(cells == "#", (cells == ".") | (cells == "R"), (wall - 4, 10), clearance_d2=9)
+    belief = belief.replace(near_d2=jnp.int32(25))
+    known = field(belief)
+    at = clusters.targets(belief, known)
+    cost = reach(known.traversable, at.row[0], at.col[0])[at.row[1], at.col[1]]
+    assert clusters.apart(belief, at)[0, 1] > 0.9 * cost * 0.1 / STRAIGHT > 9
+
+
+def test_no_path_no_distance():
+    """Two rooms, one of them with the robot in it: a target in the other cannot be, so both are given."""
+    text = "######### #?..#..?# #..R#...# #########"
+    belief = beliefs.belief_of(text, **ONE_METRE)
+    at = clusters.Targets(
+        jnp.asarray([2, 2, -1]), jnp.asarray([2, 6, -1]), jnp.asarray([True, True, False]),
+        jnp.asarray([1.0, jnp.inf, jnp.inf]), jnp.int32(0),
+    )  # fmt: skip
+    inf = np.inf
+    np.testing.assert_array_equal(jax.jit(clusters.apart)(belief, at), [[0, inf, inf], [inf, 0, inf], [inf, inf, inf]])
+
+
+def test_advantage_by_hand():
+    """Four targets: one that no path joins to the others, and one that does not count."""
+    inf = jnp.inf
+    apart_m = jnp.asarray([[0, 3, inf, 5], [3, 0, inf, 1], [inf, inf, 0, inf], [5, 1, inf, 0]], jnp.float32)
+    path_m = jnp.asarray([2.0, 1.0, 4.0, 0.5])
+    every = jnp.ones(4, bool)
+    np.testing.assert_allclose(advantage(path_m, apart_m, every, 1.0), [4 - 2, 2 - 1, -4, 3 - 0.5])
+    np.testing.assert_allclose(advantage(path_m, apart_m, every, 2.0), [8 - 2, 4 - 1, -4, 6 - 0.5])
+    got = advantage(path_m, apart_m, jnp.asarray([True, True, True, False]), 1.0)
+    np.testing.assert_allclose(got[:3], [3 - 2, 3 - 1, -4])
+
+
+# ---------------------------------------------------------------- tour
+
+NICHE_LENGTHS = [[0, 4, 2, 6], [4, 0, 6, 10], [2, 6, 0, 4], [6, 10, 4, 0]]  # the robot, A, B, C
+
+
+def table_of(lengths, size=7):
+    """Distances in a larger table, whose other entries must not matter."""
+    table = np.full((size, size), 0.25, np.float32)
+    table[: len(lengths), : len(lengths)] = lengths
+    return jnp.asarray(table)
+
+
+def length_of(lengths, route):
+    return sum(float(lengths[a][b]) for a, b in itertools.pairwise(route))
+
+
+def test_a_route_by_hand():
+    """B is the nearest stop. A and C are as near to the route then; A comes first, at the end, because that is 6 more
+    and before B 8. C is 8 more in either gap and 10 at the end; the first gap is taken. Turned round as a whole it is
+    the shortest.
+    """
+    lengths, n = table_of(NICHE_LENGTHS), jnp.int32(3)
+    route = inserted(lengths, n)
+    assert route[:4].tolist() == [0, 3, 2, 1]
+    assert improved(lengths, route, n)[:4].tolist() == [0, 1, 2, 3]
+    for few in range(2):
+        route = inserted(lengths, jnp.int32(few))
+        assert improved(lengths, route, jnp.int32(few))[: few + 1].tolist() == list(range(few + 1))
+
+
+def test_the_last_way_is_open():
+    """Stops in a row at 1, 2 and 10: to 10 and back would be as long in any order."""
+    places = np.array([0.0, 2, 10, 1])
+    lengths, n = table_of(np.abs(places[:, None] - places)), jnp.int32(3)
+    assert improved(lengths, inserted(lengths, n), n)[:4].tolist() == [0, 3, 1, 2]
+    for start in itertools.permutations((1, 2, 3)):
+        route = jnp.asarray([0, *start, 0, 0, 0])
+        assert length_of(lengths, improved(lengths, route, n)[:4].tolist()) <= length_of(lengths, [0, *start])
+
+
+def turned(route):
+    """All routes that turning one stretch round makes; the first node stays."""
+    for i, j in itertools.combinations(range(1, len(route)), 2):
+        yield [*route[:i], *route[i : j + 1][::-1], *route[j + 1 :]]
+
+
+both = jax.jit(lambda lengths, n: (first := inserted(lengths, n), improved(lengths, first, n)))
+
+
+def nearest_insertion(lengths, n):
+    """Oracle for `inserted`: the same rule in plain loops."""
+    route = [0]
+    while len(route) <= n:
+        node = min(set(range(1, n + 1)) - set(route), key=lambda k: (min(lengths[a][k] for a in route), k))
+        routes = [[*route[:i], node, *route[i:]] for i in range(1, len(route) + 1)]
+        route = min(routes, key=lambda r: length_of(lengths, r))
+    return route
+
+
+@pytest.mark.jit
+@given(st.integers(0, 6), hnp.arrays(np.int64, (7, 2), elements=st.integers(0, 30)), st.integers(0, 2**32 - 1))
+@settings(max_examples=150)
+def test_routes_beside_all_permutations(n, places, seed):
+    """City blocks, so that lengths are whole numbers; now and then a way is barred."""
+    lengths = np.abs(places[:, None] - places).sum(-1).astype(np.float32)
+    barred = np.triu(np.random.default_rng(seed).random((7, 7)) < 0.1, 1)
+    lengths[barred | barred.T] = 1e6
+    first, better = (route[: n + 1].tolist() for route in both(jnp.asarray(lengths), jnp.int32(n)))
+    assert first == nearest_insertion(lengths, n)
+    assert better[0] == 0
+    assert sorted(better) == list(range(n + 1))
+    length = length_of(lengths, better)
+    assert length <= length_of(lengths, first)
+    assert all(length <= length_of(lengths, route) + 1e-3 for route in turned(better))
+    best = min(length_of(lengths, (0, *order)) for order in itertools.permutations(range(1, n + 1)))
+    assert best <= length
+    if n <= 2:
+        assert length == best
+
+
+# ---------------------------------------------------------------- mcdm
+
+
+def test_relative_values_by_hand():
+    value = jnp.asarray([3.0, 5.0, 4.0, 100.0])
+    used = jnp.asarray([True, True, True, False])
+    np.testing.assert_allclose(relative(value, used), [0, 1, 0.5, 0])
+    np.testing.assert_allclose(relative(-value, used), [1, 0, 0.5, 0])
+    np.testing.assert_allclose(relative(jnp.full(4, 2.0), used), [1, 1, 1, 0])
+    np.testing.assert_allclose(relative(value, used & False), [0, 0, 0, 0])
+
+
+MEASURE = jnp.asarray([0, 0.5, 0.3, 0.95, 0.2, 0.7, 0.4, 1])  # of {}, a, d, ad, o, ao, do, ado: the defaults
+
+
+def test_the_choquet_integral_by_hand():
+    """a = 0.2, d = 0.5, o = 1: 0.2 of all, 0.3 more of d and o, 0.5 more of o. And the same turned round."""
+    columns = jnp.asarray([[0.2, 0.5, 1.0], [1.0, 0.5, 0.2], [0.0, 1.0, 1.0], [1.0, 1.0, 0.0]]).T
+    want = [0.2 + 0.3 * 0.4 + 0.5 * 0.2, 0.2 + 0.3 * 0.95 + 0.5 * 0.5, 0.4, 0.95]
+    np.testing.assert_allclose(choquet(columns, MEASURE), want, rtol=1e-6)
+
+
+SHARES = hnp.arrays(np.float32, (3, 4), elements=st.floats(0, 1, width=32))
+
+
+@pytest.mark.jit
+@given(SHARES, hnp.arrays(np.float32, 3, elements=st.floats(0.0625, 1, width=32)))
+@settings(max_examples=60)
+def test_laws_of_the_choquet_integral(utilities, weights):
+    weights = weights / weights.sum()
+    additive = jnp.asarray([sum(weights[i] for i in range(3) if s >> i & 1) for s in range(8)], jnp.float32)
+    integral = jax.jit(choquet)
+    np.testing.assert_allclose(integral(utilities, additive), weights @ utilities, atol=1e-6)
+    equal = np.broadcast_to(utilities[:1], (3, 4))
+    np.testing.assert_allclose(integral(equal, MEASURE), utilities[0], atol=1e-6)
+    value = np.asarray(integral(utilities, MEASURE))
+    assert (value >= utilities.min(0) - 1e-6).all()
+    assert (value <= utilities.max(0) + 1e-6).all()
+    for i in range(3):
+        more = utilities.copy()
+        more[i] = np.minimum(more[i] + 0.25, 1)
+        assert (np.asarray(integral(more, MEASURE)) >= value - 1e-6).all()
+
+
+def test_blocks_are_as_wide_as_a_clearance_allows():
+    assert [clusters.blocks_of(d2) for d2 in (0, 1, 2, 4, 9, 100)] == [1, 2, 2, 3, 4, 4]

@@ -1,0 +1,149 @@
+"""Maps divided into rooms and scored: the command, the table, the pictures, what is refused."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from PIL import Image
+
+from jexplore import cli, segment
+from jexplore.config import InputError
+from jexplore.plot_segments import figure
+from jexplore.segmentation import COLUMNS, segment_maps, segmentations
+from jexplore.world import occupancy_to_world
+
+pytestmark = pytest.mark.jit
+
+SMALL = "rooms#1:width_m=9.6,height_m=6.4"
+
+
+def picture(path, free):
+    Image.fromarray(np.where(free, 255, 0).astype(np.uint8)).save(path)
+    return str(path)
+
+
+def two_rooms():
+    """Two rooms of 2 x 2 m with a door of 0.4 m between them, at 0.05 m; and the same with the door closed."""
+    free = np.zeros((42, 84), bool)
+    free[1:41, 1:41] = free[1:41, 43:83] = True
+    closed = free.copy()
+    free[17:25, 41:43] = True
+    return free, closed
+
+
+@pytest.fixture(scope="module")
+def pictures(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("pictures")
+    free, closed = two_rooms()
+    return f"{picture(folder / 'map.png', free)}@0.05", picture(folder / "truth.png", closed)
+
+
+def test_two_rooms_are_found_whole(pictures):
+    found = segment_maps(pictures[0], truth=[pictures[1]])
+    assert tuple(found.scores.columns) == COLUMNS
+    assert found.scores["variant"].tolist() == list(segment.VARIANTS)
+    assert found.scores["rooms"].tolist() == found.scores["rooms_truth"].tolist() == [2, 2, 2]
+    assert (found.scores["mcc"] > 0.97).all()
+    assert (found.scores["critical_points"] == 1).all()
+    assert (found.scores["explored"] == 1).all()
+    assert not found.scores["overflow"].any()
+    text = found.to_markdown()
+    assert text.count("### ") == 3
+    assert "map.png@0.05" in text
+    labels = {frozenset(np.unique(p.label[p.free])) for p in found.pictures}
+    assert labels == {frozenset({0, 1})}
+
+
+def test_worlds_that_know_their_rooms_need_no_truth():
+    scores = segment_maps(SMALL, cell_m=0.1, variants=["holz"]).scores
+    assert scores["rooms_truth"].iloc[0] >= 2
+    assert 0 < scores["mcc"].iloc[0] <= 1
+
+
+def test_without_truth_rooms_are_only_counted():
+    free, _ = two_rooms()
+    world = occupancy_to_world(~free, name="mine", cell_m=0.05)
+    scores = segment_maps(world, variants=["wurm"]).scores
+    assert scores["rooms"].iloc[0] == 2
+    assert np.isnan(scores["mcc"].iloc[0])
+
+
+def test_one_room_and_no_free_space():
+    free = np.zeros((40, 40), bool)
+    free[2:38, 2:38] = True
+    (one,) = segmentations(free, [segment.criteria()])
+    assert (one.label[free] >= -1).all()
+    assert int(one.count) == 0
+    assert (one.label == -1).all()
+    scores = segment_maps(occupancy_to_world(~free, name="one", cell_m=0.1), variants=["holz"]).scores
+    assert scores["rooms"].iloc[0] == 1
+    (none,) = segmentations(np.zeros((40, 40), bool), [segment.criteria()])
+    assert (none.label == -1).all()
+
+
+def test_a_sweep_is_the_settings_one_by_one():
+    free, _ = two_rooms()
+    settings = [segment.criteria(v, prominence=p, gamma=g) for v in ("wurm", "thrun") for p in (0, 2) for g in (2, 5)]
+    together = segmentations(free, settings)
+    for one, setting in zip(together, settings):
+        np.testing.assert_array_equal(one.label, segmentations(free, [setting])[0].label)
+
+
+def test_partial_maps_are_those_of_an_episode():
+    scores = segment_maps(SMALL, cell_m=0.1, variants=["holz"], partial=True).scores
+    assert scores["explored"].tolist() == [0.25, 0.5, 0.75, 1.0]
+    assert scores["rooms_truth"].is_monotonic_increasing
+    assert scores["mcc"].notna().all()
+
+
+def test_the_picture(pictures, tmp_path):
+    found = segment_maps(pictures[0], truth=[pictures[1]])
+    page = figure(found.pictures, found.scores)
+    titles = [ax.get_title() for ax in page.axes]
+    assert len(titles) == 3
+    assert "holz: 2 rooms, MCC" in titles[2]
+
+
+def test_the_command(pictures, tmp_path, capsys):
+    out = tmp_path / "out"
+    assert cli.main(["segment", pictures[0], "--truth", pictures[1], "--variant", "holz", "--out", str(out)]) == 0
+    assert {p.name for p in out.iterdir()} == {"scores.parquet", "segments.png", "run.json"}
+    assert pd.read_parquet(out / "scores.parquet")["variant"].tolist() == ["holz"]
+    assert "### holz, 100% of the map" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("more", "message"),
+    [
+        ({"variants": ["voronoi"]}, "unknown variant 'voronoi'"),
+        ({"variants": []}, "at least one variant"),
+        ({"metric": "manhattan"}, "unknown metric"),
+        ({"prominence_m": -1.0}, "prominence_m must be"),
+        ({"gamma": float("nan")}, "gamma must be"),
+        ({"truth": ["a.png", "b.png"]}, "ground truth for each of 1 maps, got 2"),
+        ({"truth": ["nowhere.png"]}, "nowhere.png"),
+    ],
+)
+def test_wrong_input_is_refused_in_one_line(pictures, more, message):
+    with pytest.raises(InputError) as error:
+        segment_maps(pictures[0], **more)
+    assert message in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_truth_of_another_size_is_refused(pictures, tmp_path):
+    with pytest.raises(InputError, match=r"must be as large as .*84 x 42 pixels, got 80 x 42"):
+        segment_maps(pictures[0], truth=[picture(tmp_path / "small.png", two_rooms()[1][:, :80])])
+    with pytest.raises(InputError, match="ground truth is for maps such as"):
+        segment_maps(SMALL, truth=[pictures[1]], cell_m=0.1)
+
+
+def test_the_command_refuses(capsys):
+    assert cli.main(["segment"]) == 2
+    assert "expected a map" in capsys.readouterr().err
+
+
+def test_a_real_map(maps):
+    name = "Freiburg52_scan"
+    folder = maps / "ipa"
+    found = segment_maps(f"{folder / name}.png@0.05", truth=[f"{folder / name}_gt_segmentation.png"], variants=["holz"])
+    assert found.scores["mcc"].iloc[0] > 0.9

@@ -1,0 +1,247 @@
+"""The Voronoi graph of free space: pencil cases, brute force, scikit-image and networkx, laws."""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from ref import maps, planning, rooms
+from skimage import morphology
+
+from jexplore import bits
+from jexplore.distance import nearest_offset
+from jexplore.skeleton import graph, medial_axis, thin, voronoi_graph
+from jexplore.sparse import NEIGHBOURS
+
+SHAPES = ((12, 12), (40, 7))  # one of them taller than a machine word
+
+
+def masks(shapes=SHAPES):
+    share = st.sampled_from((0.1, 0.5, 0.8))
+    return st.tuples(st.sampled_from(shapes), share, st.integers(0, 2**30)).map(
+        lambda case: np.random.default_rng(case[2]).random(case[0]) < case[1]
+    )
+
+
+@jax.jit
+def axis(obstacle, gamma):
+    return medial_axis(*nearest_offset(obstacle), gamma**2)
+
+
+@jax.jit
+def thinned(mask):
+    return bits.unpack(thin(bits.pack(mask)), mask.shape[0])
+
+
+GRAPH = jax.jit(graph, static_argnames="size")
+VORONOI = jax.jit(voronoi_graph, static_argnames="size")
+
+
+# ---------------------------------------------------------------- medial axis
+
+
+@pytest.mark.jit
+def test_the_axis_of_a_corridor_by_hand():
+    odd = maps.walls("####### #.....# #.....# #.....# #######")
+    # at either end the wall across is as near as those along it: the axis runs on into the corners
+    expected = maps.walls("....... .#...#. ..###.. .#...#. .......")
+    # (1, 1) is nearest to (1, 0) and (1, 2) to (0, 2), which is sqrt(5) cells away
+    np.testing.assert_array_equal(axis(jnp.asarray(odd), jnp.float32(2.23)), expected)
+    expected = maps.walls("....... ....... ..###.. ....... .......")
+    np.testing.assert_array_equal(axis(jnp.asarray(odd), jnp.float32(2.24)), expected)
+    assert axis(jnp.asarray(odd), jnp.float32(3.99))[2, 3]
+    assert not axis(jnp.asarray(odd), jnp.float32(4)).any()
+
+
+@pytest.mark.jit
+def test_the_axis_of_a_corridor_of_even_width_is_two_cells_wide():
+    even = maps.walls("....... ####### ....... ....... #######")
+    expected = maps.walls("....... ....... ####### ####### .......")
+    np.testing.assert_array_equal(axis(jnp.asarray(even), jnp.float32(2)), expected)
+    assert not axis(jnp.asarray(even), jnp.float32(3)).any()
+
+
+@pytest.mark.jit
+def test_a_passage_one_cell_wide_has_no_axis():
+    """An axis lies between two free cells, and across such a passage there are none."""
+    narrow = maps.walls("....... ####### ....... ####### .......")
+    assert not axis(jnp.asarray(narrow), jnp.float32(1)).any()
+
+
+@pytest.mark.jit
+def test_the_axis_of_a_cross_by_hand():
+    cross = ~maps.walls("""
+        .........
+        ...###...
+        ...###...
+        .#######.
+        .#######.
+        .#######.
+        ...###...
+        ...###...
+        .........
+    """)
+    expected = maps.walls("""
+        .........
+        .........
+        ....#....
+        ....#....
+        ..#####..
+        ....#....
+        ....#....
+        .........
+        .........
+    """)
+    np.testing.assert_array_equal(axis(jnp.asarray(cross), jnp.float32(2.5)), expected)
+    # The crossing sees four corners; it is linked to four arms.
+    found = GRAPH(jnp.asarray(expected), nearest_offset(jnp.asarray(cross))[0], size=12)
+    assert found.degree.tolist() == [1, 2, 1, 2, 4, 2, 1, 2, 1, 0, 0, 0]
+    assert found.cell.tolist() == [22, 31, 38, 39, 40, 41, 42, 49, 58, 81, 81, 81]
+    assert found.d2.tolist() == [4, 5, 4, 5, 8, 5, 4, 5, 4, 0, 0, 0]
+    assert found.link[4].tolist() == [5, 7, 3, 1, 12, 12, 12, 12]
+    assert int(found.overflow) == 0
+
+
+@pytest.mark.jit
+@given(masks().map(lambda m: m & np.roll(m, 1)) | masks(), st.sampled_from((1.0, 1.5, 2.0, 3.0)))
+@settings(max_examples=60, deadline=None)
+def test_an_axis_lies_between_obstacles_that_are_apart(obstacle, gamma):
+    marked = np.asarray(axis(jnp.asarray(obstacle), jnp.float32(gamma)))
+    assert not marked[obstacle].any()
+    site = planning.nearest_site(obstacle)[1]
+    places = np.stack(np.divmod(site, obstacle.shape[1]), axis=-1)
+    for row, col in np.argwhere(marked):
+        around = [(row + drow, col + dcol) for drow, dcol in NEIGHBOURS[:4]]
+        around = [cell for cell in around if all(0 <= i < n for i, n in zip(cell, marked.shape)) and not obstacle[cell]]
+        assert any(np.hypot(*(places[cell] - places[row, col])) > gamma for cell in around)
+    np.testing.assert_array_equal(marked, rooms.medial_axis(obstacle, gamma))
+
+
+# ---------------------------------------------------------------- thinning
+
+
+@pytest.mark.jit
+def test_a_thick_cross_is_thinned_to_lines():
+    """By scikit-image on the picture as one sees it, top row first."""
+    cross = maps.walls("""
+        ............
+        ....###.....
+        ....###.....
+        ....###.....
+        .##########.
+        .##########.
+        .##########.
+        ....###.....
+        ....###.....
+        ....###.....
+        ....###.....
+        ............
+    """)
+    lines = np.asarray(thinned(jnp.asarray(cross)))
+    np.testing.assert_array_equal(lines[::-1], morphology.thin(cross[::-1]))
+    assert (lines.sum(0) > 0)[3:9].all()
+    assert (lines.sum(1) > 0)[3:9].all()
+    assert lines[lines.any(1)].sum() < 20
+
+
+@pytest.mark.jit
+@given(masks())
+@settings(max_examples=120, deadline=None)
+def test_thinning_is_scikit_images(mask):
+    lines = np.asarray(thinned(jnp.asarray(mask)))
+    np.testing.assert_array_equal(lines[::-1], morphology.thin(mask[::-1]))
+    np.testing.assert_array_equal(thinned(jnp.asarray(lines)), lines)
+
+
+# ---------------------------------------------------------------- graph
+
+
+@pytest.mark.jit
+def test_a_corner_of_a_line_is_not_a_junction():
+    skeleton = maps.walls("""
+        #....
+        .#...
+        .###.
+    """)
+    found = GRAPH(jnp.asarray(skeleton), jnp.full((3, 5), 7), size=6)
+    assert found.cell.tolist() == [1, 2, 3, 6, 10, 15]
+    # (0, 2) and (1, 1) touch at their corners, but (0, 1) lies between them
+    assert found.degree.tolist() == [2, 2, 1, 2, 1, 0]
+    assert found.d2.tolist() == [7, 7, 7, 7, 7, 0]
+    np.testing.assert_array_equal(
+        found.link,
+        [
+            [1, 3, 6, 6, 6, 6, 6, 6],
+            [2, 6, 0, 6, 6, 6, 6, 6],
+            [6, 6, 1, 6, 6, 6, 6, 6],
+            [6, 6, 6, 0, 6, 4, 6, 6],
+            [6, 6, 6, 6, 6, 6, 6, 3],
+            [6, 6, 6, 6, 6, 6, 6, 6],
+        ],
+    )
+
+
+@pytest.mark.jit
+@given(masks(), st.booleans())
+@settings(max_examples=60, deadline=None)
+def test_degrees_and_links_are_networkxs(mask, lines):
+    skeleton = morphology.thin(mask) if lines else mask
+    d2 = np.arange(mask.size, dtype=np.int32).reshape(mask.shape) ** 2 % 101
+    found = GRAPH(jnp.asarray(skeleton), jnp.asarray(d2), size=300)
+    cells = [tuple(cell) for cell in np.argwhere(skeleton).tolist()]
+    expected = rooms.linked(set(cells))
+    n = len(cells)
+    assert found.cell.tolist() == [row * mask.shape[1] + col for row, col in cells] + [mask.size] * (300 - n)
+    assert found.d2.tolist() == [d2[cell] for cell in cells] + [0] * (300 - n)
+    assert found.degree.tolist() == [expected.degree(cell) for cell in cells] + [0] * (300 - n)
+    assert int(found.overflow) == 0
+    link = np.asarray(found.link)
+    assert (link[n:] == 300).all()
+    for slot, (row, col) in enumerate(cells):
+        for i, (drow, dcol) in enumerate(NEIGHBOURS):
+            there = row + drow, col + dcol
+            assert link[slot, i] == (cells.index(there) if expected.has_edge((row, col), there) else 300)
+
+
+@pytest.mark.jit
+def test_cells_that_do_not_fit_are_counted_and_not_linked():
+    skeleton = jnp.asarray(maps.walls("####### ....... #......"))
+    found = GRAPH(skeleton, jnp.ones((3, 7), jnp.int32), size=5)
+    assert found.cell.tolist() == [0, 14, 15, 16, 17]
+    assert found.degree.tolist() == [0, 1, 2, 2, 1]
+    assert int(found.overflow) == 3
+
+
+@pytest.mark.jit
+@pytest.mark.parametrize("shape", [(1, 1), (1, 7), (40, 7)])
+def test_maps_without_an_axis(shape):
+    """All free: no obstacle to be far from. All wall. One row of free cells between two walls."""
+    ends = np.zeros(shape, bool)
+    ends[0, [0, -1]] = True
+    for obstacle in (np.zeros(shape, bool), np.ones(shape, bool), ends & (shape[0] == 1) & (shape[1] < 3)):
+        found = VORONOI(jnp.asarray(obstacle), jnp.float32(4), size=16)
+        assert (np.asarray(found.cell) == obstacle.size).all()
+        assert (np.asarray(found.link) == 16).all()
+        assert not found.degree.any()
+        assert not found.d2.any()
+        assert int(found.overflow) == 0
+
+
+@pytest.mark.jit
+def test_one_row_between_two_walls_has_its_axis_in_the_middle():
+    found = VORONOI(jnp.asarray(maps.walls("#.....#")), jnp.float32(4), size=16)
+    assert found.cell.tolist()[:2] == [3, 7]
+    assert found.d2.tolist()[:2] == [9, 0]
+
+
+@pytest.mark.jit
+def test_rows_of_a_batch_are_independent():
+    obstacle = jnp.asarray(np.random.default_rng(5).random((3, 12, 12)) < [[[0.0]], [[0.05]], [[0.2]]])
+    batch = jax.jit(jax.vmap(functools.partial(voronoi_graph, size=40), (0, None)))(obstacle, jnp.float32(4))
+    assert (np.asarray(batch.degree).max(1) >= [0, 2, 2]).all()
+    for i in range(3):
+        alone = VORONOI(obstacle[i], jnp.float32(4), size=40)
+        jax.tree.map(lambda many, one, i=i: np.testing.assert_array_equal(many[i], one), batch, alone)

@@ -1,0 +1,207 @@
+"""Strategies that go to view points: what they sample, and which of the samples they take."""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from ref import beliefs
+
+from jexplore.config import Lidar
+from jexplore.gain import look, prospect
+from jexplore.grid import empty_grid
+from jexplore.navigate import field, nearest_frontier
+from jexplore.policies import parse_strategy, views
+from jexplore.raycast import all_round
+from jexplore.reach import FAR, STRAIGHT
+
+CROSS = Lidar(n_beams=4, fov_deg=360, range_m=4.0)  # in cells of one metre: four cells back, right, ahead, left
+
+# One step to the left lies a frontier that shows 1 cell, six to the right one that shows 3.
+CORRIDOR = """
+    ##############
+    #?.R......???#
+    ##############
+"""
+NEAR, FAR_OFF = (1, 2), (1, 9)
+
+
+ONE_METRE = {"cell_m": 1.0, "reach": "wave", "scan": "whole"}
+
+
+# ---------------------------------------------------------------- by hand
+
+
+@pytest.mark.jit
+@pytest.mark.parametrize(
+    ("name", "numbers"),
+    [
+        # 1 exp(-lam) beside 3 exp(-6 lam): the same at lam = ln 3 / 5 = 0.2197. What shows too little is not
+        # considered; where nothing shows enough, the nearest frontier is.
+        ("decision-theoretic", {"lam=0": FAR_OFF, "lam=0.21": FAR_OFF, "lam=0.23": NEAR, "lam=5": NEAR,
+                                "lam=5,min_gain=2": FAR_OFF, "lam=0,min_gain=4": NEAR}),
+        # 1 / (plus + 1) beside 3 / (plus + 6): the same at plus = 1.5.
+        ("gain-rate", {"plus_m=0": NEAR, "plus_m=1.4": NEAR, "plus_m=1.6": FAR_OFF,
+                       "plus_m=0,min_gain=3": FAR_OFF, "plus_m=100,min_gain=4": NEAR}),
+    ],
+)  # fmt: skip
+def test_much_to_see_far_off_or_little_near_by(name, numbers):
+    """Without a spread every view point is a frontier cell, and with 200 samples each of the two is drawn."""
+    belief = beliefs.belief_of(CORRIDOR, **ONE_METRE)
+    for text, want in numbers.items():
+        text += "" if "min_gain" in text else ",min_gain=1"
+        assert beliefs.target_of(f"{name}:{text},samples=200,spread_m=0", belief, CROSS) == want
+
+
+@pytest.mark.jit
+def test_a_choice_says_whether_it_is_a_view_point():
+    belief = beliefs.belief_of(CORRIDOR, **ONE_METRE)
+    for min_gain, is_view in ((3, True), (4, False)):
+        policy = parse_strategy(f"decision-theoretic:lam=0,spread_m=0,min_gain={min_gain}").policy
+        beams = beliefs.table(CROSS, belief)
+        args = policy.select, jax.random.key(0), policy.params
+        choice = beliefs.selected(*args, belief, beams)
+        assert bool(choice.is_view) == is_view
+        done = beliefs.selected(*args, belief.replace(exhausted=~belief.exhausted), beams)
+        assert (int(done.row), int(done.col), int(done.cost), bool(done.is_view)) == (-1, -1, FAR, False)
+
+
+def test_a_view_point_is_live_while_it_shows_enough():
+    belief = beliefs.belief_of(CORRIDOR, **ONE_METRE)
+    beams = beliefs.table(CROSS, belief)
+    for (row, col), seen in ((NEAR, 1), (FAR_OFF, 3), ((1, 7), 2), ((1, 6), 1)):
+        for min_gain in (1, 2, 3, 4):
+            policy = parse_strategy(f"gain-rate:min_gain={min_gain}").policy
+            live = policy.live(policy.params, belief, beams, jnp.int32(row), jnp.int32(col))
+            assert bool(live) == (seen >= min_gain)
+
+
+# ---------------------------------------------------------------- samples
+
+SHAPE = (30, 34)
+LIDAR = Lidar(n_beams=8, fov_deg=360, range_m=0.7)
+
+
+@jax.jit
+def drawn(key, belief, params):
+    known = field(belief)
+    return *views.drawn(key, belief, known, params), known
+
+
+def numbers(samples=500, spread_m=0.4, weight=0.2, min_gain=5):
+    return views.views(("lam", weight), samples, spread_m, min_gain)
+
+
+@pytest.mark.jit
+@pytest.mark.parametrize("seed", range(3))
+def test_samples_can_be_reached_and_lie_near_frontiers(seed):
+    belief = beliefs.after_scans(seed, SHAPE)
+    exhausted = np.random.default_rng(seed).random(SHAPE) < 0.3
+    belief = belief.replace(exhausted=jnp.asarray(exhausted))
+    row, col, known = jax.tree.map(np.asarray, drawn(jax.random.key(seed), belief, numbers()))
+    assert (known.cost[row, col] < FAR).all()
+    assert not exhausted[row, col].any()
+    frontier = np.argwhere(known.candidates)
+    d2 = ((np.stack([row, col], axis=1)[:, None] - frontier) ** 2).sum(-1).min(1)
+    assert d2.max() <= (4 + 0.5 * 2**0.5) ** 2  # rounded to the centre of a cell
+    assert d2.max() > 3**2
+    # Every frontier cell is drawn from, and so is what is none.
+    row, col, _ = jax.tree.map(np.asarray, drawn(jax.random.key(seed), belief, numbers(spread_m=0)))
+    assert set(zip(row.tolist(), col.tolist())) <= set(map(tuple, frontier.tolist()))
+    assert len(set(zip(row, col))) > 0.9 * len(frontier)
+
+
+@pytest.mark.jit
+def test_draws_depend_neither_on_padding_nor_on_how_many_there_are():
+    narrow, wide = (beliefs.after_scans(1, SHAPE, grow=grow) for grow in ((0, 0), (5, 11)))
+    for key in map(jax.random.key, range(3)):
+        few, many, padded = (drawn(key, b, numbers(n)) for b, n in ((narrow, 100), (narrow, 500), (wide, 500)))
+        for a, b, c in zip(few[:2], many[:2], padded[:2]):
+            np.testing.assert_array_equal(a, b)
+            np.testing.assert_array_equal(a, c)
+
+
+@pytest.mark.jit
+def test_samples_fill_a_disc_evenly():
+    """Round one unknown cell in the open, 12 cells far: a quarter of them within half the radius, or nearly."""
+    misses = np.ones(SHAPE, int)
+    misses[15, 17] = 0
+    belief = beliefs.belief_from(0 * misses, misses, (15, 10))
+    row, col, _ = jax.tree.map(np.asarray, drawn(jax.random.key(0), belief, numbers(spread_m=1.2)))
+    near = np.hypot(row - 15, col - 17) <= 6
+    assert 0.18 < near.mean() < 0.32
+    for side in (row < 15, row > 15, col < 17, col > 17):
+        assert 0.4 < side.mean() < 0.52
+
+
+@pytest.mark.jit
+def test_without_a_frontier_there_are_no_samples():
+    belief = beliefs.after_scans(1, SHAPE)
+    row, _, _ = drawn(jax.random.key(0), belief.replace(exhausted=~belief.exhausted), numbers())
+    assert (np.asarray(row) == SHAPE[0]).all()
+
+
+# ---------------------------------------------------------------- the best of them
+
+
+@functools.partial(jax.jit, static_argnames=("utility",))
+def all_views(utility, key, params, belief, beams):
+    """Cell, utility and unknown cells in sight of every sample, none left out, and what `best_view` finds."""
+    known = field(belief)
+    row, col = views.drawn(key, belief, known, params)
+    around, ahead = all_round(beams), prospect(belief.grid, belief.extent, belief.p_free)
+    scratch = empty_grid(known.cost.shape)
+    told = jax.lax.map(lambda at: look(ahead, *at, around, scratch)[0], (row, col))
+    worth = utility(params, told.gain, views.metres(known.cost[row, col], belief.cell_m))
+    best, overflow = views.best_view(utility, key, params, belief, known, beams)
+    return row * known.cost.shape[1] + col, worth, told.unknown, best, overflow
+
+
+@pytest.mark.jit
+@pytest.mark.parametrize("name", ["decision-theoretic", "gain-rate"])
+@pytest.mark.parametrize("known", ["scans", "mixed", "spots"])
+def test_the_best_view_is_the_best_of_all(name, known):
+    """That those which promise less are not looked at changes nothing, and neither do samples beyond the number asked
+    for. Equal ones go to the lowest index: without mixed cells gains are whole numbers, and many are equal.
+    """
+    found, (utility,) = set(), parse_strategy(name).policy.select.args
+    for seed in range(3):
+        if known == "spots":  # nothing else in reach: a place shows most of what it promises
+            belief = beliefs.but_for_spots(seed, SHAPE)
+        else:
+            belief = beliefs.after_scans(seed, SHAPE, mixed=0.2 * (known == "mixed"))
+        beams = beliefs.table(LIDAR, belief)
+        for weight, samples, min_gain in ((0, 500, 1), (0.2, 500, 5), (1.0, 7, 1), (3.0, 200, 4), (1.0, 500, 2**20)):
+            params = numbers(samples, weight=weight, min_gain=min_gain)
+            cell, worth, unknown, best, overflow = map(
+                np.asarray, all_views(utility, jax.random.key(seed), params, belief, beams)
+            )
+            usable = (np.arange(len(cell)) < samples) & (unknown >= min_gain)
+            assert overflow == 0
+            if not usable.any():
+                assert best == -1
+                found.add("none")
+                continue
+            most = worth[usable].max()
+            equal = set(cell[usable & (worth >= most * (1 - 1e-6))].tolist())
+            assert int(best) in equal
+            if weight == 0 and known != "mixed" and name == "decision-theoretic":
+                assert best == min(cell[usable & (worth == most)])
+                found.add("equal" if len(equal) > 1 else "one")
+    assert "none" in found
+    assert name == "gain-rate" or known == "mixed" or "equal" in found
+
+
+@pytest.mark.jit
+def test_no_samples_worth_going_to_means_the_nearest_frontier():
+    belief = beliefs.after_scans(2, SHAPE)
+    policy = parse_strategy("decision-theoretic:min_gain=100000").policy
+    got = beliefs.selected(policy.select, jax.random.key(0), policy.params, belief, beliefs.table(LIDAR, belief))
+    want, _ = nearest_frontier(belief, jnp.full(SHAPE, -1, jnp.int8))
+    assert (int(got.row), int(got.col), int(got.cost)) == (int(want.row), int(want.col), int(want.cost))
+    assert not got.is_view
+
+
+def test_metres():
+    assert float(views.metres(jnp.int32(3 * STRAIGHT), jnp.float32(0.5))) == 1.5
