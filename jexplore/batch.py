@@ -138,7 +138,8 @@ def run(jobs, lidar, rules, *, engine=None, kernels=None, lanes=None, workers=No
 
     An episode's result depends on its world, start, strategy, seed and number, not on what else runs, nor on the
     engine, the kernels, or the number of lanes, cores, devices or processes. Between kinds of devices that holds for a
-    scanner without noise: noise is drawn in floating point, which they may round differently.
+    scanner without noise and strategies that compare whole numbers (`closest`, `random`): noise is drawn, and the
+    others choose, in floating point, which devices may round differently.
 
     Ctrl-C ends the run early: the report then holds what was finished. Where nothing was, it is raised.
 

@@ -1,4 +1,4 @@
-"""The command line: `jexplore compare`, `explore`, `reproduce`, `worlds`, `strategies`, `bench`.
+"""The command line: `jexplore compare`, `explore`, `reproduce`, `segment`, `worlds`, `strategies`, `bench`.
 
 Importing this loads neither jax nor numpy; every command imports what it needs when it runs. Wrong input ends with one
 line and status 2 and leaves no files, an interruption with one line and status 130; a comparison or reproduction then
@@ -6,6 +6,7 @@ keeps what is finished.
 """
 
 import contextlib
+import dataclasses
 import datetime
 import functools
 import io
@@ -16,7 +17,20 @@ import time
 
 from jexplore import __version__
 from jexplore.config import InputError
-from jexplore.options import COMMANDS, Bench, Compare, Explore, Reproduce, Segment, Strategies, Worlds, help_text, parse
+from jexplore.options import (
+    COMMANDS,
+    STRATEGIES,
+    Bench,
+    Compare,
+    Explore,
+    Reproduce,
+    Segment,
+    Strategies,
+    Worlds,
+    default_worlds,
+    help_text,
+    parse,
+)  # fmt: skip
 
 COMPILING = "jexplore: compiling (kept for later runs)"
 FINISHING = "jexplore: computing statistics and drawing"
@@ -247,14 +261,15 @@ def _compare(options, arguments):
     from jexplore.standings import LEAGUE_STRATEGIES, league_worlds
 
     out = _Out(options, "compare")
-    worlds, strategies = options.worlds, options.strategies
-    if options.league:
-        default = Compare()
-        worlds = league_worlds() if worlds == default.worlds else worlds
-        strategies = LEAGUE_STRATEGIES if strategies == default.strategies else strategies
+    worlds, strategies = (league_worlds(), LEAGUE_STRATEGIES) if options.league else (default_worlds(), STRATEGIES)
+    options = dataclasses.replace(
+        options,
+        worlds=worlds if options.worlds is None else options.worlds,
+        strategies=strategies if options.strategies is None else options.strategies,
+    )
     jobs = prepare_jobs(
-        worlds,
-        strategies,
+        options.worlds,
+        options.strategies,
         episodes=options.episodes,
         seed=options.seed,
         cell_m=options.cell_m,
@@ -279,10 +294,19 @@ def _finish_league(out, found, report, record):
     from jexplore.bench.plans import plan_costs
     from jexplore.standings import standings_table
 
-    world, names = found.worlds[0], list(dict.fromkeys(found.episodes["strategy"]))
-    plan_ms = {} if report.interrupted else plan_costs(world, names)
-    text = f"{standings_table(found.standings, plan_ms)}\nms a plan: on one core, in {world.name}, {world.shape[1]} x "
-    text += f"{world.shape[0]} cells, every strategy on the same maps\n"
+    world, names, plan_ms = found.worlds[0], list(dict.fromkeys(found.episodes["strategy"])), {}
+    if not report.interrupted:
+        try:
+            with _note("jexplore: measuring what a plan costs; Ctrl-C leaves that out"):
+                plan_ms = plan_costs(world, names)
+        except (InputError, KeyboardInterrupt):
+            print("warning: what a plan costs could not be measured", file=sys.stderr)
+    text = standings_table(found.standings, plan_ms)
+    if plan_ms:
+        text += (
+            f"\nms a plan: on one core, in {world.name}, {world.shape[1]} x {world.shape[0]} cells, every strategy on\n"
+        )
+        text += "the same maps, with the default scanner and rules\n"
     record = functools.partial(record, standings=found.standings.to_dict("records"), plan_ms=plan_ms)
     return _finish(out, found, report, text, {"league.png": plot_standings.figure(found.standings)}, record)
 

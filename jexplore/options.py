@@ -23,7 +23,11 @@ def _is_small():
     return os.environ.get(SMALL, "0") not in ("", "0")
 
 
-def _default_worlds():
+STRATEGIES = ("closest", "closest+recheck", "random")
+"""What `jexplore compare` compares by default."""
+
+
+def default_worlds():
     return ("cave", "maze") if _is_small() else ("cave", "office", "hospital")
 
 
@@ -35,7 +39,9 @@ def _default_paper_episodes():
     return 5 if _is_small() else 100
 
 
-_Names = Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME [NAME ...]")]
+_Numbers = Annotated[tuple[int, ...] | None, tyro.conf.arg(metavar="N [N ...]", help_behavior_hint="")]
+_Number = Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="")]
+_OwnNames = Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="NAME [NAME ...]", help_behavior_hint="")]
 _World = Annotated[str, tyro.conf.arg(metavar="WORLD")]
 _Strategy = Annotated[str, tyro.conf.arg(metavar="STRATEGY")]
 _Out = Annotated[str | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="(default: runs/<UTC time>-<command>)")]
@@ -48,10 +54,12 @@ class Compare:
     Prints a Markdown table and writes episodes.parquet, run.json, compare.png and paths.png.
     """
 
-    worlds: _Names = dataclasses.field(default_factory=_default_worlds)
-    """Worlds: names of generators such as cave#3, or map files; see `jexplore worlds`."""
-    strategies: _Names = ("closest", "closest+recheck", "random")
-    """Strategies; the others are compared with the first. See `jexplore strategies`."""
+    worlds: _OwnNames = None
+    """Worlds: names of generators such as cave#3, or map files; see `jexplore worlds` (default: cave office
+    hospital)."""
+    strategies: _OwnNames = None
+    """Strategies; the others are compared with the first. See `jexplore strategies` (default: closest closest+recheck
+    random)."""
     episodes: int = dataclasses.field(default_factory=_default_episodes)
     """Episodes of each strategy in each world."""
     seed: int = 0
@@ -151,7 +159,7 @@ class Segment:
     )
     """Variants: thrun, wurm, holz (default: all)."""
     partial: bool = False
-    """Also segment the maps that an exploring robot has when it knows 25, 50 and 75 % of what it will know."""
+    """Also segment the maps that an exploring robot has when it first knows 25, 50 and 75 % of what it will know."""
     cell_m: float = 0.05
     """Edge of a cell, metres."""
     prominence_m: float = 0.15
@@ -187,11 +195,6 @@ class Worlds:
     """Folder to write."""
     overwrite: bool = False
     """Replace the run that the folder holds."""
-
-
-_Numbers = Annotated[tuple[int, ...] | None, tyro.conf.arg(metavar="N [N ...]", help_behavior_hint="")]
-_Number = Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="")]
-_OwnNames = Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="NAME [NAME ...]", help_behavior_hint="")]
 
 
 @dataclasses.dataclass(frozen=True)

@@ -43,4 +43,6 @@ def figure(table):
 
 def _spans(table, kinds, tick):
     values = table[["ratio", *kinds]].to_numpy()
+    if not np.isfinite(values).any():
+        return False
     return 0.93 * np.nanmin(values) <= tick <= 1.08 * np.nanmax(values)

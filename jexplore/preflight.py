@@ -38,7 +38,7 @@ def require_integer(name, value, low, high):
     return number
 
 
-def _listed(kind, items):
+def listed(kind, items):
     """A list of one or more different items; a single one may stand for itself."""
     if isinstance(items, (str, os.PathLike, World)):
         items = [items]
@@ -51,7 +51,7 @@ def _listed(kind, items):
     return items
 
 
-def _require_different(kind, names):
+def require_different(kind, names):
     for name in names:
         if names.count(name) > 1:
             raise InputError(f"{kind} must differ, got {name!r} more than once")
@@ -70,8 +70,8 @@ def ready_worlds(worlds, cell_m):
     Raises:
       InputError: none, one twice, a `World` without a name or free cell, or a name that cannot be loaded.
     """
-    worlds = _listed("worlds", worlds)
-    _require_different("worlds", [w.name if isinstance(w, World) else str(w) for w in worlds])
+    worlds = listed("worlds", worlds)
+    require_different("worlds", [w.name if isinstance(w, World) else str(w) for w in worlds])
     for world in worlds:
         if isinstance(world, World) and not world.name:
             raise InputError("a world needs a name to be told from others: world.replace(name=...)")
@@ -89,11 +89,11 @@ def ready_strategies(strategies):
     Raises:
       InputError: none, one twice, or a name that says nothing.
     """
-    strategies = _listed("strategies", strategies)
+    strategies = listed("strategies", strategies)
     for name in strategies:
         if not isinstance(name, str):
             raise InputError(f"a strategy must be a name, got {name!r}")
-    _require_different("strategies", strategies)
+    require_different("strategies", strategies)
     return [parse_strategy(name) for name in strategies]
 
 

@@ -227,7 +227,9 @@ def _sweeps(words, start, at, goals, limit, steps):
                 after = jnp.minimum(after, jnp.where(bits.unpack(possible), beside(cost, -drow, -dcol) + step, FAR))
         change = lowest(jnp.where(after < inner, after, FAR))
         horizon = _horizon(inner, goals, limit)
-        return cost, horizon // steps[0], (change <= horizon) & (change < FAR), n + 1
+        # How far the horizon lies is known from a single start only.
+        far = horizon // steps[0] if start is None else far
+        return cost, far, (change <= horizon) & (change < FAR), n + 1
 
     cost = _source((height + 2, width + 2), at[0] + 1, at[1] + 1) if start is None else bordered(start, FAR)
     # A path of n cells is settled after at most n sweeps.

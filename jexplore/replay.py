@@ -205,7 +205,8 @@ def frames(episode, *, max_frames=MAX_FRAMES):
 
     The scans are made again from the trail, so their maps are those of the episode, noise included. One kind of scan
     leaves no trace there: the one after a refused step, which only a noisy scanner can bring about. Where there were
-    such (`measures["refused"]`), the maps in between lack them; the last map is always the episode's own.
+    such (`measures["refused"]`), the maps in between lack them; the last map is always the episode's own. A view point
+    counts as exhausted here by the rule for frontier cells: a frontier cell may be missing until the end.
 
     Args:
       episode: `Episode`.
@@ -237,22 +238,25 @@ def frames(episode, *, max_frames=MAX_FRAMES):
 
 
 def maps_at(episode, shares):
-    """The maps that the robot had when it knew some shares of the cells that it knew in the end.
+    """The maps that the robot had when it first knew some shares of the cells that it knew in the end.
 
     Args:
       episode: `Episode`.
-      shares: ascending numbers from 0 to 1.
+      shares: ascending numbers from 0 to 1. Those that it had passed with its first scans at the start are left out.
 
     Yields:
-      `[H, W]` uint8 for each, see `measure.map_state`.
+      `(share, explored, state)`: the share that was reached, that which was known then, and `[H, W]` uint8, see
+      `measure.map_state`.
     """
     height, width = episode.world.shape
-    left = list(shares)
+    known = episode.final.known / episode.final.known[-1]
+    left = [share for share in shares if share > known[0]]
     for step, grid, _, _ in _states(episode):
-        while left and episode.final.known[step] >= left[0] * episode.final.known[-1]:
-            left.pop(0)
+        reached = [share for share in left if share <= known[step]]
+        if reached:
+            left = left[len(reached) :]
             hits, misses = (np.asarray(a)[:height, :width] for a in (grid.hits, grid.misses))
-            yield map_state(hits, misses, episode.rules.p_free)
+            yield reached[-1], float(known[step]), map_state(hits, misses, episode.rules.p_free)
         if not left:
             return
 

@@ -166,7 +166,8 @@ def critical_points(graph, criteria):
       criteria: `Criteria`.
 
     Returns:
-      `[K]` bool.
+      `[K]` bool. Clearances from sqrt(2**31 / K) cells up, K rounded up to a power of two, count as equal: 724 cells
+        for 4096 nodes, 90 for 262,144.
 
     Source:
       Holz et al. 2010, Figure 7, step 2, following the text of section 2.4; Thrun 1998 and Wurm et al. 2008 as

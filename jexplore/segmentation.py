@@ -13,7 +13,7 @@ from jexplore import segment
 from jexplore.config import InputError, require_number
 from jexplore.measure import FREE
 from jexplore.policies import unknown
-from jexplore.preflight import LIDAR, RULES, ready_worlds
+from jexplore.preflight import LIDAR, RULES, listed, ready_worlds, require_different
 from jexplore.replay import maps_at, prepare_job, run_job
 from jexplore.scores import AGREEMENT, regions_of, rooms_of, score
 from jexplore.site import bucket
@@ -29,7 +29,7 @@ SHARES = (0.25, 0.5, 0.75)  # of the cells known in the end, at which partial ma
 EXPLORER = "closest+recheck"  # the strategy of the episodes that partial maps come from
 COUNTS = ("rooms", "rooms_truth", "room_count_error", "critical_points", "overflow")
 COLUMNS = (
-    *("map", "variant", "explored", *AGREEMENT, "rooms", "rooms_truth", "room_count_error"),
+    *("map", "variant", "stage", "explored", *AGREEMENT, "rooms", "rooms_truth", "room_count_error"),
     *("variation_of_information", "critical_points", "overflow"),
 )
 
@@ -67,9 +67,9 @@ class Segmentation(NamedTuple):
         from jexplore.stats import aligned_table
 
         text = []
-        groups: Any = self.scores.groupby(["explored", "variant"], sort=False)
-        for (explored, variant), rows in groups:
-            shown = rows.drop(columns=["variant", "explored"]).set_index("map")
+        groups: Any = self.scores.groupby(["stage", "variant"], sort=False)
+        for (stage, variant), rows in groups:
+            shown = rows.drop(columns=["variant", "stage"]).set_index("map")
             whole = [name in COUNTS for name in shown.columns]
             shown = shown.rename(columns={"variation_of_information": "VI bits", "room_count_error": "room error"})
             lines = [
@@ -78,7 +78,7 @@ class Segmentation(NamedTuple):
             if len(shown) > 1:
                 lines += [[name, *map(_text, getattr(shown, name)(), whole)] for name in ("mean", "median")]
             table = aligned_table(["map", *(name.replace("_", " ") for name in shown.columns)], lines, left=["map"])
-            text.append(f"### {variant}, {explored:.0%} of the map\n\n{table}")
+            text.append(f"### {variant}, {stage:.0%} of the map\n\n{table}")
         return "\n".join(text)
 
 
@@ -90,8 +90,8 @@ def _text(value, whole):
 def segment_maps(
     maps: str | World | Sequence[str | World],
     *,
-    truth: Sequence[str] | None = None,
-    variants: Sequence[str] = tuple(segment.VARIANTS),
+    truth: str | Sequence[str] | None = None,
+    variants: str | Sequence[str] = tuple(segment.VARIANTS),
     partial: bool = False,
     cell_m: float = 0.05,
     prominence_m: float = 0.15,
@@ -108,7 +108,8 @@ def segment_maps(
       truth: pictures with the true rooms, in the order of the maps: as the map, with doorways closed by lines. By
         default worlds that know their rooms are scored by them.
       variants: names in `segment.VARIANTS`.
-      partial: also segment the maps that a robot has when it knows 25, 50 and 75 % of what it will know.
+      partial: also segment the maps that a robot has when it first knows 25, 50 and 75 % of what it will know. Stages
+        that it has passed with its very first scans are left out.
       cell_m: edge of a cell of the worlds that are loaded by name, metres.
       prominence_m: see `segment.Criteria`, in metres.
       gamma: see `segment.Criteria`, cells.
@@ -122,6 +123,7 @@ def segment_maps(
     Raises:
       InputError: a name, number or picture that cannot be used. Raised before anything is compiled.
     """
+    variants = listed("variants", variants)
     tasks = prepare(maps, truth, variants, cell_m, prominence_m, gamma, metric)
     jobs = [
         prepare_job(task.world, EXPLORER, seed=seed, cell_m=cell_m, start="random", lidar=LIDAR, rules=RULES)
@@ -130,17 +132,17 @@ def segment_maps(
     ]
     rows, pictures, done = [], [], 0
     for i, task in enumerate(tasks):
-        known = [(1.0, ~task.world.occupied)]
+        known = [(1.0, 1.0, ~task.world.occupied)]
         if partial:
             found = run_job(jobs[i], LIDAR, RULES)
-            known = [(share, state == FREE) for share, state in zip(SHARES, maps_at(found, SHARES))] + known
-        for explored, free in known:
+            known = [(*shares, state == FREE) for *shares, state in maps_at(found, SHARES)] + known
+        for stage, explored, free in known:
             settings = [
                 segment.criteria(variant, prominence=prominence_m / task.world.cell_m, gamma=gamma)
                 for variant in variants
             ]
             for variant, made in zip(variants, segmentations(free, settings, metric=metric, lines=lines)):
-                row, picture = _judged(task, variant, explored, free, made)
+                row, picture = _judged(task, variant, stage, explored, free, made)
                 rows.append(row)
                 pictures.append(picture)
             done += 1
@@ -153,8 +155,8 @@ def segment_maps(
 
 def prepare(maps, truth, variants, cell_m, prominence_m, gamma, metric):
     """Everything that `segment_maps` refuses or loads before it runs: a list of `Task`. Arguments as there."""
-    if not variants:
-        raise InputError(f"expected at least one variant (there are: {', '.join(segment.VARIANTS)})")
+    variants = listed("variants", variants)
+    require_different("variants", variants)
     for variant in variants:
         if variant not in segment.VARIANTS:
             raise unknown("variant", variant, segment.VARIANTS)
@@ -165,6 +167,7 @@ def prepare(maps, truth, variants, cell_m, prominence_m, gamma, metric):
     worlds = ready_worlds(maps, cell_m)
     if truth is None:
         return [Task(world, world.rooms) for world in worlds]
+    truth = listed("truth", truth)
     if len(truth) != len(worlds):
         raise InputError(f"expected ground truth for each of {len(worlds)} maps, got {len(truth)}")
     return [Task(world, _rooms_in(picture, world)) for world, picture in zip(worlds, truth)]
@@ -180,8 +183,12 @@ def _rooms_in(picture, world):
         (w, h), (width, height) = sizes
         raise InputError(f"{picture!r}: must be as large as {parsed.base!r}, {width} x {height} pixels, got {w} x {h}")
     free: Any = parsed.parameters.get("free", 250)
-    closed = load_image(picture, parsed.scale, cell_m=world.cell_m, free=free)
-    return rooms_of(~closed.occupied & ~world.occupied, min_px=_smallest_px(world.cell_m))
+    closed = load_image(picture, parsed.scale, cell_m=world.cell_m, free=free).occupied
+    # Either of them may have got a wall all round, where the picture had none.
+    more = [(full - n) // 2 for full, n in zip(world.shape, closed.shape)]
+    closed = np.pad(closed, [(max(n, 0),) * 2 for n in more], constant_values=True)
+    rows, cols = (slice(max(-n, 0), max(-n, 0) + full) for n, full in zip(more, world.shape))
+    return rooms_of(~closed[rows, cols] & ~world.occupied, min_px=_smallest_px(world.cell_m))
 
 
 def _smallest_px(cell_m):
@@ -211,21 +218,24 @@ def segmentations(free, settings, *, metric="geodesic", lines=False):
     stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *settings)
     made = jax.tree.map(np.asarray, _each(padded, stacked, form=form))
 
+    def in_map(cell):
+        return np.where(cell < padded.size, cell // shape[1] * width + cell % shape[1], free.size)
+
     def cut(one):
-        used = one.graph.cell < padded.size
-        cell = np.where(used, one.graph.cell // shape[1] * width + one.graph.cell % shape[1], free.size)
-        return one.replace(label=one.label[:height, :width], graph=one.graph.replace(cell=cell))
+        graph = one.graph.replace(cell=in_map(one.graph.cell))
+        return one.replace(label=one.label[:height, :width], graph=graph, seed=in_map(one.seed))
 
     return [cut(jax.tree.map(lambda a, i=i: a[i], made)) for i in range(len(settings))]
 
 
-def _judged(task, variant, explored, free, made):
+def _judged(task, variant, stage, explored, free, made):
     """A row of scores, and a picture."""
     critical = made.graph.cell[made.critical]
     row: dict[str, Any] = dict.fromkeys(COLUMNS, np.nan)
     least = _smallest_px(task.world.cell_m)
     found = regions_of(np.where(free, made.label, -1), free, min_px=least)
-    row |= {"map": os.fspath(task.world.name), "variant": variant, "explored": explored, "rooms": found.max() + 1}
+    row |= {"map": os.fspath(task.world.name), "variant": variant, "rooms": found.max() + 1}
+    row |= {"stage": stage, "explored": explored}
     row |= {"critical_points": int(made.count), "overflow": int(made.overflow)}
     if task.truth is not None:
         # Of a partial map only what is known counts, on both sides.

@@ -29,7 +29,9 @@ def kind_of(world):
 
 
 def _over_worlds(values):
-    """Mean over worlds, and its interval."""
+    """Mean over worlds, and its interval; NaN without any."""
+    if not len(values):
+        return math.nan, math.nan, math.nan
     return (float(np.mean(values)), *bootstrap_ci(values))
 
 
@@ -39,7 +41,8 @@ def standings(episodes):
     In every world a strategy's mean path is divided by that of the first strategy of the table, over the starts that
     both have. Worlds count the same, whatever their size: ratios are averaged as logarithms. Intervals (95 %, BCa)
     resample worlds, not episodes, because the question is what to expect in a world that is not among them. Ranks are
-    by mean path in each world; strategies with equal means share the better rank's mean.
+    by mean path in each world; strategies with equal means share the mean of their ranks. Worlds in which a strategy
+    saw all from the start are left out.
 
     Args:
       episodes: the table of episodes of a comparison, a pandas DataFrame.
@@ -56,6 +59,7 @@ def standings(episodes):
     worlds = list(dict.fromkeys(episodes["world"]))
     paths = episodes.pivot_table(index=["world", "episode"], columns="strategy", values="path_m")[strategies]
     means = paths.dropna().groupby(level="world", sort=False).mean().reindex(worlds).dropna()
+    means = means[(means > 0).all(axis=1)]  # where someone saw all from the start there is no ratio
     ratios = means.div(means[strategies[0]], axis=0)
     ranks = pd.DataFrame(rankdata(means.to_numpy(), axis=1, method="average"), index=means.index, columns=means.columns)
     kinds = [kind_of(world) for world in means.index]

@@ -106,6 +106,20 @@ def test_ties_go_to_the_first_motion_in_the_order():
 
 
 @pytest.mark.jit
+def test_the_nearest_source_of_a_long_map_does_not_depend_on_the_method():
+    """Rows that lie further from the first one than any path may be long."""
+    free = np.zeros((3968, 32), bool)
+    free[3900:, 1:31] = True
+    free[3904::4, 1:30] = free[3906::4, 2:31] = False
+    sources = np.full(free.shape, -1, np.int32)
+    sources[3901, 1], sources[3967, 1] = 7, 9
+    words = bits.pack(jnp.asarray(free))
+    sweeps, wave = (nearest_source(words, jnp.asarray(sources), 4096, method=m) for m in ("sweeps", "wave"))
+    np.testing.assert_array_equal(sweeps, wave)
+    assert set(np.unique(wave)) == {-1, 7, 9}
+
+
+@pytest.mark.jit
 def test_edge_cases():
     for passable in (np.ones((1, 1), bool), np.zeros((1, 1), bool)):
         cost = reach(jnp.asarray(passable), 0, 0)

@@ -90,9 +90,38 @@ def test_a_sweep_is_the_settings_one_by_one():
 
 def test_partial_maps_are_those_of_an_episode():
     scores = segment_maps(SMALL, cell_m=0.1, variants=["holz"], partial=True).scores
-    assert scores["explored"].tolist() == [0.25, 0.5, 0.75, 1.0]
+    assert set(scores["stage"]) <= {0.25, 0.5, 0.75, 1.0}
+    assert (scores["stage"].iloc[-1], scores["explored"].iloc[-1], len(scores) > 1) == (1, 1, True)
+    assert scores["stage"].is_unique
+    assert (scores["explored"] >= scores["stage"]).all()
+    assert scores["explored"].is_monotonic_increasing
     assert scores["rooms_truth"].is_monotonic_increasing
     assert scores["mcc"].notna().all()
+
+
+def test_flat_indices_count_in_the_map():
+    free = np.zeros((40, 60), bool)
+    free[1:39, 1:29] = free[1:39, 31:59] = free[17:24, 29:31] = True
+    (made,) = segmentations(free, [segment.criteria()])
+    critical = np.divmod(made.graph.cell[made.critical], 60)
+    seeds = np.divmod(made.seed[:2], 60)
+    assert int(made.count) == 1
+    assert abs(critical[0] - 20) <= 1
+    assert abs(critical[1] - 30) <= 2
+    assert (np.abs(seeds[0] - critical[0]) <= 1).all()
+    assert (np.abs(seeds[1] - critical[1]) <= 1).all()
+    assert made.seed[-1] == free.size
+
+
+@pytest.mark.parametrize("open_in", ["map", "truth", "both"])
+def test_a_picture_that_is_open_at_its_edge_is_scored(tmp_path, open_in):
+    free, closed = two_rooms()
+    for mask, name in ((free, "map"), (closed, "truth")):
+        mask[20, 0] = open_in in (name, "both")
+    names = [picture(tmp_path / f"{name}.png", mask) for name, mask in (("map", free), ("truth", closed))]
+    scores = segment_maps(f"{names[0]}@0.05", truth=names[1], variants="holz").scores
+    assert scores["rooms_truth"].tolist() == [2]
+    assert scores["mcc"].iloc[0] > 0.97
 
 
 def test_the_picture(pictures, tmp_path):
@@ -115,7 +144,8 @@ def test_the_command(pictures, tmp_path, capsys):
     ("more", "message"),
     [
         ({"variants": ["voronoi"]}, "unknown variant 'voronoi'"),
-        ({"variants": []}, "at least one variant"),
+        ({"variants": []}, "at least one"),
+        ({"variants": ["holz", "holz"]}, "more than once"),
         ({"metric": "manhattan"}, "unknown metric"),
         ({"prominence_m": -1.0}, "prominence_m must be"),
         ({"gamma": float("nan")}, "gamma must be"),

@@ -1,12 +1,13 @@
 """Strategies over many worlds: ratios, ranks and intervals by hand, and the table."""
 
+import json
 import math
 
 import numpy as np
 import pandas as pd
 import pytest
 
-from jexplore import plot_standings
+from jexplore import cli, plot_standings
 from jexplore.policies import parse_strategy
 from jexplore.standings import LEAGUE_STRATEGIES, kind_of, league_worlds, standings, standings_table
 
@@ -46,6 +47,31 @@ def test_ratios_and_ranks_by_hand():
 def test_starts_that_only_one_has_do_not_count():
     table = standings(episodes({("w", "a"): [10.0, 99.0], ("w", "b"): [20.0]})).set_index("strategy")
     assert table.loc["b", "ratio"] == pytest.approx(2)
+
+
+def test_worlds_that_were_seen_from_the_start_do_not_count():
+    paths = {("v", "a"): [0.0], ("v", "b"): [1.0], ("w", "a"): [10.0], ("w", "b"): [20.0]}
+    table = standings(episodes(paths)).set_index("strategy")
+    assert (table.loc["b", "worlds"], table.loc["b", "ratio"]) == (1, pytest.approx(2))
+    nothing = standings(episodes({("v", "a"): [0.0], ("v", "b"): [0.0]}))
+    assert nothing["ratio"].isna().all()
+    assert "- " in standings_table(nothing)
+    plot_standings.figure(nothing)
+
+
+@pytest.mark.jit
+def test_the_league_with_worlds_and_strategies_of_ones_own(tmp_path, capsys):
+    out = tmp_path / "league"
+    worlds = ["cave:width_m=6.4,height_m=6.4", "cave#1:width_m=6.4,height_m=6.4"]
+    strategies = ["closest", "closest+recheck"]
+    more = ["--worlds", *worlds, "--strategies", *strategies, "--episodes", "2", "--out", str(out)]
+    assert cli.main(["compare", "--league", *more]) == 0
+    assert {p.name for p in out.iterdir()} == {"episodes.parquet", "league.png", "run.json"}
+    record = json.loads((out / "run.json").read_text())
+    assert record["configuration"]["worlds"] == worlds
+    assert set(record["plan_ms"]) == set(strategies)
+    assert record["standings"][0]["strategy"] in strategies
+    assert "ms a plan" in capsys.readouterr().out
 
 
 def test_the_interval_holds_the_ratio_and_does_not_depend_on_the_order_of_worlds():

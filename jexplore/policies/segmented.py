@@ -62,7 +62,7 @@ def own_segment(params, belief):
     found = segment(free, _criteria(params, belief.cell_m), form=form_for(free.shape, reach=belief.reach))
     own = found.label[belief.row, belief.col]
     mine = found.label == own
-    # From wall to wall a door is twice as wide as its middle is clear.
+    # From the middle of one wall's cell to that of the other, a cell more than is free between them.
     narrow = (found.split_d2 > 0) & (2 * jnp.sqrt(found.split_d2.astype(jnp.float32)) * belief.cell_m <= params.door_m)
     has_door = jnp.any(jnp.repeat(narrow, 2) & (found.group == own))
     small = count(mine) * belief.cell_m**2 <= params.room_m2
