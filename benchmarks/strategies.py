@@ -2,8 +2,7 @@
 
     taskset -c 0 python benchmarks/strategies.py
 
-Every strategy plans on the same maps: those at which `closest+recheck` made its plans. A modifier's cost is the
-difference to the strategy without it.
+Every strategy plans on the same maps: those at which `closest+recheck` made its plans.
 """
 
 import os
@@ -12,6 +11,8 @@ import sys
 from jexplore.batch import start_backend, use_compilation_cache
 from jexplore.bench.plans import plan_costs
 from jexplore.bench.tables import markdown
+from jexplore.policies import parse_strategy
+from jexplore.policies.segmented import own_segment
 from jexplore.worlds import load_world
 
 WORLDS = ("cave:width_m=25.6,height_m=25.6", "office:width_m=25.6,height_m=25.6")
@@ -25,9 +26,10 @@ def main():
     start_backend(1)
     use_compilation_cache()
     repeat = int(os.environ.get("REPEAT", "5"))
-    costs = {world: plan_costs(load_world(world), NAMES, repeat=repeat) for world in WORLDS}
-    rows = [[name, *(costs[world][name] for world in WORLDS)] for name in NAMES]
-    rows.append(["the segmentation alone", *(costs[w]["closest+segment"] - costs[w]["closest"] for w in WORLDS)])
+    params = parse_strategy("closest+segment").policy.params
+    others = {"the segmentation alone": lambda belief: own_segment(params, belief)}
+    costs = {world: plan_costs(load_world(world), NAMES, others=others, repeat=repeat) for world in WORLDS}
+    rows = [[name, *(costs[world][name] for world in WORLDS)] for name in (*NAMES, *others)]
     print(markdown(["ms a plan", *WORLDS], rows))
 
 

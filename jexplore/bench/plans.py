@@ -41,12 +41,13 @@ def plan_program(strategy, setup, params, beams, shape, passes):
     return lambda belief: plans(belief, route, setup.init(params, belief))
 
 
-def plan_costs(world, names, *, repeat=3):
+def plan_costs(world, names, *, others=None, repeat=3):
     """Milliseconds a plan, each strategy on the same beliefs: those at the plans of an episode of `closest+recheck`.
 
     Args:
       world: `World`.
       names: strategies. Modifiers that do not change how a plan is made cost nothing here.
+      others: `{name: function of a belief}`, timed beside them, or None.
       repeat: turns.
 
     Returns:
@@ -57,13 +58,16 @@ def plan_costs(world, names, *, repeat=3):
     chosen = np.unique(np.linspace(0, n - 1, min(n, BELIEFS)).round().astype(int))
     beliefs = jax.device_put([recording.beliefs[i] for i in chosen])
 
+    def each(program):
+        return lambda: [jax.block_until_ready(program(belief)) for belief in beliefs]
+
     def task(name):
         strategy = parse_strategy(name)
         setup, params = setup_of(site, strategy, ENGINES["serial"]), numbers_of(site, strategy).params
-        program = plan_program(strategy, setup, params, site.beams, site.truth.occupied.shape, 1)
-        return lambda: [jax.block_until_ready(program(belief)) for belief in beliefs]
+        return each(plan_program(strategy, setup, params, site.beams, site.truth.occupied.shape, 1))
 
     tasks = {name: task(name) for name in names}
+    tasks |= {name: each(jax.jit(function)) for name, function in (others or {}).items()}
     for first in tasks.values():
         first()
     turns = interleaved(tasks, repeat)
