@@ -10,7 +10,7 @@ from jax import Array, lax
 
 from jexplore import bits, sparse
 from jexplore.control import repeat
-from jexplore.distance import nearest_offset, nearest_site
+from jexplore.distance import nearest_site
 from jexplore.grid import beside, bordered
 from jexplore.reach import nearest_source
 from jexplore.skeleton import Graph, voronoi_graph
@@ -256,19 +256,17 @@ def merged(shared, start, longest_first, keep_apart=True):
     return repeat(lambda state: state[0] < used, join, (jnp.int32(0), start))[1]
 
 
-def _line_cells(obstacle, cell):
+def _line_cells(drow, dcol, cell):
     """Cells of the lines from critical points to their two nearest obstacles, at either side.
 
     Args:
-      obstacle: `[H, W]` bool.
+      drow, dcol: `[H, W]` int32, how far away the nearest obstacle is.
       cell: `[C]` int32, flat index; H * W for none.
     """
-    height, width = obstacle.shape
-    _, drow, dcol = nearest_offset(obstacle)
+    height, width = drow.shape
     row, col = cell // width, cell % width
-    around = [(0, 0), (0, 1), (1, 0), (0, -1), (-1, 0), (1, 1), (1, -1), (-1, -1), (-1, 1)]
     sites = []
-    for dr, dc in around:
+    for dr, dc in ((0, 0), *sparse.NEIGHBOURS):
         r, c = jnp.clip(row + dr, 0, height - 1), jnp.clip(col + dc, 0, width - 1)
         sites.append((r + drow[r, c], c + dcol[r, c]))
     one = sites[0]
@@ -317,7 +315,7 @@ def segment(free, criteria, *, form):
         raise ValueError(f"expected metric: one of {', '.join(METRICS)}, got {form.metric!r}")
     height, width = free.shape
     none, n = height * width, 2 * form.splits
-    graph = voronoi_graph(~free, criteria.gamma**2, size=form.nodes)
+    graph, drow, dcol = voronoi_graph(~free, criteria.gamma**2, size=form.nodes)
     critical = critical_points(graph, criteria)
     node = jnp.nonzero(critical, size=form.splits, fill_value=form.nodes)[0]
     head = _chains(graph)[0]
@@ -328,7 +326,7 @@ def segment(free, criteria, *, form):
 
     passable = free
     if form.lines:
-        passable = free & ~_line_cells(~free, sparse.at(graph.cell, node, none))
+        passable = free & ~_line_cells(drow, dcol, sparse.at(graph.cell, node, none))
     if form.metric == "geodesic":
         sources = jnp.where((at_seed < n) & free, at_seed, -1)
         label = nearest_source(bits.pack(passable), _padded(sources, -1), n, method=form.reach)[:height]

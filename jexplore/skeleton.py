@@ -131,11 +131,11 @@ def voronoi_graph(obstacle, gamma2, *, size):
       size: slots of the graph. Static.
 
     Returns:
-      `Graph`.
+      `(graph, drow, dcol)`: `Graph`, and for every cell how far away its nearest obstacle is, see `nearest_offset`.
 
     Source:
       Holz et al. 2010, Figure 7, step 1. Changed: the integer medial axis, thinned, instead of Fortune's sweep.
     """
     d2, drow, dcol = nearest_offset(obstacle)
     lines = thin(bits.pack(medial_axis(d2, drow, dcol, gamma2)))
-    return graph(bits.unpack(lines, obstacle.shape[0]), d2, size=size)
+    return graph(bits.unpack(lines, obstacle.shape[0]), d2, size=size), drow, dcol
