@@ -3,8 +3,8 @@
 Basilico and Amigoni, "Exploration strategies based on multi-criteria decision making for searching environments in
 rescue operations", Autonomous Robots 31(4), 2011. The criteria are unknown area in sight (A), path length (d) and, in
 place of the probability of transmission, known area in sight (O), by which a robot localises itself, as in their
-earlier exploration strategies. By default area and
-path are worth more together than apart, the other pairs less; the numbers were not checked against the paper's table.
+earlier exploration strategies. By default area and path are worth more together than apart, the other pairs less; the
+numbers were not checked against the paper's table.
 """
 
 from typing import NamedTuple
