@@ -11,6 +11,7 @@ import datetime
 import functools
 import io
 import os
+import signal
 import sys
 import threading
 import time
@@ -53,6 +54,8 @@ def main(argv=None):
     if own and isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="replace")
     arguments = sys.argv[1:] if own else list(argv)
+    if own:
+        sys.unraisablehook = _repeat_interrupt
     try:
         return _dispatch(arguments)
     except InputError as error:
@@ -70,6 +73,16 @@ def main(argv=None):
     except OSError as error:  # files are checked below: this is the standard output
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
         return _say(f"jexplore: error: cannot write the output: {error.strerror or error}", 1)
+
+
+def _repeat_interrupt(unraisable):
+    """Python drops what is raised where nobody can catch it, as in the function that jax has called after every garbage
+    collection: an interruption that falls there comes once more, a little later.
+    """
+    if unraisable.exc_type is KeyboardInterrupt:
+        threading.Timer(0.05, os.kill, (os.getpid(), signal.SIGINT)).start()
+    else:
+        sys.__unraisablehook__(unraisable)
 
 
 def _say(line, status):

@@ -339,3 +339,27 @@ def test_control_c_ends_a_run_and_keeps_what_is_finished(world, tmp_path):
     assert 0 < len(table) == 150_000 - record["interrupted"]
     assert record["warnings"][0] == f"interrupted: {record['interrupted']} episodes are missing"
     assert table.groupby("strategy")["episode"].agg(list).map(tuple).nunique() == 1
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals")
+def test_an_interruption_that_falls_into_a_callback_of_the_garbage_collector_is_not_lost():
+    program = """
+import gc, os, signal, time
+from jexplore import cli
+gc.disable()
+def interrupted(phase, _):
+    if phase == "start":
+        os.kill(os.getpid(), signal.SIGINT)
+gc.callbacks.append(interrupted)
+def command(*_):
+    gc.collect()
+    gc.callbacks.clear()
+    print("went on", flush=True)
+    time.sleep(30)
+cli._dispatch = command
+raise SystemExit(cli.main())
+"""
+    found = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=25, check=False)
+    assert found.stdout == "went on\n"  # the first was dropped
+    assert found.stderr == "jexplore: interrupted, nothing was written\n"
+    assert found.returncode == 130
