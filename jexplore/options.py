@@ -13,6 +13,7 @@ from typing import Annotated, Literal
 
 import tyro
 
+from jexplore.btm_settings import Noise, Tuning
 from jexplore.config import InputError, Lidar, Rules
 
 SMALL = "JEXPLORE_SMALL"
@@ -179,6 +180,49 @@ class Segment:
 
 
 @dataclasses.dataclass(frozen=True)
+class Trace:
+    """Let a robot drive through a building and write its Behavioral Trace Map.
+
+    Prints the node and link tables of run 0 and how many runs made the same map. Writes btm.json, btm.geojson (nav2
+    Route Server), btm.graphml, btm.png, runs.parquet and run.json.
+    """
+
+    world: _World = "course"
+    """A course such as course#3 or course:obstacle=stairs, or any world: see `jexplore worlds`."""
+    robot: Annotated[str, tyro.conf.arg(metavar="ROBOT")] = "kamui"
+    """kamui (a crawler) or wheeled; with other measures kamui:width_m=0.6,max_slope_deg=8."""
+    runs: int = 1
+    """Runs, of every setting if some are swept."""
+    noise_m: Annotated[float | None, tyro.conf.arg(metavar="M", help_behavior_hint="")] = None
+    """Standard deviation of the scanners' ranges, metres: the same as --noise.range-m."""
+    sweep: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUES [...]", help_behavior_hint="")] = ()
+    """Thresholds to vary, all in one batch: votes=1,3,5 (a list), circle=1.1:2.0 (a range), noise.range_m=0,0.03.
+    Lists make every combination; with a range, --settings draws by Latin hypercube."""
+    settings: int = 100
+    """Draws of a sweep over ranges."""
+    start: Annotated[tuple[float, float, float] | None, tyro.conf.arg(metavar="X Y DEG", help_behavior_hint="")] = None
+    """Start in metres and degrees (default: the world's own)."""
+    seed: int = 0
+    """Seed of the noise."""
+    cell_m: float = 0.1
+    """Edge of a cell, metres."""
+    max_steps: int = 6000
+    """Steps of 0.1 s after which a run ends as STEP_LIMIT."""
+    animate: bool = False
+    """Also write btm.html: what the operator sees of run 0, one file that replays without a network."""
+    from_episode: bool = False
+    """Instead of driving so, run an exploration episode and read the map off what it has seen (Voronoi graph)."""
+    strategy: _Strategy = "closest+recheck"
+    """Of that episode."""
+    out: _Out = None
+    """Folder to write."""
+    overwrite: bool = False
+    """Replace the run that the folder holds."""
+    tuning: Tuning = dataclasses.field(default_factory=Tuning)
+    noise: Noise = dataclasses.field(default_factory=Noise)
+
+
+@dataclasses.dataclass(frozen=True)
 class Worlds:
     """List the built-in worlds, or measure and picture some.
 
@@ -240,6 +284,7 @@ COMMANDS = {
     "explore": Explore,
     "reproduce": Reproduce,
     "segment": Segment,
+    "trace": Trace,
     "worlds": Worlds,
     "strategies": Strategies,
     "bench": Bench,
@@ -295,7 +340,7 @@ class _Page(io.StringIO):
 
 
 _REWORDED = (
-    (r"^Error parsing [\w.-]*(lidar|episode): ", ""),
+    (r"^Error parsing [\w.-]*(lidar|episode|tuning|noise): ", ""),
     (r"^Error parsing (\S+): invalid literal for int\(\).*?: (.*)$", r"\1 must be an integer, got \2"),
     (r"^Error parsing (\S+): could not convert string to float: (.*)$", r"\1 must be a number, got \2"),
     (

@@ -27,6 +27,7 @@ OUR_FILES = (
     *("bench.json", "bench.png"),  # bench
     *("scores.parquet", "segments.png"),  # segment
     "reproduce.png",  # reproduce
+    *("btm.json", "btm.geojson", "btm.graphml", "btm.png", "btm.html", "runs.parquet"),  # trace
 )
 """Names that a run writes into its folder: their presence marks it as taken, and only they are ever replaced."""
 

@@ -1,16 +1,33 @@
 """A world: the true floor plan that an episode runs in, and the cells in it that an episode may start from."""
 
+import dataclasses
 import math
 import operator
 
 import numpy as np
 from flax import struct
 
+from jexplore.btm_map import BtmMap
 from jexplore.config import InputError, require_number
 from jexplore.grid import radius_d2
 
 MAX_SIDE = 4096  # cells along the longer side, ring included
 HEADINGS_DEG = (0, 45, 90, 135, 180, 225, 270, 315)
+
+
+@dataclasses.dataclass(frozen=True)
+class Course:
+    """A way through a world, and what a robot that follows it should find.
+
+    Metres are those of the world: (x, y) lies in column (x - origin_m[0]) / cell_m and row (y - origin_m[1]) / cell_m.
+    """
+
+    start_pose: tuple[float, float, float]
+    """x, y in metres, heading in degrees, counter-clockwise from +x."""
+    goal_m: tuple[float, float]
+    """x, y, metres."""
+    topology: BtmMap = dataclasses.field(hash=False)
+    """The true map, nodes in the order in which the robot meets them."""
 
 
 @struct.dataclass
@@ -28,6 +45,8 @@ class World:
     name: str = struct.field(pytree_node=False, default="")  # as the user typed it
     # x, y of the lower left corner of cell (0, 0), metres
     origin_m: tuple[float, float] = struct.field(pytree_node=False, default=(0.0, 0.0))
+    elevation: np.ndarray | None = None  # [H, W] float32, height of the ground at cell centres, metres; None: level
+    course: Course | None = struct.field(pytree_node=False, default=None)
 
     @property
     def shape(self):
@@ -47,7 +66,7 @@ def checked(world):
       world: a `World`.
 
     Returns:
-      The same world `with_ring`.
+      The same world `with_ring`, its elevation as float32.
 
     Raises:
       InputError: arrays of another shape or dtype than `World` says, sizes out of range, or no free cell.
@@ -62,6 +81,15 @@ def checked(world):
         np.shape(rooms) != occupied.shape or not np.issubdtype(np.asarray(rooms).dtype, np.integer)
     ):
         raise InputError(f"{name!r}: rooms must be integers of shape {occupied.shape}, got {np.shape(rooms)}")
+    if world.elevation is not None:
+        elevation = np.asarray(world.elevation)
+        if elevation.shape != occupied.shape or not np.issubdtype(elevation.dtype, np.floating):
+            raise InputError(
+                f"{name!r}: elevation must be floats of shape {occupied.shape}, got {elevation.shape} {elevation.dtype}"
+            )
+        if not np.isfinite(elevation).all():
+            raise InputError(f"{name!r}: elevation must be finite; use 0 where the height of the ground is unknown")
+        world = world.replace(elevation=elevation.astype(np.float32, copy=False))
     if occupied.all():
         raise InputError(f"{name!r}: no cell is free")
     return with_ring(world)
@@ -70,7 +98,8 @@ def checked(world):
 def with_ring(world):
     """The same world with all four edges occupied: unchanged if they are, else one cell larger on every side.
 
-    Rooms, start and origin move along, so that every cell keeps its place in metres. No room covers a new cell.
+    Rooms, elevation, start and origin move along, so that every cell keeps its place in metres. No room covers a new
+    cell; its ground is as high as that of the nearest old cell, so that no step arises at the edge.
 
     Args:
       world: a `World` of at least one cell.
@@ -90,6 +119,7 @@ def with_ring(world):
     return world.replace(
         occupied=np.pad(occupied, 1, constant_values=True),
         rooms=None if world.rooms is None else np.pad(world.rooms, 1, constant_values=-1),
+        elevation=None if world.elevation is None else np.pad(world.elevation, 1, mode="edge"),
         start=None if world.start is None else (world.start[0] + 1, world.start[1] + 1, world.start[2]),
         origin_m=(x_m - world.cell_m, y_m - world.cell_m),
     )
@@ -103,7 +133,8 @@ def pad(world, shape):
       shape: `(H, W)` of the result, cells; no smaller than `world.shape`.
 
     Returns:
-      A `World` of that shape. Indices, metres and starts are those of `world`; rooms are -1 in what is new.
+      A `World` of that shape. Indices, metres and starts are those of `world`; in what is new, rooms are -1 and the
+      ground is as high as at the nearest old cell.
 
     Raises:
       ValueError: `shape` is smaller than the world.
@@ -114,6 +145,7 @@ def pad(world, shape):
     return world.replace(
         occupied=np.pad(world.occupied, grow, constant_values=True),
         rooms=None if world.rooms is None else np.pad(world.rooms, grow, constant_values=-1),
+        elevation=None if world.elevation is None else np.pad(world.elevation, grow, mode="edge"),
     )
 
 

@@ -13,6 +13,7 @@ from jexplore.world import (
     MAX_SIDE,
     World,
     check_start,
+    checked,
     clear_cells,
     draw_start,
     draw_starts,
@@ -47,6 +48,28 @@ def test_ring_is_added_and_everything_moves_along():
     assert ringed.start == (1, 2, 90)
     assert ringed.origin_m == (-0.5, -0.5)
     assert ringed.free_m2 == world.free_m2 == 0.75
+
+
+def test_the_ground_goes_along_and_is_level_beyond_the_edge():
+    world = picture("..", "..", elevation=np.array([[0, 1], [2, 3]], np.float32))
+    expected = [[0, 0, 1, 1], [0, 0, 1, 1], [2, 2, 3, 3], [2, 2, 3, 3]]
+    assert with_ring(world).elevation.tolist() == expected
+    assert pad(with_ring(world), (5, 4)).elevation.tolist() == [*expected, expected[-1]]
+    assert with_ring(world).elevation.dtype == np.float32
+    assert checked(picture("..", elevation=np.array([[0.5, 1.0]]))).elevation.dtype == np.float32
+
+
+@pytest.mark.parametrize(
+    ("elevation", "line"),
+    [
+        (np.zeros((2, 3), np.float32), r"elevation must be floats of shape \(2, 2\), got \(2, 3\) float32"),
+        (np.zeros((2, 2), int), r"elevation must be floats of shape \(2, 2\), got \(2, 2\) int64"),
+        (np.array([[0, np.nan], [0, 0]]), "elevation must be finite"),
+    ],
+)
+def test_wrong_ground_is_refused(elevation, line):
+    with pytest.raises(InputError, match=line):
+        checked(picture("..", "..", elevation=elevation))
 
 
 @pytest.mark.parametrize("hole", [(0, 1), (2, 1), (1, 0), (1, 2)])

@@ -17,6 +17,7 @@ GENERATORS = {
     "hospital": "jexplore.worlds.hospital:hospital",
     "maze": "jexplore.worlds.maze:maze",
     "rooms": "jexplore.worlds.rooms:rooms",
+    "course": "jexplore.worlds.course:course",
 }
 """World name -> "module:function". The function takes a seed and keyword parameters, `cell_m` among them."""
 

@@ -1,0 +1,268 @@
+"""Behavioral Trace Maps as padded arrays: records of nodes and links, how they grow, and what one may ask of them.
+
+A map is rooted: node 0 is where the robot started. Links leave a node in a direction; one that has not been followed
+has no other end. What does not fit is counted, never written over.
+"""
+
+import math
+
+import jax.numpy as jnp
+import numpy as np
+from flax import struct
+from jax import Array
+
+from jexplore.btm_map import NODE_TYPES, NOWHERE, OBSTACLES, STATUS, BtmMap, Link, Node
+
+TERMINAL, DIVERGENCE, FREE_SPACE, OBSTACLE = range(len(NODE_TYPES))
+SLOPE, STAIRS = range(len(OBSTACLES))
+UNSEARCHED, SEARCHED = range(len(STATUS))
+NONE = -1
+FAR_M = np.float32(1e9)
+
+
+@struct.dataclass
+class Btm:
+    """A map of at most N nodes and M links. Unused slots hold `NONE` and NaN."""
+
+    x_m: Array  # [N] float32
+    y_m: Array  # [N] float32
+    kind: Array  # [N] int32, place in `NODE_TYPES`
+    radius_m: Array  # [N] float32, of a divergence's circle; 0 for other nodes
+    obstacle: Array  # [N] int32, place in `OBSTACLES`
+    inclination_deg: Array  # [N] float32, of an obstacle
+    step_m: Array  # [N] float32, of stairs
+    posture_deg: Array  # [N] float32, the robot's largest inclination there
+    intervention: Array  # [N] int32, how often the operator had to help after this node
+    variance_m2: Array  # [N] float32, residual variance of an obstacle's height profile
+    start: Array  # [M] int32, node
+    end: Array  # [M] int32, node
+    status: Array  # [M] int32, place in `STATUS`
+    blocked: Array  # [M] bool, the robot cannot follow it
+    length_m: Array  # [M] float32
+    min_width_m: Array  # [M] float32
+    link_posture_deg: Array  # [M] float32
+    start_bearing: Array  # [M] float32, radians
+    end_bearing: Array  # [M] float32, radians
+    opening_m: Array  # [M] float32
+    n_nodes: Array  # int32, nodes in use
+    n_links: Array  # int32, links in use
+    overflow: Array  # int32, nodes and links that did not fit
+
+
+def empty(n_nodes, n_links):
+    """A map without nodes, for at most so many nodes and links. Both static."""
+
+    def full(n, value, dtype):
+        return jnp.full(n, value, dtype)
+
+    nodes = dict.fromkeys(("x_m", "y_m", "inclination_deg", "step_m", "posture_deg", "variance_m2"), jnp.nan)
+    links = dict.fromkeys(
+        ("length_m", "min_width_m", "link_posture_deg", "start_bearing", "end_bearing", "opening_m"), jnp.nan
+    )
+    return Btm(
+        **{name: full(n_nodes, value, jnp.float32) for name, value in nodes.items()},
+        **{name: full(n_links, value, jnp.float32) for name, value in links.items()},
+        radius_m=full(n_nodes, 0, jnp.float32),
+        **{name: full(n_nodes, NONE, jnp.int32) for name in ("kind", "obstacle")},
+        intervention=full(n_nodes, 0, jnp.int32),
+        **{name: full(n_links, NONE, jnp.int32) for name in ("start", "end", "status")},
+        blocked=full(n_links, False, bool),
+        n_nodes=jnp.int32(0),
+        n_links=jnp.int32(0),
+        overflow=jnp.int32(0),
+    )
+
+
+def _put(array, at, value):
+    """`array` with one entry replaced; beyond the last nothing is."""
+    return array.at[at].set(value, mode="drop", wrap_negative_indices=False)
+
+
+def add_node(btm, kind, x_m, y_m, **fields):
+    """Adds a node.
+
+    Args:
+      btm: `Btm`.
+      kind: int32, place in `NODE_TYPES`.
+      x_m, y_m: float32.
+      **fields: other fields of a node.
+
+    Returns:
+      `(btm, id)`; id is N, which is no node, where there was no room.
+    """
+    at, room = btm.n_nodes, btm.n_nodes < btm.kind.shape[0]
+    new = {"kind": kind, "x_m": x_m, "y_m": y_m, **fields}
+    return btm.replace(
+        **{name: _put(getattr(btm, name), at, value) for name, value in new.items()},
+        n_nodes=at + room,
+        overflow=btm.overflow + ~room,
+    ), at
+
+
+def add_link(btm, start, bearing, *, when=True, **fields):
+    """Adds a link that has not been followed.
+
+    Args:
+      btm: `Btm`.
+      start: int32, id of a node.
+      bearing: float32, direction in which it leaves, radians.
+      when: bool scalar; if False, nothing is added.
+      **fields: other fields of a link.
+
+    Returns:
+      `(btm, id)`; id is M, which is no link, where there was no room or `when` is False.
+    """
+    size = btm.start.shape[0]
+    room = when & (btm.n_links < size)
+    at = jnp.where(room, btm.n_links, size)
+    new = {"start": start, "status": UNSEARCHED, "start_bearing": wrapped(bearing), **fields}
+    return btm.replace(
+        **{name: _put(getattr(btm, name), at, value) for name, value in new.items()},
+        n_links=btm.n_links + room,
+        overflow=btm.overflow + (when & ~room),
+    ), at
+
+
+def wrapped(angle):
+    """An angle in [-pi, pi), radians."""
+    return (angle + math.pi) % (2 * math.pi) - math.pi
+
+
+def turned_left(bearing, reference):
+    """How far counter-clockwise a bearing lies from another: in (0, 2 pi], radians; 2 pi where they are equal."""
+    angle = (bearing - reference) % (2 * math.pi)
+    return jnp.where(angle <= 1e-6, 2 * math.pi, angle)
+
+
+def nearest_node(btm, x_m, y_m, kind):
+    """The nearest node of a kind: `(id, distance_m)`; `NONE` and `FAR_M` where there is none."""
+    d2 = (btm.x_m - x_m) ** 2 + (btm.y_m - y_m) ** 2
+    d2 = jnp.where(btm.kind == kind, d2, FAR_M)
+    at = jnp.argmin(d2).astype(jnp.int32)
+    found = d2[at] < FAR_M
+    return jnp.where(found, at, NONE), jnp.where(found, jnp.sqrt(d2[at]), FAR_M)
+
+
+def open_links(btm):
+    """Links that nobody has followed though one could: `[M] bool`."""
+    return (btm.status == UNSEARCHED) & ~btm.blocked
+
+
+def first_open(btm, node, entry):
+    """The first un-searched link of a node, counter-clockwise from the bearing of the way in (Mano et al., V.A).
+
+    Returns:
+      id of the link, int32; `NONE` where there is none.
+    """
+    angle = jnp.where(open_links(btm) & (btm.start == node), turned_left(btm.start_bearing, entry), jnp.inf)
+    at = jnp.argmin(angle).astype(jnp.int32)
+    return jnp.where(angle[at] < jnp.inf, at, NONE)
+
+
+def hops_to_open(btm):
+    """Length of the shortest way along followed links from every node to one with an un-searched link.
+
+    Returns:
+      `[N]` float32, metres; `FAR_M` where there is none.
+    """
+    n = btm.kind.shape[0]
+    size = btm.start.shape[0]
+    open_ = open_links(btm)
+    here = jnp.arange(n)
+    has = jnp.any(open_ & (btm.start == here[:, None]), axis=1)
+    followed = (btm.status == SEARCHED) & (jnp.arange(size) < btm.n_links)
+    touches = [(btm.start == here[:, None]) & followed, (btm.end == here[:, None]) & followed]  # [N, M] each
+    distance = jnp.where(has, 0.0, FAR_M)
+    for _ in range(n - 1):
+        far_end = [distance[jnp.clip(end, 0, n - 1)] for end in (btm.end, btm.start)]
+        for touch, other in zip(touches, far_end):
+            way = jnp.min(jnp.where(touch, btm.length_m + other, FAR_M), axis=1)
+            distance = jnp.minimum(distance, way)
+    return distance
+
+
+def next_hop(btm, node):
+    """The link by which the shortest way to an un-searched link leaves a node.
+
+    Returns:
+      `(link, bearing, to)`: int32, radians, int32 node at its other end; `NONE`, 0 and `NONE` where there is no way.
+    """
+    n = btm.kind.shape[0]
+    distance = hops_to_open(btm)
+    followed = btm.status == SEARCHED
+    ways = []
+    for here, there in ((btm.start, btm.end), (btm.end, btm.start)):
+        ways.append(jnp.where(followed & (here == node), btm.length_m + distance[jnp.clip(there, 0, n - 1)], FAR_M))
+    way = jnp.stack(ways)  # [2, M]
+    best = jnp.argmin(way)
+    size = btm.start.shape[0]
+    link, from_end = (best % size).astype(jnp.int32), best >= size
+    there = way.reshape(-1)[best] < FAR_M
+    bearing = jnp.where(from_end, btm.end_bearing[link], btm.start_bearing[link])
+    to = jnp.where(from_end, btm.start[link], btm.end[link])
+    return jnp.where(there, link, NONE), jnp.where(there, bearing, 0.0), jnp.where(there, to, NONE)
+
+
+def joined(btm, a, b):
+    """The followed link between two nodes: id, int32; `NONE` where there is none."""
+    found = (btm.status == SEARCHED) & (((btm.start == a) & (btm.end == b)) | ((btm.start == b) & (btm.end == a)))
+    return jnp.where(jnp.any(found), jnp.argmax(found).astype(jnp.int32), NONE)
+
+
+def to_map(btm, *, origin_m=(0.0, 0.0), **attributes):
+    """The map as a record on the host.
+
+    Args:
+      btm: `Btm` of one run, on the host or a device.
+      origin_m: added to positions, metres.
+      **attributes: attributes of the map.
+
+    Returns:
+      `BtmMap`.
+    """
+    fields = {name: np.asarray(value) for name, value in btm.__dict__.items()}
+
+    def number(name, i, scale=1.0):
+        value = float(fields[name][i]) * scale
+        return value if math.isfinite(value) else None
+
+    def word(words, name, i):
+        return None if fields[name][i] == NONE else words[fields[name][i]]
+
+    def extras(**found):
+        return {name: value for name, value in found.items() if value}
+
+    nodes = tuple(
+        Node(
+            id=i,
+            x_m=float(fields["x_m"][i]) + origin_m[0],
+            y_m=float(fields["y_m"][i]) + origin_m[1],
+            type=NODE_TYPES[fields["kind"][i]],
+            obstacle=word(OBSTACLES, "obstacle", i),
+            inclination_deg=number("inclination_deg", i),
+            step_m=number("step_m", i),
+            posture_deg=number("posture_deg", i),
+            attributes=extras(
+                intervention=int(fields["intervention"][i]), profile_variance_m2=number("variance_m2", i)
+            ),
+        )
+        for i in range(int(fields["n_nodes"]))
+    )
+    kept = np.flatnonzero(fields["status"][: int(fields["n_links"])] != NONE)  # the others have been withdrawn
+    links = tuple(
+        Link(
+            id=number_,
+            start=int(fields["start"][i]),
+            end=int(fields["end"][i]) if fields["status"][i] == SEARCHED else NOWHERE,
+            status=STATUS[fields["status"][i]],
+            start_bearing_deg=number("start_bearing", i, 180 / math.pi) or 0.0,
+            end_bearing_deg=number("end_bearing", i, 180 / math.pi),
+            length_m=number("length_m", i),
+            min_width_m=number("min_width_m", i),
+            posture_deg=number("link_posture_deg", i),
+            opening_m=number("opening_m", i),
+            attributes=extras(blocked=bool(fields["blocked"][i])),
+        )
+        for number_, i in enumerate(kept)
+    )
+    return BtmMap(nodes, links, {"overflow": int(fields["overflow"]), **attributes})

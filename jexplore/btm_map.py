@@ -1,0 +1,200 @@
+"""A Behavioral Trace Map on the host: typed nodes where a building has features, and the links between them.
+
+Positions are metres, bearings degrees, counter-clockwise from +x. Plain Python: importing this loads no jax.
+"""
+
+import dataclasses
+import math
+import numbers
+import reprlib
+from collections.abc import Mapping
+from typing import Any
+
+from jexplore.config import InputError
+
+NODE_TYPES = ("terminal", "divergence", "free_space", "obstacle")
+OBSTACLES = ("slope", "stairs")
+STATUS = ("un-searched", "searched")
+NOWHERE = -1  # end of a link that has not been followed
+
+
+@dataclasses.dataclass(frozen=True)
+class Node:
+    """A place with a feature (Mano et al., Table I)."""
+
+    id: int
+    """Not negative, unique among the nodes."""
+    x_m: float
+    y_m: float
+    type: str
+    """One of `NODE_TYPES`. A divergence is a dead end, a corner, a T or a crossing."""
+    obstacle: str | None = None
+    """One of `OBSTACLES`, of an obstacle node."""
+    inclination_deg: float | None = None
+    """Steepest inclination of the ground that the robot met there, degrees; of a slope."""
+    step_m: float | None = None
+    """Height of the highest step, metres; of stairs."""
+    posture_deg: float | None = None
+    """Largest inclination of the robot's body, degrees."""
+    attributes: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    """Extensions by name, such as `intervention` or `victim`: anything that JSON can hold, kept as it is."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Link:
+    """A way between two nodes, or out of one (Mano et al., Table II)."""
+
+    id: int
+    """Not negative, unique among the links."""
+    start: int
+    """Id of a node."""
+    end: int
+    """Id of a node; `NOWHERE` for a link that has not been followed."""
+    status: str
+    """One of `STATUS`: searched if and only if it has an end."""
+    start_bearing_deg: float
+    """Direction in which the link leaves its first node."""
+    end_bearing_deg: float | None = None
+    """Direction in which it leaves its last node; every link with an end has one."""
+    length_m: float | None = None
+    min_width_m: float | None = None
+    """Narrowest passage along the link, metres."""
+    posture_deg: float | None = None
+    """Largest inclination of the robot's body along the link, degrees."""
+    opening_m: float | None = None
+    """Width of the opening at the first node, metres."""
+    attributes: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+
+
+def direction_deg(bearing_deg):
+    """The bearing in [0, 360): a tiny negative one would round up to 360."""
+    bearing_deg %= 360.0
+    return 0.0 if bearing_deg == 360.0 else bearing_deg
+
+
+@dataclasses.dataclass(frozen=True)
+class BtmMap:
+    """Nodes and links in the order of their making; the first node is where the robot started."""
+
+    nodes: tuple[Node, ...]
+    links: tuple[Link, ...]
+    attributes: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+
+    def bearings_deg(self, node_id):
+        """Bearings of the links of a node: sorted list, degrees in [0, 360). A link to the node itself counts twice."""
+        found = [link.start_bearing_deg for link in self.links if link.start == node_id]
+        ends = (link.end_bearing_deg for link in self.links if link.end == node_id)
+        return sorted(direction_deg(bearing) for bearing in [*found, *ends] if bearing is not None)
+
+    def angles_deg(self, node_id):
+        """Angles between adjacent links of a node, counter-clockwise: as many as links, their sum is 360 degrees."""
+        found = self.bearings_deg(node_id)
+        return [after - before for before, after in zip(found, [*found[1:], *(bearing + 360 for bearing in found[:1])])]
+
+
+def check(btm, where=lambda member, index=None: '"map"'):
+    """The map with plain Python numbers, lists and dicts, or a refusal.
+
+    Ids are unique and not negative, links join nodes that are there, a link is searched if and only if it has an end
+    and has a bearing at each end, types and states are the known ones, numbers are finite, lengths not negative, and
+    attributes are what JSON can hold.
+
+    Args:
+      btm: the map.
+      where: what errors begin with, of an item of `nodes` or `links` or of the map's `attributes`.
+
+    Raises:
+      InputError: naming the node or link, the value and what would be right.
+    """
+    nodes, links = _records(btm.nodes, "nodes", where), _records(btm.links, "links", where)
+    known = {node.id for node in nodes}
+    for index, link in enumerate(links):
+        own, has_end = f"{where('links', index)}: link {link.id}", link.end != NOWHERE
+        if link.start not in known:
+            raise InputError(f"{own} starts at node {link.start}, which is not there")
+        if has_end and link.end not in known:
+            raise InputError(f"{own} ends at node {link.end}, which is not there")
+        if link.status != STATUS[has_end]:
+            end = f"ends at node {link.end}" if has_end else "has no end"
+            raise InputError(f'{own} {end}, so it must be {STATUS[has_end]}, got "{link.status}"')
+        if (link.end_bearing_deg is not None) != has_end:
+            raise InputError(f"{own} must have an end_bearing_deg if it has an end, and only then")
+    return BtmMap(nodes, links, _attributes(btm.attributes, f"{where('attributes')}: attributes"))
+
+
+def called(member, index, number):
+    """What errors call an item of `nodes` or `links`: its id where that is one, else its place."""
+    return f"{member[:-1]} {number}" if type(number) is int else f"{member}[{index}]"
+
+
+def _records(items, member, where):
+    made, taken = [], set()
+    for index, item in enumerate(items):
+        own = f"{where(member, index)}: {called(member, index, item.id)}"
+        values = {field.name: _value(field, getattr(item, field.name), own) for field in dataclasses.fields(item)}
+        record = dataclasses.replace(item, **values)
+        if record.id in taken:
+            raise InputError(f"{where(member, index)}: {member[:-1]} ids must differ, got {record.id} again")
+        taken.add(record.id)
+        made.append(record)
+    return tuple(made)
+
+
+_CHOICES = {"type": NODE_TYPES, "obstacle": OBSTACLES, "status": STATUS}
+_LENGTHS = ("step_m", "length_m", "min_width_m", "opening_m")
+
+
+def _value(field, value, own):
+    """A field's value as its declared type; text only as one of its choices."""
+    if value is None and field.default is None:
+        return None
+    if field.name == "attributes":
+        return _attributes(value, f"{own}: attributes")
+    if field.name in _CHOICES:
+        if isinstance(value, str) and value in _CHOICES[field.name]:
+            return value
+        what = "one of " + ", ".join(_CHOICES[field.name])
+    elif field.type is int:
+        low = NOWHERE if field.name == "end" else 0
+        if isinstance(value, numbers.Integral) and not isinstance(value, bool) and int(value) >= low:
+            return int(value)
+        what = f"an integer of at least {low}"
+    else:
+        number = _finite(value)
+        if number is not None and (number >= 0 or field.name not in _LENGTHS):
+            return number
+        what = "a finite number" + (" of at least 0" if field.name in _LENGTHS else "")
+    raise InputError(f"{own}: {field.name} must be {what}, got {reprlib.repr(value)}")
+
+
+def _finite(value):
+    """`value` as a float, None if it is no finite number."""
+    if not isinstance(value, numbers.Real) or isinstance(value, bool):
+        return None
+    try:
+        number = float(value)
+    except OverflowError:
+        return None
+    return number if math.isfinite(number) else None
+
+
+def _attributes(value, own):
+    if not isinstance(value, Mapping):
+        raise InputError(f"{own} must be an object, got {reprlib.repr(value)}")
+    return _plain(value, own)
+
+
+def _plain(value, own) -> Any:
+    """An attribute as plain JSON types."""
+    if value is None or isinstance(value, (str, bool)):
+        return value
+    if isinstance(value, numbers.Integral):
+        return int(value)
+    number = _finite(value)
+    if number is not None:
+        return number
+    if isinstance(value, (list, tuple)):
+        return [_plain(item, own) for item in value]
+    if isinstance(value, Mapping) and all(isinstance(key, str) for key in value):
+        return {key: _plain(item, own) for key, item in value.items()}
+    raise InputError(f"{own} must be what JSON can hold, with finite numbers, got {reprlib.repr(value)}")

@@ -1,0 +1,575 @@
+"""One autonomous run: a robot drives through a building with height and writes its Behavioral Trace Map.
+
+The building is walls and ground; the robot is a unicycle on two rigid tracks with a scanner that looks ahead, one that
+looks down, an attitude sensor and encoders. One jitted function of building, robot, thresholds, noise and key.
+"""
+
+import dataclasses
+import enum
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from flax import struct
+from jax import Array, lax
+from jax.tree_util import register_dataclass
+
+from jexplore import behave, btm, btm_write, perceive
+from jexplore.behave import Drive, Hall, Latch, Track
+from jexplore.btm_settings import Noise, Robot, Tuning
+from jexplore.btm_write import Event, Writer
+from jexplore.control import run_if
+from jexplore.terrain import Terrain, attitude, look_down, turned
+from jexplore.walls import Walls, cast
+
+register_dataclass(Robot, [f for f in Robot.__dataclass_fields__ if f != "name"], ["name"])
+register_dataclass(Tuning, list(Tuning.__dataclass_fields__), [])
+register_dataclass(Noise, list(Noise.__dataclass_fields__), [])
+
+DT_S = 0.1
+RANGE_M = 8.0
+BEAMS = 181
+ANGLES_RAD = np.radians(np.linspace(-90, 90, BEAMS)).astype(np.float32)
+BEAM_SPACING_RAD = math.pi / (BEAMS - 1)
+DOWN_BEAMS = 25
+DOWN_RAD = np.radians(np.linspace(-18, 18, DOWN_BEAMS)).astype(np.float32)
+DRIVE = 1.5  # length of the stretch in which walls are steered by, in look-aheads
+EVERY = 2  # steps between two looks for triangles
+SCAN_POINTS = 48  # of a scan that are made into triangles
+KEPT_POINTS = 96  # of a scan that are kept for the openings of the next divergence
+NODES, LINKS = 32, 64  # most of a map
+OUTLINE = 26  # points of the robot's outline that are tested for contact
+GOAL_M = 0.5  # a run ends within this of its goal
+STUCK_STEPS = 150  # without going on or finding a node: the operator helps
+STUCK_M = 0.3
+HELPS = 3  # of the operator; then the run ends
+BLIND_STEPS = 20  # scans in a row, most of whose beams give no number, that end a run
+LOST_M = 0.5  # a divergence farther ahead than this and its radius, and no longer seen, is none
+LOOK_M = 0.30  # of the profile ahead, in which a robot finds that it cannot climb
+RECENT = 64  # steps whose profile is looked at for that
+SURE = 3  # steps in a row that it finds so
+
+
+class Outcome(enum.IntEnum):
+    """How a run ended."""
+
+    RUNNING = 0
+    GOAL = 1
+    """Within half a metre of the goal."""
+    EXHAUSTED = 2
+    """No link is left that could be followed."""
+    STUCK = 3
+    """The operator has helped three times."""
+    BLIND = 4
+    """The scanner gives no numbers."""
+    STEP_LIMIT = 5
+
+
+@struct.dataclass
+class Building:
+    """Where a run takes place; cell (0, 0) begins at (0, 0)."""
+
+    walls: Walls
+    terrain: Terrain
+    occupied: Array  # [H, W] bool
+    cell_m: Array  # float32
+    start: Array  # [3] float32, x, y, metres; heading, radians
+    goal: Array  # [2] float32, metres; NaN: none
+
+
+@struct.dataclass
+class Body:
+    """The robot in truth."""
+
+    pose: Array  # [3] float32, x, y, metres; heading, radians
+    pitch: Array  # float32, radians
+    roll: Array  # float32, radians
+    height_m: Array  # float32
+    path_m: Array  # float32, way in the plane
+    contacts: Array  # int32, steps refused because of a wall
+    refused: Array  # int32, steps refused because of the ground
+
+
+@struct.dataclass
+class State:
+    """A run in progress."""
+
+    body: Body
+    estimate: Array  # [3] float32, odometry
+    odometer_m: Array  # float32
+    climbed_m: Array  # float32, height above the start as the attitude has it
+    track: Track
+    hall: Hall
+    drive: Drive
+    writer: Writer
+    scan_overflow: Array  # int32, ends of walls that a scan had more than there is room for
+    mode: Array  # int32
+    target: Array  # [2] float32, target point in the robot's frame
+    blocked: Array  # int32, steps in a row with ground ahead that the robot cannot climb
+    blind: Array  # int32, scans in a row without numbers
+    moved_m: Array  # float32, odometer when it last got on
+    moved_step: Array  # int32, and the step
+    helps: Array  # int32
+    truth: Array  # [T, 3] float32, true poses
+    step: Array  # int32
+    outcome: Array  # int32
+
+
+@struct.dataclass
+class Senses:
+    """What the sensors say in one step."""
+
+    ranges_m: Array  # [B] float32, inf: no return; NaN: no reading
+    down_m: Array  # [D] float32, likewise
+    pitch: Array  # float32, radians
+    roll: Array  # float32, radians
+
+
+def down_directions(robot):
+    """Unit vectors of the downward scanner's beams in the robot's frame: `[D, 3]` float32."""
+    tilt = jnp.radians(robot.scanner_angle_deg)
+    ahead = jnp.cos(DOWN_RAD)
+    return jnp.stack([jnp.sin(tilt) * ahead, jnp.sin(DOWN_RAD), -jnp.cos(tilt) * ahead], axis=1)
+
+
+def begin(building, robot, n_steps):
+    """The state before the first step; `n_steps` static."""
+    pitch, roll, height, _ = attitude(building.terrain, building.start, robot.length_m, robot.width_m)
+    zero, none = jnp.float32(0), jnp.int32(0)
+    start = jnp.asarray(building.start, jnp.float32)
+    return State(
+        body=Body(pose=start, pitch=pitch, roll=roll, height_m=height, path_m=zero, contacts=none, refused=none),
+        estimate=start,
+        odometer_m=zero,
+        climbed_m=zero,
+        track=behave.no_track(),
+        hall=behave.no_hall(),
+        drive=behave.at_rest(),
+        writer=btm_write.begin(n_steps, KEPT_POINTS, NODES, LINKS, start),
+        scan_overflow=none,
+        mode=none,
+        target=jnp.zeros(2),
+        blocked=none,
+        blind=none,
+        moved_m=zero,
+        moved_step=none,
+        helps=none,
+        truth=jnp.zeros((n_steps, 3)),
+        step=none,
+        outcome=jnp.int32(Outcome.RUNNING),
+    )
+
+
+def sense(key, building, robot, noise, body):
+    """What the sensors say.
+
+    Args:
+      key: consumed.
+      building, robot, noise, body: `Building`, `Robot`, `Noise`, `Body`.
+
+    Returns:
+      `Senses`.
+    """
+    key, invalid_key = jax.random.split(key)
+    draw = jax.random.normal(key, (BEAMS + DOWN_BEAMS + 2,))
+    numberless = jax.random.uniform(invalid_key, (BEAMS,)) < noise.invalid
+    ranges = cast(building.walls, body.pose, ANGLES_RAD, RANGE_M) + noise.range_m * draw[:BEAMS]
+    direction = turned(down_directions(robot), body.pitch, body.roll, body.pose[2])
+    mount = turned(
+        jnp.stack([robot.scanner_x_m, 0.0, robot.scanner_height_m])[None], body.pitch, body.roll, body.pose[2]
+    )[0]
+    origin = body.pose[0] + mount[0], body.pose[1] + mount[1], body.height_m + mount[2]
+    down = look_down(building.terrain, origin, direction) + noise.range_m * draw[BEAMS : BEAMS + DOWN_BEAMS]
+    tilt = jnp.radians(noise.attitude_deg)
+    return Senses(
+        ranges_m=jnp.where(numberless, jnp.nan, jnp.maximum(ranges, 0.01)),
+        down_m=down,
+        pitch=body.pitch + tilt * draw[-2],
+        roll=body.roll + tilt * draw[-1],
+    )
+
+
+def _outline(robot):
+    """Points round the robot, in its frame: `[OUTLINE, 2]`."""
+    along, across = np.linspace(-0.5, 0.5, 8), np.linspace(-0.5, 0.5, 7)[1:-1]
+    sides = [np.stack([along, np.full(8, y)], 1) for y in (-0.5, 0.5)]
+    ends = [np.stack([np.full(5, x), across], 1) for x in (-0.5, 0.5)]
+    return np.concatenate([*sides, *ends]).astype(np.float32) * jnp.stack([robot.length_m, robot.width_m])
+
+
+def touches(building, robot, pose):
+    """Whether a robot at a pose touches a wall: bool."""
+    cos, sin = jnp.cos(pose[2]), jnp.sin(pose[2])
+    outline = _outline(robot)
+    x = pose[0] + cos * outline[:, 0] - sin * outline[:, 1]
+    y = pose[1] + sin * outline[:, 0] + cos * outline[:, 1]
+    rows, cols = building.occupied.shape
+    row = jnp.clip(jnp.floor(y / building.cell_m).astype(jnp.int32), 0, rows - 1)
+    col = jnp.clip(jnp.floor(x / building.cell_m).astype(jnp.int32), 0, cols - 1)
+    return jnp.any(building.occupied.reshape(-1)[row * cols + col])
+
+
+def move(key, building, robot, noise, body, estimate, senses, v, omega):
+    """One step of the unicycle, and what the encoders make of it.
+
+    A step into a wall, or onto ground that the robot cannot climb, is refused.
+
+    Args:
+      key: consumed.
+      building, robot, noise, body: as in `sense`.
+      estimate: `[3]`, odometry.
+      senses: `Senses`.
+      v, omega: metres a second, radians a second.
+
+    Returns:
+      `(body, estimate, gone_m)`; `gone_m` is what the odometer adds, in the plane.
+    """
+    ahead, turn = v * DT_S, omega * DT_S
+    heading = body.pose[2] + turn * (1 - noise.slip)
+    middle = body.pose[2] + 0.5 * turn * (1 - noise.slip)
+    flat = ahead * jnp.cos(body.pitch)
+    pose = jnp.stack([body.pose[0] + flat * jnp.cos(middle), body.pose[1] + flat * jnp.sin(middle), heading])
+    pitch, roll, height, rise = attitude(building.terrain, pose, robot.length_m, robot.width_m)
+    contact = touches(building, robot, pose)
+    steep = jnp.radians(robot.max_slope_deg) + 1e-3
+    climbs = (jnp.abs(pitch) <= steep) & (jnp.abs(roll) <= steep) & (rise <= robot.max_step_m)
+    climbs |= (jnp.abs(pitch) < jnp.abs(body.pitch)) | (flat == 0)
+    goes = ~contact & climbs
+    moved = Body(
+        pose=jnp.where(goes, pose, body.pose),
+        pitch=jnp.where(goes, pitch, body.pitch),
+        roll=jnp.where(goes, roll, body.roll),
+        height_m=jnp.where(goes, height, body.height_m),
+        path_m=body.path_m + jnp.where(goes, flat, 0),
+        contacts=body.contacts + contact,
+        refused=body.refused + (~contact & ~climbs),
+    )
+    draw = jax.random.normal(key, (3,))
+    measured = ahead * (1 + noise.odometry * draw[0]) * jnp.cos(senses.pitch)
+    turn = turn * (1 + noise.odometry * draw[1]) + jnp.radians(noise.heading_deg_sqrt_m) * draw[2] * jnp.sqrt(flat)
+    middle = estimate[2] + 0.5 * turn
+    odometry = estimate + jnp.stack([measured * jnp.cos(middle), measured * jnp.sin(middle), turn])
+    return moved, jnp.where(goes, odometry, estimate), jnp.where(goes, measured, 0)
+
+
+def to_odometry(estimate):
+    """A function from points `[..., 2]` in the robot's frame to the odometry's."""
+    cos, sin = jnp.cos(estimate[2]), jnp.sin(estimate[2])
+
+    def placed(xy):
+        x, y = xy[..., 0], xy[..., 1]
+        return jnp.stack([estimate[0] + cos * x - sin * y, estimate[1] + sin * x + cos * y], axis=-1)
+
+    return placed
+
+
+def to_robot(estimate):
+    """A function from points `[..., 2]` in the odometry's frame to the robot's."""
+    cos, sin = jnp.cos(estimate[2]), jnp.sin(estimate[2])
+
+    def seen(xy):
+        x, y = xy[..., 0] - estimate[0], xy[..., 1] - estimate[1]
+        return jnp.stack([cos * x + sin * y, -sin * x + cos * y], axis=-1)
+
+    return seen
+
+
+def look(xy, valid, wall_m, tuning):
+    """The triangles of a scan, `wall_m` from the nearer wall: `perceive.Divergence`."""
+    far_m = perceive.far_bound(tuning.far_m, tuning.width_m, BEAM_SPACING_RAD, wall_m)
+    return perceive.divergences(
+        xy,
+        valid,
+        near_m=tuning.near_m,
+        far_m=far_m,
+        width_m=tuning.width_m,
+        obtuse_tol_deg=tuning.obtuse_tol_deg,
+        open_m=tuning.open_m,
+        size=SCAN_POINTS,
+    )
+
+
+def step(key, building, robot, tuning, noise, state):
+    """One step of a run: sense, perceive, write, decide, move.
+
+    Args:
+      key: consumed.
+      building, robot, tuning, noise: of the run.
+      state: `State`.
+
+    Returns:
+      `State`.
+    """
+    sense_key, move_key = jax.random.split(key)
+    body, drive = state.body, state.drive
+    senses = sense(sense_key, building, robot, noise, body)
+    xy, valid = perceive.points(senses.ranges_m, ANGLES_RAD)
+    region = tuning.ahead_m / 2, tuning.ahead_m / 2 + tuning.region_m
+    hall_sides = perceive.sides(xy, valid, *region)
+    left_m, right_m = perceive.sides(xy, valid, 0, DRIVE * tuning.ahead_m)
+    closed = sum(perceive.sides(xy, valid, 0, tuning.ahead_m)) <= tuning.dead_end_m
+    front_m = perceive.front(xy, valid, robot.width_m)
+    beside = jnp.stack(perceive.sides(xy, valid, 0, robot.length_m / 2))
+    blind = jnp.where(jnp.sum(jnp.isnan(senses.ranges_m)) > BEAMS / 2, state.blind + 1, 0)
+    placed = to_odometry(state.estimate)
+
+    # The way so far.
+    ground_x, ground_z, ground_seen = perceive.ground_point(
+        senses.down_m,
+        down_directions(robot),
+        senses.pitch,
+        senses.roll,
+        (robot.scanner_x_m, robot.scanner_height_m),
+        robot.width_m / 2,
+    )
+    ground_x, ground_z = state.odometer_m + ground_x, state.climbed_m + ground_z
+    writer = _note(state, senses, beside.sum(), jnp.where(ground_seen, ground_x, jnp.inf), ground_z)
+
+    # What lies ahead.
+    writer, track, overflow = _watch(state, writer, xy, valid, beside.min(), placed, tuning)
+    hall, enters, leaves = behave.watch_hall(
+        state.hall, *hall_sides, state.odometer_m, tuning.open_m, drive.latch == Latch.FREE
+    )
+    border_m = jnp.where(enters, hall.since_m + region[0], writer.border_m)
+    border_m = jnp.where(leaves, hall.since_m + region[1], border_m)
+    missed = jnp.isfinite(writer.border_m) & (enters | leaves)  # the last border was not reached before the next
+    level, changed, crease_m, steepest = btm_write.watch_level(
+        writer.level,
+        senses.pitch,
+        state.odometer_m,
+        jnp.radians(tuning.inclination_deg),
+        btm_write.EVEN_LENGTHS * robot.length_m,
+    )
+    too_high_m, is_step = _cannot_climb(writer.way, robot, state)
+    blocked = jnp.where((too_high_m > 0) & (drive.latch == Latch.FREE), state.blocked + 1, 0)
+
+    # A latch begins and ends.
+    believed = behave.is_believed(track, tuning.votes)
+    begins = believed & (drive.latch == Latch.FREE) & ~hall.inside
+    following = (drive.latch == Latch.APPROACH) | begins
+    target = jnp.where(following, track.centre, drive.target)
+    distance = jnp.hypot(*(target - state.estimate[:2]))
+    near = distance < tuning.arrive_m
+    lost = (drive.latch == Latch.APPROACH) & (track.age == 0) & (distance > track.radius + LOST_M)
+    arrives = following & near
+    latch = jnp.where(begins, Latch.APPROACH, drive.latch)
+    latch = jnp.where(((drive.latch == Latch.LEAVE) & near) | lost, Latch.FREE, latch)
+    drive = drive.replace(latch=latch.astype(jnp.int32), target=target)
+    writer = writer.replace(level=level, entry=jnp.where(begins, state.estimate[:2], writer.entry))
+
+    # A node that is due.
+    at_goal = jnp.sum((body.pose[:2] - building.goal) ** 2) < GOAL_M**2
+    early = arrives & jnp.isfinite(border_m)
+    writer = writer.replace(border_m=jnp.where(early, state.odometer_m, border_m))
+    crosses = missed | (state.odometer_m >= writer.border_m)
+    stops = blocked >= SURE
+    event = _event(state, writer, track, at_goal, changed, crease_m, steepest, crosses, arrives, stops, is_step)
+    writer, drive, track, estimate = _write(state, writer, drive, track, event, tuning, robot)
+    blocked = jnp.where(event.blocked, 0, blocked)
+
+    # Where to.
+    mode, drive = behave.choose_mode(drive, hall, hall_sides, left_m, right_m, closed, front_m, tuning, robot)
+    target = behave.target_of(mode, drive, left_m, right_m, to_robot(estimate), tuning)
+    v, omega = behave.steer(mode, drive, target, tuning, robot)
+    writer = writer.replace(way=writer.way.replace(mode=writer.way.mode.at[state.step].set(mode, mode="drop")))
+    body, estimate, gone_m = move(move_key, building, robot, noise, body, estimate, senses, v, omega)
+    odometer_m = state.odometer_m + gone_m
+    after = state.replace(
+        body=body,
+        estimate=estimate,
+        odometer_m=odometer_m,
+        climbed_m=state.climbed_m - gone_m * jnp.tan(senses.pitch),
+        track=track,
+        hall=hall,
+        drive=drive,
+        writer=writer,
+        scan_overflow=state.scan_overflow + overflow,
+        mode=mode,
+        target=target,
+        blocked=blocked,
+        blind=blind,
+        truth=state.truth.at[state.step].set(body.pose, mode="drop"),
+        step=state.step + 1,
+    )
+    return _end(_helped(after, senses, event), at_goal)
+
+
+def _note(state, senses, width_m, ground_x, ground_z):
+    """Keeps what this step measured."""
+    way, at = state.writer.way, state.step
+    new = {
+        "odometer_m": state.odometer_m,
+        "pose": state.estimate,
+        "pitch": senses.pitch,
+        "posture": jnp.arccos(jnp.cos(senses.pitch) * jnp.cos(senses.roll)),
+        "width_m": width_m,
+        "ground_x_m": ground_x,
+        "ground_z_m": ground_z,
+    }
+    way = way.replace(**{name: getattr(way, name).at[at].set(value, mode="drop") for name, value in new.items()})
+    return state.writer.replace(way=way)
+
+
+def _watch(state, writer, xy, valid, wall_m, placed, tuning):
+    """Looks for triangles, in every `EVERY`-th step: `(writer, track, overflow)`."""
+
+    def looked(carry):
+        writer_part, track, _ = carry
+        found = look(xy, valid, wall_m, tuning)
+        there = placed(found.centre)
+        known = btm_write.is_near_known(writer, there, state.odometer_m, tuning.leave_m)
+        found = dataclasses.replace(found, valid=found.valid & ~known & ~state.hall.inside)
+        track = behave.follow(track, found, placed, tuning.same_m, state.drive.latch != Latch.APPROACH)
+        kept = btm_write.keep_snapshot(
+            writer.replace(**writer_part), lambda: _kept_points(xy, valid, placed, tuning), state.odometer_m
+        )
+        return {name: getattr(kept, name) for name in writer_part}, track, found.overflow
+
+    names = ("snapshot", "snapshot_there", "snapshot_m", "n_snapshots")
+    part = {name: getattr(writer, name) for name in names}
+    part, track, overflow = run_if(state.step % EVERY == 0, looked, (part, state.track, jnp.int32(0)))
+    return writer.replace(**part), track, overflow
+
+
+def _kept_points(xy, valid, placed, tuning):
+    """Points of a scan for the openings of the next divergence: `(points, there)`, in the odometry's frame."""
+    even = perceive.smoothed(xy, valid, tuning.width_m / 4)
+    bounds = tuning.near_m, tuning.far_m, tuning.open_m
+    points, there, *_ = perceive.resampled(even, valid, *bounds, tuning.width_m / 4, size=KEPT_POINTS)
+    return placed(points), there
+
+
+def _cannot_climb(way, robot, state):
+    """Whether the ground ahead is more than the robot can climb: `(height_m, is_step)`; 0 where it can."""
+    first = jnp.clip(state.step + 1 - RECENT, 0, way.ground_x_m.shape[0] - RECENT)
+    x, z = (lax.dynamic_slice(array, (first,), (RECENT,)) for array in (way.ground_x_m, way.ground_z_m))
+    x = jnp.where(first + jnp.arange(RECENT) <= state.step, x, jnp.inf)
+    nose = state.odometer_m + robot.length_m / 2
+    ahead = (x > nose) & (x < nose + LOOK_M)
+    behind = (x <= nose) & (x > nose - LOOK_M)
+    foot = jnp.max(jnp.where(behind, z, -jnp.inf))
+    rise = jnp.where(jnp.isfinite(foot), jnp.max(jnp.where(ahead, z, -jnp.inf)) - foot, 0)
+    slope_m = LOOK_M * jnp.tan(jnp.radians(robot.max_slope_deg)) + 0.02
+
+    def judged(_):
+        step_m = perceive.profile(x, z, ahead | behind).step_m
+        is_step = (step_m > robot.max_step_m) & (step_m > btm_write.STEP_M)
+        return jnp.where(is_step | (rise > slope_m), jnp.maximum(rise, step_m), 0.0), is_step
+
+    high = rise > jnp.minimum(slope_m, robot.max_step_m)
+    return run_if(high, judged, (jnp.float32(0), jnp.bool_(False)))
+
+
+def _event(state, writer, track, at_goal, changed, crease_m, steepest, crosses, arrives, stops, is_step):
+    """The node that is due; of several the one that lies first on the way."""
+    here = state.estimate
+    crease = btm_write.pose_at(writer.way, crease_m)
+    crease_m = jnp.maximum(crease_m, writer.node_m)
+    blocked_pose = here
+    order = [
+        (at_goal, btm.TERMINAL, state.odometer_m, here, here[:2]),
+        (arrives & ~crosses, btm.DIVERGENCE, state.odometer_m, here, track.centre),
+        (stops, btm.OBSTACLE, state.odometer_m, blocked_pose, here[:2]),
+        (crosses, btm.FREE_SPACE, state.odometer_m, here, here[:2]),
+        (changed, btm.OBSTACLE, crease_m, crease, crease[:2]),
+    ]
+    kind, odometer_m, pose, centre = jnp.int32(btm.NONE), state.odometer_m, here, here[:2]
+    for due, *values in order:  # the last that is due wins
+        kind, odometer_m, pose, centre = (
+            jnp.where(due, new, old) for new, old in zip(values, (kind, odometer_m, pose, centre))
+        )
+    is_blocked = stops & (kind == btm.OBSTACLE) & ~changed
+    return Event(
+        kind=kind.astype(jnp.int32),
+        odometer_m=odometer_m,
+        pose=pose,
+        centre=centre,
+        radius=jnp.where(kind == btm.DIVERGENCE, track.radius, 0.0),
+        posture=writer.way.posture[jnp.minimum(state.step, writer.way.posture.shape[0] - 1)],
+        steepest=steepest,
+        step_m=jnp.where(is_blocked & is_step, 1.0, 0.0),
+        blocked=is_blocked,
+    )
+
+
+def _write(state, writer, drive, track, event, tuning, robot):
+    """Makes the node that is due, if one is: `(writer, drive, track, estimate)`."""
+
+    def made(carry):
+        map_part, rest, drive, track, estimate = carry
+        whole = writer.replace(map=map_part, **rest)
+        whole, latch, target, shift = btm_write.write(whole, event, tuning, robot)
+        estimate = estimate.at[:2].add(shift)
+        is_divergence = event.kind == btm.DIVERGENCE
+        latches = is_divergence | event.blocked
+        drive = drive.replace(
+            latch=jnp.where(latches, latch, drive.latch), target=jnp.where(latches, target, drive.target)
+        )
+        fresh = behave.no_track()
+        track = behave.Track(
+            **{name: jnp.where(is_divergence, getattr(fresh, name), value) for name, value in track.__dict__.items()}
+        )
+        return whole.map, {name: getattr(whole, name) for name in rest}, drive, track, estimate
+
+    names = ("node", "node_m", "link", "left_bearing", "border_m", "snapshot_there", "exhausted")
+    rest = {name: getattr(writer, name) for name in names}
+    map_, rest, drive, track, estimate = run_if(
+        event.kind != btm.NONE, made, (writer.map, rest, drive, track, state.estimate)
+    )
+    return writer.replace(map=map_, **rest), drive, track, estimate
+
+
+def _helped(state, senses, event):
+    """Where the robot has not got on for long the operator turns it to where the way is longest."""
+    on = (state.odometer_m - state.moved_m > STUCK_M) | (event.kind != btm.NONE)
+    moved_m = jnp.where(on, state.odometer_m, state.moved_m)
+    moved_step = jnp.where(on, state.step, state.moved_step)
+    helps = state.step - moved_step >= STUCK_STEPS
+    ranges = jnp.where(jnp.isnan(senses.ranges_m), 0, jnp.minimum(senses.ranges_m, RANGE_M))
+    turn = jnp.where(helps, jnp.asarray(ANGLES_RAD)[jnp.argmax(ranges)], 0.0)
+    map_ = state.writer.map
+    node = jnp.where(helps, state.writer.node, map_.kind.shape[0])
+    return state.replace(
+        body=state.body.replace(pose=state.body.pose.at[2].add(turn)),
+        estimate=state.estimate.at[2].add(turn),
+        drive=state.drive.replace(latch=jnp.where(helps, Latch.FREE, state.drive.latch).astype(jnp.int32)),
+        track=jax.tree.map(lambda fresh, old: jnp.where(helps, fresh, old), behave.no_track(), state.track),
+        writer=state.writer.replace(map=map_.replace(intervention=map_.intervention.at[node].add(1, mode="drop"))),
+        moved_m=moved_m,
+        moved_step=jnp.where(helps, state.step, moved_step),
+        helps=state.helps + helps,
+    )
+
+
+def _end(state, at_goal):
+    ends = [
+        (state.step >= state.truth.shape[0], Outcome.STEP_LIMIT),
+        (state.blind >= BLIND_STEPS, Outcome.BLIND),
+        (state.helps >= HELPS, Outcome.STUCK),
+        (state.writer.exhausted, Outcome.EXHAUSTED),
+        (at_goal, Outcome.GOAL),
+    ]
+    outcome = state.outcome
+    for ended, name in ends:
+        outcome = jnp.where(ended, jnp.int32(name), outcome)
+    return state.replace(outcome=outcome)
+
+
+def run(key, building, robot, tuning, noise, n_steps):
+    """A whole run.
+
+    Args:
+      key: a key; step i draws from `fold_in(key, i)`.
+      building: `Building`.
+      robot, tuning, noise: `Robot`, `Tuning`, `Noise`, whose numbers may be arrays.
+      n_steps: steps after which it ends as `STEP_LIMIT`. Static.
+
+    Returns:
+      `State` at the end.
+    """
+
+    def one(state):
+        return step(jax.random.fold_in(key, state.step), building, robot, tuning, noise, state)
+
+    return lax.while_loop(lambda state: state.outcome == Outcome.RUNNING, one, begin(building, robot, n_steps))

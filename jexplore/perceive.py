@@ -1,0 +1,357 @@
+"""What a robot makes of a scan: walls beside the way, triangles at divergences, openings round a place, heights ahead.
+
+Scans are in the robot's frame: x forward, y left, metres. A beam without a reading is no point; NaN counts as none.
+"""
+
+import math
+
+import jax.numpy as jnp
+from flax import struct
+from jax import Array
+
+from jexplore.delaunay import circumcircles, delaunay
+
+NEIGHBOURS = 6  # beams on either side that a point is smoothed with
+BEARINGS = 240  # directions round a place in which its nearest point is looked for
+GUARD_M = 0.1  # a wall this near to the robot's sides is in its way
+SPACING = 0.49  # of points along a wall, in least openings: two neighbours of one point are nearer than such an opening
+JUMP = 1 / SPACING  # distance between the points of neighbouring beams beyond which a wall ends, in spacings
+
+
+@struct.dataclass
+class Divergence:
+    """The triangles of a scan that may mark a dead end, a corner, a T or a crossing."""
+
+    corners: Array  # [T, 3, 2] float32, metres
+    centre: Array  # [T, 2] float32, of the circle through the corners
+    radius: Array  # [T] float32, metres
+    valid: Array  # [T] bool
+    overflow: Array  # int32, scan points that did not fit
+
+
+def points(ranges_m, angles_rad):
+    """Scan points.
+
+    Args:
+      ranges_m: `[B]` float32; inf or NaN: no reading.
+      angles_rad: `[B]` float32.
+
+    Returns:
+      `(xy, valid)`: `[B, 2]` float32, 0 where there is none; `[B]` bool.
+    """
+    valid = jnp.isfinite(ranges_m)
+    r = jnp.where(valid, ranges_m, 0)
+    return jnp.stack([r * jnp.cos(angles_rad), r * jnp.sin(angles_rad)], axis=1), valid
+
+
+def smoothed(xy, valid, reach_m):
+    """Every point moved to the mean of its wall's points near it: many close by, few far away.
+
+    Args:
+      xy, valid: from `points`, in the order of the beams.
+      reach_m: how near, metres; float32.
+
+    Returns:
+      `[B, 2]` float32.
+    """
+    n = xy.shape[0]
+    x, y = (jnp.pad(xy[:, i], NEIGHBOURS) for i in range(2))
+    there = jnp.pad(valid, NEIGHBOURS)
+    here = xy[:, 0], xy[:, 1]
+    sums = [jnp.zeros(n)] * 3
+    for k in range(2 * NEIGHBOURS + 1):
+        other = x[k : k + n], y[k : k + n]
+        near = (other[0] - here[0]) ** 2 + (other[1] - here[1]) ** 2 <= reach_m**2
+        weight = (near & there[k : k + n]).astype(jnp.float32)
+        sums = [total + weight * value for total, value in zip(sums, (*other, 1.0))]
+    count = jnp.maximum(sums[2], 1)
+    return jnp.where(valid[:, None], jnp.stack([sums[0] / count, sums[1] / count], axis=1), xy)
+
+
+def sides(xy, valid, from_m, to_m):
+    """Least distance to the walls on both sides, in a region of fixed length before the robot.
+
+    Args:
+      xy, valid: from `points`.
+      from_m, to_m: the region, metres before the robot.
+
+    Returns:
+      `(left_m, right_m)`: float32, inf where the side is open.
+
+    Source:
+      Mano et al., section III.A and Fig. 3. Changed: left is left (the text names both the other way round).
+    """
+    within = valid & (xy[:, 0] >= from_m) & (xy[:, 0] <= to_m)
+    y = xy[:, 1]
+    left = jnp.min(jnp.where(within & (y >= 0), y, jnp.inf))
+    right = jnp.min(jnp.where(within & (y <= 0), -y, jnp.inf))
+    return left, right
+
+
+def front(xy, valid, width_m):
+    """Distance to the nearest point before the robot, over its width: float32, metres; inf for none."""
+    ahead = valid & (jnp.abs(xy[:, 1]) <= width_m / 2 + GUARD_M / 2) & (xy[:, 0] > 0)
+    return jnp.min(jnp.where(ahead, xy[:, 0], jnp.inf))
+
+
+def resampled(xy, valid, near_m, far_m, aside_m, spacing_m, *, size):
+    """Points at even distances along the walls that a scan shows, and both ends of every wall.
+
+    Args:
+      xy, valid: from `points`, in the order of the beams.
+      near_m, far_m: only points with near < x < far.
+      aside_m: only points with abs(y) < aside.
+      spacing_m: distance along a wall, metres; more where the points would not fit.
+      size: n, most points; a quarter of them for ends of walls. Static.
+
+    Returns:
+      `(points, valid, spacing_m, overflow)`: `[n, 2]` float32, `[n]` bool; the distance taken; ends that did not fit.
+    """
+    inside = valid & (xy[:, 0] > near_m) & (xy[:, 0] < far_m) & (jnp.abs(xy[:, 1]) < aside_m)
+    step = jnp.hypot(*jnp.diff(xy, axis=0).T)
+    # A wall goes on from beam to beam; it does not where a beam is missing or the distance jumps.
+    jump = ~(inside[1:] & inside[:-1]) | (step > JUMP * spacing_m)
+    edge = jnp.ones(1, bool)
+    ends = inside & (jnp.concatenate([edge, jump]) | jnp.concatenate([jump, edge]))
+    along = _running_sum(jnp.concatenate([jnp.zeros(1), jnp.where(jump, 0, step)]))
+    n_ends = size // 4
+    n_ticks = size - n_ends
+    spacing = jnp.maximum(spacing_m, along[-1] / n_ticks)
+
+    tick = (jnp.arange(n_ticks, dtype=jnp.float32) + 0.5) * spacing
+    before = jnp.sum(along <= tick[:, None], axis=1, dtype=jnp.int32) - 1  # the beam before each tick
+    on_wall = tick < along[-1]
+    before = jnp.where(on_wall, before, 0)
+    share = jnp.where(on_wall, (tick - along[before]) / jnp.where(step > 0, step, 1)[before], 0)
+    ticks = xy[before] + share[:, None] * (xy[before + 1] - xy[before])
+    place = jnp.where(ends, _running_sum(ends.astype(jnp.float32)).astype(jnp.int32) - 1, n_ends)
+    ended = jnp.zeros((n_ends, 2)).at[place].set(xy, mode="drop")
+    there = jnp.concatenate([on_wall, jnp.arange(n_ends) < jnp.sum(ends)])
+    overflow = jnp.maximum(jnp.sum(ends, dtype=jnp.int32) - n_ends, 0)
+    return jnp.concatenate([ticks, ended]), there, spacing, overflow
+
+
+def _running_sum(values):
+    """Sums of the first 1, 2, ... values, by doubling."""
+    n, step = values.shape[0], 1
+    while step < n:
+        values = values + jnp.pad(values, (step, 0))[:n]
+        step *= 2
+    return values
+
+
+def far_bound(far_m, width_m, beam_spacing_rad, wall_m):
+    """How far ahead neighbouring beams lie closer on a wall than the least opening: float32, metres.
+
+    Args:
+      far_m: the bound without that [D2].
+      width_m: least opening [W].
+      beam_spacing_rad: between beams.
+      wall_m: distance of the nearer wall beside the robot.
+    """
+    return jnp.minimum(far_m, 0.95 * jnp.sqrt(width_m * jnp.minimum(wall_m, far_m) / beam_spacing_rad))
+
+
+def divergences(xy, valid, *, near_m, far_m, width_m, obtuse_tol_deg, open_m, size):
+    """Triangles that touch three walls: between them the way divides, bends or ends.
+
+    Args:
+      xy, valid: from `points`.
+      near_m, far_m: bounds of x [D1, D2], metres.
+      width_m: no side is shorter [W], metres.
+      obtuse_tol_deg: no angle is more than this above 90 degrees.
+      open_m: circles as large as this lie in free space and are left out [C1], metres.
+      size: most scan points. Static.
+
+    Returns:
+      `Divergence`.
+
+    Source:
+      Mano et al., section III.A.1; Silver et al. 2004. Changed: the tolerance (a dead end's triangle has a right angle,
+      so that half of all scans would lose it), and circles in free space are left out.
+    """
+    xy = smoothed(xy, valid, width_m / 4)
+    chosen, there, spacing, overflow = resampled(xy, valid, near_m, far_m, open_m, SPACING * width_m, size=size)
+    triangles = delaunay(chosen, there)
+    centre, radius, side2 = circumcircles(chosen, triangles.corner)
+    longest = jnp.max(side2, axis=1)
+    product = jnp.sqrt(side2[:, 0] * side2[:, 1] * side2[:, 2] / jnp.maximum(longest, 1e-12))  # of the shorter sides
+    cosine = (jnp.sum(side2, axis=1) - 2 * longest) / jnp.maximum(2 * product, 1e-12)  # of the largest angle
+    # Two points with one between them on a wall make no side: noise may push that one out of the circle.
+    side = jnp.maximum(width_m, spacing / SPACING)
+    keep = triangles.valid & (jnp.min(side2, axis=1) > side**2) & (radius < open_m)
+    keep &= cosine >= -jnp.sin(jnp.radians(obtuse_tol_deg))
+    corners = chosen[jnp.minimum(triangles.corner, size - 1)]
+    return Divergence(corners=corners, centre=centre, radius=radius, valid=keep, overflow=overflow)
+
+
+def nearest(found, place):
+    """The triangle whose centre is nearest to a place.
+
+    Args:
+      found: `Divergence`.
+      place: `[2]` float32.
+
+    Returns:
+      `(which, distance_m)`: int32, float32; inf where there is none.
+    """
+    d2 = jnp.where(found.valid, jnp.sum((found.centre - place) ** 2, axis=1), jnp.inf)
+    which = jnp.argmin(d2).astype(jnp.int32)
+    return which, jnp.sqrt(d2[which])
+
+
+@struct.dataclass
+class Openings:
+    """Ways out of a place, counter-clockwise from -180 degrees. Unused slots: `valid` is False."""
+
+    bearing: Array  # [K] float32, radians
+    width_m: Array  # [K] float32
+    valid: Array  # [K] bool
+    overflow: Array  # int32, openings that did not fit
+
+
+def openings(xy, valid, centre, radius_m, width_m, *, size):
+    """Gaps between neighbouring points in a circle, as seen from its centre, that a robot fits through.
+
+    Args:
+      xy, valid: `[P, 2]` float32 and `[P]` bool, points of one or more scans.
+      centre: `[2]` float32.
+      radius_m: of the search circle; points beyond it are left out.
+      width_m: least width of an opening [W].
+      size: K, most openings. Static.
+
+    Returns:
+      `Openings`. Without any point in the circle there is none.
+
+    Source:
+      Mano et al., section III.B and Fig. 2(f). Changed: points of all scans on the way to the centre, in polar order
+      about it, where the paper takes those of one scan, in polar order about the robot, which does not see behind it.
+    """
+    offset = xy - centre
+    d2 = jnp.where(valid, jnp.sum(offset**2, axis=1), jnp.inf)
+    inside = d2 <= radius_m**2
+    sector = jnp.floor((jnp.arctan2(offset[:, 1], offset[:, 0]) + math.pi) * (BEARINGS / (2 * math.pi)))
+    sector = jnp.clip(sector.astype(jnp.int32), 0, BEARINGS - 1)
+    mine = inside & (sector == jnp.arange(BEARINGS)[:, None])  # [BEARINGS, P]
+    here = jnp.any(mine, axis=1)
+    at = jnp.argmin(jnp.where(mine, d2, jnp.inf), axis=1)
+    point = offset[at]  # the nearest in every direction
+
+    # The next direction, counter-clockwise and round the circle, that has a point.
+    order = jnp.arange(BEARINGS)
+    later = jnp.where(here, order, 2 * BEARINGS)
+    twice = jnp.concatenate([later, later + BEARINGS])
+    following = jnp.min(jnp.where(twice > order[:, None], twice, 4 * BEARINGS), axis=1)
+    after = point[following % BEARINGS]
+    width = jnp.hypot(*(after - point).T)
+    only = jnp.sum(here) == 1
+    gap_here = here & ((width > width_m) | only)
+    middle = (point + after) / 2
+    bearing = jnp.arctan2(middle[:, 1], middle[:, 0])
+    # Where the gap is more than half a turn, its middle lies on the other side of the centre.
+    turn = (jnp.arctan2(after[:, 1], after[:, 0]) - jnp.arctan2(point[:, 1], point[:, 0])) % (2 * math.pi)
+    bearing = jnp.where(turn > math.pi, jnp.arctan2(-middle[:, 1], -middle[:, 0]), bearing)
+    place = _running_sum(gap_here.astype(jnp.float32)).astype(jnp.int32) - 1
+    chosen = gap_here & (place == jnp.arange(size)[:, None])  # [K, BEARINGS]
+    return Openings(
+        bearing=jnp.sum(jnp.where(chosen, bearing, 0), axis=1),
+        width_m=jnp.sum(jnp.where(chosen, width, 0), axis=1),
+        valid=jnp.any(chosen, axis=1),
+        overflow=jnp.maximum(jnp.sum(gap_here, dtype=jnp.int32) - size, 0),
+    )
+
+
+def ground_point(ranges_m, direction, pitch_rad, roll_rad, mount, half_width_m):
+    """Where beams that look down meet the ground: one point, the mean of those before the robot's width.
+
+    Args:
+      ranges_m: `[D]` float32; inf or NaN: none.
+      direction: `[D, 3]` float32, unit vectors in the robot's frame.
+      pitch_rad, roll_rad: measured attitude; pitch positive nose down.
+      mount: `(x_m, z_m)`, place of the scanner on the robot.
+      half_width_m: beams that meet the ground farther to the side are left out.
+
+    Returns:
+      `(x_m, z_m, found)`: horizontal distance before the robot's middle, and height above the ground there.
+
+    Source:
+      Mano et al., section III.A.2, with the attitude.
+    """
+    valid = jnp.isfinite(ranges_m)
+    r = jnp.where(valid, ranges_m, 0)
+    x, y, z = mount[0] + r * direction[:, 0], r * direction[:, 1], mount[1] + r * direction[:, 2]
+    y, z = jnp.cos(roll_rad) * y - jnp.sin(roll_rad) * z, jnp.sin(roll_rad) * y + jnp.cos(roll_rad) * z
+    x, z = jnp.cos(pitch_rad) * x + jnp.sin(pitch_rad) * z, -jnp.sin(pitch_rad) * x + jnp.cos(pitch_rad) * z
+    valid &= jnp.abs(y) <= half_width_m
+    n = jnp.sum(valid)
+    per = 1 / jnp.maximum(n, 1)
+    return jnp.sum(jnp.where(valid, x, 0)) * per, jnp.sum(jnp.where(valid, z, 0)) * per, n > 0
+
+
+@struct.dataclass
+class Profile:
+    """What a height profile says of the obstacle under it."""
+
+    variance_m2: Array  # float32, residual variance about the least-squares line, n - 2 in the denominator
+    slope: Array  # float32, of that line, signed
+    step_m: Array  # float32, largest difference of height across a step
+    count: Array  # int32, points
+
+
+def profile(x_m, z_m, valid, *, flank_m=0.10, gap_m=0.02):
+    """Fits a line to heights along the way.
+
+    Args:
+      x_m, z_m, valid: `[P]`, points of the profile.
+      flank_m: a step is the difference of the mean heights this far before and behind a place. Static.
+      gap_m: but not nearer than this. Static.
+
+    Returns:
+      `Profile`; zeros where there are fewer than three points.
+
+    Source:
+      Mano et al., section III.A.2. Changed: a slope is what fits a line, stairs what does not (the text has both the
+      same way round), and the height of a step comes from the profile.
+    """
+    n = jnp.sum(valid)
+    per = 1 / jnp.maximum(n, 1)
+    x = jnp.where(valid, x_m - jnp.sum(jnp.where(valid, x_m, 0)) * per, 0)
+    z = jnp.where(valid, z_m - jnp.sum(jnp.where(valid, z_m, 0)) * per, 0)
+    slope = jnp.sum(x * z) / jnp.maximum(jnp.sum(x * x), 1e-9)
+    residual = jnp.where(valid, z - slope * x, 0)
+    enough = n >= 3
+    variance = jnp.where(enough, jnp.sum(residual**2) / jnp.maximum(n - 2, 1), 0)
+    return Profile(
+        variance_m2=variance,
+        slope=jnp.where(enough, slope, 0),
+        step_m=jnp.where(enough, _largest_step(x, z, valid, flank_m, gap_m), 0),
+        count=n.astype(jnp.int32),
+    )
+
+
+def _largest_step(x, z, valid, flank_m, gap_m):
+    """Largest difference of mean height between the flanks of a place, over places at the points themselves."""
+    # Points come in the order of time, about in that of x: flanks are sums over sorted cells of the way.
+    cell = gap_m
+    first = jnp.min(jnp.where(valid, x, jnp.inf))
+    n = CELLS
+    at = jnp.clip(((x - first) / cell).astype(jnp.int32), 0, n - 1)
+    at = jnp.where(valid, at, n)
+    count = jnp.zeros(n, jnp.float32).at[at].add(1, mode="drop")
+    total = jnp.zeros(n, jnp.float32).at[at].add(z, mode="drop")
+    wide = round(flank_m / cell)
+    run_n, run_z = (jnp.pad(_running_sum(a), (1, 0)) for a in (count, total))
+
+    def window(run, low, high):  # sums of cells [i + low, i + high)
+        padded = jnp.concatenate([jnp.zeros(wide + 2), run, jnp.full(wide + 2, run[-1])])
+        i = wide + 2
+        return padded[i + high : i + high + n] - padded[i + low : i + low + n]
+
+    before_n, before_z = window(run_n, -wide, -1), window(run_z, -wide, -1)
+    after_n, after_z = window(run_n, 1, wide), window(run_z, 1, wide)
+    both = (before_n > 0) & (after_n > 0)
+    rise = jnp.abs(after_z / jnp.maximum(after_n, 1) - before_z / jnp.maximum(before_n, 1))
+    return jnp.max(jnp.where(both, rise, 0))
+
+
+CELLS = 512  # of a profile, each as long as the gap of a step

@@ -1,0 +1,143 @@
+"""Ground with height: what a robot stands on, how it leans, and what a scanner that looks down sees of it."""
+
+import jax.numpy as jnp
+import numpy as np
+from flax import struct
+from jax import Array
+
+FINER = 4  # heights are kept this much finer than cells: a step is a ramp of a quarter of a cell
+CONTACTS = 14  # points of a track, lengthwise, that may touch the ground
+MARCH = 24  # samples of a beam that looks down
+HALVINGS = 7  # of the stretch in which such a beam meets the ground
+MAX_DOWN_M = 2.4  # range of a beam that looks down, metres
+
+
+@struct.dataclass
+class Terrain:
+    """Heights of a fine grid, between which they are interpolated bilinearly."""
+
+    height_m: Array  # [h, w] float32
+    spacing_m: Array  # float32, of the grid; its first point lies at half a spacing from the map's corner
+
+
+def terrain_of(elevation, cell_m):
+    """Makes heights of cells finer: slopes stay even, steps stay steep.
+
+    Args:
+      elevation: `[H, W]` float32, height at cell centres, metres; None: level. Host.
+      cell_m: edge of a cell, metres.
+
+    Returns:
+      `Terrain` of numpy arrays.
+    """
+    if elevation is None or not np.any(elevation):
+        return Terrain(height_m=np.zeros((2, 2), np.float32), spacing_m=np.float32(cell_m))  # type: ignore[arg-type]
+    fine = _finer(_finer(np.asarray(elevation, np.float64)).T).T
+    return Terrain(height_m=fine.astype(np.float32), spacing_m=np.float32(cell_m / FINER))  # type: ignore[arg-type]
+
+
+def _finer(height):
+    """Interpolates along columns; a difference that neither neighbour continues is a step, which stays at the edge."""
+    rows, cols = height.shape
+    rise = np.diff(height, axis=1, prepend=height[:, :1], append=height[:, -1:])  # [rows, cols + 1]: before and after
+    before, after = rise[:, :-1], rise[:, 1:]
+
+    def continued(one, other):
+        return (np.abs(one - other) <= 0.25 * np.maximum(np.abs(one), np.abs(other))) & (one != 0)
+
+    goes_on = continued(before, after)
+    wide = np.pad(goes_on, ((0, 0), (1, 1)))
+    even = wide[:, :-1] | wide[:, 1:]  # the rise before cell c goes on before or behind it
+    at = (np.arange(FINER) + 0.5) / FINER - 0.5  # of the fine points, in cells from the centre
+    out = np.empty((rows, cols, FINER))
+    for k, offset in enumerate(at):
+        slope = np.where(even[:, :-1], before, 0) if offset < 0 else np.where(even[:, 1:], after, 0)
+        out[..., k] = height + offset * slope
+    return out.reshape(rows, cols * FINER)
+
+
+def height_at(terrain, x_m, y_m):
+    """Height of the ground at points, metres: `[...]` float32; beyond the edge that of the edge."""
+    rows, cols = terrain.height_m.shape
+    u = jnp.clip(x_m / terrain.spacing_m - 0.5, 0, cols - 1)
+    v = jnp.clip(y_m / terrain.spacing_m - 0.5, 0, rows - 1)
+    col, row = jnp.minimum(u.astype(jnp.int32), cols - 2), jnp.minimum(v.astype(jnp.int32), rows - 2)
+    u, v = u - col, v - row
+    flat, at = jnp.asarray(terrain.height_m).reshape(-1), row * cols + col
+
+    def read(offset):
+        return flat.at[at + offset].get(mode="clip", wrap_negative_indices=False)
+
+    low = read(0) + u * (read(1) - read(0))
+    high = read(cols) + u * (read(cols + 1) - read(cols))
+    return low + v * (high - low)
+
+
+def attitude(terrain, pose, length_m, width_m):
+    """How a robot on two rigid tracks stands.
+
+    Each track rests on the two points of the ground, one before and one behind its middle, that carry it highest.
+
+    Args:
+      terrain: `Terrain`.
+      pose: `(x_m, y_m, heading_rad)`.
+      length_m, width_m: of the robot.
+
+    Returns:
+      `(pitch_rad, roll_rad, height_m, rise_m)`: pitch is positive nose down and roll positive with the left side up
+        (REP 103); height of the middle; the largest difference of height between neighbouring points of the tracks'
+        fronts.
+    """
+    x, y, heading = pose
+    cos, sin = jnp.cos(heading), jnp.sin(heading)
+    u = ((jnp.arange(CONTACTS) + 0.5) / CONTACTS - 0.5) * length_m
+    v = jnp.array([0.5, -0.5]) * width_m
+    ground = height_at(terrain, x + u * cos - v[:, None] * sin, y + u * sin + v[:, None] * cos)  # [2, CONTACTS]
+    half = CONTACTS // 2
+    back_u, back_z, fore_u, fore_z = u[:half, None], ground[:, :half, None], u[half:], ground[:, None, half:]
+    slope = (fore_z - back_z) / (fore_u - back_u)  # [2, half, half]
+    carries = (back_z - slope * back_u).reshape(2, -1)
+    best = jnp.argmax(carries, axis=1)[:, None]
+    height = jnp.take_along_axis(carries, best, axis=1)[:, 0]
+    slope = jnp.take_along_axis(slope.reshape(2, -1), best, axis=1)[:, 0]
+    rise = jnp.max(jnp.abs(jnp.diff(ground[:, half:], axis=1)))
+    return -jnp.arctan(slope.mean()), jnp.arctan2(height[0] - height[1], width_m), height.mean(), rise
+
+
+def look_down(terrain, origin, direction):
+    """Ranges of beams to the ground.
+
+    Args:
+      terrain: `Terrain`.
+      origin: `(x_m, y_m, z_m)`, float scalars.
+      direction: `[D, 3]` float32, unit vectors.
+
+    Returns:
+      `[D]` float32, metres; inf beyond `MAX_DOWN_M`.
+    """
+
+    def above(distance):  # [..., D]
+        x, y, z = (origin[i] + distance * direction[:, i] for i in range(3))
+        return z - height_at(terrain, x, y)
+
+    step = MAX_DOWN_M / MARCH
+    distance = jnp.arange(1, MARCH + 1, dtype=jnp.float32)[:, None] * step
+    below = above(distance) <= 0  # [MARCH, D]
+    first = jnp.argmax(below, axis=0)
+    low, high = first * step, (first + 1) * step
+    for _ in range(HALVINGS):
+        middle = (low + high) / 2
+        under = above(middle) <= 0
+        low, high = jnp.where(under, low, middle), jnp.where(under, middle, high)
+    return jnp.where(jnp.any(below, axis=0), (low + high) / 2, jnp.inf)
+
+
+def turned(direction, pitch_rad, roll_rad, heading_rad):
+    """Directions in the robot's frame (x forward, y left, z up) in that of the world: `[D, 3]` to `[D, 3]`."""
+    cos_p, sin_p = jnp.cos(pitch_rad), jnp.sin(pitch_rad)
+    cos_r, sin_r = jnp.cos(roll_rad), jnp.sin(roll_rad)
+    cos_h, sin_h = jnp.cos(heading_rad), jnp.sin(heading_rad)
+    x, y, z = direction[:, 0], direction[:, 1], direction[:, 2]
+    y, z = cos_r * y - sin_r * z, sin_r * y + cos_r * z
+    x, z = cos_p * x + sin_p * z, -sin_p * x + cos_p * z
+    return jnp.stack([cos_h * x - sin_h * y, sin_h * x + cos_h * y, z], axis=1)

@@ -1,0 +1,92 @@
+"""Walls as straight segments: exact ranges of beams from any pose, without tracing cells.
+
+The walls of an occupancy array all run along the axes. A beam meets such a segment in a few operations, and a building
+of passages has some dozens of them: a scan is one small dense computation, on a CPU as on a GPU. Its ranges are those
+of `raycast.cast`, which traces every cell of every beam.
+"""
+
+import jax.numpy as jnp
+import numpy as np
+from flax import struct
+from jax import Array, lax
+
+SLACK_M = 1e-4  # segments are this much longer at both ends: no beam slips through where two meet
+FAR_M = 1e6
+
+
+@struct.dataclass
+class Walls:
+    """Segments along the axes, metres. Unused slots lie far away."""
+
+    x: Array  # [V, 3] float32, x, lower and upper y of segments along y
+    y: Array  # [U, 3] float32, y, lower and upper x of segments along x
+
+
+def _faces(occupied):
+    """Faces between free and occupied cells along columns: (column edge, first row, last row + 1), in cells."""
+    face = np.diff(occupied.astype(np.int8), axis=1) != 0  # [H, W - 1], between col and col + 1
+    lower = np.diff(np.pad(face, ((1, 0), (0, 0))).astype(np.int8), axis=0) == 1
+    upper = np.diff(np.pad(face, ((0, 1), (0, 0))).astype(np.int8), axis=0) == -1
+    col, first = np.nonzero(lower.T)
+    _, last = np.nonzero(upper.T)
+    return np.stack([col + 1, first, last + 1], axis=1)
+
+
+def walls_of(occupied, cell_m, *, multiple=16):
+    """The walls of an occupancy array.
+
+    Args:
+      occupied: `[H, W]` bool, host; its outermost cells are occupied.
+      cell_m: edge of a cell, metres.
+      multiple: both lists are padded to a multiple of this, so that buildings of similar size share a program.
+
+    Returns:
+      `Walls` of numpy arrays; cell (0, 0) begins at (0, 0).
+    """
+
+    def padded(faces):
+        n = max(1, -(-len(faces) // multiple)) * multiple
+        out = np.full((n, 3), FAR_M, np.float32)
+        out[: len(faces)] = faces * cell_m
+        return out
+
+    return Walls(x=padded(_faces(occupied)), y=padded(_faces(occupied.T)))  # type: ignore[arg-type]
+
+
+def segments(walls):
+    """The segments as `[S, 4]` float32, x0, y0, x1, y1, metres; unused slots left out. Host."""
+    x, y = (np.asarray(a) for a in (walls.x, walls.y))
+    x, y = x[x[:, 0] < FAR_M], y[y[:, 0] < FAR_M]
+    return np.concatenate([x[:, [0, 1, 0, 2]], y[:, [1, 0, 2, 0]]])
+
+
+def cast(walls, pose, angles_rad, max_range_m):
+    """Ranges of beams to the nearest wall.
+
+    Args:
+      walls: `Walls`.
+      pose: `(x_m, y_m, heading_rad)`, float scalars.
+      angles_rad: `[B]` float32, relative to the heading.
+      max_range_m: range, metres.
+
+    Returns:
+      `[B]` float32, metres; inf where no wall lies within the range.
+    """
+    x, y, heading = pose
+    angle = heading + angles_rad
+    dx, dy = jnp.cos(angle), jnp.sin(angle)
+    along_x = _nearest(walls.x, x, y, dx, dy)
+    along_y = _nearest(walls.y, y, x, dy, dx)
+    # Distances are not negative: their bits, as integers, are in the same order, and integers reduce fast on a CPU.
+    range_m = lax.bitcast_convert_type(jnp.minimum(along_x, along_y), jnp.float32)
+    return jnp.where(range_m < max_range_m, range_m, jnp.inf)
+
+
+def _nearest(lines, a, b, da, db):
+    """Bits of the distance to the nearest of the segments at a constant first coordinate: `[B]` int32."""
+    per = 1 / jnp.where(jnp.abs(da) < 1e-7, jnp.where(da < 0, -1e-7, 1e-7), da)
+    distance = (lines[:, 0] - a) * per[:, None]
+    meets = b + distance * db[:, None]
+    hit = (distance >= 0) & (meets >= lines[:, 1] - SLACK_M) & (meets <= lines[:, 2] + SLACK_M)
+    bits = lax.bitcast_convert_type(jnp.where(hit, distance, jnp.float32(FAR_M)), jnp.int32)
+    return jnp.min(bits, axis=1)

@@ -1,0 +1,221 @@
+"""The plan of a course in metres: a route of straight passages, and the places along it that become nodes.
+
+A route is drawn as one would walk it. Headings and turns are quarter turns: 0 is +x, 1 is +y, 2 is -x, 3 is -y.
+"""
+
+import dataclasses
+
+MARGIN_M = 1.0  # wall between two passages that do not meet, and round the whole
+RAMP_M = 2.4  # length of the way up, and of the way down
+RIGHT, STRAIGHT, LEFT = -1, 0, 1
+_STEP = ((1, 0), (0, 1), (-1, 0), (0, -1))
+
+
+@dataclasses.dataclass(frozen=True)
+class Ramp:
+    """An obstacle across a passage, `RAMP_M` up and `RAMP_M` down."""
+
+    heading: int
+    lane: tuple[float, float]
+    """The two sides of the passage: their y if it runs along x, else their x."""
+    along: float
+    """Where it starts: x if the passage runs along x, else y."""
+    angle_deg: float
+
+
+@dataclasses.dataclass(frozen=True)
+class Stop:
+    """A place that becomes a node of the topology."""
+
+    type: str
+    """As `btm_map.Node.type`."""
+    heading: int
+    """In which the robot comes."""
+    lane: tuple[float, float]
+    """Of the passage, as in `Ramp`."""
+    along: float = 0.0
+    """As in `Ramp`. Without meaning where there is a rectangle or a ramp."""
+    rect: tuple[float, float, float, float] | None = None
+    """Of a divergence: where its passages overlap; the last stretch of a dead end."""
+    arms: frozenset[int] = frozenset()
+    """Of a divergence: headings of its openings."""
+    ramp: Ramp | None = None
+    crease: int = 0
+    """Of an obstacle: 0 start, 1 top, 2 end."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Leg:
+    """A straight way between two stops, or out of one."""
+
+    start: int
+    end: int | None
+    heading: int
+    lane: tuple[float, float]
+
+
+class Route:
+    """A route under construction: the robot stands at `at`, on the centre line, at the end of what is carved."""
+
+    def __init__(self, heading, width, start_m):
+        """Begin with a wall, and the robot `start_m` before it with its back to it."""
+        self.at, self.heading, self.width = (0.0, 0.0), heading, width
+        self.part = 0
+        self.fits = True
+        """False once a passage came too near to an earlier one. Neighbouring parts of a route cannot."""
+        self.rects, self.boxes, self.stops, self.legs, self.ramps, self.straights = [], [], [], [], [], []
+        self._last = None
+        self._carve(start_m)
+        self._advance(start_m)
+        self._arrive(self._stop("terminal"))
+
+    def passage(self, length):
+        """Go on straight. Every passage begins a part of the route; what follows it belongs to the same part."""
+        self.part += 1
+        rect = self._carve(length)
+        self.straights.append((rect, self.heading))
+        self._advance(length)
+
+    def ramp(self, angle_deg, *, level=False):
+        """An up-and-down obstacle. Where `level`, there is none, but its place remains."""
+        self._carve(2 * RAMP_M)
+        if not level:
+            ramp = Ramp(self.heading, self._lane(), self._along(), angle_deg)
+            self.ramps.append(ramp)
+            for crease in range(3):
+                self._arrive(dataclasses.replace(self._stop("obstacle"), ramp=ramp, crease=crease))
+        self._advance(2 * RAMP_M)
+
+    def hall(self, length, depth, side):
+        """A free space: one wall of the passage steps back by `depth`, on the `side` LEFT or RIGHT."""
+        self._arrive(self._stop("free_space"))
+        self._carve(length, (-side * self.width / 2, side * (self.width / 2 + depth)))
+        self._advance(length)
+        self._arrive(self._stop("free_space"))
+
+    def junction(self, turns, width, stub_m, dead_m=0.0):
+        """A corner, T or crossing. The robot takes the first way counter-clockwise from the one that it came by.
+
+        Args:
+          turns: of RIGHT, STRAIGHT, LEFT, those in which there is an opening.
+          width: of the passage across, metres.
+          stub_m: length of the passages that the robot does not take.
+          dead_m: length of the passage that it takes first, and returns from. 0: there is no dead end.
+        """
+        rect = self._carve(width)
+        openings = [self.heading + 2, *(self.heading + turn for turn in turns)]
+        node = self._arrive(self._stop("divergence", rect, openings))
+        before = self.at, self.heading, self.width
+        todo = sorted(turns)
+        if dead_m:
+            self._turn(before, todo.pop(0), width)
+            self._carve(dead_m - self.width)
+            self._advance(dead_m - self.width)
+            end = self._stop("divergence", self._carve(self.width), [self.heading + 2])
+            self._arrive(end)
+            self._last = node
+        for turn in todo[1:]:
+            self._turn(before, turn, width)
+            self._carve(stub_m)
+            self.legs.append(Leg(node, None, self.heading, self._lane()))
+        self._turn(before, todo[0], width)
+
+    def goal(self, length, beyond):
+        """The goal after `length` of passage; the passage goes on for `beyond`."""
+        self.passage(length)
+        self._arrive(self._stop("terminal"))
+        self._carve(beyond)
+
+    def box(self, rect_index, start, length, depth, side):
+        """Furniture along a wall of a passage.
+
+        Args:
+          rect_index: which one of `straights`.
+          start: distance from the lower end of the passage, metres.
+          length, depth: along the wall and across, metres.
+          side: 0 for the wall with the lower coordinate, 1 for the other.
+        """
+        (x0, y0, x1, y1), heading = self.straights[rect_index]
+        if heading % 2:
+            x0, x1 = (x1 - depth, x1) if side else (x0, x0 + depth)
+            self.boxes.append((x0, y0 + start, x1, y0 + start + length))
+        else:
+            y0, y1 = (y1 - depth, y1) if side else (y0, y0 + depth)
+            self.boxes.append((x0 + start, y0, x0 + start + length, y1))
+
+    def _lane(self):
+        middle = self.at[1 - self.heading % 2]
+        return middle - self.width / 2, middle + self.width / 2
+
+    def _along(self):
+        return self.at[self.heading % 2]
+
+    def _stop(self, kind, rect=None, openings=()):
+        arms = frozenset(opening % 4 for opening in openings)
+        return Stop(kind, self.heading, self._lane(), self._along(), rect, arms)
+
+    def _arrive(self, stop):
+        self.stops.append(stop)
+        number = len(self.stops) - 1
+        if self._last is not None:
+            self.legs.append(Leg(self._last, number, self.heading, self._lane()))
+        self._last = number
+        return number
+
+    def _advance(self, length, heading=None):
+        dx, dy = _STEP[self.heading if heading is None else heading % 4]
+        self.at = self.at[0] + dx * length, self.at[1] + dy * length
+
+    def _turn(self, before, turn, width):
+        """Stand in the mouth of one arm of a junction whose near side is at `before`."""
+        self.at, self.heading, self.width = before
+        if turn == STRAIGHT:
+            self._advance(width)
+            return
+        self._advance(width / 2)
+        self.heading = (self.heading + turn) % 4
+        self._advance(self.width / 2)
+        self.width = width
+
+    def _carve(self, length, sides=None):
+        """Free a rectangle ahead; `sides` are its two sides, metres to the left of the centre line."""
+        right, left = sides or (-self.width / 2, self.width / 2)
+        (dx, dy), (x, y) = _STEP[self.heading], self.at
+        xs = sorted(round(x + dx * a - dy * b, 6) for a, b in ((0.0, right), (length, left)))
+        ys = sorted(round(y + dy * a + dx * b, 6) for a, b in ((0.0, right), (length, left)))
+        rect = xs[0], ys[0], xs[1], ys[1]
+        self.fits &= not any(_near(rect, other) for part, other in self.rects if part < self.part - 1)
+        self.rects.append((self.part, rect))
+        return rect
+
+
+def _near(a, b):
+    gap = MARGIN_M - 1e-6
+    return a[0] < b[2] + gap and b[0] < a[2] + gap and a[1] < b[3] + gap and b[1] < a[3] + gap
+
+
+def largest_circle(rect, arms):
+    """Centre and radius of the largest empty circle at a junction: it touches three walls, at a crossing four.
+
+    Args:
+      rect: `(x0, y0, x1, y1)` where the passages of the junction overlap; of a dead end, its last stretch.
+      arms: headings of the openings: one, two at a right angle, three or four.
+
+    Returns:
+      `(x, y, radius)`, metres.
+    """
+    x0, y0, x1, y1 = rect
+    closed = sorted({0, 1, 2, 3} - set(arms))
+    if not closed:
+        return (x0 + x1) / 2, (y0 + y1) / 2, ((x1 - x0) ** 2 + (y1 - y0) ** 2) ** 0.5 / 2
+    size = x1 - x0, y1 - y0
+    if len(closed) == 1:  # far wall and the two corners of the stem
+        across, stem = size if closed[0] % 2 == 0 else size[::-1]
+        radius = across / 2 + stem**2 / (8 * across)
+    elif len(closed) == 2:  # two outer walls and the inner corner
+        radius = size[0] + size[1] - (2 * size[0] * size[1]) ** 0.5
+    else:
+        radius = size[(min(arms) + 1) % 2] / 2
+    x = x1 - radius if 0 in closed else x0 + radius if 2 in closed else (x0 + x1) / 2
+    y = y1 - radius if 1 in closed else y0 + radius if 3 in closed else (y0 + y1) / 2
+    return x, y, radius

@@ -1,0 +1,85 @@
+"""Behavioral Trace Maps for tests: made by hand in few words, or at random."""
+
+import dataclasses
+
+from hypothesis import strategies as st
+
+from jexplore.btm_map import NOWHERE, OBSTACLES, STATUS, BtmMap, Link, Node
+
+TYPES = {"T": "terminal", "D": "divergence", "F": "free_space", "O": "obstacle"}
+
+
+def node(number, kind="D", x=0.0, y=0.0, **more):
+    return Node(number, x, y, TYPES[kind], **more)
+
+
+def way(number, start, end, bearing, back=None, **more):
+    back = (bearing + 180) % 360 if back is None else back
+    return Link(number, start, end, "searched", float(bearing), float(back), **more)
+
+
+def stub(number, start, bearing, **more):
+    return Link(number, start, NOWHERE, "un-searched", float(bearing), **more)
+
+
+def chain(kinds, stubs=()):
+    """Nodes along +x, 2 m apart; stubs are `(node, bearing)`."""
+    nodes = [node(i, kind, 2.0 * i, obstacle="slope" if kind == "O" else None) for i, kind in enumerate(kinds)]
+    links = [way(i, i, i + 1, 0, length_m=2.0) for i in range(len(kinds) - 1)]
+    links += [stub(len(links) + i, at, bearing) for i, (at, bearing) in enumerate(stubs)]
+    return BtmMap(tuple(nodes), tuple(links))
+
+
+CRAWLER = chain("TOOODFFDT", [(4, 90), (7, -90)])
+WHEELED = chain("TDFFDT", [(1, 90), (4, -90)])
+T_LEFT, T_RIGHT = chain("TDT", [(1, 90)]), chain("TDT", [(1, -90)])
+SQUARE = BtmMap(
+    tuple(node(i, "TDDD"[i]) for i in range(4)),
+    (way(0, 0, 1, 0), way(1, 1, 2, 90), way(2, 2, 3, 180), way(3, 3, 0, 270)),
+)
+FINITE = st.floats(allow_nan=False, allow_infinity=False)
+PLAIN = st.recursive(
+    st.none() | st.booleans() | st.integers() | FINITE | st.text(max_size=3),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=3), inner, max_size=3),
+    max_leaves=5,
+)
+ATTRIBUTES = st.dictionaries(st.text(max_size=5), PLAIN, max_size=2)
+
+
+@st.composite
+def maps(draw, *, cycles=True, measures=False):
+    """Up to five nodes in a tree, stubs, links that close cycles; bearings at a node differ."""
+    count = draw(st.integers(1, 5))
+    ends = [(draw(st.integers(0, i - 1)), i) for i in range(1, count)]
+    any_node = st.integers(0, count - 1)
+    ends += draw(st.lists(st.tuples(any_node, any_node), max_size=2)) if cycles else []
+    ends += [(at, NOWHERE) for at in draw(st.lists(any_node, max_size=3))]
+    degree = [sum(pair.count(i) for pair in ends) for i in range(count)]
+    free = [draw(st.lists(st.integers(0, 359), min_size=n, max_size=n, unique=True)) for n in degree]
+    names = ATTRIBUTES if measures else st.just({})
+    number = st.none() | FINITE if measures else st.none()
+    length = st.none() | st.floats(0, allow_infinity=False) if measures else st.none()
+    nodes = []
+    for i in range(count):
+        kind = draw(st.sampled_from(sorted(TYPES)))
+        shape = draw(st.sampled_from(OBSTACLES)) if kind == "O" else None
+        x, y = (draw(FINITE), draw(FINITE)) if measures else (float(i), 0.0)
+        more = {"inclination_deg": draw(number), "step_m": draw(length), "posture_deg": draw(number)}
+        nodes.append(node(i, kind, x, y, obstacle=shape, attributes=draw(names), **more))
+    links = []
+    for i, (start, end) in enumerate(ends):
+        bearing = float(free[start].pop())
+        back = None if end == NOWHERE else float(free[end].pop())
+        status = STATUS[end != NOWHERE]
+        lengths = {name: draw(length) for name in ("length_m", "min_width_m", "opening_m")}
+        more = {"posture_deg": draw(number), "attributes": draw(names), **lengths}
+        links.append(Link(i, start, end, status, bearing, back, **more))
+    return BtmMap(tuple(nodes), tuple(links), draw(names))
+
+
+def changed(btm, **by_kind):
+    """With fields of the records replaced: `nodes` and `links` are functions of a record that return a dict."""
+    parts = {
+        name: tuple(dataclasses.replace(item, **by_kind[name](item)) for item in getattr(btm, name)) for name in by_kind
+    }
+    return dataclasses.replace(btm, **parts)

@@ -1,0 +1,619 @@
+"""How a map is written: changes of level from pitch alone, and every kind of node by hand."""
+
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jexplore import btm, btm_map, btm_write
+from jexplore.behave import Latch
+from jexplore.btm import DIVERGENCE, FREE_SPACE, NONE, OBSTACLE, SEARCHED, TERMINAL, UNSEARCHED
+from jexplore.btm_settings import ROBOTS, Tuning
+from jexplore.btm_write import Event
+
+TUNING, KAMUI = Tuning(), ROBOTS["kamui"]
+EAST, NORTH, WEST, SOUTH = (math.radians(angle) for angle in (0, 90, 180, -90))
+
+
+# ---------------------------------------------------------------- changes of level
+
+STEP_M = 0.04  # at 0.4 m/s and 0.1 s a step
+
+
+def pitch_deg(odometer, creases, grounds, length_m):
+    """A body on ground whose inclination changes at creases turns evenly while it is over one."""
+    pitch = np.full(odometer.shape, float(grounds[0]))
+    for crease, before, after in zip(creases, grounds, grounds[1:]):
+        pitch += (after - before) * np.clip((odometer - crease) / length_m + 0.5, 0, 1)
+    return pitch
+
+
+WATCH = jax.jit(
+    lambda pitch, odometer, even_m: jax.lax.scan(
+        lambda level, now: _watched(level, *now, even_m), btm_write.begin(1, 1, 1, 1, jnp.zeros(3)).level,
+        (pitch, odometer),
+    )[1]
+)  # fmt: skip
+
+
+def _watched(level, pitch, odometer_m, even_m):
+    level, *seen = btm_write.watch_level(level, pitch, odometer_m, math.radians(TUNING.inclination_deg), even_m)
+    return level, seen
+
+
+def changes(pitch, odometer, length_m=KAMUI.length_m):
+    """`(odometer, crease, steepest in degrees)` of every change."""
+    even_m = btm_write.EVEN_LENGTHS * length_m
+    changed, crease, steepest = WATCH(jnp.radians(jnp.float32(pitch)), jnp.float32(odometer), even_m)
+    changed = np.asarray(changed)
+    return odometer[changed], np.asarray(crease)[changed], np.degrees(np.asarray(steepest)[changed])
+
+
+RIDE = np.arange(0, 10, STEP_M)
+BUMP = [2.0, 4.5, 7.0]  # the ground rises, falls, and is level again
+
+
+@pytest.mark.jit
+@pytest.mark.parametrize("degrees", [10, 6, 20])
+@pytest.mark.parametrize("direction", [-1, 1])
+def test_a_ride_up_and_down_changes_three_times(degrees, direction):
+    grounds = [0, direction * degrees, -direction * degrees, 0]
+    at, crease, steepest = changes(pitch_deg(RIDE, BUMP, grounds, KAMUI.length_m), RIDE)
+    np.testing.assert_allclose(crease, BUMP, atol=0.03)
+    np.testing.assert_allclose(steepest, degrees, atol=1)
+    # Known once the robot has stood evenly for a quarter of its length.
+    assert ((at > crease + KAMUI.length_m / 2) & (at < crease + 0.8 * KAMUI.length_m)).all()
+
+
+@pytest.mark.jit
+@pytest.mark.parametrize("seed", range(5))
+def test_noise_changes_no_count(seed):
+    noise = 0.1 * np.random.default_rng(seed).normal(size=RIDE.size)
+    _, crease, steepest = changes(pitch_deg(RIDE, BUMP, [0, -10, 10, 0], KAMUI.length_m) + noise, RIDE)
+    np.testing.assert_allclose(crease, BUMP, atol=0.05)
+    np.testing.assert_allclose(steepest, 10, atol=1.1)
+    assert not changes(noise, RIDE)[0].size
+
+
+@pytest.mark.jit
+def test_ground_that_hardly_changes_is_level():
+    assert not changes(np.zeros(RIDE.size), RIDE)[0].size
+    assert not changes(pitch_deg(RIDE, [3.0], [0, 4.5], KAMUI.length_m), RIDE)[0].size
+    assert not changes(pitch_deg(RIDE, [3.0, 3.1], [0, 20, 0], KAMUI.length_m), RIDE)[0].size  # a sill
+    assert not changes(np.linspace(0, 90, RIDE.size), RIDE)[0].size  # never even
+
+
+@pytest.mark.jit
+def test_a_crease_lies_half_way_for_a_robot_of_any_length():
+    for length in (0.3, 1.2):
+        at, crease, _ = changes(pitch_deg(RIDE, [4.0], [0, 12], length), RIDE, length)
+        np.testing.assert_allclose(crease, [4], atol=0.06)
+        assert at[0] == pytest.approx(4 + 0.75 * length, abs=0.15)
+
+
+# ---------------------------------------------------------------- what is kept of the way
+
+POINTS = 64
+
+
+def begun(pose=(0.0, 0.0, 0.0), *, steps=4, nodes=8, links=12, points=POINTS):
+    return btm_write.begin(steps, points, nodes, links, jnp.asarray(pose, jnp.float32))
+
+
+def test_a_map_begins_with_the_start_and_a_link_ahead():
+    writer = begun((1.0, 2.0, 0.5))
+    assert btm_map.check(btm.to_map(writer.map)) == btm_map.BtmMap(
+        (btm_map.Node(0, 1.0, 2.0, "terminal"),),
+        (btm_map.Link(0, 0, -1, "un-searched", pytest.approx(math.degrees(0.5))),),
+        {"overflow": 0},
+    )
+    assert (int(writer.node), int(writer.link), float(writer.left_bearing)) == (0, 0, 0.5)
+    assert not writer.exhausted
+    assert float(writer.border_m) == math.inf
+
+
+def path(writer, *rows):
+    """The writer with a way of rows `(odometer, x, y, heading, pitch_deg, posture_deg, width)`."""
+    odometer, x, y, heading, pitch, posture, width = np.asarray(rows, np.float32).T
+    n = len(rows)
+    return writer.replace(
+        way=btm_write.no_way(n + 2).replace(
+            odometer_m=jnp.full(n + 2, jnp.inf).at[:n].set(odometer),
+            pose=jnp.zeros((n + 2, 3)).at[:n].set(np.stack([x, y, heading], axis=1)),
+            pitch=jnp.zeros(n + 2).at[:n].set(np.radians(pitch)),
+            posture=jnp.zeros(n + 2).at[:n].set(np.radians(posture)),
+            width_m=jnp.full(n + 2, jnp.inf).at[:n].set(width),
+        )
+    )
+
+
+ROWS = [(0, 0, 0, 0, 0, 1, 2.0), (1, 1, 0, 0.1, 0, 8, 1.5), (2, 2, 0, 0.2, 0, 3, 1.8), (3, 3, 0, 0.3, 0, 9, 1.0)]
+
+
+def test_narrowest_and_steepest_between_two_places():
+    way = path(begun(), *ROWS).way
+    for bounds, want in (((0, 3), (1, 9)), ((0, 2), (1.5, 8)), ((1.5, 2.5), (1.8, 3)), ((1.1, 1.9), (math.inf, 0))):
+        assert [float(value) for value in btm_write.along(way, *bounds)] == pytest.approx(want)
+    assert [float(value) for value in btm_write.along(btm_write.no_way(3), 0, 9)] == [math.inf, 0]
+
+
+def test_the_pose_at_an_odometer():
+    way = path(begun(), *ROWS).way
+    for odometer, x in ((0, 0), (0.5, 1), (1, 1), (2.9, 3), (3, 3)):
+        assert btm_write.pose_at(way, odometer).tolist() == pytest.approx([x, 0, x / 10])
+
+
+def test_snapshots_are_kept_in_a_ring():
+    writer, kept = begun(points=1), []
+    for i in range(1, 40):
+        odometer = i / 10 + 1e-4
+
+        def points_of(i=i):
+            return jnp.full((1, 2), float(i)), jnp.asarray([i % 3 != 0])
+
+        before = int(writer.n_snapshots)
+        writer = btm_write.keep_snapshot(writer, points_of, jnp.float32(odometer))
+        if int(writer.n_snapshots) > before:
+            kept.append(i)
+            assert float(writer.snapshot_m) == pytest.approx(odometer)
+    assert kept == list(range(1, 40, 2))
+    ring = {k % btm_write.SNAPSHOTS: i for k, i in enumerate(kept)}
+    want = [ring[k] for k in range(btm_write.SNAPSHOTS)]
+    assert want[:4] == [33, 35, 37, 39]
+    np.testing.assert_array_equal(writer.snapshot[:, 0, 0], want)
+    np.testing.assert_array_equal(writer.snapshot_there[:, 0], np.mod(want, 3) != 0)
+
+
+# ---------------------------------------------------------------- nodes
+
+
+def wall(x, y):
+    """Points every 5 cm."""
+    (x0, x1), (y0, y1) = x, y
+    n = round(math.hypot(x1 - x0, y1 - y0) / 0.05) + 1
+    return np.stack([np.linspace(x0, x1, n), np.linspace(y0, y1, n)], axis=1)
+
+
+# A T of passages two metres wide that one enters eastwards. Its circle touches two corners and the wall opposite.
+T_CENTRE, T_RADIUS = (3.75, 0.0), 1.25
+T_WALLS = np.concatenate([
+    wall((0, 3), (1, 1)), wall((0, 3), (-1, -1)), wall((3, 3), (1, 4)), wall((3, 3), (-1, -4)), wall((5, 5), (-4, 4)),
+])  # fmt: skip
+# A dead end: a passage two metres wide that ends.
+DEAD_CENTRE, DEAD_RADIUS = (0.0, 0.0), 1.0
+DEAD_WALLS = np.concatenate([wall((-3, 1), (1, 1)), wall((-3, 1), (-1, -1)), wall((1, 1), (-1, 1))])
+
+
+def turned(xy, angle):
+    cos, sin = math.cos(angle), math.sin(angle)
+    xy = np.asarray(xy, float)
+    return np.stack([cos * xy[..., 0] - sin * xy[..., 1], sin * xy[..., 0] + cos * xy[..., 1]], axis=-1)
+
+
+def seen(writer, xy):
+    """The writer with these points in its snapshots."""
+    slots = np.zeros((btm_write.SNAPSHOTS * POINTS, 2), np.float32)
+    assert len(xy) <= len(slots)
+    slots[: len(xy)] = xy
+    there = np.arange(len(slots)) < len(xy)
+    return writer.replace(
+        snapshot=jnp.asarray(slots.reshape(-1, POINTS, 2)), snapshot_there=jnp.asarray(there.reshape(-1, POINTS))
+    )
+
+
+def event(kind, odometer, pose, centre=None, *, radius=0.0, posture=0.0, steepest=0.0, step_m=0.0, blocked=False):
+    return Event(
+        kind=jnp.int32(kind),
+        odometer_m=jnp.float32(odometer),
+        pose=jnp.asarray(pose, jnp.float32),
+        centre=jnp.asarray(pose[:2] if centre is None else centre, jnp.float32),
+        radius=jnp.float32(radius),
+        posture=jnp.radians(jnp.float32(posture)),
+        steepest=jnp.radians(jnp.float32(steepest)),
+        step_m=jnp.float32(step_m),
+        blocked=jnp.bool_(blocked),
+    )
+
+
+def written(writer, due):
+    writer, latch, target, shift = btm_write.write(writer, due, TUNING, KAMUI)
+    return writer, int(latch), target.tolist(), shift.tolist()
+
+
+def links_of(writer):
+    """`(start, end, status)` of every link in use."""
+    map_, n = writer.map, int(writer.map.n_links)
+    return [tuple(int(field[i]) for field in (map_.start, map_.end, map_.status)) for i in range(n)]
+
+
+def degrees(bearing):
+    return math.degrees(float(bearing))
+
+
+def at_the_t(turn=0.0, **sizes):
+    """The writer, latch and target on arrival at the T, all turned about the start."""
+    writer = seen(begun((0.0, 0.0, turn), **sizes), turned(T_WALLS, turn))
+    rows = [(0, 0, 0, 0, 0, 1, 2.0), (1.5, 1.5, 0, 0, 0, 2, 1.9), (3.5, 3.5, 0, 0, 0, 1, 2.1)]
+    writer = path(writer, *rows).replace(entry=jnp.asarray(turned((1, 0), turn), jnp.float32))
+    pose = (*turned((3.5, 0), turn), turn)
+    return written(writer, event(DIVERGENCE, 3.5, pose, turned(T_CENTRE, turn), radius=T_RADIUS, posture=1.5))
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.7, math.pi / 2, 3.0, -2.0])
+def test_a_t_is_left_to_the_right_whichever_way_it_lies(turn):
+    writer, latch, target, shift = at_the_t(turn)
+    map_ = writer.map
+    assert (int(map_.n_nodes), int(map_.n_links), int(map_.overflow)) == (2, 3, 0)
+    assert sorted(links_of(writer)) == [(0, 1, SEARCHED), (1, NONE, UNSEARCHED), (1, NONE, UNSEARCHED)]
+    assert links_of(writer)[0] == (0, 1, SEARCHED)
+    # From the middle of the circle, 1.5 radii wide, the openings lie 81 degrees to both sides.
+    bearings = [(degrees(map_.start_bearing[i]) - math.degrees(turn)) % 360 for i in (1, 2)]
+    assert sorted(bearings) == pytest.approx([80.8, 279.2], abs=3)
+    onto = int(writer.link)
+    assert bearings[onto - 1] == pytest.approx(279.2, abs=3)
+    assert latch == Latch.LEAVE
+    out = T_RADIUS + TUNING.leave_m
+    at = np.asarray(T_CENTRE) + out * np.array([math.cos(math.radians(-80.8)), math.sin(math.radians(-80.8))])
+    np.testing.assert_allclose(target, turned(at, turn), atol=0.08)
+    away = np.subtract(target, turned(T_CENTRE, turn))
+    assert math.hypot(*away) == pytest.approx(out, rel=1e-5)
+    assert math.atan2(away[1], away[0]) == pytest.approx(float(map_.start_bearing[onto]), abs=1e-5)
+    assert shift == [0, 0]
+    assert float(writer.left_bearing) == float(map_.start_bearing[onto])
+    assert (int(writer.node), float(writer.node_m), bool(writer.exhausted)) == (1, 3.5, False)
+    assert not writer.snapshot_there.any()
+
+
+def test_what_is_written_of_a_t():
+    record = btm_map.check(btm.to_map(at_the_t()[0].map))
+    assert record.nodes[1] == btm_map.Node(1, 3.75, 0.0, "divergence", posture_deg=pytest.approx(1.5))
+    link = record.links[0]
+    assert (link.length_m, link.min_width_m, link.posture_deg) == pytest.approx((3.5, 1.9, 2))
+    assert (link.start_bearing_deg, abs(link.end_bearing_deg)) == pytest.approx((0, 180), abs=1)
+    assert record.links[1].opening_m == pytest.approx(2, abs=0.1)  # 2.03 m askew
+    assert record.angles_deg(1) == pytest.approx([99.2, 99.2, 161.6], abs=4)
+
+
+def test_where_the_way_in_is_not_seen_every_opening_is_one():
+    """The robot claims to have come from the east, where a wall is: its way in lies in no opening."""
+    writer = seen(begun(), T_WALLS).replace(entry=jnp.asarray([9.0, 0.0]))
+    writer, *_ = written(writer, event(DIVERGENCE, 3.5, (3.5, 0.0, 0.0), T_CENTRE, radius=T_RADIUS))
+    assert links_of(writer) == [(0, 1, SEARCHED)] + [(1, NONE, UNSEARCHED)] * 3
+    assert degrees(writer.map.end_bearing[0]) == pytest.approx(0, abs=1e-3)
+
+
+def hall():
+    writer = path(begun(), *[(i, i, 0, 0, 0, i, 2 - i / 10) for i in range(8)]).replace(border_m=jnp.float32(2))
+    first, latch, _, shift = written(writer, event(FREE_SPACE, 2, (2.0, 0.0, 0.25), posture=3))
+    assert (latch, shift) == (Latch.FREE, [0, 0])
+    return first
+
+
+def test_a_free_space_is_two_nodes_on_the_way():
+    writer = hall()
+    assert links_of(writer) == [(0, 1, SEARCHED), (1, NONE, UNSEARCHED)]
+    assert (int(writer.link), float(writer.left_bearing), float(writer.border_m)) == (1, 0.25, math.inf)
+    writer, latch, *_ = written(writer, event(FREE_SPACE, 6, (6.0, 0.0, 0.0)))
+    assert latch == Latch.FREE
+    assert links_of(writer) == [(0, 1, SEARCHED), (1, 2, SEARCHED), (2, NONE, UNSEARCHED)]
+    record = btm_map.check(btm.to_map(writer.map))
+    assert [node.type for node in record.nodes] == ["terminal", "free_space", "free_space"]
+    assert record.nodes[1] == btm_map.Node(1, 2.0, 0.0, "free_space", posture_deg=pytest.approx(3))
+    link = record.links[1]
+    assert (link.length_m, link.min_width_m, link.posture_deg) == pytest.approx((4, 1.4, 6))
+    assert (link.start_bearing_deg, abs(link.end_bearing_deg)) == pytest.approx((math.degrees(0.25), 180))
+    assert not writer.exhausted
+    assert record.links[2].attributes == {}
+
+
+def test_a_border_ahead_is_kept_until_it_is_reached():
+    writer = begun().replace(border_m=jnp.float32(5))
+    for kind, odometer, border in (
+        (FREE_SPACE, 4.9, 5), (FREE_SPACE, 5, math.inf), (OBSTACLE, 6, 5), (DIVERGENCE, 1, math.inf), (TERMINAL, 6, 5),
+    ):  # fmt: skip
+        after, *_ = written(writer, event(kind, odometer, (3.0, 0.0, 0.0), radius=1.0 * (kind == DIVERGENCE)))
+        assert float(after.border_m) == border
+
+
+def test_snapshots_last_until_the_next_divergence():
+    writer, *_ = written(seen(begun(), T_WALLS), event(FREE_SPACE, 2, (2.0, 0.0, 0.0)))
+    assert int(writer.snapshot_there.sum()) == len(T_WALLS)
+
+
+def test_the_end_of_a_run_is_a_node_even_where_it_began():
+    writer, latch, *_ = written(begun(), event(TERMINAL, 3, (0.1, 0.0, 0.5), posture=2))
+    assert links_of(writer) == [(0, 1, SEARCHED)]
+    assert (latch, bool(writer.exhausted)) == (Latch.FREE, False)
+    assert btm.to_map(writer.map).nodes[1].type == "terminal"
+
+
+# ---------------------------------------------------------------- known nodes, dead ends
+
+
+def at_a_dead_end(writer, centre, heading, odometer):
+    """Arrival at the end of a passage in which the robot drives."""
+    writer = seen(writer, turned(DEAD_WALLS, heading) + centre)
+    writer = writer.replace(entry=jnp.asarray(turned((-2, 0), heading) + centre, jnp.float32))
+    return written(writer, event(DIVERGENCE, odometer, (*centre, heading), centre, radius=DEAD_RADIUS))
+
+
+def back_at_the_t(writer, odometer, came_from, centre=T_CENTRE):
+    writer = seen(writer, T_WALLS).replace(entry=jnp.asarray(came_from, jnp.float32))
+    return written(writer, event(DIVERGENCE, odometer, (3.7, 0.1, 0.0), centre, radius=T_RADIUS))
+
+
+def test_a_dead_end_sends_back_until_nothing_is_left():
+    t, *_ = at_the_t()
+    south, north = int(t.link), 3 - int(t.link)
+    writer, latch, target, shift = at_a_dead_end(t, (4.0, -6.0), SOUTH, 9.5)
+    assert links_of(writer)[south] == (1, 2, SEARCHED)
+    assert float(writer.map.length_m[south]) == 6
+    assert int(writer.map.n_links) == 3  # a dead end has none of its own
+    assert (int(writer.node), int(writer.link), latch, bool(writer.exhausted)) == (2, south, Latch.LEAVE, False)
+    assert degrees(writer.left_bearing) == pytest.approx(90, abs=2)
+    np.testing.assert_allclose(target, [4, -6 + DEAD_RADIUS + TUNING.leave_m], atol=0.06)
+    assert shift == [0, 0]
+
+    # The T is met again on a known link: nothing new, a corrected odometry, and north is left.
+    before = writer.map
+    writer, latch, target, shift = back_at_the_t(writer, 15.5, (3.9, -4.0), (3.95, 0.1))
+    jax.tree.map(np.testing.assert_array_equal, writer.map, before)
+    assert shift == pytest.approx([-0.2, -0.1], abs=1e-6)
+    assert (int(writer.node), int(writer.link), latch) == (1, north, Latch.LEAVE)
+    np.testing.assert_allclose(target, np.asarray(T_CENTRE) + [1.75 * 0.16, 1.75 * 0.987], atol=0.08)
+
+    writer, latch, *_ = at_a_dead_end(writer, (4.0, 6.0), NORTH, 21.5)
+    assert links_of(writer) == [(0, 1, SEARCHED), *sorted([(1, 2, SEARCHED), (1, 3, SEARCHED)], reverse=south == 2)]
+    assert (bool(writer.exhausted), int(writer.link), latch) == (True, 12, Latch.FREE)
+    btm_map.check(btm.to_map(writer.map))
+
+
+def test_a_node_met_again_from_its_other_end_loses_the_double_link():
+    t, *_ = at_the_t()
+    south, north = int(t.link), 3 - int(t.link)
+    writer, *_ = written(t, event(FREE_SPACE, 9.5, (4.0, -6.0, -0.5)))
+    writer, latch, target, shift = back_at_the_t(writer, 20, (3.9, 4.0), (3.65, -0.2))
+    onward = 3
+    assert links_of(writer)[south] == (1, 2, SEARCHED)
+    assert links_of(writer)[onward] == (2, 1, SEARCHED)
+    assert links_of(writer)[north] == (NONE, NONE, NONE)
+    assert (int(writer.map.n_nodes), int(writer.map.n_links), int(writer.node)) == (3, 4, 1)
+    assert shift == pytest.approx([0.1, 0.2], abs=1e-6)
+    assert degrees(writer.map.end_bearing[onward]) == pytest.approx(81, abs=6)
+    assert writer.exhausted  # the ring is closed
+    record = btm_map.check(btm.to_map(writer.map))
+    assert [(link.id, link.start, link.end) for link in record.links] == [(0, 0, 1), (1, 1, 2), (2, 2, 1)]
+
+
+def test_how_near_a_known_node_is_met_again():
+    t, *_ = at_the_t()
+    writer, *_ = written(t, event(FREE_SPACE, 9.5, (4.0, -6.0, 0.0)))
+    for away, kind, radius, again in (
+        (1.2, DIVERGENCE, 1.25, True), (1.3, DIVERGENCE, 1.25, False), (0.45, DIVERGENCE, 0.3, True),
+        (0.55, DIVERGENCE, 0.3, False), (0.1, FREE_SPACE, 0.0, False), (0.1, OBSTACLE, 0.0, False),
+    ):  # fmt: skip
+        after, _, _, shift = written(writer, event(kind, 16, (4.5, 0.0, 0.0), (3.75 + away, 0.0), radius=radius))
+        assert int(after.map.n_nodes) == 3 + (not again)
+        assert shift == pytest.approx([-away * again, 0], abs=1e-6)
+
+
+def test_a_free_space_met_again_is_passed_through():
+    writer = hall()  # node 1 at (2, 0), heading 0.25 rad
+    writer, *_ = written(writer, event(FREE_SPACE, 6, (6.0, 0.0, 0.0)))
+    writer, latch, *_ = at_a_dead_end(writer, (9.0, 0.0), EAST, 9)
+    assert (int(writer.node), bool(writer.exhausted)) == (3, True)
+    writer = writer.replace(link=jnp.int32(2), left_bearing=jnp.float32(WEST))  # it turns back all the same
+    before = writer.map
+    writer, latch, _, shift = written(writer, event(FREE_SPACE, 12, (6.3, 0.2, WEST)))
+    assert (int(writer.node), int(writer.link), latch, shift) == (2, 1, Latch.FREE, [0, 0])
+    writer, *_ = written(writer, event(FREE_SPACE, 16, (2.9, 0.2, WEST)))
+    assert (int(writer.node), int(writer.link), float(writer.left_bearing)) == pytest.approx((1, 0, WEST))
+    jax.tree.map(np.testing.assert_array_equal, writer.map, before)
+    writer, *_ = written(writer, event(FREE_SPACE, 20, (0.9, 0.2, WEST)))  # too far from the hall's border
+    assert int(writer.map.n_nodes) == 5
+
+
+def test_a_new_node_on_a_known_link_has_a_way_of_its_own():
+    t, *_ = at_the_t()
+    writer, *_ = at_a_dead_end(t, (4.0, -6.0), SOUTH, 9.5)
+    before = links_of(writer)
+    writer, *_ = written(writer, event(FREE_SPACE, 12.5, (7.0, -5.0, 0.3)))
+    assert links_of(writer) == [*before, (2, 3, SEARCHED), (3, NONE, UNSEARCHED)]
+    assert degrees(writer.map.start_bearing[3]) == pytest.approx(90, abs=2)  # as it left the dead end
+    assert float(writer.map.length_m[3]) == 3
+    assert float(writer.map.length_m[int(t.link)]) == 6
+    assert int(writer.link) == 4
+
+
+# ---------------------------------------------------------------- obstacles
+
+
+def over(height, pitch=-10.0):
+    """The writer and the records after a ride over an obstacle from 2 m to 4 m of this profile."""
+    odometer = np.arange(0, 6, 0.04)
+    on_it = (odometer > 2) & (odometer < 4)
+    writer = begun()
+    rows = [(s, s, 0, 0, pitch * p, abs(pitch) * p + 1, 2.0) for s, p in zip(odometer, on_it)]
+    writer = path(writer, *rows)
+    x = np.concatenate([odometer, [np.inf, np.inf]]).astype(np.float32)
+    z = [*map(height, odometer), 0, 0]
+    way = writer.way.replace(ground_x_m=jnp.asarray(x), ground_z_m=jnp.asarray(z, jnp.float32))
+    writer = writer.replace(way=way)
+    writer, latch, *_ = written(writer, event(OBSTACLE, 2, (2.0, 0.0, 0.0), steepest=9))
+    assert latch == Latch.FREE
+    first = btm.to_map(writer.map)
+    writer, *_ = written(writer, event(OBSTACLE, 4, (4.0, 0.0, 0.0), steepest=9))
+    return writer, first, btm_map.check(btm.to_map(writer.map))
+
+
+def slope(s):
+    return math.tan(math.radians(10)) * min(max(s - 2, 0), 2)
+
+
+def stairs(s):
+    return 0.1 * math.floor(min(max(s - 2, 0), 2) / 0.4)
+
+
+def test_an_obstacle_is_a_slope_until_its_profile_says_otherwise():
+    _, first, record = over(slope)
+    assert first.nodes[1].obstacle == "slope"
+    assert first.nodes[1].inclination_deg == pytest.approx(9)
+    for node in record.nodes[1:]:
+        assert (node.type, node.obstacle, node.step_m) == ("obstacle", "slope", None)
+        assert node.inclination_deg == pytest.approx(10, abs=0.01)  # as it was ridden
+        assert node.attributes.get("profile_variance_m2", 0) < 1e-6
+    assert record.links[1].posture_deg == pytest.approx(11)
+    assert [node.posture_deg for node in record.nodes[1:]] == pytest.approx([11, 11])
+
+
+def test_stairs_fit_no_line():
+    _, first, record = over(stairs)
+    assert first.nodes[1].obstacle == "slope"
+    for node in record.nodes[1:]:
+        assert (node.type, node.obstacle) == ("obstacle", "stairs")
+        assert node.step_m == pytest.approx(0.1, abs=1e-3)
+        # h^2 / 12 of risers of h, about.
+        assert node.attributes["profile_variance_m2"] == pytest.approx(0.1**2 / 12, rel=0.2)
+
+
+def test_low_risers_read_as_a_slope():
+    _, _, record = over(lambda s: stairs(s) / 2, pitch=-8)
+    assert {node.obstacle for node in record.nodes[1:]} == {"slope"}
+    assert record.nodes[1].attributes["profile_variance_m2"] == pytest.approx(0.05**2 / 12, rel=0.2)
+
+
+def test_level_ground_between_two_obstacles_is_not_judged():
+    writer, *_ = over(stairs)
+    writer, *_ = written(writer, event(OBSTACLE, 5.9, (5.9, 0.0, 0.0), steepest=7))
+    record = btm.to_map(writer.map)
+    assert [node.obstacle for node in record.nodes] == [None, "stairs", "stairs", "slope"]
+    assert record.nodes[3].step_m is None
+    assert record.nodes[3].attributes == {}
+
+
+def test_what_comes_after_an_obstacle_is_not_one():
+    writer, *_ = over(stairs)
+    writer = writer.replace(node=jnp.int32(1), node_m=jnp.float32(2))
+    after, *_ = written(writer, event(FREE_SPACE, 4, (9.0, 0.0, 0.0)))
+    node = btm.to_map(after.map).nodes[-1]
+    assert (node.type, node.obstacle, node.step_m, node.inclination_deg) == ("free_space", None, None, None)
+
+
+@pytest.mark.parametrize("step_m", [0.0, 0.35])
+def test_a_blocked_obstacle_sends_back(step_m):
+    t, *_ = at_the_t()
+    south = int(t.link)
+    writer, latch, target, _ = written(
+        t, event(OBSTACLE, 8, (4.0, -4.5, SOUTH), steepest=30, step_m=step_m, blocked=True)
+    )
+    node = btm.to_map(writer.map).nodes[2]
+    want = ("obstacle", "stairs", pytest.approx(0.35)) if step_m else ("obstacle", "slope", None)
+    assert (node.type, node.obstacle, node.step_m) == want
+    assert node.inclination_deg == pytest.approx(30)
+    assert links_of(writer)[south] == (1, 2, SEARCHED)
+    assert links_of(writer)[3] == (2, NONE, UNSEARCHED)
+    np.testing.assert_array_equal(writer.map.blocked[:5], [False] * 3 + [True, False])
+    assert (latch, int(writer.link), bool(writer.exhausted)) == (Latch.LEAVE, south, False)
+    np.testing.assert_allclose(target, [4, -4.5 + TUNING.leave_m], atol=1e-5)
+    assert degrees(writer.left_bearing) == pytest.approx(90)
+    before = writer.map
+    writer, *_ = back_at_the_t(writer, 12.5, (3.9, -4.0))
+    jax.tree.map(np.testing.assert_array_equal, writer.map, before)
+    assert int(writer.link) == 3 - south
+
+
+def test_a_blocked_obstacle_on_the_only_way_is_the_end():
+    writer, latch, *_ = written(begun(), event(OBSTACLE, 2, (2.0, 0.0, 0.0), blocked=True))
+    assert (bool(writer.exhausted), latch, int(writer.link)) == (True, Latch.FREE, 12)
+
+
+def test_an_obstacle_met_again_leaves_other_nodes_alone():
+    """Over a slope to a dead end and back: the nodes of the slope are met again, the dead end is none of them."""
+    writer, *_ = over(slope)
+    writer, *_ = at_a_dead_end(writer, (6.0, 0.0), EAST, 5.8)
+    writer = writer.replace(link=jnp.int32(2), left_bearing=jnp.float32(WEST))
+    writer, *_ = written(writer, event(OBSTACLE, 7.8, (4.0, 0.0, WEST), steepest=9))
+    before = btm.to_map(writer.map).nodes[3]
+    odometer = np.arange(5.8, 10, 0.04)
+    rows = [(s, 11.8 - s, 0, WEST, 10 * (7.8 < s < 9.8), 1, 2.0) for s in odometer]
+    writer, *_ = written(path(writer, *rows), event(OBSTACLE, 9.8, (2.0, 0.0, WEST), steepest=9))
+    assert int(writer.map.n_nodes) == 4
+    assert (int(writer.node), before.type, before.inclination_deg) == (1, "divergence", None)
+    assert btm.to_map(writer.map).nodes[3] == before
+
+
+# ---------------------------------------------------------------- overflow
+
+
+def test_links_that_do_not_fit_are_counted():
+    writer, *_ = at_the_t(nodes=8, links=2)
+    assert links_of(writer) == [(0, 1, SEARCHED), (1, NONE, UNSEARCHED)]
+    assert int(writer.map.overflow) == 1
+    btm_map.check(btm.to_map(writer.map))
+    assert int(at_the_t(nodes=2, links=3)[0].map.overflow) == 0
+
+
+def test_a_node_that_does_not_fit_is_counted_and_overwrites_none():
+    full = hall_in(2)
+    writer, *_ = written(full, event(FREE_SPACE, 6, (6.0, 0.0, 0.0)))
+    assert int(writer.map.overflow) >= 1
+    assert int(writer.map.n_nodes) == 2
+    for name in ("x_m", "y_m", "kind", "posture_deg", "obstacle"):
+        np.testing.assert_array_equal(getattr(writer.map, name), getattr(full.map, name))
+
+
+def hall_in(nodes):
+    return written(begun(nodes=nodes), event(FREE_SPACE, 2, (2.0, 0.0, 0.0)))[0]
+
+
+def test_a_map_that_is_full_is_still_a_map():
+    writer, *_ = written(hall_in(2), event(FREE_SPACE, 6, (6.0, 0.0, 0.0)))
+    btm_map.check(btm.to_map(writer.map))
+
+
+# ---------------------------------------------------------------- the divergence just left
+
+
+def test_a_divergence_just_left_is_known():
+    writer, *_ = at_the_t()  # at (3.75, 0), radius 1.25, odometer 3.5
+    places = jnp.asarray([[3.75, 0.0], [4.95, 0.0], [5.05, 0.0], [3.75, -1.2], [0.0, 0.0]])
+
+    def known(odometer, writer=writer):
+        return btm_write.is_near_known(writer, places, jnp.float32(odometer), TUNING.leave_m).tolist()
+
+    assert known(3.5) == known(6.9) == [True, True, False, True, False]
+    assert known(7.1) == [False] * 5  # it may come back
+    small = writer.replace(map=writer.map.replace(radius_m=writer.map.radius_m.at[1].set(0.1)))
+    near = jnp.asarray([[3.75, 0.45], [3.75, 0.55]])
+    assert btm_write.is_near_known(small, near, jnp.float32(3.5), TUNING.leave_m).tolist() == [True, False]
+    assert known(3.5, begun()) == [False] * 5  # the start is none
+
+
+# ---------------------------------------------------------------- laws
+
+
+@pytest.mark.jit
+def test_rows_of_a_batch_are_independent_and_jit_changes_nothing():
+    def arrive(turn, kind):
+        cos, sin = jnp.cos(turn), jnp.sin(turn)
+
+        def turned(xy):
+            return jnp.stack([cos * xy[..., 0] - sin * xy[..., 1], sin * xy[..., 0] + cos * xy[..., 1]], axis=-1)
+
+        writer = seen(begun(), T_WALLS)
+        writer = writer.replace(snapshot=turned(writer.snapshot), entry=turned(jnp.asarray([1.0, 0.0])))
+        due = event(DIVERGENCE, 3.5, (3.5, 0.0, 0.0), T_CENTRE, radius=T_RADIUS)
+        at = turned(jnp.asarray(T_CENTRE))
+        due = due.replace(kind=kind, centre=at, pose=jnp.stack([*at, turn]))
+        return btm_write.write(writer, due, TUNING, KAMUI)
+
+    turns, kinds = jnp.asarray([0.2, 1.1]), jnp.asarray([DIVERGENCE, OBSTACLE], jnp.int32)
+    batch = jax.jit(jax.vmap(arrive))(turns, kinds)
+    for i in range(2):
+        with jax.disable_jit():
+            alone = arrive(turns[i], kinds[i])
+        jax.tree.map(
+            lambda many, one, i=i: np.testing.assert_allclose(many[i], one, rtol=1e-5, atol=1e-5), batch, alone
+        )

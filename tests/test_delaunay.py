@@ -1,0 +1,267 @@
+"""Delaunay triangles: pencil sets, parity with scipy on random scans, circles by hand, laws."""
+
+import math
+
+import jax
+import numpy as np
+import pytest
+from scipy import spatial
+
+from jexplore.delaunay import circumcircles, delaunay
+
+pytestmark = pytest.mark.jit
+
+N = 48
+one = jax.jit(delaunay)
+circles = jax.jit(circumcircles)
+
+
+def triangles(points, valid=None):
+    """The valid triangles, as a sorted list of tuples; every one comes once and in ascending order.
+
+    All sets are filled up to N points with such that are not there: one program for all.
+    """
+    points = np.asarray(points, np.float32)
+    n = len(points)
+    there = np.zeros(N, bool)
+    there[:n] = True if valid is None else valid
+    found = one(np.concatenate([points, np.full((N - n, 2), 0.5, np.float32)]), there)
+    assert found.corner.shape == (2 * N, 3)
+    assert found.valid.shape == (2 * N,)
+    assert found.corner.dtype == np.int32
+    assert found.valid.dtype == bool
+    kept = [tuple(row) for row in np.asarray(found.corner)[np.asarray(found.valid)].tolist()]
+    assert all(a < b < c < n for a, b, c in kept)
+    assert len(set(kept)) == len(kept)
+    return sorted(kept)
+
+
+def circle(points, corner):
+    """Centre and radius, float64."""
+    a, b, c = np.asarray(points, np.float64)[list(corner)]
+    centre = np.linalg.solve(2 * np.stack([b - a, c - a]), [(b - a) @ (b + a), (c - a) @ (c + a)])
+    return centre, np.hypot(*(centre - a))
+
+
+# ---------------------------------------------------------------- by hand
+
+
+def test_three_points():
+    assert triangles([[0, 0], [1, 0], [0, 1]]) == [(0, 1, 2)]
+    assert triangles([[0, 0], [0, 1], [1, 0]]) == [(0, 1, 2)]
+
+
+def test_the_shorter_diagonal_of_a_kite():
+    assert triangles([[0, 0], [1, -0.5], [2, 0], [1, 0.5]]) == [(0, 1, 3), (1, 2, 3)]
+    assert triangles([[0, 0], [1, -2], [2, 0], [1, 2]]) == [(0, 1, 2), (0, 2, 3)]
+
+
+def test_a_point_in_a_triangle():
+    assert triangles([[0, 0], [3, 0], [0, 3], [1, 1]]) == [(0, 1, 3), (0, 2, 3), (1, 2, 3)]
+
+
+def test_of_four_points_on_one_circle_every_triangle_may_be_valid():
+    square = [[0, 0], [1, 0], [1, 1], [0, 1]]
+    found = triangles(square)
+    assert {corner for triangle in found for corner in triangle} == {0, 1, 2, 3}
+    assert len(found) >= 2
+    for triangle in found:
+        centre, radius = circle(square, triangle)
+        np.testing.assert_allclose(centre, [0.5, 0.5])
+        assert radius == pytest.approx(math.sqrt(0.5))
+
+
+def test_a_square_with_its_middle_has_four_triangles():
+    assert triangles([[0, 0], [1, 0], [1, 1], [0, 1], [0.5, 0.5]]) == [(0, 1, 4), (0, 3, 4), (1, 2, 4), (2, 3, 4)]
+
+
+@pytest.mark.parametrize("direction", [(1, 0), (0, 1), (1, 1), (2, -1)])
+def test_points_on_a_line_have_no_triangles(direction):
+    assert triangles(np.arange(5)[:, None] * np.array(direction)) == []
+
+
+def test_too_few_points_have_no_triangles():
+    assert triangles(np.zeros((0, 2))) == triangles([[0, 0]]) == []
+    assert triangles([[0, 0], [1, 0]]) == []
+    points = [[0, 0], [1, 0], [0, 1], [1, 3]]
+    assert triangles(points, np.array([True, False, True, False])) == []
+    assert triangles(points, np.zeros(4, bool)) == []
+
+
+def test_points_that_are_not_there_do_not_count():
+    points = np.array([[9, 9], [0, 0], [0.4, 0.4], [1, 0], [0, 1]], np.float32)
+    assert triangles(points, np.array([False, True, False, True, True])) == [(1, 3, 4)]
+
+
+@pytest.mark.parametrize("offset", [0.0, 0.5, 0.25])
+def test_no_edge_leaps_over_a_point_of_a_straight_wall(offset):
+    """A passage: the points of both walls lie exactly on lines."""
+    wall = np.arange(6.0)
+    points = np.concatenate([np.stack([wall, 0 * wall], 1), np.stack([wall + offset, 0 * wall + 2], 1)])
+    found = triangles(points)
+    assert found
+    for triangle in found:
+        for i in range(3):
+            a, b = triangle[i - 1], triangle[i]
+            if (a < 6) == (b < 6):
+                assert abs(a - b) == 1
+        assert {corner < 6 for corner in triangle} == {True, False}
+    if offset == 0.25:  # no four of them lie on one circle
+        assert len(found) == 10
+
+
+# ---------------------------------------------------------------- parity with scipy
+
+
+def clouds(rng):
+    return rng.uniform(-3, 3, (N, 2))
+
+
+def passage(rng):
+    """Points of a scan along two walls, with noise of ranges."""
+    bearing = np.linspace(-1.4, 1.4, N) + rng.normal(scale=0.003, size=N)
+    width = rng.uniform(1, 3)
+    ranges = np.minimum(np.where(bearing > 0, width, -1.0) / np.sin(bearing), rng.uniform(4, 6))
+    ranges += rng.normal(scale=rng.choice([0.003, 0.03]), size=N)
+    return ranges[:, None] * np.stack([np.cos(bearing), np.sin(bearing)], 1)
+
+
+def clusters(rng):
+    return rng.uniform(-3, 3, (6, 2))[rng.integers(0, 6, N)] + rng.normal(scale=0.1, size=(N, 2))
+
+
+def thin(points, triangle):
+    """Whether a triangle has hardly any height: with rounded numbers it may be there or not."""
+    a, b, c = points[list(triangle)]
+    area2 = abs((b - a)[0] * (c - a)[1] - (b - a)[1] * (c - a)[0])
+    return area2 < 1e-4 * max(np.sum((p - q) ** 2) for p, q in ((a, b), (b, c), (c, a)))
+
+
+def is_close_call(points, triangle):
+    """Whether a fourth point lies on its circle, as near as numbers tell."""
+    centre, radius = circle(points, triangle)
+    return np.sort(np.abs(np.hypot(*(points - centre).T) - radius))[3] < 1e-4 * radius
+
+
+@pytest.mark.parametrize("kind", [clouds, passage, clusters])
+def test_triangles_are_scipys(kind):
+    rng = np.random.default_rng(1)
+    unlike = total = 0
+    for _ in range(120):
+        points = kind(rng).astype(np.float32)
+        valid = rng.random(N) < rng.choice([0.3, 0.8, 1.0])
+        valid[:4] = True
+        points[~valid] = rng.choice([0, 5], (N, 1))[~valid]  # what stands in unused slots does not matter
+        at = np.flatnonzero(valid)
+        exact = points.astype(np.float64)
+        want = {tuple(sorted(at[row].tolist())) for row in spatial.Delaunay(exact[at]).simplices}
+        got = set(triangles(points, valid))
+        different = [t for t in got ^ want if not thin(exact, t)]
+        unlike += len(different)
+        total += len(want)
+        assert all(is_close_call(exact[at], [int(np.searchsorted(at, k)) for k in t]) for t in different)
+    assert unlike <= 0.002 * total
+
+
+def test_every_circle_is_empty_and_the_triangles_cover_the_hull():
+    rng = np.random.default_rng(2)
+    for _ in range(100):
+        points = clouds(rng).astype(np.float32)
+        found = triangles(points)
+        exact, area = points.astype(np.float64), 0
+        for triangle in found:
+            if thin(exact, triangle):
+                continue
+            centre, radius = circle(exact, triangle)
+            assert np.hypot(*(exact - centre).T).min() > radius * (1 - 1e-4)
+            (ax, ay), (bx, by), (cx, cy) = exact[list(triangle)]
+            area += abs((bx - ax) * (cy - ay) - (by - ay) * (cx - ax)) / 2
+        assert area == pytest.approx(spatial.ConvexHull(exact).volume, rel=1e-3)
+
+
+# ---------------------------------------------------------------- laws
+
+
+@pytest.mark.parametrize("kind", [clouds, passage])
+def test_the_order_of_the_points_does_not_matter(kind):
+    rng = np.random.default_rng(3)
+    for _ in range(30):
+        points = kind(rng).astype(np.float32)
+        valid = rng.random(N) < 0.9
+        order = rng.permutation(N)
+        renumbered = {tuple(sorted(order[list(t)].tolist())) for t in triangles(points[order], valid[order])}
+        different = renumbered ^ set(triangles(points, valid))
+        assert all(thin(points, t) or is_close_call(points[valid], np.searchsorted(np.flatnonzero(valid), t))
+                   for t in different)  # fmt: skip
+
+
+def test_turned_moved_mirrored_and_scaled_points_have_the_same_triangles():
+    rng = np.random.default_rng(4)
+    for _ in range(20):
+        points = clouds(rng)
+        before = triangles(points)
+        turn = rng.uniform(-3, 3)
+        cos, sin = math.cos(turn), math.sin(turn)
+        for after in (
+            points @ np.array([[cos, sin], [-sin, cos]]),
+            points + np.array([3, -2]),
+            points * [1, -1],
+            0.1 * points,
+        ):
+            assert all(thin(points, t) or is_close_call(points, t) for t in set(before) ^ set(triangles(after)))
+
+
+def test_rows_of_a_batch_are_independent_and_jit_changes_nothing():
+    rng = np.random.default_rng(5)
+    points = np.stack([clouds(rng), passage(rng), clusters(rng)]).astype(np.float32)
+    valid = rng.random((3, N)) < 0.9
+    many = jax.jit(jax.vmap(delaunay))(points, valid)
+    for i in range(3):
+        with jax.disable_jit():
+            alone = delaunay(points[i], valid[i])
+        np.testing.assert_array_equal(alone.corner[alone.valid], many.corner[i][many.valid[i]])
+
+
+@pytest.mark.parametrize("n", [2, 3, 4])
+def test_small_sets_without_slots_to_spare(n):
+    found = one(np.array([[0, 0], [1, 0], [0, 1], [0.9, 0.9]], np.float32)[:n], np.ones(n, bool))
+    assert found.corner.shape == (2 * n, 3)
+    assert int(found.valid.sum()) == n - 2
+
+
+# ---------------------------------------------------------------- circles
+
+
+def test_circles_by_hand():
+    points = np.array([[0, 0], [4, 0], [0, 3], [1, 1], [-1, 1], [2, 0]], np.float32)
+    corner = np.array([[0, 1, 2], [1, 2, 0], [0, 3, 4], [3, 4, 0]], np.int32)
+    centre, radius, side2 = circumcircles(points, corner)
+    np.testing.assert_allclose(centre, [[2, 1.5], [2, 1.5], [0, 1], [0, 1]], atol=1e-6)
+    np.testing.assert_allclose(radius, [2.5, 2.5, 1, 1], atol=1e-6)
+    np.testing.assert_allclose(side2, [[25, 9, 16], [9, 16, 25], [4, 2, 2], [2, 2, 4]], atol=1e-6)
+
+
+def test_a_flat_triangle_has_a_radius_of_inf():
+    points = np.array([[0, 0], [4, 0], [1, 0], [2, 5], [2, 5]], np.float32)
+    centre, radius, side2 = circumcircles(points, np.array([[0, 1, 2], [0, 3, 4], [0, 0, 0]], np.int32))
+    np.testing.assert_array_equal(radius, [np.inf] * 3)
+    assert np.isfinite(centre).all()
+    np.testing.assert_array_equal(side2, [[9, 1, 16], [0, 29, 29], [0, 0, 0]])
+
+
+def test_a_corner_that_is_no_point_reads_the_last_one():
+    """The slots of no triangle hold the number of no point: nothing there may be read from elsewhere or be NaN."""
+    points = np.array([[0, 0], [4, 0], [0, 3]], np.float32)
+    _, radius, _ = circumcircles(points, np.array([[0, 1, 3], [0, 1, 100]], np.int32))
+    np.testing.assert_allclose(radius, [2.5, 2.5], atol=1e-6)
+
+
+def test_circles_pass_through_all_three_corners():
+    rng = np.random.default_rng(6)
+    points = clouds(rng).astype(np.float32)
+    corner = np.array([rng.choice(N, 3, replace=False) for _ in range(200)], np.int32)
+    centre, radius, _ = (np.asarray(v, np.float64) for v in circles(points, corner))
+    fat = np.array([not thin(points, t) for t in corner]) & (radius < 20)
+    away = np.hypot(*np.moveaxis(points[corner] - centre[:, None], -1, 0))
+    np.testing.assert_allclose(away[fat], np.repeat(radius[fat, None], 3, 1), rtol=1e-3)
+    assert fat.sum() > 150

@@ -1,0 +1,404 @@
+"""The operator's view: what the page holds, read by another decoder and by a browser."""
+
+import base64
+import dataclasses
+import html
+import json
+import re
+import shutil
+import struct
+import subprocess
+
+import numpy as np
+import pytest
+
+from jexplore.btm_map import NOWHERE, BtmMap, Link, Node
+from jexplore.operator_view import Recording, page
+
+N, B = 60, 19
+WALLS = np.array(
+    [[0, -1, 8, -1], [0, 1, 8, 1], [0, -1, 0, 1], [8, -1, 8, -4], [8, 1, 8, 4], [10, -4, 10, 4]], dtype=float
+)
+# The last half a character stays out of the nodes: a browser that dumps it to a file dies.
+NASTY = "</script><script>boom()</script> \"T\" & 'q' {{data}} <!-- straße 通路 \u2028 \ud800"
+
+
+def scan(pose, angles):
+    """Ranges to the walls, infinite where a beam meets none: each beam is solved against each wall."""
+    ranges = np.full(len(angles), np.inf)
+    for beam, angle in enumerate(pose[2] + angles):
+        for x0, y0, x1, y1 in WALLS:
+            matrix = np.array([[np.cos(angle), x0 - x1], [np.sin(angle), y0 - y1]])
+            if abs(np.linalg.det(matrix)) > 1e-9:
+                along, part = np.linalg.solve(matrix, [x0 - pose[0], y0 - pose[1]])
+                if along > 0 and 0 <= part <= 1:
+                    ranges[beam] = min(ranges[beam], along)
+    return ranges
+
+
+def recording(**changes):
+    """A robot in a corridor that ends at a T: frames 0.1 s apart, nodes at 0, 30 and 50, odometry that drifts."""
+    x = np.linspace(1, 9, N)
+    pose = np.stack([x, 0 * x, 0 * x], axis=1)
+    angles = np.linspace(-1.5, 1.5, B)
+    triangles = np.full((N, 3, 3, 2), np.nan)
+    triangles[20:50, 0] = [[1, 1], [1, -1], [3, 0]]
+    triangles[20:50, 2] = [[1, 1], [3, 0], [3, 2]]
+    target = np.stack([x + 1, 0 * x], axis=1)
+    target[-5:] = np.nan
+    frame = np.arange(N)
+    nodes = (
+        Node(id=0, x_m=1.0, y_m=0.0, type="terminal"),
+        Node(
+            id=4,
+            x_m=5.1,
+            y_m=0.0,
+            type="obstacle",
+            obstacle="slope",
+            inclination_deg=10.5,
+            attributes={"v": NASTY[:-1]},
+        ),
+        Node(id=7, x_m=7.8, y_m=0.1, type="divergence", posture_deg=float("nan")),
+    )
+    links = (
+        Link(id=0, start=0, end=4, status="searched", start_bearing_deg=0, end_bearing_deg=180, length_m=4.1),
+        Link(id=1, start=4, end=7, status="searched", start_bearing_deg=10, end_bearing_deg=180, min_width_m=1.9),
+        Link(id=2, start=7, end=NOWHERE, status="un-searched", start_bearing_deg=270),
+    )
+    fields = {
+        "title": "Corridor and T",
+        "dt_s": 0.1,
+        "mode_names": ("central_run", "wall_following", "branch_selection"),
+        "walls_m": WALLS,
+        "goal_m": (9.0, 3.5),
+        "angles_rad": angles,
+        "time_s": frame * 0.1,
+        "pose": pose,
+        "estimate": pose * [1.01, 1, 1] + [0, 0.001, 0],
+        "mode": np.repeat([0, 1, 2], N // 3),
+        "target_m": target,
+        "ranges_m": np.stack([scan(row, angles) for row in pose]),
+        "triangles_m": triangles,
+        "chosen": np.where((frame >= 20) & (frame < 50), 2, -1),
+        "pitch_deg": np.where(frame > 40, -10.25, 0.5),
+        "roll_deg": np.where(frame > 40, np.nan, 0.0),
+        "n_nodes": 1 + (frame >= 30) + (frame >= 50),
+        "n_links": 1 + (frame >= 30) + (frame >= 50),
+        "link_searched_frame": np.array([30, 50, N]),
+        "votes": frame % 9,
+        "left_m": np.where(frame > 50, np.inf, 1.0),
+        "right_m": np.full(N, 1.234),
+        "map": BtmMap(nodes, links),
+    }
+    return Recording(**fields | changes)
+
+
+def data_of(text):
+    (found,) = re.findall(r'<script id="data" type="application/json">(.*?)</script>', text, re.S)
+    return json.loads(found)
+
+
+def unpacked(packed):
+    """An array of the page, by `struct`: numbers, NaN or infinity."""
+    raw = base64.b64decode(packed["base64"])
+    bits = {"i2": 16, "i4": 32}[packed["type"]]
+    whole = struct.unpack(f"<{len(raw) * 8 // bits}{'h' if bits == 16 else 'i'}", raw)
+    special = {-(2 ** (bits - 1)): np.nan, 2 ** (bits - 1) - 1: np.inf}
+    return np.array([special.get(value, value * packed["step"]) for value in whole]).reshape(packed["shape"])
+
+
+def test_arrays_come_back():
+    run = recording()
+    arrays = {name: unpacked(packed) for name, packed in data_of(page(run))["arrays"].items()}
+    for name in ("time_s", "pose", "estimate", "walls_m"):
+        np.testing.assert_allclose(arrays[name], getattr(run, name), atol=0.0005001, err_msg=name)
+    for name in ("target_m", "ranges_m", "left_m", "right_m", "pitch_deg", "roll_deg"):  # NaN and infinity as they were
+        np.testing.assert_allclose(arrays[name], getattr(run, name), atol=0.005001, err_msg=name)
+    np.testing.assert_allclose(arrays["angles_rad"], run.angles_rad, atol=0.00005001)
+    for name in ("mode", "n_nodes", "n_links", "link_searched_frame", "votes"):
+        np.testing.assert_array_equal(arrays[name], getattr(run, name), err_msg=name)
+    assert np.isinf(arrays["ranges_m"]).any()
+    assert np.isnan(arrays["target_m"][-1]).all()
+
+
+def test_triangles_lie_end_to_end_without_the_missing():
+    arrays = {name: unpacked(packed) for name, packed in data_of(page(recording()))["arrays"].items()}
+    np.testing.assert_array_equal(arrays["n_triangles"], [0] * 20 + [2] * 30 + [0] * 10)
+    np.testing.assert_array_equal(arrays["chosen"], [-1] * 20 + [1] * 30 + [-1] * 10)
+    assert arrays["triangles_m"].shape == (60, 3, 2)
+    np.testing.assert_allclose(arrays["triangles_m"][0], [[1, 1], [1, -1], [3, 0]])
+    np.testing.assert_allclose(arrays["triangles_m"][-1], [[1, 1], [3, 0], [3, 2]])
+
+
+def test_large_numbers_take_more_bytes():
+    run = recording(pose=recording().pose + np.array([500, 0, 0]), right_m=np.full(N, -np.inf))
+    arrays = data_of(page(run))["arrays"]
+    assert (arrays["pose"]["type"], arrays["time_s"]["type"]) == ("i4", "i2")
+    np.testing.assert_allclose(unpacked(arrays["pose"])[0], [501, 0, 0])
+    assert np.isnan(unpacked(arrays["right_m"])).all()
+    with pytest.raises(ValueError, match="expected pose below 2147483"):
+        page(recording(pose=recording().pose + 3e6))
+    edge = unpacked(data_of(page(recording(right_m=np.full(N, 327.67))))["arrays"]["right_m"])
+    np.testing.assert_allclose(edge, 327.67)  # not taken for infinity
+
+
+def test_the_rest_comes_back():
+    data = data_of(page(recording()))
+    assert (data["title"], data["dt_s"], data["goal_m"], data["robot_m"]) == (
+        "Corridor and T",
+        0.1,
+        [9, 3.5],
+        [0.7, 0.39],
+    )
+    assert data["mode_names"] == ["central_run", "wall_following", "branch_selection"]
+    assert [node["id"] for node in data["nodes"]] == [0, 4, 7]
+    assert data["nodes"][1]["attributes"] == {"v": NASTY[:-1]}
+    assert data["nodes"][2]["posture_deg"] is None
+    assert data["links"][2] == {
+        **{"id": 2, "start": 7, "end": -1, "status": "un-searched", "start_bearing_deg": 270, "end_bearing_deg": None},
+        **{"length_m": None, "min_width_m": None, "posture_deg": None, "opening_m": None, "attributes": {}},
+    }
+
+
+def test_no_text_leaves_its_place():
+    plain, nasty = page(recording()), page(recording(title=NASTY, mode_names=(NASTY, "a", "b")))
+    assert nasty.isascii()
+    data = data_of(nasty)
+    assert data["title"] == data["mode_names"][0] == NASTY
+    for tag in ("<script", "</script", "<!--", "<title", "<h1"):
+        assert nasty.count(tag) == plain.count(tag), tag
+    (title,) = re.findall(r"<title>(.*?)</title>", nasty)
+    (hint,) = re.findall(r'<h1 title="(.*?)">', nasty)
+    assert title == hint
+    assert '"' not in title
+    assert html.unescape(title) == html.unescape("&#55296;").join(NASTY.split("\ud800"))
+    assert len(data_of(page(recording(title="\\1 \\g<0>")))["arrays"]) == len(data["arrays"])
+
+
+def test_nothing_outside_is_asked_for():
+    text = page(recording(title="run"))
+    text = re.sub(r'(?<="application/json">).*?(?=</script>)', "", text)  # base64 may hold anything
+    assert not re.findall(
+        r"""https?:|(?<![\w.])//\w|\bsrc\s*=|\bhref\s*=|@import|@font-face|url\(|fetch\(|XMLHttp|import\(""", text
+    )
+    assert "default-src 'none'" in text
+    assert "{{" not in text
+
+
+def test_the_page_is_small():
+    rng = np.random.default_rng(0)
+    frames, beams = 1500, 181
+    few = recording()
+    grown = {
+        field.name: np.resize(value, (frames, *value.shape[1:]))
+        for field in dataclasses.fields(few)
+        if isinstance(value := getattr(few, field.name), np.ndarray) and value.shape[:1] == (N,)
+    }
+    grown |= {"time_s": np.arange(frames) * 0.1, "ranges_m": rng.uniform(0, 10, (frames, beams))}
+    grown |= {"angles_rad": np.linspace(-1.5, 1.5, beams), "triangles_m": np.full((frames, 60, 3, 2), np.nan)}
+    grown["triangles_m"][:, 3:60:8] = rng.uniform(-9, 9, (frames, 8, 3, 2))
+    grown["chosen"] = np.full(frames, 11)
+    text = page(recording(**grown))
+    assert len(text) < 1_200_000
+    np.testing.assert_array_equal(unpacked(data_of(text)["arrays"]["chosen"]), 1)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"pose": np.zeros((N, 2))}, r"expected pose of shape \[N = 60, 3\], got \[60, 2\]"),
+        ({"ranges_m": np.zeros((N, B + 1))}, r"expected ranges_m of shape \[N = 60, B = 19\], got \[60, 20\]"),
+        (
+            {"triangles_m": np.zeros((N, 3, 3))},
+            r"expected triangles_m of shape \[N = 60, K = 3, 3, 2\], got \[60, 3, 3\]",
+        ),
+        ({"link_searched_frame": np.zeros(2, int)}, r"expected link_searched_frame of shape \[L = 3\], got \[2\]"),
+        ({"walls_m": np.zeros(4)}, r"expected walls_m of shape \[S = 4, 4\], got \[4\]"),
+        ({"votes": np.zeros(N)}, "expected votes of integers, got float64"),
+        ({"left_m": np.full(N, "a")}, "expected left_m of numbers, got <U1"),
+        ({"time_s": np.zeros(N)}, "expected time_s to increase"),
+        ({"pose": np.full((N, 3), np.nan)}, "expected pose finite, got NaN"),
+        ({"mode": np.full(N, 3)}, "expected mode from 0 to 2, got 3"),
+        ({"n_nodes": np.full(N, 4)}, "expected n_nodes from 0 to 3, got 4"),
+        ({"chosen": np.full(N, 1)}, "expected chosen to name a surviving triangle, got 1 in frame 0"),
+        ({"dt_s": 0.0}, "expected dt_s and robot_m above 0, got 0.0"),
+        ({"goal_m": (1.0,)}, "expected goal_m as x, y or None"),
+        (
+            {"map": BtmMap(recording().map.nodes[1:], recording().map.links), "n_nodes": np.ones(N, int)},
+            "expected link 0 to start at a node of the map, got 0",
+        ),
+    ],
+)
+def test_what_does_not_fit_is_refused(changes, message):
+    with pytest.raises(ValueError, match=message):
+        recording(**changes)
+
+
+def test_no_frames_are_refused():
+    none = {name: value[:0] for name, value in vars(recording()).items() if np.shape(value)[:1] == (N,)}
+    with pytest.raises(ValueError, match="expected one or more frames, got none"):
+        recording(**none)
+
+
+# Virtual time draws no frames of its own accord.
+TIMERS = "<script>window.requestAnimationFrame = (f) => setTimeout(() => f(performance.now()), 16);</script>"
+SCENARIO = """
+<script>
+const seen = {}, note = (name) => { seen[name] = replay.state(); };
+const key = (key, more) => document.body.dispatchEvent(new KeyboardEvent("keydown", {key, bubbles: true, ...more}));
+const wait = (ms) => new Promise((done) => setTimeout(done, ms));
+const text = (id) => document.getElementById(id).textContent;
+(async () => {
+  note("hash");
+  key("ArrowRight"); note("right"); key("ArrowLeft", {shiftKey: true}); note("second");
+  key("End"); note("end"); key("Home"); note("home");
+  replay.seek(1e9); note("far"); replay.seek(-3); note("near");
+  replay.seek(55); seen.open = text("now-left"); seen.clear = text("now-right");
+  seen.pitch = text("pitch"); seen.big = text("mode");
+  seen.speed = text("now-speed"); seen.roll = text("roll");
+  seen.links = [...document.querySelectorAll("#links tbody tr")].map((row) => row.cells[1].textContent);
+  seen.notes = document.querySelectorAll("#nodes tbody tr")[1].cells[4].textContent;
+  document.querySelectorAll("#nodes tbody button")[1].click(); note("picked");
+  seen.rows = document.querySelectorAll("#nodes tbody tr").length;
+  seen.linksThen = [...document.querySelectorAll("#links tbody tr")].map((row) => row.cells[1].textContent);
+  key("Escape"); key("w"); note("whole");
+  for (const box of document.querySelectorAll("#layers input")) box.click();
+  await wait(50); note("layers");
+  for (const box of document.querySelectorAll("#layers input")) box.click();
+  document.getElementById("view").dispatchEvent(new WheelEvent("wheel", {deltaY: -100, cancelable: true}));
+  await wait(50); note("zoomed");
+  document.getElementById("theme").click();
+  replay.seek(10); key(" "); note("started"); await wait(1500); note("later"); replay.pause(); note("paused");
+  replay.setSpeed(8); replay.play(); await wait(3000); note("over");
+  location.hash = "#frame=7"; await wait(50); note("again");
+  seen.canvas = new Set(document.getElementById("view").getContext("2d").getImageData(0, 0, 400, 300).data).size;
+  document.body.dataset.test = JSON.stringify(seen);
+})();
+</script>
+"""
+
+
+@pytest.fixture(scope="module")
+def body(tmp_path_factory):
+    """A function that opens a page in headless Chromium and gives the data attributes of its body."""
+    browser = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+    if browser is None:
+        pytest.skip("no chromium, chromium-browser or google-chrome on the path")
+    folder = tmp_path_factory.mktemp("browser")
+
+    def opened(text, fragment=""):
+        path = folder / "page.html"
+        path.write_text(text, encoding="ascii")
+        command = [browser, "--headless=new", "--no-sandbox", "--disable-gpu", f"--user-data-dir={folder / 'profile'}"]
+        command += ["--virtual-time-budget=10000", "--dump-dom", path.as_uri() + fragment]
+        dom = subprocess.run(command, capture_output=True, text=True, check=True, timeout=120).stdout
+        (tag,) = re.findall(r"<body[^>]*>", dom)
+        return {name: html.unescape(value) for name, value in re.findall(r'data-(\w+)="(.*?)"', tag)}
+
+    return opened
+
+
+def test_it_replays_in_a_browser(body):
+    text = page(recording(title=NASTY)).replace("<style>", TIMERS + "<style>").replace("</body>", SCENARIO + "</body>")
+    found = body(text, "#frame=20")
+    assert "error" not in found, found["error"]
+    seen = json.loads(found["test"])
+    frames = {name: value["frame"] for name, value in seen.items() if isinstance(value, dict)}
+    assert frames["hash"] == 20
+    assert (seen["hash"]["frames"], seen["hash"]["mode"], seen["hash"]["time_s"]) == (N, "wall_following", 2)
+    assert [frames[name] for name in ("right", "second", "end", "home", "far", "near")] == [21, 11, 59, 0, 59, 0]
+    assert (seen["open"], seen["clear"], seen["pitch"]) == ("open", "1.23 m", "−10.3°")
+    assert (seen["big"], seen["speed"], seen["roll"]) == ("branch selection", "1.37 m/s", "–")
+    assert seen["links"] == ["0 → 4", "4 → 7", "7 → ?"]
+    assert seen["notes"].startswith("slope, 10.5°, v: </script>")
+    assert (frames["picked"], seen["picked"]["picked"], seen["rows"]) == (30, 4, 2)
+    assert seen["linksThen"] == ["0 → 4", "4 → ?"]
+    assert (seen["whole"]["view"], seen["whole"]["picked"], seen["zoomed"]["view"]) == ("whole", None, "free")
+    assert [seen["layers"]["layers"][name] for name in ("building", "truth", "align")] == [False, False, True]
+    assert seen["zoomed"]["layers"] == seen["hash"]["layers"]
+    assert seen["started"]["playing"]
+    assert 23 <= frames["later"] <= 26
+    assert not seen["paused"]["playing"]
+    assert (frames["over"], seen["over"]["playing"], frames["again"]) == (59, False, 7)
+    assert seen["canvas"] > 10
+    assert json.loads(found["state"])["frame"] == 7
+
+
+LOG = """
+<script>
+const drawn = {};
+for (const name of ["arc", "fillRect", "moveTo", "lineTo"]) {
+  const real = CanvasRenderingContext2D.prototype[name];
+  CanvasRenderingContext2D.prototype[name] = function (...values) {
+    if (this.canvas.id === "view") (drawn[name] ??= []).push(values);
+    return real.apply(this, values);
+  };
+}
+</script>
+"""
+LOGGED = """
+<script>
+document.querySelector("[name=align]").click();
+for (const name in drawn) drawn[name].length = 0;
+replay.seek(30);
+const box = document.getElementById("view").getBoundingClientRect();
+document.body.dataset.test = JSON.stringify({drawn, size: [box.width, box.height], ...replay.state()});
+</script>
+"""
+
+
+def test_things_are_drawn_where_they_are(body):
+    turned = recording().estimate + np.array([0.5, 0.2, 0.7])
+    run = recording(estimate=turned, pose=recording().pose - np.array([0, 0, 0.4]))
+    text = page(run).replace("<style>", LOG + "<style>").replace("</body>", LOGGED + "</body>")
+    found = body(text)
+    assert "error" not in found, found["error"]
+    seen = json.loads(found["test"])
+    x, y, heading = run.estimate[30]
+    np.testing.assert_allclose(seen["centre"], [x, y], atol=0.001)
+    cos, sin = np.cos(heading), np.sin(heading)
+    turn = np.array([[cos, -sin], [sin, cos]])
+
+    def pixels(points):
+        return np.array(seen["size"]) / 2 + (np.asarray(points) - [x, y]) * seen["scale"] * [1, -1]
+
+    def assert_among(points, name):
+        among = np.array([values[:2] for values in seen["drawn"][name]])
+        far = np.linalg.norm(pixels(points)[:, None] - among, axis=2).min(axis=1).max()
+        assert far < 0.02 * seen["scale"], (name, far)
+
+    ranges, angles = run.ranges_m[30], run.angles_rad
+    hits = (ranges[:, None] * np.stack([np.cos(angles), np.sin(angles)], axis=1))[np.isfinite(ranges)]
+    assert_among(hits @ turn.T + [x, y], "lineTo")
+    dots = np.array([values for values in seen["drawn"]["fillRect"] if values[2:] == [3, 3]])[:, :2] + 1.5
+    np.testing.assert_allclose(dots, pixels(hits @ turn.T + [x, y]), atol=0.02 * seen["scale"])
+    # The isosceles triangle (1, 1), (3, 0), (3, 2) has its circumcentre at (2.25, 1), 1.25 from all three.
+    assert_among([turn @ [2.25, 1] + [x, y]], "arc")
+    radii = [values[2] / seen["scale"] for values in seen["drawn"]["arc"]]
+    assert np.abs(np.array(radii) - 1.25).min() < 0.02
+    assert_among([turn @ [1, 1] + [x, y]], "moveTo")
+    assert_among(np.array([[3, 0], [3, 2]]) @ turn.T + [x, y], "lineTo")
+    cos, sin = np.cos(heading + 0.4), np.sin(heading + 0.4)
+    moved = (WALLS[:, :2] - run.pose[30, :2]) @ np.array([[cos, sin], [-sin, cos]]) + [x, y]
+    assert_among(moved, "moveTo")
+    assert_among([run.target_m[30]], "arc")
+    assert_among(
+        [[5.1 + 1.1 * np.cos(np.pi / 18), 1.1 * np.sin(np.pi / 18)]], "arc"
+    )  # an un-searched link ends 1.1 m ahead of node 4
+
+
+def test_one_frame_and_an_empty_map_open_too(body):
+    run = recording()
+    one = {name: value[:1] for name, value in vars(run).items() if np.shape(value)[:1] == (N,)}
+    one |= {"map": BtmMap((), ()), "link_searched_frame": np.zeros(0, int), "n_nodes": np.zeros(1, int)}
+    one |= {"n_links": np.zeros(1, int), "estimate": run.pose[:1], "goal_m": None, "walls_m": np.zeros((0, 4))}
+    one |= {"ranges_m": np.zeros((1, 0)), "angles_rad": np.zeros(0), "triangles_m": np.zeros((1, 0, 3, 2))}
+    found = body(page(recording(**one)), "#frame=x")
+    assert "error" not in found, found["error"]
+    assert json.loads(found["state"])["frames"] == 1
+    assert not json.loads(found["state"])["drifts"]
+
+
+def test_an_error_in_the_page_would_show(body):
+    found = body(page(recording()).replace("seek(0);\nfromHash", "seek(0); missing();\nfromHash"))
+    assert "missing is not defined" in found["error"]

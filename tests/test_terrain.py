@@ -1,0 +1,405 @@
+"""Ground with height: pencil profiles, parity with scipy and brute force, laws of attitude and of looking down."""
+
+import itertools
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.interpolate import RegularGridInterpolator
+
+from jexplore import btm_run
+from jexplore.btm_settings import ROBOTS
+from jexplore.terrain import (
+    CONTACTS,
+    FINER,
+    MAX_DOWN_M,
+    Terrain,
+    attitude,
+    height_at,
+    look_down,
+    terrain_of,
+    turned,
+)
+
+CELL_M = 0.05
+GROUND_SHAPE = 80, 130
+LENGTH_M, WIDTH_M = 0.7, 0.39
+TEN = math.radians(10)
+
+
+def along_x(heights, rows=30):
+    """Ground whose height depends on x alone: `[rows, len(heights)]`."""
+    return np.tile(np.asarray(heights, np.float32), (rows, 1))
+
+
+def ground(elevation):
+    """Terrain of cells of `CELL_M`, made as large as all others: one program for all."""
+    elevation = np.atleast_2d(elevation)
+    short = [(0, size - n) for size, n in zip(GROUND_SHAPE, elevation.shape)]
+    return terrain_of(np.pad(elevation, short, mode="edge").astype(np.float32), CELL_M)
+
+
+def stairs_of(tread_cells, riser_m, n_steps, level_cells=30):
+    steps = np.repeat(np.arange(n_steps + 1), tread_cells) * riser_m
+    return np.concatenate([np.zeros(level_cells), steps[tread_cells:], np.full(level_cells, n_steps * riser_m)])
+
+
+def slope_of(angle_rad, n_cells=40, level_cells=30):
+    """Heights at the centres of cells; the slope begins and ends at centres."""
+    up = np.arange(n_cells + 1) * CELL_M * math.tan(angle_rad)
+    return np.concatenate([np.zeros(level_cells), up, np.full(level_cells, up[-1])])
+
+
+def exact(terrain, x, y):
+    """Heights by scipy, float64."""
+    height, spacing = np.asarray(terrain.height_m, np.float64), float(terrain.spacing_m)
+    v, u = ((np.arange(n) + 0.5) * spacing for n in height.shape)
+    x, y = np.clip(x, u[0], u[-1]), np.clip(y, v[0], v[-1])
+    return RegularGridInterpolator((v, u), height)(np.stack([y, x], -1))
+
+
+# ---------------------------------------------------------------- fine heights
+
+
+def test_level_ground_needs_no_grid():
+    for elevation in (None, np.zeros((30, 40), np.float32)):
+        terrain = terrain_of(elevation, 0.1)
+        assert terrain.height_m.shape == (2, 2)
+        assert terrain.height_m.dtype == np.float32
+        np.testing.assert_array_equal(height_at(terrain, np.array([-3.0, 0, 1, 50]), np.array([0.0, 2, -1, 9])), 0)
+
+
+def test_level_ground_above_zero_is_kept():
+    terrain = terrain_of(np.full((1, 1), 0.7, np.float32), 0.1)
+    np.testing.assert_array_equal(terrain.height_m, np.full((FINER, FINER), np.float32(0.7)))
+    assert float(height_at(terrain, 5.0, -5.0)) == pytest.approx(0.7)
+
+
+def test_a_slope_of_few_cells_by_hand():
+    heights = np.array([0, 0, 8, 16, 24, 24.0])
+    terrain = terrain_of(along_x(heights, rows=1), 1.0)
+    assert float(terrain.spacing_m) == 1 / FINER
+    row = [0, 0, 0, 0, 0, 0, 1, 3, 5, 7, 9, 11, 13, 15, 17, 19, 21, 23, 24, 24, 24, 24, 24, 24]
+    np.testing.assert_array_equal(terrain.height_m, [row] * FINER)
+    x = np.linspace(-1, 7, 400)
+    centres = np.arange(6) + 0.5
+    fine = (np.arange(24) + 0.5) / FINER
+    np.testing.assert_allclose(terrain.height_m[0], np.interp(fine, centres, heights), atol=1e-6)
+    np.testing.assert_allclose(height_at(terrain, x, np.full(400, 0.5)), np.interp(x, fine, row), atol=1e-5)
+
+
+def test_steps_stay_at_the_edges_of_cells():
+    terrain = terrain_of(along_x([0, 0, 4, 4, 12, 12], rows=2), 1.0)
+    np.testing.assert_array_equal(terrain.height_m, np.repeat([[0, 0, 4, 4, 12, 12]], 4, axis=1).repeat(8, axis=0))
+    x = np.array([1.5, 1.875, 1.9375, 2.0, 2.125, 2.5, 3.9, 4.0, 4.1])
+    want = [0, 0, 1, 2, 4, 4, 4 + 0.1 * 8, 8, 12 - 0.1 * 8]
+    np.testing.assert_allclose(height_at(terrain, x, np.full(9, 1.0)), want, atol=1e-5)
+
+
+def test_steps_along_y_are_those_along_x():
+    heights = np.random.default_rng(0).normal(size=(5, 7)).astype(np.float32)
+    heights[:, 2:5] = [0.1, 0.2, 0.3]
+    along, across = terrain_of(along_x(heights[0], rows=3), 0.1), terrain_of(along_x(heights[0], rows=3).T, 0.1)
+    np.testing.assert_array_equal(along.height_m, across.height_m.T)
+
+
+def test_an_uneven_rise_is_a_step_and_a_nearly_even_one_is_not():
+    """Rises of neighbouring cells may differ by a quarter of the larger."""
+    uneven = terrain_of(along_x([0, 0, 1, 3, 3, 3], rows=1), 1.0).height_m[0]
+    np.testing.assert_array_equal(uneven, np.repeat([0, 0, 1, 3, 3, 3], 4))
+    even = terrain_of(along_x([0, 0, 3, 7, 7, 7], rows=1), 1.0).height_m[0]
+    want = [0] * 6 + [0.375, 1.125, 1.875, 2.625, 3.5, 4.5, 5.5, 6.5] + [7] * 10
+    np.testing.assert_array_equal(even, want)
+    peak = terrain_of(along_x([0, 1, 0, 0], rows=1), 1.0).height_m[0]  # up and down: no rise goes on
+    np.testing.assert_array_equal(peak, np.repeat([0, 1, 0, 0], 4))
+
+
+def test_a_plane_is_exact():
+    rows, cols = 12, 9
+    x, y = np.meshgrid((np.arange(cols) + 0.5) * 0.1, (np.arange(rows) + 0.5) * 0.1)
+    terrain = terrain_of(0.3 * x - 0.5 * y, 0.1)
+    rng = np.random.default_rng(1)
+    x, y = rng.uniform(0.05, 0.85, 200), rng.uniform(0.05, 1.15, 200)
+    # The last fine points within half a cell of the edge are level: stay a fine point away from them.
+    inner = (x > 0.07) & (x < 0.83) & (y > 0.07) & (y < 1.13)
+    np.testing.assert_allclose(height_at(terrain, x, y)[inner], (0.3 * x - 0.5 * y)[inner], atol=1e-6)
+
+
+# ---------------------------------------------------------------- heights between the points
+
+
+def test_heights_are_scipys():
+    rng = np.random.default_rng(2)
+    terrain = Terrain(height_m=rng.normal(size=(7, 11)).astype(np.float32), spacing_m=np.float32(0.25))
+    x, y = rng.uniform(-0.5, 3.2, 500), rng.uniform(-0.5, 2.2, 500)  # beyond the edges too
+    np.testing.assert_allclose(height_at(terrain, x, y), exact(terrain, x, y), atol=1e-5)
+
+
+def test_heights_by_hand():
+    terrain = Terrain(height_m=np.array([[1, 2], [3, 8]], np.float32), spacing_m=np.float32(2))
+    x = np.array([1.0, 3, 1, 3, 2, -5, 9, 9, 1.5])
+    y = np.array([1.0, 1, 3, 3, 2, -5, -5, 9, 2.5])
+    np.testing.assert_allclose(height_at(terrain, x, y), [1, 2, 3, 8, 3.5, 1, 2, 8, 3.5], atol=1e-6)
+
+
+# ---------------------------------------------------------------- attitude
+
+
+one_attitude = jax.jit(attitude)
+one_look_down = jax.jit(look_down)
+
+
+def stands(terrain, x, y, heading=0.0, length_m=LENGTH_M, width_m=WIDTH_M):
+    pose = np.float32(x), np.float32(y), np.float32(heading)
+    return [float(v) for v in one_attitude(terrain, pose, np.float32(length_m), np.float32(width_m))]
+
+
+def supported(terrain, pose, length_m, width_m):
+    """By brute force, a track: of lines through two contacts with none above, that which is lowest at the middle."""
+    x, y, heading = pose
+    cos, sin = math.cos(heading), math.sin(heading)
+    u = ((np.arange(CONTACTS) + 0.5) / CONTACTS - 0.5) * length_m
+    found = []
+    for v in (width_m / 2, -width_m / 2):
+        z = exact(terrain, x + u * cos - v * sin, y + u * sin + v * cos)
+        lines = []
+        for i, j in itertools.combinations(range(CONTACTS), 2):
+            slope = (z[j] - z[i]) / (u[j] - u[i])
+            height = z[i] - slope * u[i]
+            if (z <= height + slope * u + 1e-7).all():
+                lines.append((height, slope))
+        found.append(min(lines))
+    (left, left_slope), (right, right_slope) = found
+    return -math.atan((left_slope + right_slope) / 2), math.atan2(left - right, width_m), (left + right) / 2
+
+
+@pytest.mark.jit
+def test_level_ground():
+    assert stands(terrain_of(None, 0.1), 3.0, 2.0, 1.0) == [0, 0, 0, 0]
+    raised = ground(0.25)
+    np.testing.assert_allclose(stands(raised, 1.0, 1.0, 1.0), [0, 0, 0.25, 0], atol=1e-6)
+
+
+@pytest.mark.jit
+@pytest.mark.parametrize("degrees", [2, 10, 30, 45])
+def test_on_a_slope_the_pitch_is_its_angle_and_nose_up_is_negative(degrees):
+    angle = math.radians(degrees)
+    terrain = ground(slope_of(angle))
+    x = (30.5 + 20) * CELL_M  # half way up
+    height = 20 * CELL_M * math.tan(angle)
+    rise = LENGTH_M / CONTACTS * math.tan(angle)
+    up = stands(terrain, x, 0.75, 0.0)
+    np.testing.assert_allclose(up, [-angle, 0, height, rise], atol=2e-5)
+    down = stands(terrain, x, 0.75, math.pi)
+    np.testing.assert_allclose(down, [angle, 0, height, rise], atol=2e-5)
+
+
+@pytest.mark.jit
+def test_across_a_slope_roll_is_positive_with_the_left_side_up():
+    terrain = ground(slope_of(TEN))
+    x, height = 50.5 * CELL_M, 20 * CELL_M * math.tan(TEN)
+    right_up = stands(terrain, x, 1.5, math.pi / 2)  # looks along y, uphill is to the right
+    np.testing.assert_allclose(right_up, [0, -TEN, height, 0], atol=2e-5)
+    left_up = stands(terrain, x, 1.5, -math.pi / 2)
+    np.testing.assert_allclose(left_up, [0, TEN, height, 0], atol=2e-5)
+
+
+@pytest.mark.jit
+def test_aslant_on_a_slope_both_share_it():
+    terrain = ground(slope_of(TEN))
+    for heading in (0.4, 2.0, -1.0, -2.6):
+        pitch, roll, *_ = stands(terrain, 50.5 * CELL_M, 1.5, heading)
+        assert math.tan(pitch) == pytest.approx(-math.tan(TEN) * math.cos(heading), abs=1e-4)
+        assert math.tan(roll) == pytest.approx(-math.tan(TEN) * math.sin(heading), abs=1e-4)
+
+
+@pytest.mark.jit
+def test_on_a_crest_the_robot_tips_over():
+    """Nose up before it, nose down behind it, and the middle is never below the ground."""
+    up = np.arange(31) * CELL_M * math.tan(TEN)
+    terrain = ground(np.concatenate([up, up[-2::-1]]))
+    top = 30.5 * CELL_M
+    before, on_it, behind = (stands(terrain, top + d, 0.75) for d in (-0.45, 0, 0.45))
+    assert before[0] == pytest.approx(-TEN, abs=1e-4)
+    assert behind[0] == pytest.approx(TEN, abs=1e-4)
+    assert on_it[0] == pytest.approx(0, abs=1e-4)
+    pitches = [stands(terrain, top + d, 0.75)[0] for d in np.linspace(-0.04, 0.04, 9)]
+    assert (np.diff(pitches) >= -1e-6).all()
+    for d in np.linspace(-0.45, 0.45, 13):
+        _, _, height, _ = stands(terrain, top + d, 0.75)
+        # A fine point apart from the top the ground is rounded by less than a millimetre.
+        assert height >= float(height_at(terrain, top + d, 0.75)) - LENGTH_M / CONTACTS * math.tan(TEN)
+
+
+@pytest.mark.jit
+def test_over_a_gap_narrower_than_the_robot_it_stays_level():
+    heights = np.zeros(60)
+    heights[28:33] = -1.0
+    terrain = ground(heights)
+    for x in (1.4, 1.5, 1.52):
+        np.testing.assert_allclose(stands(terrain, x, 0.75)[:3], [0, 0, 0], atol=1e-6)
+
+
+@pytest.mark.jit
+def test_a_single_step_lifts_the_nose():
+    terrain = ground(np.repeat([0, 0.1], 40))
+    level = stands(terrain, 2.0 - 0.4, 0.75)
+    np.testing.assert_allclose(level, [0, 0, 0, 0], atol=1e-6)
+    spacing = LENGTH_M / CONTACTS
+    first, nose = stands(terrain, 2.0 - 6 * spacing, 0.75), 6.5 * spacing  # only the foremost contact is on the step
+    assert first[0] == pytest.approx(-math.atan(0.1 / (2 * nose)), abs=1e-5)
+    assert first[2] == pytest.approx(0.05, abs=1e-5)
+    assert first[3] == pytest.approx(0.1, abs=1e-5)
+    upper = stands(terrain, 2.0 + 0.4, 0.75)
+    np.testing.assert_allclose(upper, [0, 0, 0.1, 0], atol=1e-6)
+
+
+@pytest.mark.jit
+def test_one_track_on_a_plank_rolls():
+    heights = np.zeros((40, 40), np.float32)
+    heights[:20] = 0.05  # y below 1 m
+    terrain = ground(heights)
+    pitch, roll, height, _ = stands(terrain, 1.0, 1.0, 0.0)  # it is on the right
+    np.testing.assert_allclose([pitch, roll, height], [0, -math.atan(0.05 / WIDTH_M), 0.025], atol=1e-5)
+    pitch, roll, height, _ = stands(terrain, 1.0, 1.0, math.pi)  # it is on the left
+    np.testing.assert_allclose([pitch, roll, height], [0, math.atan(0.05 / WIDTH_M), 0.025], atol=1e-5)
+
+
+@pytest.mark.jit
+@pytest.mark.parametrize(("tread_cells", "riser_m"), [(5, 0.05), (5, 0.15), (6, 0.2)])
+def test_on_stairs_the_pitch_is_that_of_the_line_through_the_noses(tread_cells, riser_m):
+    """With a track longer than a tread. Contacts lie apart: a nose is touched up to their distance behind it."""
+    tread_m, apart = tread_cells * CELL_M, LENGTH_M / CONTACTS
+    terrain = ground(stairs_of(tread_cells, riser_m, 8))
+    pitches = []
+    for x in np.linspace(30 * CELL_M + 0.4, 30 * CELL_M + 8 * tread_m - 0.75, 17):
+        pitch, roll, height, _ = stands(terrain, x, 0.75)
+        assert roll == pytest.approx(0, abs=1e-6)
+        assert height > float(height_at(terrain, x, 0.75)) - apart * riser_m / tread_m
+        assert math.atan(riser_m / (tread_m + apart)) - 1e-3 < -pitch < math.atan(riser_m / (tread_m - apart)) + 1e-3
+        pitches.append(-pitch)
+        assert stands(terrain, x, 0.75, math.pi)[0] == pytest.approx(-pitch, abs=1e-5)  # the same, downstairs
+    assert np.median(pitches) == pytest.approx(math.atan(riser_m / tread_m), abs=math.radians(1))
+
+
+@pytest.mark.jit
+def test_attitude_is_that_of_brute_force():
+    rng = np.random.default_rng(3)
+    stairs = along_x(stairs_of(5, 0.15, 4), rows=80)
+    bumps = rng.normal(scale=0.05, size=stairs.shape)
+    plateaus = np.kron(rng.normal(scale=0.1, size=(16, stairs.shape[1] // 5 + 1)), np.ones((5, 5)))[
+        :, : stairs.shape[1]
+    ]
+    for elevation in (stairs, bumps, plateaus, stairs + plateaus):
+        terrain = ground(elevation)
+        for _ in range(40):
+            length, width = (np.float32(v) for v in (rng.uniform(0.3, 0.9), rng.uniform(0.2, 0.6)))
+            x, y, heading = (np.float32(v) for v in (rng.uniform(1, 3), rng.uniform(1, 3), rng.uniform(-4, 4)))
+            got = one_attitude(terrain, (x, y, heading), length, width)
+            np.testing.assert_allclose(got[:3], supported(terrain, (x, y, heading), length, width), atol=3e-4)
+
+
+@pytest.mark.jit
+def test_half_a_turn_swaps_the_signs():
+    rng = np.random.default_rng(4)
+    terrain = ground(rng.normal(scale=0.05, size=(60, 60)))
+    for _ in range(20):
+        x, y, heading = (np.float32(v) for v in (rng.uniform(1, 2), rng.uniform(1, 2), rng.uniform(-3, 3)))
+        there = stands(terrain, x, y, heading)
+        back = stands(terrain, x, y, heading + math.pi)
+        np.testing.assert_allclose(back[:3], np.array([-1, -1, 1]) * np.array(there[:3]), atol=1e-4)
+
+
+# ---------------------------------------------------------------- looking down
+
+
+@pytest.mark.jit
+@pytest.mark.parametrize("degrees", [0, 20, 45, 60])
+def test_looking_at_level_ground(degrees):
+    tilt = math.radians(degrees)
+    direction = np.array([[math.sin(tilt), 0, -math.cos(tilt)]], np.float32)
+    seen = one_look_down(terrain_of(None, 0.1), (1.0, 1.0, 0.5), direction)
+    assert float(seen[0]) == pytest.approx(0.5 / math.cos(tilt), abs=5e-4)
+
+
+@pytest.mark.jit
+def test_beyond_the_range_and_upwards_there_is_no_ground():
+    direction = np.array([[0, 0, -1], [0, 0, 1], [1, 0, 0]], np.float32)
+    level = terrain_of(None, 0.1)
+    np.testing.assert_array_equal(one_look_down(level, (1.0, 1.0, MAX_DOWN_M + 0.01), direction), [np.inf] * 3)
+    seen = one_look_down(level, (1.0, 1.0, MAX_DOWN_M - 0.01), direction)
+    assert float(seen[0]) == pytest.approx(MAX_DOWN_M - 0.01, abs=5e-4)
+    assert np.isinf(seen[1:]).all()
+
+
+def marched(terrain, origin, direction, step=2e-4):
+    """By small steps, float64."""
+    along = np.arange(1, int(MAX_DOWN_M / step) + 1) * step
+    place = np.asarray(origin, np.float64) + along[:, None, None] * np.asarray(direction, np.float64)
+    below = place[..., 2] <= exact(terrain, place[..., 0], place[..., 1])
+    return np.where(below.any(0), along[below.argmax(0)], np.inf)
+
+
+@pytest.mark.jit
+def test_ranges_to_slopes_and_stairs_are_those_of_small_steps():
+    robot = ROBOTS["kamui"]
+    down = np.asarray(btm_run.down_directions(robot))
+    grazed = beams = 0
+    for heights in (slope_of(TEN), stairs_of(5, 0.1, 8), stairs_of(6, 0.2, 6), -slope_of(math.radians(30))):
+        terrain = ground(heights)
+        for x, heading in itertools.product((1.0, 1.6, 2.3, 3.1), (0.0, math.pi, 0.5)):
+            pitch, roll, height, _ = stands(terrain, x, 1.5, heading)
+            direction = turned(down, pitch, roll, heading)
+            origin = tuple(np.float32(v) for v in (x, 1.5, height + 0.6))
+            got, want = (
+                np.minimum(np.asarray(ranges), 9)
+                for ranges in (one_look_down(terrain, origin, direction), marched(terrain, origin, direction))
+            )
+            # A beam may pass an edge so near that two of its samples lie on both sides of it: it sees what is behind.
+            assert (got >= want - 1e-3).all()
+            grazed += int((np.abs(got - want) > 1e-3).sum())
+            beams += got.size
+    assert grazed <= 0.01 * beams
+
+
+# ---------------------------------------------------------------- directions
+
+
+def test_directions_by_hand():
+    axes = np.eye(3, dtype=np.float32)
+    angle = 0.3
+    cos, sin = math.cos(angle), math.sin(angle)
+    np.testing.assert_allclose(turned(axes, 0.0, 0.0, 0.0), axes, atol=1e-7)
+    nose_down = turned(axes, angle, 0.0, 0.0)
+    np.testing.assert_allclose(nose_down, [[cos, 0, -sin], [0, 1, 0], [sin, 0, cos]], atol=1e-6)
+    left_up = turned(axes, 0.0, angle, 0.0)
+    np.testing.assert_allclose(left_up, [[1, 0, 0], [0, cos, sin], [0, -sin, cos]], atol=1e-6)
+    to_the_left = turned(axes, 0.0, 0.0, angle)
+    np.testing.assert_allclose(to_the_left, [[cos, sin, 0], [-sin, cos, 0], [0, 0, 1]], atol=1e-6)
+
+
+@pytest.mark.jit
+def test_turning_is_a_rotation_and_roll_comes_first():
+    rng = np.random.default_rng(5)
+    axes = np.eye(3, dtype=np.float32)
+    one = jax.jit(turned)
+    zero = np.float32(0)
+    for pitch, roll, heading in rng.uniform(-3, 3, (50, 3)).astype(np.float32):
+        rows = np.asarray(one(axes, pitch, roll, heading))
+        np.testing.assert_allclose(rows @ rows.T, axes, atol=1e-6)
+        assert np.linalg.det(rows) == pytest.approx(1, abs=1e-5)
+        in_turn = one(one(one(axes, zero, roll, zero), pitch, zero, zero), zero, zero, heading)
+        np.testing.assert_allclose(rows, in_turn, atol=1e-6)
+        assert rows[0, 2] == pytest.approx(-math.sin(pitch), abs=1e-6)  # the nose, whatever roll and heading
+
+
+@pytest.mark.jit
+def test_many_poses_at_once():
+    """Row i of a batch does not depend on row j."""
+    terrain = ground(slope_of(TEN))
+    poses = np.array([[1.0, 0.7, 0.0], [2.5, 0.7, 1.0], [1.6, 0.9, 3.0]], np.float32)
+    many = jax.vmap(lambda pose: jnp.stack(attitude(terrain, pose, LENGTH_M, WIDTH_M)))(poses)
+    for pose, row in zip(poses, many):
+        np.testing.assert_allclose(row, stands(terrain, *pose), atol=1e-6)

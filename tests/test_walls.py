@@ -1,0 +1,300 @@
+"""Walls as segments: pencil maps, parity with the ray caster that traces cells, laws, and that nothing leaks."""
+
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from ref import maps
+
+from jexplore import raycast
+from jexplore.walls import FAR_M, SLACK_M, Walls, cast, segments, walls_of
+
+QUARTERS = np.radians([0, 90, 180, -90]).astype(np.float32)
+BOX = maps.walls("""
+    #####
+    #...#
+    #...#
+    #####
+""")
+
+
+def by_hand(lines, n):
+    out = np.full((n, 3), FAR_M, np.float32)
+    if lines:
+        out[: len(lines)] = lines
+    return out
+
+
+# ---------------------------------------------------------------- by hand
+
+
+def test_a_box_has_four_walls():
+    walls = walls_of(BOX, 0.5, multiple=4)
+    np.testing.assert_array_equal(walls.x, by_hand([[0.5, 0.5, 1.5], [2.0, 0.5, 1.5]], 4))
+    np.testing.assert_array_equal(walls.y, by_hand([[0.5, 0.5, 2.0], [1.5, 0.5, 2.0]], 4))
+    assert walls.x.dtype == walls.y.dtype == np.float32
+    np.testing.assert_array_equal(
+        segments(walls), [[0.5, 0.5, 0.5, 1.5], [2, 0.5, 2, 1.5], [0.5, 0.5, 2, 0.5], [0.5, 1.5, 2, 1.5]]
+    )
+
+
+def test_a_pillar_has_four_sides_and_a_niche_interrupts_a_wall():
+    occupied = maps.walls("""
+        #######
+        ###.###
+        #.....#
+        #.##..#
+        #.....#
+        #######
+    """)
+    walls = walls_of(occupied, 1.0, multiple=1)
+    assert walls.x.tolist() == [[1, 1, 4], [2, 2, 3], [3, 4, 5], [4, 2, 3], [4, 4, 5], [6, 1, 4]]
+    assert walls.y.tolist() == [[1, 1, 6], [2, 2, 4], [3, 2, 4], [4, 1, 3], [4, 4, 6], [5, 3, 4]]
+
+
+def test_a_map_without_free_cells_has_no_walls():
+    walls = walls_of(np.ones((3, 4), bool), 0.1)
+    np.testing.assert_array_equal(walls.x, by_hand([], 16))
+    np.testing.assert_array_equal(walls.y, by_hand([], 16))
+    assert segments(walls).shape == (0, 4)
+    assert np.isinf(cast(walls, (0.2, 0.2, 0.3), QUARTERS, 9.0)).all()
+
+
+def test_one_free_cell():
+    walls = walls_of(np.pad(np.zeros((1, 1), bool), 1, constant_values=True), 1.0, multiple=2)
+    assert walls.x.tolist() == walls.y.tolist() == [[1, 1, 2], [2, 1, 2]]
+    np.testing.assert_allclose(cast(walls, (1.25, 1.5, 0.0), QUARTERS, 9.0), [0.75, 0.5, 0.25, 0.5], atol=1e-6)
+
+
+@pytest.mark.parametrize(("n", "slots"), [(0, 16), (16, 16), (17, 32)])
+def test_slots_come_in_multiples(n, slots):
+    occupied = np.ones((3, 2 * n + 1), bool)
+    occupied[1, 1::2] = False  # n rooms of a cell: 2 n walls along either axis
+    assert walls_of(occupied, 1.0, multiple=2 * 16).x.shape == (2 * slots, 3)
+
+
+def test_ranges_by_hand():
+    walls = walls_of(BOX, 0.5)
+    ranges = cast(walls, (1.0, 0.75, 0.0), np.radians([0, 90, 180, -90, 45, -135]).astype(np.float32), 9.0)
+    root = math.sqrt(2)
+    np.testing.assert_allclose(ranges, [1.0, 0.75, 0.5, 0.25, 0.75 * root, 0.25 * root], atol=1e-5)
+    turned = cast(walls, (1.0, 0.75, math.pi / 2), QUARTERS, 9.0)
+    np.testing.assert_allclose(turned, [0.75, 0.5, 0.25, 1.0], atol=1e-5)
+
+
+def test_a_wall_at_the_range_or_beyond_gives_inf():
+    walls = walls_of(BOX, 1.0)
+    pose = 2.0, 2.0, 0.0
+    np.testing.assert_array_equal(cast(walls, pose, QUARTERS[:1], 2.0), [np.inf])
+    np.testing.assert_allclose(cast(walls, pose, QUARTERS[:1], 2.001), [2.0], atol=1e-6)
+    np.testing.assert_array_equal(np.isinf(cast(walls, pose, QUARTERS, 1.5)), [True, False, False, False])
+
+
+def test_what_lies_behind_is_not_seen():
+    """One wall alone: its line goes on behind the robot, its segment does not go on at all."""
+    none = np.full((1, 3), FAR_M, np.float32)
+    walls = Walls(x=np.array([[2, -1, 1]], np.float32), y=none)
+    np.testing.assert_allclose(cast(walls, (0.5, 0.5, 0.0), QUARTERS, 9.0), [1.5, np.inf, np.inf, np.inf])
+    np.testing.assert_allclose(cast(walls, (3.5, 0.5, 0.0), QUARTERS, 9.0), [np.inf, np.inf, 1.5, np.inf])
+    np.testing.assert_array_equal(cast(walls, (0.5, 1.5, 0.0), QUARTERS, 9.0), [np.inf] * 4)
+    np.testing.assert_array_equal(cast(walls, (0.5, -1.5, 0.0), QUARTERS, 9.0), [np.inf] * 4)
+
+
+@pytest.mark.parametrize("aside", [1e-3, 0.01, 0.5])
+@pytest.mark.parametrize("quarter", range(4))
+def test_a_beam_exactly_along_a_wall_reaches_the_end_of_the_passage(aside, quarter):
+    passage = np.pad(np.zeros((1, 30), bool), 1, constant_values=True)
+    occupied = np.rot90(passage, quarter)
+    walls = walls_of(occupied, 1.0)
+    x, y = [(3, 1 + aside), (1 + aside, 29), (29, 2 - aside), (2 - aside, 3)][quarter]
+    heading = [0, -math.pi / 2, math.pi, math.pi / 2][quarter]
+    ahead, behind = cast(walls, (x, y, heading), np.array([0, math.pi], np.float32), 100.0)
+    assert float(ahead) == pytest.approx(28, abs=1e-3)
+    assert float(behind) == pytest.approx(2, abs=1e-3)
+
+
+# ---------------------------------------------------------------- parity with the ray caster that traces cells
+
+CELL_M = 0.5
+SHAPE = (20, 24)
+MULTIPLE = 256
+RANGE_M = 6.0
+BEAMS = 256
+FAN = np.linspace(-math.pi, math.pi, BEAMS, endpoint=False, dtype=np.float32)
+
+
+def cluttered(rng):
+    occupied = rng.random(SHAPE) < rng.choice([0.02, 0.1, 0.3])
+    occupied[[0, -1]] = occupied[:, [0, -1]] = True
+    return occupied
+
+
+@jax.jit
+def by_segments(walls, pose):
+    return cast(walls, pose, FAN, RANGE_M)
+
+
+@jax.jit
+def by_cells(occupied, pose):
+    ranges, hit = raycast.cast(occupied, pose, FAN, max_range_m=RANGE_M, cell_m=CELL_M)
+    return jnp.where(hit, ranges, jnp.inf)
+
+
+@pytest.mark.jit
+def test_ranges_are_those_of_the_cells():
+    """Beams that pass a corner or the end of the range by a hair may go either way: as a beam a hair beside them."""
+    rng = np.random.default_rng(1)
+    direct = 0
+    for _ in range(25):
+        occupied = cluttered(rng)
+        walls = walls_of(occupied, CELL_M, multiple=MULTIPLE)
+        assert walls.x.shape == walls.y.shape == (MULTIPLE, 3)
+        row, col = rng.choice(np.argwhere(~occupied))
+        x, y = (np.float32((v + rng.uniform(0.02, 0.98)) * CELL_M) for v in (col, row))
+        heading = np.float32(rng.uniform(-4, 4))
+        got = by_segments(walls, (x, y, heading))
+        want, *others = (by_cells(occupied, (x, y, np.float32(heading + hair))) for hair in (0, 4e-4, -4e-4))
+        same = np.isclose(got, want, atol=2e-4, rtol=1e-4)
+        direct += int(same.sum())
+        low, high = np.minimum(*others) - 1e-3, np.maximum(*others) + 1e-3
+        assert (same | ((low <= got) & (got <= high))).all()
+    assert direct >= 0.99 * 25 * BEAMS
+
+
+@pytest.mark.jit
+@pytest.mark.parametrize("quarter", range(4))
+def test_ranges_are_those_of_the_cells_where_beams_run_along_walls(quarter):
+    """From centres of cells, along the axes: no beam is near a corner."""
+    rng = np.random.default_rng(quarter)
+    for _ in range(15):
+        occupied = cluttered(rng)
+        row, col = rng.choice(np.argwhere(~occupied))
+        pose = tuple(np.float32(v) for v in ((col + 0.5) * CELL_M, (row + 0.5) * CELL_M, quarter * math.pi / 2))
+        axes = slice(None, None, BEAMS // 4)
+        got = by_segments(walls_of(occupied, CELL_M, multiple=MULTIPLE), pose)[axes]
+        np.testing.assert_allclose(got, by_cells(occupied, pose)[axes], atol=1e-4)
+
+
+# ---------------------------------------------------------------- corners
+
+
+def test_a_beam_through_the_touching_corners_of_two_blocks_is_stopped():
+    occupied = maps.walls("""
+        ######
+        #..#.#
+        #.#..#
+        #....#
+        ######
+    """)
+    walls = walls_of(occupied, 1.0)  # the blocks touch at (3, 3)
+    diagonal = np.array([3 * math.pi / 4], np.float32)
+    for aside in (0.25, 0.5, 0.75):
+        for sign, heading in ((1, 0.0), (-1, math.pi)):
+            seen = cast(walls, (3 + sign * aside, 3 - sign * aside, heading), diagonal, 9.0)
+            assert float(seen[0]) == pytest.approx(math.sqrt(2) * aside, abs=1e-3)
+
+
+@pytest.mark.jit
+def test_nothing_leaks_where_two_walls_meet():
+    """Beams aimed at the inner corners of a room, from everywhere in it, end there."""
+    room = np.pad(np.zeros((6, 9), bool), 1, constant_values=True)
+    walls = walls_of(room, 0.1)
+    corner = np.array([[0.1, 0.1], [1.0, 0.1], [0.1, 0.7], [1.0, 0.7]])
+    one = jax.jit(lambda pose, angles: cast(walls, pose, angles, 50.0))
+    rng = np.random.default_rng(2)
+    for _ in range(100):
+        place = rng.uniform([0.11, 0.11], [0.99, 0.69]).astype(np.float32)
+        way = corner - place
+        ranges = one((*place, np.float32(0)), np.arctan2(way[:, 1], way[:, 0]).astype(np.float32))
+        np.testing.assert_allclose(ranges, np.hypot(*way.T), atol=2e-3)
+
+
+def test_an_outer_corner_is_no_larger_than_the_slack():
+    occupied = np.pad(np.zeros((9, 9), bool), 1, constant_values=True)
+    occupied[5, 5] = True
+    walls = walls_of(occupied, 1.0)
+    offsets = np.array([-20, -3, 3, 20]) * SLACK_M
+    for offset in offsets:  # beams along x that pass the block's lower edge at y = 5
+        seen = float(cast(walls, (2.0, 5 + offset, 0.0), QUARTERS[:1], 50.0)[0])
+        assert seen == pytest.approx(3 if offset > 0 else 8, abs=1e-3)
+    for offset in offsets:  # and its upper edge at y = 6
+        seen = float(cast(walls, (2.0, 6 + offset, 0.0), QUARTERS[:1], 50.0)[0])
+        assert seen == pytest.approx(3 if offset < 0 else 8, abs=1e-3)
+
+
+# ---------------------------------------------------------------- laws
+
+
+@pytest.mark.jit
+def test_padding_adds_nothing():
+    """Not even for beams along the diagonal, where the unused slots lie."""
+    rng = np.random.default_rng(3)
+    occupied = cluttered(rng)
+    row, col = np.argwhere(~occupied)[7]
+    for heading in (0.0, math.pi / 4, 0.3):
+        pose = tuple(np.float32(v) for v in ((col + 0.5) * CELL_M, (row + 0.5) * CELL_M, heading))
+        few, many = (by_segments(walls_of(occupied, CELL_M, multiple=m), pose) for m in (1, MULTIPLE))
+        np.testing.assert_array_equal(few, many)
+    none = Walls(x=np.full((4, 3), FAR_M, np.float32), y=np.full((4, 3), FAR_M, np.float32))
+    assert np.isinf(cast(none, (0.0, 0.0, 0.0), FAN, 1000.0)).all()
+
+
+@pytest.mark.jit
+def test_turning_the_robot_turns_the_scan():
+    rng = np.random.default_rng(4)
+    occupied = cluttered(rng)
+    walls = walls_of(occupied, CELL_M, multiple=MULTIPLE)
+    row, col = np.argwhere(~occupied)[11]
+    x, y = np.float32((col + 0.43) * CELL_M), np.float32((row + 0.61) * CELL_M)
+    before = np.asarray(by_segments(walls, (x, y, np.float32(0.1))))
+    for beams in (1, 64, 100):
+        turned = np.asarray(by_segments(walls, (x, y, np.float32(0.1 + beams * 2 * math.pi / BEAMS))))
+        same = np.isclose(turned, np.roll(before, -beams), atol=1e-3)
+        assert same.mean() > 0.99  # the others pass a corner by a hair
+
+
+@pytest.mark.jit
+def test_turning_the_map_turns_the_scan():
+    rng = np.random.default_rng(5)
+    height_m, width_m = SHAPE[0] * CELL_M, SHAPE[1] * CELL_M
+    for _ in range(10):
+        occupied = cluttered(rng)
+        row, col = rng.choice(np.argwhere(~occupied))
+        x, y = (np.float32((v + rng.uniform(0.05, 0.95)) * CELL_M) for v in (col, row))
+        heading = np.float32(rng.uniform(-3, 3))
+        before = by_segments(walls_of(occupied, CELL_M, multiple=MULTIPLE), (x, y, heading))
+        half = by_segments(
+            walls_of(np.rot90(occupied, 2), CELL_M, multiple=MULTIPLE),
+            (np.float32(width_m) - x, np.float32(height_m) - y, np.float32(heading + math.pi)),
+        )
+        # Rows run with y: turned by a quarter, (x, y) goes to (height - y, x).
+        quarter = by_segments(
+            walls_of(np.rot90(occupied, -1), CELL_M, multiple=MULTIPLE),
+            (np.float32(height_m) - y, x, np.float32(heading + math.pi / 2)),
+        )
+        for after in (half, quarter):
+            assert np.isclose(before, after, atol=2e-3).mean() > 0.99
+
+
+@pytest.mark.jit
+def test_more_range_changes_no_reading():
+    rng = np.random.default_rng(6)
+    walls = walls_of(cluttered(rng), CELL_M, multiple=MULTIPLE)
+    pose = np.float32(5.2), np.float32(4.1), np.float32(1.0)
+    far = np.asarray(by_segments(walls, pose))
+    one = jax.jit(lambda limit: cast(walls, pose, FAN, limit))
+    for limit in (0.5, 1.0, 3.0):
+        np.testing.assert_array_equal(one(np.float32(limit)), np.where(far < limit, far, np.inf))
+
+
+@pytest.mark.jit
+def test_rows_of_a_batch_are_independent_and_jit_changes_nothing():
+    walls = walls_of(BOX, 0.5)
+    poses = np.array([[1.0, 0.75, 0.0], [0.6, 1.2, 2.0], [1.9, 0.7, -1.0]], np.float32)
+    angles = FAN[::8]
+    many = jax.jit(jax.vmap(lambda pose: cast(walls, pose, angles, 4.0)))(poses)
+    for pose, row in zip(poses, many):
+        with jax.disable_jit():
+            np.testing.assert_allclose(cast(walls, pose, angles, 4.0), row, rtol=1e-5, atol=1e-5)
