@@ -122,10 +122,10 @@ def numbers_of(record, n):
     return jax.tree.map(wide, record)
 
 
-def _one(building, settings, seed, which, n_steps):
+def _one(building, settings, seed, which, max_steps, room):
     key = jax.random.fold_in(jax.random.key(seed), which)
     robot, tuning, noise = settings
-    state = btm_run.run(key, building, robot, tuning, noise, n_steps)
+    state = btm_run.run(key, building, robot, tuning, noise, max_steps, room=room)
     body = state.body
     result = Result(
         map=state.writer.map,
@@ -141,11 +141,11 @@ def _one(building, settings, seed, which, n_steps):
     return result, (state.truth, state.writer.way.pose, state.writer.way.mode, state.writer.way.pitch)
 
 
-def _one_after_the_other(building, settings, seed, which, count, n_steps):
+def _one_after_the_other(building, settings, seed, which, count, max_steps, room):
     """`count` runs on a CPU: results with a leading axis, and the way of the last one."""
 
     def own(i):
-        return _one(building, jax.tree.map(lambda a: a[i], settings), seed, which[i], n_steps)
+        return _one(building, jax.tree.map(lambda a: a[i], settings), seed, which[i], max_steps, room)
 
     def one(i, state):
         result, track = own(i)
@@ -156,11 +156,11 @@ def _one_after_the_other(building, settings, seed, which, count, n_steps):
     return lax.fori_loop(0, count, one, (results, jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), track)))
 
 
-def _all_at_once(building, settings, seed, which, count, n_steps):
+def _all_at_once(building, settings, seed, which, count, max_steps, room):
     """As many runs as there are lanes, in lockstep; those from `count` on are done for nothing."""
     del count
-    one = functools.partial(_one, n_steps=n_steps)
-    result, track = jax.vmap(one, (None, 0, None, 0))(building, settings, seed, which)
+    one = functools.partial(_one, room=room)
+    result, track = jax.vmap(one, (None, 0, None, 0, None))(building, settings, seed, which, max_steps)
     return result, jax.tree.map(lambda a: a[0], track)
 
 
@@ -181,14 +181,15 @@ def run(building, robots, tunings, noises, seed, which, *, workers, max_steps=MA
     """
     on_cpu = jax.default_backend() == "cpu"
     size = CHUNK if on_cpu else min(LANES, len(which))
-    function = jax.jit(_one_after_the_other if on_cpu else _all_at_once, static_argnames=("n_steps",))
+    function = jax.jit(_one_after_the_other if on_cpu else _all_at_once, static_argnames=("room",))
     which = np.asarray(which, np.int32)
     arrays = (robots, tunings, noises), which
     place, seed = jax.device_put((building, np.uint32(seed)))
     n = len(which)
     blank = jax.tree.map(lambda a: np.zeros((size, *a.shape[1:]), a.dtype), arrays)
     began = time.perf_counter()
-    lowered = function.lower(place, blank[0], seed, blank[1], np.int32(0), n_steps=max_steps)
+    limit, room = np.int32(max_steps), max(max_steps, MAX_STEPS)
+    lowered = function.lower(place, blank[0], seed, blank[1], np.int32(0), limit, room=room)
     program = lowered.compile()
     compile_s = time.perf_counter() - began
     results = jax.tree.map(lambda a: np.zeros((n, *a.shape[1:]), a.dtype), lowered.out_info[0])
@@ -197,7 +198,7 @@ def run(building, robots, tunings, noises, seed, which, *, workers, max_steps=MA
     def call(at, count):
         settings, numbers = jax.tree.map(lambda a: _padded(a[at : at + count], size), arrays)
         start = time.perf_counter()
-        found, last = jax.block_until_ready(program(place, settings, seed, numbers, np.int32(count)))
+        found, last = jax.block_until_ready(program(place, settings, seed, numbers, np.int32(count), limit))
         return at, count, jax.tree.map(np.asarray, found), last, time.perf_counter() - start
 
     began, done, at, run_s, interrupted = time.perf_counter(), 0, 0, None, False

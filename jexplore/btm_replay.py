@@ -6,6 +6,7 @@ import numpy as np
 
 from jexplore import behave, btm, btm_run, perceive, tracing
 from jexplore.behave import RunMode
+from jexplore.btm_batch import MAX_STEPS
 from jexplore.operator_view import Recording
 from jexplore.walls import cast, segments
 
@@ -85,9 +86,9 @@ def record(plan, on_progress=lambda n: None):
     robot, tuning, noise = (numbers(s) for s in plan.first_settings())
     building = jax.device_put(plan.building)
     key = jax.random.fold_in(jax.random.key(np.uint32(plan.seed)), 0)
-    state = jax.tree.map(jnp.asarray, btm_run.begin(building, robot, plan.max_steps))
+    state = jax.tree.map(jnp.asarray, btm_run.begin(building, robot, max(plan.max_steps, MAX_STEPS)))
     frames, steps = [], 0
-    while int(state.outcome) == btm_run.Outcome.RUNNING:
+    while int(state.outcome) == btm_run.Outcome.RUNNING and steps < plan.max_steps:
         state, seen = _frame(jax.random.fold_in(key, steps), building, robot, tuning, noise, state)
         frames.append(jax.device_get(seen))
         steps += 1

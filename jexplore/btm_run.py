@@ -133,8 +133,8 @@ def down_directions(robot):
     return jnp.stack([jnp.sin(tilt) * ahead, jnp.sin(DOWN_RAD), -jnp.cos(tilt) * ahead], axis=1)
 
 
-def begin(building, robot, n_steps):
-    """The state before the first step; `n_steps` static."""
+def begin(building, robot, room):
+    """The state before the first step; `room` for so many steps, static."""
     pitch, roll, height, _ = attitude(building.terrain, building.start, robot.length_m, robot.width_m)
     zero, none = jnp.float32(0), jnp.int32(0)
     start = jnp.asarray(building.start, jnp.float32)
@@ -146,7 +146,7 @@ def begin(building, robot, n_steps):
         track=behave.no_track(),
         hall=behave.no_hall(),
         drive=behave.at_rest(),
-        writer=btm_write.begin(n_steps, KEPT_POINTS, NODES, LINKS, start),
+        writer=btm_write.begin(room, KEPT_POINTS, NODES, LINKS, start),
         scan_overflow=none,
         mode=none,
         target=jnp.zeros(2),
@@ -155,7 +155,7 @@ def begin(building, robot, n_steps):
         moved_m=zero,
         moved_step=none,
         helps=none,
-        truth=jnp.zeros((n_steps, 3)),
+        truth=jnp.zeros((room, 3)),
         step=none,
         outcome=jnp.int32(Outcome.RUNNING),
     )
@@ -544,7 +544,6 @@ def _helped(state, senses, event):
 
 def _end(state, at_goal):
     ends = [
-        (state.step >= state.truth.shape[0], Outcome.STEP_LIMIT),
         (state.blind >= BLIND_STEPS, Outcome.BLIND),
         (state.helps >= HELPS, Outcome.STUCK),
         (state.writer.exhausted, Outcome.EXHAUSTED),
@@ -556,20 +555,23 @@ def _end(state, at_goal):
     return state.replace(outcome=outcome)
 
 
-def run(key, building, robot, tuning, noise, n_steps):
+def run(key, building, robot, tuning, noise, max_steps, *, room):
     """A whole run.
 
     Args:
       key: a key; step i draws from `fold_in(key, i)`.
       building: `Building`.
       robot, tuning, noise: `Robot`, `Tuning`, `Noise`, whose numbers may be arrays.
-      n_steps: steps after which it ends as `STEP_LIMIT`. Static.
+      max_steps: int32, steps after which it ends as `STEP_LIMIT`, if no earlier way ends it.
+      room: steps that there is room for, at least `max_steps`. Static.
 
     Returns:
       `State` at the end.
     """
 
     def one(state):
-        return step(jax.random.fold_in(key, state.step), building, robot, tuning, noise, state)
+        after = step(jax.random.fold_in(key, state.step), building, robot, tuning, noise, state)
+        late = (after.outcome == Outcome.RUNNING) & (after.step >= max_steps)
+        return after.replace(outcome=jnp.where(late, jnp.int32(Outcome.STEP_LIMIT), after.outcome))
 
-    return lax.while_loop(lambda state: state.outcome == Outcome.RUNNING, one, begin(building, robot, n_steps))
+    return lax.while_loop(lambda state: state.outcome == Outcome.RUNNING, one, begin(building, robot, room))

@@ -3,6 +3,7 @@
 Scans are in the robot's frame: x forward, y left, metres. A beam without a reading is no point; NaN counts as none.
 """
 
+import functools
 import math
 
 import jax.numpy as jnp
@@ -294,7 +295,7 @@ class Profile:
 
     variance_m2: Array  # float32, residual variance about the least-squares line, n - 2 in the denominator
     slope: Array  # float32, of that line, signed
-    step_m: Array  # float32, largest difference of height across a step
+    step_m: Array  # float32, height of a step, the median of all
     count: Array  # int32, points
 
 
@@ -324,19 +325,18 @@ def profile(x_m, z_m, valid, *, flank_m=0.10, gap_m=0.02):
     return Profile(
         variance_m2=variance,
         slope=jnp.where(enough, slope, 0),
-        step_m=jnp.where(enough, _largest_step(x, z, valid, flank_m, gap_m), 0),
+        step_m=jnp.where(enough, _step_height(x, z, valid, flank_m, gap_m), 0),
         count=n.astype(jnp.int32),
     )
 
 
-def _largest_step(x, z, valid, flank_m, gap_m):
-    """Largest difference of mean height between the flanks of a place, over places at the points themselves."""
+def _step_height(x, z, valid, flank_m, gap_m):
+    """The height of a step: the median of the differences of mean height between the flanks of steps."""
     # Points come in the order of time, about in that of x: flanks are sums over sorted cells of the way.
     cell = gap_m
     first = jnp.min(jnp.where(valid, x, jnp.inf))
     n = CELLS
-    at = jnp.clip(((x - first) / cell).astype(jnp.int32), 0, n - 1)
-    at = jnp.where(valid, at, n)
+    at = jnp.where(valid, ((x - first) / cell).astype(jnp.int32), n)  # what lies beyond the last cell is left out
     count = jnp.zeros(n, jnp.float32).at[at].add(1, mode="drop")
     total = jnp.zeros(n, jnp.float32).at[at].add(z, mode="drop")
     wide = round(flank_m / cell)
@@ -351,7 +351,13 @@ def _largest_step(x, z, valid, flank_m, gap_m):
     after_n, after_z = window(run_n, 1, wide), window(run_z, 1, wide)
     both = (before_n > 0) & (after_n > 0)
     rise = jnp.abs(after_z / jnp.maximum(after_n, 1) - before_z / jnp.maximum(before_n, 1))
-    return jnp.max(jnp.where(both, rise, 0))
+    rise = jnp.where(both, rise, 0)
+    around = [jnp.pad(rise, wide)[k : k + n] for k in range(2 * wide + 1)]
+    top = functools.reduce(jnp.maximum, around)
+    # A step is a place steeper than those near it; where the robot's body tips, its heights are off for a moment.
+    steps = jnp.where((rise == top) & (rise > top.max() / 2), rise, jnp.inf)
+    number = jnp.sum(jnp.isfinite(steps))
+    return jnp.where(number > 0, jnp.sort(steps)[jnp.maximum(number - 1, 0) // 2], 0)
 
 
 CELLS = 512  # of a profile, each as long as the gap of a step

@@ -127,9 +127,9 @@ def test_stairs_have_treads_and_risers():
     up = np.repeat(np.arange(1, 9), 3) * 0.15
     expected = np.concatenate([np.zeros(66), up, up[::-1], np.zeros(244 - 114)])
     np.testing.assert_allclose(world.elevation[270], expected, atol=1e-6)
-    stairs = world.course.topology.nodes[1:4]
-    assert [(node.obstacle, node.step_m, node.inclination_deg) for node in stairs] == [("stairs", 0.15, None)] * 3
-    np.testing.assert_allclose([node.x_m for node in stairs], [6.6, 9.0, 11.4])
+    stairs = world.course.topology.nodes[1:5]  # the foot, both ends of the landing, the foot
+    assert [(node.obstacle, node.step_m, node.inclination_deg) for node in stairs] == [("stairs", 0.15, None)] * 4
+    np.testing.assert_allclose([node.x_m for node in stairs], [6.6, 8.7, 9.3, 11.4])
 
 
 def test_without_the_slope_the_layout_is_the_same(courses):

@@ -77,7 +77,8 @@ def test_a_square_with_its_middle_has_four_triangles():
 
 @pytest.mark.parametrize("direction", [(1, 0), (0, 1), (1, 1), (2, -1)])
 def test_points_on_a_line_have_no_triangles(direction):
-    assert triangles(np.arange(5)[:, None] * np.array(direction)) == []
+    for order in ([0, 1, 2, 3, 4], [4, 0, 3, 1, 2], [2, 4, 0, 1, 3]):
+        assert triangles(np.array(order)[:, None] * np.array(direction)) == []
 
 
 def test_too_few_points_have_no_triangles():
@@ -93,21 +94,23 @@ def test_points_that_are_not_there_do_not_count():
     assert triangles(points, np.array([False, True, False, True, True])) == [(1, 3, 4)]
 
 
+@pytest.mark.parametrize("width", [2, 10])
 @pytest.mark.parametrize("offset", [0.0, 0.5, 0.25])
-def test_no_edge_leaps_over_a_point_of_a_straight_wall(offset):
+def test_no_edge_leaps_over_a_point_of_a_straight_wall(offset, width):
     """A passage: the points of both walls lie exactly on lines."""
     wall = np.arange(6.0)
-    points = np.concatenate([np.stack([wall, 0 * wall], 1), np.stack([wall + offset, 0 * wall + 2], 1)])
-    found = triangles(points)
-    assert found
-    for triangle in found:
-        for i in range(3):
-            a, b = triangle[i - 1], triangle[i]
-            if (a < 6) == (b < 6):
-                assert abs(a - b) == 1
-        assert {corner < 6 for corner in triangle} == {True, False}
-    if offset == 0.25:  # no four of them lie on one circle
-        assert len(found) == 10
+    points = np.concatenate([np.stack([wall, 0 * wall], 1), np.stack([wall + offset, 0 * wall + width], 1)])
+    for order in (np.arange(12), np.random.default_rng(0).permutation(12)):
+        found = triangles(points[order])
+        assert found
+        for triangle in order[np.array(found)]:
+            assert {corner < 6 for corner in triangle} == {True, False}
+            for i in range(3):
+                a, b = triangle[i - 1], triangle[i]
+                if (a < 6) == (b < 6):
+                    assert abs(a - b) == 1
+        if offset == 0.25:  # no four of them lie on one circle
+            assert len(found) == 10
 
 
 # ---------------------------------------------------------------- parity with scipy

@@ -6,7 +6,8 @@ from jexplore.worlds.course_map import render
 from jexplore.worlds.draft import random_stream
 from jexplore.worlds.route import LEFT, RIGHT, STRAIGHT, Route
 
-OBSTACLES = ("slope", "stairs", "none")
+OBSTACLES = {"slope": 3, "stairs": 4, "none": 0}
+"""Name -> places at which the ground bends: the stairs have a landing."""
 _KIND = 6
 _START_M = 1.5  # from the wall behind the start
 _TRIES = 60
@@ -71,17 +72,17 @@ def course(
         if not isinstance(value, bool):
             raise InputError(f"course: {name} must be true or false, got {value!r}")
     rng = random_stream(seed, _KIND)
-    level = obstacle == "none"
-    route = _drawn(rng, width_m, level, dead_ends) if seed else _paper(width_m, level)
+    creases = OBSTACLES[obstacle]
+    route = _drawn(rng, width_m, creases, dead_ends) if seed else _paper(width_m, creases)
     if furniture:
         _furnish(rng, route)
     return render(route, cell_m, obstacle, riser_m)
 
 
-def _paper(width_m, level):
+def _paper(width_m, creases):
     route = Route(0, width_m, _START_M)
     route.passage(4.1)
-    route.ramp(10.0, level=level)
+    route.ramp(10.0, creases)
     route.passage(5.0)
     route.junction((RIGHT, LEFT), width_m, 7.0)
     route.passage(5.0)
@@ -92,19 +93,19 @@ def _paper(width_m, level):
     return route
 
 
-def _drawn(rng, width_m, level, dead_ends):
+def _drawn(rng, width_m, creases, dead_ends):
     """A route that keeps clear of itself: with fewer elements where many do not fit. Two always do."""
     n = int(rng.integers(4, 9))
     route = None
     for n_elements in range(n, 1, -1):
         for _ in range(_TRIES):
-            route = _attempt(rng, n_elements, width_m, level, dead_ends)
+            route = _attempt(rng, n_elements, width_m, creases, dead_ends)
             if route.fits:
                 return route
     raise AssertionError("a route of two elements keeps clear of itself")
 
 
-def _attempt(rng, n_elements, width_m, level, dead_ends):
+def _attempt(rng, n_elements, width_m, creases, dead_ends):
     elements = ["ramp", "junction", *(["hall"] if n_elements > 2 and rng.random() < 0.8 else [])]
     elements += ["junction"] * (n_elements - len(elements))
     route = Route(int(rng.integers(4)), _width(rng, width_m), _START_M)
@@ -113,7 +114,7 @@ def _attempt(rng, n_elements, width_m, level, dead_ends):
         route.passage(_fifths(rng, 4.4, 7.0) + first_m)
         first_m = 0.0
         if element == "ramp":
-            route.ramp(float(rng.integers(6, 16)), level=level)
+            route.ramp(float(rng.integers(6, 16)), creases)
         elif element == "hall":
             route.hall(_fifths(rng, 5.0, 8.0), _fifths(rng, 4.0, 6.0), int(rng.choice((LEFT, RIGHT))))
         else:

@@ -88,19 +88,22 @@ def render(route, cell_m, obstacle, riser_m):
 
 
 def _creases(grid, ramp, obstacle):
-    """Where a ramp starts, has its top and ends along its passage, metres.
+    """Where the ground bends along a ramp's passage, metres: start, top, end; of stairs both ends of the landing.
 
     A slope has its creases in the middles of cells, half a cell after the drawing: heights interpolated between the
     middles of cells are then exact. Steps begin at edges of cells.
     """
     forward = 1 if ramp.heading < 2 else -1
-    start = grid.snap(ramp.along, ramp.heading % 2) + (forward * grid.cell_m / 2 if obstacle == "slope" else 0)
     run = to_cells(RAMP_M / grid.cell_m) * grid.cell_m
-    return [start + forward * k * run for k in range(3)]
+    start = grid.snap(ramp.along, ramp.heading % 2)
+    if obstacle == "slope":
+        return [start + forward * (grid.cell_m / 2 + k * run) for k in range(3)]
+    return [start + forward * along for along in (0, run - TREAD_M, run + TREAD_M, 2 * run)]
 
 
 def _raise_ground(elevation, grid, ramp, obstacle, riser_m):
-    start, top, end = _creases(grid, ramp, obstacle)
+    start, *_, end = _creases(grid, ramp, obstacle)
+    top = (start + end) / 2
     axis = ramp.heading % 2
     run = abs(top - start)
     middles = (np.arange(elevation.shape[1 - axis]) + 0.5) * grid.cell_m

@@ -76,13 +76,13 @@ class Route:
         self.straights.append((rect, self.heading))
         self._advance(length)
 
-    def ramp(self, angle_deg, *, level=False):
-        """An up-and-down obstacle. Where `level`, there is none, but its place remains."""
+    def ramp(self, angle_deg, creases=3):
+        """An up-and-down obstacle whose ground bends so many times. With 0 there is none, but its place remains."""
         self._carve(2 * RAMP_M)
-        if not level:
+        if creases:
             ramp = Ramp(self.heading, self._lane(), self._along(), angle_deg)
             self.ramps.append(ramp)
-            for crease in range(3):
+            for crease in range(creases):
                 self._arrive(dataclasses.replace(self._stop("obstacle"), ramp=ramp, crease=crease))
         self._advance(2 * RAMP_M)
 
