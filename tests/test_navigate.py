@@ -153,7 +153,7 @@ def random_belief(seed, shape, unknown, occupied, clearance_d2=0):
 
 @pytest.mark.jit
 @given(st.sampled_from(SHAPES), st.integers(0, 2**20), st.sampled_from((0, 1, 2)), st.floats(0, 0.4), st.floats(0, 0.4))
-@settings(max_examples=120, deadline=None)
+@settings(max_examples=60, deadline=None)
 def test_fields_and_nearest_frontiers_are_the_oracles(shape, seed, clearance_d2, unknown, occupied):
     belief = random_belief(seed, shape, unknown, occupied, clearance_d2)
     passable, cost, pred, candidates = oracle(belief)
