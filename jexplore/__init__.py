@@ -32,36 +32,54 @@ _MODULE_OF = {
     "Reproduction": "reproduction",
     "segment_maps": "segmentation",
     "Segmentation": "segmentation",
+    "trace": "tracing",
+    "Traced": "tracing",
+    "Robot": "btm_settings",
+    "Tuning": "btm_settings",
+    "Noise": "btm_settings",
+    "BtmMap": "btm_map",
+    "read_btm": "btm_json",
 }
 
 __all__ = [
     "GENERATORS",
     "MODIFIERS",
     "STRATEGIES",
+    "BtmMap",
     "Comparison",
     "Episode",
     "InputError",
     "Lidar",
+    "Noise",
     "Reproduction",
+    "Robot",
     "Rules",
     "Segmentation",
+    "Traced",
+    "Tuning",
     "World",
     "__version__",
     "compare",
     "explore",
     "load_world",
     "occupancy_to_world",
+    "read_btm",
     "reproduce",
     "segment_maps",
+    "trace",
 ]
 
 if TYPE_CHECKING:
+    from jexplore.btm_json import read_btm
+    from jexplore.btm_map import BtmMap
+    from jexplore.btm_settings import Noise, Robot, Tuning
     from jexplore.comparison import Comparison, compare
     from jexplore.config import InputError, Lidar, Rules
     from jexplore.policies import MODIFIERS, STRATEGIES
     from jexplore.replay import Episode, explore
     from jexplore.reproduction import Reproduction, reproduce
     from jexplore.segmentation import Segmentation, segment_maps
+    from jexplore.tracing import Traced, trace
     from jexplore.world import World, occupancy_to_world
     from jexplore.worlds import GENERATORS, load_world
 

@@ -104,6 +104,4 @@ def matched(found, true, cell_m):
 def agreement(found, true, cell_m):
     """How the divergences of two maps compare: a line of text."""
     hits, ours, theirs = matched(found, true, cell_m)
-    return (
-        f"divergences of the truth found within {NEAR_CELLS:g} cells, of its degree: {hits} of {theirs}; found {ours}"
-    )
+    return f"true divergences found, within {NEAR_CELLS:g} cells and of their degree: {hits} of {theirs}; {ours} in all"

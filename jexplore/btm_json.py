@@ -39,6 +39,26 @@ def to_json(btm):
     }
 
 
+def read_btm(path):
+    """The map in a JSON file, such as `btm.json`.
+
+    Args:
+      path: the file.
+
+    Returns:
+      `BtmMap`.
+
+    Raises:
+      InputError: the file cannot be read, is no JSON or no map; with the line.
+    """
+    try:
+        with open(path, encoding="utf-8") as file:
+            text = file.read()
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path} must be a readable JSON file: {error}") from error
+    return parse(text, str(path))
+
+
 def parse(text, name):
     """The map in the text of a JSON file. As `from_json`, and errors name the line.
 

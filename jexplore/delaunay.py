@@ -18,6 +18,7 @@ class Triangles:
 
     corner: Array  # [T, 3] int32, points, ascending
     valid: Array  # [T] bool
+    overflow: Array  # int32, triangles that did not fit
 
 
 def _ordered(values):
@@ -33,16 +34,21 @@ def delaunay(points, valid):
     if both angles together are at most 180 degrees. Of points on one circle all triangles may be valid.
 
     Args:
-      points: `[n, 2]` float32, n at most 256.
+      points: `[n, 2]` float32, n from 2 to 256.
       valid: `[n]` bool, points that are there. Those that are must differ.
 
     Returns:
       `Triangles`.
 
+    Raises:
+      ValueError: while tracing, if n is out of bounds.
+
     Source:
       Delaunay 1934: the empty circle, by the opposite angles of the two triangles at an edge.
     """
     n = points.shape[0]
+    if not 2 <= n <= 256:
+        raise ValueError(f"expected 2 to 256 points, got {n}")
     codes = 1 << max(n - 1, 1).bit_length()
     first, second = np.triu_indices(n, 1)
     x, y = points[:, 0], points[:, 1]
@@ -81,7 +87,11 @@ def delaunay(points, valid):
     which = jnp.where(found, which, 0)
     pair = which % len(first)
     corner = jnp.stack([jnp.asarray(first)[pair], jnp.asarray(second)[pair], apex.reshape(-1)[which]], axis=1)
-    return Triangles(corner=jnp.where(found[:, None], corner, 0).astype(jnp.int32), valid=found)
+    return Triangles(
+        corner=jnp.where(found[:, None], corner, 0).astype(jnp.int32),
+        valid=found,
+        overflow=jnp.maximum(jnp.sum(keep, dtype=jnp.int32) - 2 * n, 0),
+    )
 
 
 def circumcircles(points, corner):

@@ -16,6 +16,7 @@ NEIGHBOURS = 6  # beams on either side that a point is smoothed with
 BEARINGS = 240  # directions round a place in which its nearest point is looked for
 GUARD_M = 0.1  # a wall this near to the robot's sides is in its way
 SPACING = 0.49  # of points along a wall, in least openings: two neighbours of one point are nearer than such an opening
+WIDE = 0.8  # of half a turn: a gap as wide as this as seen from the middle of a place
 JUMP = 1 / SPACING  # distance between the points of neighbouring beams beyond which a wall ends, in spacings
 
 
@@ -27,7 +28,7 @@ class Divergence:
     centre: Array  # [T, 2] float32, of the circle through the corners
     radius: Array  # [T] float32, metres
     valid: Array  # [T] bool
-    overflow: Array  # int32, scan points that did not fit
+    overflow: Array  # int32, ends of walls and triangles that did not fit
 
 
 def points(ranges_m, angles_rad):
@@ -158,7 +159,7 @@ def divergences(xy, valid, *, near_m, far_m, width_m, obtuse_tol_deg, open_m, si
 
     Args:
       xy, valid: from `points`.
-      near_m, far_m: bounds of x [D1, D2], metres.
+      near_m, far_m: bounds of x [D1, D2], metres; the second also of the range.
       width_m: no side is shorter [W], metres.
       obtuse_tol_deg: no angle is more than this above 90 degrees.
       open_m: circles as large as this lie in free space and are left out [C1], metres.
@@ -171,6 +172,8 @@ def divergences(xy, valid, *, near_m, far_m, width_m, obtuse_tol_deg, open_m, si
       Mano et al., section III.A.1; Silver et al. 2004. Changed: the tolerance (a dead end's triangle has a right angle,
       so that half of all scans would lose it), and circles in free space are left out.
     """
+    # Beams that go far aside meet a wall beside a tilted robot too far apart, however near ahead.
+    valid &= jnp.sum(xy**2, axis=1) < far_m**2
     xy = smoothed(xy, valid, width_m / 4)
     chosen, there, spacing, overflow = resampled(xy, valid, near_m, far_m, open_m, SPACING * width_m, size=size)
     triangles = delaunay(chosen, there)
@@ -183,7 +186,7 @@ def divergences(xy, valid, *, near_m, far_m, width_m, obtuse_tol_deg, open_m, si
     keep = triangles.valid & (jnp.min(side2, axis=1) > side**2) & (radius < open_m)
     keep &= cosine >= -jnp.sin(jnp.radians(obtuse_tol_deg))
     corners = chosen[jnp.minimum(triangles.corner, size - 1)]
-    return Divergence(corners=corners, centre=centre, radius=radius, valid=keep, overflow=overflow)
+    return Divergence(corners=corners, centre=centre, radius=radius, valid=keep, overflow=overflow + triangles.overflow)
 
 
 def nearest(found, place):
@@ -249,9 +252,12 @@ def openings(xy, valid, centre, radius_m, width_m, *, size):
     gap_here = here & ((width > width_m) | only)
     middle = (point + after) / 2
     bearing = jnp.arctan2(middle[:, 1], middle[:, 0])
-    # Where the gap is more than half a turn, its middle lies on the other side of the centre.
+    # The middle of a gap of about half a turn says little of where it opens, that of a wider one lies on the other side
+    # of the centre: there the bearing is that square to the gap.
     turn = (jnp.arctan2(after[:, 1], after[:, 0]) - jnp.arctan2(point[:, 1], point[:, 0])) % (2 * math.pi)
-    bearing = jnp.where(turn > math.pi, jnp.arctan2(-middle[:, 1], -middle[:, 0]), bearing)
+    across = after - point
+    bearing = jnp.where(turn > WIDE * math.pi, jnp.arctan2(-across[:, 0], across[:, 1]), bearing)
+    bearing = jnp.where(only, jnp.arctan2(-point[:, 1], -point[:, 0]), bearing)
     place = _running_sum(gap_here.astype(jnp.float32)).astype(jnp.int32) - 1
     chosen = gap_here & (place == jnp.arange(size)[:, None])  # [K, BEARINGS]
     return Openings(

@@ -249,6 +249,24 @@ def execute(plan, *, workers=None, on_progress=lambda n: None):
     return Traced(plan, table, first, report.track, report)
 
 
+def trace(world="course", *, workers=None, on_progress=lambda n: None, **options):
+    """Lets a robot drive through a building and write its Behavioral Trace Map, once or many times.
+
+    Args:
+      world: name or `World`.
+      workers: threads; by default one a core.
+      on_progress: called with the number of runs finished so far.
+      **options: see `prepare`.
+
+    Returns:
+      `Traced`.
+
+    Raises:
+      InputError: what cannot be run, in one line.
+    """
+    return execute(prepare(world, **options), workers=workers, on_progress=on_progress)
+
+
 def map_of(plan, result, i):
     """The map of run i of a `Result`: `BtmMap`."""
     import jax

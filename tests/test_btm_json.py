@@ -166,3 +166,15 @@ def test_a_map_that_is_none_is_not_written():
         btm_json.to_json(BtmMap((node(0),), (way(0, 0, 1, 0),)))
     with pytest.raises(InputError, match=r'^"map": attributes must be what JSON can hold, .*, got '):
         btm_json.to_json(BtmMap((), (), {"a": {1}}))
+
+
+def test_files(tmp_path):
+    path = tmp_path / "map.json"
+    store.write_json(btm_json.to_json(CRAWLER), path)
+    assert btm_json.read_btm(path) == CRAWLER
+    path.write_text(path.read_text()[:300])
+    lines = path.read_text().count("\n") + 1
+    with pytest.raises(InputError, match=f"line {lines} must be JSON"):
+        btm_json.read_btm(path)
+    with pytest.raises(InputError, match="must be a readable JSON file"):
+        btm_json.read_btm(tmp_path / "none.json")

@@ -12,6 +12,8 @@ from jexplore import btm, btm_batch, btm_run, tracing
 from jexplore.behave import RunMode
 from jexplore.btm_batch import building_of, numbers_of
 from jexplore.btm_compare import code
+from jexplore.btm_episode import matched
+from jexplore.btm_extract import extract
 from jexplore.btm_run import DT_S, Outcome
 from jexplore.btm_settings import ROBOTS, Noise, Tuning
 from jexplore.config import InputError
@@ -57,6 +59,16 @@ def test_nodes_lie_where_the_building_has_them(course):
     for found, true in zip(course.first.nodes, course.truth.nodes):
         off = math.hypot(found.x_m - true.x_m, found.y_m - true.y_m)
         assert off < {"divergence": 0.2, "obstacle": 0.1, "free_space": 0.3, "terminal": 0.6}[true.type]
+
+
+@pytest.mark.jit
+def test_the_map_that_the_robot_writes_agrees_with_that_of_the_whole_grid(course):
+    world = course.plan.world
+    free = ~world.occupied
+    cell = tuple(int(v / world.cell_m) for v in world.course.start_pose[1::-1])
+    grid_map = extract(free, np.ones_like(free), world.cell_m, start_rc=cell)
+    hits, ours, _ = matched(grid_map, course.first, world.cell_m)
+    assert hits == ours - 3 == 2  # besides, the grid shows the three ends that the robot did not go to
 
 
 def test_every_field_of_the_tables_is_set(course):

@@ -337,6 +337,8 @@ def test_the_end_of_a_run_is_a_node_even_where_it_began():
     assert links_of(writer) == [(0, 1, SEARCHED)]
     assert (latch, bool(writer.exhausted)) == (Latch.FREE, False)
     assert btm.to_map(writer.map).nodes[1].type == "terminal"
+    writer, *_ = written(hall(), event(TERMINAL, 5, (0.1, 0.0, 0.5)))
+    assert links_of(writer)[1] == (1, 2, SEARCHED)
 
 
 # ---------------------------------------------------------------- known nodes, dead ends
@@ -378,6 +380,14 @@ def test_a_dead_end_sends_back_until_nothing_is_left():
     assert links_of(writer) == [(0, 1, SEARCHED), *sorted([(1, 2, SEARCHED), (1, 3, SEARCHED)], reverse=south == 2)]
     assert (bool(writer.exhausted), int(writer.link), latch) == (True, 12, Latch.FREE)
     btm_map.check(btm.to_map(writer.map))
+
+
+def test_a_known_link_takes_no_other_away():
+    t, *_ = at_the_t()
+    writer, *_ = at_a_dead_end(t, (4.0, -6.0), SOUTH, 9.5)
+    before = writer.map
+    writer, *_ = back_at_the_t(writer, 15.5, (3.9, 4.0))  # on the link from the south, though it came in from the north
+    jax.tree.map(np.testing.assert_array_equal, writer.map, before)
 
 
 def test_a_node_met_again_from_its_other_end_loses_the_double_link():
@@ -428,6 +438,11 @@ def test_how_near_a_known_border_is_met_again(away, again):
     writer, *_ = written(hall(), event(FREE_SPACE, 6, (6.0, 0.0, 0.0)))
     writer, *_ = written(writer, event(FREE_SPACE, 12, (2.0 + away, 0.0, WEST)))
     assert int(writer.map.n_nodes) == 3 + (not again)
+
+
+def test_the_node_last_made_is_not_met_again():
+    writer, *_ = written(hall(), event(FREE_SPACE, 2.5, (2.5, 0.0, 0.0)))
+    assert links_of(writer)[1] == (1, 2, SEARCHED)
 
 
 def test_a_new_node_on_a_known_link_has_a_way_of_its_own():

@@ -1,0 +1,182 @@
+"""What is claimed of Behavioral Trace Maps, measured: repeatability, ablations, typing of obstacles, accuracy, speed.
+
+    python benchmarks/btm.py [--runs 1000] [--parts repeat ablation stairs place robots speed]
+
+Everything is printed as Markdown. 1000 runs of each take some twenty minutes on two cores.
+"""
+
+import argparse
+import dataclasses
+import os
+
+import numpy as np
+
+from jexplore import batch, btm_map, tracing
+from jexplore.btm_compare import code
+from jexplore.btm_map import BtmMap
+from jexplore.btm_settings import Noise, Tuning
+from jexplore.tracing import share
+
+STILL = Noise(attitude_deg=0, odometry=0, heading_deg_sqrt_m=0, slip=0)
+PARTS = ("repeat", "ablation", "stairs", "place", "robots", "speed")
+WORKERS = os.cpu_count() or 1
+
+
+def traced(world, **options):
+    return tracing.execute(tracing.prepare(world, **options), workers=WORKERS)
+
+
+def row(*cells):
+    print("| " + " | ".join(str(cell) for cell in cells) + " |", flush=True)
+
+
+def head(*cells):
+    print()
+    row(*cells)
+    row(*["---"] * len(cells))
+
+
+def repeat(runs):
+    head("world", "range noise m", "alike", "the true map", "contacts", "interventions")
+    for world in ("course", "course:obstacle=stairs"):
+        for sigma in (0.01, 0.03, 0.05):
+            table = traced(world, runs=runs, noise=Noise(range_m=sigma)).table
+            alike = int(table["code"].value_counts().iloc[0])
+            right = share(int(table["true"].sum()), len(table))
+            row(world, sigma, share(alike, len(table)), right, table["contacts"].sum(), table["interventions"].sum())
+
+
+def ablation(runs):
+    head("change", "range noise m", "the true map", "nodes")
+    changes = {
+        "none": {},
+        "no voting": {"votes": 1},
+        "obtuse tolerance 0": {"obtuse_tol_deg": 0.0},
+        "search circle 1.1 radii": {"circle": 1.1},
+    }
+    for sigma in (0.01, 0.03):
+        for name, change in changes.items():
+            tuning = dataclasses.replace(Tuning(), **change)
+            for world in ("course", "course#2"):
+                table = traced(world, runs=runs, noise=Noise(range_m=sigma), tuning=tuning).table
+                right = share(int(table["true"].sum()), len(table))
+                row(f"{name}, {world}", sigma, right, f"{table['nodes'].mean():.1f}")
+
+
+def variances(world, runs, sigma):
+    """Residual variances of all obstacle nodes of some runs."""
+    found = traced(world, runs=runs, noise=Noise(range_m=sigma))
+    maps = [tracing.map_of(found.plan, found.report.result, i) for i in range(runs)]
+    nodes = [node for m in maps for node in m.nodes if node.type == "obstacle"]
+    return np.array([node.attributes.get("profile_variance_m2", np.nan) for node in nodes]), nodes
+
+
+def stairs(runs):
+    head("world", "range noise m", "variance, 5 to 95 % (1e-4 m2)", "inclination deg", "posture deg", "step m")
+    groups = {}
+    worlds = ["course", *(f"course:obstacle=stairs,riser_m={h}" for h in (0.05, 0.08, 0.10, 0.15))]
+    for sigma in (0.01, 0.03):
+        for world in worlds:
+            found, nodes = variances(world, runs, sigma)
+            groups[world, sigma] = found[np.isfinite(found)]
+            low, high = 1e4 * np.percentile(groups[world, sigma], [5, 95])
+
+            def span(name, nodes=nodes):
+                values = [v for v in (getattr(node, name) for node in nodes) if v is not None]
+                return f"{min(values):.3g} to {max(values):.3g}" if values else "–"
+
+            row(world, sigma, f"{low:.2f} to {high:.2f}", span("inclination_deg"), span("posture_deg"), span("step_m"))
+    head("Vmax 1e-4 m2", "range noise m", "slopes called stairs", *(f"stairs of {w[-4:]} m found" for w in worlds[1:]))
+    for sigma in (0.01, 0.03):
+        for limit in (0.5e-4, 1e-4, 2e-4, 3e-4, 5e-4, 8e-4, 12e-4):
+            cells = [f"{100 * (groups[world, sigma] > limit).mean():.1f} %" for world in worlds]
+            row(f"{1e4 * limit:g}", sigma, *cells)
+
+
+def place(runs):
+    """Nodes and stubs of noiseless runs on many courses against the true topology."""
+    head("courses", "the true map", "divergences within 2 cells", "stubs: precision", "recall", "largest error m")
+    seeds, right, near, all_nodes, hits, ours, theirs, worst = max(20, runs // 20), 0, 0, 0, 0, 0, 0, 0.0
+    for seed in range(seeds):
+        found = traced(f"course#{seed}", noise=STILL)
+        right += code(found.first) == code(found.truth)
+        match = matched(found.first, found.truth)
+        offs = [off for (node, _), off in match if node.type == "divergence"]
+        near += sum(off <= 2 * found.plan.world.cell_m for off in offs)
+        all_nodes += sum(node.type == "divergence" for node in found.first.nodes)
+        worst = max([worst, *offs])
+        here = stubs(found.first, found.truth, match)
+        hits, ours, theirs = hits + here[0], ours + here[1], theirs + here[2]
+    row(seeds, share(right, seeds), share(near, all_nodes), f"{hits}/{ours}", f"{hits}/{theirs}", f"{worst:.2f}")
+
+
+def matched(found: BtmMap, true: BtmMap):
+    """Nodes of a map with the nearest true one of their type, within a metre: `[((node, true), distance)]`."""
+    pairs = []
+    for node in found.nodes:
+        others = [other for other in true.nodes if other.type == node.type]
+        off = [float(np.hypot(node.x_m - o.x_m, node.y_m - o.y_m)) for o in others]
+        if off and min(off) < 1:
+            pairs.append(((node, others[int(np.argmin(off))]), min(off)))
+    return pairs
+
+
+def stubs(found: BtmMap, true: BtmMap, match):
+    """Un-searched links within 30 degrees of a true one at the same node: `(hits, found, true)`."""
+
+    def at(which: BtmMap, node):
+        links = [link for link in which.links if link.start == node and link.end == btm_map.NOWHERE]
+        return [link.start_bearing_deg for link in links]
+
+    hits = ours = theirs = 0
+    for (node, other), _ in match:
+        if node.type != "divergence":
+            continue
+        left = at(true, other.id)
+        theirs += len(left)
+        for bearing in at(found, node.id):
+            ours += 1
+            near = [b for b in left if abs((b - bearing + 180) % 360 - 180) < 30]
+            if near:
+                left.remove(near[0])
+                hits += 1
+    return hits, ours, theirs
+
+
+def robots(runs):
+    head("world", "range noise m", "width m", "the true map but for obstacles", "same as 0.39 m")
+    for world in ("course", "course#5"):
+        for sigma in (0.0, 0.01):
+            maps = {}
+            for width in (0.39, 0.60):
+                found = traced(world, runs=runs, robot=f"kamui:width_m={width}", noise=Noise(range_m=sigma))
+                results = [tracing.map_of(found.plan, found.report.result, i) for i in range(runs)]
+                maps[width] = [code(m).replace("O:slope", "O") for m in results]
+                true = code(found.truth).replace("O:slope", "O")
+                right = sum(c == true for c in maps[width])
+                same = sum(a == b for a, b in zip(maps[width], maps[0.39]))
+                row(world, sigma, width, share(right, runs), share(same, runs))
+
+
+def speed(runs):
+    head("runs", "noise m", "runs/s", "steps a run", "us a step and core", "compiling s")
+    found = traced("course", runs=runs, noise=Noise(range_m=0.01))
+    steps, rate = found.table["steps"].mean(), runs / found.report.run_s
+    each = f"{1e6 * WORKERS / rate / steps:.0f}"
+    row(runs, 0.01, f"{rate:.1f}", f"{steps:.0f}", each, f"{found.report.compile_s:.1f}")
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--runs", type=int, default=1000)
+    parser.add_argument("--parts", nargs="*", default=PARTS, choices=PARTS)
+    options = parser.parse_args()
+    batch.start_backend(WORKERS)
+    batch.use_compilation_cache()
+    for part in options.parts:
+        print(f"\n## {part}")
+        globals()[part](options.runs)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,315 @@
+"""Maps as padded arrays: how they grow, what one may ask of them, and the record that they become."""
+
+import math
+
+import jax
+import jax.numpy as jnp
+import networkx as nx
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from jexplore import btm, btm_map
+from jexplore.btm import DIVERGENCE, FREE_SPACE, NONE, OBSTACLE, SEARCHED, TERMINAL
+
+EAST, NORTH, WEST, SOUTH = (math.radians(angle) for angle in (0, 90, 180, -90))
+
+
+def grown(nodes=(), links=(), *, n=4, m=5):
+    """A map of nodes `(kind, x, y)` and links `(start, bearing)` or `(start, bearing, end, bearing, length)`."""
+    map_ = btm.empty(n, m)
+    for kind, x, y in nodes:
+        map_, _ = btm.add_node(map_, kind, x, y)
+    for start, bearing, *rest in links:
+        followed = {}
+        if rest:
+            end, end_bearing, length = rest
+            followed = {"end": end, "status": SEARCHED, "end_bearing": end_bearing, "length_m": length}
+        map_, _ = btm.add_link(map_, start, bearing, **followed)
+    return map_
+
+
+def same(one, other, *but):
+    for name, value in one.__dict__.items():
+        if name not in but:
+            np.testing.assert_array_equal(value, getattr(other, name), err_msg=name)
+
+
+# ---------------------------------------------------------------- growth
+
+
+def test_an_empty_map_holds_nothing():
+    map_ = btm.empty(2, 3)
+    assert int(map_.n_nodes) == int(map_.n_links) == int(map_.overflow) == 0
+    for name in ("kind", "obstacle"):
+        np.testing.assert_array_equal(getattr(map_, name), [NONE] * 2)
+    for name in ("start", "end", "status"):
+        np.testing.assert_array_equal(getattr(map_, name), [NONE] * 3)
+    for name in ("x_m", "y_m", "inclination_deg", "step_m", "posture_deg", "variance_m2"):
+        np.testing.assert_array_equal(getattr(map_, name), [np.nan] * 2)
+    for name in ("length_m", "min_width_m", "link_posture_deg", "start_bearing", "end_bearing", "opening_m"):
+        np.testing.assert_array_equal(getattr(map_, name), [np.nan] * 3)
+    for name, value in (("radius_m", [0, 0]), ("intervention", [0, 0]), ("blocked", [False] * 3)):
+        np.testing.assert_array_equal(getattr(map_, name), value)
+    kinds = {value.dtype.name for value in map_.__dict__.values()}
+    assert kinds == {"float32", "int32", "bool"}
+
+
+def test_nodes_are_numbered_in_order_and_keep_their_fields():
+    map_, first = btm.add_node(btm.empty(3, 1), TERMINAL, 1.5, -2.5)
+    map_, second = btm.add_node(map_, OBSTACLE, 3.0, 4.0, obstacle=btm.STAIRS, step_m=0.25, radius_m=1.0)
+    assert (int(first), int(second), int(map_.n_nodes), int(map_.overflow)) == (0, 1, 2, 0)
+    np.testing.assert_array_equal(map_.kind, [TERMINAL, OBSTACLE, NONE])
+    np.testing.assert_array_equal(map_.x_m, [1.5, 3, np.nan])
+    np.testing.assert_array_equal(map_.y_m, [-2.5, 4, np.nan])
+    np.testing.assert_array_equal(map_.obstacle, [NONE, btm.STAIRS, NONE])
+    np.testing.assert_array_equal(map_.step_m, [np.nan, 0.25, np.nan])
+    np.testing.assert_array_equal(map_.radius_m, [0, 1, 0])
+
+
+def test_links_are_unsearched_until_told_otherwise():
+    map_ = grown([(TERMINAL, 0, 0)], [(0, 3 * math.pi / 2), (0, EAST, 0, NORTH, 7.0)], m=3)
+    assert int(map_.n_links) == 2
+    np.testing.assert_array_equal(map_.start, [0, 0, NONE])
+    np.testing.assert_array_equal(map_.end, [NONE, 0, NONE])
+    np.testing.assert_array_equal(map_.status, [btm.UNSEARCHED, SEARCHED, NONE])
+    np.testing.assert_allclose(map_.start_bearing, [SOUTH, EAST, np.nan], atol=1e-6)
+    np.testing.assert_array_equal(map_.length_m, [np.nan, 7, np.nan])
+
+
+def test_what_does_not_fit_is_counted_and_overwrites_nothing():
+    full = grown([(TERMINAL, 0, 0), (DIVERGENCE, 1, 1)], [(0, EAST), (1, WEST)], n=2, m=2)
+    more, node = btm.add_node(full, FREE_SPACE, 9.0, 9.0, posture_deg=9.0)
+    assert (int(node), int(more.n_nodes), int(more.overflow)) == (2, 2, 1)
+    same(full, more, "overflow")
+    more, link = btm.add_link(more, 1, NORTH, opening_m=9.0)
+    assert (int(link), int(more.n_links), int(more.overflow)) == (2, 2, 2)
+    same(full, more, "overflow")
+
+
+@pytest.mark.parametrize("links", [[], [(0, EAST), (0, WEST)]])
+def test_a_link_that_is_not_wanted_changes_nothing(links):
+    before = grown([(TERMINAL, 0, 0)], links, m=2)
+    after, link = btm.add_link(before, 0, NORTH, when=jnp.bool_(False), opening_m=1.0)
+    assert int(link) == 2
+    same(before, after)
+
+
+# ---------------------------------------------------------------- angles
+
+
+@pytest.mark.parametrize(
+    ("angle", "want"),
+    [(0, 0), (90, 90), (-90, -90), (179, 179), (-180, -180), (180, -180), (270, -90), (-200, 160), (730, 10)],
+)  # fmt: skip
+def test_wrapped_by_hand(angle, want):
+    assert math.degrees(btm.wrapped(math.radians(angle))) == pytest.approx(want, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("bearing", "reference", "want"),
+    [(0, -90, 90), (90, -90, 180), (180, -90, 270), (-90, -90, 360), (-91, -90, 359), (10, 350, 20), (350, 10, 340)],
+)
+def test_turned_left_by_hand(bearing, reference, want):
+    found = btm.turned_left(jnp.float32(math.radians(bearing)), jnp.float32(math.radians(reference)))
+    assert math.degrees(found) == pytest.approx(want, abs=1e-3)
+
+
+# ---------------------------------------------------------------- nodes and links near by
+
+
+@pytest.mark.parametrize(
+    ("place", "kind", "want"),
+    [
+        ((0, 0), TERMINAL, (0, 0)),
+        ((3, 4), TERMINAL, (0, 5)),
+        ((3, 4), DIVERGENCE, (1, 4)),
+        ((10, 1), DIVERGENCE, (2, 1)),
+        ((6.5, 0), DIVERGENCE, (1, 3.5)),  # equally near: the lower id
+        ((0, 0), OBSTACLE, (NONE, btm.FAR_M)),
+        ((0, 0), FREE_SPACE, (NONE, btm.FAR_M)),
+    ],
+)
+def test_the_nearest_node_of_a_kind(place, kind, want):
+    map_ = grown([(TERMINAL, 0, 0), (DIVERGENCE, 3, 0), (DIVERGENCE, 10, 0)])
+    which, distance = btm.nearest_node(map_, *place, kind)
+    assert (int(which), float(distance)) == want
+
+
+def test_the_first_open_link_lies_to_the_right_then_ahead_then_to_the_left():
+    """A robot that came north, so that the way in lies south, at a crossing."""
+    nodes = [(DIVERGENCE, 0, 0), (DIVERGENCE, 5, 5)]
+    links = [(0, WEST), (0, NORTH), (1, EAST), (0, EAST), (0, SOUTH)]
+    map_ = grown(nodes, links)
+    order = []
+    while (link := int(btm.first_open(map_, 0, SOUTH))) != NONE:
+        order.append(link)
+        map_ = map_.replace(status=map_.status.at[link].set(SEARCHED))
+    assert order == [3, 1, 0, 4]  # the way in last of all
+    assert int(btm.first_open(map_, 1, SOUTH)) == 2
+
+
+def test_a_blocked_link_is_never_open():
+    map_ = grown([(DIVERGENCE, 0, 0)], [(0, EAST), (0, NORTH)])
+    np.testing.assert_array_equal(btm.open_links(map_), [True, True, False, False, False])
+    map_ = map_.replace(blocked=map_.blocked.at[0].set(True))
+    np.testing.assert_array_equal(btm.open_links(map_), [False, True, False, False, False])
+    assert int(btm.first_open(map_, 0, SOUTH)) == 1
+    map_ = map_.replace(blocked=map_.blocked.at[1].set(True))
+    assert int(btm.first_open(map_, 0, SOUTH)) == NONE
+
+
+def test_joined_by_a_followed_link_either_way_round():
+    map_ = grown([(DIVERGENCE, 0, 0)] * 3, [(0, EAST), (2, EAST, 1, WEST, 1.0), (1, EAST, 0, WEST, 1.0)])
+    assert [int(btm.joined(map_, *pair)) for pair in ((1, 2), (2, 1), (0, 1), (1, 0))] == [1, 1, 2, 2]
+    assert [int(btm.joined(map_, *pair)) for pair in ((0, 2), (0, NONE), (1, 1))] == [NONE] * 3
+
+
+# ---------------------------------------------------------------- the way back
+
+
+def test_the_way_back_by_hand():
+    """A chain 0 - 1 - 2 - 3 with an open link at 0; 3 hangs on by a link of its own as well."""
+    links = [(0, EAST, 1, WEST, 2.0), (1, EAST, 2, WEST, 3.0), (3, SOUTH, 2, NORTH, 1.0), (0, WEST), (3, WEST)]
+    map_ = grown([(DIVERGENCE, i, 0) for i in range(4)], links)
+    np.testing.assert_array_equal(btm.hops_to_open(map_), [0, 2, 1, 0])
+    closed = map_.replace(blocked=map_.blocked.at[4].set(True))
+    np.testing.assert_array_equal(btm.hops_to_open(closed), [0, 2, 5, 6])
+    for node, want in ((3, (2, SOUTH, 2)), (2, (1, WEST, 1)), (1, (0, WEST, 0))):
+        link, bearing, to = btm.next_hop(closed, node)
+        assert (int(link), float(bearing), int(to)) == pytest.approx(want)
+    nothing = closed.replace(blocked=closed.blocked.at[3].set(True))
+    np.testing.assert_array_equal(btm.hops_to_open(nothing), [btm.FAR_M] * 4)
+    link, bearing, to = btm.next_hop(nothing, 2)
+    assert (int(link), float(bearing), int(to)) == (NONE, 0, NONE)
+
+
+N, M = 7, 12
+HOPS, HOP = jax.jit(btm.hops_to_open), jax.jit(jax.vmap(btm.next_hop, (None, 0)))
+
+
+def random_map(seed):
+    """Nodes and links at random: followed, un-searched, blocked, withdrawn; room left over."""
+    draw = np.random.default_rng(seed)
+    n, m = int(draw.integers(2, N + 1)), int(draw.integers(1, M + 1))
+    followed, withdrawn = draw.random(m) < 0.7, draw.random(m) < 0.1
+    start, end = draw.integers(n, size=(2, m))
+    empty = btm.empty(N, M)
+
+    def padded(name, values):
+        return getattr(empty, name).at[:m].set(values)
+
+    return empty.replace(
+        kind=empty.kind.at[:n].set(DIVERGENCE),
+        x_m=empty.x_m.at[:n].set(draw.random(n)),
+        y_m=empty.y_m.at[:n].set(draw.random(n)),
+        start=padded("start", np.where(withdrawn, NONE, start)),
+        end=padded("end", np.where(followed, end, NONE)),
+        status=padded("status", np.where(withdrawn, NONE, followed)),
+        blocked=padded("blocked", draw.random(m) < 0.3),
+        length_m=padded("length_m", np.where(followed, draw.uniform(0.5, 9, m), np.nan)),
+        start_bearing=padded("start_bearing", draw.uniform(-3, 3, m)),
+        end_bearing=padded("end_bearing", np.where(followed, draw.uniform(-3, 3, m), np.nan)),
+        n_nodes=jnp.int32(n),
+        n_links=jnp.int32(m),
+    )
+
+
+@pytest.mark.jit
+@given(st.integers(0, 2**20))
+@settings(max_examples=50, deadline=None)
+def test_the_way_back_is_dijkstras(seed):
+    map_ = random_map(seed)
+    graph = nx.MultiGraph()
+    graph.add_nodes_from(range(N))
+    sources = set()
+    fields = ("start", "end", "status", "blocked", "length_m", "start_bearing", "end_bearing")
+    rows = list(zip(*(np.asarray(getattr(map_, name)).tolist() for name in fields)))
+    for start, end, status, blocked, length, *_ in rows:
+        if status == SEARCHED:
+            graph.add_edge(start, end, weight=length)
+        elif status == btm.UNSEARCHED and not blocked:
+            sources.add(start)
+    away = nx.multi_source_dijkstra_path_length(graph, sources) if sources else {}
+    want = [away.get(node, btm.FAR_M) for node in range(N)]
+    np.testing.assert_allclose(HOPS(map_), want, rtol=1e-5)
+    for node, (link, bearing, to) in enumerate(zip(*(np.asarray(a).tolist() for a in HOP(map_, jnp.arange(N))))):
+        ways = {}
+        for i, (start, end, status, _, length, start_bearing, end_bearing) in enumerate(rows):
+            if status == SEARCHED:
+                for here, there, leaves in ((start, end, start_bearing), (end, start, end_bearing)):
+                    if here == node and there in away:
+                        ways[i, leaves, there] = length + away[there]
+        assert ((link, bearing, to) == (NONE, 0, NONE)) == (not ways)
+        if ways:
+            assert ways[link, bearing, to] == pytest.approx(min(ways.values()), rel=1e-5)
+
+
+# ---------------------------------------------------------------- the record
+
+
+def test_the_record_by_hand():
+    map_ = btm.empty(3, 6)
+    map_, _ = btm.add_node(map_, TERMINAL, 1.0, 2.0, posture_deg=0.5)
+    map_, _ = btm.add_node(map_, OBSTACLE, 3.0, 4.0, obstacle=btm.STAIRS, step_m=0.25, inclination_deg=30.0,
+                           variance_m2=0.001953125, intervention=2)  # fmt: skip
+    map_, _ = btm.add_link(map_, 0, EAST, end=1, status=SEARCHED, length_m=2.5, min_width_m=jnp.inf,
+                           end_bearing=-math.pi / 2, link_posture_deg=12.5)  # fmt: skip
+    map_, gone = btm.add_link(map_, 1, NORTH)
+    map_, _ = btm.add_link(map_, 1, NORTH, opening_m=1.25, blocked=True)
+    map_ = map_.replace(status=map_.status.at[gone].set(NONE), start=map_.start.at[gone].set(NONE))
+    record = btm.to_map(map_.replace(overflow=jnp.int32(3)), origin_m=(10.0, -20.0), seed=7)
+    assert record == btm_map.BtmMap(
+        nodes=(
+            btm_map.Node(0, 11.0, -18.0, "terminal", posture_deg=0.5),
+            btm_map.Node(1, 13.0, -16.0, "obstacle", "stairs", 30.0, 0.25,
+                         attributes={"intervention": 2, "profile_variance_m2": 0.001953125}),
+        ),
+        links=(
+            btm_map.Link(0, 0, 1, "searched", 0.0, pytest.approx(-90), 2.5, None, 12.5),
+            btm_map.Link(1, 1, btm_map.NOWHERE, "un-searched", pytest.approx(90), opening_m=1.25,
+                         attributes={"blocked": True}),
+        ),
+        attributes={"overflow": 3, "seed": 7},
+    )  # fmt: skip
+    assert btm_map.check(record) == record
+    assert (btm.NODE_TYPES[FREE_SPACE], btm.NODE_TYPES[DIVERGENCE], btm.OBSTACLES[btm.SLOPE]) == (
+        "free_space", "divergence", "slope",
+    )  # fmt: skip
+
+
+def test_an_end_is_forgotten_where_the_link_is_unsearched():
+    map_ = grown([(TERMINAL, 0, 0)], [(0, EAST)])
+    map_ = map_.replace(end=map_.end.at[0].set(0))
+    assert btm.to_map(map_).links[0].end == btm_map.NOWHERE
+
+
+def test_an_empty_map_becomes_an_empty_record():
+    assert btm_map.check(btm.to_map(btm.empty(2, 2))) == btm_map.BtmMap((), (), {"overflow": 0})
+
+
+# ---------------------------------------------------------------- laws
+
+
+def all_answers(map_):
+    more, node = btm.add_node(map_, OBSTACLE, 0.5, 0.5, step_m=0.1)
+    more, link = btm.add_link(more, 1, 2.5)
+    return (
+        more, node, link, btm.open_links(map_), btm.first_open(map_, 0, 1.0), btm.hops_to_open(map_),
+        btm.next_hop(map_, 1), btm.joined(map_, 0, 1), btm.nearest_node(map_, 0.3, 0.7, DIVERGENCE),
+    )  # fmt: skip
+
+
+@pytest.mark.jit
+def test_rows_of_a_batch_are_independent_and_jit_changes_nothing():
+    maps, answers = [random_map(seed) for seed in (1, 2, 5)], jax.jit(all_answers)
+    batch = jax.jit(jax.vmap(all_answers))(jax.tree.map(lambda *a: jnp.stack(a), *maps))
+
+    def close(many, one):
+        np.testing.assert_allclose(many, one, rtol=1e-6, atol=1e-6)
+
+    for i, map_ in enumerate(maps):
+        jax.tree.map(lambda many, one, i=i: close(many[i], one), batch, answers(map_))
+    with jax.disable_jit():
+        jax.tree.map(close, all_answers(maps[0]), answers(maps[0]))
