@@ -64,6 +64,8 @@ class Outcome(enum.IntEnum):
     BLIND = 4
     """The scanner gives no numbers."""
     STEP_LIMIT = 5
+    MAP_FULL = 6
+    """A node did not fit into the map."""
 
 
 @struct.dataclass
@@ -329,7 +331,7 @@ def step(key, building, robot, tuning, noise, state):
     # What lies ahead.
     writer, track, overflow = _watch(state, writer, xy, valid, beside.min(), placed, tuning)
     hall, enters, leaves = behave.watch_hall(
-        state.hall, *hall_sides, state.odometer_m, tuning.open_m, drive.latch == Latch.FREE
+        state.hall, *hall_sides, state.odometer_m, tuning.open_m, (drive.latch == Latch.FREE) & (blind == 0)
     )
     border_m = jnp.where(enters, hall.since_m + region[0], writer.border_m)
     border_m = jnp.where(leaves, hall.since_m + region[1], border_m)
@@ -341,8 +343,8 @@ def step(key, building, robot, tuning, noise, state):
         jnp.radians(tuning.inclination_deg),
         btm_write.EVEN_LENGTHS * robot.length_m,
     )
-    too_high_m, is_step = _cannot_climb(writer.way, robot, state)
-    blocked = jnp.where((too_high_m > 0) & (drive.latch == Latch.FREE), state.blocked + 1, 0)
+    stops, ahead_step_m, ahead_slope = _cannot_climb(writer.way, robot, state)
+    blocked = jnp.where(stops & (drive.latch == Latch.FREE), state.blocked + 1, 0)
 
     # A latch begins and ends.
     believed = behave.is_believed(track, tuning.votes)
@@ -364,7 +366,8 @@ def step(key, building, robot, tuning, noise, state):
     writer = writer.replace(border_m=jnp.where(early, state.odometer_m, border_m))
     crosses = missed | (state.odometer_m >= writer.border_m)
     stops = blocked >= SURE
-    event = _event(state, writer, track, at_goal, changed, crease_m, steepest, crosses, arrives, stops, is_step)
+    beyond = ahead_step_m, ahead_slope
+    event = _event(state, writer, track, at_goal, changed, crease_m, steepest, crosses, arrives, stops, beyond)
     writer, drive, track, estimate = _write(state, writer, drive, track, event, tuning, robot)
     blocked = jnp.where(event.blocked, 0, blocked)
 
@@ -389,10 +392,10 @@ def step(key, building, robot, tuning, noise, state):
         target=target,
         blocked=blocked,
         blind=blind,
-        truth=state.truth.at[state.step].set(body.pose, mode="drop"),
+        truth=state.truth.at[state.step].set(state.body.pose, mode="drop"),
         step=state.step + 1,
     )
-    return _end(_helped(after, senses, event), at_goal)
+    return _end(_helped(after, senses, event), at_goal & (event.kind == btm.TERMINAL))
 
 
 def _note(state, senses, width_m, ground_x, ground_z):
@@ -441,7 +444,12 @@ def _kept_points(xy, valid, placed, tuning):
 
 
 def _cannot_climb(way, robot, state):
-    """Whether the ground ahead is more than the robot can climb: `(height_m, is_step)`; 0 where it can."""
+    """Whether the ground ahead is more than the robot can climb.
+
+    Returns:
+      `(stops, step_m, slope)`: bool; height of the step that stops it, 0 for none; inclination of the slope that does,
+        radians, 0 for none.
+    """
     first = jnp.clip(state.step + 1 - RECENT, 0, way.ground_x_m.shape[0] - RECENT)
     x, z = (lax.dynamic_slice(array, (first,), (RECENT,)) for array in (way.ground_x_m, way.ground_z_m))
     x = jnp.where(first + jnp.arange(RECENT) <= state.step, x, jnp.inf)
@@ -455,22 +463,23 @@ def _cannot_climb(way, robot, state):
     def judged(_):
         step_m = perceive.profile(x, z, ahead | behind).step_m
         is_step = (step_m > robot.max_step_m) & (step_m > btm_write.STEP_M)
-        return jnp.where(is_step | (rise > slope_m), jnp.maximum(rise, step_m), 0.0), is_step
+        stops = is_step | (rise > slope_m)
+        slope = jnp.abs(jnp.arctan(perceive.profile(x, z, ahead).slope))
+        return stops, jnp.where(is_step, step_m, 0.0), jnp.where(stops & ~is_step, slope, 0.0)
 
     high = rise > jnp.minimum(slope_m, robot.max_step_m)
-    return run_if(high, judged, (jnp.float32(0), jnp.bool_(False)))
+    return run_if(high, judged, (jnp.bool_(False), jnp.float32(0), jnp.float32(0)))
 
 
-def _event(state, writer, track, at_goal, changed, crease_m, steepest, crosses, arrives, stops, is_step):
+def _event(state, writer, track, at_goal, changed, crease_m, steepest, crosses, arrives, stops, beyond):
     """The node that is due; of several the one that lies first on the way."""
     here = state.estimate
     crease = btm_write.pose_at(writer.way, crease_m)
     crease_m = jnp.maximum(crease_m, writer.node_m)
-    blocked_pose = here
     order = [
         (at_goal, btm.TERMINAL, state.odometer_m, here, here[:2]),
         (arrives & ~crosses, btm.DIVERGENCE, state.odometer_m, here, track.centre),
-        (stops, btm.OBSTACLE, state.odometer_m, blocked_pose, here[:2]),
+        (stops, btm.OBSTACLE, state.odometer_m, here, here[:2]),
         (crosses, btm.FREE_SPACE, state.odometer_m, here, here[:2]),
         (changed, btm.OBSTACLE, crease_m, crease, crease[:2]),
     ]
@@ -487,8 +496,8 @@ def _event(state, writer, track, at_goal, changed, crease_m, steepest, crosses, 
         centre=centre,
         radius=jnp.where(kind == btm.DIVERGENCE, track.radius, 0.0),
         posture=writer.way.posture[jnp.minimum(state.step, writer.way.posture.shape[0] - 1)],
-        steepest=steepest,
-        step_m=jnp.where(is_blocked & is_step, 1.0, 0.0),
+        steepest=jnp.where(is_blocked, beyond[1], steepest),
+        step_m=jnp.where(is_blocked, beyond[0], 0.0),
         blocked=is_blocked,
     )
 
@@ -512,7 +521,7 @@ def _write(state, writer, drive, track, event, tuning, robot):
         )
         return whole.map, {name: getattr(whole, name) for name in rest}, drive, track, estimate
 
-    names = ("node", "node_m", "link", "left_bearing", "border_m", "snapshot_there", "exhausted")
+    names = ("node", "node_m", "link", "left_bearing", "border_m", "snapshot_there", "exhausted", "full")
     rest = {name: getattr(writer, name) for name in names}
     map_, rest, drive, track, estimate = run_if(
         event.kind != btm.NONE, made, (writer.map, rest, drive, track, state.estimate)
@@ -542,12 +551,13 @@ def _helped(state, senses, event):
     )
 
 
-def _end(state, at_goal):
+def _end(state, at_end):
     ends = [
         (state.blind >= BLIND_STEPS, Outcome.BLIND),
         (state.helps >= HELPS, Outcome.STUCK),
         (state.writer.exhausted, Outcome.EXHAUSTED),
-        (at_goal, Outcome.GOAL),
+        (state.writer.full, Outcome.MAP_FULL),
+        (at_end, Outcome.GOAL),
     ]
     outcome = state.outcome
     for ended, name in ends:

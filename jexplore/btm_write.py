@@ -6,6 +6,7 @@ and leaves it, an obstacle where the ground's inclination changes, known once th
 
 import math
 
+import jax
 import jax.numpy as jnp
 from flax import struct
 from jax import Array
@@ -80,6 +81,7 @@ class Writer:
     snapshot_m: Array  # float32, odometer of the last one
     n_snapshots: Array  # int32
     exhausted: Array  # bool, nothing is left to follow
+    full: Array  # bool, a node did not fit
 
 
 def begin(n_steps, n_points, n_nodes, n_links, pose):
@@ -102,6 +104,7 @@ def begin(n_steps, n_points, n_nodes, n_links, pose):
         snapshot_m=jnp.float32(-jnp.inf),
         n_snapshots=jnp.int32(0),
         exhausted=jnp.bool_(False),
+        full=jnp.bool_(False),
     )
 
 
@@ -216,16 +219,17 @@ def write(writer, event, tuning, robot):
         event.centre[1],
         radius_m=event.radius,
         posture_deg=jnp.where(is_obstacle, posture, jnp.degrees(event.posture)),
-        inclination_deg=jnp.where(is_obstacle, jnp.degrees(event.steepest), jnp.nan),
+        inclination_deg=jnp.where(is_obstacle & (event.step_m == 0), jnp.degrees(event.steepest), jnp.nan),
         obstacle=jnp.where(is_obstacle, jnp.where(event.step_m > 0, btm.STAIRS, btm.SLOPE), btm.NONE),
         step_m=jnp.where(event.step_m > 0, event.step_m, jnp.nan),
     )
     map_ = _either(again, writer.map, added)
     node = jnp.where(again, near, new)
+    fits = again | (writer.map.n_nodes < map_.kind.shape[0])
     shift = jnp.where(again & is_divergence, jnp.stack([map_.x_m[near], map_.y_m[near]]) - event.centre, 0.0)
 
     # The obstacle that the way here led over.
-    map_ = _judge_profile(map_, writer, event, tuning, robot, posture)
+    map_ = _judge_profile(map_, writer, event, tuning, robot, posture, node)
 
     # Openings of a divergence; the way in is the one nearest to where the robot came from.
     came = jnp.where(is_divergence, writer.entry - event.centre, -_heading(event.pose[2]))
@@ -273,17 +277,19 @@ def write(writer, event, tuning, robot):
     leaves = ~through & (onto != btm.NONE)
     out = jnp.where(is_divergence, event.radius, 0) + tuning.leave_m
     target = event.centre + shift + out * _heading(bearing)
+    written = writer.replace(
+        map=map_,
+        node=node,
+        node_m=event.odometer_m,
+        link=jnp.where(onto == btm.NONE, size, onto),
+        left_bearing=jnp.where(through, event.pose[2], bearing),
+        border_m=_border_left(writer, event),
+        snapshot_there=writer.snapshot_there & ~is_divergence,
+        exhausted=~is_terminal & (onto == btm.NONE),
+    )
+    refused = writer.replace(map=writer.map.replace(overflow=writer.map.overflow + 1), full=jnp.bool_(True))
     return (
-        writer.replace(
-            map=map_,
-            node=node,
-            node_m=event.odometer_m,
-            link=jnp.where(onto == btm.NONE, size, onto),
-            left_bearing=jnp.where(through, event.pose[2], bearing),
-            border_m=_border_left(writer, event),
-            snapshot_there=writer.snapshot_there & ~is_divergence,
-            exhausted=~is_terminal & (onto == btm.NONE),
-        ),
+        jax.tree.map(lambda new, old: jnp.where(fits, new, old), written, refused),
         jnp.where(leaves, Latch.LEAVE, Latch.FREE).astype(jnp.int32),
         target,
         shift,
@@ -336,7 +342,7 @@ def _other_link(map_, node, link):
     return jnp.where(jnp.any(others), jnp.argmax(others).astype(jnp.int32), link)
 
 
-def _judge_profile(map_, writer, event, tuning, robot, posture):
+def _judge_profile(map_, writer, event, tuning, robot, posture, here):
     """Says of the obstacle that lies behind what it is, once the robot has passed it."""
     before = jnp.minimum(writer.node, map_.kind.shape[0] - 1)
     over = map_.kind[before] == btm.OBSTACLE
@@ -347,7 +353,6 @@ def _judge_profile(map_, writer, event, tuning, robot, posture):
     is_steep = jnp.abs(jnp.arctan(found.slope)) > jnp.radians(tuning.inclination_deg)
     judged = over & is_steep & (found.count >= 3) & (event.odometer_m > writer.node_m)
     stairs = judged & (found.variance_m2 > tuning.variance_max_m2)
-    here = map_.n_nodes - 1
 
     def mark(array, at, value, when):
         return array.at[jnp.where(when, at, array.shape[0])].set(value, mode="drop")
@@ -364,7 +369,7 @@ def _judge_profile(map_, writer, event, tuning, robot, posture):
     on_it = (way.odometer_m > writer.node_m + margin) & (way.odometer_m < event.odometer_m - margin)
     n = jnp.sum(on_it)
     even = jnp.degrees(jnp.sum(jnp.where(on_it, jnp.abs(way.pitch), 0)) / jnp.maximum(n, 1))
-    even = jnp.where(over & (n > 0), even, 0)
+    even = jnp.where(over & (n > 0) & (even > tuning.inclination_deg), even, jnp.nan)
     inclination = map_.inclination_deg
     for at, is_one in ((before, over), (here, over & (event.kind == btm.OBSTACLE))):
         inclination = mark(inclination, at, jnp.fmax(inclination[at], even), is_one)

@@ -435,6 +435,8 @@ def _trace(options, arguments):
     noise = options.noise if options.noise_m is None else dataclasses.replace(options.noise, range_m=options.noise_m)
     if options.from_episode:
         return _trace_episode(out, options, arguments)
+    if options.strategy != type(options)().strategy:
+        raise InputError("--strategy goes with --from-episode")
     plan = tracing.prepare(
         options.world,
         robot=options.robot,
@@ -459,9 +461,12 @@ def _trace(options, arguments):
     if options.animate and not found.report.interrupted:
         from jexplore import btm_replay, operator_view
 
-        with _working(len(found.track.truth), "steps") as on_progress:
-            page = operator_view.page(btm_replay.record(plan, on_progress))
-        files["btm.html"] = lambda path: path.write_text(page, encoding="utf-8")
+        try:
+            with _working(len(found.track.truth), "steps") as on_progress:
+                page = operator_view.page(btm_replay.record(plan, on_progress))
+            files["btm.html"] = lambda path: path.write_text(page, encoding="utf-8")
+        except KeyboardInterrupt:
+            print("warning: interrupted, btm.html was left out", file=sys.stderr)
     text = tracing.tables(found.first) + "\n" + "\n".join(tracing.summary(found))
     rate = len(found.table) / found.report.run_s
     entries = {"runs_per_s": rate, "compile_s": found.report.compile_s, "run_s": found.report.run_s}
@@ -517,6 +522,11 @@ def _trace_episode(out, options, arguments):
     """A map from what an exploration episode has seen."""
     from jexplore import btm_episode, plot, tracing
 
+    plain, own = type(options)(), ("world", "strategy", "seed", "cell_m", "tuning", "out", "overwrite", "from_episode")
+    for field in dataclasses.fields(options):
+        if field.name not in own and getattr(options, field.name) != getattr(plain, field.name):
+            option = field.name.replace("_", "-")
+            raise InputError(f"--from-episode takes no --{option}: an episode's robot is that of `jexplore explore`")
     with _note(COMPILING):
         found = btm_episode.extracted(
             options.world,

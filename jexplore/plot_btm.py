@@ -15,8 +15,8 @@ from jexplore.plot import PALETTE, wrapped
 NODE_STYLES = {
     "terminal": {"marker": "s", "markerfacecolor": "white"},
     "divergence": {"marker": "o", "markerfacecolor": PALETTE[6]},
-    "free_space": {"marker": "^", "markerfacecolor": PALETTE[4]},
-    "obstacle": {"marker": "D", "markerfacecolor": PALETTE[3]},
+    "free_space": {"marker": "D", "markerfacecolor": PALETTE[4]},
+    "obstacle": {"marker": "^", "markerfacecolor": PALETTE[3]},
 }
 MODE_COLOURS = tuple(PALETTE[i] for i in (0, 1, 2, 5, 7, 3, 4, 6))
 """Of run modes, those first that no type of node has; a ninth mode starts over."""

@@ -3,6 +3,7 @@
 import collections
 import dataclasses
 import itertools
+import math
 import os
 from typing import Any
 
@@ -18,6 +19,13 @@ from jexplore.stats import aligned_table
 from jexplore.world import World, draw_start
 
 MAX_RUNS = 1_000_000
+NOTED = {
+    "contacts": "steps refused because of a wall",
+    "refused": "steps refused because of the ground",
+    "interventions": "interventions of the operator",
+    "overflow": "warning: nodes and links that did not fit",
+    "scan_overflow": "warning: ends of walls that did not fit into a scan's points",
+}
 LEFT = ("angles deg", "type", "obstacle", "status")  # columns of text
 NOISE = "noise."  # names of noise begin so in a sweep
 
@@ -112,18 +120,28 @@ def swept_values(sweep, settings, seed):
     lists, ranges = {}, {}
     for text in sweep:
         name, equals, values = text.partition("=")
+        if name in lists or name in ranges:
+            raise InputError(f"sweep names {name} more than once")
         if name not in known or not equals:
             names = ", ".join(known)
             raise InputError(f"sweep must be NAME=A,B,... or NAME=LOW:HIGH, got {text!r}; there are {names}")
         try:
             if ":" in values:
-                low, high = (float(v) for v in values.split(":"))
+                low, high = (float(v) for v in values.split(":", 1))
+                if not low < high:
+                    raise InputError(f"sweep {text!r}: a range must rise, as in {name}={high:g}:{low:g}")
                 ranges[name] = (low, high)
             else:
                 lists[name] = [float(v) for v in values.split(",")]
-        except ValueError:
+                if name == "votes" and any(value != int(value) for value in lists[name]):
+                    raise InputError(f"sweep {text!r}: votes must be integers")
+        except InputError:
+            raise
+        except (ValueError, OverflowError):
             raise InputError(f"sweep {text!r}: values must be numbers") from None
     if not ranges:
+        if math.prod(len(values) for values in lists.values()) > MAX_RUNS:
+            raise InputError(f"sweep: more than {MAX_RUNS} combinations; use fewer values")
         rows = list(itertools.product(*lists.values()))
         return {name: np.array([row[i] for row in rows]) for i, name in enumerate(lists)}
     from scipy.stats import qmc
@@ -330,9 +348,15 @@ def summary(traced, most=10):
     outcomes = collections.Counter(table["outcome"])
     lines.append("outcomes: " + ", ".join(f"{name} {count}" for name, count in outcomes.most_common()))
     alike = collections.Counter(table["code"]).most_common(1)[0][1]
-    lines.append(f"exactly the same map: {share(alike, len(table))} of {len(table)} runs")
-    if traced.truth is not None:
+    if len(table) > 1:
+        lines.append(f"exactly the same map: {share(alike, len(table))} of {len(table)} runs")
+    if traced.truth is not None and len(table) > 1:
         lines.append(f"that of the true topology: {share(int(table['true'].sum()), len(table))}")
+    elif traced.truth is not None:
+        lines.append(f"the true topology: {'yes' if table['true'][0] else 'no'}")
+    for name, what in NOTED.items():
+        if table[name].sum():
+            lines.append(f"{what}: {table[name].sum()} in {(table[name] > 0).sum()} of the runs")
     if traced.plan.settings > 1:
         lines += ["", *_settings_table(traced, most)]
     return lines

@@ -92,6 +92,11 @@ def test_every_field_of_the_tables_is_set(course):
     assert np.abs(np.array(lengths) - true).max() < 0.8
 
 
+def test_pose_and_estimate_are_of_one_moment(course):
+    np.testing.assert_allclose(course.track.truth[:, :2], course.track.estimate[:, :2], atol=0.02)
+    np.testing.assert_allclose(course.track.truth[:, 2], course.track.estimate[:, 2], atol=1e-3)
+
+
 def test_both_divergences_are_turned_right_and_modes_come_in_the_order_of_the_text(course):
     heading = np.unwrap(course.track.truth[:, 2])
     assert abs(heading[-1] - (-math.pi)) < 0.1
@@ -125,6 +130,34 @@ def test_the_wheeled_robot_cannot_pass_the_slope():
     assert found.table["refused"].tolist() == [0]  # it has seen it
     (onward,) = (link for link in found.first.links if link.status == "un-searched")
     assert onward.attributes["blocked"] is True
+    assert found.first.nodes[1].obstacle == "slope"
+    assert abs(found.first.nodes[1].inclination_deg - 10) < 2
+
+
+@pytest.mark.jit
+def test_the_wheeled_robot_cannot_pass_stairs():
+    found = ran(tracing.prepare("course:obstacle=stairs", robot="wheeled", noise=Noise(range_m=0.01)))
+    assert kinds(found.first) == "TO"
+    assert found.first.nodes[1].obstacle == "stairs"
+    assert abs(found.first.nodes[1].step_m - 0.10) < 0.02
+    assert found.first.nodes[1].inclination_deg is None
+
+
+def test_ends_by_name(course):
+    plan = course.plan
+    state = btm_run.begin(plan.building, KAMUI, 10)
+    full = state.replace(writer=state.writer.replace(full=True))
+    done = state.replace(writer=state.writer.replace(exhausted=True))
+    for at, at_end, outcome in [
+        (state, False, Outcome.RUNNING),
+        (state, True, Outcome.GOAL),
+        (full, False, Outcome.MAP_FULL),
+        (done, False, Outcome.EXHAUSTED),
+        (state.replace(helps=btm_run.HELPS), False, Outcome.STUCK),
+        (state.replace(blind=btm_run.BLIND_STEPS), False, Outcome.BLIND),
+        (done, True, Outcome.GOAL),
+    ]:
+        assert int(btm_run._end(at, at_end).outcome) == outcome
 
 
 @pytest.mark.jit
@@ -215,6 +248,11 @@ def test_a_room_without_a_passage():
         ({"sweep": ["vote=3"]}, "sweep must be NAME="),
         ({"sweep": ["votes=a"]}, "values must be numbers"),
         ({"sweep": ["circle=0.5:2"]}, "tuning.circle"),
+        ({"sweep": ["circle=2:1.5"]}, "a range must rise"),
+        ({"sweep": ["circle=1.2:1.5:2"]}, "values must be numbers"),
+        ({"sweep": ["circle=1.2", "circle=1.5"]}, "names circle more than once"),
+        ({"sweep": ["votes=2.5"]}, "votes must be integers"),
+        ({"sweep": [f"{name}=" + ",".join(["1.5"] * 200) for name in ("circle", "same_m", "ahead_m")]}, "combinations"),
         ({"runs": 0}, "runs must be an integer"),
         ({"runs": 1000, "sweep": ["circle=1.2:2"], "settings": 10_000}, "use fewer"),
         ({"max_steps": 5}, "max_steps"),

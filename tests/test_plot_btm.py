@@ -64,7 +64,7 @@ def test_nodes_and_links(ax):
     np.testing.assert_array_equal(searched, [[[0, 0], [4, 0]], [[4, 0], [8, 0]], [[8, 0], [8, -4]]])
     np.testing.assert_allclose(stubs, [[[8, 0], [8, plot_btm.STUB_M]]], atol=1e-12)
     drawn_nodes = {line.get_marker(): line.get_xydata().tolist() for line in ax.lines}
-    assert drawn_nodes == {"s": [[0, 0]], "D": [[4, 0]], "o": [[8, 0]], "^": [[8, -4]]}
+    assert drawn_nodes == {"s": [[0, 0]], "^": [[4, 0]], "o": [[8, 0]], "D": [[8, -4]]}
     assert {text.get_text(): text.xy for text in ax.texts} == {
         str(node.id): (node.x_m, node.y_m) for node in COURSE.nodes
     }

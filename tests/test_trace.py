@@ -83,6 +83,9 @@ def test_a_map_from_an_episode(tmp_path, capsys):
         (("--sweep", "voices=3"), "sweep must be NAME="),
         (("--sweep", "circle=0.2,1.5"), "tuning.circle"),
         (("--from-episode", "--strategy", "nearest"), "strategy"),
+        (("--from-episode", "--runs", "3"), "--from-episode takes no --runs"),
+        (("--from-episode", "--robot", "wheeled"), "--from-episode takes no --robot"),
+        (("--strategy", "random"), "--strategy goes with --from-episode"),
         (("--world", "course:obstacle=river"), "obstacle must be one of"),
     ],
 )
