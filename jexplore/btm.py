@@ -203,12 +203,6 @@ def next_hop(btm, node):
     return jnp.where(there, link, NONE), jnp.where(there, bearing, 0.0), jnp.where(there, to, NONE)
 
 
-def joined(btm, a, b):
-    """The followed link between two nodes: id, int32; `NONE` where there is none."""
-    found = (btm.status == SEARCHED) & (((btm.start == a) & (btm.end == b)) | ((btm.start == b) & (btm.end == a)))
-    return jnp.where(jnp.any(found), jnp.argmax(found).astype(jnp.int32), NONE)
-
-
 def to_map(btm, *, origin_m=(0.0, 0.0), **attributes):
     """The map as a record on the host.
 

@@ -160,12 +160,6 @@ def test_a_blocked_link_is_never_open():
     assert int(btm.first_open(map_, 0, SOUTH)) == NONE
 
 
-def test_joined_by_a_followed_link_either_way_round():
-    map_ = grown([(DIVERGENCE, 0, 0)] * 3, [(0, EAST), (2, EAST, 1, WEST, 1.0), (1, EAST, 0, WEST, 1.0)])
-    assert [int(btm.joined(map_, *pair)) for pair in ((1, 2), (2, 1), (0, 1), (1, 0))] == [1, 1, 2, 2]
-    assert [int(btm.joined(map_, *pair)) for pair in ((0, 2), (0, NONE), (1, 1))] == [NONE] * 3
-
-
 # ---------------------------------------------------------------- the way back
 
 
@@ -297,7 +291,7 @@ def all_answers(map_):
     more, link = btm.add_link(more, 1, 2.5)
     return (
         more, node, link, btm.open_links(map_), btm.first_open(map_, 0, 1.0), btm.hops_to_open(map_),
-        btm.next_hop(map_, 1), btm.joined(map_, 0, 1), btm.nearest_node(map_, 0.3, 0.7, DIVERGENCE),
+        btm.next_hop(map_, 1), btm.nearest_node(map_, 0.3, 0.7, DIVERGENCE),
     )  # fmt: skip
 
 
