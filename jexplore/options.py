@@ -351,6 +351,10 @@ _REWORDED = (
         r"^Error parsing (\S+): no type matching \{None\}\|\{\[INT .*? from (\[.*?\])\. .*$",
         r"\1 must be integers, got \2",
     ),
+    (
+        r"^Error parsing (\S+): no type matching \{None\}\|\{FLOAT FLOAT FLOAT\} .*? from (\[.*?\])\. .*$",
+        r"\1 must be three numbers, got \2",
+    ),
     (r"^Error parsing ", ""),
     (r"^invalid choice (.*) for argument '(.*)'\. Expected one of \((.*)\) ?\.$", r"\2 must be one of \3, got \1"),
     (r"^Missing value for argument '(.*)'\..*$", r"\1 needs a value"),
