@@ -15,11 +15,12 @@ import numpy as np
 from flax import struct
 from jax import Array, lax
 
-from jexplore import btm_run
+from jexplore import btm_run, vehicle
 from jexplore.btm import Btm
-from jexplore.btm_run import Building, Outcome
+from jexplore.btm_run import Outcome
 from jexplore.config import InputError
 from jexplore.terrain import terrain_of
+from jexplore.vehicle import Building
 from jexplore.walls import walls_of
 
 MAX_STEPS = 6000
@@ -35,7 +36,7 @@ class Result:
 
     map: Btm
     outcome: Array  # int32, `Outcome`
-    steps: Array  # int32, of `btm_run.DT_S` seconds
+    steps: Array  # int32, of `vehicle.DT_S` seconds
     path_m: Array  # float32, way in the plane
     contacts: Array  # int32, steps refused because of a wall
     refused: Array  # int32, steps refused because of the ground
@@ -104,7 +105,7 @@ def require_start(world, building, robot):
     if world.occupied[row, col]:
         raise InputError(f"{place}: lies in a wall; choose a free place")
     heading = float(building.start[2])
-    if bool(btm_run.touches(jax.tree.map(jnp.asarray, building), robot, jnp.asarray([x, y, heading]))):
+    if bool(vehicle.touches(jax.tree.map(jnp.asarray, building), robot, jnp.asarray([x, y, heading]))):
         raise InputError(
             f"{place}: a robot of {robot.length_m:g} x {robot.width_m:g} m does not fit there; "
             "choose another place or a smaller robot"

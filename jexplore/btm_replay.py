@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jexplore import behave, btm, btm_run, perceive, tracing
+from jexplore import behave, btm, btm_run, perceive, tracing, vehicle
 from jexplore.behave import RunMode
 from jexplore.btm_batch import MAX_STEPS
 from jexplore.operator_view import Recording
@@ -18,9 +18,9 @@ POINT_EVERY = 5  # steps between two scans whose points are drawn
 def scan_points(plan, track):
     """Points of some scans along a way, as the odometry has them: `[P, 2]`, metres, in the world's frame."""
     steps = np.arange(0, len(track.truth), POINT_EVERY)
-    ranges = jax.jit(jax.vmap(lambda pose: cast(plan.building.walls, pose, btm_run.ANGLES_RAD, btm_run.RANGE_M)))
+    ranges = jax.jit(jax.vmap(lambda pose: cast(plan.building.walls, pose, vehicle.ANGLES_RAD, vehicle.RANGE_M)))
     found = np.asarray(ranges(track.truth[steps]))
-    angle = track.estimate[steps, 2:3] + btm_run.ANGLES_RAD
+    angle = track.estimate[steps, 2:3] + vehicle.ANGLES_RAD
     hit = np.isfinite(found)
     reach = np.where(hit, found, 0)[..., None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
     return (track.estimate[steps, None, :2] + reach)[hit] + np.asarray(plan.world.origin_m)
@@ -40,8 +40,8 @@ def wall_lines(plan):
 def _frame(key, building, robot, tuning, noise, state):
     """One step, and what was seen in it."""
     sense_key, _ = jax.random.split(key)  # as `btm_run.step` splits it
-    senses = btm_run.sense(sense_key, building, robot, noise, state.body)
-    xy, valid = perceive.points(senses.ranges_m, btm_run.ANGLES_RAD)
+    senses = vehicle.sense(sense_key, building, robot, noise, state.body)
+    xy, valid = perceive.points(senses.ranges_m, vehicle.ANGLES_RAD)
     beside = jnp.stack(perceive.sides(xy, valid, 0, robot.length_m / 2))
     found = btm_run.look(xy, valid, beside.min(), tuning)
     best = jnp.argsort(jnp.where(found.valid, jnp.hypot(*found.centre.T), jnp.inf))[:TRIANGLES]
@@ -53,7 +53,7 @@ def _frame(key, building, robot, tuning, noise, state):
         "pose": state.body.pose,
         "estimate": state.estimate,
         "mode": after.mode,
-        "target": btm_run.to_odometry(state.estimate)(after.target),
+        "target": vehicle.to_odometry(state.estimate)(after.target),
         "ranges_m": senses.ranges_m,
         "triangles_m": jnp.where(there[:, None, None], found.corners[best], jnp.nan),
         "chosen": jnp.where(there[0], 0, -1),
@@ -101,12 +101,12 @@ def record(plan, on_progress=lambda n: None):
     goal = None if np.isnan(plan.building.goal).any() else tuple(np.asarray(plan.building.goal) + origin)
     return Recording(
         title=f"{plan.robot.name} in {plan.world.name}",
-        dt_s=btm_run.DT_S,
+        dt_s=vehicle.DT_S,
         mode_names=MODE_NAMES,
         walls_m=wall_lines(plan),
         goal_m=goal,
-        angles_rad=btm_run.ANGLES_RAD,
-        time_s=btm_run.DT_S * np.arange(steps),
+        angles_rad=vehicle.ANGLES_RAD,
+        time_s=vehicle.DT_S * np.arange(steps),
         target_m=series.pop("target") + np.asarray(origin),
         pose=moved(series.pop("pose"), origin),
         estimate=moved(series.pop("estimate"), origin),

@@ -6,40 +6,35 @@ looks down, an attitude sensor and encoders. One jitted function of building, ro
 
 import dataclasses
 import enum
-import math
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from flax import struct
 from jax import Array, lax
-from jax.tree_util import register_dataclass
 
-from jexplore import behave, btm, btm_write, perceive
+from jexplore import behave, btm, btm_write, heights, perceive
 from jexplore.behave import Drive, Hall, Latch, Track
-from jexplore.btm_settings import Noise, Robot, Tuning
 from jexplore.btm_write import Event, Writer
 from jexplore.control import run_if
-from jexplore.terrain import Terrain, attitude, look_down, turned
-from jexplore.walls import Walls, cast
+from jexplore.vehicle import (
+    ANGLES_RAD,
+    BEAM_SPACING_RAD,
+    BEAMS,
+    RANGE_M,
+    Body,
+    at_rest,
+    down_directions,
+    move,
+    sense,
+    to_odometry,
+    to_robot,
+)
 
-register_dataclass(Robot, [f for f in Robot.__dataclass_fields__ if f != "name"], ["name"])
-register_dataclass(Tuning, list(Tuning.__dataclass_fields__), [])
-register_dataclass(Noise, list(Noise.__dataclass_fields__), [])
-
-DT_S = 0.1
-RANGE_M = 8.0
-BEAMS = 181
-ANGLES_RAD = np.radians(np.linspace(-90, 90, BEAMS)).astype(np.float32)
-BEAM_SPACING_RAD = math.pi / (BEAMS - 1)
-DOWN_BEAMS = 25
-DOWN_RAD = np.radians(np.linspace(-18, 18, DOWN_BEAMS)).astype(np.float32)
 DRIVE = 1.5  # length of the stretch in which walls are steered by, in look-aheads
 EVERY = 2  # steps between two looks for triangles
 SCAN_POINTS = 48  # of a scan that are made into triangles
 KEPT_POINTS = 96  # of a scan that are kept for the openings of the next divergence
 NODES, LINKS = 32, 64  # most of a map
-OUTLINE = 26  # points of the robot's outline that are tested for contact
 GOAL_M = 0.5  # a run ends within this of its goal
 STUCK_STEPS = 150  # without going on or finding a node: the operator helps
 STUCK_M = 0.3
@@ -69,31 +64,6 @@ class Outcome(enum.IntEnum):
 
 
 @struct.dataclass
-class Building:
-    """Where a run takes place; cell (0, 0) begins at (0, 0)."""
-
-    walls: Walls
-    terrain: Terrain
-    occupied: Array  # [H, W] bool
-    cell_m: Array  # float32
-    start: Array  # [3] float32, x, y, metres; heading, radians
-    goal: Array  # [2] float32, metres; NaN: none
-
-
-@struct.dataclass
-class Body:
-    """The robot in truth."""
-
-    pose: Array  # [3] float32, x, y, metres; heading, radians
-    pitch: Array  # float32, radians
-    roll: Array  # float32, radians
-    height_m: Array  # float32
-    path_m: Array  # float32, way in the plane
-    contacts: Array  # int32, steps refused because of a wall
-    refused: Array  # int32, steps refused because of the ground
-
-
-@struct.dataclass
 class State:
     """A run in progress."""
 
@@ -118,30 +88,12 @@ class State:
     outcome: Array  # int32
 
 
-@struct.dataclass
-class Senses:
-    """What the sensors say in one step."""
-
-    ranges_m: Array  # [B] float32, inf: no return; NaN: no reading
-    down_m: Array  # [D] float32, likewise
-    pitch: Array  # float32, radians
-    roll: Array  # float32, radians
-
-
-def down_directions(robot):
-    """Unit vectors of the downward scanner's beams in the robot's frame: `[D, 3]` float32."""
-    tilt = jnp.radians(robot.scanner_angle_deg)
-    ahead = jnp.cos(DOWN_RAD)
-    return jnp.stack([jnp.sin(tilt) * ahead, jnp.sin(DOWN_RAD), -jnp.cos(tilt) * ahead], axis=1)
-
-
 def begin(building, robot, room):
     """The state before the first step; `room` for so many steps, static."""
-    pitch, roll, height, _ = attitude(building.terrain, building.start, robot.length_m, robot.width_m)
     zero, none = jnp.float32(0), jnp.int32(0)
     start = jnp.asarray(building.start, jnp.float32)
     return State(
-        body=Body(pose=start, pitch=pitch, roll=roll, height_m=height, path_m=zero, contacts=none, refused=none),
+        body=at_rest(building, robot, start),
         estimate=start,
         odometer_m=zero,
         climbed_m=zero,
@@ -161,120 +113,6 @@ def begin(building, robot, room):
         step=none,
         outcome=jnp.int32(Outcome.RUNNING),
     )
-
-
-def sense(key, building, robot, noise, body):
-    """What the sensors say.
-
-    Args:
-      key: consumed.
-      building, robot, noise, body: `Building`, `Robot`, `Noise`, `Body`.
-
-    Returns:
-      `Senses`.
-    """
-    key, invalid_key = jax.random.split(key)
-    draw = jax.random.normal(key, (BEAMS + DOWN_BEAMS + 2,))
-    numberless = jax.random.uniform(invalid_key, (BEAMS,)) < noise.invalid
-    ranges = cast(building.walls, body.pose, ANGLES_RAD, RANGE_M) + noise.range_m * draw[:BEAMS]
-    direction = turned(down_directions(robot), body.pitch, body.roll, body.pose[2])
-    mount = turned(
-        jnp.stack([robot.scanner_x_m, 0.0, robot.scanner_height_m])[None], body.pitch, body.roll, body.pose[2]
-    )[0]
-    origin = body.pose[0] + mount[0], body.pose[1] + mount[1], body.height_m + mount[2]
-    down = look_down(building.terrain, origin, direction) + noise.range_m * draw[BEAMS : BEAMS + DOWN_BEAMS]
-    tilt = jnp.radians(noise.attitude_deg)
-    return Senses(
-        ranges_m=jnp.where(numberless, jnp.nan, jnp.maximum(ranges, 0.01)),
-        down_m=down,
-        pitch=body.pitch + tilt * draw[-2],
-        roll=body.roll + tilt * draw[-1],
-    )
-
-
-def _outline(robot):
-    """Points round the robot, in its frame: `[OUTLINE, 2]`."""
-    along, across = np.linspace(-0.5, 0.5, 8), np.linspace(-0.5, 0.5, 7)[1:-1]
-    sides = [np.stack([along, np.full(8, y)], 1) for y in (-0.5, 0.5)]
-    ends = [np.stack([np.full(5, x), across], 1) for x in (-0.5, 0.5)]
-    return np.concatenate([*sides, *ends]).astype(np.float32) * jnp.stack([robot.length_m, robot.width_m])
-
-
-def touches(building, robot, pose):
-    """Whether a robot at a pose touches a wall: bool."""
-    cos, sin = jnp.cos(pose[2]), jnp.sin(pose[2])
-    outline = _outline(robot)
-    x = pose[0] + cos * outline[:, 0] - sin * outline[:, 1]
-    y = pose[1] + sin * outline[:, 0] + cos * outline[:, 1]
-    rows, cols = building.occupied.shape
-    row = jnp.clip(jnp.floor(y / building.cell_m).astype(jnp.int32), 0, rows - 1)
-    col = jnp.clip(jnp.floor(x / building.cell_m).astype(jnp.int32), 0, cols - 1)
-    return jnp.any(building.occupied.reshape(-1)[row * cols + col])
-
-
-def move(key, building, robot, noise, body, estimate, senses, v, omega):
-    """One step of the unicycle, and what the encoders make of it.
-
-    A step into a wall, or onto ground that the robot cannot climb, is refused.
-
-    Args:
-      key: consumed.
-      building, robot, noise, body: as in `sense`.
-      estimate: `[3]`, odometry.
-      senses: `Senses`.
-      v, omega: metres a second, radians a second.
-
-    Returns:
-      `(body, estimate, gone_m)`; `gone_m` is what the odometer adds, in the plane.
-    """
-    ahead, turn = v * DT_S, omega * DT_S
-    heading = body.pose[2] + turn * (1 - noise.slip)
-    middle = body.pose[2] + 0.5 * turn * (1 - noise.slip)
-    flat = ahead * jnp.cos(body.pitch)
-    pose = jnp.stack([body.pose[0] + flat * jnp.cos(middle), body.pose[1] + flat * jnp.sin(middle), heading])
-    pitch, roll, height, rise = attitude(building.terrain, pose, robot.length_m, robot.width_m)
-    contact = touches(building, robot, pose)
-    steep = jnp.radians(robot.max_slope_deg) + 1e-3
-    climbs = (jnp.abs(pitch) <= steep) & (jnp.abs(roll) <= steep) & (rise <= robot.max_step_m)
-    climbs |= (jnp.abs(pitch) < jnp.abs(body.pitch)) | (flat == 0)
-    goes = ~contact & climbs
-    moved = Body(
-        pose=jnp.where(goes, pose, body.pose),
-        pitch=jnp.where(goes, pitch, body.pitch),
-        roll=jnp.where(goes, roll, body.roll),
-        height_m=jnp.where(goes, height, body.height_m),
-        path_m=body.path_m + jnp.where(goes, flat, 0),
-        contacts=body.contacts + contact,
-        refused=body.refused + (~contact & ~climbs),
-    )
-    draw = jax.random.normal(key, (3,))
-    measured = ahead * (1 + noise.odometry * draw[0]) * jnp.cos(senses.pitch)
-    turn = turn * (1 + noise.odometry * draw[1]) + jnp.radians(noise.heading_deg_sqrt_m) * draw[2] * jnp.sqrt(flat)
-    middle = estimate[2] + 0.5 * turn
-    odometry = estimate + jnp.stack([measured * jnp.cos(middle), measured * jnp.sin(middle), turn])
-    return moved, jnp.where(goes, odometry, estimate), jnp.where(goes, measured, 0)
-
-
-def to_odometry(estimate):
-    """A function from points `[..., 2]` in the robot's frame to the odometry's."""
-    cos, sin = jnp.cos(estimate[2]), jnp.sin(estimate[2])
-
-    def placed(xy):
-        x, y = xy[..., 0], xy[..., 1]
-        return jnp.stack([estimate[0] + cos * x - sin * y, estimate[1] + sin * x + cos * y], axis=-1)
-
-    return placed
-
-
-def to_robot(estimate):
-    """A function from points `[..., 2]` in the odometry's frame to the robot's."""
-    cos, sin = jnp.cos(estimate[2]), jnp.sin(estimate[2])
-
-    def seen(xy):
-        x, y = xy[..., 0] - estimate[0], xy[..., 1] - estimate[1]
-        return jnp.stack([cos * x + sin * y, -sin * x + cos * y], axis=-1)
-
-    return seen
 
 
 def look(xy, valid, wall_m, tuning):
@@ -317,7 +155,7 @@ def step(key, building, robot, tuning, noise, state):
     placed = to_odometry(state.estimate)
 
     # The way so far.
-    ground_x, ground_z, ground_seen = perceive.ground_point(
+    ground_x, ground_z, ground_seen = heights.ground_point(
         senses.down_m,
         down_directions(robot),
         senses.pitch,
@@ -461,10 +299,10 @@ def _cannot_climb(way, robot, state):
     slope_m = LOOK_M * jnp.tan(jnp.radians(robot.max_slope_deg)) + 0.02
 
     def judged(_):
-        step_m = perceive.profile(x, z, ahead | behind).step_m
+        step_m = heights.profile(x, z, ahead | behind).step_m
         is_step = (step_m > robot.max_step_m) & (step_m > btm_write.STEP_M)
         stops = is_step | (rise > slope_m)
-        slope = jnp.abs(jnp.arctan(perceive.profile(x, z, ahead).slope))
+        slope = jnp.abs(jnp.arctan(heights.profile(x, z, ahead).slope))
         return stops, jnp.where(is_step, step_m, 0.0), jnp.where(stops & ~is_step, slope, 0.0)
 
     high = rise > jnp.minimum(slope_m, robot.max_step_m)

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from flax import struct
 from jax import Array
 
-from jexplore import btm, perceive
+from jexplore import btm, heights, perceive
 from jexplore.behave import Latch
 from jexplore.btm import Btm
 from jexplore.control import run_if
@@ -349,7 +349,7 @@ def _judge_profile(map_, writer, event, tuning, robot, posture, here):
     margin = 0.1
     way = writer.way
     within = (way.ground_x_m > writer.node_m + margin) & (way.ground_x_m < event.odometer_m - margin)
-    found = perceive.profile(way.ground_x_m, way.ground_z_m, within & jnp.isfinite(way.ground_x_m))
+    found = heights.profile(way.ground_x_m, way.ground_z_m, within & jnp.isfinite(way.ground_x_m))
     is_steep = jnp.abs(jnp.arctan(found.slope)) > jnp.radians(tuning.inclination_deg)
     judged = over & is_steep & (found.count >= 3) & (event.odometer_m > writer.node_m)
     stairs = judged & (found.variance_m2 > tuning.variance_max_m2)

@@ -6,20 +6,17 @@ line and status 2 and leaves no files, an interruption with one line and status 
 keeps what is finished.
 """
 
-import contextlib
 import dataclasses
-import datetime
 import functools
 import io
-import math
 import os
 import signal
 import sys
 import threading
-import time
 
 from jexplore import __version__
 from jexplore.config import InputError
+from jexplore.console import COMPILING, Out, note, progress_of, say, working
 from jexplore.options import (
     COMMANDS,
     STRATEGIES,
@@ -36,10 +33,7 @@ from jexplore.options import (
     parse,
 )  # fmt: skip
 
-COMPILING = "jexplore: compiling (kept for later runs)"
 FINISHING = "jexplore: computing statistics and drawing"
-LONGEST = 400  # characters of a message; a name or a file may be quoted in it
-PATIENCE_S = 2.0  # work that lasts longer shows how far it is
 
 
 def main(argv=None):
@@ -62,20 +56,20 @@ def main(argv=None):
     try:
         return _dispatch(arguments)
     except InputError as error:
-        return _say(f"jexplore: error: {' '.join(str(error).split())}", 2)
+        return say(f"jexplore: error: {' '.join(str(error).split())}", 2)
     except KeyboardInterrupt:
-        status = _say("jexplore: interrupted, nothing was written", 130)
+        status = say("jexplore: interrupted, nothing was written", 130)
         if own:
             os._exit(status)  # at once: a program that is being compiled cannot be stopped in another way
         return status
     except MemoryError:
-        return _say("jexplore: error: out of memory; use a larger --cell-m, fewer episodes or fewer --lanes", 1)
+        return say("jexplore: error: out of memory; use a larger --cell-m, fewer episodes or fewer --lanes", 1)
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # or the interpreter complains when it ends
         return 1
     except OSError as error:  # files are checked below: this is the standard output
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
-        return _say(f"jexplore: error: cannot write the output: {error.strerror or error}", 1)
+        return say(f"jexplore: error: cannot write the output: {error.strerror or error}", 1)
 
 
 def _repeat_interrupt(unraisable):
@@ -86,11 +80,6 @@ def _repeat_interrupt(unraisable):
         threading.Timer(0.05, os.kill, (os.getpid(), signal.SIGINT)).start()
     else:
         sys.__unraisablehook__(unraisable)
-
-
-def _say(line, status):
-    print(line if len(line) <= LONGEST else line[: LONGEST - 3] + "...", file=sys.stderr, flush=True)
-    return status
 
 
 def _dispatch(arguments):
@@ -112,118 +101,13 @@ def _dispatch(arguments):
     return 0
 
 
-class _Progress:
-    """A bar on stderr once work has lasted two seconds: how much is done, how fast it goes, how long it will take."""
-
-    def __init__(self, total, unit):
-        self.total, self.unit, self.bar = total, unit, None
-
-    def update(self, done):
-        from tqdm import tqdm
-
-        if self.bar is None:  # the clock starts when work does, not when compiling does
-            self.bar = tqdm(
-                total=self.total,
-                initial=done,
-                unit=f" {self.unit}",
-                bar_format="{l_bar}{bar}| {n_fmt}/{total_fmt}{unit} [{elapsed}<{remaining}, {rate_noinv_fmt}]",
-                delay=PATIENCE_S,
-                mininterval=0.5,
-                leave=False,
-                dynamic_ncols=True,
-            )
-        self.bar.update(done - self.bar.n)
-
-    def step(self, n=1):
-        self.update(n + (0 if self.bar is None else self.bar.n))
-
-    def close(self):
-        if self.bar is not None:
-            self.bar.close()
-
-
-@contextlib.contextmanager
-def _progress(total, unit):
-    progress = _Progress(total, unit)
-    try:
-        yield progress
-    finally:
-        progress.close()
-
-
-@contextlib.contextmanager
-def _note(text):
-    """Says on stderr what takes so long, once, if it takes long; the block gets a function that calls it off."""
-    timer = threading.Timer(PATIENCE_S, lambda: print(text, file=sys.stderr, flush=True))
-    timer.daemon = True
-    timer.start()
-    try:
-        yield timer.cancel
-    finally:
-        timer.cancel()
-
-
-@contextlib.contextmanager
-def _working(total, unit):
-    """Progress of compiled work: a note while it compiles, then a bar. The block gets the function to call."""
-    with _progress(total, unit) as progress, _note(COMPILING) as call_off:
-
-        def on_progress(done):
-            call_off()
-            progress.update(done)
-
-        yield on_progress
-
-
-class _Out:
-    """Where a command writes. Refused before anything is computed, written when everything is."""
-
-    def __init__(self, options, command):
-        from jexplore import store
-
-        self.given = None if options.out is None else os.path.expanduser(options.out)
-        self.overwrite, self.command = options.overwrite, command
-        self.began = time.perf_counter()
-        self.now = datetime.datetime.now(datetime.UTC)
-        store.check_out(self._folder(), self.overwrite)
-
-    def _folder(self):
-        from jexplore import store
-
-        # A default name is looked for again when writing: another run may have taken it since.
-        return store.default_out(self.command, self.now) if self.given is None else self.given
-
-    def record(self, arguments, options, **found):
-        """What run.json holds."""
-        from jexplore import store
-
-        wall_s = time.perf_counter() - self.began
-        return {
-            "command": ["jexplore", *arguments],
-            "started": self.now,
-            **found,
-            "wall_s": wall_s,
-            "configuration": options,
-            "environment": store.environment(),
-        }
-
-    def write(self, writers):
-        """Writes the files, all or none. Returns a line that says where; said last, so that a reader of the output who
-        goes away costs no results.
-        """
-        from jexplore import store
-
-        folder = store.write_run(self._folder(), writers, self.overwrite)
-        return f"wrote {', '.join(writers)} to {os.fspath(folder)}{os.sep}"
-
-
 def _run_jobs(options, jobs):
     """Compiles and runs, with a note and a bar: a `batch.Report`."""
     from jexplore import batch
 
     batch.use_compilation_cache()
     engine = None if options.engine == "auto" else options.engine
-    with _working(sum(len(job.starts) for job in jobs), "episodes") as on_progress:
+    with working(sum(len(job.starts) for job in jobs), "episodes") as on_progress:
         return batch.run(
             jobs, options.lidar, options.episode, engine=engine, lanes=options.lanes, on_progress=on_progress
         )
@@ -233,7 +117,7 @@ def _finish(out, found, report, text, figures, record):
     """Writes and prints what `_compare` and `_reproduce` have in common. Returns the exit status.
 
     Args:
-      out: `_Out`.
+      out: `Out`.
       found: `Comparison`.
       report: `batch.Report`.
       text: the tables.
@@ -268,7 +152,7 @@ def _finish(out, found, report, text, figures, record):
         print(f"warning: {line}")
     print(wrote)
     if report.interrupted:
-        return _say("jexplore: interrupted, what was finished was written", 130)
+        return say("jexplore: interrupted, what was finished was written", 130)
     return 0
 
 
@@ -276,7 +160,7 @@ def _compare(options, arguments):
     from jexplore.comparison import assemble, prepare_jobs
     from jexplore.standings import LEAGUE_STRATEGIES, league_worlds
 
-    out = _Out(options, "compare")
+    out = Out(options, "compare")
     worlds, strategies = (league_worlds(), LEAGUE_STRATEGIES) if options.league else (default_worlds(), STRATEGIES)
     options = dataclasses.replace(
         options,
@@ -294,7 +178,7 @@ def _compare(options, arguments):
         rules=options.episode,
     )
     report = _run_jobs(options, jobs)
-    with _note(FINISHING):
+    with note(FINISHING):
         found = assemble(jobs, report, options.episode)
         if options.league:
             return _finish_league(out, found, report, functools.partial(out.record, arguments, options))
@@ -313,7 +197,7 @@ def _finish_league(out, found, report, record):
     world, names, plan_ms = found.worlds[0], list(dict.fromkeys(found.episodes["strategy"])), {}
     if not report.interrupted:
         try:
-            with _note("jexplore: measuring what a plan costs; Ctrl-C leaves that out"):
+            with note("jexplore: measuring what a plan costs; Ctrl-C leaves that out"):
                 plan_ms = plan_costs(world, names)
         except (InputError, KeyboardInterrupt):
             print("warning: what a plan costs could not be measured", file=sys.stderr)
@@ -330,7 +214,7 @@ def _finish_league(out, found, report, record):
 def _reproduce(options, arguments):
     from jexplore import reproduction
 
-    out = _Out(options, "reproduce")
+    out = Out(options, "reproduce")
     jobs = reproduction.prepare(
         options.paper,
         maps=options.maps,
@@ -341,7 +225,7 @@ def _reproduce(options, arguments):
         rules=options.episode,
     )
     report = _run_jobs(options, jobs)
-    with _note(FINISHING):
+    with note(FINISHING):
         found = reproduction.assemble(options.paper, options.maps, jobs, report, options.episode)
         tables, orderings = (table.to_dict("records") for table in (found.tables, found.orderings))
         entries = {"notes": found.notes, "tables": tables, "orderings": orderings}
@@ -355,7 +239,7 @@ def _explore(options, arguments):
     from jexplore.preflight import require_integer
     from jexplore.replay import prepare_job, run_job
 
-    out = _Out(options, "explore")
+    out = Out(options, "explore")
     require_integer("frames", options.frames, 1, 10_000)
     job = prepare_job(
         options.world,
@@ -366,11 +250,11 @@ def _explore(options, arguments):
         lidar=options.lidar,
         rules=options.episode,
     )
-    with _note(COMPILING):
+    with note(COMPILING):
         found = run_job(job, options.lidar, options.episode)
     measures = {"world": found.world.name, "strategy": found.strategy, **found.measures}
     record = out.record(arguments, options, result=measures, compile_s=found.compile_s, run_s=found.run_s)
-    with _progress(min(len(found.final.rows), options.frames), "frames") as progress:
+    with progress_of(min(len(found.final.rows), options.frames), "frames") as progress:
         wrote = out.write(
             {
                 "episode.png": lambda path: plot.save_figure(found.figure(), path),
@@ -392,12 +276,12 @@ def _segment(options, arguments):
     from jexplore.preflight import require_integer
     from jexplore.segmentation import SHARES, segment_maps
 
-    out = _Out(options, "segment")
+    out = Out(options, "segment")
     if not options.maps:
         raise InputError("expected a map: map.png@0.05 (metres a pixel), map.yaml, or a generator such as office#3")
     require_integer("seed", options.seed, 0, 2**32 - 1)
     batch.use_compilation_cache()
-    with _working(len(options.maps) * (1 + len(SHARES) * options.partial), "maps") as on_progress:
+    with working(len(options.maps) * (1 + len(SHARES) * options.partial), "maps") as on_progress:
         found = segment_maps(
             options.maps,
             truth=options.truth,
@@ -429,116 +313,9 @@ def _segment(options, arguments):
 
 
 def _trace(options, arguments):
-    from jexplore import batch, tracing
+    from jexplore import cli_trace
 
-    out = _Out(options, "trace")
-    noise = options.noise if options.noise_m is None else dataclasses.replace(options.noise, range_m=options.noise_m)
-    if options.from_episode:
-        return _trace_episode(out, options, arguments)
-    if options.strategy != type(options)().strategy:
-        raise InputError("--strategy goes with --from-episode")
-    plan = tracing.prepare(
-        options.world,
-        robot=options.robot,
-        runs=options.runs,
-        seed=options.seed,
-        tuning=options.tuning,
-        noise=noise,
-        start=options.start,
-        sweep=options.sweep,
-        settings=options.settings,
-        cell_m=options.cell_m,
-        max_steps=options.max_steps,
-    )
-    workers = os.cpu_count() or 1
-    batch.start_backend(workers)
-    batch.use_compilation_cache()
-    with _working(plan.runs * plan.settings, "runs") as on_progress:
-        found = tracing.execute(plan, workers=workers, on_progress=on_progress)
-    if found.track is None:
-        raise KeyboardInterrupt  # before the first run was finished
-    files = _drawn(found)
-    if options.animate and not found.report.interrupted:
-        from jexplore import btm_replay, operator_view
-
-        try:
-            with _working(len(found.track.truth), "steps") as on_progress:
-                page = operator_view.page(btm_replay.record(plan, on_progress))
-            files["btm.html"] = lambda path: path.write_text(page, encoding="utf-8")
-        except KeyboardInterrupt:
-            print("warning: interrupted, btm.html was left out", file=sys.stderr)
-    text = tracing.tables(found.first) + "\n" + "\n".join(tracing.summary(found))
-    rate = len(found.table) / found.report.run_s
-    entries = {"runs_per_s": rate, "compile_s": found.report.compile_s, "run_s": found.report.run_s}
-    return _finish_trace(out, out.record(arguments, options, **entries), files, text, found.report.interrupted)
-
-
-def _drawn(found):
-    """The pictures and tables of a `Traced`: `{name: writer}`."""
-    from jexplore import btm_replay, plot, plot_btm, store
-
-    plan, track = found.plan, found.track
-    figure = plot_btm.figure(
-        found.first,
-        btm_replay.wall_lines(plan),
-        btm_replay.moved(track.estimate, plan.world.origin_m),
-        btm_replay.scan_points(plan, track),
-        track.mode,
-        btm_replay.MODE_NAMES,
-        f"{plan.robot.name} in {plan.world.name}",
-        pitch_deg=track.pitch * (180 / math.pi),
-    )
-    return {
-        **_exchanged(found.first),
-        "btm.png": lambda path: plot.save_figure(figure, path),
-        "runs.parquet": lambda path: store.write_parquet(found.table, path),
-    }
-
-
-def _exchanged(found):
-    """Files of a Behavioral Trace Map for other programs: `{name: writer}`."""
-    from jexplore import btm_json, exchange, store
-
-    files = {"btm.json": lambda path: store.write_json(btm_json.to_json(found), path)}
-    if any(link.end >= 0 for link in found.links):  # a route needs an edge
-        route = exchange.geojson(found)
-        files["btm.geojson"] = lambda path: store.write_json(route, path)
-    graph = exchange.graphml(found)
-    return {**files, "btm.graphml": lambda path: path.write_text(graph, encoding="utf-8")}
-
-
-def _finish_trace(out, record, files, text, interrupted=False):
-    from jexplore import store
-
-    wrote = out.write({**files, "run.json": lambda path: store.write_json(record, path)})
-    print(text)
-    print(wrote)
-    if interrupted:
-        return _say("jexplore: interrupted, what was finished was written", 130)
-    return 0
-
-
-def _trace_episode(out, options, arguments):
-    """A map from what an exploration episode has seen."""
-    from jexplore import btm_episode, plot, tracing
-
-    plain, own = type(options)(), ("world", "strategy", "seed", "cell_m", "tuning", "out", "overwrite", "from_episode")
-    for field in dataclasses.fields(options):
-        if field.name not in own and getattr(options, field.name) != getattr(plain, field.name):
-            option = field.name.replace("_", "-")
-            raise InputError(f"--from-episode takes no --{option}: an episode's robot is that of `jexplore explore`")
-    with _note(COMPILING):
-        found = btm_episode.extracted(
-            options.world,
-            options.strategy,
-            seed=options.seed,
-            cell_m=options.cell_m,
-            tuning=options.tuning,
-        )
-    files = {**_exchanged(found.map), "btm.png": lambda path: plot.save_figure(found.figure(), path)}
-    text = tracing.tables(found.map) + "\n" + "\n".join(found.agreement())
-    record = out.record(arguments, options, result=found.measures, agreement=found.agreement())
-    return _finish_trace(out, record, files, text)
+    return cli_trace.run(options, arguments)
 
 
 def _start(text):
@@ -580,8 +357,8 @@ def _worlds(options, arguments):
     from jexplore import plot, store
     from jexplore.preflight import ready_worlds
 
-    out = _Out(options, "worlds")
-    with _note("jexplore: loading worlds"):
+    out = Out(options, "worlds")
+    with note("jexplore: loading worlds"):
         worlds = ready_worlds(options.worlds or tuple(GENERATORS), options.cell_m)
     described = [_describe(world) for world in worlds]
     rows = [("world", "cells", "metres", "free m²", "rooms", "start")]
@@ -627,7 +404,7 @@ def _bench(options, arguments):
     from jexplore import bench, plot, store
     from jexplore.bench import plots, tables
 
-    out = _Out(options, "bench")
+    out = Out(options, "bench")
     plan = bench.prepare(
         worlds=options.worlds,
         strategies=options.strategies,
@@ -638,7 +415,7 @@ def _bench(options, arguments):
         repeat=options.repeat,
         quick=options.quick,
     )
-    with _progress(plan.total, "measurements") as progress:
+    with progress_of(plan.total, "measurements") as progress:
         progress.update(0)
         report = bench.run(plan, cache=options.cache, on_progress=progress.update)
     figure = plots.figure(report)

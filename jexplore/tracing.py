@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from jexplore import btm, btm_batch, btm_run, preflight
+from jexplore import btm, btm_batch, preflight, vehicle
 from jexplore.btm_batch import Report, Track, building_of, numbers_of, require_start
 from jexplore.btm_compare import code
 from jexplore.btm_map import BtmMap
@@ -35,7 +35,7 @@ class Plan:
     """Runs that are to be made."""
 
     world: World
-    building: btm_run.Building
+    building: vehicle.Building
     robot: Any
     tuning: Tuning
     """Numbers, or arrays `[S]` where a threshold is swept."""
@@ -312,7 +312,7 @@ def _table(plan, result, setting, which, chosen):
             **chosen,
             "outcome": btm_batch.outcome_names(result),
             "steps": result.steps,
-            "time_s": result.steps * btm_run.DT_S,
+            "time_s": result.steps * vehicle.DT_S,
             "path_m": result.path_m,
             "contacts": result.contacts,
             "refused": result.refused,

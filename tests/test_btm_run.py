@@ -14,9 +14,10 @@ from jexplore.btm_batch import building_of, numbers_of
 from jexplore.btm_compare import code
 from jexplore.btm_episode import matched
 from jexplore.btm_extract import extract
-from jexplore.btm_run import DT_S, Outcome
+from jexplore.btm_run import Outcome
 from jexplore.btm_settings import ROBOTS, Noise, Tuning
 from jexplore.config import InputError
+from jexplore.vehicle import DT_S
 from jexplore.world import World
 from jexplore.worlds import load_world
 

@@ -51,7 +51,9 @@ FLOORS = {
     "reproduction": 12,
     "bench": 13,
     "options": 14,
-    "cli": 15,
+    "console": 14,
+    "cli_trace": 15,
+    "cli": 16,
     "btm_settings": 1,
     "btm_json": 2,
     "btm_compare": 2,
@@ -60,6 +62,8 @@ FLOORS = {
     "terrain": 0,
     "delaunay": 1,
     "perceive": 2,
+    "heights": 3,
+    "vehicle": 2,
     "btm": 2,
     "behave": 3,
     "btm_write": 4,
@@ -74,7 +78,7 @@ FLOORS = {
     "tracing": 11,
     "btm_replay": 12,
     "btm_episode": 13,
-    "__main__": 16,
+    "__main__": 17,
 }
 """Floor of every module; a package is one. `__init__` stands apart: it holds the version and loads by name."""
 

@@ -8,9 +8,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jexplore import btm_run, perceive, terrain, walls
-from jexplore.btm_run import ANGLES_RAD, BEAM_SPACING_RAD, BEAMS, KEPT_POINTS, RANGE_M, SCAN_POINTS, look
+from jexplore import heights, perceive, terrain, vehicle, walls
+from jexplore.btm_run import KEPT_POINTS, SCAN_POINTS, look
 from jexplore.btm_settings import ROBOTS, Tuning
+from jexplore.vehicle import ANGLES_RAD, BEAM_SPACING_RAD, BEAMS, RANGE_M
 
 pytestmark = pytest.mark.jit
 
@@ -321,7 +322,7 @@ def look_from(walls_, pose, tuning, noise_m):
     even = smoothed(xy, valid, tuning.width_m / 4)
     bounds = tuning.near_m, tuning.far_m, tuning.open_m
     kept, there, *_ = resampled(even, valid, *bounds, tuning.width_m / 4, size=KEPT_POINTS)
-    placed = btm_run.to_odometry(pose)
+    placed = vehicle.to_odometry(pose)
     return found, placed(found.centre), placed(kept), there
 
 
@@ -646,12 +647,12 @@ def slope_of(angle_rad):
 def ahead_of(ground, x, heading, half_width_m):
     """The point that a robot measures, and the true height above its own there."""
     pitch, roll, height, _ = terrain.attitude(ground, (x, 1.5, heading), KAMUI.length_m, KAMUI.width_m)
-    down = btm_run.down_directions(KAMUI)
+    down = vehicle.down_directions(KAMUI)
     mount = jnp.array([[KAMUI.scanner_x_m, 0.0, KAMUI.scanner_height_m]])
     direction, at = (terrain.turned(v, pitch, roll, heading) for v in (down, mount))
     ranges = terrain.look_down(ground, (x + at[0, 0], 1.5 + at[0, 1], height + at[0, 2]), direction)
     place = KAMUI.scanner_x_m, KAMUI.scanner_height_m
-    seen_x, seen_z, found = perceive.ground_point(ranges, down, pitch, roll, place, half_width_m)
+    seen_x, seen_z, found = heights.ground_point(ranges, down, pitch, roll, place, half_width_m)
     there = terrain.height_at(ground, x + seen_x * jnp.cos(heading), 1.5 + seen_x * jnp.sin(heading))
     return seen_x, seen_z, found, there - height
 
@@ -702,7 +703,7 @@ def test_ground_points_by_hand():
     mount = 0.5, 1.5
 
     def seen(ranges, pitch=0.0, roll=0.0, half=5.0):
-        x, z, found = perceive.ground_point(np.asarray(ranges, np.float32), direction, pitch, roll, mount, half)
+        x, z, found = heights.ground_point(np.asarray(ranges, np.float32), direction, pitch, roll, mount, half)
         return (float(x), float(z)) if bool(found) else None
 
     nothing = [np.inf, np.nan, np.inf, np.nan]
@@ -722,7 +723,7 @@ def test_ground_points_by_hand():
 # ---------------------------------------------------------------- profiles
 
 SLOTS_OF_PROFILE = 400
-fit = jax.jit(perceive.profile)
+fit = jax.jit(heights.profile)
 
 
 def profile_of(x, z):
@@ -833,8 +834,8 @@ def test_a_riser_that_leans_by_two_gaps_is_still_one_step():
 
 def test_the_step_is_the_median_of_all_and_small_ones_do_not_count():
     far_apart = np.searchsorted([0.4, 0.9, 1.4, 1.9, 2.4], WAY)
-    for heights, want in (([0.1, 0.1, 0.18, 0.1, 0.1], 0.1), ([0.02, 0.1, 0.02, 0.02, 0.12], 0.1)):
-        z = np.concatenate([[0], np.cumsum(heights)])[far_apart]
+    for steps, want in (([0.1, 0.1, 0.18, 0.1, 0.1], 0.1), ([0.02, 0.1, 0.02, 0.02, 0.12], 0.1)):
+        z = np.concatenate([[0], np.cumsum(steps)])[far_apart]
         assert float(profile_of(WAY, z).step_m) == pytest.approx(want, abs=1e-3)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import RegularGridInterpolator
 
-from jexplore import btm_run
+from jexplore import vehicle
 from jexplore.btm_settings import ROBOTS
 from jexplore.terrain import (
     CONTACTS,
@@ -345,7 +345,7 @@ def marched(terrain, origin, direction, step=2e-4):
 @pytest.mark.jit
 def test_ranges_to_slopes_and_stairs_are_those_of_small_steps():
     robot = ROBOTS["kamui"]
-    down = np.asarray(btm_run.down_directions(robot))
+    down = np.asarray(vehicle.down_directions(robot))
     grazed = beams = 0
     for heights in (slope_of(TEN), stairs_of(5, 0.1, 8), stairs_of(6, 0.2, 6), -slope_of(math.radians(30))):
         terrain = ground(heights)
