@@ -164,21 +164,23 @@ def at_rest():
     )
 
 
-def choose_mode(drive, hall, hall_sides, left_m, right_m, closed, front_m, tuning, robot):
+def choose_mode(drive, hall, hall_sides, left_m, right_m, closed, fronts_m, tuning, robot):
     """The run mode of this step.
 
     Args:
       drive: `Drive`.
       hall: `Hall`.
       hall_sides: distances of both walls in the region in which free space is looked for.
-      left_m, right_m, front_m: of the walls beside the stretch that is driven next, and before the robot.
+      left_m, right_m: of the walls beside the stretch that is driven next.
+      fronts_m: of what is before the robot's left half and before its right.
       closed: bool, both walls together leave no more than C2 in the stretch before the robot: a dead end.
       tuning, robot: `Tuning`, `Robot`.
 
     Returns:
-      `(mode, drive)`: `RunMode` as int32; a dead end keeps the side to which it turns until the way is open.
+      `(mode, drive)`: `RunMode` as int32; a dead end keeps the side to which it turns until the way is open. It turns
+        to the larger side, from a wall near one half of its front to the other.
     """
-    guarded = front_m < robot.length_m / 2 + GUARD_M
+    guarded = jnp.minimum(*fronts_m) < robot.length_m / 2 + GUARD_M
     latched = drive.latch != Latch.FREE
     # One scan suffices to drive by, several in a row make a node.
     free = hall.inside | (hall_sides[0] > tuning.open_m) | (hall_sides[1] > tuning.open_m)
@@ -187,6 +189,8 @@ def choose_mode(drive, hall, hall_sides, left_m, right_m, closed, front_m, tunin
     mode = jnp.where(latched, RunMode.BRANCH_SELECTION, mode)
     mode = jnp.where(guarded, RunMode.CONTACT_GUARD, mode).astype(jnp.int32)
     larger = jnp.where(drive.left_m >= drive.right_m, 1, -1)
+    one_side = (guarded | closed) & (jnp.maximum(*fronts_m) > jnp.minimum(*fronts_m) + GUARD_M)
+    larger = jnp.where(one_side, jnp.where(fronts_m[0] > fronts_m[1], 1, -1), larger)
     turns = (mode == RunMode.DEAD_END) | (mode == RunMode.CONTACT_GUARD)
     turning = jnp.where(turns, jnp.where(drive.turning == 0, larger, drive.turning), 0)
     walls = ~free & ~closed & ~latched
@@ -201,15 +205,15 @@ def target_of(mode, drive, left_m, right_m, to_robot, tuning):
     """The target point in the robot's frame: `[2]` float32, metres.
 
     In a passage it lies on the middle between the walls, in free space at the distance from the followed wall that the
-    passage before had.
+    passage before had: the nearer wall, or where both sides are open the one that was nearer last.
 
     Source:
       Mano et al., equations 3 and 4.
     """
-    right = left_m > right_m
-    lateral = jnp.where(right, drive.right_m - right_m, left_m - drive.left_m)
     open_left, open_right = left_m > tuning.open_m, right_m > tuning.open_m
-    lateral = jnp.where(open_left & open_right, 0, lateral)
+    right = jnp.where(open_left & open_right, drive.right_m < drive.left_m, left_m > right_m)
+    lateral = jnp.where(right, drive.right_m - right_m, left_m - drive.left_m)
+    lateral = jnp.where(jnp.isfinite(lateral), jnp.clip(lateral, -tuning.ahead_m, tuning.ahead_m), 0)
     middle = jnp.where(open_left | open_right, lateral, (left_m - right_m) / 2)
     aside = jnp.where(mode == RunMode.WALL_FOLLOWING, lateral, middle)
     ahead = jnp.stack([jnp.float32(1) * tuning.ahead_m, aside])

@@ -28,9 +28,11 @@ from jexplore.vehicle import (
     sense,
     to_odometry,
     to_robot,
+    touches,
 )
 
 DRIVE = 1.5  # length of the stretch in which walls are steered by, in look-aheads
+CROSSING_M = 0.1  # but no nearer than this to a wall across the way
 EVERY = 2  # steps between two looks for triangles
 SCAN_POINTS = 48  # of a scan that are made into triangles
 KEPT_POINTS = 96  # of a scan that are kept for the openings of the next divergence
@@ -79,6 +81,7 @@ class State:
     mode: Array  # int32
     target: Array  # [2] float32, target point in the robot's frame
     blocked: Array  # int32, steps in a row with ground ahead that the robot cannot climb
+    halts: Array  # bool, the ground has just refused a step
     blind: Array  # int32, scans in a row without numbers
     moved_m: Array  # float32, odometer when it last got on
     moved_step: Array  # int32, and the step
@@ -105,6 +108,7 @@ def begin(building, robot, room):
         mode=none,
         target=jnp.zeros(2),
         blocked=none,
+        halts=jnp.bool_(False),
         blind=none,
         moved_m=zero,
         moved_step=none,
@@ -147,10 +151,12 @@ def step(key, building, robot, tuning, noise, state):
     xy, valid = perceive.points(senses.ranges_m, ANGLES_RAD)
     region = tuning.ahead_m / 2, tuning.ahead_m / 2 + tuning.region_m
     hall_sides = perceive.sides(xy, valid, *region)
-    left_m, right_m = perceive.sides(xy, valid, 0, DRIVE * tuning.ahead_m)
     closed = sum(perceive.sides(xy, valid, 0, tuning.ahead_m)) <= tuning.dead_end_m
-    front_m = perceive.front(xy, valid, robot.width_m)
-    beside = jnp.stack(perceive.sides(xy, valid, 0, robot.length_m / 2))
+    fronts_m = perceive.front(xy, valid, robot.width_m)
+    # Walls are steered by as far as the way is free: one that crosses it lies on both sides.
+    until_m = jnp.clip(jnp.maximum(*fronts_m) - CROSSING_M, robot.length_m / 2, DRIVE * tuning.ahead_m)
+    left_m, right_m = perceive.sides(xy, valid, 0, until_m)
+    beside = jnp.stack(perceive.clearances(xy, valid, robot.length_m / 2))
     blind = jnp.where(jnp.sum(jnp.isnan(senses.ranges_m)) > BEAMS / 2, state.blind + 1, 0)
     placed = to_odometry(state.estimate)
 
@@ -210,7 +216,7 @@ def step(key, building, robot, tuning, noise, state):
     blocked = jnp.where(event.blocked, 0, blocked)
 
     # Where to.
-    mode, drive = behave.choose_mode(drive, hall, hall_sides, left_m, right_m, closed, front_m, tuning, robot)
+    mode, drive = behave.choose_mode(drive, hall, hall_sides, left_m, right_m, closed, fronts_m, tuning, robot)
     target = behave.target_of(mode, drive, left_m, right_m, to_robot(estimate), tuning)
     v, omega = behave.steer(mode, drive, target, tuning, robot)
     writer = writer.replace(way=writer.way.replace(mode=writer.way.mode.at[state.step].set(mode, mode="drop")))
@@ -229,11 +235,12 @@ def step(key, building, robot, tuning, noise, state):
         mode=mode,
         target=target,
         blocked=blocked,
+        halts=body.refused > state.body.refused,
         blind=blind,
         truth=state.truth.at[state.step].set(state.body.pose, mode="drop"),
         step=state.step + 1,
     )
-    return _end(_helped(after, senses, event), at_goal & (event.kind == btm.TERMINAL))
+    return _end(_helped(after, senses, event, building, robot), at_goal & (event.kind == btm.TERMINAL))
 
 
 def _note(state, senses, width_m, ground_x, ground_z):
@@ -260,7 +267,10 @@ def _watch(state, writer, xy, valid, wall_m, placed, tuning):
         found = look(xy, valid, wall_m, tuning)
         there = placed(found.centre)
         known = btm_write.is_near_known(writer, there, state.odometer_m, tuning.leave_m)
-        found = dataclasses.replace(found, valid=found.valid & ~known & ~state.hall.inside)
+        # Once the robot is in the circle that it approaches, a wall that the circle touches lies beside or behind it.
+        is_in = jnp.hypot(*(track.centre - state.estimate[:2])) < track.radius
+        is_in &= state.drive.latch == Latch.APPROACH
+        found = dataclasses.replace(found, valid=found.valid & ~known & ~state.hall.inside & ~is_in)
         track = behave.follow(track, found, placed, tuning.same_m, state.drive.latch != Latch.APPROACH)
         kept = btm_write.keep_snapshot(
             writer.replace(**writer_part), lambda: _kept_points(xy, valid, placed, tuning), state.odometer_m
@@ -282,7 +292,7 @@ def _kept_points(xy, valid, placed, tuning):
 
 
 def _cannot_climb(way, robot, state):
-    """Whether the ground ahead is more than the robot can climb.
+    """Whether the ground ahead is more than the robot can climb, as it looks or as the robot has just found.
 
     Returns:
       `(stops, step_m, slope)`: bool; height of the step that stops it, 0 for none; inclination of the slope that does,
@@ -300,12 +310,12 @@ def _cannot_climb(way, robot, state):
 
     def judged(_):
         step_m = heights.profile(x, z, ahead | behind).step_m
-        is_step = (step_m > robot.max_step_m) & (step_m > btm_write.STEP_M)
-        stops = is_step | (rise > slope_m)
+        is_step = ((step_m > robot.max_step_m) | state.halts) & (step_m > btm_write.STEP_M)
+        stops = is_step | (rise > slope_m) | state.halts
         slope = jnp.abs(jnp.arctan(heights.profile(x, z, ahead).slope))
         return stops, jnp.where(is_step, step_m, 0.0), jnp.where(stops & ~is_step, slope, 0.0)
 
-    high = rise > jnp.minimum(slope_m, robot.max_step_m)
+    high = (rise > jnp.minimum(slope_m, robot.max_step_m)) | state.halts
     return run_if(high, judged, (jnp.bool_(False), jnp.float32(0), jnp.float32(0)))
 
 
@@ -367,14 +377,19 @@ def _write(state, writer, drive, track, event, tuning, robot):
     return writer.replace(map=map_, **rest), drive, track, estimate
 
 
-def _helped(state, senses, event):
+def _helped(state, senses, event, building, robot):
     """Where the robot has not got on for long the operator turns it to where the way is longest."""
     on = (state.odometer_m - state.moved_m > STUCK_M) | (event.kind != btm.NONE)
     moved_m = jnp.where(on, state.odometer_m, state.moved_m)
     moved_step = jnp.where(on, state.step, state.moved_step)
     helps = state.step - moved_step >= STUCK_STEPS
     ranges = jnp.where(jnp.isnan(senses.ranges_m), 0, jnp.minimum(senses.ranges_m, RANGE_M))
-    turn = jnp.where(helps, jnp.asarray(ANGLES_RAD)[jnp.argmax(ranges)], 0.0)
+    longest = jnp.asarray(ANGLES_RAD)[jnp.argmax(ranges)]
+
+    def fitting(_):  # a robot that does not fit when it is turned stays as it is
+        return jnp.where(touches(building, robot, state.body.pose.at[2].add(longest)), 0.0, longest)
+
+    turn = run_if(helps, fitting, jnp.float32(0))
     map_ = state.writer.map
     node = jnp.where(helps, state.writer.node, map_.kind.shape[0])
     return state.replace(

@@ -4,6 +4,7 @@ A node is made on arrival, never from afar: a divergence at the middle of its ci
 and leaves it, an obstacle where the ground's inclination changes, known once the robot stands evenly again.
 """
 
+import functools
 import math
 
 import jax
@@ -22,6 +23,7 @@ OPENINGS = 8  # of a divergence
 EVEN_DEG = 1.0  # the robot stands evenly once its pitch has varied by less than this
 EVEN_LENGTHS = 0.25  # over this way, in lengths of the robot: on a long robot a gentle slope comes slowly
 SAME_NODE_M = 1.0  # free space and obstacles nearer than this to one that is known are that one
+MEANT_STEPS = 5  # of which the width of a passage is the mean
 STEP_M = 0.04  # a rise of the profile by more than this within a cell's length is a step
 
 
@@ -187,7 +189,10 @@ def along(way, from_m, to_m):
     step.
     """
     within = (way.odometer_m >= from_m) & (way.odometer_m <= to_m)
-    width = jnp.min(jnp.where(within, way.width_m, jnp.inf))
+    n = way.width_m.shape[0]
+    padded = jnp.pad(jnp.where(within, way.width_m, jnp.inf), MEANT_STEPS // 2, constant_values=jnp.inf)
+    mean = functools.reduce(jnp.add, [padded[k : k + n] for k in range(MEANT_STEPS)]) / MEANT_STEPS
+    width = jnp.min(jnp.where(jnp.isfinite(mean), mean, jnp.inf))
     return width, jnp.degrees(jnp.max(jnp.where(within, way.posture, 0)))
 
 
@@ -210,7 +215,9 @@ def write(writer, event, tuning, robot):
     # The node: one that is known, or a new one.
     near, distance = btm.nearest_node(writer.map, event.centre[0], event.centre[1], event.kind)
     reach = jnp.where(is_divergence, jnp.maximum(0.5, event.radius), SAME_NODE_M)
-    again = (distance < reach) & (near != writer.node) & ~is_terminal
+    left = writer.map.radius_m[writer.node] + tuning.leave_m
+    round_ = is_divergence & (event.odometer_m - writer.node_m > 2 * left)  # it may be the one that it has come from
+    again = (distance < reach) & ((near != writer.node) | round_) & ~is_terminal
     width, posture = along(writer.way, writer.node_m, event.odometer_m)
     added, new = btm.add_node(
         writer.map,
@@ -235,7 +242,7 @@ def write(writer, event, tuning, robot):
     came = jnp.where(is_divergence, writer.entry - event.centre, -_heading(event.pose[2]))
     came = jnp.arctan2(came[1], came[0])
     points = writer.snapshot.reshape(-1, 2), writer.snapshot_there.reshape(-1)
-    found = perceive.openings(*points, event.centre, tuning.circle * event.radius, tuning.width_m, size=OPENINGS)
+    found = perceive.openings(*points, event.centre, event.radius, tuning.width_m, circle=tuning.circle, size=OPENINGS)
     off = jnp.where(found.valid, jnp.abs(btm.wrapped(found.bearing - came)), jnp.inf)
     entry = jnp.argmin(off)
     entry_seen = off[entry] < math.pi / 3

@@ -3,6 +3,7 @@
 Scans are in the robot's frame: x forward, y left, metres. A beam without a reading is no point; NaN counts as none.
 """
 
+import functools
 import math
 
 import jax.numpy as jnp
@@ -12,9 +13,14 @@ from jax import Array
 from jexplore.delaunay import circumcircles, delaunay
 
 NEIGHBOURS = 6  # beams on either side that a point is smoothed with
+MISSED = 3  # beams without a reading that are bridged
+AGREE = 0.1  # where the readings on both sides differ by less than this share
+MEANT = 3  # beams on either side that the width of a passage is the mean of
+MEANT_M = 0.15  # where they are nearer than this
 BEARINGS = 240  # directions round a place in which its nearest point is looked for
 GUARD_M = 0.1  # a wall this near to the robot's sides is in its way
 SPACING = 0.49  # of points along a wall, in least openings: two neighbours of one point are nearer than such an opening
+NEAR = 1.15  # radii within which a wall divides two openings
 WIDE = 0.8  # of half a turn: a gap as wide as this as seen from the middle of a place
 JUMP = 1 / SPACING  # distance between the points of neighbouring beams beyond which a wall ends, in spacings
 
@@ -34,12 +40,19 @@ def points(ranges_m, angles_rad):
     """Scan points.
 
     Args:
-      ranges_m: `[B]` float32; inf or NaN: no reading.
+      ranges_m: `[B]` float32; inf: no return; NaN: no reading.
       angles_rad: `[B]` float32.
 
     Returns:
-      `(xy, valid)`: `[B, 2]` float32, 0 where there is none; `[B]` bool.
+      `(xy, valid)`: `[B, 2]` float32, 0 where there is none; `[B]` bool. Up to `MISSED` beams without a reading between
+        two that nearly agree are given the mean of these.
     """
+    before = after = ranges_m
+    for k in range(1, MISSED + 1):
+        before = jnp.where(jnp.isnan(before), jnp.pad(ranges_m, (k, 0), constant_values=jnp.nan)[:-k], before)
+        after = jnp.where(jnp.isnan(after), jnp.pad(ranges_m, (0, k), constant_values=jnp.nan)[k:], after)
+    bridged = jnp.isnan(ranges_m) & (jnp.abs(after - before) < AGREE * before)
+    ranges_m = jnp.where(bridged, (before + after) / 2, ranges_m)
     valid = jnp.isfinite(ranges_m)
     r = jnp.where(valid, ranges_m, 0)
     return jnp.stack([r * jnp.cos(angles_rad), r * jnp.sin(angles_rad)], axis=1), valid
@@ -89,10 +102,36 @@ def sides(xy, valid, from_m, to_m):
     return left, right
 
 
+def clearances(xy, valid, to_m):
+    """Distances of the walls beside the robot: the least mean of neighbouring beams, which noise makes hardly smaller.
+
+    Args:
+      xy, valid: from `points`.
+      to_m: length of the region, metres before the robot's middle.
+
+    Returns:
+      `(left_m, right_m)`: float32, inf where the side is open.
+    """
+    within = valid & (xy[:, 0] >= 0) & (xy[:, 0] <= to_m)
+    n, y = xy.shape[0], jnp.where(within, xy[:, 1], jnp.inf)
+    padded = jnp.pad(y, MEANT, constant_values=jnp.inf)
+    total = count = jnp.zeros(n)
+    for k in range(2 * MEANT + 1):
+        other = padded[k : k + n]
+        near = jnp.abs(other - y) < MEANT_M
+        total, count = total + jnp.where(near, other, 0), count + near
+    mean = jnp.where(within, total / jnp.maximum(count, 1), jnp.inf)
+    left = jnp.min(jnp.where(y >= 0, mean, jnp.inf))
+    right = jnp.min(jnp.where(y <= 0, -mean, jnp.inf))
+    return left, right
+
+
 def front(xy, valid, width_m):
-    """Distance to the nearest point before the robot, over its width: float32, metres; inf for none."""
+    """Distances to the nearest points before the robot's left half and its right: float32, metres; inf for none."""
     ahead = valid & (jnp.abs(xy[:, 1]) <= width_m / 2 + GUARD_M / 2) & (xy[:, 0] > 0)
-    return jnp.min(jnp.where(ahead, xy[:, 0], jnp.inf))
+    left = jnp.min(jnp.where(ahead & (xy[:, 1] >= 0), xy[:, 0], jnp.inf))
+    right = jnp.min(jnp.where(ahead & (xy[:, 1] <= 0), xy[:, 0], jnp.inf))
+    return left, right
 
 
 def resampled(xy, valid, near_m, far_m, aside_m, spacing_m, *, size):
@@ -213,14 +252,15 @@ class Openings:
     overflow: Array  # int32, openings that did not fit
 
 
-def openings(xy, valid, centre, radius_m, width_m, *, size):
+def openings(xy, valid, centre, radius_m, width_m, *, circle, size):
     """Gaps between neighbouring points in a circle, as seen from its centre, that a robot fits through.
 
     Args:
       xy, valid: `[P, 2]` float32 and `[P]` bool, points of one or more scans.
       centre: `[2]` float32.
-      radius_m: of the search circle; points beyond it are left out.
+      radius_m: distance of the walls from the centre.
       width_m: least width of an opening [W].
+      circle: radius of the search circle [k], in `radius_m`; points beyond it are left out.
       size: K, most openings. Static.
 
     Returns:
@@ -228,27 +268,38 @@ def openings(xy, valid, centre, radius_m, width_m, *, size):
 
     Source:
       Mano et al., section III.B and Fig. 2(f). Changed: points of all scans on the way to the centre, in polar order
-      about it, where the paper takes those of one scan, in polar order about the robot, which does not see behind it.
+      about it, where the paper takes those of one scan, in polar order about the robot, which does not see behind it;
+      and what comes no nearer to the centre than `NEAR` radii, a wall farther in, does not divide an opening.
     """
     offset = xy - centre
     d2 = jnp.where(valid, jnp.sum(offset**2, axis=1), jnp.inf)
-    inside = d2 <= radius_m**2
+    inside = d2 <= (circle * radius_m) ** 2
     sector = jnp.floor((jnp.arctan2(offset[:, 1], offset[:, 0]) + math.pi) * (BEARINGS / (2 * math.pi)))
     sector = jnp.clip(sector.astype(jnp.int32), 0, BEARINGS - 1)
     mine = inside & (sector == jnp.arange(BEARINGS)[:, None])  # [BEARINGS, P]
     here = jnp.any(mine, axis=1)
     at = jnp.argmin(jnp.where(mine, d2, jnp.inf), axis=1)
     point = offset[at]  # the nearest in every direction
+    last = offset[jnp.argmax(jnp.where(mine, d2, -1), axis=1)]  # and the farthest: a wall may lead straight outward
 
-    # The next direction, counter-clockwise and round the circle, that has a point.
-    order = jnp.arange(BEARINGS)
-    later = jnp.where(here, order, 2 * BEARINGS)
-    twice = jnp.concatenate([later, later + BEARINGS])
-    following = jnp.min(jnp.where(twice > order[:, None], twice, 4 * BEARINGS), axis=1)
-    after = point[following % BEARINGS]
-    width = jnp.hypot(*(after - point).T)
+    def gaps(here):  # from every direction to the next, counter-clockwise and round the circle, that has a point
+        order = jnp.arange(BEARINGS)
+        later = jnp.where(here, order, 2 * BEARINGS)
+        twice = jnp.concatenate([later, later + BEARINGS])
+        following = jnp.min(jnp.where(twice > order[:, None], twice, 4 * BEARINGS), axis=1) % BEARINGS
+        after, last_after = point[following], last[following]
+        pairs = (point, after), (last, after), (point, last_after), (last, last_after)
+        width = functools.reduce(jnp.minimum, [jnp.hypot(*(b - a).T) for a, b in pairs])
+        return after, width, here & ((width > width_m) | (jnp.sum(here) == 1))
+
+    # A wall is what lies between two gaps.
+    gap_here = gaps(here)[2]
+    wall = (running_sum(gap_here.astype(jnp.float32)) - gap_here) % jnp.maximum(jnp.sum(gap_here), 1)
+    distance = jnp.where(here, jnp.hypot(*point.T), jnp.inf)
+    nearest_m = jnp.min(jnp.where(wall == wall[:, None], distance, jnp.inf), axis=1)
+    here &= nearest_m <= jnp.maximum(NEAR * radius_m, jnp.min(distance))
+    after, width, gap_here = gaps(here)
     only = jnp.sum(here) == 1
-    gap_here = here & ((width > width_m) | only)
     middle = (point + after) / 2
     bearing = jnp.arctan2(middle[:, 1], middle[:, 0])
     # The middle of a gap of about half a turn says little of where it opens, that of a wider one lies on the other side

@@ -151,8 +151,8 @@ def move(key, building, robot, noise, body, estimate, senses, v, omega):
     pitch, roll, height, rise = attitude(building.terrain, pose, robot.length_m, robot.width_m)
     contact = touches(building, robot, pose)
     steep = jnp.radians(robot.max_slope_deg) + 1e-3
-    climbs = (jnp.abs(pitch) <= steep) & (jnp.abs(roll) <= steep) & (rise <= robot.max_step_m)
-    climbs |= (jnp.abs(pitch) < jnp.abs(body.pitch)) | (flat == 0)
+    climbs = (jnp.abs(pitch) <= steep) & (jnp.abs(roll) <= steep) | (jnp.abs(pitch) < jnp.abs(body.pitch))
+    climbs = climbs & (rise <= robot.max_step_m) | (flat == 0)
     goes = ~contact & climbs
     moved = Body(
         pose=jnp.where(goes, pose, body.pose),

@@ -213,10 +213,14 @@ def in_hall(inside):
     return behave.no_hall().replace(inside=jnp.bool_(inside))
 
 
+def _fronts(front_m):
+    return tuple(jnp.float32(v) for v in np.broadcast_to(front_m, 2))
+
+
 def mode_of(drive=None, *, inside=False, hall_sides=(1.0, 1.0), left_m=1.0, right_m=1.0, closed=False, front_m=5.0):
     mode, drive = behave.choose_mode(
         driving() if drive is None else drive, in_hall(inside), hall_sides, jnp.float32(left_m), jnp.float32(right_m),
-        jnp.bool_(closed), jnp.float32(front_m), TUNING, KAMUI,
+        jnp.bool_(closed), _fronts(front_m), TUNING, KAMUI,
     )  # fmt: skip
     return RunMode(int(mode)), drive
 
@@ -241,6 +245,13 @@ def test_modes_in_the_order_of_their_priority():
             else RunMode.CENTRAL
         )  # fmt: skip
         assert mode == want, (near, latched, closed, inside, left, right)
+
+
+def test_the_guard_turns_from_what_is_near_one_half_of_the_front():
+    for fronts, left_m, side in (((0.2, 0.5), 2.0, -1), ((0.5, 0.2), 0.5, 1), ((0.3, INF), 2.0, -1)):
+        assert int(mode_of(driving(left_m=left_m), front_m=fronts)[1].turning) == side
+    for left_m, side in ((2.0, 1), (0.5, -1)):  # a wall across both: to the larger side
+        assert int(mode_of(driving(left_m=left_m), front_m=(0.3, 0.34))[1].turning) == side
 
 
 @pytest.mark.parametrize(("left_m", "right_m", "side"), [(1.2, 0.8, 1), (0.8, 1.2, -1), (1.0, 1.0, 1)])
@@ -301,8 +312,10 @@ def test_the_middle_of_a_passage(left_m, right_m, aside):
         (0.5, 0.6, -0.3),
         (1.2, 1.2, 0.4),  # equally near: the left one
         (INF, INF, 0),
-        (2.6, 3.0, 0),
-        (3.0, 2.6, 0),
+        (2.6, 3.0, 1),  # both open: the left wall was the nearer, and no farther aside than ahead
+        (3.0, 2.6, 1),
+        (3.0, INF, 1),
+        (INF, 2.6, 0),  # it is out of sight
     ],
 )
 def test_the_nearer_wall_is_followed_at_the_distance_it_had(left_m, right_m, aside):
@@ -310,7 +323,7 @@ def test_the_nearer_wall_is_followed_at_the_distance_it_had(left_m, right_m, asi
 
 
 @pytest.mark.parametrize(
-    ("left_m", "right_m", "aside"), [(2.4, 1.0, 0.7), (2.6, 1.0, 0.1), (1.0, 2.6, 0.2), (INF, INF, 0), (2.6, 2.6, 0)]
+    ("left_m", "right_m", "aside"), [(2.4, 1.0, 0.7), (2.6, 1.0, 0.1), (1.0, 2.6, 0.2), (INF, INF, 0), (2.6, 2.6, 1)]
 )
 def test_a_passage_with_an_open_side_is_driven_along_the_other(left_m, right_m, aside):
     assert target(RunMode.CENTRAL, left_m, right_m) == pytest.approx([1, aside])

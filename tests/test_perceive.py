@@ -67,7 +67,7 @@ def test_no_reading_at_all():
         assert not np.asarray(valid).any()
         assert not np.asarray(xy).any()
         assert [float(v) for v in sides(xy, valid, 0, 5)] == [math.inf, math.inf]
-        assert float(front(xy, valid, 0.39)) == math.inf
+        assert [float(v) for v in front(xy, valid, 0.39)] == [math.inf, math.inf]
         np.testing.assert_array_equal(smoothed(xy, valid, 0.1), xy)
 
 
@@ -108,17 +108,17 @@ def test_front_is_as_wide_as_the_robot_and_its_guard():
     there = np.ones(6, bool)
     half = perceive.GUARD_M / 2
     assert half == pytest.approx(0.05)
-    assert float(front(dots, there, 0.4)) == 1.5
-    assert float(front(dots, there, 0.44)) == 1.0
-    assert float(front(dots, there, 0.32)) == 2.0
-    assert float(front(dots, there, 0.2)) == 3.0
-    assert float(front(dots, dots[:, 0] <= 0, 0.4)) == math.inf
+    assert [float(v) for v in front(dots, there, 0.4)] == [2.0, 1.5]
+    assert [float(v) for v in front(dots, there, 0.44)] == [1.0, 1.5]
+    assert [float(v) for v in front(dots, there, 0.32)] == [2.0, 3.0]
+    assert [float(v) for v in front(dots, there, 0.2)] == [3.0, 3.0]
+    assert [float(v) for v in front(dots, dots[:, 0] <= 0, 0.4)] == [math.inf, math.inf]
 
 
 def test_in_a_passage():
     xy, valid = points_of([(-9, 0.8, 9, 0.8), (-9, -1.2, 9, -1.2), (3, -2, 3, 2)])
     assert [float(v) for v in sides(xy, valid, 0, 1.5)] == pytest.approx([0.8, 1.2], abs=1e-5)
-    assert float(front(xy, valid, 0.39)) == pytest.approx(3, abs=1e-4)
+    assert [float(v) for v in front(xy, valid, 0.39)] == pytest.approx([3, 3], abs=1e-4)
 
 
 # ---------------------------------------------------------------- smoothed
@@ -498,13 +498,13 @@ P = 1000
 find_openings = jax.jit(perceive.openings, static_argnames="size")
 
 
-def ways_out(xy, centre=(0, 0), radius_m=2.0, width_m=TUNING.width_m, size=K):
+def ways_out(xy, centre=(0, 0), radius_m=2.0, width_m=TUNING.width_m, size=K, circle=1.0):
     """`(bearings in degrees, widths, overflow)` of the openings, in their order."""
     xy = np.asarray(xy, np.float32).reshape(-1, 2)
     padded, there = np.zeros((P, 2), np.float32), np.arange(P) < len(xy)
     padded[: len(xy)] = xy
     found = find_openings(
-        padded, there, np.array(centre, np.float32), np.float32(radius_m), np.float32(width_m), size=size
+        padded, there, np.array(centre, np.float32), np.float32(radius_m), np.float32(width_m), circle=circle, size=size
     )
     valid = np.asarray(found.valid)
     assert found.bearing.shape == found.width_m.shape == valid.shape == (size,)
@@ -552,6 +552,29 @@ def test_of_one_direction_the_nearest_point_counts():
     east = np.hypot(1.5 - math.sqrt(0.5), math.sqrt(0.5))
     widths = ways_out(corners, radius_m=1.6)[1]
     np.testing.assert_allclose(widths, [math.sqrt(2), east, east, east, east, math.sqrt(2)], atol=1e-5)
+
+
+def test_a_wall_farther_in_does_not_divide_an_opening():
+    corners = polar([-135, -45, 45, 135])
+    for distance, n in ((1.1, 5), (1.2, 4), (1.6, 4)):
+        stray = np.concatenate([corners, polar([0, 2], distance)])
+        bearings, widths, _ = ways_out(stray, radius_m=1.0, circle=1.5)
+        assert len(bearings) == n, distance
+        assert max(widths) == pytest.approx(math.sqrt(2), abs=1e-5)
+    far = polar([-120, 0, 120], 1.4)  # none comes nearer: the nearest count
+    assert len(ways_out(far, radius_m=1.0, circle=1.5)[0]) == 3
+    # A wall that leads from near to far is one.
+    wall = np.stack([np.linspace(0.8, 1.4, 20), np.full(20, 0.6)], 1)
+    bearings, widths, _ = ways_out(np.concatenate([wall, polar([-60, 180])]), radius_m=1.0, circle=1.5)
+    assert len(bearings) == 3
+
+
+def test_a_wall_that_leads_straight_outward_is_no_gap():
+    away = np.arange(0.9, 1.9, 0.05)
+    wall = np.stack([0.08 + 0 * away, away], 1)  # of two directions 1.5 degrees apart its points are 0.5 m apart
+    bearings, _, _ = ways_out(np.concatenate([wall, polar(np.arange(130, 430, 5))]))
+    assert len(bearings) == 1
+    assert 90 < bearings[0] < 130
 
 
 def test_where_a_gap_is_more_than_half_a_turn_it_lies_on_the_other_side():
