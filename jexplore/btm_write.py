@@ -4,7 +4,6 @@ A node is made on arrival, never from afar: a divergence at the middle of its ci
 and leaves it, an obstacle where the ground's inclination changes, known once the robot stands evenly again.
 """
 
-import functools
 import math
 
 import jax
@@ -24,6 +23,7 @@ EVEN_DEG = 1.0  # the robot stands evenly once its pitch has varied by less than
 EVEN_LENGTHS = 0.25  # over this way, in lengths of the robot: on a long robot a gentle slope comes slowly
 SAME_NODE_M = 1.0  # free space and obstacles nearer than this to one that is known are that one
 MEANT_STEPS = 5  # of which the width of a passage is the mean
+MEANT_M = 0.1  # as far as they are this near
 STEP_M = 0.04  # a rise of the profile by more than this within a cell's length is a step
 
 
@@ -189,10 +189,15 @@ def along(way, from_m, to_m):
     step.
     """
     within = (way.odometer_m >= from_m) & (way.odometer_m <= to_m)
-    n = way.width_m.shape[0]
-    padded = jnp.pad(jnp.where(within, way.width_m, jnp.inf), MEANT_STEPS // 2, constant_values=jnp.inf)
-    mean = functools.reduce(jnp.add, [padded[k : k + n] for k in range(MEANT_STEPS)]) / MEANT_STEPS
-    width = jnp.min(jnp.where(jnp.isfinite(mean), mean, jnp.inf))
+    known = within & jnp.isfinite(way.width_m)
+    n, half, total, count = known.shape[0], MEANT_STEPS // 2, 0, 0
+    place, value = (
+        jnp.pad(a, half, constant_values=jnp.inf) for a in (jnp.where(known, way.odometer_m, jnp.inf), way.width_m)
+    )
+    for k in range(MEANT_STEPS):
+        near = jnp.abs(place[k : k + n] - way.odometer_m) <= MEANT_M
+        total, count = total + jnp.where(near, value[k : k + n], 0), count + near
+    width = jnp.min(jnp.where(known, total / jnp.maximum(count, 1), jnp.inf))
     return width, jnp.degrees(jnp.max(jnp.where(within, way.posture, 0)))
 
 

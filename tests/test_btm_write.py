@@ -146,6 +146,15 @@ def test_narrowest_and_steepest_between_two_places():
     assert [float(value) for value in btm_write.along(btm_write.no_way(3), 0, 9)] == [math.inf, 0]
 
 
+def test_noise_makes_a_passage_hardly_narrower():
+    rng = np.random.default_rng(0)
+    widths = 2 + 0.05 * rng.normal(size=STEPS)
+    rows = [(0.04 * i, 0.04 * i, 0, 0, 0, 0, width) for i, width in enumerate(widths)]
+    narrowest = float(btm_write.along(path(begun(), *rows).way, 0, 99)[0])
+    assert widths.min() < narrowest - 0.02
+    assert narrowest == pytest.approx(min(np.mean(widths[max(0, i - 2) : i + 3]) for i in range(STEPS)), abs=1e-4)
+
+
 def test_the_pose_at_an_odometer():
     way = path(begun(), *ROWS).way
     for odometer, x in ((0, 0), (0.5, 1), (1, 1), (2.9, 3), (3, 3)):
