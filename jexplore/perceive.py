@@ -48,10 +48,12 @@ def points(ranges_m, angles_rad):
         two that nearly agree are given the mean of these.
     """
     before = after = ranges_m
+    missed = -jnp.ones_like(ranges_m)
     for k in range(1, MISSED + 1):
+        missed = missed + jnp.isnan(before) + jnp.isnan(after)
         before = jnp.where(jnp.isnan(before), jnp.pad(ranges_m, (k, 0), constant_values=jnp.nan)[:-k], before)
         after = jnp.where(jnp.isnan(after), jnp.pad(ranges_m, (0, k), constant_values=jnp.nan)[k:], after)
-    bridged = jnp.isnan(ranges_m) & (jnp.abs(after - before) < AGREE * before)
+    bridged = jnp.isnan(ranges_m) & (missed <= MISSED) & (jnp.abs(after - before) < AGREE * before)
     ranges_m = jnp.where(bridged, (before + after) / 2, ranges_m)
     valid = jnp.isfinite(ranges_m)
     r = jnp.where(valid, ranges_m, 0)

@@ -144,6 +144,17 @@ def test_the_wheeled_robot_cannot_pass_stairs():
     assert found.first.nodes[1].inclination_deg is None
 
 
+@pytest.mark.jit
+def test_a_riser_that_the_ground_refuses_is_an_obstacle():
+    found = ran(tracing.prepare("course:obstacle=stairs,riser_m=0.25", noise=Noise(range_m=0.01)))
+    assert kinds(found.first) == "TO"
+    assert found.table["outcome"].tolist() == ["EXHAUSTED"]
+    (onward,) = (link for link in found.first.links if link.status == "un-searched")
+    assert onward.attributes["blocked"] is True
+    assert found.first.nodes[1].obstacle == "stairs"
+    assert abs(found.first.nodes[1].step_m - 0.25) < 0.03
+
+
 def test_ends_by_name(course):
     plan = course.plan
     state = btm_run.begin(plan.building, KAMUI, 10)

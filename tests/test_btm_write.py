@@ -10,6 +10,7 @@ import pytest
 from jexplore import btm, btm_map, btm_write
 from jexplore.behave import Latch
 from jexplore.btm import DIVERGENCE, FREE_SPACE, NONE, OBSTACLE, SEARCHED, TERMINAL, UNSEARCHED
+from jexplore.btm_compare import code
 from jexplore.btm_settings import ROBOTS, Tuning
 from jexplore.btm_write import Event
 
@@ -427,6 +428,22 @@ def test_a_node_met_again_from_its_other_end_loses_the_double_link():
     assert writer.exhausted  # the ring is closed
     record = btm_map.check(btm.to_map(writer.map))
     assert [(link.id, link.start, link.end) for link in record.links] == [(0, 0, 1), (1, 1, 2), (2, 2, 1)]
+
+
+def test_a_way_may_lead_back_to_the_node_where_it_began():
+    t, *_ = at_the_t()
+    south, north = int(t.link), 3 - int(t.link)
+    writer, _, _, shift = back_at_the_t(t, 20, (3.9, 4.0), (3.65, -0.2))
+    assert links_of(writer)[south] == (1, 1, SEARCHED)
+    assert links_of(writer)[north] == (NONE, NONE, NONE)
+    assert (int(writer.map.n_nodes), bool(writer.exhausted)) == (2, True)
+    assert shift == pytest.approx([0.1, 0.2], abs=1e-6)
+    record = btm_map.check(btm.to_map(writer.map))
+    assert [(link.start, link.end) for link in record.links] == [(0, 1), (1, 1)]
+    assert sorted(record.angles_deg(1)) == pytest.approx([99, 99, 162], abs=6)  # the link counts at both its ends
+    assert len(code(record)) > 4
+    near, *_ = back_at_the_t(t, 6.9, (3.9, 4.0))  # after less than it takes to leave it twice
+    assert int(near.map.n_nodes) == 3
 
 
 def test_how_near_a_known_node_is_met_again():

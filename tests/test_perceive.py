@@ -29,6 +29,7 @@ points = jax.jit(perceive.points)
 smoothed = jax.jit(perceive.smoothed)
 sides = jax.jit(perceive.sides)
 front = jax.jit(perceive.front)
+clearances = jax.jit(perceive.clearances)
 resampled = jax.jit(perceive.resampled, static_argnames="size")
 
 
@@ -45,8 +46,8 @@ def scan_of(lines, angles=ANGLES_RAD, range_m=RANGE_M):
     return np.where(ranges < range_m, ranges, np.inf).astype(np.float32)
 
 
-def points_of(lines):
-    return points(scan_of(lines), ANGLES_RAD)
+def points_of(lines, noise_m=0):
+    return points(scan_of(lines) + np.float32(noise_m), ANGLES_RAD)
 
 
 # ---------------------------------------------------------------- points
@@ -59,6 +60,25 @@ def test_points_by_hand():
     np.testing.assert_array_equal(valid, [True, True, False, False, True, True])
     np.testing.assert_allclose(xy, [[0, -2], [1, 0], [0, 0], [0, 0], [0, 3], [2 * math.sqrt(3), 2]], atol=1e-6)
     assert xy.dtype == jnp.float32
+
+
+def test_a_few_beams_that_fail_are_bridged():
+    ranges = np.full(BEAMS, 2.0, np.float32)
+    ranges[100:] = 2.1
+    for missed, n in (((50,), 0), ((50, 51, 52), 0), ((50, 51, 52, 53), 4), ((99, 100), 0), ((0, 1), 2), ((180,), 1)):
+        some = ranges.copy()
+        some[list(missed)] = np.nan
+        xy, valid = points(some, ANGLES_RAD)
+        assert BEAMS - int(np.sum(valid)) == n, missed
+        distance = np.hypot(*np.asarray(xy).T)[np.asarray(valid)]
+        assert distance.min() > 1.99
+        assert distance.max() < 2.11
+    ranges[100:] = 2.3  # two walls
+    some = ranges.copy()
+    some[99:101] = np.nan
+    assert not np.asarray(points(some, ANGLES_RAD)[1])[99:101].any()
+    some[99:101] = np.inf  # nothing is there
+    assert not np.asarray(points(some, ANGLES_RAD)[1])[99:101].any()
 
 
 def test_no_reading_at_all():
@@ -101,6 +121,21 @@ def test_sides_leave_out_what_is_no_point_and_mirror():
     assert [float(v) for v in sides(mirrored, ALL, 0, 1.2)] == pytest.approx([0.4, 1.0])
     ahead = np.array([[1, 0]], np.float32)  # straight ahead: on both sides
     assert [float(v) for v in sides(ahead, ALL[:1], 0, 2)] == [0, 0]
+
+
+def test_noise_makes_clearances_hardly_smaller():
+    rng = np.random.default_rng(3)
+    ours, least = [], []
+    for _ in range(100):
+        noise_m = rng.normal(scale=0.03, size=BEAMS).astype(np.float32)
+        place = points_of([(-9, 0.8, 9, 0.8), (-9, -1.2, 9, -1.2)], noise_m=noise_m)
+        ours.append([float(v) for v in clearances(*place, 0.35)])
+        least.append([float(v) for v in sides(*place, 0, 0.35)])
+    assert np.abs(np.mean(ours, axis=0) - [0.8, 1.2]).max() < 0.03
+    assert np.abs(np.mean(least, axis=0) - [0.8, 1.2]).min() > 0.04  # the nearest points alone
+    xy, valid = points_of([(-9, 0.8, 9, 0.8), (-9, -1.2, 9, -1.2), (0.2, 0.5, 0.3, 0.5)])
+    assert [float(v) for v in clearances(xy, valid, 0.35)] == pytest.approx([0.5, 1.2], abs=1e-5)  # a post counts
+    assert [float(v) for v in clearances(xy, valid & (xy[:, 1] > 0), 0.35)] == [pytest.approx(0.5), math.inf]
 
 
 def test_front_is_as_wide_as_the_robot_and_its_guard():
