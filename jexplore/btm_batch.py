@@ -4,30 +4,32 @@ Robot, thresholds and noise differ from run to run as the caller likes: they are
 them is one program.
 """
 
+import dataclasses
 import functools
 import time
-from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from flax import struct
-from jax import Array, lax
+from jax import Array
 
-from jexplore import btm_run, vehicle
+from jexplore import btm_run, cores, vehicle
 from jexplore.btm import Btm
 from jexplore.btm_run import Outcome
 from jexplore.config import InputError
+from jexplore.site import number
 from jexplore.terrain import terrain_of
 from jexplore.vehicle import Building
 from jexplore.walls import walls_of
 
 MAX_STEPS = 6000
 CHUNK = 16  # most runs in one call on a CPU
-CHUNK_S = 1.0  # seconds that a call should take there
 LANES = 1024  # runs in one call on an accelerator
-MULTIPLE = 64  # sides and walls are padded to multiples of this, so that similar buildings share a program
+MULTIPLE = 64  # sides are padded to multiples of this, so that similar buildings share a program
+WALLS_MULTIPLE = 16  # and walls to multiples of this
 
 
 @struct.dataclass
@@ -81,7 +83,7 @@ def building_of(world, start_pose, goal_m):
     x_m, y_m = world.origin_m
     goal = (np.nan, np.nan) if goal_m is None else (goal_m[0] - x_m, goal_m[1] - y_m)
     return Building(
-        walls=walls_of(world.occupied, world.cell_m, multiple=MULTIPLE),
+        walls=walls_of(world.occupied, world.cell_m, multiple=WALLS_MULTIPLE),
         terrain=terrain_of(elevation, world.cell_m),
         occupied=np.pad(world.occupied, pad, constant_values=True),  # type: ignore[arg-type]
         cell_m=np.float32(world.cell_m),  # type: ignore[arg-type]
@@ -116,9 +118,8 @@ def numbers_of(record, n):
     """A record of settings as arrays with a leading axis of n: whole numbers int32, others float32."""
 
     def wide(value):
-        value = np.asarray(value)
-        kind = np.int32 if value.dtype.kind in "iu" else np.float32
-        return np.broadcast_to(value.astype(kind), (n,)) if value.ndim == 0 else value.astype(kind)
+        value = number(value)
+        return np.broadcast_to(value, (n,)) if value.ndim == 0 else value
 
     return jax.tree.map(wide, record)
 
@@ -148,13 +149,7 @@ def _one_after_the_other(building, settings, seed, which, count, max_steps, room
     def own(i):
         return _one(building, jax.tree.map(lambda a: a[i], settings), seed, which[i], max_steps, room)
 
-    def one(i, state):
-        result, track = own(i)
-        return jax.tree.map(lambda all_, new: all_.at[i].set(new), state[0], result), track
-
-    result, track = jax.eval_shape(own, 0)
-    results = jax.tree.map(lambda a: jnp.zeros((which.shape[0], *a.shape), a.dtype), result)
-    return lax.fori_loop(0, count, one, (results, jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), track)))
+    return cores.in_turn(own, which.shape[0], count)
 
 
 def _all_at_once(building, settings, seed, which, count, max_steps, room):
@@ -163,6 +158,43 @@ def _all_at_once(building, settings, seed, which, count, max_steps, room):
     one = functools.partial(_one, room=room)
     result, track = jax.vmap(one, (None, 0, None, 0, None))(building, settings, seed, which, max_steps)
     return result, jax.tree.map(lambda a: a[0], track)
+
+
+@functools.lru_cache(maxsize=16)
+def _compiled(function, room, tree, shapes):
+    """A compiled program and the shapes of what it returns."""
+    arguments = jax.tree.unflatten(tree, [jax.ShapeDtypeStruct(*shape) for shape in shapes])
+    lowered = jax.jit(function, static_argnames=("room",)).lower(*arguments, room=room)
+    return lowered.compile(), lowered.out_info
+
+
+@dataclasses.dataclass(kw_only=True)
+class _Runs(cores.Work):
+    """Runs on their way; a piece of work is one on a CPU, `LANES` on an accelerator."""
+
+    size: int  # runs in a call, those included that are done for nothing
+    group: int  # runs in a piece
+    program: Callable
+    place: tuple  # building and seed, on the device
+    settings: tuple  # `[n]` arrays
+    which: np.ndarray  # [n] int32
+    limit: np.int32
+    results: Result  # numpy, [n]
+    track: Track | None = None
+
+    def call(self, first, n):
+        rows = slice(first * self.group, min((first + n) * self.group, len(self.which)))
+        count = rows.stop - rows.start
+        settings, which = jax.tree.map(lambda a: _padded(a[rows], self.size), (self.settings, self.which))
+        began = time.perf_counter()
+        building, seed = self.place
+        found, last = jax.block_until_ready(self.program(building, settings, seed, which, np.int32(count), self.limit))
+        seconds = time.perf_counter() - began
+        found = jax.tree.map(lambda a: np.asarray(a)[:count], found)
+        jax.tree.map(lambda all_, new: all_.__setitem__(rows, new), self.results, found)
+        if first == 0:
+            self.track = Track(*(np.asarray(a)[: int(found.steps[0])] for a in last))
+        return seconds
 
 
 def run(building, robots, tunings, noises, seed, which, *, workers, max_steps=MAX_STEPS, on_progress=lambda n: None):
@@ -181,61 +213,36 @@ def run(building, robots, tunings, noises, seed, which, *, workers, max_steps=MA
       `Report`. After Ctrl-C it holds what was finished.
     """
     on_cpu = jax.default_backend() == "cpu"
-    size = CHUNK if on_cpu else min(LANES, len(which))
-    function = jax.jit(_one_after_the_other if on_cpu else _all_at_once, static_argnames=("room",))
-    which = np.asarray(which, np.int32)
-    arrays = (robots, tunings, noises), which
-    place, seed = jax.device_put((building, np.uint32(seed)))
     n = len(which)
-    blank = jax.tree.map(lambda a: np.zeros((size, *a.shape[1:]), a.dtype), arrays)
+    size, group = (CHUNK, 1) if on_cpu else (min(LANES, n), min(LANES, n))
+    function = _one_after_the_other if on_cpu else _all_at_once
+    which = np.asarray(which, np.int32)
+    settings = dataclasses.replace(robots, name=""), tunings, noises  # a name would make another program
+    place, limit = jax.device_put((building, np.uint32(seed))), np.int32(max_steps)
+    blank = jax.tree.map(lambda a: np.zeros(size, a.dtype), settings), np.zeros(size, np.int32)
+    leaves, tree = jax.tree.flatten((building, blank[0], np.uint32(seed), blank[1], np.int32(0), limit))
     began = time.perf_counter()
-    limit, room = np.int32(max_steps), max(max_steps, MAX_STEPS)
-    lowered = function.lower(place, blank[0], seed, blank[1], np.int32(0), limit, room=room)
-    program = lowered.compile()
+    shapes = tuple((np.shape(a), np.asarray(a).dtype) for a in leaves)
+    program, found = _compiled(function, max(max_steps, MAX_STEPS), tree, shapes)
     compile_s = time.perf_counter() - began
-    results = jax.tree.map(lambda a: np.zeros((n, *a.shape[1:]), a.dtype), lowered.out_info[0])
-    track = None
-
-    def call(at, count):
-        settings, numbers = jax.tree.map(lambda a: _padded(a[at : at + count], size), arrays)
-        start = time.perf_counter()
-        found, last = jax.block_until_ready(program(place, settings, seed, numbers, np.int32(count), limit))
-        return at, count, jax.tree.map(np.asarray, found), last, time.perf_counter() - start
-
-    began, done, at, run_s, interrupted = time.perf_counter(), 0, 0, None, False
-    pool = ThreadPoolExecutor(workers if on_cpu else 1)
-    running = set()
+    runs = _Runs(
+        pieces=-(-n // group),
+        most=size // group,
+        size=size,
+        group=group,
+        program=program,
+        place=place,
+        settings=settings,
+        which=which,
+        limit=limit,
+        results=jax.tree.map(lambda a: np.zeros((n, *a.shape[1:]), a.dtype), found[0]),
+    )
+    began, interrupted = time.perf_counter(), False
     try:
-        while at < n or running:
-            while at < n and len(running) < (workers if on_cpu else 1):
-                count = min(n - at, _calls(size, on_cpu, run_s, n, workers))
-                running.add(pool.submit(call, at, count))
-                at += count
-            ended, running = wait(running, return_when=FIRST_COMPLETED)
-            for future in ended:
-                begin, count, found, last, seconds = future.result()
-                rows = slice(begin, begin + count)
-                own = jax.tree.map(lambda a, count=count: a[:count], found)
-                jax.tree.map(lambda all_, new, rows=rows: all_.__setitem__(rows, new), results, own)
-                if begin == 0:
-                    steps = int(np.asarray(found.steps)[0])
-                    track = Track(*(np.asarray(a)[:steps] for a in last))
-                run_s, done = seconds / count, done + count
-            on_progress(done)
+        cores.run([runs], workers if on_cpu else 1, lambda done: on_progress(min(done * group, n)))
     except KeyboardInterrupt:
         interrupted = True
-    finally:
-        pool.shutdown(wait=True, cancel_futures=True)
-    return Report(results, track, compile_s, time.perf_counter() - began, interrupted)
-
-
-def _calls(size, on_cpu, run_s, n, workers):
-    """How many runs the next call takes: on a CPU the first only one, whose way is kept, then about a second's."""
-    if not on_cpu:
-        return size
-    if run_s is None:
-        return 1
-    return max(1, min(size, int(CHUNK_S / max(run_s, 1e-6)), -(-n // workers)))
+    return Report(runs.results, runs.track, compile_s, time.perf_counter() - began, interrupted)
 
 
 def _padded(array, size):

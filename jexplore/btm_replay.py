@@ -39,14 +39,14 @@ def wall_lines(plan):
 @jax.jit
 def _frame(key, building, robot, tuning, noise, state):
     """One step, and what was seen in it."""
-    sense_key, _ = jax.random.split(key)  # as `btm_run.step` splits it
-    senses = vehicle.sense(sense_key, building, robot, noise, state.body)
+    draws = vehicle.draw(key)
+    senses = vehicle.sense(draws, building, robot, noise, state.body)
     xy, valid = perceive.points(senses.ranges_m, vehicle.ANGLES_RAD)
-    beside = jnp.stack(perceive.sides(xy, valid, 0, robot.length_m / 2))
-    found = btm_run.look(xy, valid, beside.min(), tuning)
+    wall_m = jnp.minimum(*perceive.clearances(xy, valid, robot.length_m / 2))
+    found = btm_run.look(xy, valid, wall_m, tuning)
     best = jnp.argsort(jnp.where(found.valid, jnp.hypot(*found.centre.T), jnp.inf))[:TRIANGLES]
     there = found.valid[best]
-    after = btm_run.step(key, building, robot, tuning, noise, state)
+    after = btm_run.step(draws, building, robot, tuning, noise, state)
     region = tuning.ahead_m / 2, tuning.ahead_m / 2 + tuning.region_m
     left_m, right_m = perceive.sides(xy, valid, *region)
     seen = {

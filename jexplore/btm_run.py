@@ -24,6 +24,7 @@ from jexplore.vehicle import (
     Body,
     at_rest,
     down_directions,
+    draw,
     move,
     sense,
     to_odometry,
@@ -33,6 +34,7 @@ from jexplore.vehicle import (
 
 DRIVE = 1.5  # length of the stretch in which walls are steered by, in look-aheads
 CROSSING_M = 0.1  # but no nearer than this to a wall across the way
+BLOCK = 16  # steps whose random numbers are drawn at once
 EVERY = 2  # steps between two looks for triangles
 SCAN_POINTS = 48  # of a scan that are made into triangles
 KEPT_POINTS = 96  # of a scan that are kept for the openings of the next divergence
@@ -134,20 +136,19 @@ def look(xy, valid, wall_m, tuning):
     )
 
 
-def step(key, building, robot, tuning, noise, state):
+def step(draws, building, robot, tuning, noise, state):
     """One step of a run: sense, perceive, write, decide, move.
 
     Args:
-      key: consumed.
+      draws: `Draws`.
       building, robot, tuning, noise: of the run.
       state: `State`.
 
     Returns:
       `State`.
     """
-    sense_key, move_key = jax.random.split(key)
     body, drive = state.body, state.drive
-    senses = sense(sense_key, building, robot, noise, body)
+    senses = sense(draws, building, robot, noise, body)
     xy, valid = perceive.points(senses.ranges_m, ANGLES_RAD)
     region = tuning.ahead_m / 2, tuning.ahead_m / 2 + tuning.region_m
     hall_sides = perceive.sides(xy, valid, *region)
@@ -173,7 +174,8 @@ def step(key, building, robot, tuning, noise, state):
     writer = _note(state, senses, beside.sum(), jnp.where(ground_seen, ground_x, jnp.inf), ground_z)
 
     # What lies ahead.
-    writer, track, overflow = _watch(state, writer, xy, valid, beside.min(), placed, tuning)
+    track, overflow = _watch(state, writer, xy, valid, beside.min(), placed, tuning)
+    writer = btm_write.keep_snapshot(writer, lambda: _kept_points(xy, valid, placed, tuning), state.odometer_m)
     hall, enters, leaves = behave.watch_hall(
         state.hall, *hall_sides, state.odometer_m, tuning.open_m, (drive.latch == Latch.FREE) & (blind == 0)
     )
@@ -220,7 +222,7 @@ def step(key, building, robot, tuning, noise, state):
     target = behave.target_of(mode, drive, left_m, right_m, to_robot(estimate), tuning)
     v, omega = behave.steer(mode, drive, target, tuning, robot)
     writer = writer.replace(way=writer.way.replace(mode=writer.way.mode.at[state.step].set(mode, mode="drop")))
-    body, estimate, gone_m = move(move_key, building, robot, noise, body, estimate, senses, v, omega)
+    body, estimate, gone_m = move(draws, building, robot, noise, body, estimate, senses, v, omega)
     odometer_m = state.odometer_m + gone_m
     after = state.replace(
         body=body,
@@ -260,27 +262,21 @@ def _note(state, senses, width_m, ground_x, ground_z):
 
 
 def _watch(state, writer, xy, valid, wall_m, placed, tuning):
-    """Looks for triangles, in every `EVERY`-th step: `(writer, track, overflow)`."""
+    """Looks for triangles, in every `EVERY`-th step: `(track, overflow)`."""
+    approaches = state.drive.latch == Latch.APPROACH
+    # Once the robot is in the circle that it approaches, a wall that the circle touches lies beside or behind it.
+    is_in = approaches & (jnp.hypot(*(state.track.centre - state.estimate[:2])) < state.track.radius)
 
     def looked(carry):
-        writer_part, track, _ = carry
         found = look(xy, valid, wall_m, tuning)
-        there = placed(found.centre)
-        known = btm_write.is_near_known(writer, there, state.odometer_m, tuning.leave_m)
-        # Once the robot is in the circle that it approaches, a wall that the circle touches lies beside or behind it.
-        is_in = jnp.hypot(*(track.centre - state.estimate[:2])) < track.radius
-        is_in &= state.drive.latch == Latch.APPROACH
-        found = dataclasses.replace(found, valid=found.valid & ~known & ~state.hall.inside & ~is_in)
-        track = behave.follow(track, found, placed, tuning.same_m, state.drive.latch != Latch.APPROACH)
-        kept = btm_write.keep_snapshot(
-            writer.replace(**writer_part), lambda: _kept_points(xy, valid, placed, tuning), state.odometer_m
-        )
-        return {name: getattr(kept, name) for name in writer_part}, track, found.overflow
+        known = btm_write.is_near_known(writer, placed(found.centre), state.odometer_m, tuning.leave_m)
+        found = dataclasses.replace(found, valid=found.valid & ~known)
+        return behave.follow(carry[0], found, placed, tuning.same_m, ~approaches), found.overflow
 
-    names = ("snapshot", "snapshot_there", "snapshot_m", "n_snapshots")
-    part = {name: getattr(writer, name) for name in names}
-    part, track, overflow = run_if(state.step % EVERY == 0, looked, (part, state.track, jnp.int32(0)))
-    return writer.replace(**part), track, overflow
+    forgets = state.hall.inside & ~approaches  # there are no divergences in free space
+    track = jax.tree.map(lambda none, old: jnp.where(forgets, none, old), behave.no_track(), state.track)
+    looks = (state.step % EVERY == 0) & ~is_in & ~state.hall.inside
+    return run_if(looks, looked, (track, jnp.int32(0)))
 
 
 def _kept_points(xy, valid, placed, tuning):
@@ -322,7 +318,7 @@ def _cannot_climb(way, robot, state):
 def _event(state, writer, track, at_goal, changed, crease_m, steepest, crosses, arrives, stops, beyond):
     """The node that is due; of several the one that lies first on the way."""
     here = state.estimate
-    crease = btm_write.pose_at(writer.way, crease_m)
+    crease = run_if(changed, lambda _: btm_write.pose_at(writer.way, crease_m), here)
     crease_m = jnp.maximum(crease_m, writer.node_m)
     order = [
         (at_goal, btm.TERMINAL, state.odometer_m, here, here[:2]),
@@ -384,9 +380,9 @@ def _helped(state, senses, event, building, robot):
     moved_step = jnp.where(on, state.step, state.moved_step)
     helps = state.step - moved_step >= STUCK_STEPS
     ranges = jnp.where(jnp.isnan(senses.ranges_m), 0, jnp.minimum(senses.ranges_m, RANGE_M))
-    longest = jnp.asarray(ANGLES_RAD)[jnp.argmax(ranges)]
 
     def fitting(_):  # a robot that does not fit when it is turned stays as it is
+        longest = jnp.asarray(ANGLES_RAD)[jnp.argmax(ranges)]
         return jnp.where(touches(building, robot, state.body.pose.at[2].add(longest)), 0.0, longest)
 
     turn = run_if(helps, fitting, jnp.float32(0))
@@ -422,7 +418,7 @@ def run(key, building, robot, tuning, noise, max_steps, *, room):
     """A whole run.
 
     Args:
-      key: a key; step i draws from `fold_in(key, i)`.
+      key: a key; step i takes `draw(fold_in(key, i))`.
       building: `Building`.
       robot, tuning, noise: `Robot`, `Tuning`, `Noise`, whose numbers may be arrays.
       max_steps: int32, steps after which it ends as `STEP_LIMIT`, if no earlier way ends it.
@@ -432,9 +428,16 @@ def run(key, building, robot, tuning, noise, max_steps, *, room):
       `State` at the end.
     """
 
-    def one(state):
-        after = step(jax.random.fold_in(key, state.step), building, robot, tuning, noise, state)
-        late = (after.outcome == Outcome.RUNNING) & (after.step >= max_steps)
-        return after.replace(outcome=jnp.where(late, jnp.int32(Outcome.STEP_LIMIT), after.outcome))
+    def drawn(first):
+        return jax.vmap(lambda i: draw(jax.random.fold_in(key, i)))(first + jnp.arange(BLOCK))
 
-    return lax.while_loop(lambda state: state.outcome == Outcome.RUNNING, one, begin(building, robot, room))
+    def one(carry):
+        state, block = carry
+        block = run_if(state.step % BLOCK == 0, lambda _: drawn(state.step), block)
+        draws = jax.tree.map(lambda a: a[state.step % BLOCK], block)
+        after = step(draws, building, robot, tuning, noise, state)
+        late = (after.outcome == Outcome.RUNNING) & (after.step >= max_steps)
+        return after.replace(outcome=jnp.where(late, jnp.int32(Outcome.STEP_LIMIT), after.outcome)), block
+
+    state = begin(building, robot, room), drawn(0)
+    return lax.while_loop(lambda carry: carry[0].outcome == Outcome.RUNNING, one, state)[0]

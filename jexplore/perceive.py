@@ -274,21 +274,27 @@ def openings(xy, valid, centre, radius_m, width_m, *, circle, size):
       and what comes no nearer to the centre than `NEAR` radii, a wall farther in, does not divide an opening.
     """
     offset = xy - centre
-    d2 = jnp.where(valid, jnp.sum(offset**2, axis=1), jnp.inf)
-    inside = d2 <= (circle * radius_m) ** 2
+    search_m = circle * radius_m
+    distance = jnp.hypot(*offset.T)
+    inside = valid & (distance <= search_m)
     sector = jnp.floor((jnp.arctan2(offset[:, 1], offset[:, 0]) + math.pi) * (BEARINGS / (2 * math.pi)))
-    sector = jnp.clip(sector.astype(jnp.int32), 0, BEARINGS - 1)
-    mine = inside & (sector == jnp.arange(BEARINGS)[:, None])  # [BEARINGS, P]
-    here = jnp.any(mine, axis=1)
-    at = jnp.argmin(jnp.where(mine, d2, jnp.inf), axis=1)
-    point = offset[at]  # the nearest in every direction
-    last = offset[jnp.argmax(jnp.where(mine, d2, -1), axis=1)]  # and the farthest: a wall may lead straight outward
+    sector = jnp.where(inside, jnp.clip(sector.astype(jnp.int32), 0, BEARINGS - 1), BEARINGS)
+    # The nearest point in every direction and the farthest, for a wall may lead straight outward: distance and number
+    # of a point in one integer.
+    bits = max(xy.shape[0] - 1, 1).bit_length()
+    share = jnp.where(inside, distance / search_m, 0)
+    code = (share * (2 ** (30 - bits) - 1)).astype(jnp.int32) << bits | jnp.arange(xy.shape[0])
+    least = jnp.full(BEARINGS, 2**31 - 1, jnp.int32).at[sector].min(code, mode="drop")
+    most = jnp.full(BEARINGS, -1, jnp.int32).at[sector].max(code, mode="drop")
+    here = most >= 0
+    point, last = (offset[jnp.where(here, code, 0) & (2**bits - 1)] for code in (least, most))
 
     def gaps(here):  # from every direction to the next, counter-clockwise and round the circle, that has a point
         order = jnp.arange(BEARINGS)
         later = jnp.where(here, order, 2 * BEARINGS)
         twice = jnp.concatenate([later, later + BEARINGS])
-        following = jnp.min(jnp.where(twice > order[:, None], twice, 4 * BEARINGS), axis=1) % BEARINGS
+        later = jnp.where(twice[:, None] > order, twice[:, None], 4 * BEARINGS)
+        following = jnp.min(later, axis=0) % BEARINGS
         after, last_after = point[following], last[following]
         pairs = (point, after), (last, after), (point, last_after), (last, last_after)
         width = functools.reduce(jnp.minimum, [jnp.hypot(*(b - a).T) for a, b in pairs])
@@ -298,7 +304,7 @@ def openings(xy, valid, centre, radius_m, width_m, *, circle, size):
     gap_here = gaps(here)[2]
     wall = (running_sum(gap_here.astype(jnp.float32)) - gap_here) % jnp.maximum(jnp.sum(gap_here), 1)
     distance = jnp.where(here, jnp.hypot(*point.T), jnp.inf)
-    nearest_m = jnp.min(jnp.where(wall == wall[:, None], distance, jnp.inf), axis=1)
+    nearest_m = jnp.min(jnp.where(wall[:, None] == wall, distance[:, None], jnp.inf), axis=0)
     here &= nearest_m <= jnp.maximum(NEAR * radius_m, jnp.min(distance))
     after, width, gap_here = gaps(here)
     only = jnp.sum(here) == 1

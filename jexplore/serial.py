@@ -7,19 +7,17 @@ import dataclasses
 import functools
 import time
 from collections.abc import Callable
-from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
+from concurrent.futures import ThreadPoolExecutor
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import lax
 
-from jexplore import episode
+from jexplore import cores, episode
 from jexplore.mesh import on_devices, whole
 from jexplore.site import Line
 
 CHUNK = 64  # most episodes in one call of the compiled program on one device
-CHUNK_S = 1.0  # seconds that a call should take: how often progress moves, and how long Ctrl-C waits
 
 
 def chunk(setup, which, starts, count, seed, truth, beams, numbers):
@@ -42,40 +40,21 @@ def chunk(setup, which, starts, count, seed, truth, beams, numbers):
         result, final = episode.run(key, setup, truth, beams, numbers, jnp.int32(0), starts[i])
         return result, (final.belief.grid, final.trail)
 
-    def one(i, state):
-        result, last = episode_of(i)
-        return jax.tree.map(lambda all_, new: all_.at[i].set(new), state[0], result), last
-
-    result, last = jax.eval_shape(episode_of, 0)
-    results = jax.tree.map(lambda x: jnp.zeros((starts.shape[0], *x.shape), x.dtype), result)
-    return lax.fori_loop(0, count, one, (results, jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), last)))
+    return cores.in_turn(episode_of, starts.shape[0], count)
 
 
 run_chunk = jax.jit(chunk, static_argnames=("setup",))
 
 
-@dataclasses.dataclass
-class _Task:
-    """One line on its way: what is left to do, and how long an episode takes."""
+@dataclasses.dataclass(kw_only=True)
+class _Line(cores.Work):
+    """One line on its way."""
 
     line: Line
     program: Callable
     arguments: tuple
-    n_devices: int
-    next: int = 0
-    episode_s: float | None = None
-
-    def take(self, workers):
-        """The next episodes, `(first, number)`: one a device at first, then as many as take about a second."""
-        left, d = len(self.line.which) - self.next, self.n_devices
-        n = 1 if self.episode_s is None else int(CHUNK_S / max(self.episode_s, 1e-6))
-        n = min(left, d * max(1, min(n, CHUNK, -(-left // (workers * d)))))
-        first = self.next
-        self.next += n
-        return first, n
 
     def call(self, first, n):
-        """Runs some episodes and keeps their results: how many, and the seconds it took."""
         d, which = self.n_devices, self.line.which[first : first + n]
         # Device i takes episodes i, i + d, ...: episode 0 comes alone on device 0 in the first call.
         numbers, starts = np.zeros((d, CHUNK), np.int32), np.zeros((d, CHUNK, 3), np.int32)
@@ -91,7 +70,7 @@ class _Task:
         results = jax.tree.map(np.asarray, results)
         for i in range(d):
             self.line.put(which[i::d], jax.tree.map(lambda a, i=i: a[i, : count[i]], results))
-        return n, seconds
+        return seconds
 
 
 def run(lines, devices, workers, tally, on_progress):
@@ -108,32 +87,17 @@ def run(lines, devices, workers, tally, on_progress):
       KeyboardInterrupt: after the calls under way have ended; what they found has been kept.
     """
     began = time.perf_counter()
-    tasks = _compile(lines, devices, workers)
+    works = _compile(lines, devices, workers)
     tally.compile_s += time.perf_counter() - began
     began = time.perf_counter()
-    waiting, running, done = [task for task in tasks if len(task.line.which)], {}, 0
-    pool = ThreadPoolExecutor(workers)
     try:
-        while waiting or running:
-            while waiting and len(running) < workers:
-                task = waiting[0]
-                running[pool.submit(task.call, *task.take(workers))] = task
-                waiting.pop(0)
-                if task.next < len(task.line.which):  # all lines in turn, so that what is interrupted has pairs
-                    waiting.append(task)
-            for future in wait(running, return_when=FIRST_COMPLETED).done:
-                task = running.pop(future)
-                n, seconds = future.result()
-                task.episode_s = seconds * len(devices) / n
-                done += n
-            on_progress(done)
+        cores.run(works, workers, on_progress)
     finally:
-        pool.shutdown(wait=True, cancel_futures=True)
         tally.run_s += time.perf_counter() - began
 
 
 def _compile(lines, devices, workers):
-    """A task for every line. Lines that differ in numbers only share a program."""
+    """A `Work` for every line. Lines that differ in numbers only share a program."""
     placed, programs, tasks = {}, {}, []
     for line in lines:
         site = line.site
@@ -152,4 +116,7 @@ def _compile(lines, devices, workers):
 
     with ThreadPoolExecutor(workers) as pool:
         compiled = dict(pool.map(compile_one, programs))
-    return [_Task(line, compiled[kind], arguments, d) for line, kind, arguments in tasks]
+    return [
+        _Line(pieces=len(line.which), most=CHUNK, n_devices=d, line=line, program=compiled[kind], arguments=arguments)
+        for line, kind, arguments in tasks
+    ]

@@ -127,7 +127,7 @@ def setup_of(site, strategy, kernels):
     )
 
 
-def _number(value):
+def number(value):
     """A parameter as an array: integers as int32, others as float32, so that it is the same in every program."""
     value = np.asarray(value)
     return value.astype(
@@ -147,7 +147,7 @@ def numbers_of(site, strategy):
         max_plans=np.int32(site.max_plans),  # type: ignore[arg-type]
         sigma_cells=np.float32(site.sigma_cells),  # type: ignore[arg-type]
         dropout=np.float32(site.dropout),  # type: ignore[arg-type]
-        params=jax.tree.map(_number, strategy.policy.params),
+        params=jax.tree.map(number, strategy.policy.params),
     )
 
 

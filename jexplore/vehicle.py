@@ -25,7 +25,7 @@ RANGE_M = 8.0
 BEAMS = 181
 ANGLES_RAD = np.radians(np.linspace(-90, 90, BEAMS)).astype(np.float32)
 BEAM_SPACING_RAD = math.pi / (BEAMS - 1)
-DOWN_BEAMS = 25
+DOWN_BEAMS = 13
 DOWN_RAD = np.radians(np.linspace(-18, 18, DOWN_BEAMS)).astype(np.float32)
 OUTLINE = 26  # points of the robot's outline that are tested for contact
 
@@ -65,6 +65,27 @@ class Senses:
     roll: Array  # float32, radians
 
 
+@struct.dataclass
+class Draws:
+    """The random numbers of one step, standard normal but for the last."""
+
+    ranges: Array  # [B] float32
+    down: Array  # [D] float32
+    attitude: Array  # [2] float32, pitch and roll
+    encoders: Array  # [3] float32, length and turn of the step, and drift of the heading
+    missing: Array  # [B] float32, uniform from 0 to 1
+
+
+def draw(key):
+    """`Draws` of one step; the key is consumed."""
+    key, missing_key = jax.random.split(key)
+    ranges, down, attitude, encoders = jnp.split(
+        jax.random.normal(key, (BEAMS + DOWN_BEAMS + 5,)), (BEAMS, BEAMS + DOWN_BEAMS, BEAMS + DOWN_BEAMS + 2)
+    )
+    missing = jax.random.uniform(missing_key, (BEAMS,))
+    return Draws(ranges=ranges, down=down, attitude=attitude, encoders=encoders, missing=missing)
+
+
 def down_directions(robot):
     """Unit vectors of the downward scanner's beams in the robot's frame: `[D, 3]` float32."""
     tilt = jnp.radians(robot.scanner_angle_deg)
@@ -79,32 +100,30 @@ def at_rest(building, robot, pose):
     return Body(pose=pose, pitch=pitch, roll=roll, height_m=height, path_m=jnp.float32(0), contacts=none, refused=none)
 
 
-def sense(key, building, robot, noise, body):
+def sense(draws, building, robot, noise, body):
     """What the sensors say.
 
     Args:
-      key: consumed.
+      draws: `Draws`.
       building, robot, noise, body: `Building`, `Robot`, `Noise`, `Body`.
 
     Returns:
       `Senses`.
     """
-    key, invalid_key = jax.random.split(key)
-    draw = jax.random.normal(key, (BEAMS + DOWN_BEAMS + 2,))
-    numberless = jax.random.uniform(invalid_key, (BEAMS,)) < noise.invalid
-    ranges = cast(building.walls, body.pose, ANGLES_RAD, RANGE_M) + noise.range_m * draw[:BEAMS]
+    numberless = draws.missing < noise.invalid
+    ranges = cast(building.walls, body.pose, ANGLES_RAD, RANGE_M) + noise.range_m * draws.ranges
     direction = turned(down_directions(robot), body.pitch, body.roll, body.pose[2])
     mount = turned(
         jnp.stack([robot.scanner_x_m, 0.0, robot.scanner_height_m])[None], body.pitch, body.roll, body.pose[2]
     )[0]
     origin = body.pose[0] + mount[0], body.pose[1] + mount[1], body.height_m + mount[2]
-    down = look_down(building.terrain, origin, direction) + noise.range_m * draw[BEAMS : BEAMS + DOWN_BEAMS]
+    down = look_down(building.terrain, origin, direction) + noise.range_m * draws.down
     tilt = jnp.radians(noise.attitude_deg)
     return Senses(
         ranges_m=jnp.where(numberless, jnp.nan, jnp.maximum(ranges, 0.01)),
         down_m=down,
-        pitch=body.pitch + tilt * draw[-2],
-        roll=body.roll + tilt * draw[-1],
+        pitch=body.pitch + tilt * draws.attitude[0],
+        roll=body.roll + tilt * draws.attitude[1],
     )
 
 
@@ -128,14 +147,13 @@ def touches(building, robot, pose):
     return jnp.any(building.occupied.reshape(-1)[row * cols + col])
 
 
-def move(key, building, robot, noise, body, estimate, senses, v, omega):
+def move(draws, building, robot, noise, body, estimate, senses, v, omega):
     """One step of the unicycle, and what the encoders make of it.
 
     A step into a wall, or onto ground that the robot cannot climb, is refused.
 
     Args:
-      key: consumed.
-      building, robot, noise, body: as in `sense`.
+      draws, building, robot, noise, body: as in `sense`.
       estimate: `[3]`, odometry.
       senses: `Senses`.
       v, omega: metres a second, radians a second.
@@ -163,9 +181,10 @@ def move(key, building, robot, noise, body, estimate, senses, v, omega):
         contacts=body.contacts + contact,
         refused=body.refused + (~contact & ~climbs),
     )
-    draw = jax.random.normal(key, (3,))
-    measured = ahead * (1 + noise.odometry * draw[0]) * jnp.cos(senses.pitch)
-    turn = turn * (1 + noise.odometry * draw[1]) + jnp.radians(noise.heading_deg_sqrt_m) * draw[2] * jnp.sqrt(flat)
+    measured = ahead * (1 + noise.odometry * draws.encoders[0]) * jnp.cos(senses.pitch)
+    turn = turn * (1 + noise.odometry * draws.encoders[1]) + jnp.radians(noise.heading_deg_sqrt_m) * draws.encoders[
+        2
+    ] * jnp.sqrt(flat)
     middle = estimate[2] + 0.5 * turn
     odometry = estimate + jnp.stack([measured * jnp.cos(middle), measured * jnp.sin(middle), turn])
     return moved, jnp.where(goes, odometry, estimate), jnp.where(goes, measured, 0)

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jexplore import btm, btm_batch, btm_run, tracing
+from jexplore import btm, btm_batch, btm_run, tracing, vehicle
 from jexplore.behave import RunMode
 from jexplore.btm_batch import building_of, numbers_of
 from jexplore.btm_compare import code
@@ -291,10 +291,10 @@ def test_a_step_without_jit_is_the_step_with_and_uses_no_key_twice(jit_on):
     building = jax.tree.map(jnp.asarray, plan.building)
     with jit_on(), jax.debug_key_reuse(True):
         states = [jax.tree.map(jnp.asarray, btm_run.begin(building, robot, 200))]
-        one = jax.jit(btm_run.step)
+        one = jax.jit(lambda key, *rest: btm_run.step(vehicle.draw(key), *rest))
         for i in range(2):
             states.append(one(jax.random.key(i), building, robot, tuning, noise, states[-1]))
-    slow = btm_run.step(jax.random.key(1), building, robot, tuning, noise, states[1])
+    slow = btm_run.step(vehicle.draw(jax.random.key(1)), building, robot, tuning, noise, states[1])
     for ours, theirs in zip(jax.tree.leaves(slow), jax.tree.leaves(states[2])):
         np.testing.assert_allclose(np.asarray(ours), np.asarray(theirs), atol=2e-4)
 
