@@ -189,7 +189,7 @@ def choose_mode(drive, hall, hall_sides, left_m, right_m, closed, fronts_m, tuni
     mode = jnp.where(latched, RunMode.BRANCH_SELECTION, mode)
     mode = jnp.where(guarded, RunMode.CONTACT_GUARD, mode).astype(jnp.int32)
     larger = jnp.where(drive.left_m >= drive.right_m, 1, -1)
-    one_side = (guarded | closed) & (jnp.maximum(*fronts_m) > jnp.minimum(*fronts_m) + GUARD_M)
+    one_side = jnp.maximum(*fronts_m) > jnp.minimum(*fronts_m) + GUARD_M
     larger = jnp.where(one_side, jnp.where(fronts_m[0] > fronts_m[1], 1, -1), larger)
     turns = (mode == RunMode.DEAD_END) | (mode == RunMode.CONTACT_GUARD)
     turning = jnp.where(turns, jnp.where(drive.turning == 0, larger, drive.turning), 0)

@@ -27,9 +27,8 @@ from jexplore.walls import walls_of
 
 MAX_STEPS = 6000
 CHUNK = 16  # most runs in one call on a CPU
-LANES = 1024  # runs in one call on an accelerator
-MULTIPLE = 64  # sides are padded to multiples of this, so that similar buildings share a program
-WALLS_MULTIPLE = 16  # and walls to multiples of this
+LANES = 4096  # runs in one call on an accelerator
+MULTIPLE = 64  # sides of the ground are padded to multiples of this, so that similar buildings share a program
 
 
 @struct.dataclass
@@ -83,10 +82,8 @@ def building_of(world, start_pose, goal_m):
     x_m, y_m = world.origin_m
     goal = (np.nan, np.nan) if goal_m is None else (goal_m[0] - x_m, goal_m[1] - y_m)
     return Building(
-        walls=walls_of(world.occupied, world.cell_m, multiple=WALLS_MULTIPLE),
+        walls=walls_of(world.occupied, world.cell_m),
         terrain=terrain_of(elevation, world.cell_m),
-        occupied=np.pad(world.occupied, pad, constant_values=True),  # type: ignore[arg-type]
-        cell_m=np.float32(world.cell_m),  # type: ignore[arg-type]
         start=np.array([start_pose[0] - x_m, start_pose[1] - y_m, np.radians(start_pose[2])], np.float32),  # type: ignore[arg-type]
         goal=np.array(goal, np.float32),  # type: ignore[arg-type]
     )
@@ -160,9 +157,13 @@ def _all_at_once(building, settings, seed, which, count, max_steps, room):
     return result, jax.tree.map(lambda a: a[0], track)
 
 
+CONFIGURATION = ("jax_default_device", "jax_enable_x64", "jax_default_prng_impl", "jax_threefry_partitionable")
+
+
 @functools.lru_cache(maxsize=16)
-def _compiled(function, room, tree, shapes):
-    """A compiled program and the shapes of what it returns."""
+def _compiled(function, room, tree, shapes, where):
+    """A compiled program and the shapes of what it returns; `where` tells apart what `CONFIGURATION` makes differ."""
+    del where
     arguments = jax.tree.unflatten(tree, [jax.ShapeDtypeStruct(*shape) for shape in shapes])
     lowered = jax.jit(function, static_argnames=("room",)).lower(*arguments, room=room)
     return lowered.compile(), lowered.out_info
@@ -190,11 +191,14 @@ class _Runs(cores.Work):
         building, seed = self.place
         found, last = jax.block_until_ready(self.program(building, settings, seed, which, np.int32(count), self.limit))
         seconds = time.perf_counter() - began
-        found = jax.tree.map(lambda a: np.asarray(a)[:count], found)
+        return (rows, found, last), seconds
+
+    def keep(self, first, n, found):
+        rows, found, last = found
+        found = jax.tree.map(lambda a: np.asarray(a)[: rows.stop - rows.start], found)
         jax.tree.map(lambda all_, new: all_.__setitem__(rows, new), self.results, found)
         if first == 0:
             self.track = Track(*(np.asarray(a)[: int(found.steps[0])] for a in last))
-        return seconds
 
 
 def run(building, robots, tunings, noises, seed, which, *, workers, max_steps=MAX_STEPS, on_progress=lambda n: None):
@@ -214,7 +218,8 @@ def run(building, robots, tunings, noises, seed, which, *, workers, max_steps=MA
     """
     on_cpu = jax.default_backend() == "cpu"
     n = len(which)
-    size, group = (CHUNK, 1) if on_cpu else (min(LANES, n), min(LANES, n))
+    lanes = max(1, min(LANES, n))
+    size, group = (CHUNK, 1) if on_cpu else (lanes, lanes)
     function = _one_after_the_other if on_cpu else _all_at_once
     which = np.asarray(which, np.int32)
     settings = dataclasses.replace(robots, name=""), tunings, noises  # a name would make another program
@@ -223,7 +228,8 @@ def run(building, robots, tunings, noises, seed, which, *, workers, max_steps=MA
     leaves, tree = jax.tree.flatten((building, blank[0], np.uint32(seed), blank[1], np.int32(0), limit))
     began = time.perf_counter()
     shapes = tuple((np.shape(a), np.asarray(a).dtype) for a in leaves)
-    program, found = _compiled(function, max(max_steps, MAX_STEPS), tree, shapes)
+    where = jax.default_backend(), *(jax.config.values[name] for name in CONFIGURATION)
+    program, found = _compiled(function, max(max_steps, MAX_STEPS), tree, shapes, where)
     compile_s = time.perf_counter() - began
     runs = _Runs(
         pieces=-(-n // group),

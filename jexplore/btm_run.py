@@ -13,7 +13,7 @@ from flax import struct
 from jax import Array, lax
 
 from jexplore import behave, btm, btm_write, heights, perceive
-from jexplore.behave import Drive, Hall, Latch, Track
+from jexplore.behave import Drive, Hall, Latch, RunMode, Track
 from jexplore.btm_write import Event, Writer
 from jexplore.control import run_if
 from jexplore.vehicle import (
@@ -190,7 +190,7 @@ def step(draws, building, robot, tuning, noise, state):
         btm_write.EVEN_LENGTHS * robot.length_m,
     )
     stops, ahead_step_m, ahead_slope = _cannot_climb(writer.way, robot, state)
-    blocked = jnp.where(stops & (drive.latch == Latch.FREE), state.blocked + 1, 0)
+    blocked = jnp.where(stops & ((drive.latch == Latch.FREE) | state.halts), state.blocked + 1, 0)
 
     # A latch begins and ends.
     believed = behave.is_believed(track, tuning.votes)
@@ -246,14 +246,15 @@ def step(draws, building, robot, tuning, noise, state):
 
 
 def _note(state, senses, width_m, ground_x, ground_z):
-    """Keeps what this step measured."""
+    """Keeps what this step measured; no width where the robot turns in place before a wall."""
     way, at = state.writer.way, state.step
+    turns = (state.mode == RunMode.DEAD_END) | (state.mode == RunMode.CONTACT_GUARD)
     new = {
         "odometer_m": state.odometer_m,
         "pose": state.estimate,
         "pitch": senses.pitch,
         "posture": jnp.arccos(jnp.cos(senses.pitch) * jnp.cos(senses.roll)),
-        "width_m": width_m,
+        "width_m": jnp.where(turns, jnp.inf, width_m),
         "ground_x_m": ground_x,
         "ground_z_m": ground_z,
     }
@@ -273,7 +274,7 @@ def _watch(state, writer, xy, valid, wall_m, placed, tuning):
         found = dataclasses.replace(found, valid=found.valid & ~known)
         return behave.follow(carry[0], found, placed, tuning.same_m, ~approaches), found.overflow
 
-    forgets = state.hall.inside & ~approaches  # there are no divergences in free space
+    forgets = state.hall.inside  # there are no divergences in free space
     track = jax.tree.map(lambda none, old: jnp.where(forgets, none, old), behave.no_track(), state.track)
     looks = (state.step % EVERY == 0) & ~is_in & ~state.hall.inside
     return run_if(looks, looked, (track, jnp.int32(0)))
@@ -292,7 +293,7 @@ def _cannot_climb(way, robot, state):
 
     Returns:
       `(stops, step_m, slope)`: bool; height of the step that stops it, 0 for none; inclination of the slope that does,
-        radians, 0 for none.
+        radians, 0 for none, NaN where it was not seen.
     """
     first = jnp.clip(state.step + 1 - RECENT, 0, way.ground_x_m.shape[0] - RECENT)
     x, z = (lax.dynamic_slice(array, (first,), (RECENT,)) for array in (way.ground_x_m, way.ground_z_m))
@@ -305,10 +306,10 @@ def _cannot_climb(way, robot, state):
     slope_m = LOOK_M * jnp.tan(jnp.radians(robot.max_slope_deg)) + 0.02
 
     def judged(_):
-        step_m = heights.profile(x, z, ahead | behind).step_m
+        step_m, beyond = heights.profile(x, z, ahead | behind).step_m, heights.profile(x, z, ahead)
         is_step = ((step_m > robot.max_step_m) | state.halts) & (step_m > btm_write.STEP_M)
         stops = is_step | (rise > slope_m) | state.halts
-        slope = jnp.abs(jnp.arctan(heights.profile(x, z, ahead).slope))
+        slope = jnp.where(beyond.count < 3, jnp.nan, jnp.abs(jnp.arctan(beyond.slope)))
         return stops, jnp.where(is_step, step_m, 0.0), jnp.where(stops & ~is_step, slope, 0.0)
 
     high = (rise > jnp.minimum(slope_m, robot.max_step_m)) | state.halts
@@ -359,10 +360,7 @@ def _write(state, writer, drive, track, event, tuning, robot):
         drive = drive.replace(
             latch=jnp.where(latches, latch, drive.latch), target=jnp.where(latches, target, drive.target)
         )
-        fresh = behave.no_track()
-        track = behave.Track(
-            **{name: jnp.where(is_divergence, getattr(fresh, name), value) for name, value in track.__dict__.items()}
-        )
+        track = jax.tree.map(lambda none, old: jnp.where(latches, none, old), behave.no_track(), track)
         return whole.map, {name: getattr(whole, name) for name in rest}, drive, track, estimate
 
     names = ("node", "node_m", "link", "left_bearing", "border_m", "snapshot_there", "exhausted", "full")
@@ -439,5 +437,6 @@ def run(key, building, robot, tuning, noise, max_steps, *, room):
         late = (after.outcome == Outcome.RUNNING) & (after.step >= max_steps)
         return after.replace(outcome=jnp.where(late, jnp.int32(Outcome.STEP_LIMIT), after.outcome)), block
 
-    state = begin(building, robot, room), drawn(0)
+    blank = jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), jax.eval_shape(drawn, 0))
+    state = begin(building, robot, room), blank
     return lax.while_loop(lambda carry: carry[0].outcome == Outcome.RUNNING, one, state)[0]

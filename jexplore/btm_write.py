@@ -220,9 +220,8 @@ def write(writer, event, tuning, robot):
     # The node: one that is known, or a new one.
     near, distance = btm.nearest_node(writer.map, event.centre[0], event.centre[1], event.kind)
     reach = jnp.where(is_divergence, jnp.maximum(0.5, event.radius), SAME_NODE_M)
-    left = writer.map.radius_m[writer.node] + tuning.leave_m
-    round_ = is_divergence & (event.odometer_m - writer.node_m > 2 * left)  # it may be the one that it has come from
-    again = (distance < reach) & ((near != writer.node) | round_) & ~is_terminal
+    may_be_last = is_divergence & _has_left(writer, event.odometer_m, tuning.leave_m)
+    again = (distance < reach) & ((near != writer.node) | may_be_last) & ~is_terminal
     width, posture = along(writer.way, writer.node_m, event.odometer_m)
     added, new = btm.add_node(
         writer.map,
@@ -256,11 +255,15 @@ def write(writer, event, tuning, robot):
 
     # The link that led here. On a known link to a known node nothing is new; a new node on it shows that the robot has
     # left it unawares: it came by a way of its own. On a new link to a known node, the node's own record of it goes.
+    # A new link that leads back to its own opening is none that could be followed.
     on_known = map_.status[jnp.minimum(writer.link, size - 1)] == btm.SEARCHED
     astray = on_known & ~again
     map_, own = btm.add_link(map_, writer.node, writer.left_bearing, when=astray)
     link = jnp.where(astray, own, writer.link)
-    is_new = ~on_known | astray
+    off = jnp.abs(btm.wrapped(back - map_.start_bearing[jnp.minimum(link, size - 1)]))
+    turned_back = again & (near == writer.node) & ~on_known & (off < math.pi / 4)  # it comes back as it left
+    map_ = map_.replace(blocked=map_.blocked.at[jnp.where(turned_back, link, size)].set(True, mode="drop"))
+    is_new = (~on_known | astray) & ~turned_back
     map_ = _end_link(map_, writer, node, event, back, width, posture, link, is_new)
     map_ = _withdraw_double(map_, node, back, again & is_new)
 
@@ -394,15 +397,22 @@ def _judge_profile(map_, writer, event, tuning, robot, posture, here):
     )
 
 
+def _has_left(writer, odometer_m, leave_m):
+    """Whether the robot has gone twice as far as it takes to leave the last node: it may come back to it."""
+    last = jnp.minimum(writer.node, writer.map.kind.shape[0] - 1)
+    return odometer_m - writer.node_m >= 2 * (writer.map.radius_m[last] + leave_m)
+
+
 def is_near_known(writer, centres, odometer_m, leave_m):
     """Which places are the divergence that the robot has just left: `[T]` bool.
 
-    No second node is made within half a metre, or the circle's radius, of the last one; once the robot has gone more
-    than twice as far as it takes to leave it, it may come back.
+    No second node is made within half a metre, or the circle's radius, of the last one, until the robot has gone so far
+    that it may come back.
     """
     last = jnp.minimum(writer.node, writer.map.kind.shape[0] - 1)
     is_divergence = writer.map.kind[last] == btm.DIVERGENCE
     place = jnp.stack([writer.map.x_m[last], writer.map.y_m[last]])
     reach = jnp.maximum(0.5, writer.map.radius_m[last])
-    fresh = odometer_m - writer.node_m < 2 * (writer.map.radius_m[last] + leave_m)
-    return is_divergence & fresh & (jnp.sum((centres - place) ** 2, axis=-1) < reach**2)
+    return (
+        is_divergence & ~_has_left(writer, odometer_m, leave_m) & (jnp.sum((centres - place) ** 2, axis=-1) < reach**2)
+    )

@@ -45,7 +45,11 @@ class Work:
     piece_s: float | None = dataclasses.field(default=None, init=False)  # seconds a piece and device, once known
 
     def call(self, first, n):
-        """Does n pieces and keeps what they give; any thread may call it. Returns the seconds that it took."""
+        """Does n pieces: `(found, seconds)`. Threads call it."""
+        raise NotImplementedError
+
+    def keep(self, first, n, found):
+        """Keeps what a call has found. The thread that calls `run` calls it."""
         raise NotImplementedError
 
     def take(self, workers):
@@ -71,18 +75,25 @@ def run(works, workers, on_progress):
     """
     waiting, running, done = [work for work in works if work.pieces], {}, 0
     pool = ThreadPoolExecutor(workers)
+
+    def finish(future):
+        work, first, n = running.pop(future)
+        found, seconds = future.result()
+        work.keep(first, n, found)
+        work.piece_s = seconds * work.n_devices / n
+        return n
+
     try:
         while waiting or running:
             while waiting and len(running) < workers:
                 work = waiting.pop(0)
                 first, n = work.take(workers)
-                running[pool.submit(work.call, first, n)] = work, n
+                running[pool.submit(work.call, first, n)] = work, first, n
                 if work.next < work.pieces:
                     waiting.append(work)
-            for future in wait(running, return_when=FIRST_COMPLETED).done:
-                work, n = running.pop(future)
-                work.piece_s = future.result() * work.n_devices / n
-                done += n
+            done += sum(finish(future) for future in wait(running, return_when=FIRST_COMPLETED).done)
             on_progress(done)
     finally:
         pool.shutdown(wait=True, cancel_futures=True)
+        for future in [future for future in running if not future.cancelled() and future.exception() is None]:
+            finish(future)

@@ -53,7 +53,7 @@ def points(ranges_m, angles_rad):
         missed = missed + jnp.isnan(before) + jnp.isnan(after)
         before = jnp.where(jnp.isnan(before), jnp.pad(ranges_m, (k, 0), constant_values=jnp.nan)[:-k], before)
         after = jnp.where(jnp.isnan(after), jnp.pad(ranges_m, (0, k), constant_values=jnp.nan)[k:], after)
-    bridged = jnp.isnan(ranges_m) & (missed <= MISSED) & (jnp.abs(after - before) < AGREE * before)
+    bridged = jnp.isnan(ranges_m) & (missed <= MISSED) & (jnp.abs(after - before) < AGREE * jnp.minimum(after, before))
     ranges_m = jnp.where(bridged, (before + after) / 2, ranges_m)
     valid = jnp.isfinite(ranges_m)
     r = jnp.where(valid, ranges_m, 0)
@@ -107,6 +107,8 @@ def sides(xy, valid, from_m, to_m):
 def clearances(xy, valid, to_m):
     """Distances of the walls beside the robot: the least mean of neighbouring beams, which noise makes hardly smaller.
 
+    Points more ahead than aside are none of them.
+
     Args:
       xy, valid: from `points`.
       to_m: length of the region, metres before the robot's middle.
@@ -114,13 +116,13 @@ def clearances(xy, valid, to_m):
     Returns:
       `(left_m, right_m)`: float32, inf where the side is open.
     """
-    within = valid & (xy[:, 0] >= 0) & (xy[:, 0] <= to_m)
+    within = valid & (xy[:, 0] >= 0) & (xy[:, 0] <= jnp.minimum(to_m, jnp.abs(xy[:, 1])))
     n, y = xy.shape[0], jnp.where(within, xy[:, 1], jnp.inf)
     padded = jnp.pad(y, MEANT, constant_values=jnp.inf)
     total = count = jnp.zeros(n)
     for k in range(2 * MEANT + 1):
         other = padded[k : k + n]
-        near = jnp.abs(other - y) < MEANT_M
+        near = (jnp.abs(other - y) < MEANT_M) & (other * y > 0)
         total, count = total + jnp.where(near, other, 0), count + near
     mean = jnp.where(within, total / jnp.maximum(count, 1), jnp.inf)
     left = jnp.min(jnp.where(y >= 0, mean, jnp.inf))
@@ -271,7 +273,8 @@ def openings(xy, valid, centre, radius_m, width_m, *, circle, size):
     Source:
       Mano et al., section III.B and Fig. 2(f). Changed: points of all scans on the way to the centre, in polar order
       about it, where the paper takes those of one scan, in polar order about the robot, which does not see behind it;
-      and what comes no nearer to the centre than `NEAR` radii, a wall farther in, does not divide an opening.
+      and what comes no nearer to the centre than `NEAR` radii (or as many distances of the nearest wall, if that is
+      more), a wall farther in, does not divide an opening.
     """
     offset = xy - centre
     search_m = circle * radius_m
@@ -282,7 +285,7 @@ def openings(xy, valid, centre, radius_m, width_m, *, circle, size):
     # The nearest point in every direction and the farthest, for a wall may lead straight outward: distance and number
     # of a point in one integer.
     bits = max(xy.shape[0] - 1, 1).bit_length()
-    share = jnp.where(inside, distance / search_m, 0)
+    share = jnp.where(inside, distance / jnp.maximum(search_m, 1e-6), 0)
     code = (share * (2 ** (30 - bits) - 1)).astype(jnp.int32) << bits | jnp.arange(xy.shape[0])
     least = jnp.full(BEARINGS, 2**31 - 1, jnp.int32).at[sector].min(code, mode="drop")
     most = jnp.full(BEARINGS, -1, jnp.int32).at[sector].max(code, mode="drop")
@@ -305,7 +308,7 @@ def openings(xy, valid, centre, radius_m, width_m, *, circle, size):
     wall = (running_sum(gap_here.astype(jnp.float32)) - gap_here) % jnp.maximum(jnp.sum(gap_here), 1)
     distance = jnp.where(here, jnp.hypot(*point.T), jnp.inf)
     nearest_m = jnp.min(jnp.where(wall[:, None] == wall, distance[:, None], jnp.inf), axis=0)
-    here &= nearest_m <= jnp.maximum(NEAR * radius_m, jnp.min(distance))
+    here &= nearest_m <= NEAR * jnp.maximum(radius_m, jnp.min(distance))
     after, width, gap_here = gaps(here)
     only = jnp.sum(here) == 1
     middle = (point + after) / 2

@@ -64,13 +64,17 @@ class _Line(cores.Work):
         began = time.perf_counter()
         results, last = jax.block_until_ready(self.program(numbers, starts, count, *self.arguments))
         seconds = time.perf_counter() - began
+        return (results, last), seconds
+
+    def keep(self, first, n, found):
+        d, which = self.n_devices, self.line.which[first : first + n]
+        results, last = found
         if which[0] == 0:
             grid, trail = jax.tree.map(lambda a: np.asarray(a)[0], last)
             self.line.first = grid.hits, grid.misses, trail
         results = jax.tree.map(np.asarray, results)
         for i in range(d):
-            self.line.put(which[i::d], jax.tree.map(lambda a, i=i: a[i, : count[i]], results))
-        return seconds
+            self.line.put(which[i::d], jax.tree.map(lambda a, i=i: a[i, : len(which[i::d])], results))
 
 
 def run(lines, devices, workers, tally, on_progress):

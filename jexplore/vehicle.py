@@ -14,7 +14,7 @@ from jax.tree_util import register_dataclass
 
 from jexplore.btm_settings import Noise, Robot, Tuning
 from jexplore.terrain import Terrain, attitude, look_down, turned
-from jexplore.walls import Walls, cast
+from jexplore.walls import Walls, cast, meets
 
 register_dataclass(Robot, [f for f in Robot.__dataclass_fields__ if f != "name"], ["name"])
 register_dataclass(Tuning, list(Tuning.__dataclass_fields__), [])
@@ -27,7 +27,6 @@ ANGLES_RAD = np.radians(np.linspace(-90, 90, BEAMS)).astype(np.float32)
 BEAM_SPACING_RAD = math.pi / (BEAMS - 1)
 DOWN_BEAMS = 13
 DOWN_RAD = np.radians(np.linspace(-18, 18, DOWN_BEAMS)).astype(np.float32)
-OUTLINE = 26  # points of the robot's outline that are tested for contact
 
 
 @struct.dataclass
@@ -36,8 +35,6 @@ class Building:
 
     walls: Walls
     terrain: Terrain
-    occupied: Array  # [H, W] bool
-    cell_m: Array  # float32
     start: Array  # [3] float32, x, y, metres; heading, radians
     goal: Array  # [2] float32, metres; NaN: none
 
@@ -50,6 +47,7 @@ class Body:
     pitch: Array  # float32, radians
     roll: Array  # float32, radians
     height_m: Array  # float32
+    rise_m: Array  # float32, highest step under the fronts of its tracks
     path_m: Array  # float32, way in the plane
     contacts: Array  # int32, steps refused because of a wall
     refused: Array  # int32, steps refused because of the ground
@@ -95,9 +93,9 @@ def down_directions(robot):
 
 def at_rest(building, robot, pose):
     """`Body` of a robot that has not moved yet."""
-    pitch, roll, height, _ = attitude(building.terrain, pose, robot.length_m, robot.width_m)
-    none = jnp.int32(0)
-    return Body(pose=pose, pitch=pitch, roll=roll, height_m=height, path_m=jnp.float32(0), contacts=none, refused=none)
+    pitch, roll, height, rise = attitude(building.terrain, pose, robot.length_m, robot.width_m)
+    zero, none = jnp.float32(0), jnp.int32(0)
+    return Body(pose, pitch, roll, height, rise, path_m=zero, contacts=none, refused=none)
 
 
 def sense(draws, building, robot, noise, body):
@@ -127,30 +125,16 @@ def sense(draws, building, robot, noise, body):
     )
 
 
-def _outline(robot):
-    """Points round the robot, in its frame: `[OUTLINE, 2]`."""
-    along, across = np.linspace(-0.5, 0.5, 8), np.linspace(-0.5, 0.5, 7)[1:-1]
-    sides = [np.stack([along, np.full(8, y)], 1) for y in (-0.5, 0.5)]
-    ends = [np.stack([np.full(5, x), across], 1) for x in (-0.5, 0.5)]
-    return np.concatenate([*sides, *ends]).astype(np.float32) * jnp.stack([robot.length_m, robot.width_m])
-
-
 def touches(building, robot, pose):
     """Whether a robot at a pose touches a wall: bool."""
-    cos, sin = jnp.cos(pose[2]), jnp.sin(pose[2])
-    outline = _outline(robot)
-    x = pose[0] + cos * outline[:, 0] - sin * outline[:, 1]
-    y = pose[1] + sin * outline[:, 0] + cos * outline[:, 1]
-    rows, cols = building.occupied.shape
-    row = jnp.clip(jnp.floor(y / building.cell_m).astype(jnp.int32), 0, rows - 1)
-    col = jnp.clip(jnp.floor(x / building.cell_m).astype(jnp.int32), 0, cols - 1)
-    return jnp.any(building.occupied.reshape(-1)[row * cols + col])
+    return meets(building.walls, pose, robot.length_m, robot.width_m)
 
 
 def move(draws, building, robot, noise, body, estimate, senses, v, omega):
     """One step of the unicycle, and what the encoders make of it.
 
-    A step into a wall, or onto ground that the robot cannot climb, is refused.
+    A step into a wall is refused, and one onto a slope that is too steep, if not less steep than where the robot
+    stands, or up or down a step that is too high, if not one that it stands on.
 
     Args:
       draws, building, robot, noise, body: as in `sense`.
@@ -170,13 +154,14 @@ def move(draws, building, robot, noise, body, estimate, senses, v, omega):
     contact = touches(building, robot, pose)
     steep = jnp.radians(robot.max_slope_deg) + 1e-3
     climbs = (jnp.abs(pitch) <= steep) & (jnp.abs(roll) <= steep) | (jnp.abs(pitch) < jnp.abs(body.pitch))
-    climbs = climbs & (rise <= robot.max_step_m) | (flat == 0)
+    climbs = climbs & (rise <= jnp.maximum(robot.max_step_m, body.rise_m)) | (flat == 0)
     goes = ~contact & climbs
     moved = Body(
         pose=jnp.where(goes, pose, body.pose),
         pitch=jnp.where(goes, pitch, body.pitch),
         roll=jnp.where(goes, roll, body.roll),
         height_m=jnp.where(goes, height, body.height_m),
+        rise_m=jnp.where(goes, rise, body.rise_m),
         path_m=body.path_m + jnp.where(goes, flat, 0),
         contacts=body.contacts + contact,
         refused=body.refused + (~contact & ~climbs),

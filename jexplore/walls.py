@@ -90,3 +90,32 @@ def _nearest(lines, a, b, da, db):
     hit = (distance >= 0) & (meets >= lines[:, 1] - SLACK_M) & (meets <= lines[:, 2] + SLACK_M)
     bits = lax.bitcast_convert_type(jnp.where(hit, distance, jnp.float32(FAR_M)), jnp.int32)
     return jnp.min(bits, axis=1)
+
+
+def meets(walls, pose, length_m, width_m):
+    """Whether a rectangle meets a wall.
+
+    Args:
+      walls: `Walls`.
+      pose: `(x_m, y_m, heading_rad)` of its middle.
+      length_m, width_m: along the heading and across.
+
+    Returns:
+      bool: whether a segment has a point inside; on its sides either may be said.
+
+    Source:
+      Liang and Barsky, A new concept and method for line clipping (1984).
+    """
+    x, y, heading = pose
+    cos, sin = jnp.cos(heading), jnp.sin(heading)
+    first = jnp.concatenate([walls.x[:, :2], walls.y[:, 1::-1]]) - jnp.stack([x, y])  # [S, 2]
+    along = jnp.concatenate([walls.x[:, 2] - walls.x[:, 1], walls.y[:, 2] - walls.y[:, 1]])
+    is_x = jnp.arange(first.shape[0]) < walls.x.shape[0]
+    way = jnp.stack([jnp.where(is_x, 0, along), jnp.where(is_x, along, 0)], axis=1)
+    enters, leaves = 0.0, 1.0  # share of the segment's way
+    for axis, half in (((cos, sin), length_m / 2), ((-sin, cos), width_m / 2)):
+        at, step = (a[:, 0] * axis[0] + a[:, 1] * axis[1] for a in (first, way))
+        per = 1 / jnp.where(jnp.abs(step) < 1e-9, 1e-9, step)
+        one, other = (-half - at) * per, (half - at) * per
+        enters, leaves = jnp.maximum(enters, jnp.minimum(one, other)), jnp.minimum(leaves, jnp.maximum(one, other))
+    return jnp.any(enters < leaves)

@@ -1,6 +1,7 @@
 """Settings of all tests: no jit unless marked `jit`, one folder of compiled programs, no display."""
 
 import contextlib
+import gc
 import os
 from pathlib import Path
 
@@ -40,6 +41,14 @@ def _jit(on):
 def _jit_as_marked(request):
     with _jit(request.node.get_closest_marker("jit") is not None):
         yield
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _garbage():
+    """What a module has traced is not looked at again by every later collection: there are millions of objects."""
+    yield
+    gc.collect()
+    gc.freeze()
 
 
 @pytest.fixture(scope="session")

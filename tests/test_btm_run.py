@@ -285,25 +285,51 @@ def test_sweeps():
     assert tracing.swept_values([], 100, 0) == {}
 
 
-def test_a_step_without_jit_is_the_step_with_and_uses_no_key_twice(jit_on):
-    plan = tracing.prepare("course", noise=dataclasses.replace(STILL, range_m=0.01))
+def test_a_step_without_jit_is_the_step_with_and_uses_no_key_twice(noisy, jit_on):
+    """And a run is its steps: run 0 with draws of its own keys, beyond the first block of draws."""
+    plan = noisy.plan
     robot, tuning, noise = (jax.tree.map(lambda a: jnp.asarray(a[0]), numbers_of(s, 1)) for s in plan.first_settings())
     building = jax.tree.map(jnp.asarray, plan.building)
+    key = jax.random.fold_in(jax.random.key(np.uint32(plan.seed)), 0)
     with jit_on(), jax.debug_key_reuse(True):
         states = [jax.tree.map(jnp.asarray, btm_run.begin(building, robot, 200))]
         one = jax.jit(lambda key, *rest: btm_run.step(vehicle.draw(key), *rest))
-        for i in range(2):
-            states.append(one(jax.random.key(i), building, robot, tuning, noise, states[-1]))
-    slow = btm_run.step(vehicle.draw(jax.random.key(1)), building, robot, tuning, noise, states[1])
+        for i in range(2 * btm_run.BLOCK + 2):
+            states.append(one(jax.random.fold_in(key, i), building, robot, tuning, noise, states[-1]))
+    for ours, theirs in ((states[-1].truth, noisy.track.truth), (states[-1].writer.way.pose, noisy.track.estimate)):
+        np.testing.assert_allclose(ours[: len(states) - 1], theirs[: len(states) - 1], atol=1e-4)
+    assert np.abs(noisy.track.estimate[: len(states)] - noisy.track.truth[: len(states)]).max() > 1e-3
+    slow = btm_run.step(vehicle.draw(jax.random.fold_in(key, 1)), building, robot, tuning, noise, states[1])
     for ours, theirs in zip(jax.tree.leaves(slow), jax.tree.leaves(states[2])):
         np.testing.assert_allclose(np.asarray(ours), np.asarray(theirs), atol=2e-4)
+
+
+@pytest.mark.jit
+@pytest.mark.parametrize(("n", "lanes", "calls"), [(5, 2, [2, 2, 1]), (3, 8, [3]), (4, 2, [2, 2])])
+def test_an_accelerator_takes_runs_in_groups(course, monkeypatch, n, lanes, calls):
+    plan, done, counts = course.plan, [], []
+    settings = tuple(numbers_of(s, n) for s in plan.first_settings())
+    result = jax.tree.map(lambda a: np.zeros((min(n, lanes), *a.shape[1:]), a.dtype), course.report.result)
+    track = [np.zeros((200, k)) for k in (3, 3)] + [np.zeros(200, np.int32), np.zeros(200)]
+
+    def program(building, settings, seed, which, count, limit):
+        assert len(which) == len(settings[0].width_m) == min(n, lanes)
+        counts.append(int(count))
+        return result.replace(steps=which + 100, outcome=np.ones_like(which)), track
+
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    monkeypatch.setattr(btm_batch, "LANES", lanes)
+    monkeypatch.setattr(btm_batch, "_compiled", lambda *args: (program, (result, track)))
+    report = btm_batch.run(plan.building, *settings, 0, np.arange(n)[::-1], workers=2, on_progress=done.append)
+    assert report.result.steps.tolist() == [100 + n - 1 - i for i in range(n)]
+    assert (counts, done[-1], len(report.track.truth)) == (calls, n, 100 + n - 1)
 
 
 def test_a_building_keeps_the_worlds_measures():
     world = load_world("course", 0.1)
     building = building_of(world, world.course.start_pose, world.course.goal_m)
-    assert building.occupied.shape[0] % btm_batch.MULTIPLE == 0
-    assert building.occupied[: world.shape[0], : world.shape[1]].tolist() == world.occupied.tolist()
+    assert building.walls.x.shape == building.walls.y.shape == (16, 3)
+    assert building.start.tolist() == pytest.approx([2.5, 27, 0])
     assert np.isnan(building_of(world, (2.5, 27, 0), None).goal).all()
 
 

@@ -441,9 +441,22 @@ def test_a_way_may_lead_back_to_the_node_where_it_began():
     record = btm_map.check(btm.to_map(writer.map))
     assert [(link.start, link.end) for link in record.links] == [(0, 1), (1, 1)]
     assert sorted(record.angles_deg(1)) == pytest.approx([99, 99, 162], abs=6)  # the link counts at both its ends
-    assert len(code(record)) > 4
+    assert code(record) == "T(D(=1,=1))"
     near, *_ = back_at_the_t(t, 6.9, (3.9, 4.0))  # after less than it takes to leave it twice
     assert int(near.map.n_nodes) == 3
+
+
+def test_a_way_that_leads_back_to_its_own_opening_is_none():
+    """The robot has turned round on the way, unawares."""
+    t, *_ = at_the_t()
+    south, north = int(t.link), 3 - int(t.link)
+    writer, latch, *_ = back_at_the_t(t, 20, (3.9, -4.0), (3.65, -0.2))
+    assert links_of(writer) == links_of(t)
+    assert writer.map.blocked.tolist() == [i == south for i in range(len(writer.map.blocked))]
+    assert (int(writer.link), latch) == (north, Latch.LEAVE)
+    writer, *_ = back_at_the_t(writer, 40, (3.9, 4.0))
+    assert links_of(writer) == links_of(t)
+    assert (bool(writer.exhausted), int(writer.map.n_nodes)) == (True, 2)
 
 
 def test_how_near_a_known_node_is_met_again():

@@ -73,7 +73,13 @@ def test_a_few_beams_that_fail_are_bridged():
         distance = np.hypot(*np.asarray(xy).T)[np.asarray(valid)]
         assert distance.min() > 1.99
         assert distance.max() < 2.11
-    ranges[100:] = 2.3  # two walls
+    for jump, n in ((2.19, 0), (2.21, 1)):  # one wall, two walls
+        ranges[100:] = jump
+        some = ranges.copy()
+        some[99] = np.nan
+        for scan in (some, some[::-1]):
+            assert BEAMS - int(np.sum(points(scan, ANGLES_RAD)[1])) == n
+    ranges[100:] = 2.3
     some = ranges.copy()
     some[99:101] = np.nan
     assert not np.asarray(points(some, ANGLES_RAD)[1])[99:101].any()
@@ -136,6 +142,16 @@ def test_noise_makes_clearances_hardly_smaller():
     xy, valid = points_of([(-9, 0.8, 9, 0.8), (-9, -1.2, 9, -1.2), (0.2, 0.5, 0.3, 0.5)])
     assert [float(v) for v in clearances(xy, valid, 0.35)] == pytest.approx([0.5, 1.2], abs=1e-5)  # a post counts
     assert [float(v) for v in clearances(xy, valid & (xy[:, 1] > 0), 0.35)] == [pytest.approx(0.5), math.inf]
+
+
+@pytest.mark.parametrize("sigma_m", [0.0, 0.05, 0.3])
+def test_a_wall_ahead_is_none_beside(sigma_m):
+    rng = np.random.default_rng(4)
+    for _ in range(50):
+        noise_m = rng.normal(scale=sigma_m, size=BEAMS)
+        lines = [(-9, 1, 9, 1), (-9, -1, 9, -1), (0.45, -1, 0.45, 1)]
+        left, right = clearances(*points_of(lines, noise_m=np.maximum(noise_m, -0.4)), 0.35)
+        assert min(left, right) > (0.9 if sigma_m == 0 else 0)
 
 
 def test_front_is_as_wide_as_the_robot_and_its_guard():
@@ -596,7 +612,7 @@ def test_a_wall_farther_in_does_not_divide_an_opening():
         bearings, widths, _ = ways_out(stray, radius_m=1.0, circle=1.5)
         assert len(bearings) == n, distance
         assert max(widths) == pytest.approx(math.sqrt(2), abs=1e-5)
-    far = polar([-120, 0, 120], 1.4)  # none comes nearer: the nearest count
+    far = np.concatenate([polar([angle], 1.3 + angle / 2000) for angle in (-120, 0, 120)])  # none comes nearer
     assert len(ways_out(far, radius_m=1.0, circle=1.5)[0]) == 3
     # A wall that leads from near to far is one.
     wall = np.stack([np.linspace(0.8, 1.4, 20), np.full(20, 0.6)], 1)

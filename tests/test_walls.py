@@ -9,7 +9,7 @@ import pytest
 from ref import maps
 
 from jexplore import raycast
-from jexplore.walls import FAR_M, SLACK_M, Walls, cast, segments, walls_of
+from jexplore.walls import FAR_M, SLACK_M, Walls, cast, meets, segments, walls_of
 
 QUARTERS = np.radians([0, 90, 180, -90]).astype(np.float32)
 BOX = maps.walls("""
@@ -298,3 +298,48 @@ def test_rows_of_a_batch_are_independent_and_jit_changes_nothing():
     for pose, row in zip(poses, many):
         with jax.disable_jit():
             np.testing.assert_allclose(cast(walls, pose, angles, 4.0), row, rtol=1e-5, atol=1e-5)
+
+
+# ---------------------------------------------------------------- rectangles
+
+rectangle_meets = jax.jit(meets)
+
+
+@pytest.mark.jit
+def test_a_rectangle_in_a_box():
+    walls = walls_of(BOX, 1.0)  # free from (1, 1) to (4, 3)
+    for pose, length, width, want in (
+        ((2.5, 2, 0), 2.9, 1.9, False), ((2.5, 2, 0), 3.1, 1.9, True), ((2.5, 2, 0), 2.9, 2.1, True),
+        ((2.5, 2, math.pi / 2), 1.9, 2.9, False), ((2.5, 2, math.pi / 2), 2.9, 0.1, True),
+        ((2.5, 2, 0.3), 2.2, 0.9, False), ((2.5, 2, 0.8), 2.2, 0.9, True), ((2.5, 2, 0), 50, 50, True),
+    ):  # fmt: skip
+        assert bool(rectangle_meets(walls, np.float32(pose), length, width)) is want, (pose, length, width)
+
+
+@pytest.mark.jit
+def test_a_rectangle_meets_a_wall_where_one_of_its_points_lies_in_one():
+    rng = np.random.default_rng(8)
+    occupied = np.pad(rng.random((14, 18)) < 0.12, 1, constant_values=True)
+    walls, free, hits = walls_of(occupied, 0.5), np.argwhere(~occupied), 0
+    u, v = np.meshgrid(np.linspace(-0.5, 0.5, 81), np.linspace(-0.5, 0.5, 61))
+
+    def covered(pose, length, width):  # by points at most 2 cm apart
+        along, across, (x, y, heading) = u * length, v * width, pose
+        col = np.floor((x + np.cos(heading) * along - np.sin(heading) * across) / 0.5).astype(int)
+        row = np.floor((y + np.sin(heading) * along + np.cos(heading) * across) / 0.5).astype(int)
+        inside = (row >= 0) & (row < occupied.shape[0]) & (col >= 0) & (col < occupied.shape[1])
+        return bool((occupied[row[inside], col[inside]]).any() or not inside.all())
+
+    for _ in range(400):
+        row, col = free[rng.integers(len(free))]
+        pose = np.float32([(col + rng.random()) * 0.5, (row + rng.random()) * 0.5, rng.uniform(-4, 4)])
+        length, width = rng.uniform(0.2, 1.5), rng.uniform(0.1, 1.0)
+        met = bool(rectangle_meets(walls, pose, length, width))
+        assert met or not covered(pose, length - 1e-4, width - 1e-4)
+        assert not met or covered(pose, length + 0.05, width + 0.05)
+        hits += met
+    assert 50 < hits < 350
+
+
+def test_without_walls_no_rectangle_meets_one():
+    assert not rectangle_meets(walls_of(np.ones((3, 3), bool), 1.0), np.float32([1.5, 1.5, 0.2]), 9.0, 9.0)
