@@ -93,6 +93,11 @@ class State:
     outcome: Array  # int32
 
 
+def _is_open(building):
+    """Whether a run has no goal: it goes on until nothing is left, behind its start as well."""
+    return jnp.isnan(building.goal[0])
+
+
 def begin(building, robot, room):
     """The state before the first step; `room` for so many steps, static."""
     zero, none = jnp.float32(0), jnp.int32(0)
@@ -105,7 +110,7 @@ def begin(building, robot, room):
         track=behave.no_track(),
         hall=behave.no_hall(),
         drive=behave.at_rest(),
-        writer=btm_write.begin(room, KEPT_POINTS, NODES, LINKS, start),
+        writer=btm_write.begin(room, KEPT_POINTS, NODES, LINKS, start, _is_open(building)),
         scan_overflow=none,
         mode=none,
         target=jnp.zeros(2),
@@ -213,7 +218,8 @@ def step(draws, building, robot, tuning, noise, state):
     crosses = missed | (state.odometer_m >= writer.border_m)
     stops = blocked >= SURE
     beyond = ahead_step_m, ahead_slope
-    event = _event(state, writer, track, at_goal, changed, crease_m, steepest, crosses, arrives, stops, beyond)
+    returns = _is_open(building) & _passes_start(state)
+    event = _event(state, writer, track, at_goal, returns, changed, crease_m, steepest, crosses, arrives, stops, beyond)
     writer, drive, track, estimate = _write(state, writer, drive, track, event, tuning, robot)
     blocked = jnp.where(event.blocked, 0, blocked)
 
@@ -316,13 +322,20 @@ def _cannot_climb(way, robot, state):
     return run_if(high, judged, (jnp.bool_(False), jnp.float32(0), jnp.float32(0)))
 
 
-def _event(state, writer, track, at_goal, changed, crease_m, steepest, crosses, arrives, stops, beyond):
+def _passes_start(state):
+    """Whether the robot has come by the node where it started since it was at another one."""
+    map_ = state.writer.map
+    place = to_robot(state.estimate)(jnp.stack([map_.x_m[0], map_.y_m[0]]))
+    return (state.writer.node != 0) & (place[0] <= 0) & (jnp.hypot(*place) < btm_write.SAME_NODE_M)
+
+
+def _event(state, writer, track, at_goal, returns, changed, crease_m, steepest, crosses, arrives, stops, beyond):
     """The node that is due; of several the one that lies first on the way."""
     here = state.estimate
     crease = run_if(changed, lambda _: btm_write.pose_at(writer.way, crease_m), here)
     crease_m = jnp.maximum(crease_m, writer.node_m)
     order = [
-        (at_goal, btm.TERMINAL, state.odometer_m, here, here[:2]),
+        (at_goal | returns, btm.TERMINAL, state.odometer_m, here, here[:2]),
         (arrives & ~crosses, btm.DIVERGENCE, state.odometer_m, here, track.centre),
         (stops, btm.OBSTACLE, state.odometer_m, here, here[:2]),
         (crosses, btm.FREE_SPACE, state.odometer_m, here, here[:2]),
@@ -344,6 +357,7 @@ def _event(state, writer, track, at_goal, changed, crease_m, steepest, crosses, 
         steepest=jnp.where(is_blocked, beyond[1], steepest),
         step_m=jnp.where(is_blocked, beyond[0], 0.0),
         blocked=is_blocked,
+        returns=returns & ~at_goal & (kind == btm.TERMINAL),
     )
 
 

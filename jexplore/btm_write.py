@@ -86,10 +86,14 @@ class Writer:
     full: Array  # bool, a node did not fit
 
 
-def begin(n_steps, n_points, n_nodes, n_links, pose):
-    """A map of the node where the robot starts and the link on which it sets off. Sizes static."""
+def begin(n_steps, n_points, n_nodes, n_links, pose, behind):
+    """A map of the node where the robot starts, the link on which it sets off and, if there is one, the one behind.
+
+    Sizes static.
+    """
     map_, node = btm.add_node(btm.empty(n_nodes, n_links), btm.TERMINAL, pose[0], pose[1])
     map_, link = btm.add_link(map_, node, pose[2])
+    map_, _ = btm.add_link(map_, node, pose[2] + math.pi, when=behind)
     zero = jnp.float32(0)
     return Writer(
         map=map_,
@@ -177,6 +181,7 @@ class Event:
     steepest: Array  # float32, radians, of an obstacle
     step_m: Array  # float32, height of a step that the robot cannot climb; 0
     blocked: Array  # bool, an obstacle that the robot cannot pass
+    returns: Array  # bool, to the node where it started
 
 
 def pose_at(way, odometer_m):
@@ -214,14 +219,15 @@ def write(writer, event, tuning, robot):
         metres, where a node was met again.
     """
     is_divergence, is_obstacle = event.kind == btm.DIVERGENCE, event.kind == btm.OBSTACLE
-    is_terminal = event.kind == btm.TERMINAL
+    is_terminal = (event.kind == btm.TERMINAL) & ~event.returns
     size = writer.map.start.shape[0]
 
     # The node: one that is known, or a new one.
     near, distance = btm.nearest_node(writer.map, event.centre[0], event.centre[1], event.kind)
     reach = jnp.where(is_divergence, jnp.maximum(0.5, event.radius), SAME_NODE_M)
     may_be_last = is_divergence & _has_left(writer, event.odometer_m, tuning.leave_m)
-    again = (distance < reach) & ((near != writer.node) | may_be_last) & ~is_terminal
+    again = (distance < reach) & ((near != writer.node) | may_be_last) & ~is_terminal | event.returns
+    near = jnp.where(event.returns, 0, near)
     width, posture = along(writer.way, writer.node_m, event.odometer_m)
     added, new = btm.add_node(
         writer.map,

@@ -219,11 +219,11 @@ def test_lanes_in_lockstep_give_the_same_maps(noisy):
     np.testing.assert_allclose(lanes.path_m, alone.path_m, rtol=1e-4)
 
 
-def box():
-    """A closed room 1.6 m a side, on ground and with arrays like those of the course."""
+def box(height_m=1.6, width_m=1.6):
+    """A closed room, on ground and with arrays like those of the course."""
     world = load_world("course")
     occupied = np.ones(world.shape, bool)
-    occupied[2:18, 2:18] = False
+    occupied[2 : 2 + round(10 * height_m), 2 : 2 + round(10 * width_m)] = False
     return World(occupied=occupied, elevation=1e-9 + 0 * world.elevation, cell_m=0.1, name="box")
 
 
@@ -242,6 +242,19 @@ def test_a_room_without_a_passage():
     found = ran(tracing.prepare(box(), start=(1.0, 1.0, 0), noise=STILL))
     assert found.table["outcome"].tolist()[0] in ("STUCK", "EXHAUSTED")
     assert found.table["steps"][0] < 1000
+
+
+@pytest.mark.jit
+def test_without_a_goal_what_lies_behind_the_start_is_searched_as_well():
+    found = ran(tracing.prepare(box(2.0, 14.0), start=(6.0, 1.2, 0), noise=STILL))
+    assert kinds(found.first) == "TDD"
+    assert found.table["outcome"].tolist() == ["EXHAUSTED"]
+    links = [(link.start, link.end, link.status) for link in found.first.links]
+    assert links == [(0, 1, "searched"), (0, 2, "searched")]
+    east, west = found.first.nodes[1:]
+    assert [east.x_m, west.x_m] == pytest.approx([13.2, 1.2], abs=0.3)
+    lengths = [link.length_m for link in found.first.links]
+    assert lengths == pytest.approx([7.2, 4.8], abs=0.6)
 
 
 @pytest.mark.parametrize(

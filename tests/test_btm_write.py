@@ -34,7 +34,7 @@ def pitch_deg(odometer, creases, grounds, length_m):
 
 WATCH = jax.jit(
     lambda pitch, odometer, even_m: jax.lax.scan(
-        lambda level, now: _watched(level, *now, even_m), btm_write.begin(1, 1, 1, 1, jnp.zeros(3)).level,
+        lambda level, now: _watched(level, *now, even_m), btm_write.begin(1, 1, 1, 1, jnp.zeros(3), False).level,
         (pitch, odometer),
     )[1]
 )  # fmt: skip
@@ -105,8 +105,8 @@ STEPS, POINTS, NODES, LINKS = 160, 64, 8, 12
 BEGIN = jax.jit(btm_write.begin, static_argnums=(0, 1, 2, 3))
 
 
-def begun(pose=(0.0, 0.0, 0.0), *, points=POINTS):
-    return BEGIN(STEPS, points, NODES, LINKS, jnp.asarray(pose, jnp.float32))
+def begun(pose=(0.0, 0.0, 0.0), *, points=POINTS, behind=False):
+    return BEGIN(STEPS, points, NODES, LINKS, jnp.asarray(pose, jnp.float32), behind)
 
 
 def test_a_map_begins_with_the_start_and_a_link_ahead():
@@ -220,7 +220,19 @@ def seen(writer, xy):
     )
 
 
-def event(kind, odometer, pose, centre=None, *, radius=0.0, posture=0.0, steepest=0.0, step_m=0.0, blocked=False):
+def event(
+    kind,
+    odometer,
+    pose,
+    centre=None,
+    *,
+    radius=0.0,
+    posture=0.0,
+    steepest=0.0,
+    step_m=0.0,
+    blocked=False,
+    returns=False,
+):
     return Event(
         kind=jnp.int32(kind),
         odometer_m=jnp.float32(odometer),
@@ -231,6 +243,7 @@ def event(kind, odometer, pose, centre=None, *, radius=0.0, posture=0.0, steepes
         steepest=jnp.float32(math.radians(steepest)),
         step_m=jnp.float32(step_m),
         blocked=jnp.bool_(blocked),
+        returns=jnp.bool_(returns),
     )
 
 
@@ -457,6 +470,32 @@ def test_a_way_that_leads_back_to_its_own_opening_is_none():
     writer, *_ = back_at_the_t(writer, 40, (3.9, 4.0))
     assert links_of(writer) == links_of(t)
     assert (bool(writer.exhausted), int(writer.map.n_nodes)) == (True, 2)
+
+
+def test_past_its_start_a_robot_goes_on_behind_it():
+    writer = begun(behind=True)
+    assert links_of(writer) == [(0, NONE, UNSEARCHED)] * 2
+    assert [abs(degrees(b)) for b in writer.map.start_bearing[:2]] == pytest.approx([0, 180])
+    writer, latch, *_ = at_a_dead_end(writer, (4.0, 0.0), EAST, 4)
+    assert (int(writer.link), latch, bool(writer.exhausted)) == (0, Latch.LEAVE, False)
+    before = writer.map
+    writer, latch, _, shift = written(writer, event(TERMINAL, 8, (-0.1, 0.2, WEST), returns=True))
+    jax.tree.map(np.testing.assert_array_equal, writer.map, before)
+    assert (int(writer.node), int(writer.link), latch, shift) == (0, 1, Latch.FREE, [0, 0])
+    writer, *_ = at_a_dead_end(writer, (-5.0, 0.0), WEST, 13)
+    assert links_of(writer) == [(0, 1, SEARCHED), (0, 2, SEARCHED)]
+    assert (float(writer.map.length_m[1]), bool(writer.exhausted)) == (5, True)
+
+
+def test_a_ring_through_the_start_is_closed_there():
+    writer, *_ = at_a_dead_end(begun(behind=True), (4.0, 0.0), EAST, 4)
+    writer, *_ = written(writer, event(FREE_SPACE, 9, (0.0, 6.0, WEST)))  # by a way of its own
+    ways = links_of(writer)
+    writer, *_ = written(writer, event(TERMINAL, 20, (0.1, 0.2, EAST), returns=True))
+    assert links_of(writer)[1] == (NONE, NONE, NONE)
+    assert links_of(writer)[-1] == (2, 0, SEARCHED)
+    assert len(links_of(writer)) == len(ways)
+    assert int(writer.map.n_nodes) == 3
 
 
 def test_how_near_a_known_node_is_met_again():
