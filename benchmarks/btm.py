@@ -15,7 +15,7 @@ from jexplore import batch, btm_map, tracing
 from jexplore.btm_compare import code
 from jexplore.btm_map import BtmMap
 from jexplore.btm_settings import Noise, Tuning
-from jexplore.tracing import share
+from jexplore.btm_tables import share
 
 STILL = Noise(attitude_deg=0, odometry=0, heading_deg_sqrt_m=0, slip=0)
 PARTS = ("repeat", "ablation", "stairs", "place", "robots", "speed")

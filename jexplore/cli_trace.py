@@ -10,7 +10,7 @@ from jexplore.console import COMPILING, Out, note, say, working
 
 
 def run(options, arguments):
-    from jexplore import batch, tracing
+    from jexplore import batch, btm_tables, tracing
 
     out = Out(options, "trace")
     noise = options.noise if options.noise_m is None else dataclasses.replace(options.noise, range_m=options.noise_m)
@@ -48,7 +48,7 @@ def run(options, arguments):
             files["btm.html"] = lambda path: path.write_text(page, encoding="utf-8")
         except KeyboardInterrupt:
             print("warning: interrupted, btm.html was left out", file=sys.stderr)
-    text = tracing.tables(found.first) + "\n" + "\n".join(tracing.summary(found))
+    text = btm_tables.tables(found.first) + "\n" + "\n".join(btm_tables.summary(found))
     rate = len(found.table) / found.report.run_s
     entries = {"runs_per_s": rate, "compile_s": found.report.compile_s, "run_s": found.report.run_s}
     return _finish_trace(out, out.record(arguments, options, **entries), files, text, found.report.interrupted)
@@ -101,7 +101,7 @@ def _finish_trace(out, record, files, text, interrupted=False):
 
 def _trace_episode(out, options, arguments):
     """A map from what an exploration episode has seen."""
-    from jexplore import btm_episode, plot, tracing
+    from jexplore import btm_episode, btm_tables, plot
 
     plain, own = type(options)(), ("world", "strategy", "seed", "cell_m", "tuning", "out", "overwrite", "from_episode")
     for field in dataclasses.fields(options):
@@ -117,6 +117,6 @@ def _trace_episode(out, options, arguments):
             tuning=options.tuning,
         )
     files = {**_exchanged(found.map), "btm.png": lambda path: plot.save_figure(found.figure(), path)}
-    text = tracing.tables(found.map) + "\n" + "\n".join(found.agreement())
+    text = btm_tables.tables(found.map) + "\n" + "\n".join(found.agreement())
     record = out.record(arguments, options, result=found.measures, agreement=found.agreement())
     return _finish_trace(out, record, files, text)

@@ -77,6 +77,7 @@ FLOORS = {
     "halls": 9,
     "btm_extract": 11,
     "tracing": 11,
+    "btm_tables": 11,
     "btm_replay": 12,
     "btm_episode": 13,
     "__main__": 17,

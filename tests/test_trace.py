@@ -6,7 +6,7 @@ import pandas as pd
 import pytest
 from PIL import Image
 
-from jexplore import btm_batch, btm_episode, btm_json, cli, tracing
+from jexplore import btm_batch, btm_episode, btm_json, btm_tables, cli, tracing
 from jexplore.btm_compare import code
 from jexplore.btm_map import BtmMap, Link, Node
 
@@ -50,7 +50,7 @@ def test_the_page_shows_the_run_that_was_made(ran):
 
 
 def test_what_it_says(ran):
-    said = tracing.tables(btm_json.read_btm(ran / "btm.json")).splitlines()
+    said = btm_tables.tables(btm_json.read_btm(ran / "btm.json")).splitlines()
     assert [cell.strip() for cell in said[0].split("|")[1:4]] == ["node", "x m", "y m"]
     assert sum("divergence" in line for line in said) == 2
     assert sum("| un-searched |" in line for line in said) == 2
