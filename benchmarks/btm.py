@@ -11,11 +11,13 @@ import os
 
 import numpy as np
 
-from jexplore import batch, btm_map, tracing
-from jexplore.btm_compare import code
-from jexplore.btm_map import BtmMap
-from jexplore.btm_settings import Noise, Tuning
-from jexplore.btm_tables import share
+from jexplore.driving.settings import Noise, Tuning
+from jexplore.exploration import batch
+from jexplore.report.trace_tables import share
+from jexplore.studies import tracing
+from jexplore.tracemap import record
+from jexplore.tracemap.record import BtmMap
+from jexplore.tracemap.similarity import code
 
 STILL = Noise(attitude_deg=0, odometry=0, heading_deg_sqrt_m=0, slip=0)
 PARTS = ("repeat", "ablation", "stairs", "place", "robots", "speed")
@@ -125,7 +127,7 @@ def stubs(found: BtmMap, true: BtmMap, match):
     """Un-searched links within 30 degrees of a true one at the same node: `(hits, found, true)`."""
 
     def at(which: BtmMap, node):
-        links = [link for link in which.links if link.start == node and link.end == btm_map.NOWHERE]
+        links = [link for link in which.links if link.start == node and link.end == record.NOWHERE]
         return [link.start_bearing_deg for link in links]
 
     hits = ours = theirs = 0

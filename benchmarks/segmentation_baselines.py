@@ -19,7 +19,7 @@ from scipy import ndimage
 from skimage.segmentation import watershed
 
 from jexplore.config import InputError
-from jexplore.scores import regions_of, rooms_of, score
+from jexplore.studies.room_scores import regions_of, rooms_of, score
 
 CELL_M = 0.05
 FREE_GREY = 250

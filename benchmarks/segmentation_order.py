@@ -12,9 +12,9 @@ import numpy as np
 
 from jexplore import segment
 from jexplore.bench.tables import markdown
-from jexplore.scores import regions_of, rooms_of, score
-from jexplore.segmentation import segmentations
-from jexplore.worlds.images import load_image
+from jexplore.studies.room_scores import regions_of, rooms_of, score
+from jexplore.studies.segmentation import segmentations
+from jexplore.worlds.readers.images import load_image
 
 CHOICES = {
     "as shipped (prominence 0.15 m)": ({"prominence": 3.0}, {}),

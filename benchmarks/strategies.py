@@ -8,11 +8,11 @@ Every strategy plans on the same maps: those at which `closest+recheck` made its
 import os
 import sys
 
-from jexplore.batch import start_backend, use_compilation_cache
 from jexplore.bench.plans import plan_costs
 from jexplore.bench.tables import markdown
+from jexplore.exploration.batch import start_backend, use_compilation_cache
 from jexplore.policies import parse_strategy
-from jexplore.policies.segmented import own_segment
+from jexplore.policies.room_wise import own_segment
 from jexplore.worlds import load_world
 
 WORLDS = ("cave:width_m=25.6,height_m=25.6", "office:width_m=25.6,height_m=25.6")

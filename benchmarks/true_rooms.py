@@ -10,16 +10,18 @@ import sys
 
 import numpy as np
 
-from jexplore import Lidar, Rules, batch
+from jexplore import Lidar, Rules
+from jexplore.arrays.loops import run_if
+from jexplore.arrays.padding import bucket
 from jexplore.bench.tables import markdown
-from jexplore.control import run_if
-from jexplore.measure import columns
+from jexplore.exploration import batch
+from jexplore.exploration.results import columns
 from jexplore.policies import Strategy, parse_strategy
-from jexplore.policies.record import Policy
-from jexplore.site import bucket
-from jexplore.stats import paired_ratio, ratio_text
-from jexplore.world import draw_starts
+from jexplore.policies.policy import Policy
+from jexplore.report.tables import ratio_text
+from jexplore.studies.stats import paired_ratio
 from jexplore.worlds import load_world
+from jexplore.worlds.world import draw_starts
 
 WORLDS = ("hospital", "office")
 LARGEST_M2 = 35.0

@@ -14,14 +14,15 @@ import jax
 import numpy as np
 from jax.experimental.compilation_cache import compilation_cache
 
-from jexplore import batch, store
 from jexplore.bench.engines import LIDAR, RULES, Compiler, same
 from jexplore.bench.tables import markdown, plus_minus
 from jexplore.bench.timing import interleaved, mean_and_se, one_core, ratio, spread, surroundings
-from jexplore.config import InputError
-from jexplore.episode import Outcome
-from jexplore.measure import path_m
-from jexplore.preflight import ready_strategies, ready_worlds, require_integer
+from jexplore.config import InputError, require_whole
+from jexplore.exploration import batch
+from jexplore.exploration.episode import Outcome
+from jexplore.exploration.results import path_m
+from jexplore.report import store
+from jexplore.studies.checks import ready_strategies, ready_worlds
 
 SHARED = Path(__file__).resolve().parents[2] / "shared"
 YARDSTICK = SHARED / "bench" / "numba_ref.py"
@@ -128,7 +129,7 @@ def parse():
 def main():
     args = parse()
     for name in ("episodes", "repeat"):
-        require_integer(f"--{name}", getattr(args, name), 1, 1_000_000)
+        require_whole(f"--{name}", getattr(args, name), 1, 1_000_000)
     if args.out is not None and not args.out.resolve().parent.is_dir():
         raise InputError(f"--out {args.out}: its folder must exist")
     strategies = ready_strategies(args.strategies)

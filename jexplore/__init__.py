@@ -12,33 +12,33 @@ Importing this loads neither jax nor numpy; a name is loaded from its module whe
 import importlib
 from typing import TYPE_CHECKING
 
-__version__ = "0.1.0"
+from jexplore.version import __version__
 
 _MODULE_OF = {
     "InputError": "config",
     "Lidar": "config",
     "Rules": "config",
-    "World": "world",
-    "occupancy_to_world": "world",
+    "World": "worlds.world",
+    "occupancy_to_world": "worlds.world",
     "load_world": "worlds",
     "GENERATORS": "worlds",
     "STRATEGIES": "policies",
     "MODIFIERS": "policies",
-    "compare": "comparison",
-    "Comparison": "comparison",
-    "explore": "replay",
-    "Episode": "replay",
-    "reproduce": "reproduction",
-    "Reproduction": "reproduction",
-    "segment_maps": "segmentation",
-    "Segmentation": "segmentation",
-    "trace": "tracing",
-    "Traced": "tracing",
-    "Robot": "btm_settings",
-    "Tuning": "btm_settings",
-    "Noise": "btm_settings",
-    "BtmMap": "btm_map",
-    "read_btm": "btm_json",
+    "compare": "studies.comparison",
+    "Comparison": "studies.comparison",
+    "explore": "studies.explore",
+    "Episode": "studies.explore",
+    "reproduce": "studies.reproduction",
+    "Reproduction": "studies.reproduction",
+    "segment_maps": "studies.segmentation",
+    "Segmentation": "studies.segmentation",
+    "trace": "studies.tracing",
+    "Traced": "studies.tracing",
+    "Robot": "driving.settings",
+    "Tuning": "driving.settings",
+    "Noise": "driving.settings",
+    "BtmMap": "tracemap.record",
+    "read_btm": "tracemap.json_form",
 }
 
 __all__ = [
@@ -70,18 +70,18 @@ __all__ = [
 ]
 
 if TYPE_CHECKING:
-    from jexplore.btm_json import read_btm
-    from jexplore.btm_map import BtmMap
-    from jexplore.btm_settings import Noise, Robot, Tuning
-    from jexplore.comparison import Comparison, compare
     from jexplore.config import InputError, Lidar, Rules
+    from jexplore.driving.settings import Noise, Robot, Tuning
     from jexplore.policies import MODIFIERS, STRATEGIES
-    from jexplore.replay import Episode, explore
-    from jexplore.reproduction import Reproduction, reproduce
-    from jexplore.segmentation import Segmentation, segment_maps
-    from jexplore.tracing import Traced, trace
-    from jexplore.world import World, occupancy_to_world
+    from jexplore.studies.comparison import Comparison, compare
+    from jexplore.studies.explore import Episode, explore
+    from jexplore.studies.reproduction import Reproduction, reproduce
+    from jexplore.studies.segmentation import Segmentation, segment_maps
+    from jexplore.studies.tracing import Traced, trace
+    from jexplore.tracemap.json_form import read_btm
+    from jexplore.tracemap.record import BtmMap
     from jexplore.worlds import GENERATORS, load_world
+    from jexplore.worlds.world import World, occupancy_to_world
 
 
 def __getattr__(name):

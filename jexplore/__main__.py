@@ -2,7 +2,7 @@
 
 import sys
 
-from jexplore.cli import main
+from jexplore.cli.main import main
 
 if __name__ == "__main__":
     sys.exit(main())

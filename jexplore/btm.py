@@ -11,7 +11,7 @@ import numpy as np
 from flax import struct
 from jax import Array
 
-from jexplore.btm_map import NODE_TYPES, NOWHERE, OBSTACLES, STATUS, BtmMap, Link, Node
+from jexplore.tracemap.record import NODE_TYPES, NOWHERE, OBSTACLES, STATUS, BtmMap, Link, Node
 
 TERMINAL, DIVERGENCE, FREE_SPACE, OBSTACLE = range(len(NODE_TYPES))
 SLOPE, STAIRS = range(len(OBSTACLES))

@@ -4,8 +4,10 @@ The command line builds its options from these classes; their docstrings are its
 """
 
 import dataclasses
+import difflib
 import math
 import numbers
+import operator
 from typing import Any
 
 
@@ -13,15 +15,19 @@ class InputError(ValueError):
     """Wrong input from outside: a file, a name, a number. The message is one line that says what would be right."""
 
 
-def require_whole(name, value, *, low, high):
+def require_whole(name, value, low, high):
     """`value` as an int within the bounds, both inclusive.
 
     Raises:
       InputError: not a whole number, or outside the bounds.
     """
-    if not isinstance(value, numbers.Integral) or isinstance(value, bool) or not low <= value <= high:
+    try:
+        number = operator.index(value)
+    except TypeError:
+        number = None
+    if number is None or isinstance(value, bool) or not low <= number <= high:
         raise InputError(f"{name} must be an integer from {low} to {high}, got {value!r}")
-    return int(value)
+    return number
 
 
 def require_number(name, value, *, low=0.0, high=math.inf, low_open=False, high_open=False) -> Any:
@@ -45,6 +51,14 @@ def require_number(name, value, *, low=0.0, high=math.inf, low_open=False, high_
         kind = "a number" if above or below else "a finite number"
         raise InputError(f"{name} must be {kind}{above}{below}, got {value!r}")
     return value
+
+
+def unknown(kind, word, known):
+    """The error for a word that is not among those known: says which exist and which was probably meant."""
+    near = difflib.get_close_matches(word, list(known), n=1, cutoff=0.5)
+    hint = f"; did you mean {near[0]!r}?" if near else ""
+    have = ", ".join(known) if known else "none"
+    return InputError(f"unknown {kind} {word!r}{hint} (there are: {have})")
 
 
 @dataclasses.dataclass(frozen=True)

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
-from jexplore import bits
+from jexplore.arrays import bits
 
 FAR = 2**30  # no site at all
 REACH = 1023  # cells; a site further away is not found

@@ -9,8 +9,8 @@ import jax.numpy as jnp
 from flax import struct
 from jax import Array, lax
 
-from jexplore import bits, sparse
-from jexplore.control import repeat, stored
+from jexplore.arrays import bits, sparse
+from jexplore.arrays.loops import repeat, stored
 from jexplore.distance import within, within_packed
 from jexplore.grid import any_within_one, any_within_one_packed, is_free, is_known, is_occupied
 

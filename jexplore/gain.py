@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from flax import struct
 from jax import Array, lax
 
-from jexplore import bits
+from jexplore.arrays import bits
 from jexplore.grid import Grid, count, empty_grid, entropy, is_known, is_occupied
 from jexplore.raycast import fold, scan
 

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from flax import struct
 from jax import Array, lax
 
-from jexplore import bits
+from jexplore.arrays import bits
 
 TOLERANCE = 1e-3  # cells^2: two radii closer than this in their square reach the same cells
 

@@ -10,8 +10,8 @@ import jax
 import jax.numpy as jnp
 from jax import Array, lax
 
-from jexplore import bits
-from jexplore.control import repeat, stored
+from jexplore.arrays import bits
+from jexplore.arrays.loops import repeat, stored
 from jexplore.grid import beside, bordered, count, lowest
 
 STRAIGHT = 2**16

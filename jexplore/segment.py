@@ -8,8 +8,8 @@ import jax.numpy as jnp
 from flax import struct
 from jax import Array, lax
 
-from jexplore import bits, sparse
-from jexplore.control import repeat
+from jexplore.arrays import bits, sparse
+from jexplore.arrays.loops import repeat
 from jexplore.distance import nearest_site
 from jexplore.grid import beside, bordered
 from jexplore.reach import nearest_source

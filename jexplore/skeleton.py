@@ -4,11 +4,11 @@ import jax.numpy as jnp
 from flax import struct
 from jax import Array
 
-from jexplore import bits, sparse
-from jexplore.control import repeat
+from jexplore.arrays import bits, sparse
+from jexplore.arrays.loops import repeat
+from jexplore.arrays.sparse import NEIGHBOURS
 from jexplore.distance import FAR, nearest_offset
 from jexplore.grid import beside, bordered
-from jexplore.sparse import NEIGHBOURS
 
 
 @struct.dataclass

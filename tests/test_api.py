@@ -23,10 +23,10 @@ def loaded_after(code):
     "code",
     [
         "import jexplore; jexplore.__version__; dir(jexplore); jexplore.Lidar; jexplore.GENERATORS",
-        "from jexplore.cli import main; assert main(['--help']) == 0",
-        "from jexplore.cli import main; assert main(['compare', '--help']) == 0",
-        "from jexplore.cli import main; assert main(['reproduce', '--help']) == 0",
-        "from jexplore.cli import main; assert main(['compare', '--episodes', 'x']) == 2",
+        "from jexplore.cli.main import main; assert main(['--help']) == 0",
+        "from jexplore.cli.main import main; assert main(['compare', '--help']) == 0",
+        "from jexplore.cli.main import main; assert main(['reproduce', '--help']) == 0",
+        "from jexplore.cli.main import main; assert main(['compare', '--episodes', 'x']) == 2",
     ],
 )
 def test_nothing_heavy_is_loaded(code):

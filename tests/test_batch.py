@@ -9,14 +9,15 @@ import pytest
 from ref import maps, simulator
 from scipy import ndimage
 
-from jexplore import batch, episode
-from jexplore.batch import Job
+from jexplore.arrays.padding import bucket
 from jexplore.config import Lidar, Rules
-from jexplore.episode import Outcome
+from jexplore.exploration import batch, episode
+from jexplore.exploration.batch import Job
+from jexplore.exploration.episode import Outcome
+from jexplore.exploration.site import prepare
 from jexplore.policies import parse_strategy
 from jexplore.raycast import beam_table
-from jexplore.site import bucket, prepare
-from jexplore.world import World, draw_starts, pad
+from jexplore.worlds.world import World, draw_starts, pad
 
 LIDAR, RULES = Lidar(range_m=2.0, n_beams=37), Rules(max_plans=30)
 

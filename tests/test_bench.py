@@ -13,11 +13,13 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from jexplore import bench, cli, store
+from jexplore import bench
 from jexplore.bench import engines, kernels, oracles, plots, rates, tables, timing
+from jexplore.cli import main
 from jexplore.config import InputError
-from jexplore.episode import no_results
-from jexplore.world import World
+from jexplore.exploration.episode import no_results
+from jexplore.report import store
+from jexplore.worlds.world import World
 
 SMALL = "cave:width_m=6.4,height_m=6.4"
 YARDSTICK = Path(__file__).resolve().parents[1] / "benchmarks" / "yardstick.py"
@@ -123,7 +125,7 @@ def test_shares_are_of_one_whole(report):
 def test_wrong_input_is_one_line_before_anything_runs(options, says, capsys, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(bench, "run", lambda *_, **__: pytest.fail("it ran"))
-    assert cli.main(["bench", *options]) == 2
+    assert main.main(["bench", *options]) == 2
     said = capsys.readouterr()
     assert said.out == ""
     assert said.err.count("\n") == 1
@@ -134,7 +136,7 @@ def test_wrong_input_is_one_line_before_anything_runs(options, says, capsys, mon
 def test_a_taken_folder_is_refused(capsys, monkeypatch, tmp_path):
     monkeypatch.setattr(bench, "prepare", lambda **_: pytest.fail("it began"))
     store.write_json({}, tmp_path / "bench.json")
-    assert cli.main(["bench", "--out", str(tmp_path)]) == 2
+    assert main.main(["bench", "--out", str(tmp_path)]) == 2
     assert "holds a run (bench.json)" in capsys.readouterr().err
 
 

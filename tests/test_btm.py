@@ -10,8 +10,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from jexplore import btm, btm_map
+from jexplore import btm
 from jexplore.btm import DIVERGENCE, FREE_SPACE, NONE, OBSTACLE, SEARCHED, TERMINAL
+from jexplore.tracemap import record
 
 EAST, NORTH, WEST, SOUTH = (math.radians(angle) for angle in (0, 90, 180, -90))
 
@@ -254,20 +255,20 @@ def test_the_record_by_hand():
     map_, _ = btm.add_link(map_, 1, NORTH, opening_m=1.25, blocked=True)
     map_ = map_.replace(status=map_.status.at[gone].set(NONE), start=map_.start.at[gone].set(NONE))
     record = btm.to_map(map_.replace(overflow=jnp.int32(3)), origin_m=(10.0, -20.0), seed=7)
-    assert record == btm_map.BtmMap(
+    assert record == record.BtmMap(
         nodes=(
-            btm_map.Node(0, 11.0, -18.0, "terminal", posture_deg=0.5),
-            btm_map.Node(1, 13.0, -16.0, "obstacle", "stairs", 30.0, 0.25,
+            record.Node(0, 11.0, -18.0, "terminal", posture_deg=0.5),
+            record.Node(1, 13.0, -16.0, "obstacle", "stairs", 30.0, 0.25,
                          attributes={"intervention": 2, "profile_variance_m2": 0.001953125}),
         ),
         links=(
-            btm_map.Link(0, 0, 1, "searched", 0.0, pytest.approx(-90), 2.5, None, 12.5),
-            btm_map.Link(1, 1, btm_map.NOWHERE, "un-searched", pytest.approx(90), opening_m=1.25,
+            record.Link(0, 0, 1, "searched", 0.0, pytest.approx(-90), 2.5, None, 12.5),
+            record.Link(1, 1, record.NOWHERE, "un-searched", pytest.approx(90), opening_m=1.25,
                          attributes={"blocked": True}),
         ),
         attributes={"overflow": 3, "seed": 7},
     )  # fmt: skip
-    assert btm_map.check(record) == record
+    assert record.check(record) == record
     assert (btm.NODE_TYPES[FREE_SPACE], btm.NODE_TYPES[DIVERGENCE], btm.OBSTACLES[btm.SLOPE]) == (
         "free_space", "divergence", "slope",
     )  # fmt: skip
@@ -276,11 +277,11 @@ def test_the_record_by_hand():
 def test_an_end_is_forgotten_where_the_link_is_unsearched():
     map_ = grown([(TERMINAL, 0, 0)], [(0, EAST)])
     map_ = map_.replace(end=map_.end.at[0].set(0))
-    assert btm.to_map(map_).links[0].end == btm_map.NOWHERE
+    assert btm.to_map(map_).links[0].end == record.NOWHERE
 
 
 def test_an_empty_map_becomes_an_empty_record():
-    assert btm_map.check(btm.to_map(btm.empty(2, 2))) == btm_map.BtmMap((), (), {"overflow": 0})
+    assert record.check(btm.to_map(btm.empty(2, 2))) == record.BtmMap((), (), {"overflow": 0})
 
 
 # ---------------------------------------------------------------- laws

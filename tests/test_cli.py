@@ -13,9 +13,11 @@ import pytest
 from PIL import Image
 
 import jexplore
-from jexplore import batch, cli, options, store
-from jexplore.comparison import COLUMNS
+from jexplore.cli import main, options
 from jexplore.config import InputError
+from jexplore.exploration import batch
+from jexplore.report import store
+from jexplore.studies.comparison import COLUMNS
 
 LIDAR = ("--lidar.n-beams", "37", "--lidar.range-m", "1")
 
@@ -42,7 +44,7 @@ def ran(world, tmp_path_factory, jit_on):
     out = tmp_path_factory.mktemp("runs") / "new" / "run"
     strategies = ("closest", "random", "closest+recheck")
     with jit_on():
-        status = cli.main(
+        status = main.main(
             [
                 *("compare", "--worlds", world, "--strategies", *strategies, "--episodes", "3", "--seed", "3"),
                 *("--out", str(out), *LIDAR),
@@ -58,7 +60,7 @@ def files(folder):
 
 def refused(capsys, arguments, message):
     """Runs a command that must end with one line and status 2."""
-    assert cli.main([str(argument) for argument in arguments]) == 2
+    assert main.main([str(argument) for argument in arguments]) == 2
     said = capsys.readouterr()
     assert said.out == ""
     assert said.err.startswith("jexplore: error: ")
@@ -108,7 +110,7 @@ def test_compare_again_is_the_same_and_prints_the_table(ran, world, tmp_path, ca
         "3",
         *LIDAR,
     ]
-    assert cli.main(command) == 0
+    assert main.main(command) == 0
     said = capsys.readouterr().out
     assert said.startswith("| world ")
     assert "| random " in said
@@ -134,7 +136,7 @@ def test_explore_overwrites_when_told(ran, world, tmp_path, capsys):
     (tmp_path / "compare.png").write_text("old")
     (tmp_path / "mine.txt").write_text("mine")
     command = ["explore", "--world", world, "--strategy", "closest", "--seed", "3", *LIDAR, "--out", str(tmp_path)]
-    assert cli.main([*command, "--overwrite", "--frames", "7"]) == 0
+    assert main.main([*command, "--overwrite", "--frames", "7"]) == 0
     assert files(tmp_path) == ["episode.gif", "episode.png", "mine.txt", "run.json"]
     row = pd.read_parquet(ran / "episodes.parquet").iloc[0]
     assert json.loads((tmp_path / "run.json").read_text())["result"]["path_m"] == row["path_m"]
@@ -153,7 +155,7 @@ def test_an_interruption_is_one_line_and_leaves_the_old_run(ran, world, tmp_path
     for where in ("write_json", "environment"):
         with monkeypatch.context() as patch:
             patch.setattr(store, where, interrupted)
-            assert cli.main([*command, "--overwrite"]) == 130
+            assert main.main([*command, "--overwrite"]) == 130
         said = capsys.readouterr()
         assert said.err.endswith("jexplore: interrupted, nothing was written\n")
         assert files(tmp_path) == ["run.json"]
@@ -161,7 +163,7 @@ def test_an_interruption_is_one_line_and_leaves_the_old_run(ran, world, tmp_path
 
 
 def test_worlds_are_listed(capsys):
-    assert cli.main(["worlds"]) == 0
+    assert main.main(["worlds"]) == 0
     said = capsys.readouterr().out
     for name in jexplore.GENERATORS:
         assert f"\n  {name} " in said
@@ -169,7 +171,7 @@ def test_worlds_are_listed(capsys):
 
 
 def test_worlds_are_measured_and_pictured(world, tmp_path, capsys):
-    assert cli.main(["worlds", world, "rooms:width_m=6,height_m=5", "--out", str(tmp_path / "a")]) == 0
+    assert main.main(["worlds", world, "rooms:width_m=6,height_m=5", "--out", str(tmp_path / "a")]) == 0
     said = capsys.readouterr().out
     assert f"| {world} " in said
     assert "| 34 x 22 | 3.4 x 2.2 |" in " ".join(said.split())
@@ -177,19 +179,19 @@ def test_worlds_are_measured_and_pictured(world, tmp_path, capsys):
 
 
 def test_strategies_are_listed(capsys):
-    assert cli.main(["strategies"]) == 0
+    assert main.main(["strategies"]) == 0
     said = capsys.readouterr().out
     for word in ("closest", "random", "+recheck", "Holz et al. 2010"):
         assert word in said
 
 
 def test_version_and_help(capsys):
-    assert cli.main(["--version"]) == 0
+    assert main.main(["--version"]) == 0
     assert capsys.readouterr().out == f"jexplore {jexplore.__version__}\n"
-    assert cli.main(["--help"]) == 0
+    assert main.main(["--help"]) == 0
     said = capsys.readouterr().out
     assert all(f"\n  {name} " in said for name in options.COMMANDS)
-    assert cli.main(["explore", "--help"]) == 0
+    assert main.main(["explore", "--help"]) == 0
     assert "--lidar.range-m" in capsys.readouterr().out
 
 
@@ -290,7 +292,7 @@ def test_a_message_stays_on_one_line(capsys, monkeypatch):
     def fails(*_):
         raise InputError("first\nsecond")
 
-    monkeypatch.setattr(cli, "_dispatch", fails)
+    monkeypatch.setattr(main, "_dispatch", fails)
     refused(capsys, ["worlds"], "first second")
 
 
@@ -298,8 +300,8 @@ def test_no_memory_and_no_reader(capsys, monkeypatch):
     def fails(*_):
         raise MemoryError
 
-    monkeypatch.setattr(cli, "_dispatch", fails)
-    assert cli.main(["worlds"]) == 1
+    monkeypatch.setattr(main, "_dispatch", fails)
+    assert main.main(["worlds"]) == 1
     assert capsys.readouterr().err.startswith("jexplore: error: out of memory")
 
 

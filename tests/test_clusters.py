@@ -9,11 +9,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
-from ref import beliefs, planning
+from ref import beliefs, plans
 from ref import gain as oracle
 
 from jexplore.config import Lidar
-from jexplore.navigate import field
+from jexplore.planning import field
 from jexplore.policies import clusters
 from jexplore.policies.distance_advantage import advantage
 from jexplore.policies.mcdm import choquet, relative
@@ -152,8 +152,8 @@ def test_distances_on_blocks_are_near_the_exact_ones(clearance_d2):
         for i in range(n):
             where = int(at.row[i]), int(at.col[i])
             assert (unknown[i], seen_known[i]) == oracle.look(hits, misses, shape, *where, 12, 360, 5)[1:]
-            cost, _ = planning.dijkstra(passable, where)
-            exact = cost[at.row[:n], at.col[:n]] / planning.STRAIGHT * 0.1
+            cost, _ = plans.dijkstra(passable, where)
+            exact = cost[at.row[:n], at.col[:n]] / plans.STRAIGHT * 0.1
             if clearance_d2 == 0:
                 np.testing.assert_allclose(got[i], exact, rtol=1e-5)
             # Both ends may lie anywhere in their blocks, and ways through blocks cut corners and make steps.

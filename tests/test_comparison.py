@@ -6,12 +6,13 @@ import math
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
-from test_measure import result
+from test_results import result
 
-from jexplore import batch, preflight, stats
-from jexplore.comparison import COLUMNS, assemble, compare, prepare_jobs
 from jexplore.config import InputError, Lidar, Rules
-from jexplore.world import occupancy_to_world
+from jexplore.exploration import batch
+from jexplore.studies import checks, stats
+from jexplore.studies.comparison import COLUMNS, assemble, compare, prepare_jobs
+from jexplore.worlds.world import occupancy_to_world
 
 LIDAR = Lidar(n_beams=37, range_m=1.0)
 
@@ -222,12 +223,12 @@ def test_an_enclosed_start_is_refused():
 
 def test_what_does_not_fit_into_memory_is_refused(monkeypatch):
     world, rules = two_rooms(), Rules()
-    need = preflight.memory_needed(world, LIDAR, rules, 1)
-    assert preflight.memory_needed(world, LIDAR, rules, 2) > 1.5 * need
-    assert preflight.memory_needed(world, LIDAR, dataclasses.replace(rules, max_steps=2**24), 1) > 10 * need
-    assert preflight.memory_needed(world, Lidar(n_beams=4096, range_m=1000), rules, 1) > 2**30
-    monkeypatch.setattr(preflight, "_memory", lambda: need)
+    need = checks.memory_needed(world, LIDAR, rules, 1)
+    assert checks.memory_needed(world, LIDAR, rules, 2) > 1.5 * need
+    assert checks.memory_needed(world, LIDAR, dataclasses.replace(rules, max_steps=2**24), 1) > 10 * need
+    assert checks.memory_needed(world, Lidar(n_beams=4096, range_m=1000), rules, 1) > 2**30
+    monkeypatch.setattr(checks, "_memory", lambda: need)
     with pytest.raises(InputError, match="'two rooms': 24 x 36 cells and 37 beams of 1 m need about"):
         compare(world, "closest", lidar=LIDAR)
-    monkeypatch.setattr(preflight, "_memory", lambda: None)
-    preflight.require_memory(world, LIDAR, rules)
+    monkeypatch.setattr(checks, "_memory", lambda: None)
+    checks.require_memory(world, LIDAR, rules)

@@ -6,13 +6,13 @@ import jax
 import numpy as np
 import pytest
 
-from jexplore.btm_map import NOWHERE
 from jexplore.config import InputError
-from jexplore.world import check_start, clear_cells, label_components, pad, with_ring
+from jexplore.tracemap.record import NOWHERE
 from jexplore.worlds import load_world
-from jexplore.worlds.course import course
-from jexplore.worlds.course_map import render
-from jexplore.worlds.route import LEFT, RIGHT, STRAIGHT, Route, largest_circle
+from jexplore.worlds.generators.course import course
+from jexplore.worlds.generators.course_map import render
+from jexplore.worlds.generators.route import LEFT, RIGHT, STRAIGHT, Route, largest_circle
+from jexplore.worlds.world import check_start, clear_cells, label_components, pad, with_ring
 
 SEEDS = range(31)
 STEP = {0: (1, 0), 90: (0, 1), 180: (-1, 0), 270: (0, -1)}

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy import spatial
 
-from jexplore.delaunay import circumcircles, delaunay
+from jexplore.arrays.delaunay import circumcircles, delaunay
 
 pytestmark = pytest.mark.jit
 

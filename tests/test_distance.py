@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
-from ref import maps, planning
+from ref import maps, plans
 from scipy import ndimage
 
 from jexplore.distance import FAR, nearest_site, within
@@ -71,7 +71,7 @@ def test_edge_cases():
 @settings(max_examples=150, deadline=None)
 def test_nearest_site_is_brute_force_and_scipy(sites):
     d2, site = nearest_site(jnp.asarray(sites))
-    expected_d2, expected_site = planning.nearest_site(sites)
+    expected_d2, expected_site = plans.nearest_site(sites)
     np.testing.assert_array_equal(d2, expected_d2)
     np.testing.assert_array_equal(site, expected_site)
     if sites.any():
@@ -127,8 +127,8 @@ def test_within_by_hand():
 @settings(max_examples=15, deadline=None)
 def test_within_is_the_oracles_and_agrees_with_nearest_site(d2, mask):
     near = np.asarray(WITHIN(jnp.asarray(mask), d2))
-    np.testing.assert_array_equal(near, ~planning.clear(np.ones(mask.shape, bool), mask, d2))
-    np.testing.assert_array_equal(near, planning.nearest_site(mask)[0] <= d2)
+    np.testing.assert_array_equal(near, ~plans.clear(np.ones(mask.shape, bool), mask, d2))
+    np.testing.assert_array_equal(near, plans.nearest_site(mask)[0] <= d2)
 
 
 @pytest.mark.jit
@@ -139,7 +139,7 @@ def test_within_reaches_across_many_rows(d2):
         mask = np.random.default_rng(seed).random((70, 12)) < 0.003
         mask[33 * seed, 4] = True
         near = np.asarray(WITHIN(jnp.asarray(mask), d2))
-        np.testing.assert_array_equal(near, ~planning.clear(np.ones(mask.shape, bool), mask, d2))
+        np.testing.assert_array_equal(near, ~plans.clear(np.ones(mask.shape, bool), mask, d2))
 
 
 @pytest.mark.parametrize("wrong", [jnp.zeros((3, 3), jnp.int32), jnp.zeros(3, bool), jnp.zeros((1, 2, 3), bool)])

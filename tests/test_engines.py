@@ -14,13 +14,14 @@ import numpy as np
 import pytest
 from ref import maps
 
-from jexplore import batch, lanes, lockstep, serial
-from jexplore.batch import Job
 from jexplore.config import InputError, Lidar, Rules
-from jexplore.episode import Outcome
+from jexplore.engine import lanes, lockstep, serial
+from jexplore.exploration import batch
+from jexplore.exploration.batch import Job
+from jexplore.exploration.episode import Outcome
+from jexplore.exploration.site import Kernels, line_of, prepare
 from jexplore.policies import parse_strategy
-from jexplore.site import Kernels, line_of, prepare
-from jexplore.world import World, draw_starts
+from jexplore.worlds.world import World, draw_starts
 
 RULES = Rules(max_plans=12)
 LIDAR = Lidar(n_beams=37, range_m=2.0, sigma_m=0.03, dropout=0.02)

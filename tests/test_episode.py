@@ -7,12 +7,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from ref import maps, planning, simulator
+from ref import maps, plans, simulator
 from scipy import ndimage
 
-from jexplore import episode
 from jexplore.config import Lidar, Rules
-from jexplore.episode import Numbers, Outcome, Setup, Stream, Track, Truth
+from jexplore.exploration import episode
+from jexplore.exploration.episode import Numbers, Outcome, Setup, Stream, Track, Truth
 from jexplore.grid import in_cells, radius_d2
 from jexplore.policies import parse_strategy
 from jexplore.raycast import Beams, beam_table, by_beam, disturb, scan, scans_all_round
@@ -222,7 +222,7 @@ WIDE = 82  # half a window that covers the map
 
 def a_start(seed, occupied, rules, cell_m=0.1):
     """A clear cell of the largest clear region, and a heading."""
-    clear = planning.clear(~occupied, occupied, planning.radius2(rules.clearance_m, cell_m))
+    clear = plans.clear(~occupied, occupied, plans.radius2(rules.clearance_m, cell_m))
     regions, _ = ndimage.label(clear)
     cells = np.argwhere(regions == 1 + np.argmax(np.bincount(regions[clear])[1:]))
     draw = np.random.default_rng(seed)

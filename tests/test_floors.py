@@ -1,140 +1,146 @@
-"""Imports go strictly downward: no module knows one above it or beside it."""
+"""The house: folders stand on floors, imports go down, and some pairs must never be."""
 
 import ast
+import graphlib
 from pathlib import Path
 
 import pytest
 
 PACKAGE = Path(__file__).resolve().parents[1] / "jexplore"
-
-FLOORS = {
-    "config": 0,
-    "bits": 0,
-    "btm_map": 1,
-    "control": 0,
-    "grid": 1,
-    "sparse": 1,
-    "distance": 2,
-    "raycast": 2,
-    "reach": 2,
-    "skeleton": 3,
-    "frontier": 3,
-    "gain": 3,
-    "robot": 3,
-    "world": 3,
-    "segment": 4,
-    "navigate": 4,
-    "worlds": 5,
-    "policies": 5,
-    "episode": 6,
-    "mesh": 0,
-    "papers": 0,
-    "lanes": 7,
-    "site": 7,
-    "measure": 7,
-    "stats": 7,
-    "scores": 7,
-    "store": 7,
-    "standings": 8,
-    "cores": 0,
-    "serial": 8,
-    "lockstep": 8,
-    "plot": 8,
-    "plot_segments": 9,
-    "plot_standings": 9,
-    "batch": 9,
-    "animate": 9,
-    "plot_papers": 9,
-    "preflight": 10,
-    "comparison": 11,
-    "replay": 12,
-    "segmentation": 13,
-    "reproduction": 12,
-    "bench": 13,
-    "options": 14,
-    "console": 14,
-    "cli_trace": 15,
-    "cli": 16,
-    "btm_settings": 1,
-    "btm_json": 2,
-    "btm_compare": 2,
-    "exchange": 2,
-    "walls": 0,
-    "terrain": 0,
-    "delaunay": 1,
-    "perceive": 2,
-    "heights": 3,
-    "vehicle": 2,
-    "btm": 2,
-    "behave": 3,
-    "btm_write": 4,
-    "btm_run": 5,
-    "btm_batch": 8,
-    "operator_view": 8,
-    "plot_btm": 9,
-    "voronoi_lines": 8,
-    "voronoi_ways": 10,
-    "halls": 9,
-    "btm_extract": 11,
-    "tracing": 11,
-    "btm_tables": 11,
-    "btm_replay": 12,
-    "btm_episode": 13,
-    "__main__": 17,
-}
-"""Floor of every module; a package is one. `__init__` stands apart: it holds the version and loads by name."""
+FLOORS = (
+    {"config", "version"},
+    {"arrays"},
+    {"kernels", "tracemap"},
+    {"engine", "btm", "worlds", "planning", "report"},
+    {"policies"},
+    {"exploration", "driving", "extraction"},
+    {"studies"},
+    {"bench"},
+    {"cli"},
+)
+"""Folders and modules of the package, from the ground up; what stands on one floor does not know each other."""
+KERNELS = {"grid", "distance", "raycast", "reach", "skeleton", "frontier", "gain", "segment"}
+NEVER = {
+    **{("engine", other): "the engine runs any program" for other in ("kernels", "worlds", "planning")},
+    **{(low, "report"): "only studies, benchmarks and commands show anything" for low in (
+        "policies", "exploration", "driving", "extraction"
+    )},
+    **{("exploration", other): "a robot on a grid knows no vehicle" for other in ("btm", "tracemap")},
+    ("driving", "planning"): "a vehicle knows no frontier",
+    ("driving", "policies"): "a vehicle knows no frontier",
+    ("extraction", "engine"): "reads finished maps",
+}  # fmt: skip
+"""(who, whom): why not."""
+MOST = 12  # modules in a folder
+LINES = 400  # of a module
+SCREEN = 60  # lines of a function
 
 
-def floor_of(path):
-    return path.relative_to(PACKAGE).parts[0].removesuffix(".py")
+def room_of(parts):
+    """Where a module stands: its folder; a top-level module's own name; the kernels together."""
+    return "kernels" if parts[0] in KERNELS else parts[0]
 
 
-def imported(tree):
-    """Names of the modules of this package that a syntax tree imports, those in functions included."""
+def name_of(path):
+    """Dotted name below the package; a folder's `__init__` is the folder."""
+    parts = path.relative_to(PACKAGE).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+OUTSIDE = {PACKAGE / "__init__.py", PACKAGE / "__main__.py"}  # the first loads by name
+FILES = sorted(path for path in PACKAGE.rglob("*.py") if path not in OUTSIDE)
+NAMES = {name_of(path) for path in FILES}
+
+
+def imported(tree, names):
+    """Modules of this package that a syntax tree imports, those in functions included."""
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
-            names = [alias.name for alias in node.names]
+            found = [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, "imports are absolute"
-            names = [node.module]
-            if node.module == "jexplore":
-                names = [f"jexplore.{alias.name}" for alias in node.names if alias.name != "__version__"]
+            found = [f"{node.module}.{alias.name}" for alias in node.names]
         else:
             continue
-        yield from (name.split(".")[1] for name in names if name.startswith("jexplore."))
+        for name in found:
+            if name.split(".")[0] == "jexplore":
+                parts = name.split(".")[1:]
+                while parts and ".".join(parts) not in names:
+                    parts.pop()
+                yield ".".join(parts)
 
 
-def rising(source, name, floors):
-    """The imports of a module `name` that do not go downward."""
-    own = floors[name]
-    return sorted({other for other in imported(ast.parse(source)) if other != name and floors[other] >= own})
+def faults(name, source, names=NAMES):
+    """The imports of a module that go up, sideways, round, or where they never must."""
+    floor = {room: i for i, rooms in enumerate(FLOORS) for room in rooms}
+    own = room_of(name.split("."))
+    for other in imported(ast.parse(source), names):
+        room = room_of(other.split(".")) if other else "the package itself"
+        if other == name or (room != own and not floor.get(room, len(FLOORS)) < floor[own]):
+            yield f"{name} -> {other or room}"
+        elif (own, room) in NEVER:
+            yield f"{name} -> {other}: {NEVER[own, room]}"
 
 
-MODULES = sorted(path for path in PACKAGE.rglob("*.py") if path != PACKAGE / "__init__.py")
+@pytest.mark.parametrize("path", FILES, ids=name_of)
+def test_imports_go_down(path):
+    assert list(faults(name_of(path), path.read_text(encoding="utf-8"))) == []
 
 
-@pytest.mark.parametrize("path", MODULES, ids=lambda path: str(path.relative_to(PACKAGE)))
-def test_imports_go_downward(path):
-    source, name = path.read_text(encoding="utf-8"), floor_of(path)
-    assert rising(source, name, FLOORS) == []
-    package = path.relative_to(PACKAGE).parts[:-1]
-    if not package:
-        assert name not in imported(ast.parse(source)), "imports itself"
+def test_there_is_no_circle():
+    graph = {name_of(path): set(imported(ast.parse(path.read_text(encoding="utf-8")), NAMES)) for path in FILES}
+    assert len(list(graphlib.TopologicalSorter(graph).static_order())) >= len(FILES)
 
 
-def test_every_module_has_a_floor_and_every_floor_a_module():
-    assert {floor_of(path) for path in MODULES} == set(FLOORS)
+def test_every_room_has_a_floor_and_every_floor_its_rooms():
+    rooms = {room_of(name.split(".")) for name in NAMES}
+    assert rooms == set().union(*FLOORS)
+    assert rooms >= {room for pair in NEVER for room in pair}
+    assert NAMES >= KERNELS
+
+
+def test_no_folder_is_a_heap():
+    folders = [PACKAGE, *(path for path in PACKAGE.rglob("*") if path.is_dir() and path.name != "__pycache__")]
+    count = {
+        str(f.relative_to(PACKAGE)): len([p for p in f.glob("*.py") if not p.name.startswith("__")]) for f in folders
+    }
+    assert {name: n for name, n in count.items() if n > MOST} == {}
+
+
+def test_modules_and_functions_fit_a_screen():
+    long = {}
+    for path in PACKAGE.rglob("*.py"):
+        source = path.read_text(encoding="utf-8")
+        if source.count("\n") > LINES:
+            long[name_of(path)] = source.count("\n")
+        for node in ast.walk(ast.parse(source)):
+            if isinstance(node, ast.FunctionDef) and node.end_lineno - node.lineno + 1 > SCREEN:  # type: ignore[operator]
+                long[f"{name_of(path)}.{node.name}"] = node.end_lineno - node.lineno + 1  # type: ignore[operator]
+    assert long == {}
 
 
 def test_the_test_finds_what_it_looks_for():
-    floors = {"low": 0, "beside": 1, "own": 1, "high": 2}
-    for source, expected in [
-        ("import jexplore.low, jax", []),
-        ("from jexplore import __version__, low", []),
-        ("from jexplore.high import x", ["high"]),
-        ("from jexplore.beside.part import x", ["beside"]),
-        ("def f():\n    from jexplore import high", ["high"]),
-        ("if TYPE_CHECKING:\n    import jexplore.high.x", ["high"]),
-        ("from jexplore.own import part", []),
-    ]:
-        assert rising(source, "own", floors) == expected
+    names = {
+        "config",
+        "grid",
+        "reach",
+        "engine.lanes",
+        "engine.serial",
+        "exploration.site",
+        "driving.vehicle",
+        "report.plot",
+        "cli",
+    }
+    for name, source, expected in [
+        ("reach", "import jexplore.grid, jax", []),
+        ("engine.serial", "from jexplore import config\nfrom jexplore.engine import lanes", []),
+        ("engine.serial", "from jexplore.grid import x", ["engine.serial -> grid: the engine runs any program"]),
+        ("exploration.site", "from jexplore.engine.serial import x", []),
+        ("exploration.site", "from jexplore.driving import vehicle", ["exploration.site -> driving.vehicle"]),
+        ("exploration.site", "def f():\n    from jexplore.cli import x", ["exploration.site -> cli"]),
+        ("driving.vehicle", "if TYPE_CHECKING:\n    from jexplore.report import plot",
+         ["driving.vehicle -> report.plot: only studies, benchmarks and commands show anything"]),
+        ("grid", "from jexplore import grid", ["grid -> grid"]),
+        ("grid", "from jexplore import compare", ["grid -> the package itself"]),
+    ]:  # fmt: skip
+        assert list(faults(name, source, names)) == expected

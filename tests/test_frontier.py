@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
-from ref import maps, planning
+from ref import maps, plans
 from scipy import ndimage
 
 from jexplore.frontier import clear_cells, frontier_cells, frontier_clusters, traversable_cells
@@ -105,15 +105,15 @@ def test_all_three_are_the_oracles(case, clearance_d2, near_d2, seed):
     draw = np.random.default_rng(seed)
     driven = draw.random(hits.shape) < 0.1
     row, col = draw.integers(hits.shape[0]), draw.integers(hits.shape[1])
-    known, free, occupied = planning.classify(hits, misses)
+    known, free, occupied = plans.classify(hits, misses)
     clear, traversable, frontier = everything(
         Grid(jnp.asarray(hits), jnp.asarray(misses)), driven, row, col, near_d2, np.ones(hits.shape, bool), clearance_d2
     )
-    np.testing.assert_array_equal(clear, planning.clear(free, occupied, clearance_d2))
+    np.testing.assert_array_equal(clear, plans.clear(free, occupied, clearance_d2))
     np.testing.assert_array_equal(
-        traversable, planning.traversable(free, occupied, driven, row, col, clearance_d2, near_d2)
+        traversable, plans.traversable(free, occupied, driven, row, col, clearance_d2, near_d2)
     )
-    np.testing.assert_array_equal(frontier, np.asarray(clear) & planning.beside_unknown(known))
+    np.testing.assert_array_equal(frontier, np.asarray(clear) & plans.beside_unknown(known))
 
 
 @pytest.mark.jit
@@ -203,7 +203,7 @@ def test_clusters_are_scipys_and_the_oracles(mask):
     n = ndimage.label(mask, EIGHT)[1]
     for slots in (3, 40):
         clusters = CLUSTERS(jnp.asarray(mask), max_clusters=slots)
-        want = planning.clusters(mask)
+        want = plans.clusters(mask)
         np.testing.assert_array_equal(clusters.label, np.where(want < slots, want, -1))
         assert int(clusters.count) == n
         assert int(clusters.overflow) == max(n - slots, 0)
@@ -226,9 +226,9 @@ def test_clusters_are_scipys_and_the_oracles(mask):
 def test_the_cheapest_member_is_the_oracles(mask, seed):
     cost = np.random.default_rng(seed).integers(0, 6, mask.shape).astype(np.int32)
     clusters = CLUSTERS(jnp.asarray(mask), jnp.asarray(cost), max_clusters=3)
-    want = planning.clusters(mask)
+    want = plans.clusters(mask)
     for i in range(3):
-        expected = planning.closest(want == i, cost)
+        expected = plans.closest(want == i, cost)
         at = int(clusters.row[i]), int(clusters.col[i])
         assert at == (divmod(expected, mask.shape[1]) if expected >= 0 else (-1, -1))
 

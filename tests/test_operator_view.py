@@ -12,8 +12,8 @@ import subprocess
 import numpy as np
 import pytest
 
-from jexplore.btm_map import NOWHERE, BtmMap, Link, Node
-from jexplore.operator_view import Recording, page
+from jexplore.report.operator_view import Recording, page
+from jexplore.tracemap.record import NOWHERE, BtmMap, Link, Node
 
 N, B = 60, 19
 WALLS = np.array(

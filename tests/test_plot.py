@@ -14,9 +14,9 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 from PIL import Image
 
-from jexplore import plot
 from jexplore.config import InputError
-from jexplore.world import World
+from jexplore.report import plot
+from jexplore.worlds.world import World
 
 STATE = np.array([[2, 2, 2, 2], [2, 1, 1, 0], [2, 2, 0, 0]], dtype=np.uint8)
 LONG = "decision-theoretic+recheck+segment:samples=500,lam=0.2"

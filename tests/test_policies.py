@@ -14,7 +14,7 @@ from ref.beliefs import belief_of, choice_of
 from scipy import stats
 
 from jexplore.config import InputError
-from jexplore.navigate import field, nearest_frontier
+from jexplore.planning import field, nearest_frontier
 from jexplore.policies import MODIFIERS, STRATEGIES, parameters_of, parse_strategy
 from jexplore.policies.uniform import kth_true
 from jexplore.reach import FAR

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
-from ref import maps, planning, rooms
+from ref import maps, plans, rooms
 
-from jexplore import bits
+from jexplore.arrays import bits
 from jexplore.reach import (
     DIAGONAL,
     FAR,
@@ -63,7 +63,7 @@ def follow(route, start, target):
 
 
 def test_constants_are_the_oracles():
-    assert (STRAIGHT, DIAGONAL, FAR, MOTIONS) == (planning.STRAIGHT, planning.DIAGONAL, planning.FAR, planning.MOTIONS)
+    assert (STRAIGHT, DIAGONAL, FAR, MOTIONS) == (plans.STRAIGHT, plans.DIAGONAL, plans.FAR, plans.MOTIONS)
     for (drow, dcol), heading in zip(MOTIONS, HEADING):
         assert np.degrees(np.arctan2(drow, dcol)) % 360 == 45 * heading
 
@@ -146,7 +146,7 @@ def test_a_start_in_a_wall_can_be_left():
 def test_costs_and_predecessors_are_dijkstras(place):
     passable, row, col = place
     cost = reach(jnp.asarray(passable), row, col)
-    want_cost, want_pred = planning.dijkstra(passable, (row, col))
+    want_cost, want_pred = plans.dijkstra(passable, (row, col))
     np.testing.assert_array_equal(cost, want_cost)
     np.testing.assert_array_equal(flat_predecessors(predecessors(cost, jnp.asarray(passable))), want_pred)
     assert SATURATED(cost, jnp.asarray(passable)) == 0
@@ -162,7 +162,7 @@ def test_a_labyrinth_of_one_long_way_is_dijkstras(seed):
     passable[np.arange(1, 41, 2), ends] = True
     for row, col in ((0, 0), (40, 39), (20, 5)):
         cost = reach(jnp.asarray(passable), row, col)
-        np.testing.assert_array_equal(cost, planning.dijkstra(passable, (row, col))[0])
+        np.testing.assert_array_equal(cost, plans.dijkstra(passable, (row, col))[0])
 
 
 @pytest.mark.jit
@@ -191,8 +191,8 @@ def test_no_neighbour_offers_a_cheaper_way(place):
     cost = np.asarray(reach(jnp.asarray(passable), row, col)).astype(np.int64)
     for r, c in np.argwhere(cost < FAR):
         for motion in MOTIONS:
-            if planning.may_step(passable, r, c, motion):
-                assert cost[r + motion[0], c + motion[1]] <= cost[r, c] + planning.step_cost(motion)
+            if plans.may_step(passable, r, c, motion):
+                assert cost[r + motion[0], c + motion[1]] <= cost[r, c] + plans.step_cost(motion)
     assert (cost[~passable] == FAR).all()
 
 
@@ -202,7 +202,7 @@ def test_no_neighbour_offers_a_cheaper_way(place):
 def test_every_route_leads_from_the_start_to_its_target_at_the_exact_cost(place):
     passable, row, col = place
     cost = reach(jnp.asarray(passable), row, col)
-    pred = planning.dijkstra(passable, (row, col))[1]
+    pred = plans.dijkstra(passable, (row, col))[1]
     blank = jnp.full(passable.shape, -1, jnp.int8)
     for target in np.argwhere(np.asarray(cost) < FAR)[::5]:
         args = blank, cost, jnp.asarray(passable), (row, col), tuple(target), (0, 0)
@@ -210,7 +210,7 @@ def test_every_route_leads_from_the_start_to_its_target_at_the_exact_cost(place)
         np.testing.assert_array_equal(LAY(*args, stride=4), route)
         cells, total = follow(route, (row, col), target)
         assert total == cost[tuple(target)]
-        assert cells == planning.path(pred, (row, col), target)
+        assert cells == plans.path(pred, (row, col), target)
         assert (route >= 0).sum() == len(cells)  # nothing else was written
 
 
@@ -327,7 +327,7 @@ def test_costs_are_final_up_to_the_limit_and_the_cheapest_goals(method, place, s
     np.testing.assert_array_equal(cost[final], exact[final])
     if steps >= 0:
         came = predecessors(jnp.asarray(cost), jnp.asarray(passable))
-        pred = planning.dijkstra(passable, (row, col))[1]
+        pred = plans.dijkstra(passable, (row, col))[1]
         np.testing.assert_array_equal(flat_predecessors(came)[final], pred[final])
 
 
@@ -365,7 +365,7 @@ def test_a_goal_behind_a_wall_is_found_however_far_the_way_round_is(method, turn
     passable, goals, start = (np.rot90(a, turns) for a in (passable, goals, start))
     row, col = np.argwhere(start)[0]
     cost = limited(passable, goals, row, col, FAR, method)
-    exact = planning.dijkstra(passable, (row, col))[0]
+    exact = plans.dijkstra(passable, (row, col))[0]
     assert cost[goals] == exact[goals] > 80 * S
 
 

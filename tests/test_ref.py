@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
-from ref import beams, planning, simulator
+from ref import beams, plans, simulator
 from scipy import ndimage, sparse
 
-S, D, FAR = planning.STRAIGHT, planning.DIAGONAL, planning.FAR
+S, D, FAR = plans.STRAIGHT, plans.DIAGONAL, plans.FAR
 
 
 def drawn(text):
@@ -189,19 +189,19 @@ def test_a_scan_turns_with_the_map_and_sees_more_with_more_range(occupied, headi
     ("radius_m", "cell_m", "expected"), [(0.3, 0.1, 9), (0.5, 0.1, 25), (0.3, 0.05, 36), (0.0, 0.1, 0), (0.25, 0.1, 6)]
 )
 def test_radius2_does_not_fall_short_by_rounding(radius_m, cell_m, expected):
-    assert planning.radius2(radius_m, cell_m) == expected
+    assert plans.radius2(radius_m, cell_m) == expected
 
 
 def test_classes_unknown_is_unobserved_and_a_quarter_is_free():
     hits, misses = np.array([[0, 0, 1, 1, 3, 1, 2]]), np.array([[0, 4, 3, 2, 0, 1, 6]])
-    known, free, occupied = planning.classify(hits, misses)
+    known, free, occupied = plans.classify(hits, misses)
     assert known.astype(int).tolist() == [[0, 1, 1, 1, 1, 1, 1]]
     assert free.astype(int).tolist() == [[0, 1, 1, 0, 0, 0, 1]]
     assert occupied.astype(int).tolist() == [[0, 0, 0, 1, 1, 1, 0]]
 
 
 def test_nearest_site_by_hand():
-    d2, site = planning.nearest_site(
+    d2, site = plans.nearest_site(
         world("""
         ....
         #..#
@@ -209,10 +209,10 @@ def test_nearest_site_by_hand():
     )
     assert d2.tolist() == [[1, 2, 2, 1], [0, 1, 1, 0], [1, 2, 2, 1]]
     assert site.tolist() == [[4, 4, 7, 7], [4, 4, 7, 7], [4, 4, 7, 7]]
-    d2, site = planning.nearest_site(world("#.#"))
+    d2, site = plans.nearest_site(world("#.#"))
     assert d2.tolist() == [[0, 1, 0]]
     assert site.tolist() == [[0, 0, 2]]  # the tie goes to the lower index
-    d2, site = planning.nearest_site(np.zeros((1, 1), bool))
+    d2, site = plans.nearest_site(np.zeros((1, 1), bool))
     assert (d2.item(), site.item()) == (FAR, -1)
 
 
@@ -224,12 +224,12 @@ def test_clear_and_traversable_by_hand():
         .....
         ?????""")
     free = np.array([[0] * 5, [1] * 5, [1] * 5, [1] * 5, [0] * 5], bool)
-    assert planning.clear(free, known_occupied, 1).astype(int).tolist() == [[0] * 5, [1] * 5, [1] * 5, [0] * 5, [0] * 5]
-    assert planning.clear(free, known_occupied, 0).tolist() == free.tolist()
-    assert not planning.clear(free, known_occupied, 9)[1:].any()
+    assert plans.clear(free, known_occupied, 1).astype(int).tolist() == [[0] * 5, [1] * 5, [1] * 5, [0] * 5, [0] * 5]
+    assert plans.clear(free, known_occupied, 0).tolist() == free.tolist()
+    assert not plans.clear(free, known_occupied, 9)[1:].any()
     driven = np.zeros((5, 5), bool)
     driven[4, 0] = True  # passable even though it turned out to be a wall
-    got = planning.traversable(free, known_occupied, driven, 2, 3, clear_r2=4, near_r2=1)
+    got = plans.traversable(free, known_occupied, driven, 2, 3, clear_r2=4, near_r2=1)
     assert got.astype(int).tolist() == [
         [0, 0, 0, 0, 0],
         [1, 1, 1, 1, 1],
@@ -244,7 +244,7 @@ def test_dijkstra_by_hand():
         ...#
         ....
         .#..""")
-    cost, pred = planning.dijkstra(passable, (0, 0))
+    cost, pred = plans.dijkstra(passable, (0, 0))
     assert cost.tolist() == [
         [0, FAR, 4 * S, 3 * S + D],  # no short cut past the wall at (0, 1)
         [S, 2 * S, 3 * S, 4 * S],
@@ -254,7 +254,7 @@ def test_dijkstra_by_hand():
 
 
 def test_predecessor_ties_go_by_the_motion_into_the_cell():
-    _, pred = planning.dijkstra(np.ones((5, 5), bool), (2, 2))
+    _, pred = plans.dijkstra(np.ones((5, 5), bool), (2, 2))
     # (2 rows, 1 column) away: straight-then-diagonal and diagonal-then-straight cost the same; the straight motion into
     # the cell comes before the diagonal one.
     assert pred.tolist() == [
@@ -266,19 +266,19 @@ def test_predecessor_ties_go_by_the_motion_into_the_cell():
     ]
     around = np.ones((3, 3), bool)
     around[1, 1] = False
-    _, pred = planning.dijkstra(around, (0, 0))
+    _, pred = plans.dijkstra(around, (0, 0))
     assert pred[2, 2] == 7  # reached from (1, 2) by N and from (2, 1) by E at the same cost: E comes first
 
 
 def test_a_wall_corner_is_not_cut_and_a_lone_cell_is_its_own_world():
-    cost, pred = planning.dijkstra(np.eye(2, dtype=bool), (0, 0))
+    cost, pred = plans.dijkstra(np.eye(2, dtype=bool), (0, 0))
     assert cost.tolist() == [[0, FAR], [FAR, FAR]]
     assert pred.tolist() == [[-1, -1], [-1, -1]]
-    cost, pred = planning.dijkstra(np.ones((1, 4), bool), (0, 2))
+    cost, pred = plans.dijkstra(np.ones((1, 4), bool), (0, 2))
     assert cost.tolist() == [[2 * S, S, 0, S]]
     assert pred.tolist() == [[1, 2, -1, 2]]
     with pytest.raises(ValueError, match="expected a passable start"):
-        planning.dijkstra(np.zeros((1, 1), bool), (0, 0))
+        plans.dijkstra(np.zeros((1, 1), bool), (0, 0))
 
 
 def test_path_by_hand():
@@ -286,11 +286,11 @@ def test_path_by_hand():
         ...#
         ....
         .#..""")
-    _, pred = planning.dijkstra(passable, (0, 0))
-    assert planning.path(pred, (0, 0), (0, 3)) == [(1, 0), (1, 1), (1, 2), (0, 3)]
-    assert planning.path(pred, (0, 0), (0, 0)) == []
+    _, pred = plans.dijkstra(passable, (0, 0))
+    assert plans.path(pred, (0, 0), (0, 3)) == [(1, 0), (1, 1), (1, 2), (0, 3)]
+    assert plans.path(pred, (0, 0), (0, 0)) == []
     with pytest.raises(ValueError, match="expected a reachable target"):
-        planning.path(pred, (0, 0), (2, 3))
+        plans.path(pred, (0, 0), (2, 3))
 
 
 @settings(max_examples=40, deadline=None)
@@ -302,18 +302,18 @@ def test_path_by_hand():
 def test_dijkstra_agrees_with_scipy_and_paths_cost_what_the_map_says(passable):
     start = (passable.shape[0] // 2, passable.shape[1] // 2)
     passable[start] = True
-    cost, pred = planning.dijkstra(passable, start)
+    cost, pred = plans.dijkstra(passable, start)
     height, width = passable.shape
     graph = sparse.lil_matrix((passable.size, passable.size))
     for r, c in np.argwhere(passable):
-        for dr, dc in planning.MOTIONS:
+        for dr, dc in plans.MOTIONS:
             box = passable[min(r, r + dr) : max(r, r + dr) + 1, min(c, c + dc) : max(c, c + dc) + 1]
             if 0 <= r + dr < height and 0 <= c + dc < width and box.all():
                 graph[r * width + c, (r + dr) * width + c + dc] = D if dr and dc else S
     expected = sparse.csgraph.dijkstra(graph.tocsr(), indices=start[0] * width + start[1]).reshape(passable.shape)
     np.testing.assert_array_equal(np.where(cost == FAR, np.inf, cost), expected)
     for target in map(tuple, np.argwhere((cost < FAR) & (cost > 0))):
-        cells = [start, *planning.path(pred, start, target)]
+        cells = [start, *plans.path(pred, start, target)]
         length = sum(D if a[0] != b[0] and a[1] != b[1] else S for a, b in itertools.pairwise(cells))
         assert length == cost[target]
 
@@ -323,17 +323,17 @@ def test_dijkstra_agrees_with_scipy_and_paths_cost_what_the_map_says(passable):
 def test_masks_agree_with_scipy(cells, r2):
     if cells.any():
         d2 = np.round(ndimage.distance_transform_edt(~cells) ** 2)
-        np.testing.assert_array_equal(planning.nearest_site(cells)[0], d2)
-        np.testing.assert_array_equal(planning.clear(np.ones(cells.shape, bool), cells, r2), d2 > r2)
+        np.testing.assert_array_equal(plans.nearest_site(cells)[0], d2)
+        np.testing.assert_array_equal(plans.clear(np.ones(cells.shape, bool), cells, r2), d2 > r2)
     eight = np.ones((3, 3))
     label, count = ndimage.label(cells, eight)
-    got = planning.clusters(cells)
+    got = plans.clusters(cells)
     assert got.max(initial=-1) + 1 == count
     np.testing.assert_array_equal(got >= 0, cells)
     assert len(set(zip(got[cells].tolist(), label[cells].tolist()))) == count
     eight[1, 1] = 0
     expected = ndimage.binary_dilation(~cells, eight)
-    np.testing.assert_array_equal(planning.beside_unknown(cells), expected)
+    np.testing.assert_array_equal(plans.beside_unknown(cells), expected)
 
 
 def test_frontier_and_choice_by_hand():
@@ -341,22 +341,22 @@ def test_frontier_and_choice_by_hand():
         #....
         .....
         ....#""")  # here # stands for unknown
-    assert planning.beside_unknown(known).astype(int).tolist() == [[0, 0, 0, 1, 0], [1, 1, 0, 1, 1], [0, 1, 0, 0, 0]]
+    assert plans.beside_unknown(known).astype(int).tolist() == [[0, 0, 0, 1, 0], [1, 1, 0, 1, 1], [0, 1, 0, 0, 0]]
     everywhere, nowhere = np.ones((3, 5), bool), np.zeros((3, 5), bool)
-    cost, _ = planning.dijkstra(everywhere, (1, 2))
-    targets = planning.frontier(everywhere, cost, known, nowhere)
+    cost, _ = plans.dijkstra(everywhere, (1, 2))
+    targets = plans.frontier(everywhere, cost, known, nowhere)
     assert targets.astype(int).tolist() == [[0, 0, 0, 1, 0], [1, 1, 0, 1, 1], [0, 1, 0, 0, 0]]
-    assert planning.closest(targets, cost) == 6  # (1, 1) and (1, 3) both cost one step
-    assert planning.closest(nowhere, cost) == -1
+    assert plans.closest(targets, cost) == 6  # (1, 1) and (1, 3) both cost one step
+    assert plans.closest(nowhere, cost) == -1
     exhausted = nowhere.copy()
     exhausted[1, 1] = True
-    assert planning.closest(planning.frontier(everywhere, cost, known, exhausted), cost) == 8
-    assert not planning.frontier(nowhere, cost, known, nowhere).any()
-    assert not planning.frontier(everywhere, np.full((3, 5), FAR), known, nowhere).any()
+    assert plans.closest(plans.frontier(everywhere, cost, known, exhausted), cost) == 8
+    assert not plans.frontier(nowhere, cost, known, nowhere).any()
+    assert not plans.frontier(everywhere, np.full((3, 5), FAR), known, nowhere).any()
 
 
 def test_clusters_by_hand():
-    got = planning.clusters(
+    got = plans.clusters(
         world("""
         #..#.
         .#..#
@@ -578,7 +578,7 @@ def test_laws_of_an_episode_in_a_random_cave(seed, recheck):
     assert not result.misses[occupied].any()
     for a, b in itertools.pairwise(result.visited):
         motion = b[0] - a[0], b[1] - a[1]
-        assert planning.may_step(~occupied, *a, motion)
+        assert plans.may_step(~occupied, *a, motion)
     shares = [result.path_m_at[q] for q in simulator.SHARES]
     assert shares == sorted(shares)
     assert shares[-1] <= result.path_m

@@ -5,11 +5,11 @@ import pytest
 from PIL import Image
 from test_comparison import two_rooms
 
-from jexplore import replay
-from jexplore.batch import Final
-from jexplore.comparison import compare
 from jexplore.config import InputError, Lidar, Rules
+from jexplore.exploration.batch import Final
 from jexplore.raycast import scans_all_round
+from jexplore.studies import explore
+from jexplore.studies.comparison import compare
 
 LIDAR = Lidar(n_beams=37, range_m=1.0)
 NOISY = Lidar(n_beams=37, range_m=1.0, sigma_m=0.03, dropout=0.2)
@@ -18,7 +18,7 @@ NOISY = Lidar(n_beams=37, range_m=1.0, sigma_m=0.03, dropout=0.2)
 @pytest.fixture(scope="module")
 def made(jit_on):
     with jit_on():
-        return replay.explore(two_rooms(), "closest+recheck", seed=3, lidar=LIDAR)
+        return explore.explore(two_rooms(), "closest+recheck", seed=3, lidar=LIDAR)
 
 
 def final_of(rows, cols):
@@ -28,8 +28,8 @@ def final_of(rows, cols):
 
 def test_headings_by_hand():
     rows, cols = [5, 5, 6, 7, 7, 6, 5, 5, 4, 3], [5, 6, 7, 7, 6, 5, 5, 6, 7, 7]
-    assert replay.headings_of(final_of(rows, cols), 3) == [3, 0, 1, 2, 4, 5, 6, 0, 7, 6]
-    assert replay.headings_of(final_of([5], [5]), 7) == [7]
+    assert explore.headings_of(final_of(rows, cols), 3) == [3, 0, 1, 2, 4, 5, 6, 0, 7, 6]
+    assert explore.headings_of(final_of([5], [5]), 7) == [7]
 
 
 @pytest.mark.jit
@@ -43,11 +43,11 @@ def test_headings_by_hand():
     ],
 )
 def test_the_replay_ends_in_the_maps_of_the_episode(strategy, lidar, rules):
-    episode = replay.explore(two_rooms(), strategy, seed=3, lidar=lidar, rules=rules)
+    episode = explore.explore(two_rooms(), strategy, seed=3, lidar=lidar, rules=rules)
     assert episode.measures["refused"] == 0
     height, width = episode.world.shape
     known, scans = [], 0
-    for step, grid, _, _ in replay._states(episode):
+    for step, grid, _, _ in explore._states(episode):
         hits, misses = (np.asarray(a)[:height, :width] for a in (grid.hits, grid.misses))
         known.append(int(((hits + misses) > 0).sum()))
         scans += episode.final.looked[step] + (1 if step else scans_all_round(lidar.fov_deg))
@@ -59,7 +59,7 @@ def test_the_replay_ends_in_the_maps_of_the_episode(strategy, lidar, rules):
 
 @pytest.mark.jit
 def test_frames(made):
-    frames = list(replay.frames(made, max_frames=10))
+    frames = list(explore.frames(made, max_frames=10))
     n = made.measures["steps"]
     assert len(frames) == 10
     assert [frames[0].step, frames[-1].step] == [0, n]
@@ -73,8 +73,8 @@ def test_frames(made):
     assert not frames[-1].frontier.any()
     assert frames[-1].target is None
     np.testing.assert_array_equal(frames[-1].hits, made.final.hits)
-    assert [frame.step for frame in replay.frames(made, max_frames=1)] == [n]
-    assert len(list(replay.frames(made, max_frames=10**6))) == n + 1
+    assert [frame.step for frame in explore.frames(made, max_frames=1)] == [n]
+    assert len(list(explore.frames(made, max_frames=10**6))) == n + 1
 
 
 @pytest.mark.jit
@@ -98,10 +98,10 @@ def test_pictures(made, tmp_path):
 
 def test_a_start_given_by_hand_and_what_is_refused():
     options = {"seed": 0, "cell_m": 0.1, "lidar": LIDAR, "rules": Rules()}
-    job = replay.prepare_job(two_rooms(), "closest", start=(10, 10, 270), **options)
+    job = explore.prepare_job(two_rooms(), "closest", start=(10, 10, 270), **options)
     assert job.starts.tolist() == [[10, 10, 270]]
     for start, message in [((0, 3, 0), "lies in a wall"), ((99, 3, 0), "outside"), ((10, 10, 7), "45"), ("w", "start")]:
         with pytest.raises(InputError, match=message):
-            replay.explore(two_rooms(), "closest", start=start)
+            explore.explore(two_rooms(), "closest", start=start)
     with pytest.raises(InputError, match="seed must be"):
-        replay.explore(two_rooms(), "closest", seed=0.5)
+        explore.explore(two_rooms(), "closest", seed=0.5)

@@ -11,11 +11,14 @@ from PIL import Image
 from test_plot import check_texts
 
 import jexplore
-from jexplore import batch, cli, options, papers, plot, stats
-from jexplore.comparison import COLUMNS, Comparison
+from jexplore.cli import main, options
 from jexplore.config import InputError, Lidar
+from jexplore.exploration import batch
 from jexplore.policies import parse_strategy
-from jexplore.reproduction import Reproduction, prepare, reproduce, verdict, world_names
+from jexplore.report import plot
+from jexplore.studies import papers, stats
+from jexplore.studies.comparison import COLUMNS, Comparison
+from jexplore.studies.reproduction import Reproduction, prepare, reproduce, verdict, world_names
 
 LIDAR, CLI_LIDAR = Lidar(n_beams=37, range_m=2.0), ("--lidar.n-beams", "37", "--lidar.range-m", "2")
 HERE = ("random", "closest", "closest+recheck")
@@ -295,7 +298,7 @@ def test_a_small_run(ran):
 def test_the_command_writes_a_whole_run(ran, small, tmp_path, capsys):
     out = tmp_path / "run"
     command = ["reproduce", small, "--episodes", "3", "--seed", "1", "--out", str(out), *CLI_LIDAR]
-    assert cli.main(command) == 0
+    assert main.main(command) == 0
     said = capsys.readouterr().out
     assert said.startswith(ran.to_markdown())
     assert said.splitlines()[-1] == f"wrote episodes.parquet, reproduce.png, run.json to {out}/"
@@ -307,7 +310,7 @@ def test_the_command_writes_a_whole_run(ran, small, tmp_path, capsys):
     assert record["interrupted"] == 0
     with Image.open(out / "reproduce.png") as image:
         image.verify()
-    assert cli.main(command) == 2
+    assert main.main(command) == 2
     assert "holds a run" in capsys.readouterr().err
 
 
@@ -323,7 +326,7 @@ def test_an_interruption_keeps_pairs(small, tmp_path, capsys, monkeypatch):
         return report._replace(interrupted=True)
 
     monkeypatch.setattr(batch, "run", interrupted)
-    assert cli.main(["reproduce", small, "--episodes", "3", "--out", str(tmp_path), *CLI_LIDAR]) == 130
+    assert main.main(["reproduce", small, "--episodes", "3", "--out", str(tmp_path), *CLI_LIDAR]) == 130
     said = capsys.readouterr()
     assert "Nothing has run here." in said.out
     assert said.err.endswith("jexplore: interrupted, what was finished was written\n")
@@ -344,7 +347,7 @@ def test_an_interruption_keeps_pairs(small, tmp_path, capsys, monkeypatch):
 )
 def test_bad_input_is_one_line(command, message, small, no_run, capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    assert cli.main(["reproduce", *command.split()]) == 2
+    assert main.main(["reproduce", *command.split()]) == 2
     said = capsys.readouterr()
     assert (said.out, said.err.count("\n")) == ("", 1)
     assert message in said.err

@@ -5,11 +5,12 @@ import pandas as pd
 import pytest
 from PIL import Image
 
-from jexplore import cli, segment
+from jexplore import segment
+from jexplore.cli import main
 from jexplore.config import InputError
-from jexplore.plot_segments import figure
-from jexplore.segmentation import COLUMNS, segment_maps, segmentations
-from jexplore.world import occupancy_to_world
+from jexplore.report.plot_rooms import figure
+from jexplore.studies.segmentation import COLUMNS, segment_maps, segmentations
+from jexplore.worlds.world import occupancy_to_world
 
 pytestmark = pytest.mark.jit
 
@@ -134,7 +135,7 @@ def test_the_picture(pictures, tmp_path):
 
 def test_the_command(pictures, tmp_path, capsys):
     out = tmp_path / "out"
-    assert cli.main(["segment", pictures[0], "--truth", pictures[1], "--variant", "holz", "--out", str(out)]) == 0
+    assert main.main(["segment", pictures[0], "--truth", pictures[1], "--variant", "holz", "--out", str(out)]) == 0
     assert {p.name for p in out.iterdir()} == {"scores.parquet", "segments.png", "run.json"}
     assert pd.read_parquet(out / "scores.parquet")["variant"].tolist() == ["holz"]
     assert "### holz, 100% of the map" in capsys.readouterr().out
@@ -168,7 +169,7 @@ def test_truth_of_another_size_is_refused(pictures, tmp_path):
 
 
 def test_the_command_refuses(capsys):
-    assert cli.main(["segment"]) == 2
+    assert main.main(["segment"]) == 2
     assert "expected a map" in capsys.readouterr().err
 
 

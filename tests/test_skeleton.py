@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from ref import maps, planning, rooms
+from ref import maps, plans, rooms
 from skimage import morphology
 
-from jexplore import bits
+from jexplore.arrays import bits
+from jexplore.arrays.sparse import NEIGHBOURS
 from jexplore.distance import nearest_offset
 from jexplore.skeleton import graph, medial_axis, thin, voronoi_graph
-from jexplore.sparse import NEIGHBOURS
 
 SHAPES = ((12, 12), (40, 7))  # one of them taller than a machine word
 
@@ -117,7 +117,7 @@ def test_the_axis_of_a_cross_by_hand():
 def test_an_axis_lies_between_obstacles_that_are_apart(obstacle, gamma):
     marked = np.asarray(axis(jnp.asarray(obstacle), jnp.float32(gamma)))
     assert not marked[obstacle].any()
-    site = planning.nearest_site(obstacle)[1]
+    site = plans.nearest_site(obstacle)[1]
     places = np.stack(np.divmod(site, obstacle.shape[1]), axis=-1)
     for row, col in np.argwhere(marked):
         around = [(row + drow, col + dcol) for drow, dcol in NEIGHBOURS[:4]]

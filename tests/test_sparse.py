@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from ref import maps
 
-from jexplore import bits, sparse
+from jexplore.arrays import bits, sparse
 
 SHAPES = ((1, 1), (3, 40), (70, 5))  # wider and taller than a machine word
 masks = st.tuples(st.sampled_from(SHAPES), st.sampled_from((0.0, 0.02, 0.5, 1.0)), st.integers(0, 2**30)).map(

@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats as scipy_stats
 
-from jexplore import stats
 from jexplore.config import InputError
+from jexplore.studies import stats
 
 QUICK = {"n_resamples": 499}
 VECTORS = st.lists(st.floats(0.5, 1000.0), min_size=2, max_size=12)

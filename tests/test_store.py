@@ -12,8 +12,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from jexplore import store
 from jexplore.config import InputError
+from jexplore.report import store
 
 
 def episodes():

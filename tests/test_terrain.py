@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from scipy.interpolate import RegularGridInterpolator
 
-from jexplore import vehicle
-from jexplore.btm_settings import ROBOTS
-from jexplore.terrain import (
+from jexplore.driving import vehicle
+from jexplore.driving.settings import ROBOTS
+from jexplore.driving.terrain import (
     CONTACTS,
     FINER,
     MAX_DOWN_M,

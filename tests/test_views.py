@@ -11,7 +11,7 @@ from ref import beliefs
 from jexplore.config import Lidar
 from jexplore.gain import look, prospect
 from jexplore.grid import empty_grid
-from jexplore.navigate import field, nearest_frontier
+from jexplore.planning import field, nearest_frontier
 from jexplore.policies import parse_strategy, views
 from jexplore.raycast import all_round
 from jexplore.reach import FAR, STRAIGHT

@@ -9,7 +9,7 @@ import pytest
 from ref import maps
 
 from jexplore import raycast
-from jexplore.walls import FAR_M, SLACK_M, Walls, cast, meets, segments, walls_of
+from jexplore.driving.walls import FAR_M, SLACK_M, Walls, cast, meets, segments, walls_of
 
 QUARTERS = np.radians([0, 90, 180, -90]).astype(np.float32)
 BOX = maps.walls("""

@@ -9,7 +9,7 @@ from hypothesis.extra import numpy as hnp
 from scipy import ndimage
 
 from jexplore.config import InputError
-from jexplore.world import (
+from jexplore.worlds.world import (
     MAX_SIDE,
     World,
     check_start,

@@ -11,21 +11,14 @@ from typing import Any
 import jax
 from jax.experimental.compilation_cache import compilation_cache
 
-from jexplore import batch
-from jexplore.bench import engines, kernels, rates, recording, shares
+from jexplore.bench import beliefs, engines, kernels, rates, shares
 from jexplore.bench.engines import LIDAR, RULES
 from jexplore.bench.timing import one_core, speed_clock, surroundings
-from jexplore.config import InputError
+from jexplore.config import InputError, require_whole
+from jexplore.exploration import batch
 from jexplore.policies import Strategy, parse_strategy
-from jexplore.preflight import (
-    MAX_EPISODES,
-    ready_starts,
-    ready_strategies,
-    ready_worlds,
-    require_integer,
-    require_memory,
-)
-from jexplore.world import World
+from jexplore.studies.checks import MAX_EPISODES, ready_starts, ready_strategies, ready_worlds, require_memory
+from jexplore.worlds.world import World
 
 DEFAULT = {
     "worlds": ("cave", "office", "hospital"),
@@ -69,7 +62,7 @@ def sized_name(side):
 
 
 def _numbers(name, values, low, high):
-    values = tuple(require_integer(name, value, low, high) for value in values)
+    values = tuple(require_whole(name, value, low, high) for value in values)
     if not values or len(set(values)) < len(values):
         raise InputError(f"{name} must be one or more different integers, got {list(values)}")
     return tuple(sorted(values))
@@ -114,7 +107,7 @@ def prepare(
     sides = _numbers("sides", default["sides"] if sides is None else sides, LEAST_SIDE, MAX_SIDE)
     numbers = {"episodes": (episodes, MAX_EPISODES), "repeat": (repeat, MAX_REPEAT)}
     counts = {
-        name: require_integer(name, default[name] if value is None else value, 1, high)
+        name: require_whole(name, default[name] if value is None else value, 1, high)
         for name, (value, high) in numbers.items()
     }
     strategies = ready_strategies(default["strategies"] if strategies is None else strategies)
@@ -215,12 +208,12 @@ def _episodes(plan, compiler, report, one_more):
 def _parts(plan, compiler, report, one_more):
     """Kernels along the way of an episode of `closest` in the first world, and, on a CPU, shares of every episode."""
     own = batch.ENGINES["serial" if speed_clock() == "cpu" else "lockstep"]
-    seen = recording.record(compiler, plan.worlds[0], parse_strategy("closest+recheck"), own.reach)
+    seen = beliefs.record(compiler, plan.worlds[0], parse_strategy("closest+recheck"), own.reach)
     report["kernels"] += [kernels.measure(kernel, plan.repeat) for kernel in kernels.scans(seen)]
     report["kernels"].append(kernels.measure_plans(seen, shares.cells_of(seen.beliefs), plan.repeat))
     one_more()
     for world, strategy in itertools.product(plan.worlds, plan.strategies):
         if jax.default_backend() == "cpu":
-            seen = recording.record(compiler, world, strategy, batch.ENGINES["serial"].reach)
+            seen = beliefs.record(compiler, world, strategy, batch.ENGINES["serial"].reach)
             report["shares"].append(shares.measure(compiler, seen, strategy, plan.repeat))
         one_more()

@@ -10,14 +10,14 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
-from jexplore import lanes, serial
-from jexplore.batch import ENGINES
 from jexplore.bench.timing import compiled, interleaved, mean_and_se, speed_clock, spread
 from jexplore.config import Lidar, Rules
-from jexplore.episode import Outcome
-from jexplore.measure import path_m
-from jexplore.site import numbers_of, prepare, setup_of
-from jexplore.world import draw_starts
+from jexplore.engine import lanes, serial
+from jexplore.exploration.batch import ENGINES
+from jexplore.exploration.episode import Outcome
+from jexplore.exploration.results import path_m
+from jexplore.exploration.site import numbers_of, prepare, setup_of
+from jexplore.worlds.world import draw_starts
 
 LIDAR, RULES = Lidar(), Rules()
 SEED = 0

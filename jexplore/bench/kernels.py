@@ -11,7 +11,8 @@ import numpy as np
 from jax import lax
 from scipy import ndimage
 
-from jexplore import bits, navigate
+from jexplore import planning
+from jexplore.arrays import bits
 from jexplore.bench import oracles
 from jexplore.bench.engines import RULES, SEED
 from jexplore.bench.rates import Work, floor_s
@@ -22,7 +23,7 @@ from jexplore.grid import Grid, empty_grid, radius_d2
 from jexplore.raycast import METHODS as SCAN_METHODS
 from jexplore.raycast import fold, scan
 from jexplore.reach import FAR, METHODS, NO_MOTION, flood, reach
-from jexplore.world import clear_cells, draw_start
+from jexplore.worlds.world import clear_cells, draw_start
 
 CALL_S = 0.02  # seconds that one timed call should last
 PLAN_PASSES = 10  # plans from the same belief in one timed call
@@ -356,10 +357,10 @@ def _plans(passes, belief, route):
         choice, route, grid = state
         no = choice.cost == NEVER
         grid = grid.replace(hits=grid.hits.at[0, 0].add(no))
-        return *navigate.nearest_frontier(belief.replace(row=belief.row + no, grid=grid), route), grid
+        return *planning.nearest_frontier(belief.replace(row=belief.row + no, grid=grid), route), grid
 
     zero = jnp.int32(0)
-    state = navigate.Choice(zero, zero, zero, zero), route, belief.grid
+    state = planning.Choice(zero, zero, zero, zero), route, belief.grid
     return lax.fori_loop(0, passes, body, state)[:2]
 
 

@@ -7,14 +7,14 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from jexplore.batch import ENGINES
+from jexplore.bench.beliefs import record
 from jexplore.bench.engines import Compiler
 from jexplore.bench.kernels import NEVER
-from jexplore.bench.recording import record
 from jexplore.bench.timing import interleaved, speed_clock
+from jexplore.exploration.batch import ENGINES
+from jexplore.exploration.site import numbers_of, setup_of
 from jexplore.policies import parse_strategy
 from jexplore.reach import NO_MOTION
-from jexplore.site import numbers_of, setup_of
 
 BELIEFS = 24  # at most, evenly spaced over the episode
 RECORDED = "closest+recheck"

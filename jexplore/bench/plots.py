@@ -6,7 +6,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, NullFormatter
 
 from jexplore.bench.shares import PARTS
-from jexplore.plot import PALETTE, wrapped
+from jexplore.report.plot import PALETTE, wrapped
 
 MARKERS = "osD^vP*X<>"
 

@@ -10,19 +10,19 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from jexplore import bits
-from jexplore.batch import ENGINES
+from jexplore.arrays import bits
 from jexplore.bench.engines import RULES, SEED
 from jexplore.bench.kernels import NEVER, blank, never, vary_masks
 from jexplore.bench.plans import plan_program
 from jexplore.bench.timing import interleaved, speed_clock
+from jexplore.exploration.batch import ENGINES
+from jexplore.exploration.site import numbers_of, setup_of
 from jexplore.frontier import plan_masks
 from jexplore.grid import Grid, empty_grid
-from jexplore.navigate import WINDOWS
+from jexplore.planning import WINDOWS
 from jexplore.raycast import Scan, fold, scan
 from jexplore.reach import FAR, STRAIGHT, reach_packed
-from jexplore.site import numbers_of, setup_of
-from jexplore.world import draw_starts
+from jexplore.worlds.world import draw_starts
 
 PASSES = 16  # calls in a row on the same input
 MOST_PLANS = 64  # plans of an episode that are timed, evenly spaced

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import jax
 
-from jexplore import store
+from jexplore.report import store
 
 
 class Seconds(NamedTuple):

@@ -4,19 +4,18 @@ A strategy is one file with one constructor that returns a `Policy`. To add one:
 `STRATEGIES`, a test, and a line to the changelog.
 """
 
-import difflib
 import inspect
 import math
 from typing import NamedTuple
 
-from jexplore.config import InputError, require_number
+from jexplore.config import InputError, require_number, unknown
 from jexplore.policies.closest import closest
 from jexplore.policies.decision_theoretic import decision_theoretic
 from jexplore.policies.distance_advantage import distance_advantage
 from jexplore.policies.gain_rate import gain_rate
 from jexplore.policies.mcdm import mcdm
-from jexplore.policies.record import Entry, Policy
-from jexplore.policies.segmented import KINDS, segmented
+from jexplore.policies.policy import Entry, Policy
+from jexplore.policies.room_wise import KINDS, segmented
 from jexplore.policies.tour import tour
 from jexplore.policies.uniform import uniform
 from jexplore.policies.utility import utility
@@ -64,14 +63,6 @@ class Strategy(NamedTuple):
     name: str
     policy: Policy
     recheck: bool
-
-
-def unknown(kind, word, known):
-    """The error for a word that is not among those known: says which exist and which was probably meant."""
-    near = difflib.get_close_matches(word, list(known), n=1, cutoff=0.5)
-    hint = f"; did you mean {near[0]!r}?" if near else ""
-    have = ", ".join(known) if known else "none"
-    return InputError(f"unknown {kind} {word!r}{hint} (there are: {have})")
 
 
 def _numbers(make):

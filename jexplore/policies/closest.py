@@ -3,8 +3,8 @@
 Yamauchi, "A Frontier-Based Approach for Autonomous Exploration", CIRA 1997; as Holz et al. 2010, Figure 3, write it.
 """
 
-from jexplore.navigate import nearest_frontier
-from jexplore.policies.record import Policy
+from jexplore.planning import nearest_frontier
+from jexplore.policies.policy import Policy
 
 
 def _init(params, belief):

@@ -9,12 +9,12 @@ import jax.numpy as jnp
 from flax import struct
 from jax import Array
 
-from jexplore import bits
-from jexplore.control import repeat
+from jexplore.arrays import bits
+from jexplore.arrays.loops import repeat
 from jexplore.frontier import clear_cells, frontier_clusters
 from jexplore.gain import look, prospect
 from jexplore.grid import empty_grid
-from jexplore.navigate import choose
+from jexplore.planning import choose
 from jexplore.raycast import all_round
 from jexplore.reach import FAR, STRAIGHT, reach_packed
 

@@ -9,7 +9,7 @@ import functools
 import jax.numpy as jnp
 
 from jexplore.policies import views
-from jexplore.policies.record import Policy
+from jexplore.policies.policy import Policy
 
 
 def _utility(params, gain, path_m):

@@ -9,9 +9,9 @@ from typing import NamedTuple
 import jax.numpy as jnp
 
 from jexplore.config import require_number, require_whole
-from jexplore.navigate import field
+from jexplore.planning import field
 from jexplore.policies.clusters import apart, best_of, go_to, init, seen_from, targets
-from jexplore.policies.record import Policy
+from jexplore.policies.policy import Policy
 
 
 class Params(NamedTuple):

@@ -8,7 +8,7 @@ to the path, so that the nearest ones are not preferred without bound.
 import functools
 
 from jexplore.policies import views
-from jexplore.policies.record import Policy
+from jexplore.policies.policy import Policy
 
 
 def _utility(params, gain, path_m):

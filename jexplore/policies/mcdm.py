@@ -12,9 +12,9 @@ from typing import NamedTuple
 import jax.numpy as jnp
 
 from jexplore.config import InputError, require_number
-from jexplore.navigate import field
+from jexplore.planning import field
 from jexplore.policies.clusters import best_of, go_to, init, seen_from, targets
-from jexplore.policies.record import Policy
+from jexplore.policies.policy import Policy
 
 
 class Params(NamedTuple):

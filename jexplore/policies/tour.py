@@ -10,11 +10,11 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jax import lax
 
+from jexplore.arrays.loops import repeat
 from jexplore.config import require_whole
-from jexplore.control import repeat
-from jexplore.navigate import field
+from jexplore.planning import field
 from jexplore.policies.clusters import CLUSTERS, apart, go_to, init, seen_from, targets
-from jexplore.policies.record import Policy
+from jexplore.policies.policy import Policy
 
 FAR_M = 1e6  # stands for "no path", so that sums stay finite
 

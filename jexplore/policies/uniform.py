@@ -6,8 +6,8 @@ The baseline of Holz et al. 2010, section 3.2.
 import jax
 import jax.numpy as jnp
 
-from jexplore.navigate import choose, field
-from jexplore.policies.record import Policy
+from jexplore.planning import choose, field
+from jexplore.policies.policy import Policy
 
 
 def _init(params, belief):

@@ -8,9 +8,9 @@ times cost. Changed: one robot, for which the utility is the area that a look wo
 from typing import NamedTuple
 
 from jexplore.config import require_number, require_whole
-from jexplore.navigate import field
+from jexplore.planning import field
 from jexplore.policies.clusters import best_of, go_to, init, seen_from, targets
-from jexplore.policies.record import Policy
+from jexplore.policies.policy import Policy
 
 
 class Params(NamedTuple):

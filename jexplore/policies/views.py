@@ -8,12 +8,12 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
-from jexplore import bits
+from jexplore.arrays import bits
+from jexplore.arrays.loops import repeat
 from jexplore.config import require_number, require_whole
-from jexplore.control import repeat
 from jexplore.gain import look, most, prospect, unknown_seen
 from jexplore.grid import empty_grid, lowest
-from jexplore.navigate import choose, field, first_at
+from jexplore.planning import choose, field, first_at
 from jexplore.raycast import all_round
 from jexplore.reach import FAR, STRAIGHT
 

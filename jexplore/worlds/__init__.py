@@ -12,12 +12,12 @@ from jexplore.config import InputError, require_number
 from jexplore.worlds import names
 
 GENERATORS = {
-    "cave": "jexplore.worlds.cave:cave",
-    "office": "jexplore.worlds.office:office",
-    "hospital": "jexplore.worlds.hospital:hospital",
-    "maze": "jexplore.worlds.maze:maze",
-    "rooms": "jexplore.worlds.rooms:rooms",
-    "course": "jexplore.worlds.course:course",
+    "cave": "jexplore.worlds.generators.cave:cave",
+    "office": "jexplore.worlds.generators.office:office",
+    "hospital": "jexplore.worlds.generators.hospital:hospital",
+    "maze": "jexplore.worlds.generators.maze:maze",
+    "rooms": "jexplore.worlds.generators.rooms:rooms",
+    "course": "jexplore.worlds.generators.course:course",
 }
 """World name -> "module:function". The function takes a seed and keyword parameters, `cell_m` among them."""
 
@@ -46,7 +46,7 @@ def load_world(name, cell_m=0.1):
     parsed = names.parse(name, generators=tuple(GENERATORS))
     world = _generate(parsed, cell_m) if parsed.kind == "generator" else _read(parsed, cell_m)
 
-    from jexplore.world import with_ring
+    from jexplore.worlds.world import with_ring
 
     world = with_ring(dataclasses.replace(world, name=name))
     if world.occupied.all():
@@ -91,21 +91,21 @@ def _as_default(parsed, key, value, default):
 
 def _read(parsed, cell_m):
     if parsed.kind == "image":
-        from jexplore.worlds.images import load_image
+        from jexplore.worlds.readers.images import load_image
 
         names.require_parameters(parsed, {"free": 250})
         return load_image(parsed.base, parsed.scale, cell_m=cell_m, **parsed.parameters)
     names.require_parameters(parsed, {})
     if parsed.kind == "movingai":
-        from jexplore.worlds.movingai import load_movingai
+        from jexplore.worlds.readers.movingai import load_movingai
 
         return load_movingai(parsed.base, parsed.scale, cell_m=cell_m)
     if parsed.scale is not None:
         raise InputError(f"{parsed.name!r}: a {parsed.kind} file has its own scale; leave out what follows the '@'")
     if parsed.kind == "ROS":
-        from jexplore.worlds.ros import load_ros
+        from jexplore.worlds.readers.ros import load_ros
 
         return load_ros(parsed.base, cell_m=cell_m)
-    from jexplore.worlds.houseexpo import load_houseexpo
+    from jexplore.worlds.readers.houseexpo import load_houseexpo
 
     return load_houseexpo(parsed.base, cell_m=cell_m)

@@ -8,11 +8,11 @@ import numpy as np
 
 from jexplore.config import Lidar
 from jexplore.grid import Grid
-from jexplore.navigate import Belief
+from jexplore.planning import Belief
 from jexplore.policies import parse_strategy
 from jexplore.raycast import beam_table
 
-from . import beams, maps, planning
+from . import beams, maps, plans
 
 LIDAR = Lidar(n_beams=19, range_m=0.5)
 
@@ -69,7 +69,7 @@ def but_for_spots(seed, shape, *, clearance_d2=0, **how):
     for row, col in draw.integers(3, np.subtract(shape, 3), (6, 2)):
         known[row - 1 : row + 2, col - 1 : col + 2] = False
     free = known & ~occupied
-    robot = draw.choice(np.argwhere(planning.clear(free, occupied & known, clearance_d2)))
+    robot = draw.choice(np.argwhere(plans.clear(free, occupied & known, clearance_d2)))
     return belief_from(occupied & known, free, tuple(robot), clearance_d2=clearance_d2, **how)
 
 

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from . import beams, planning, simulator
+from . import beams, plans, simulator
 
 
 def entropy_bits(hits, misses):
@@ -27,7 +27,7 @@ def look(hits, misses, extent, row, col, n_beams, fov_deg, range_cells, p_free=0
     Beams stop at occupied cells and at the world's outermost ones, of which nothing new is learnt. All beams belong to
     one scan, with one miss in the robot's own cell.
     """
-    known, _, occupied = planning.classify(hits, misses, p_free)
+    known, _, occupied = plans.classify(hits, misses, p_free)
     inside = inner(hits.shape, extent)
     n = simulator.initial_scan_count(fov_deg)
     rays = [

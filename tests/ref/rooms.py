@@ -11,17 +11,17 @@ import networkx as nx
 import numpy as np
 from scipy.sparse import csgraph, lil_matrix
 
-from ref import planning
+from ref import plans
 
 STRAIGHT, DIAGONAL = 70, 99  # steps of the geodesic distance: sqrt(2) to 1 in 10,000
-DIRECTIONS = planning.MOTIONS  # straight ones first
+DIRECTIONS = plans.MOTIONS  # straight ones first
 
 
 def medial_axis(obstacle, gamma):
     """Of two free cells side by side whose nearest obstacles lie more than `gamma` apart, the one on whose side of
     their middle the boundary lies, where both obstacles are equally far; both if it runs through the middle.
     """
-    site = planning.nearest_site(obstacle)[1]
+    site = plans.nearest_site(obstacle)[1]
     places = np.stack(np.divmod(site, obstacle.shape[1]), axis=-1)
     marked = np.zeros(obstacle.shape, bool)
     for cell in map(tuple, np.argwhere(~obstacle & (site >= 0))):
@@ -114,7 +114,7 @@ def distances(passable, starts):
     steps = lil_matrix((passable.size, passable.size))
     for row, col in itertools.product(range(height), range(width)):
         for drow, dcol in DIRECTIONS:
-            if planning.may_step(passable, row, col, (drow, dcol)):
+            if plans.may_step(passable, row, col, (drow, dcol)):
                 length = DIAGONAL if drow and dcol else STRAIGHT
                 steps[row * width + col, (row + drow) * width + col + dcol] = length
     flat = [row * width + col for row, col in starts]

@@ -9,9 +9,9 @@ import math
 
 import numpy as np
 
-from . import beams, planning
+from . import beams, plans
 
-HEADING_OF = dict(zip(planning.MOTIONS, (0, 90, 180, 270, 45, 135, 225, 315)))
+HEADING_OF = dict(zip(plans.MOTIONS, (0, 90, 180, 270, 45, 135, 225, 315)))
 SHARES = (50, 90, 95, 99)
 
 
@@ -77,9 +77,9 @@ def connected(passable, start):
     stack = [start]
     while stack:
         row, col = stack.pop()
-        for motion in planning.MOTIONS[:4]:
+        for motion in plans.MOTIONS[:4]:
             cell = row + motion[0], col + motion[1]
-            if planning.may_step(passable, row, col, motion) and not seen[cell]:
+            if plans.may_step(passable, row, col, motion) and not seen[cell]:
                 seen[cell] = True
                 stack.append(cell)
     return seen
@@ -87,8 +87,8 @@ def connected(passable, start):
 
 def goal_cells(occupied, start, clear_r2, near_r2):
     """Truly clear cells connected to the start: what has to be known for COMPLETE."""
-    truly_clear = planning.clear(~occupied, occupied, clear_r2)
-    passable = truly_clear | (~occupied & planning.disc(occupied.shape, *start, near_r2))
+    truly_clear = plans.clear(~occupied, occupied, clear_r2)
+    passable = truly_clear | (~occupied & plans.disc(occupied.shape, *start, near_r2))
     return truly_clear & connected(passable, start)
 
 
@@ -118,7 +118,7 @@ class Robot:
 
     def classes(self):
         """`(known, free, occupied)` as the robot believes them."""
-        return planning.classify(self.result.hits, self.result.misses, self.p_free)
+        return plans.classify(self.result.hits, self.result.misses, self.p_free)
 
     def known_count(self):
         """Cells observed so far, walls included."""
@@ -126,7 +126,7 @@ class Robot:
 
     def live(self, target):
         """Whether a target is still beside an unknown cell."""
-        return bool(planning.beside_unknown(self.classes()[0])[target])
+        return bool(plans.beside_unknown(self.classes()[0])[target])
 
     def scan(self, heading_deg):
         """Make one scan and count it."""
@@ -178,21 +178,21 @@ class Robot:
     def plan(self, choose, clear_r2, near_r2):
         """Choose a target and the way to it; the record says which."""
         known, free, occupied = self.classes()
-        passable = planning.traversable(free, occupied, self.driven, *self.cell, clear_r2, near_r2)
-        cost, pred = planning.dijkstra(passable, self.cell)
-        targets = planning.frontier(planning.clear(free, occupied, clear_r2), cost, known, self.exhausted)
+        passable = plans.traversable(free, occupied, self.driven, *self.cell, clear_r2, near_r2)
+        cost, pred = plans.dijkstra(passable, self.cell)
+        targets = plans.frontier(plans.clear(free, occupied, clear_r2), cost, known, self.exhausted)
         flat = np.flatnonzero(targets)
         self.result.plans += 1
         plan = Plan(self.cell, None, 0, [])
         if flat.size:
             if choose is None:
-                chosen = planning.closest(targets, cost)
+                chosen = plans.closest(targets, cost)
             else:
                 chosen = int(choose(flat, cost.flat[flat], self.result.plans - 1))
             if chosen not in flat:
                 raise ValueError(f"expected one of the candidates, got {chosen}")
             target = divmod(chosen, known.shape[1])
-            plan = Plan(self.cell, target, int(cost[target]), planning.path(pred, self.cell, target))
+            plan = Plan(self.cell, target, int(cost[target]), plans.path(pred, self.cell, target))
         self.result.log.append(plan)
         self.target = plan.target
         return plan
@@ -265,7 +265,7 @@ def simulate(
     if start_heading_deg % 45:
         raise ValueError(f"expected a heading that is a multiple of 45 degrees, got {start_heading_deg}")
     start = (int(start_row), int(start_col))
-    clear_r2, near_r2 = planning.radius2(clearance_m, cell_m), planning.radius2(near_m, cell_m)
+    clear_r2, near_r2 = plans.radius2(clearance_m, cell_m), plans.radius2(near_m, cell_m)
     bound = max(20000, occupied.size)
 
     def perfect(row, col, heading_deg):

@@ -4,7 +4,7 @@ import dataclasses
 
 from hypothesis import strategies as st
 
-from jexplore.btm_map import NOWHERE, OBSTACLES, STATUS, BtmMap, Link, Node
+from jexplore.tracemap.record import NOWHERE, OBSTACLES, STATUS, BtmMap, Link, Node
 
 TYPES = {"T": "terminal", "D": "divergence", "F": "free_space", "O": "obstacle"}
 

@@ -1,0 +1,117 @@
+"""Delaunay triangles of a few points, all at once: every edge looks at every point."""
+
+import jax.numpy as jnp
+import numpy as np
+from flax import struct
+from jax import Array, lax
+
+from jexplore.arrays import bits
+
+NONE = np.int32(2**31 - 1)  # the key of no point
+ROW = 64  # slots of triangles are looked through in rows of so many
+BETWEEN = -1e30  # a cotangent below all
+
+
+@struct.dataclass
+class Triangles:
+    """T = 2 n triangles: n points have fewer than that, unless many of them lie on one circle."""
+
+    corner: Array  # [T, 3] int32, points, ascending
+    valid: Array  # [T] bool
+    overflow: Array  # int32, triangles that did not fit
+
+
+def _ordered(values):
+    """float32 as int32 of the same order."""
+    bits = lax.bitcast_convert_type(values, jnp.int32)
+    return jnp.where(bits < 0, bits ^ 0x7FFFFFFF, bits)
+
+
+def delaunay(points, valid):
+    """The Delaunay triangulation.
+
+    On each side of a pair of points the apex is the point that sees them under the largest angle; the pair is an edge
+    if both angles together are at most 180 degrees. Of points on one circle all triangles may be valid.
+
+    Args:
+      points: `[n, 2]` float32, n from 2 to 256.
+      valid: `[n]` bool, points that are there. Those that are must differ.
+
+    Returns:
+      `Triangles`.
+
+    Raises:
+      ValueError: while tracing, if n is out of bounds.
+
+    Source:
+      Delaunay 1934: the empty circle, by the opposite angles of the two triangles at an edge.
+    """
+    n = points.shape[0]
+    if not 2 <= n <= 256:
+        raise ValueError(f"expected 2 to 256 points, got {n}")
+    codes = 1 << max(n - 1, 1).bit_length()
+    first, second = np.triu_indices(n, 1)
+    x, y = points[:, 0], points[:, 1]
+
+    # Point k's cotangent of the angle under which it sees the pair, and the side on which it lies: [n, E], so that the
+    # minimum over k runs along rows, which a CPU does many at a time.
+    x1, y1, x2, y2 = lax.optimization_barrier((x[first], y[first], x[second], y[second]))
+    ax, ay = x1 - x[:, None], y1 - y[:, None]
+    bx, by = x2 - x[:, None], y2 - y[:, None]
+    cross, dot = ax * by - ay * bx, ax * bx + ay * by
+    between = (cross == 0) & (dot < 0)  # on the straight line between both: the pair is no edge
+    here = valid[:, None] & ((cross != 0) | between)
+    cotangent = jnp.where(between, BETWEEN, dot / jnp.where(cross == 0, 1, jnp.abs(cross)))
+    # The last bits of a cotangent give way to the number of its point, so that one minimum finds both.
+    key = (_ordered(cotangent) & ~(codes - 1)) | jnp.arange(n, dtype=jnp.int32)[:, None]
+    sides = [jnp.min(jnp.where(here & on_side, key, NONE), axis=0) for on_side in (cross >= 0, cross < 0)]
+    apex = jnp.stack([key & (codes - 1) for key in sides])  # [2, E]
+    there = jnp.stack([key != NONE for key in sides])
+    broken = sides[0] < _ordered(jnp.float32(BETWEEN / 2))
+
+    def cot(k):
+        px, py = x[jnp.minimum(k, n - 1)], y[jnp.minimum(k, n - 1)]
+        cross = (x[first] - px) * (y[second] - py) - (y[first] - py) * (x[second] - px)
+        dot = (x[first] - px) * (x[second] - px) + (y[first] - py) * (y[second] - py)
+        return dot / jnp.where(cross == 0, 1, jnp.abs(cross))
+
+    left, right = cot(apex[0]), cot(apex[1])
+    both = there[0] & there[1]
+    edge = valid[first] & valid[second] & ~broken & (~both | (left + right >= -1e-4 * (jnp.abs(left) + jnp.abs(right))))
+    # Each triangle has three edges: it is taken from the one between its two first corners.
+    keep = (there & edge & (apex > second)).reshape(-1)
+    rows = -(-keep.shape[0] // ROW)
+    mask = jnp.pad(keep, (0, rows * ROW - keep.shape[0])).reshape(rows, ROW)
+    which = bits.first_cells(bits.pack(mask), 2 * n)
+    found = which < keep.shape[0]
+    which = jnp.where(found, which, 0)
+    pair = which % len(first)
+    corner = jnp.stack([jnp.asarray(first)[pair], jnp.asarray(second)[pair], apex.reshape(-1)[which]], axis=1)
+    return Triangles(
+        corner=jnp.where(found[:, None], corner, 0).astype(jnp.int32),
+        valid=found,
+        overflow=jnp.maximum(jnp.sum(keep, dtype=jnp.int32) - 2 * n, 0),
+    )
+
+
+def circumcircles(points, corner):
+    """Circles through three points each.
+
+    Args:
+      points: `[n, 2]` float32.
+      corner: `[T, 3]` int32.
+
+    Returns:
+      `(centre, radius, side2)`: `[T, 2]` and `[T]` float32; and `[T, 3]`, squared lengths of the sides opposite to the
+        corners. A triangle without area has a radius of inf.
+    """
+    a, b, c = (points[jnp.minimum(corner[:, i], points.shape[0] - 1)] for i in range(3))
+    side2 = jnp.stack([jnp.sum((p - q) ** 2, axis=1) for p, q in ((b, c), (c, a), (a, b))], axis=1)
+    u, v = b - a, c - a
+    doubled = 2 * (u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0])
+    flat = doubled == 0
+    per = 1 / jnp.where(flat, 1, doubled)
+    to_x = (v[:, 1] * side2[:, 2] - u[:, 1] * side2[:, 1]) * per
+    to_y = (u[:, 0] * side2[:, 1] - v[:, 0] * side2[:, 2]) * per
+    radius = jnp.where(flat, jnp.inf, jnp.hypot(to_x, to_y))
+    return a + jnp.stack([to_x, to_y], axis=1), radius, side2

@@ -1,0 +1,24 @@
+"""Sizes to which arrays are padded, and the types of numbers, so that similar work shares a compiled program."""
+
+import math
+
+import numpy as np
+
+from jexplore.arrays.bits import WORD
+
+
+def bucket(n):
+    """The size to which a side of n cells is padded: of 4, 5, 6 or 7 times a power of two the next, in multiples of 32.
+
+    So that maps of similar size share a compiled program, at the price of at most a quarter more rows and columns.
+    """
+    step = max(WORD, 2 ** (math.ceil(math.log2(max(n, 1))) - 3))
+    return max(2 * WORD, math.ceil(n / step) * step)
+
+
+def number(value):
+    """A parameter as an array: integers as int32, others as float32, so that it is the same in every program."""
+    value = np.asarray(value)
+    return value.astype(
+        np.int32 if value.dtype.kind in "iu" else value.dtype if value.dtype.kind == "b" else np.float32
+    )

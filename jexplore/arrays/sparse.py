@@ -1,0 +1,47 @@
+"""The few True cells of a mask as a list whose members know their neighbours, so that work goes over the list and not
+over the whole map.
+"""
+
+import jax.numpy as jnp
+from flax import struct
+from jax import Array, lax
+
+from jexplore.arrays import bits
+
+NEIGHBOURS = ((0, 1), (1, 0), (0, -1), (-1, 0), (1, 1), (1, -1), (-1, -1), (-1, 1))  # straight ones first
+
+
+@struct.dataclass
+class Cells:
+    """True cells of a mask in (row, col) order. K slots."""
+
+    cell: Array  # [K] int32, flat index (row * W + col); H * W in an unused slot
+    near: Array  # [K, 8] int32, slot of the neighbour in each direction of `NEIGHBOURS`; K for none
+    overflow: Array  # int32, cells that did not fit
+
+
+def listed(mask, size):
+    """`Cells` of a mask.
+
+    Args:
+      mask: `[H, W]` bool.
+      size: K, slots. Static.
+    """
+    height, width = mask.shape
+    none = height * width
+    words = bits.pack(mask)
+    cell = jnp.minimum(bits.first_cells(words, size), none)
+    slot = jnp.full((none,), size, jnp.int32).at[cell].set(lax.iota(jnp.int32, size), mode="drop")
+    row, col = cell // width, cell % width
+    near = []
+    for drow, dcol in NEIGHBOURS:
+        r, c = row + drow, col + dcol
+        inside = (r >= 0) & (r < height) & (c >= 0) & (c < width) & (cell < none)
+        near.append(jnp.where(inside, slot[jnp.clip(r, 0, height - 1) * width + jnp.clip(c, 0, width - 1)], size))
+    count = jnp.sum(lax.population_count(words).astype(jnp.int32))
+    return Cells(cell, jnp.stack(near, axis=1), jnp.maximum(count - size, 0))
+
+
+def at(array, cell, fill):
+    """Values of a map, or of a list, at listed places: of their shape; `fill` beyond the last."""
+    return array.reshape(-1).at[cell].get(mode="fill", fill_value=fill)

@@ -1,0 +1,238 @@
+"""How a robot drives along passages: which run mode it is in, and where its target point is.
+
+The modes, highest priority first (Mano et al., section IV.B and Fig. 8; a figure that did not survive): contact guard,
+branch selection, dead end run, wall following, central run. All states have a fixed size; all functions are pure.
+"""
+
+import enum
+
+import jax.numpy as jnp
+from flax import struct
+from jax import Array, lax
+
+from jexplore.driving import perception
+
+WINDOW = 9  # scans that vote
+DOUBT = 2  # votes up to which another triangle takes the place of one that a scan does not show
+DEBOUNCE = 3  # steps that a free space must be seen, or not seen, in a row
+HYSTERESIS_M = 0.3  # a free space ends where both sides have a wall this much nearer than where it began
+GUARD_M = 0.1  # a wall this near to the robot's front stops it
+
+
+class RunMode(enum.IntEnum):
+    """What the robot is doing."""
+
+    CENTRAL = 0
+    WALL_FOLLOWING = 1
+    DEAD_END = 2
+    BRANCH_SELECTION = 3
+    CONTACT_GUARD = 4
+
+
+class Latch(enum.IntEnum):
+    """What branch selection is held by, until its target is reached."""
+
+    FREE = 0
+    APPROACH = 1  # the centre of a divergence
+    LEAVE = 2  # a point on one of its links
+
+
+@struct.dataclass
+class Track:
+    """A divergence that may lie ahead: where scan after scan has shown its triangle."""
+
+    centre: Array  # [2] float32, metres, in the odometry's frame
+    radius: Array  # float32, metres
+    seen: Array  # uint32, a bit a scan, the last one lowest: whether it showed the triangle
+    age: Array  # int32, scans since it was first seen; 0: there is none
+
+
+def no_track():
+    """Nothing ahead."""
+    return Track(centre=jnp.zeros(2), radius=jnp.float32(0), seen=jnp.uint32(0), age=jnp.int32(0))
+
+
+def votes(track):
+    """Of the last `WINDOW` scans, how many showed it: int32."""
+    return lax.population_count(track.seen).astype(jnp.int32)
+
+
+def is_believed(track, needed):
+    """Whether enough scans have shown it."""
+    return (track.age > 0) & (votes(track) >= needed)
+
+
+def follow(track, found, to_odometry, same_m, may_begin):
+    """Takes one more scan into account.
+
+    The largest triangle that is near enough to the one followed goes on with it; else the triangle nearest to the
+    robot begins a new one, but not while one is being followed that more than `DOUBT` scans have shown. One that
+    `WINDOW` scans have not shown is given up.
+
+    Args:
+      track: `Track`.
+      found: `perception.Divergence`, in the robot's frame, without triangles that are to be ignored.
+      to_odometry: function from points `[..., 2]` in the robot's frame to the odometry's.
+      same_m: how near, metres.
+      may_begin: bool; False: only the one that is followed goes on.
+
+    Returns:
+      `Track`.
+    """
+    placed = found.replace(centre=to_odometry(found.centre))
+    followed = track.age > 0
+    # Noise makes small circles in any passage; of those near enough the largest has three walls.
+    near = placed.valid & (jnp.sum((placed.centre - track.centre) ** 2, axis=1) < same_m**2)
+    again = jnp.argmax(jnp.where(near, placed.radius, -1)).astype(jnp.int32)
+    hit = followed & near[again]
+    first, distance = perception.nearest(found, jnp.zeros(2))
+    begins = may_begin & ~hit & (~followed | (votes(track) <= DOUBT)) & (distance < jnp.inf)
+    followed &= ~begins
+    which = jnp.where(hit, again, first)
+    share = jnp.where(hit, 1 / jnp.minimum(track.age + 1.0, WINDOW), 1.0)
+    taken = hit | begins
+    seen = jnp.where(followed, (track.seen << 1) & jnp.uint32(2**WINDOW - 1), 0) | taken.astype(jnp.uint32)
+    going = (followed | begins) & (seen != 0)
+
+    def blended(old, new):
+        return jnp.where(taken, old + share * (new - old), old)
+
+    return Track(
+        centre=blended(track.centre, placed.centre[which]),
+        radius=blended(track.radius, found.radius[which]),
+        seen=jnp.where(going, seen, 0),
+        age=jnp.where(going, jnp.where(followed, track.age + 1, 1), 0),
+    )
+
+
+@struct.dataclass
+class Hall:
+    """Free space, seen with hysteresis."""
+
+    inside: Array  # bool
+    streak: Array  # int32, steps in a row that say otherwise
+    since_m: Array  # float32, odometer at the first of them
+
+
+def no_hall():
+    """Not in free space."""
+    return Hall(inside=jnp.bool_(False), streak=jnp.int32(0), since_m=jnp.float32(0))
+
+
+def watch_hall(hall, left_m, right_m, odometer_m, open_m, looking):
+    """Takes one more look at the walls on both sides.
+
+    Args:
+      hall: `Hall`.
+      left_m, right_m: from `perception.sides`.
+      odometer_m: float32.
+      open_m: a side without a wall within this is free [C1].
+      looking: bool scalar; False: nothing changes.
+
+    Returns:
+      `(hall, enters, leaves)`: bools, true in the step in which it is believed.
+    """
+    limit = jnp.where(hall.inside, open_m - HYSTERESIS_M, open_m)
+    free = (left_m > limit) | (right_m > limit)
+    other = looking & (free != hall.inside)
+    since = jnp.where(other & (hall.streak > 0), hall.since_m, odometer_m)
+    streak = jnp.where(other, hall.streak + 1, 0)
+    turns = streak >= DEBOUNCE
+    after = Hall(inside=hall.inside ^ turns, streak=jnp.where(turns, 0, streak), since_m=since)
+    return after, turns & ~hall.inside, turns & hall.inside
+
+
+@struct.dataclass
+class Drive:
+    """What driving remembers from step to step."""
+
+    latch: Array  # int32, `Latch`
+    target: Array  # [2] float32, of the latch, metres, in the odometry's frame
+    turning: Array  # int32, side to which a dead end turns the robot: 1 left, -1 right, 0 none
+    left_m: Array  # float32, last distance of a wall on the left within C1
+    right_m: Array  # float32, likewise on the right
+
+
+def at_rest():
+    """Nothing remembered; a passage two metres wide is assumed until a wall is seen."""
+    return Drive(
+        latch=jnp.int32(Latch.FREE),
+        target=jnp.zeros(2),
+        turning=jnp.int32(0),
+        left_m=jnp.float32(1),
+        right_m=jnp.float32(1),
+    )
+
+
+def choose_mode(drive, hall, hall_sides, left_m, right_m, closed, fronts_m, tuning, robot):
+    """The run mode of this step.
+
+    Args:
+      drive: `Drive`.
+      hall: `Hall`.
+      hall_sides: distances of both walls in the region in which free space is looked for.
+      left_m, right_m: of the walls beside the stretch that is driven next.
+      fronts_m: of what is before the robot's left half and before its right.
+      closed: bool, both walls together leave no more than C2 in the stretch before the robot: a dead end.
+      tuning, robot: `Tuning`, `Robot`.
+
+    Returns:
+      `(mode, drive)`: `RunMode` as int32; a dead end keeps the side to which it turns until the way is open. It turns
+        to the larger side, from a wall near one half of its front to the other.
+    """
+    guarded = jnp.minimum(*fronts_m) < robot.length_m / 2 + GUARD_M
+    latched = drive.latch != Latch.FREE
+    # One scan suffices to drive by, several in a row make a node.
+    free = hall.inside | (hall_sides[0] > tuning.open_m) | (hall_sides[1] > tuning.open_m)
+    mode = jnp.where(free, RunMode.WALL_FOLLOWING, RunMode.CENTRAL)
+    mode = jnp.where(closed, RunMode.DEAD_END, mode)
+    mode = jnp.where(latched, RunMode.BRANCH_SELECTION, mode)
+    mode = jnp.where(guarded, RunMode.CONTACT_GUARD, mode).astype(jnp.int32)
+    larger = jnp.where(drive.left_m >= drive.right_m, 1, -1)
+    one_side = jnp.maximum(*fronts_m) > jnp.minimum(*fronts_m) + GUARD_M
+    larger = jnp.where(one_side, jnp.where(fronts_m[0] > fronts_m[1], 1, -1), larger)
+    turns = (mode == RunMode.DEAD_END) | (mode == RunMode.CONTACT_GUARD)
+    turning = jnp.where(turns, jnp.where(drive.turning == 0, larger, drive.turning), 0)
+    walls = ~free & ~closed & ~latched
+    return mode, drive.replace(
+        turning=turning.astype(jnp.int32),
+        left_m=jnp.where(walls & (left_m < tuning.open_m), left_m, drive.left_m),
+        right_m=jnp.where(walls & (right_m < tuning.open_m), right_m, drive.right_m),
+    )
+
+
+def target_of(mode, drive, left_m, right_m, to_robot, tuning):
+    """The target point in the robot's frame: `[2]` float32, metres.
+
+    In a passage it lies on the middle between the walls, in free space at the distance from the followed wall that the
+    passage before had: the nearer wall, or where both sides are open the one that was nearer last.
+
+    Source:
+      Mano et al., equations 3 and 4.
+    """
+    open_left, open_right = left_m > tuning.open_m, right_m > tuning.open_m
+    right = jnp.where(open_left & open_right, drive.right_m < drive.left_m, left_m > right_m)
+    lateral = jnp.where(right, drive.right_m - right_m, left_m - drive.left_m)
+    lateral = jnp.where(jnp.isfinite(lateral), jnp.clip(lateral, -tuning.ahead_m, tuning.ahead_m), 0)
+    middle = jnp.where(open_left | open_right, lateral, (left_m - right_m) / 2)
+    aside = jnp.where(mode == RunMode.WALL_FOLLOWING, lateral, middle)
+    ahead = jnp.stack([jnp.float32(1) * tuning.ahead_m, aside])
+    return jnp.where(mode == RunMode.BRANCH_SELECTION, to_robot(drive.target), ahead)
+
+
+def steer(mode, drive, target, tuning, robot):
+    """Speed and turn rate towards a target point.
+
+    Returns:
+      `(v, omega)`: metres a second and radians a second, within what the robot can do. It slows down where the target
+        lies to the side and turns in place where it lies behind.
+
+    Source:
+      Mano et al., equations 1 to 3. Changed: the speed falls with the cosine of the bearing.
+    """
+    bearing = jnp.arctan2(target[1], target[0])
+    turns = (mode == RunMode.DEAD_END) | (mode == RunMode.CONTACT_GUARD)
+    speed = jnp.minimum(tuning.speed_m_s, robot.max_speed_m_s)
+    v = jnp.where(turns, 0, speed * jnp.maximum(jnp.cos(bearing), 0))
+    omega = jnp.where(turns, drive.turning * robot.max_turn_rad_s / 2, tuning.turn_gain * bearing)
+    return v, jnp.clip(omega, -robot.max_turn_rad_s, robot.max_turn_rad_s)

@@ -1,0 +1,109 @@
+"""What the scanner that looks down shows: the ground before the robot, and what a height profile of the way says."""
+
+import functools
+
+import jax.numpy as jnp
+from flax import struct
+from jax import Array
+
+from jexplore.driving.perception import running_sum
+
+CELLS = 512  # of a profile, each as long as the gap of a step
+
+
+def ground_point(ranges_m, direction, pitch_rad, roll_rad, mount, half_width_m):
+    """Where beams that look down meet the ground: one point, the mean of those before the robot's width.
+
+    Args:
+      ranges_m: `[D]` float32; inf or NaN: none.
+      direction: `[D, 3]` float32, unit vectors in the robot's frame.
+      pitch_rad, roll_rad: measured attitude; pitch positive nose down.
+      mount: `(x_m, z_m)`, place of the scanner on the robot.
+      half_width_m: beams that meet the ground farther to the side are left out.
+
+    Returns:
+      `(x_m, z_m, found)`: horizontal distance before the robot's middle, and height above the ground there.
+
+    Source:
+      Mano et al., section III.A.2, with the attitude.
+    """
+    valid = jnp.isfinite(ranges_m)
+    r = jnp.where(valid, ranges_m, 0)
+    x, y, z = mount[0] + r * direction[:, 0], r * direction[:, 1], mount[1] + r * direction[:, 2]
+    y, z = jnp.cos(roll_rad) * y - jnp.sin(roll_rad) * z, jnp.sin(roll_rad) * y + jnp.cos(roll_rad) * z
+    x, z = jnp.cos(pitch_rad) * x + jnp.sin(pitch_rad) * z, -jnp.sin(pitch_rad) * x + jnp.cos(pitch_rad) * z
+    valid &= jnp.abs(y) <= half_width_m
+    n = jnp.sum(valid)
+    per = 1 / jnp.maximum(n, 1)
+    return jnp.sum(jnp.where(valid, x, 0)) * per, jnp.sum(jnp.where(valid, z, 0)) * per, n > 0
+
+
+@struct.dataclass
+class Profile:
+    """What a height profile says of the obstacle under it."""
+
+    variance_m2: Array  # float32, residual variance about the least-squares line, n - 2 in the denominator
+    slope: Array  # float32, of that line, signed
+    step_m: Array  # float32, height of a step, the median of all
+    count: Array  # int32, points
+
+
+def profile(x_m, z_m, valid, *, flank_m=0.10, gap_m=0.02):
+    """Fits a line to heights along the way.
+
+    Args:
+      x_m, z_m, valid: `[P]`, points of the profile.
+      flank_m: a step is the difference of the mean heights this far before and behind a place. Static.
+      gap_m: but not nearer than this. Static.
+
+    Returns:
+      `Profile`; zeros where there are fewer than three points.
+
+    Source:
+      Mano et al., section III.A.2. Changed: a slope is what fits a line, stairs what does not (the text has both the
+      same way round), and the height of a step comes from the profile.
+    """
+    n = jnp.sum(valid)
+    per = 1 / jnp.maximum(n, 1)
+    x = jnp.where(valid, x_m - jnp.sum(jnp.where(valid, x_m, 0)) * per, 0)
+    z = jnp.where(valid, z_m - jnp.sum(jnp.where(valid, z_m, 0)) * per, 0)
+    slope = jnp.sum(x * z) / jnp.maximum(jnp.sum(x * x), 1e-9)
+    residual = jnp.where(valid, z - slope * x, 0)
+    enough = n >= 3
+    variance = jnp.where(enough, jnp.sum(residual**2) / jnp.maximum(n - 2, 1), 0)
+    return Profile(
+        variance_m2=variance,
+        slope=jnp.where(enough, slope, 0),
+        step_m=jnp.where(enough, _step_height(x, z, valid, flank_m, gap_m), 0),
+        count=n.astype(jnp.int32),
+    )
+
+
+def _step_height(x, z, valid, flank_m, gap_m):
+    """The height of a step: the median of the differences of mean height between the flanks of steps."""
+    # Points come in the order of time, about in that of x: flanks are sums over sorted cells of the way.
+    cell = gap_m
+    first = jnp.min(jnp.where(valid, x, jnp.inf))
+    n = CELLS
+    at = jnp.where(valid, ((x - first) / cell).astype(jnp.int32), n)  # what lies beyond the last cell is left out
+    count = jnp.zeros(n, jnp.float32).at[at].add(1, mode="drop")
+    total = jnp.zeros(n, jnp.float32).at[at].add(z, mode="drop")
+    wide = round(flank_m / cell)
+    run_n, run_z = (jnp.pad(running_sum(a), (1, 0)) for a in (count, total))
+
+    def window(run, low, high):  # sums of cells [i + low, i + high)
+        padded = jnp.concatenate([jnp.zeros(wide + 2), run, jnp.full(wide + 2, run[-1])])
+        i = wide + 2
+        return padded[i + high : i + high + n] - padded[i + low : i + low + n]
+
+    before_n, before_z = window(run_n, -wide, -1), window(run_z, -wide, -1)
+    after_n, after_z = window(run_n, 1, wide), window(run_z, 1, wide)
+    both = (before_n > 0) & (after_n > 0)
+    rise = jnp.abs(after_z / jnp.maximum(after_n, 1) - before_z / jnp.maximum(before_n, 1))
+    rise = jnp.where(both, rise, 0)
+    around = [jnp.pad(rise, wide)[k : k + n] for k in range(2 * wide + 1)]
+    top = functools.reduce(jnp.maximum, around)
+    # A step is a place steeper than those near it; where the robot's body tips, its heights are off for a moment.
+    steps = jnp.where((rise == top) & (rise > top.max() / 2), rise, jnp.inf)
+    number = jnp.sum(jnp.isfinite(steps))
+    return jnp.where(number > 0, jnp.sort(steps)[jnp.maximum(number - 1, 0) // 2], 0)

@@ -1,0 +1,329 @@
+"""What a robot makes of a scan: walls beside the way, triangles at divergences, openings round a place.
+
+Scans are in the robot's frame: x forward, y left, metres. A beam without a reading is no point; NaN counts as none.
+"""
+
+import functools
+import math
+
+import jax.numpy as jnp
+from flax import struct
+from jax import Array
+
+from jexplore.arrays.delaunay import circumcircles, delaunay
+
+NEIGHBOURS = 6  # beams on either side that a point is smoothed with
+MISSED = 3  # beams without a reading that are bridged
+AGREE = 0.1  # where the readings on both sides differ by less than this share
+MEANT = 3  # beams on either side that the width of a passage is the mean of
+MEANT_M = 0.15  # where they are nearer than this
+BEARINGS = 240  # directions round a place in which its nearest point is looked for
+GUARD_M = 0.1  # a wall this near to the robot's sides is in its way
+SPACING = 0.49  # of points along a wall, in least openings: two neighbours of one point are nearer than such an opening
+NEAR = 1.15  # radii within which a wall divides two openings
+WIDE = 0.8  # of half a turn: a gap as wide as this as seen from the middle of a place
+JUMP = 1 / SPACING  # distance between the points of neighbouring beams beyond which a wall ends, in spacings
+
+
+@struct.dataclass
+class Divergence:
+    """The triangles of a scan that may mark a dead end, a corner, a T or a crossing."""
+
+    corners: Array  # [T, 3, 2] float32, metres
+    centre: Array  # [T, 2] float32, of the circle through the corners
+    radius: Array  # [T] float32, metres
+    valid: Array  # [T] bool
+    overflow: Array  # int32, ends of walls and triangles that did not fit
+
+
+def points(ranges_m, angles_rad):
+    """Scan points.
+
+    Args:
+      ranges_m: `[B]` float32; inf: no return; NaN: no reading.
+      angles_rad: `[B]` float32.
+
+    Returns:
+      `(xy, valid)`: `[B, 2]` float32, 0 where there is none; `[B]` bool. Up to `MISSED` beams without a reading between
+        two that nearly agree are given the mean of these.
+    """
+    before = after = ranges_m
+    missed = -jnp.ones_like(ranges_m)
+    for k in range(1, MISSED + 1):
+        missed = missed + jnp.isnan(before) + jnp.isnan(after)
+        before = jnp.where(jnp.isnan(before), jnp.pad(ranges_m, (k, 0), constant_values=jnp.nan)[:-k], before)
+        after = jnp.where(jnp.isnan(after), jnp.pad(ranges_m, (0, k), constant_values=jnp.nan)[k:], after)
+    bridged = jnp.isnan(ranges_m) & (missed <= MISSED) & (jnp.abs(after - before) < AGREE * jnp.minimum(after, before))
+    ranges_m = jnp.where(bridged, (before + after) / 2, ranges_m)
+    valid = jnp.isfinite(ranges_m)
+    r = jnp.where(valid, ranges_m, 0)
+    return jnp.stack([r * jnp.cos(angles_rad), r * jnp.sin(angles_rad)], axis=1), valid
+
+
+def smoothed(xy, valid, reach_m):
+    """Every point moved to the mean of its wall's points near it: many close by, few far away.
+
+    Args:
+      xy, valid: from `points`, in the order of the beams.
+      reach_m: how near, metres; float32.
+
+    Returns:
+      `[B, 2]` float32.
+    """
+    n = xy.shape[0]
+    x, y = (jnp.pad(xy[:, i], NEIGHBOURS) for i in range(2))
+    there = jnp.pad(valid, NEIGHBOURS)
+    here = xy[:, 0], xy[:, 1]
+    sums = [jnp.zeros(n)] * 3
+    for k in range(2 * NEIGHBOURS + 1):
+        other = x[k : k + n], y[k : k + n]
+        near = (other[0] - here[0]) ** 2 + (other[1] - here[1]) ** 2 <= reach_m**2
+        weight = (near & there[k : k + n]).astype(jnp.float32)
+        sums = [total + weight * value for total, value in zip(sums, (*other, 1.0))]
+    count = jnp.maximum(sums[2], 1)
+    return jnp.where(valid[:, None], jnp.stack([sums[0] / count, sums[1] / count], axis=1), xy)
+
+
+def sides(xy, valid, from_m, to_m):
+    """Least distance to the walls on both sides, in a region of fixed length before the robot.
+
+    Args:
+      xy, valid: from `points`.
+      from_m, to_m: the region, metres before the robot.
+
+    Returns:
+      `(left_m, right_m)`: float32, inf where the side is open.
+
+    Source:
+      Mano et al., section III.A and Fig. 3. Changed: left is left (the text names both the other way round).
+    """
+    within = valid & (xy[:, 0] >= from_m) & (xy[:, 0] <= to_m)
+    y = xy[:, 1]
+    left = jnp.min(jnp.where(within & (y >= 0), y, jnp.inf))
+    right = jnp.min(jnp.where(within & (y <= 0), -y, jnp.inf))
+    return left, right
+
+
+def clearances(xy, valid, to_m):
+    """Distances of the walls beside the robot: the least mean of neighbouring beams, which noise makes hardly smaller.
+
+    Points more ahead than aside are none of them.
+
+    Args:
+      xy, valid: from `points`.
+      to_m: length of the region, metres before the robot's middle.
+
+    Returns:
+      `(left_m, right_m)`: float32, inf where the side is open.
+    """
+    within = valid & (xy[:, 0] >= 0) & (xy[:, 0] <= jnp.minimum(to_m, jnp.abs(xy[:, 1])))
+    n, y = xy.shape[0], jnp.where(within, xy[:, 1], jnp.inf)
+    padded = jnp.pad(y, MEANT, constant_values=jnp.inf)
+    total = count = jnp.zeros(n)
+    for k in range(2 * MEANT + 1):
+        other = padded[k : k + n]
+        near = (jnp.abs(other - y) < MEANT_M) & (other * y > 0)
+        total, count = total + jnp.where(near, other, 0), count + near
+    mean = jnp.where(within, total / jnp.maximum(count, 1), jnp.inf)
+    left = jnp.min(jnp.where(y >= 0, mean, jnp.inf))
+    right = jnp.min(jnp.where(y <= 0, -mean, jnp.inf))
+    return left, right
+
+
+def front(xy, valid, width_m):
+    """Distances to the nearest points before the robot's left half and its right: float32, metres; inf for none."""
+    ahead = valid & (jnp.abs(xy[:, 1]) <= width_m / 2 + GUARD_M / 2) & (xy[:, 0] > 0)
+    left = jnp.min(jnp.where(ahead & (xy[:, 1] >= 0), xy[:, 0], jnp.inf))
+    right = jnp.min(jnp.where(ahead & (xy[:, 1] <= 0), xy[:, 0], jnp.inf))
+    return left, right
+
+
+def resampled(xy, valid, near_m, far_m, aside_m, spacing_m, *, size):
+    """Points at even distances along the walls that a scan shows, and both ends of every wall.
+
+    Args:
+      xy, valid: from `points`, in the order of the beams.
+      near_m, far_m: only points with near < x < far.
+      aside_m: only points with abs(y) < aside.
+      spacing_m: distance along a wall, metres; more where the points would not fit.
+      size: n, most points; a quarter of them for ends of walls. Static.
+
+    Returns:
+      `(points, valid, spacing_m, overflow)`: `[n, 2]` float32, `[n]` bool; the distance taken; ends that did not fit.
+    """
+    inside = valid & (xy[:, 0] > near_m) & (xy[:, 0] < far_m) & (jnp.abs(xy[:, 1]) < aside_m)
+    step = jnp.hypot(*jnp.diff(xy, axis=0).T)
+    # A wall goes on from beam to beam; it does not where a beam is missing or the distance jumps.
+    jump = ~(inside[1:] & inside[:-1]) | (step > JUMP * spacing_m)
+    edge = jnp.ones(1, bool)
+    ends = inside & (jnp.concatenate([edge, jump]) | jnp.concatenate([jump, edge]))
+    along = running_sum(jnp.concatenate([jnp.zeros(1), jnp.where(jump, 0, step)]))
+    n_ends = size // 4
+    n_ticks = size - n_ends
+    spacing = jnp.maximum(spacing_m, along[-1] / n_ticks)
+
+    tick = (jnp.arange(n_ticks, dtype=jnp.float32) + 0.5) * spacing
+    before = jnp.sum(along <= tick[:, None], axis=1, dtype=jnp.int32) - 1  # the beam before each tick
+    on_wall = tick < along[-1]
+    before = jnp.where(on_wall, before, 0)
+    share = jnp.where(on_wall, (tick - along[before]) / jnp.where(step > 0, step, 1)[before], 0)
+    ticks = xy[before] + share[:, None] * (xy[before + 1] - xy[before])
+    place = jnp.where(ends, running_sum(ends.astype(jnp.float32)).astype(jnp.int32) - 1, n_ends)
+    ended = jnp.zeros((n_ends, 2)).at[place].set(xy, mode="drop")
+    there = jnp.concatenate([on_wall, jnp.arange(n_ends) < jnp.sum(ends)])
+    overflow = jnp.maximum(jnp.sum(ends, dtype=jnp.int32) - n_ends, 0)
+    return jnp.concatenate([ticks, ended]), there, spacing, overflow
+
+
+def running_sum(values):
+    """Sums of the first 1, 2, ... values, by doubling."""
+    n, step = values.shape[0], 1
+    while step < n:
+        values = values + jnp.pad(values, (step, 0))[:n]
+        step *= 2
+    return values
+
+
+def far_bound(far_m, width_m, beam_spacing_rad, wall_m):
+    """How far ahead neighbouring beams lie closer on a wall than the least opening: float32, metres.
+
+    Args:
+      far_m: the bound without that [D2].
+      width_m: least opening [W].
+      beam_spacing_rad: between beams.
+      wall_m: distance of the nearer wall beside the robot.
+    """
+    return jnp.minimum(far_m, 0.95 * jnp.sqrt(width_m * jnp.minimum(wall_m, far_m) / beam_spacing_rad))
+
+
+def divergences(xy, valid, *, near_m, far_m, width_m, obtuse_tol_deg, open_m, size):
+    """Triangles that touch three walls: between them the way divides, bends or ends.
+
+    Args:
+      xy, valid: from `points`.
+      near_m, far_m: bounds of x [D1, D2], metres; the second also of the range.
+      width_m: no side is shorter [W], metres.
+      obtuse_tol_deg: no angle is more than this above 90 degrees.
+      open_m: circles as large as this lie in free space and are left out [C1], metres.
+      size: most scan points. Static.
+
+    Returns:
+      `Divergence`.
+
+    Source:
+      Mano et al., section III.A.1; Silver et al. 2004. Changed: the tolerance (a dead end's triangle has a right angle,
+      so that half of all scans would lose it), and circles in free space are left out.
+    """
+    # Beams that go far aside meet a wall beside a tilted robot too far apart, however near ahead.
+    valid &= jnp.sum(xy**2, axis=1) < far_m**2
+    xy = smoothed(xy, valid, width_m / 4)
+    chosen, there, spacing, overflow = resampled(xy, valid, near_m, far_m, open_m, SPACING * width_m, size=size)
+    triangles = delaunay(chosen, there)
+    centre, radius, side2 = circumcircles(chosen, triangles.corner)
+    longest = jnp.max(side2, axis=1)
+    product = jnp.sqrt(side2[:, 0] * side2[:, 1] * side2[:, 2] / jnp.maximum(longest, 1e-12))  # of the shorter sides
+    cosine = (jnp.sum(side2, axis=1) - 2 * longest) / jnp.maximum(2 * product, 1e-12)  # of the largest angle
+    # Two points with one between them on a wall make no side: noise may push that one out of the circle.
+    side = jnp.maximum(width_m, spacing / SPACING)
+    keep = triangles.valid & (jnp.min(side2, axis=1) > side**2) & (radius < open_m)
+    keep &= cosine >= -jnp.sin(jnp.radians(obtuse_tol_deg))
+    corners = chosen[jnp.minimum(triangles.corner, size - 1)]
+    return Divergence(corners=corners, centre=centre, radius=radius, valid=keep, overflow=overflow + triangles.overflow)
+
+
+def nearest(found, place):
+    """The triangle whose centre is nearest to a place.
+
+    Args:
+      found: `Divergence`.
+      place: `[2]` float32.
+
+    Returns:
+      `(which, distance_m)`: int32, float32; inf where there is none.
+    """
+    d2 = jnp.where(found.valid, jnp.sum((found.centre - place) ** 2, axis=1), jnp.inf)
+    which = jnp.argmin(d2).astype(jnp.int32)
+    return which, jnp.sqrt(d2[which])
+
+
+@struct.dataclass
+class Openings:
+    """Ways out of a place, counter-clockwise from -180 degrees. Unused slots: `valid` is False."""
+
+    bearing: Array  # [K] float32, radians
+    width_m: Array  # [K] float32
+    valid: Array  # [K] bool
+    overflow: Array  # int32, openings that did not fit
+
+
+def openings(xy, valid, centre, radius_m, width_m, *, circle, size):
+    """Gaps between neighbouring points in a circle, as seen from its centre, that a robot fits through.
+
+    Args:
+      xy, valid: `[P, 2]` float32 and `[P]` bool, points of one or more scans.
+      centre: `[2]` float32.
+      radius_m: distance of the walls from the centre.
+      width_m: least width of an opening [W].
+      circle: radius of the search circle [k], in `radius_m`; points beyond it are left out.
+      size: K, most openings. Static.
+
+    Returns:
+      `Openings`. Without any point in the circle there is none.
+
+    Source:
+      Mano et al., section III.B and Fig. 2(f). Changed: points of all scans on the way to the centre, in polar order
+      about it, where the paper takes those of one scan, in polar order about the robot, which does not see behind it;
+      and what comes no nearer to the centre than `NEAR` radii (or as many distances of the nearest wall, if that is
+      more), a wall farther in, does not divide an opening.
+    """
+    offset = xy - centre
+    search_m = circle * radius_m
+    distance = jnp.hypot(*offset.T)
+    inside = valid & (distance <= search_m)
+    sector = jnp.floor((jnp.arctan2(offset[:, 1], offset[:, 0]) + math.pi) * (BEARINGS / (2 * math.pi)))
+    sector = jnp.where(inside, jnp.clip(sector.astype(jnp.int32), 0, BEARINGS - 1), BEARINGS)
+    # The nearest point in every direction and the farthest, for a wall may lead straight outward: distance and number
+    # of a point in one integer.
+    bits = max(xy.shape[0] - 1, 1).bit_length()
+    share = jnp.where(inside, distance / jnp.maximum(search_m, 1e-6), 0)
+    code = (share * (2 ** (30 - bits) - 1)).astype(jnp.int32) << bits | jnp.arange(xy.shape[0])
+    least = jnp.full(BEARINGS, 2**31 - 1, jnp.int32).at[sector].min(code, mode="drop")
+    most = jnp.full(BEARINGS, -1, jnp.int32).at[sector].max(code, mode="drop")
+    here = most >= 0
+    point, last = (offset[jnp.where(here, code, 0) & (2**bits - 1)] for code in (least, most))
+
+    def gaps(here):  # from every direction to the next, counter-clockwise and round the circle, that has a point
+        order = jnp.arange(BEARINGS)
+        later = jnp.where(here, order, 2 * BEARINGS)
+        twice = jnp.concatenate([later, later + BEARINGS])
+        later = jnp.where(twice[:, None] > order, twice[:, None], 4 * BEARINGS)
+        following = jnp.min(later, axis=0) % BEARINGS
+        after, last_after = point[following], last[following]
+        pairs = (point, after), (last, after), (point, last_after), (last, last_after)
+        width = functools.reduce(jnp.minimum, [jnp.hypot(*(b - a).T) for a, b in pairs])
+        return after, width, here & ((width > width_m) | (jnp.sum(here) == 1))
+
+    # A wall is what lies between two gaps.
+    gap_here = gaps(here)[2]
+    wall = (running_sum(gap_here.astype(jnp.float32)) - gap_here) % jnp.maximum(jnp.sum(gap_here), 1)
+    distance = jnp.where(here, jnp.hypot(*point.T), jnp.inf)
+    nearest_m = jnp.min(jnp.where(wall[:, None] == wall, distance[:, None], jnp.inf), axis=0)
+    here &= nearest_m <= NEAR * jnp.maximum(radius_m, jnp.min(distance))
+    after, width, gap_here = gaps(here)
+    only = jnp.sum(here) == 1
+    middle = (point + after) / 2
+    bearing = jnp.arctan2(middle[:, 1], middle[:, 0])
+    # The middle of a gap of about half a turn says little of where it opens, that of a wider one lies on the other side
+    # of the centre: there the bearing is that square to the gap.
+    turn = (jnp.arctan2(after[:, 1], after[:, 0]) - jnp.arctan2(point[:, 1], point[:, 0])) % (2 * math.pi)
+    across = after - point
+    bearing = jnp.where(turn > WIDE * math.pi, jnp.arctan2(-across[:, 0], across[:, 1]), bearing)
+    bearing = jnp.where(only, jnp.arctan2(-point[:, 1], -point[:, 0]), bearing)
+    place = running_sum(gap_here.astype(jnp.float32)).astype(jnp.int32) - 1
+    chosen = gap_here & (place == jnp.arange(size)[:, None])  # [K, BEARINGS]
+    return Openings(
+        bearing=jnp.sum(jnp.where(chosen, bearing, 0), axis=1),
+        width_m=jnp.sum(jnp.where(chosen, width, 0), axis=1),
+        valid=jnp.any(chosen, axis=1),
+        overflow=jnp.maximum(jnp.sum(gap_here, dtype=jnp.int32) - size, 0),
+    )

@@ -1,0 +1,82 @@
+"""What an episode measured, in metres, radians and words. The only place where the device's integers become those."""
+
+import math
+
+import numpy as np
+
+from jexplore.exploration.episode import PERCENTILES, Outcome
+from jexplore.exploration.motion import EIGHTH_TURN_RAD
+
+UNKNOWN, FREE, OCCUPIED = 0, 1, 2
+
+
+def path_m(straight, diagonal, cell_m):
+    """Length of a path of so many straight and diagonal steps, metres: float64, of the shape of the arguments."""
+    return (np.asarray(straight, np.float64) + np.asarray(diagonal, np.float64) * math.sqrt(2)) * cell_m
+
+
+def length_along_m(rows, cols, cell_m):
+    """Length of a walk from its first cell to each of its cells, metres.
+
+    Args:
+      rows, cols: `[N]` int, neighbouring cells in the order driven, N >= 1.
+      cell_m: edge of a cell, metres.
+
+    Returns:
+      `[N]` float64, 0 at first.
+    """
+    diagonal = np.concatenate([[0], np.cumsum((np.diff(rows) != 0) & (np.diff(cols) != 0))])
+    return path_m(np.arange(len(rows)) - diagonal, diagonal, cell_m)
+
+
+def map_state(hits, misses, p_free):
+    """A reflection map as unknown, free and occupied cells.
+
+    Args:
+      hits, misses: `[H, W]` int32.
+      p_free: largest reflection probability of a free cell.
+
+    Returns:
+      `[H, W]` uint8: 0 unknown, 1 free, 2 occupied, judged in float32 as on the device.
+    """
+    seen = hits + misses
+    free = hits.astype(np.float32) <= np.float32(p_free) * seen.astype(np.float32)
+    return np.where(seen == 0, UNKNOWN, np.where(free, FREE, OCCUPIED)).astype(np.uint8)
+
+
+def columns(result, starts, *, seed, cell_m, has_rooms):
+    """The columns of a table of episodes: one entry an episode.
+
+    Args:
+      result: `episode.Result` of numpy arrays with a leading axis N.
+      starts: `[N, 3]` int, row, col, heading in degrees.
+      seed: of the run.
+      cell_m: edge of a cell, metres.
+      has_rooms: whether the world has room labels.
+
+    Returns:
+      A dict of `[N]` arrays; `room_entries` is a list, of None for a world without rooms.
+    """
+    n = len(result.outcome)
+    table = {
+        "episode": np.arange(n, dtype=np.int64),
+        "seed": np.full(n, seed, np.int64),
+        "start_row": starts[:, 0].astype(np.int64),
+        "start_col": starts[:, 1].astype(np.int64),
+        "start_heading_deg": starts[:, 2].astype(np.int64),
+        "path_m": path_m(result.straight, result.diagonal, cell_m),
+        "turning_rad": result.turns.astype(np.float64) * EIGHTH_TURN_RAD,
+        "steps": (result.straight + result.diagonal).astype(np.int64),
+        "scans": result.scans.astype(np.int64),
+        "plans": result.plans.astype(np.int64),
+        "outcome": [Outcome(int(code)).name for code in result.outcome],
+        "exhausted": result.exhausted.astype(np.int64),
+        "explored_fraction": result.explored / np.maximum(result.explorable, 1).astype(np.float64),
+    }
+    for i, q in enumerate(PERCENTILES):
+        table[f"path_m_at_{q}"] = path_m(result.straight_at[:, i], result.diagonal_at[:, i], cell_m)
+    table["room_entries"] = [int(count) if has_rooms else None for count in result.room_entries]
+    table["refused"] = result.refused.astype(np.int64)
+    table["overflow"] = result.overflow.astype(np.int64)
+    table["saturated"] = result.saturated.astype(np.int64)
+    return table

@@ -1,0 +1,187 @@
+"""A Behavioral Trace Map from a grid map: what a robot's own would show, read off the generalised Voronoi graph.
+
+A triangle by which a robot knows a dead end, a corner, a T or a crossing is an empty disc that touches three walls: a
+junction of that graph, whose branches are passages or run into corners. Runs on the host but for the graph's cells.
+"""
+
+import itertools
+import math
+
+import numpy as np
+
+from jexplore.config import InputError, require_number
+from jexplore.extraction.lines import components, lines_of, take_corners
+from jexplore.extraction.passages import SEARCH, Place, places_and_ways
+from jexplore.grid import centre_of, in_cells
+from jexplore.tracemap.record import NOWHERE, STATUS, BtmMap, Link, Node
+from jexplore.worlds.world import label_components
+
+_UNSEARCHED, _SEARCHED = STATUS
+
+
+def extract(free, known, cell_m, *, start_rc=None, trail=None, width_m=0.39, open_m=2.5, origin_m=(0.0, 0.0)):
+    """The Behavioral Trace Map of a grid map, on the host.
+
+    Divergence nodes are junctions of the Voronoi graph with a dead end, a corner or three and more passages; those
+    nearer to each other than their clearance are one. Where the clearance is above `open_m` there is free space: one
+    node at the mouth of each passage into it, the nodes linked in a ring. A way into what is not known is an
+    un-searched link. Passages narrower than `width_m` are closed. Without obstacle nodes: a grid has no heights.
+
+    Args:
+      free: `[H, W]` bool, cells known to be free.
+      known: `[H, W]` bool, cells seen. Patches of unseen cells too small for the robot count as free.
+      cell_m: edge of a cell, metres.
+      start_rc: row, col of the robot's start, a free cell: the first node. Without, the largest part of the graph is
+        taken and no terminal node is made for the start.
+      trail: `[T, 2]` rows and cols that the robot went along, or None. A terminal node is made at its end.
+      width_m: width of the robot, metres.
+      open_m: clearance above which a place is free space, metres: the paper's C1.
+      origin_m: x, y of the lower left corner of cell (0, 0), metres.
+
+    Returns:
+      `BtmMap`, nodes in the order of a depth-first search that takes the first link counter-clockwise from its entry.
+
+    Raises:
+      InputError: masks that are no bool matrices of one shape, no free cell, a number out of range, or a start or an
+        end of the trail that is not free.
+
+    Source:
+      Mano et al., Behavioral Trace Map. Changed: from the Voronoi graph of a whole map instead of single scans.
+    """
+    free, obstacle, ends = _checked(free, known, cell_m, start_rc, trail, width_m, open_m)
+    lines = lines_of(obstacle, free, width=in_cells(width_m, cell_m))
+    corners = take_corners(lines)
+    cells = _attached(lines, corners, ends, free)
+    if "start" in ends and "start" not in cells:
+        start = Place(*ends["start"], "terminal", 0.0)
+        return _numbered({0: start}, [], 0, lines, cell_m, origin_m)
+    if len(cells) == 2 and math.dist(ends["start"], ends["end"]) < lines.radius[cells["start"]]:
+        del cells["end"]  # the trail ends where it began
+    parts = components(lines.near, [i for i in cells.values() or range(len(lines.row)) if _counts(lines, i)])
+    alive = max(parts, key=len, default=set()) if not cells else parts[0]
+    terminals = {
+        cell: Place(*ends[which], "terminal", float(lines.radius[cell]))
+        for which, cell in cells.items()
+        if cell in alive
+    }
+    places, ways = places_and_ways(lines, corners, alive, terminals, open_cells=in_cells(open_m, cell_m))
+    first = cells.get("start", min(places, key=lambda key: places[key][:2], default=None))
+    return _numbered(places, ways, first, lines, cell_m, origin_m)
+
+
+def _checked(free, known, cell_m, start_rc, trail, width_m, open_m):
+    """`(free, obstacle, ends)`: masks with small unseen patches free, and name -> cell of the terminals."""
+    free, known = np.asarray(free), np.asarray(known)
+    if free.ndim != 2 or free.shape != known.shape or free.dtype != bool or known.dtype != bool:
+        raise InputError(
+            "free and known must be bool matrices of one shape, "
+            f"got {free.shape} {free.dtype} and {known.shape} {known.dtype}"
+        )
+    require_number("cell_m", cell_m, low_open=True)
+    require_number("width_m", width_m)
+    require_number("open_m", open_m, low_open=True)
+    if not free.any():
+        raise InputError("free: no cell of the map is free")
+    ends = {} if start_rc is None else {"start": start_rc}
+    if trail is not None and len(trail):
+        ends["end"] = trail[-1]
+    ends = {name: (int(row), int(col)) for name, (row, col) in ends.items()}
+    for name, (row, col) in ends.items():
+        if not (0 <= row < free.shape[0] and 0 <= col < free.shape[1]) or not free[row, col]:
+            raise InputError(f"{name}: cell ({row}, {col}) is not a free cell of the map")
+    patches = label_components(~known)
+    small = np.bincount(patches[patches >= 0], minlength=1) < max(in_cells(width_m, cell_m), 1) ** 2
+    return free | ((patches >= 0) & small[patches]), known & ~free, ends
+
+
+def _counts(lines, cell):
+    return bool(lines.known[cell] and lines.near[cell])
+
+
+def _attached(lines, corners, ends, free):
+    """The cell of the graph that each terminal belongs to: the nearest in sight, no junction if that can be."""
+    found, parts = {}, label_components(free)
+    for name, (row, col) in ends.items():
+        same = parts[lines.row, lines.col] == parts[row, col]
+        cells = [i for i in np.flatnonzero(same).tolist() if _counts(lines, i) and i not in found.values()]
+        cells = [i for i in cells if len(lines.near[i]) == 2 and i not in corners] or cells
+        cells.sort(key=lambda i: math.hypot(lines.row[i] - row, lines.col[i] - col))
+        seen = (i for i in cells if _in_sight(free, row, col, lines.row[i], lines.col[i]))
+        if cells:
+            found[name] = next(seen, cells[0])
+    return found
+
+
+def _in_sight(free, row, col, to_row, to_col):
+    n = 2 * max(abs(to_row - row), abs(to_col - col)) + 1
+    rows, cols = np.linspace(row, to_row, n).round().astype(int), np.linspace(col, to_col, n).round().astype(int)
+    return bool(free[rows, cols].all())
+
+
+# Records
+
+
+def _numbered(places, ways, first, lines, cell_m, origin_m):
+    """`BtmMap` of places and ways, numbered as one meets them from the place `first`."""
+    bearing, leaving = {}, {key: [] for key in places}  # of ends of ways: number, whether it is the last end
+    for n, way in enumerate(ways):
+        for last, key, path in ((False, way.start, way.path), (True, way.end, way.path[::-1])):
+            if key is not None:
+                bearing[n, last] = _leaves(lines, places[key], path)
+                leaving[key].append((n, last))
+    number, links = {}, {}
+    stack = [(first, None)] if places else []
+    while stack:
+        key, came = stack.pop()
+        if came:
+            if came[0] in links:
+                continue
+            links[came[0]] = came[1]
+        if key is None or key in number:
+            continue
+        number[key] = len(number)
+        entry = bearing[came[0], not came[1]] if came else 0.0
+        out = sorted(leaving[key], key=lambda end: ((bearing[end] - entry - 1e-6) % 360, end[1]))
+        stack += [(ways[n].start if last else ways[n].end, (n, last)) for n, last in reversed(out) if n not in links]
+    nodes = []
+    for key in number:
+        x_m, y_m = centre_of(places[key].row, places[key].col, cell_m=cell_m, origin_m=origin_m)
+        nodes.append(Node(len(nodes), float(x_m), float(y_m), places[key].type))
+    records = []
+    for n, last in links.items():
+        start, end = (number.get(key, NOWHERE) for key in (ways[n].start, ways[n].end))
+        ends = (end, start) if last else (start, end)
+        bearings = bearing[n, last], bearing.get((n, not last))
+        records.append(_link(len(records), ends, bearings, ways[n], places, lines, cell_m))
+    return BtmMap(tuple(nodes), tuple(records))
+
+
+def _link(number, ends, bearings, way, places, lines, cell_m):
+    """A `Link` between the nodes `ends`, along a way that may run from the last of them to the first."""
+    (start, end), (start_deg, end_deg) = ends, bearings
+    from_place, to_place = places[way.start], places.get(way.end)
+    if to_place is None:
+        seen = list(itertools.takewhile(lines.known.__getitem__, way.path))[: int(2 * from_place.radius) + 1]
+        return Link(number, start, end, _UNSEARCHED, start_deg, opening_m=_narrowest(lines, seen) * cell_m)
+    # Every fourth cell: a line of cells is longer than the line that it stands for.
+    stops = [from_place[:2], *lines.at[way.path[2:-2:4]].tolist(), to_place[:2]]
+    length = sum(math.dist(one, two) for one, two in itertools.pairwise(stops))
+    narrowest = _narrowest(lines, way.path)
+    return Link(number, start, end, _SEARCHED, start_deg, end_deg, length * cell_m, narrowest * cell_m)
+
+
+def _narrowest(lines, path):
+    """Least width along a path, cells. A line of cells may stray from the axis for one of them."""
+    radius = lines.radius[path]
+    if len(path) > 2:
+        radius = np.maximum(radius, np.maximum(np.roll(radius, 1), np.roll(radius, -1)))
+    return float(2 * radius.min() - 1)
+
+
+def _leaves(lines, place, path):
+    """Direction in which a path leaves a place: to where it crosses the search circle about the place, degrees."""
+    rows, cols = (lines.at[path] - place[:2]).T
+    away = np.hypot(rows, cols)
+    out = away >= SEARCH * place.radius
+    i = int(np.argmax(out if out.any() else away))
+    return float(np.degrees(np.arctan2(rows[i], cols[i])) % 360)

@@ -1,0 +1,179 @@
+"""The lines of a Voronoi graph on the host: its cells, paths along them, and branches that only lead into corners."""
+
+import itertools
+import math
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jexplore.arrays.padding import bucket
+from jexplore.arrays.sparse import NEIGHBOURS
+from jexplore.skeleton import voronoi_graph
+
+CORNER_DEG = 40.0
+"""A branch that ends at a wall is roughness of the wall where the directions to its two walls differ by less."""
+DEPTH = 1.5
+"""And where the corner lies less far beyond the disc that touches its two walls, cells."""
+TAPER_DEG = 135.0
+"""Such a branch is a passage with a dead end where they differ by more, else a corner: 90 degrees in a square one."""
+PASSAGE = 6
+"""And where they differ by as much for fewer cells: narrow corners are rough."""
+
+_voronoi = jax.jit(voronoi_graph, static_argnames="size")
+
+
+class Lines(NamedTuple):
+    """The cells of the Voronoi graph, N of them."""
+
+    row: np.ndarray  # [N] int
+    col: np.ndarray  # [N] int
+    at: np.ndarray  # [N, 2] float, row and col of the axis there: at most half a cell off
+    radius: np.ndarray  # [N] float, cells: from the axis to the centre of the nearest obstacle
+    spread_deg: np.ndarray  # [N] float, between the directions to the two nearest walls
+    known: np.ndarray  # [N] bool, seen to be free
+    near: list[set[int]]  # neighbours of each cell; `take_corners` changes them
+
+
+def lines_of(obstacle, free, *, width):
+    """`Lines` of the space that is not known to be occupied.
+
+    Args:
+      obstacle: `[H, W]` bool.
+      free: `[H, W]` bool, seen to be free.
+      width: of the narrowest passage that counts, cells.
+    """
+    height, cols = obstacle.shape
+    padded = np.zeros((bucket(height), bucket(cols)), bool)
+    padded[:height, :cols] = obstacle
+    gamma = max(math.ceil(width), 2)  # centre to centre, a passage of `width` has more
+    graph, drow, dcol = _voronoi(jnp.asarray(padded), jnp.float32(gamma**2), size=padded.size)
+    cell, link = np.asarray(graph.cell), np.asarray(graph.link)
+    row, col = np.divmod(cell, padded.shape[1])
+    slot = np.flatnonzero((row < height) & (col < cols))
+    at, radius, spread_deg = _axis(np.stack([drow, dcol], axis=-1), row[slot], col[slot])
+    wide = 2 * radius - 1 >= width - 1e-9
+    slot = slot[wide]
+    number = np.full(len(cell) + 1, -1)
+    number[slot] = np.arange(len(slot))
+    near = [{int(i) for i in number[there] if i >= 0} for there in link[slot]]
+    row, col = row[slot], col[slot]
+    return Lines(row, col, at[wide], radius[wide], spread_deg[wide], free[row, col], near)
+
+
+def _axis(off, row, col):
+    """`at`, `radius` and `spread_deg` of `Lines`, from the offsets of all cells to their nearest obstacles.
+
+    The axis lies between a cell and its neighbours: in a passage of an even number of cells, on the edge of two.
+    """
+    off = np.pad(off.astype(float), ((1, 1), (1, 1), (0, 0)))
+    own = off[row + 1, col + 1]
+    d = np.hypot(*own.T)
+    radii, shifts, spread = [d], [np.zeros(2)], np.zeros(d.shape)
+    for step in NEIGHBOURS:
+        other, half = off[row + 1 + step[0], col + 1 + step[1]], np.asarray(step) / 2
+        there = np.hypot(*other.T) > 0
+        wall = other + step  # as seen from this cell
+        cosine = (own * wall).sum(1) / np.maximum(d * np.hypot(*wall.T), 1e-9)
+        angle = np.degrees(np.arccos(np.clip(cosine, -1, 1)))
+        beside = there & (np.hypot(*(wall - half).T) <= d + 1)
+        spread = np.where(beside, np.maximum(spread, angle), spread)
+        if 0 in step:
+            shifts.append(half)
+            to_walls = np.minimum(np.hypot(*(own - half).T), np.hypot(*(wall - half).T))
+            radii.append(np.where(there & (angle >= 60), to_walls, 0))
+    radius = np.max(radii, axis=0)
+    widest = np.stack(radii) > radius - 1e-9
+    shift = (widest[:, :, None] * np.stack(shifts)[:, None]).sum(0) / widest.sum(0)[:, None]
+    return np.stack([row, col], axis=1) + shift, radius, spread
+
+
+# Paths
+
+
+def distance(lines, a, b):
+    """From one cell to another, cells."""
+    return float(math.dist(lines.at[a], lines.at[b]))
+
+
+def bearing_deg(lines, a, b):
+    return math.degrees(math.atan2(*(lines.at[b] - lines.at[a]))) % 360
+
+
+def chains(near, cells, keys):
+    """Paths between cells that are in `keys` or have not two neighbours, each once, in the order of `cells`."""
+    seen = set()
+    for a in cells:
+        if a not in keys and len(near[a]) == 2:
+            continue
+        for b in sorted(near[a]):
+            if (a, b) not in seen:
+                path = [a, b]
+                while path[-1] not in keys and len(near[path[-1]]) == 2:
+                    (on,) = near[path[-1]] - {path[-2]}
+                    path.append(on)
+                seen |= {(path[0], path[1]), (path[-1], path[-2])}
+                yield path
+
+
+def components(near, cells):
+    """Sets of connected cells that hold any of `cells`, in their order."""
+    left, found = set(cells), []
+    for cell in cells:
+        if cell in left:
+            part, stack = {cell}, [cell]
+            while stack:
+                others = near[stack.pop()] - part
+                part |= others
+                stack += others
+            left -= part
+            found.append(part)
+    return found
+
+
+# Corners
+
+
+def take_corners(lines):
+    """Takes the branches that end at a wall off `lines.near`, and says how many corners each junction had.
+
+    A branch whose far end has lost its own branches is looked at in turn: a corner may be cut off.
+
+    Returns:
+      Counts of corners by cell, of junctions only.
+    """
+    near, corners = lines.near, {}
+    while True:
+        loose = {"rough": [], "corner": [], "passage": []}
+        for path in chains(near, range(len(near)), corners):
+            if len(near[path[-1]]) > 1:
+                path = path[::-1]
+            if len(near[path[-1]]) == 1 and len(near[path[0]]) + corners.get(path[0], 0) > 2:
+                loose[_branch(lines, path)].append(path)
+        # A junction keeps a way out until its roughness has gone.
+        taken = loose["rough"] or loose["corner"]
+        if not taken:
+            return corners
+        for path in taken:
+            for a, b in itertools.pairwise(path):
+                near[a].discard(b)
+                near[b].discard(a)
+            corners.pop(path[-1], None)
+            if taken is loose["corner"]:
+                corners[path[0]] = corners.get(path[0], 0) + 1
+
+
+def _branch(lines, path):
+    """What a branch from a junction to a loose end is: "rough", "corner" or "passage"."""
+    here, tip = lines.radius[path[0]], lines.radius[path[-1]]
+    radius, spread = lines.radius[path[1:]], lines.spread_deg[path[1:]]
+    # Walls on both sides for a while, not only in the disc of the junction.
+    if tip > here or np.count_nonzero(spread[max(2, len(spread) // 3) :] >= TAPER_DEG) >= max(PASSAGE, tip / 2):
+        return "passage" if distance(lines, path[0], path[-1]) > here else "rough"
+    # Not in the disc of the junction, where there is a third wall.
+    first = min(2, len(radius) - 1)
+    radius, spread = radius[first:], spread[first:]
+    depth = np.median(radius * (1 / np.cos(np.radians(np.minimum(spread, 179)) / 2) - 1))
+    is_corner = np.median(spread) >= CORNER_DEG and depth >= DEPTH and here - tip >= 0.5
+    return "corner" if is_corner else "rough"

@@ -1,0 +1,207 @@
+"""What a strategy may ask of the robot's belief: where frontiers are, what they cost to reach, and the way to one of
+them.
+
+`nearest_frontier` looks into growing windows round the robot and fills the whole map only where these do not decide;
+its answer is always that of the whole map. `field` is the whole map at once, for strategies that compare all
+candidates.
+"""
+
+import math
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from flax import struct
+from jax import Array, lax
+
+from jexplore.arrays import bits
+from jexplore.arrays.loops import run_if, stored
+from jexplore.frontier import plan_masks
+from jexplore.grid import Grid, count, lowest
+from jexplore.reach import DIAGONAL, FAR, STRAIGHT, STRIDES, lay_route, reach_packed, saturated
+
+WINDOWS = (64, 128)  # sides of the windows that are searched first, cells
+
+
+@struct.dataclass
+class Belief:
+    """What the robot knows, and the numbers by which it judges that."""
+
+    grid: Grid  # [H, W]
+    driven: Array  # [H, W] bool, cells stood on, and those beside each diagonal step
+    exhausted: Array  # [H, W] bool, targets that stayed live however much they were looked at
+    row: Array  # int32, the robot's cell
+    col: Array  # int32
+    heading: Array  # int32, units of 45 degrees
+    extent: Array  # [2] int32, height and width of the world without padding
+    p_free: Array  # float32
+    near_d2: Array  # int32, cells^2
+    cell_m: Array  # float32, edge of a cell, metres
+    clearance_d2: int = struct.field(pytree_node=False)  # cells^2
+    reach: str = struct.field(pytree_node=False, default="sweeps")  # one of `reach.METHODS`
+    scan: str = struct.field(pytree_node=False, default="blocks")  # one of `raycast.METHODS`
+
+
+@struct.dataclass
+class Choice:
+    """A target and what it costs to get there."""
+
+    row: Array  # int32; -1: there is no target
+    col: Array  # int32; -1: there is no target
+    cost: Array  # int32, see reach.py; FAR: there is no target
+    saturated: (
+        Array  # int32, if there is no target: cells out of reach because their cost does not fit (`reach.saturated`)
+    )
+    is_view: Any = np.bool_(False)  # bool, whether it is a view point: live while `Policy.live` says so
+    overflow: Any = np.int32(
+        0
+    )  # int32, things that the strategy had no room for (frontier clusters, Voronoi nodes, ...)
+
+
+@struct.dataclass
+class Field:
+    """The reachability map of a belief, and its frontier."""
+
+    traversable: Array  # [H, W] bool
+    cost: Array  # [H, W] int32
+    candidates: Array  # [H, W] bool, reachable frontier cells that are not exhausted
+
+
+def _masks(belief, origin=(0, 0)):
+    """`frontier.Masks` of a belief, or of a window of it that begins at `origin`."""
+    rows = lax.broadcasted_iota(jnp.int32, belief.driven.shape, 0) + origin[0]
+    cols = lax.broadcasted_iota(jnp.int32, belief.driven.shape, 1) + origin[1]
+    inside = (rows < belief.extent[0]) & (cols < belief.extent[1])
+    return plan_masks(
+        belief.grid, belief.driven, belief.exhausted, inside, belief.row - origin[0], belief.col - origin[1],
+        p_free=belief.p_free, near_d2=belief.near_d2, clearance_d2=belief.clearance_d2,
+    )  # fmt: skip
+
+
+def field(belief, *, nearest_only=False):
+    """Costs of the whole map and the frontier cells that can be reached.
+
+    Args:
+      belief: `Belief`.
+      nearest_only: only the cheapest candidates are wanted; costs above theirs may not be final. Static.
+
+    Returns:
+      `Field`.
+
+    Source:
+      Holz et al. 2010, Figure 3, steps 1 to 4.
+    """
+    height = belief.driven.shape[0]
+    masks = _masks(belief)
+    traversable, frontier = bits.unpack(masks.traversable), bits.unpack(masks.frontier)
+    cost = reach_packed(
+        masks.traversable, belief.row, belief.col, frontier if nearest_only else None, method=belief.reach
+    )
+    return Field(traversable[:height], cost[:height], (frontier & (cost < FAR))[:height])
+
+
+def first_at(mask):
+    """Row and column of the first True cell in (row, col) order; arbitrary if there is none."""
+    height, width = mask.shape
+    index = lax.broadcasted_iota(jnp.int32, mask.shape, 0) * width + lax.broadcasted_iota(jnp.int32, mask.shape, 1)
+    at = jnp.minimum(lowest(jnp.where(mask, index, height * width)), height * width - 1)
+    return at // width, at % width
+
+
+def choose(belief, route, known, row, col):
+    """Makes a cell of a `Field` the target and lays the route to it.
+
+    Args:
+      belief: `Belief`.
+      route: `[H, W]` int8, see `reach.lay_route`.
+      known: `Field` of the belief.
+      row, col: int32, a cell with a finite cost; -1 for none.
+
+    Returns:
+      `(choice, route)`.
+    """
+    none = row < 0
+    start = (belief.row, belief.col)
+    target = (jnp.where(none, belief.row, row), jnp.where(none, belief.col, col))
+    route = lay_route(route, known.cost, known.traversable, start, target, (0, 0), stride=STRIDES[belief.reach])
+    cost = jnp.where(none, FAR, known.cost[target])
+
+    # Only beside cells whose cost hardly fits can there be some whose cost does not.
+    dear = lowest(jnp.where(known.cost < FAR, -known.cost, 0)) <= DIAGONAL - FAR
+    out_of_reach = run_if(none & dear, lambda _: saturated(known.cost, known.traversable), jnp.int32(0))
+    return Choice(row, col, cost, out_of_reach), route
+
+
+def _nearest_in_map(belief, route):
+    """The nearest frontier of the whole map: `(choice, route)`."""
+    known = field(belief, nearest_only=True)
+    best = lowest(jnp.where(known.candidates, known.cost, FAR))
+    row, col = first_at(known.candidates & (known.cost == best))
+    none = best >= FAR
+    return choose(belief, route, known, jnp.where(none, -1, row), jnp.where(none, -1, col))
+
+
+def _nearest_in_window(belief, route, side):
+    """The nearest frontier if a window settles it: `(undecided, choice, route)`.
+
+    Windows are as wide as a power of two, because flat indices are then cheap to take apart.
+    """
+    halo = math.isqrt(belief.clearance_d2) + 1  # what decides about a cell of the window may lie this far outside it
+    radius = side // 2 - halo - 1
+    shape = tuple(min(n, side) for n in belief.driven.shape)
+    origin = tuple(
+        jnp.clip(at - side // 2, 0, full - n)
+        for at, full, n in zip((belief.row, belief.col), belief.driven.shape, shape)
+    )
+
+    def cut(array):
+        return lax.dynamic_slice(array, origin, shape)
+
+    window = belief.replace(
+        grid=Grid(cut(belief.grid.hits), cut(belief.grid.misses)),
+        driven=cut(belief.driven),
+        exhausted=cut(belief.exhausted),
+    )
+    row, col = belief.row - origin[0], belief.col - origin[1]
+    rows, cols = (jnp.abs(lax.broadcasted_iota(jnp.int32, shape, axis) - at) for axis, at in ((0, row), (1, col)))
+    masks = _masks(window, origin)
+    central = stored(row >= 0, lambda: bits.pack((rows <= radius) & (cols <= radius)))
+    words, frontier = masks.traversable & central, bits.unpack(masks.frontier & central)
+    # Every path that leaves the window costs more than `radius` straight steps: what costs no more is final.
+    bound = radius * STRAIGHT
+    limit = jnp.where(count((masks.frontier & central) != 0) > 0, bound, -1)  # nothing to look for: not at all
+    cost = reach_packed(words, row, col, frontier, limit=limit, method=belief.reach)
+    best = lowest(jnp.where(frontier, cost, FAR))
+    decided = best <= bound
+    at_row, at_col = first_at(frontier & (cost == best))
+    target = (jnp.where(decided, at_row + origin[0], belief.row), jnp.where(decided, at_col + origin[1], belief.col))
+    start = (belief.row, belief.col)
+    route = lay_route(route, cost, bits.unpack(words), start, target, origin, stride=STRIDES[belief.reach])
+    return ~decided, Choice(target[0], target[1], best, jnp.int32(0)), route
+
+
+def nearest_frontier(belief, route):
+    """The frontier cell with the shortest path, and the route to it.
+
+    Args:
+      belief: `Belief`.
+      route: `[H, W]` int8, see `reach.lay_route`.
+
+    Returns:
+      `(choice, route)`. Equal costs go to the lowest flat index; `choice.row` is -1 if no frontier can be reached.
+
+    Source:
+      Holz et al. 2010, equation 3. Changed: windows first.
+    """
+    none = jnp.int32(-1)
+    state = (jnp.bool_(True), Choice(none, none, jnp.int32(FAR), jnp.int32(0)), route)
+    for side in WINDOWS:
+        # A window must be larger than the clearance, and pays only where the whole map is much more work.
+        if side > 4 * math.isqrt(belief.clearance_d2) and 2 * side <= max(route.shape):
+
+            def search(state, side=side):
+                return _nearest_in_window(belief, state[2], side)
+
+            state = run_if(state[0], search, state)
+    _, choice, route = run_if(state[0], lambda state: (False, *_nearest_in_map(belief, state[2])), state)
+    return choice, route

@@ -1,0 +1,130 @@
+"""Room by room: a modifier of any strategy, by which frontier cells in the robot's own segment come first.
+
+Holz et al. 2010, section 2.4; whether to do so is decided on the fly for every room, if wanted, which the paper
+leaves to future work.
+"""
+
+import dataclasses
+import functools
+import math
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+
+from jexplore.arrays.loops import run_if
+from jexplore.config import require_number
+from jexplore.grid import count, is_free
+from jexplore.planning import Choice
+from jexplore.policies.policy import Policy
+from jexplore.reach import FAR
+from jexplore.segment import VARIANTS, Criteria, form_for, segment
+
+KINDS = (*VARIANTS, "auto")
+
+
+class Params(NamedTuple):
+    """Parameters of the modifier and of the strategy that it modifies."""
+
+    max_hops: int  # see `segment.Criteria`
+    prominence_m: float  # metres
+    gamma: float  # cells
+    door_m: float  # width of the widest door, metres; inf: a segment need not have one
+    room_m2: float  # area of the largest room, m^2
+    inner: Any
+
+
+def _criteria(params, cell_m):
+    return Criteria(
+        max_hops=params.max_hops,
+        prominence=params.prominence_m / cell_m,
+        gamma=params.gamma,
+        max_clearance=jnp.float32(jnp.inf),
+        longest_first=jnp.bool_(True),
+    )
+
+
+def own_segment(params, belief):
+    """Cells of the segment that the robot is in, whether that is a room, and what did not fit.
+
+    A room has a door, a critical point no wider than doors are, and is no larger than rooms are: corridors, halls and
+    caves are not preferred to what lies beside them.
+
+    Args:
+      params: `Params`.
+      belief: `Belief`.
+
+    Returns:
+      `(mask, is_room, overflow)`: `[H, W]` bool; bool; int32.
+    """
+    free = is_free(belief.grid, belief.p_free)
+    found = segment(free, _criteria(params, belief.cell_m), form=form_for(free.shape, reach=belief.reach))
+    own = found.label[belief.row, belief.col]
+    mine = found.label == own
+    # From the middle of one wall's cell to that of the other, a cell more than is free between them.
+    narrow = (found.split_d2 > 0) & (2 * jnp.sqrt(found.split_d2.astype(jnp.float32)) * belief.cell_m <= params.door_m)
+    has_door = jnp.any(jnp.repeat(narrow, 2) & (found.group == own))
+    small = count(mine) * belief.cell_m**2 <= params.room_m2
+    return mine, (own >= 0) & has_door & small, found.overflow
+
+
+@functools.lru_cache(maxsize=64)
+def _select(inner):
+    """The `select` of a strategy with the modifier: the same function for the same strategy, so compiled once."""
+
+    def select(key, params, carry, belief, beams, route):
+        mine, is_room, overflow = own_segment(params, belief)
+        none = jnp.int32(-1)
+        nothing = Choice(none, none, jnp.int32(FAR), jnp.int32(0))
+
+        def attempt(i, state):
+            # First only what lies in the robot's segment, then, if nothing does that can be reached, everything.
+            def choose(_):
+                here = belief.replace(exhausted=belief.exhausted | (~mine & (i == 0)))
+                return inner(jax.random.fold_in(key, i), params.inner, carry, here, beams, route)
+
+            return run_if((state[1].row < 0) & (is_room | (i > 0)), choose, state)
+
+        carry, choice, route = lax.fori_loop(0, 2, attempt, (carry, nothing, route))
+        return carry, dataclasses.replace(choice, overflow=choice.overflow + overflow), route
+
+    return select
+
+
+@functools.lru_cache(maxsize=64)
+def _init(inner):
+    return lambda params, belief: inner(params.inner, belief)
+
+
+@functools.lru_cache(maxsize=64)
+def _live(inner):
+    return lambda params, belief, beams, row, col: inner(params.inner, belief, beams, row, col)
+
+
+def segmented(policy, kind="holz", *, prominence_m=0.15, gamma=3.0, door_m=1.6, room_m2=40.0):
+    """A strategy that prefers frontier cells in the robot's own segment.
+
+    Args:
+      policy: `Policy`.
+      kind: one of `KINDS`; "auto" segments as "holz" does, and prefers rooms only.
+      prominence_m: how much the clearance must rise on both sides of a critical point, metres.
+      gamma: see `segment.Criteria`, cells.
+      door_m: width of the widest door, metres; "auto" only.
+      room_m2: area of the largest room, m^2; "auto" only.
+
+    Returns:
+      `Policy`.
+    """
+    params = Params(
+        max_hops=VARIANTS["holz" if kind == "auto" else kind],
+        prominence_m=float(require_number("prominence_m", prominence_m, high=100)),
+        gamma=float(require_number("gamma", gamma, high=100)),
+        door_m=float(require_number("door_m", door_m, high=100)),
+        room_m2=float(require_number("room_m2", room_m2, high=1e6)),
+        inner=policy.params,
+    )
+    if kind != "auto":
+        params = params._replace(door_m=math.inf, room_m2=math.inf)
+    live = None if policy.live is None else _live(policy.live)
+    return Policy(_init(policy.init), _select(policy.select), params, live)

@@ -1,0 +1,147 @@
+"""Animations: an episode as a GIF, frame by frame, in pixels and one palette."""
+
+import math
+import os
+
+import matplotlib
+import numpy as np
+from PIL import Image, ImageDraw, ImageFont
+
+from jexplore.report.plot import ARROW, MAP_RGB
+from jexplore.report.store import atomic
+
+_GIF_RGB = [*MAP_RGB.tolist(), (224, 16, 16), (0, 114, 178), (230, 159, 0), (123, 44, 160), (245, 245, 245)]
+_UNKNOWN, _FREE, _OCCUPIED, _FRONTIER, _TARGET, _ROBOT, _PATH, _BAND = range(len(_GIF_RGB))
+_GREYS = 8
+_GIF_PALETTE = [*_GIF_RGB, *([round(245 * (1 - i / (_GREYS - 1)))] * 3 for i in range(_GREYS))]
+_BAND_PX, _MIN_WIDTH_PX, _LONG_PX = 24, 320, 640
+
+
+def _font(size):
+    return ImageFont.truetype(os.path.join(matplotlib.get_data_path(), "fonts", "ttf", "DejaVuSans.ttf"), size)
+
+
+def _shrunk(classes, factor):
+    """Blocks of `factor` x `factor` cells, each as its highest class: frontier over occupied over free over unknown."""
+    padded = np.pad(classes, [(0, -size % factor) for size in classes.shape])
+    return np.maximum.reduce([padded[row::factor, col::factor] for row, col in np.ndindex(factor, factor)])
+
+
+def _draw_text(image, text, at, font):
+    """Anti-aliased text on the caption band, in the greys of the shared palette. Returns its width, pixels."""
+    width = math.ceil(font.getlength(text))
+    mask = Image.new("L", (max(width, 1), _BAND_PX), 0)
+    ImageDraw.Draw(mask).text((0, _BAND_PX // 2), text, fill=255, font=font, anchor="lm")
+    index = np.asarray(mask, dtype=np.int32) * (_GREYS - 1) // 255 + len(_GIF_RGB)
+    image.paste(Image.fromarray(index.astype(np.uint8)), at)
+    return width
+
+
+def frame_image(frame, *, cell_m):
+    """One frame of an animation as a palette image; see `animate_gif` for its fields.
+
+    A cell is drawn as a square of whole pixels, as many as fit 640 pixels; maps of more than 640 cells are reduced by
+    whole factors first, where a frontier wins over occupied, occupied over free and free over unknown. Below lies a
+    band with the caption and a scale bar.
+    """
+    classes = np.where(frame["frontier"], np.uint8(_FRONTIER), np.asarray(frame["state"], dtype=np.uint8))
+    shrink = math.ceil(max(classes.shape) / _LONG_PX)
+    classes = _shrunk(classes, shrink)[::-1]
+    scale = max(1, _LONG_PX // max(classes.shape))
+    picture = classes.repeat(scale, axis=0).repeat(scale, axis=1)
+    height, width = picture.shape
+    page = np.full((height + _BAND_PX, max(width, _MIN_WIDTH_PX)), _BAND, dtype=np.uint8)
+    left = (page.shape[1] - width) // 2
+    page[:height, left : left + width] = picture
+    image = Image.fromarray(page)
+    image.putpalette(bytes(value for colour in _GIF_PALETTE for value in colour))
+    draw, per_cell = ImageDraw.Draw(image), scale / shrink
+
+    def pixel(row, col):
+        return left + (col + 0.5) * per_cell, height - (row + 0.5) * per_cell
+
+    points = [pixel(row, col) for row, col in zip(frame["rows"], frame["cols"])]
+    if len(points) > 1:
+        draw.line(points, fill=_PATH, width=max(1, min(3, scale // 2)))
+    size = min(max(6.0, 0.3 / cell_m * per_cell), 14.0)
+    if frame["target"] is not None:
+        x, y = pixel(*frame["target"])
+        draw.ellipse((x - size, y - size, x + size, y + size), outline=_TARGET, width=3)
+    x, y = pixel(frame["row"], frame["col"])
+    cos, sin = math.cos(math.radians(frame["heading_deg"])), math.sin(math.radians(frame["heading_deg"]))
+    arrow = [
+        (x + size * (u * cos - v * sin), y - size * (u * sin + v * cos)) for u, v in np.asarray(ARROW.vertices)[:-1]
+    ]
+    draw.polygon(arrow, fill=_ROBOT, outline=_OCCUPIED)
+    _draw_band(image, draw, frame["caption"], cell_m / per_cell, height)
+    return image
+
+
+def _draw_band(image, draw, caption, metres_a_pixel, top):
+    """The caption on the left, a scale bar of a round length on the right."""
+    font = _font(12)
+    widest = image.width / 4 * metres_a_pixel
+    unit = 10.0 ** math.floor(math.log10(widest))
+    bar_m = max(step * unit for step in (1, 2, 5) if step * unit <= widest)
+    right, bar = image.width - 10, round(bar_m / metres_a_pixel)
+    label = f"{bar_m:g} m"
+    label_left = right - bar - 8 - math.ceil(font.getlength(label))
+    _draw_text(image, label, (label_left, top), font)
+    y = top + _BAND_PX // 2
+    draw.line((right - bar, y, right, y), fill=_OCCUPIED, width=2)
+    for x in (right - bar, right):
+        draw.line((x, y - 4, x, y + 4), fill=_OCCUPIED)
+    text = " ".join(str(caption).split())
+    while text and font.getlength(text) > label_left - 20:
+        text = text[:-2].rstrip("…") + "…" if len(text) > 2 else ""
+    if text:
+        _draw_text(image, text, (8, top), font)
+
+
+def _thinned(images, max_frames):
+    """At most `max_frames` of the images, evenly spaced, the last one always; holds at most twice as many at a time."""
+    kept, stride, last = [], 1, None
+    for number, make in enumerate(images):
+        last = (number, make())
+        if number % stride == 0:
+            kept.append(last)
+        if len(kept) > 2 * max_frames:
+            kept, stride = kept[::2], 2 * stride
+    if last is None:
+        raise ValueError("expected one or more frames, got none")
+    if kept[-1][0] != last[0]:
+        kept.append(last)
+    if len(kept) > max_frames:
+        kept = [kept[i] for i in np.round(np.linspace(len(kept) - 1, 0, max_frames)).astype(int)[::-1]]
+    return [image for _, image in kept]
+
+
+def animate_gif(frames, path, *, cell_m, fps=12, max_frames=300):
+    """Write an episode as an animated GIF that loops, whole or not at all.
+
+    All frames share one palette, so colours do not flicker. The last frame is held for two seconds.
+
+    Args:
+      frames: iterable of one or more dicts: `state` `[H, W]` uint8; `frontier` `[H, W]` bool; `row`, `col`,
+        `heading_deg` of the robot; `target`, a `(row, col)` or None; `rows`, `cols` `[N]`, cells driven so far;
+        `caption`, text. A frame is drawn before the next one is asked for.
+      path: the file.
+      cell_m: edge of a cell, metres.
+      fps: frames a second, above 0 and at most 50.
+      max_frames: of more frames, that many are kept, evenly spaced, the last among them.
+
+    Returns:
+      Number of frames kept (those that look alike may be stored as one).
+
+    Raises:
+      InputError: the file cannot be written.
+      ValueError: no frames, or a rate or a number out of bounds.
+    """
+    if not 0 < fps <= 50 or max_frames < 1:
+        raise ValueError(f"expected 0 < fps <= 50 and max_frames >= 1, got {fps!r} and {max_frames!r}")
+    images = _thinned(((lambda frame=frame: frame_image(frame, cell_m=cell_m)) for frame in frames), max_frames)
+    durations = [round(100 / fps) * 10] * (len(images) - 1) + [2000]
+    with atomic(path) as part:
+        first, *rest = images
+        first.save(part, format="GIF", save_all=True, append_images=rest, duration=durations, loop=0, optimize=False)
+    return len(images)

@@ -1,0 +1,202 @@
+"""The operator's view: one run with a Behavioral Trace Map as a web page that replays offline, all in one file."""
+
+import base64
+import dataclasses
+import html
+import importlib.resources
+import json
+import re
+
+import numpy as np
+
+from jexplore.report.store import jsonable
+from jexplore.tracemap.record import BtmMap
+
+_SHAPES = {
+    **{"time_s": "N", "pose": "N3", "estimate": "N3", "mode": "N", "target_m": "N2"},
+    **{"angles_rad": "B", "ranges_m": "NB", "triangles_m": "NK32", "chosen": "N", "pitch_deg": "N", "roll_deg": "N"},
+    **{"n_nodes": "N", "n_links": "N", "votes": "N", "left_m": "N", "right_m": "N"},
+    **{"walls_m": "S4", "link_searched_frame": "L"},
+}
+_INTEGERS = ("mode", "chosen", "n_nodes", "n_links", "votes", "link_searched_frame")
+_FINITE = ("time_s", "pose", "estimate", "walls_m", "angles_rad")
+_STEPS = {
+    **{"time_s": 1e-3, "pose": 1e-3, "estimate": 1e-3, "walls_m": 1e-3, "angles_rad": 1e-4},
+    **{"target_m": 1e-2, "ranges_m": 1e-2, "triangles_m": 1e-2, "left_m": 1e-2, "right_m": 1e-2},
+    **{"pitch_deg": 1e-2, "roll_deg": 1e-2},
+}
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Recording:
+    """What happened in a run, frame by frame (N frames), and the map that it left. Numpy arrays, on the host.
+
+    Raises:
+      ValueError: a shape, a type or a number that does not fit.
+    """
+
+    title: str
+    dt_s: float
+    """Time between two frames, seconds."""
+    mode_names: tuple[str, ...]
+    walls_m: np.ndarray
+    """`[S, 4]` x0, y0, x1, y1 of the walls of the true building, metres."""
+    goal_m: tuple[float, float] | None
+    """x, y in the true building, metres."""
+    angles_rad: np.ndarray
+    """`[B]` bearings of the beams in the robot's frame, counter-clockwise from ahead."""
+    time_s: np.ndarray
+    """`[N]`, increasing."""
+    pose: np.ndarray
+    """`[N, 3]` true x, y (metres) and heading (radians)."""
+    estimate: np.ndarray
+    """`[N, 3]` the same by odometry. Target, scan, triangles and map belong to this frame."""
+    mode: np.ndarray
+    """`[N]` int index into `mode_names`."""
+    target_m: np.ndarray
+    """`[N, 2]` point steered to, in the frame of the estimate; NaN for none."""
+    ranges_m: np.ndarray
+    """`[N, B]`; NaN or infinite for no return."""
+    triangles_m: np.ndarray
+    """`[N, K, 3, 2]` corners of the surviving triangles in the robot's frame; NaN for none."""
+    chosen: np.ndarray
+    """`[N]` int index of the chosen triangle among the K; -1 for none."""
+    pitch_deg: np.ndarray
+    """`[N]`, above 0 nose down."""
+    roll_deg: np.ndarray
+    """`[N]`"""
+    n_nodes: np.ndarray
+    """`[N]` int, nodes that the map had by then: the first so many of `map.nodes`."""
+    n_links: np.ndarray
+    """`[N]` int, likewise of `map.links`."""
+    link_searched_frame: np.ndarray
+    """`[L]` int frame from which a link of the map counts as searched; N for never."""
+    votes: np.ndarray
+    """`[N]` int votes for the node that is being approached."""
+    left_m: np.ndarray
+    """`[N]` L_l, distance to the wall on the left; infinite for none within reach."""
+    right_m: np.ndarray
+    """`[N]` L_r, likewise on the right."""
+    map: BtmMap
+    """As it was at the end, in the frame of the estimate."""
+    robot_m: tuple[float, float] = (0.70, 0.39)
+    """Length and width of the robot, for its outline."""
+
+    def __post_init__(self):
+        _check_shapes(self)
+        _check_values(self)
+
+
+def _check_shapes(recording):
+    sizes = {"L": len(recording.map.links)}
+    for name, dims in _SHAPES.items():
+        array = np.asarray(getattr(recording, name))
+        wanted = [int(dim) if dim.isdigit() else sizes.setdefault(dim, size) for dim, size in zip(dims, array.shape)]
+        if array.ndim != len(dims) or list(array.shape) != wanted:
+            expected = ", ".join(dim if dim.isdigit() else f"{dim} = {sizes.get(dim, 'any')}" for dim in dims)
+            raise ValueError(f"expected {name} of shape [{expected}], got {list(array.shape)}")
+        if not np.issubdtype(array.dtype, np.integer if name in _INTEGERS else np.number):
+            kind = "integers" if name in _INTEGERS else "numbers"
+            raise ValueError(f"expected {name} of {kind}, got {array.dtype}")
+    if not sizes["N"]:
+        raise ValueError("expected one or more frames, got none")
+
+
+def _check_values(recording):
+    for name in _FINITE:
+        if not np.isfinite(getattr(recording, name)).all():
+            raise ValueError(f"expected {name} finite, got NaN or an infinity")
+    if not (np.diff(recording.time_s) > 0).all():
+        raise ValueError("expected time_s to increase from frame to frame, got a step back or none")
+    if not (0 < recording.dt_s < np.inf and all(0 < size < np.inf for size in recording.robot_m)):
+        raise ValueError(f"expected dt_s and robot_m above 0, got {recording.dt_s} and {recording.robot_m}")
+    if recording.goal_m is not None and not (len(recording.goal_m) == 2 and np.isfinite(recording.goal_m).all()):
+        raise ValueError(f"expected goal_m as x, y or None, got {recording.goal_m}")
+    frames, most = len(recording.time_s), recording.triangles_m.shape[1]
+    bounds = {
+        **{"mode": (0, len(recording.mode_names) - 1), "chosen": (-1, most - 1), "link_searched_frame": (0, frames)},
+        **{"n_nodes": (0, len(recording.map.nodes)), "n_links": (0, len(recording.map.links))},
+    }
+    for name, (low, high) in bounds.items():
+        values = np.asarray(getattr(recording, name))
+        wrong = values[(values < low) | (values > high)]
+        if wrong.size:
+            raise ValueError(f"expected {name} from {low} to {high}, got {wrong[0]}")
+    rows = np.flatnonzero(recording.chosen >= 0)
+    lost = rows[~_present(recording)[rows, recording.chosen[rows]]]
+    if lost.size:
+        raise ValueError(
+            f"expected chosen to name a surviving triangle, got {recording.chosen[lost[0]]} in frame {lost[0]}"
+        )
+    known = {node.id for node in recording.map.nodes}
+    for link in recording.map.links:
+        if link.start not in known:
+            raise ValueError(f"expected link {link.id} to start at a node of the map, got {link.start}")
+
+
+def _present(recording):
+    """`[N, K]` bool, True where there is a triangle."""
+    return np.isfinite(recording.triangles_m).all(axis=(2, 3))
+
+
+def _packed(name, values):
+    """An array as little-endian whole multiples of a step, in base64; the type's extremes are NaN and +infinity."""
+    step = _STEPS.get(name, 1)
+    scaled = np.round(np.asarray(values, dtype=np.float64) / step)
+    most = np.abs(scaled[np.isfinite(scaled)]).max(initial=0)
+    kind = np.int16 if most < np.iinfo(np.int16).max else np.int32
+    low, high = np.iinfo(kind).min, np.iinfo(kind).max
+    if most >= high:
+        raise ValueError(f"expected {name} below {high * step:.10g}, got {most * step:.10g}")
+    whole = np.nan_to_num(scaled, nan=low, posinf=high, neginf=low).astype(np.dtype(kind).newbyteorder("<"))
+    text = base64.b64encode(whole.tobytes()).decode("ascii")
+    return {"type": f"i{whole.itemsize}", "step": step, "shape": list(whole.shape), "base64": text}
+
+
+def _data(recording):
+    """What the page reads: packed arrays by name, and the rest as it is. Triangles lie end to end, without the NaN."""
+    arrays = {name: getattr(recording, name) for name in _SHAPES}
+    present = _present(recording)
+    rank = np.cumsum(present, axis=1) - 1
+    rows = np.flatnonzero(recording.chosen >= 0)
+    chosen = np.full(len(present), -1)
+    chosen[rows] = rank[rows, recording.chosen[rows]]
+    arrays |= {"triangles_m": recording.triangles_m[present], "chosen": chosen, "n_triangles": present.sum(axis=1)}
+
+    def rows_of(items):
+        return [jsonable({**vars(item), "attributes": dict(item.attributes)}) for item in items]
+
+    return {
+        "title": str(recording.title),
+        "dt_s": float(recording.dt_s),
+        "mode_names": [str(name) for name in recording.mode_names],
+        "goal_m": None if recording.goal_m is None else [float(value) for value in recording.goal_m],
+        "robot_m": [float(size) for size in recording.robot_m],
+        "nodes": rows_of(recording.map.nodes),
+        "links": rows_of(recording.map.links),
+        "arrays": {name: _packed(name, values) for name, values in arrays.items()},
+    }
+
+
+def page(recording):
+    """A run as one HTML file that replays in a browser: no network, no server, no other file.
+
+    Metres are kept to 1 cm (poses and walls to 1 mm), angles of beams to 0.1 mrad, tilt to 0.01 degrees. The page is
+    plain ASCII, so it may be written in any encoding.
+
+    Args:
+      recording: a `Recording`.
+
+    Returns:
+      The page, text.
+
+    Raises:
+      ValueError: a number too large to be kept.
+    """
+    text = json.dumps(_data(recording), separators=(",", ":"), allow_nan=False)
+    for character in "<>&":  # so that no text can end the script
+        text = text.replace(character, f"\\u{ord(character):04x}")
+    title = html.escape(str(recording.title)).encode("ascii", "xmlcharrefreplace").decode("ascii")
+    parts = {"title": title, "data": text}
+    template = importlib.resources.files("jexplore").joinpath("operator_view.html").read_text(encoding="utf-8")
+    return re.sub(r"\{\{(title|data)\}\}", lambda match: parts[match[1]], template)

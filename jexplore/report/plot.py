@@ -1,0 +1,414 @@
+"""Pictures: comparisons as bars, maps with paths, contact sheets.
+
+`bars` and the `draw_*` functions take arrays and an `Axes` and return the artists; the `*_figure` functions compose
+them into a `Figure` that no window or global state knows of (save it with `save_figure`). Arrays are `(row, col)` with
+row 0 at the bottom; axes are in metres from the lower left corner of cell (0, 0). A map state is uint8: 0 unknown, 1
+free, 2 occupied.
+"""
+
+import itertools
+import math
+import os
+import re
+
+import matplotlib
+import numpy as np
+from matplotlib.cm import ScalarMappable
+from matplotlib.collections import LineCollection
+from matplotlib.colors import ListedColormap, hsv_to_rgb, to_rgb
+from matplotlib.figure import Figure
+from matplotlib.markers import MarkerStyle
+from matplotlib.path import Path as Outline
+from matplotlib.ticker import MaxNLocator
+
+from jexplore.report.store import atomic
+
+PALETTE = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00", "#f0e442", "#999999")
+"""Okabe and Ito's colours, told apart by colour-blind readers; a ninth strategy starts over with a hatch."""
+MAP_RGB = np.array([[184, 184, 184], [255, 255, 255], [0, 0, 0]], dtype=np.uint8)
+"""Colours of the map states unknown, free, occupied."""
+FRONTIER, TARGET, ROBOT = "#e01010", "#0072b2", "#e69f00"
+PROGRESS = ListedColormap(matplotlib.colormaps["plasma"](np.linspace(0.0, 0.85, 256)), name="progress")
+"""Start to end of a path; without the pale end, which white floor would swallow."""
+ARROW = Outline([(1.0, 0.0), (-0.6, 0.6), (-0.3, 0.0), (-0.6, -0.6), (1.0, 0.0)], closed=True)
+"""The robot: an arrow head along x."""
+
+
+def save_figure(figure, path, *, dpi=100):
+    """Write a figure in the format of the file's ending, whole or not at all.
+
+    Raises:
+      InputError: the file cannot be written.
+    """
+    with atomic(path) as part:
+        figure.savefig(part, format=os.path.splitext(path)[1].lstrip(".") or "png", dpi=dpi)
+
+
+def wrapped(text, width, *, max_lines=3):
+    """`text` in at most `max_lines` lines of at most `width` characters.
+
+    Lines break before + : @ / # and after a comma or blank; what does not fit loses its middle to an ellipsis.
+    """
+    text = " ".join(str(text).split())
+    short, keep = text, len(text)
+    while (lines := _filled(short, width)).count("\n") >= max_lines:
+        keep -= 1
+        short = text[: keep // 3] + "…" + text[len(text) - keep + keep // 3 :]
+    return lines
+
+
+def _filled(text, width):
+    lines = [""]
+    for piece in re.split(r"(?=[+:@/#])|(?<=[, ])", text):
+        if lines[-1] and len(lines[-1]) + len(piece.rstrip()) > width:
+            lines.append("")
+        lines[-1] += piece
+        while len(lines[-1].rstrip()) > width:
+            lines[-1:] = [lines[-1][:width], lines[-1][width:]]
+    return "\n".join(line.strip() for line in lines)
+
+
+def _plain(*texts):
+    """Show `$` and `_` in names as they are."""
+    for text in texts:
+        text.set_parse_math(False)
+
+
+def _no_ticks(ax):
+    ax.set_xticks([])
+    ax.set_yticks([])
+
+
+def _centres_m(cells, cell_m):
+    return (np.asarray(cells, dtype=np.float64) + 0.5) * cell_m
+
+
+def bars(ax, labels, means, sds, title="", *, styles=None, at=None, thickness=0.72):
+    """Mean path lengths as bars with whiskers of one standard deviation and the numbers beside them, the first on top.
+
+    Args:
+      ax: the axes.
+      labels: `[K]` texts.
+      means, sds: `[K]` metres; a NaN mean leaves a gap marked "no data", a NaN or zero sd has no whisker.
+      title: of the axes.
+      styles: `[K]` dicts of bar properties (`facecolor`, `hatch`); by default the palette in order.
+      at: `[K]` places on the axis, rising; by default 0 to K - 1.
+      thickness: of a bar, on the same scale.
+
+    Returns:
+      The `BarContainer`.
+
+    Source:
+      Holz et al. 2010, Figure 8. Changed: the bars lie, so that long names stay readable.
+    """
+    means, sds = np.asarray(means, dtype=np.float64), np.asarray(sds, dtype=np.float64)
+    at, known = np.arange(len(means)) if at is None else np.asarray(at), np.isfinite(means)
+    length, spread = np.where(known, means, 0.0), np.where(known & np.isfinite(sds), sds, 0.0)
+    container = ax.barh(at, length, height=thickness, edgecolor="black", linewidth=0.6)
+    for bar, style in zip(container, styles or style_of(range(len(means))).values()):
+        bar.set(**style)
+    some = spread > 0
+    whisker = np.stack([np.minimum(spread, length), spread])[:, some]
+    ax.errorbar(length[some], at[some], xerr=whisker, fmt="none", ecolor="black", elinewidth=1, capsize=3)
+    longest = float((length + spread).max(initial=0.0)) or 1.0
+    for y, mean, sd in zip(at, means, sds):
+        text = "no data" if math.isnan(mean) else f"{mean:.1f}" + (f" ± {sd:.1f}" if math.isfinite(sd) else "")
+        x = 0.0 if math.isnan(mean) else mean + (sd if math.isfinite(sd) else 0.0)
+        ax.text(x + 0.025 * longest, y, text, va="center", ha="left", fontsize=8)
+    ax.set_xlim(0, 1.55 * longest)
+    ax.set_ylim(at[-1] + 0.5, at[0] - 0.5)
+    ax.set_yticks(at, labels, fontsize=8)
+    ax.tick_params(axis="y", length=0)
+    ax.tick_params(axis="x", labelsize=8)
+    ax.xaxis.set_major_locator(MaxNLocator(nbins=4))
+    ax.set_xlabel("path length (m)", fontsize=8)
+    ax.spines[["top", "right"]].set_visible(False)
+    _plain(ax.set_title(title, fontsize=9), *ax.get_yticklabels())
+    return container
+
+
+def style_of(strategies):
+    """`{strategy: bar properties}` in the order given: a colour each, and a hatch from the ninth on."""
+    hatches = (None, "///", "...", "xxx", "\\\\\\")
+    return {
+        name: {"facecolor": PALETTE[i % len(PALETTE)], "hatch": hatches[i // len(PALETTE) % len(hatches)]}
+        for i, name in enumerate(strategies)
+    }
+
+
+def _grid(count):
+    """Rows and columns for `count` panels."""
+    n_cols = count if count <= 3 else min(4, math.ceil(math.sqrt(count)))
+    return math.ceil(count / n_cols), n_cols
+
+
+def compare_figure(summary):
+    """Path lengths of every strategy, one panel a world, as Holz et al. 2010, Figure 8.
+
+    Strategies stand in order of first appearance and keep their colour in all panels; one that did not run in a world
+    leaves a gap there.
+
+    Args:
+      summary: from `stats.summarise`: columns `world`, `strategy`, `mean`, `sd`; one row or more.
+
+    Returns:
+      `Figure`.
+    """
+    worlds, strategies = list(dict.fromkeys(summary["world"])), list(dict.fromkeys(summary["strategy"]))
+    found = {(row.world, row.strategy): (row.mean, row.sd) for row in summary.itertuples(index=False)}
+    styles, labels = list(style_of(strategies).values()), [wrapped(name, 26) for name in strategies]
+    n_rows, n_cols = _grid(len(worlds))
+    height = 0.75 + sum(0.14 + 0.15 * (label.count("\n") + 1) for label in labels)
+    names_in = 0.07 * max(len(line) for label in labels for line in label.split("\n")) + 0.2
+    figure = Figure(figsize=(names_in + 2.9 * n_cols, n_rows * max(height, 1.3) + 0.1), layout="constrained")
+    grid = figure.subplots(n_rows, n_cols, squeeze=False, sharey=True)
+    for ax, world in itertools.zip_longest(grid.flat, worlds):
+        if world is None:
+            ax.set_visible(False)
+            continue
+        means, sds = zip(*(found.get((world, name), (math.nan, math.nan)) for name in strategies))
+        bars(ax, labels, means, sds, wrapped(world, 38, max_lines=2), styles=styles)
+        if ax.get_subplotspec().rowspan.stop < n_rows and ax is not grid.flat[len(worlds) - 1]:
+            below = grid.flat[list(grid.flat).index(ax) + n_cols].get_subplotspec().num1
+            ax.set_xlabel("path length (m)" if below >= len(worlds) else "")
+    return figure
+
+
+def draw_map(ax, state, cell_m):
+    """The known map: unknown grey, free white, occupied black.
+
+    Args:
+      ax: the axes; they get equal scales and limits around the map.
+      state: `[H, W]` uint8, 0 unknown, 1 free, 2 occupied.
+      cell_m: edge of a cell, metres.
+
+    Returns:
+      The image, RGB, so that a wall thinner than a pixel darkens it instead of vanishing.
+    """
+    return _image(ax, MAP_RGB[np.asarray(state)], cell_m)
+
+
+def _image(ax, colours, cell_m, **properties):
+    height, width = colours.shape[0] * cell_m, colours.shape[1] * cell_m
+    extent = (0.0, width, 0.0, height)
+    return ax.imshow(colours, extent=extent, origin="lower", aspect="equal", **properties)
+
+
+def draw_path(ax, rows, cols, cell_m, *, width=1.4):
+    """The driven path, coloured from start to end by distance driven, the start a ring and the end a cross.
+
+    Args:
+      ax: the axes.
+      rows, cols: `[N]` cells in the order driven, N >= 1.
+      cell_m: edge of a cell, metres.
+      width: of the line, points.
+
+    Returns:
+      `(line, start, end)`: a `LineCollection` of N - 1 segments valued 0 to 1, and two `Line2D` markers.
+    """
+    xy = np.stack([_centres_m(cols, cell_m), _centres_m(rows, cell_m)], axis=-1)
+    if len(xy) == 0:
+        raise ValueError("expected a path of one or more cells, got an empty one")
+    pieces = np.stack([xy[:-1], xy[1:]], axis=1)
+    driven = np.cumsum(np.hypot(*(xy[1:] - xy[:-1]).T))
+    line = LineCollection(list(pieces), cmap=PROGRESS, linewidths=width, capstyle="round", zorder=3)
+    line.set_array(driven / max(driven[-1], 1e-12) if len(driven) else driven)
+    line.set_clim(0.0, 1.0)
+    ax.add_collection(line, autolim=False)
+    (start,) = ax.plot(*xy[0], "o", ms=7, mfc="white", mec="black", mew=1.6, zorder=5, label="start")
+    (end,) = ax.plot(*xy[-1], "X", ms=8, mfc="black", mec="white", mew=0.9, zorder=6, label="end")
+    return line, start, end
+
+
+def draw_frontiers(ax, mask, cell_m):
+    """Frontier cells in red over a map, `mask` `[H, W]` bool. Returns the image, transparent elsewhere."""
+    colours = np.zeros((*np.shape(mask), 4))
+    colours[..., :3] = to_rgb(FRONTIER)
+    colours[..., 3] = mask
+    return _image(ax, colours, cell_m, interpolation="nearest", zorder=2)
+
+
+def draw_target(ax, row, col, cell_m):
+    """The target cell as a blue ring with a dot. Returns the two `Line2D`."""
+    x, y = _centres_m(col, cell_m), _centres_m(row, cell_m)
+    (ring,) = ax.plot(x, y, "o", ms=13, mfc="none", mec=TARGET, mew=2, zorder=5, label="target")
+    (dot,) = ax.plot(x, y, "o", ms=4, color=TARGET, zorder=5)
+    return ring, dot
+
+
+def draw_robot(ax, row, col, heading_deg, cell_m, *, size=12):
+    """The robot as an arrow head in its direction, 0 along x, counter-clockwise, degrees. Returns the `Line2D`."""
+    marker = MarkerStyle(ARROW).rotated(deg=heading_deg)
+    place = _centres_m([col], cell_m), _centres_m([row], cell_m)
+    style = {"ms": size, "mfc": ROBOT, "mec": "black", "mew": 1.0, "ls": "none", "zorder": 6}
+    (robot,) = ax.plot(*place, marker=marker, label="robot", **style)
+    return robot
+
+
+def room_colours(count):
+    """`[count, 3]` floats: soft colours, neighbours in number far apart in hue."""
+    number = np.arange(count)
+    hue, tone = number * 0.618034 % 1.0, np.where(number % 2, 0.18, 0.32)
+    return hsv_to_rgb(np.stack([hue, tone, np.full(count, 0.96)], axis=-1))
+
+
+def draw_rooms(ax, world, *, numbers=True):
+    """The true floor plan with its rooms in soft colours and, at a cell of each near its middle, the room's number.
+
+    Args:
+      ax: the axes.
+      world: `World`; without rooms its floor stays white.
+      numbers: whether to print the numbers.
+
+    Returns:
+      `(image, texts)`.
+    """
+    rooms = np.full(world.shape, -1) if world.rooms is None else np.asarray(world.rooms)
+    colours = np.ones((*world.shape, 3))
+    count = int(rooms.max(initial=-1)) + 1
+    colours[rooms >= 0] = room_colours(count)[rooms[rooms >= 0]]
+    colours[np.asarray(world.occupied)] = 0.0
+    image = _image(ax, colours, world.cell_m)
+    texts = []
+    for room in np.unique(rooms[rooms >= 0]) if numbers else ():
+        cells = np.argwhere(rooms == room)
+        row, col = cells[np.argmin(((cells - cells.mean(axis=0)) ** 2).sum(axis=1))]
+        x, y = _centres_m(col, world.cell_m), _centres_m(row, world.cell_m)
+        texts.append(ax.text(x, y, str(room), ha="center", va="center", fontsize=7))
+    return image, texts
+
+
+def _panel_in(shapes, *, long_in):
+    """Width and height, inches, of a panel that holds maps of all `shapes` (rows, cols)."""
+    widths = [min(long_in, 1.25 * long_in * cols / rows) for rows, cols in shapes]
+    heights = [width * rows / cols for width, (rows, cols) in zip(widths, shapes)]
+    return max(*widths, 0.5 * long_in), max(*heights, 0.3 * long_in)
+
+
+def _path_legend(figure, axes, marks):
+    """A colour bar below the panels, and beside it the two marks of `draw_path`."""
+    share = min(0.62, 3.6 / figure.get_figwidth())
+    place = {"location": "bottom", "shrink": share, "fraction": 0.03, "pad": 0.03, "aspect": 30, "anchor": (0, 0)}
+    bar = figure.colorbar(ScalarMappable(cmap=PROGRESS), ax=axes, **place)
+    bar.set_ticks([0, 1], labels=["start", "end of the path"], fontsize=8)
+    bar.outline.set_visible(False)
+    style = {"frameon": False, "fontsize": 8, "ncols": 2, "borderaxespad": 0.0}
+    bar.ax.legend(handles=marks, loc="center left", bbox_to_anchor=(1.1, 0.5), **style)
+
+
+def paths_figure(entries):
+    """The map as each strategy saw it with the path it drove, a row a world and a column a strategy.
+
+    Args:
+      entries: one or more `(world name, panels)`; a panel is `(strategy, state, rows, cols, cell_m, path_m)`: the final
+        map `[H, W]` uint8, the cells driven `[N]`, the edge of a cell and the path length, metres. Rows may differ in
+        length.
+
+    Returns:
+      `Figure`.
+    """
+    n_cols = max(len(panels) for _, panels in entries)
+    sizes = [_panel_in([np.shape(panel[1]) for panel in panels], long_in=3.0) for _, panels in entries]
+    width, heights = max(size[0] for size in sizes), [size[1] for size in sizes]
+    tall_in = sum(heights) + 0.45 * len(heights) + 0.6
+    figure = Figure(figsize=(max(width * n_cols + 0.5, 3.6), tall_in), layout="constrained")
+    grid, marks = figure.subplots(len(entries), n_cols, squeeze=False, gridspec_kw={"height_ratios": heights}), ()
+    for line, height, (world, panels) in zip(grid, heights, entries):
+        for ax, panel in itertools.zip_longest(line, panels):
+            if panel is None:
+                ax.set_visible(False)
+                continue
+            strategy, state, rows, cols, cell_m, path_m = panel
+            draw_map(ax, state, cell_m)
+            marks = draw_path(ax, rows, cols, cell_m)[1:]
+            _no_ticks(ax)
+            _plain(ax.set_title(f"{wrapped(strategy, int(11 * width), max_lines=2)}\n{path_m:.1f} m", fontsize=9))
+        _plain(line[0].set_ylabel(wrapped(world, int(12 * height), max_lines=3), fontsize=9))
+    _path_legend(figure, list(grid.flat), marks)
+    return figure
+
+
+def episode_figure(state, rows, cols, cell_m, *, path_m, known_cells, title=""):
+    """One episode: the final map with its path, and beside it how the known area grew with the path.
+
+    Args:
+      state: `[H, W]` uint8, the final map.
+      rows, cols: `[N]` cells driven, N >= 1.
+      cell_m: edge of a cell, metres.
+      path_m: `[T]` float, path length at each scan, not decreasing.
+      known_cells: `[T]` int, cells known after that scan.
+      title: of the figure.
+
+    Returns:
+      `Figure`.
+    """
+    width, height = _panel_in([np.shape(state)], long_in=5.2)
+    figure = Figure(figsize=(width + 4.4, max(height, 3.2) + 0.7), layout="constrained")
+    left, right = figure.subplots(1, 2, gridspec_kw={"width_ratios": [width, 4.0]})
+    draw_map(left, state, cell_m)
+    _, *marks = draw_path(left, rows, cols, cell_m)
+    left.set(xlabel="x (m)", ylabel="y (m)")
+    figure.legend(handles=marks, loc="outside lower left", ncols=2, frameon=False, fontsize=8)
+    path_m, known_m2 = np.asarray(path_m), np.asarray(known_cells) * cell_m**2
+    draw_coverage(right, path_m, known_m2)
+    _plain(figure.suptitle(wrapped(title, int(11 * figure.get_figwidth()), max_lines=2), fontsize=11))
+    return figure
+
+
+def draw_coverage(ax, path_m, known_m2):
+    """Known area over path length, in colours of progress like the path, with its share of the final area on the right.
+
+    Args:
+      ax: the axes.
+      path_m, known_m2: `[T]` metres and square metres, T >= 1.
+
+    Returns:
+      The `LineCollection`.
+    """
+    xy = np.stack([path_m, known_m2], axis=-1).astype(np.float64)
+    end_m, final_m2 = max(float(xy[-1, 0]), 1e-9), max(float(xy[-1, 1]), 1e-9)
+    line = LineCollection(list(np.stack([xy[:-1], xy[1:]], axis=1)), cmap=PROGRESS, linewidths=2.2, capstyle="round")
+    line.set_array(xy[1:, 0] / end_m)
+    line.set_clim(0.0, 1.0)
+    ax.add_collection(line)
+    ax.set(xlim=(0, 1.02 * end_m), ylim=(0, 1.05 * final_m2))
+    ax.set(xlabel="path length (m)", ylabel="known area (m²)")
+    ax.grid(alpha=0.3)
+    ax.spines[["top", "right"]].set_visible(False)
+    share = ax.secondary_yaxis("right", functions=(lambda m2: 100 * m2 / final_m2, lambda s: s * final_m2 / 100))
+    share.set_yticks([0, 25, 50, 75, 100])
+    share.set_ylabel("share of the area known in the end (%)")
+    share.spines["right"].set_visible(False)
+    return line
+
+
+def worlds_figure(worlds):
+    """A contact sheet of floor plans: rooms, start, free area, number of rooms.
+
+    Args:
+      worlds: one or more `(name, World)`.
+
+    Returns:
+      `Figure`.
+    """
+    n_rows, n_cols = _grid(len(worlds))
+    shapes = [world.shape for _, world in worlds]
+    sizes = [_panel_in(shapes[i : i + n_cols], long_in=3.0) for i in range(0, len(shapes), n_cols)]
+    width, heights = max(size[0] for size in sizes), [size[1] for size in sizes]
+    figure = Figure(figsize=(width * n_cols + 0.2, sum(heights) + 0.6 * n_rows), layout="constrained")
+    grid = figure.subplots(n_rows, n_cols, squeeze=False, gridspec_kw={"height_ratios": heights})
+    for ax, entry in itertools.zip_longest(grid.flat, worlds):
+        if entry is None:
+            ax.set_visible(False)
+            continue
+        name, world = entry
+        draw_rooms(ax, world, numbers=False)
+        if world.start is not None:
+            row, col, heading_deg = world.start
+            draw_robot(ax, row, col, heading_deg, world.cell_m, size=10)
+        _no_ticks(ax)
+        _plain(ax.set_title(wrapped(name, int(11 * width), max_lines=2), fontsize=9))
+        n_rooms = 0 if world.rooms is None else len(np.unique(world.rooms[world.rooms >= 0]))
+        rooms = f", {n_rooms} room{'s' if n_rooms > 1 else ''}" if n_rooms else ""
+        ax.set_xlabel(f"{world.free_m2:.0f} m² free{rooms}", fontsize=8)
+    return figure

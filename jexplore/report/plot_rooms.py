@@ -1,0 +1,65 @@
+"""A picture of maps in rooms, with the Voronoi graph and the critical points that they come from."""
+
+import math
+import os
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from jexplore.report.plot import room_colours, wrapped
+
+SIDE_IN = 4.2  # of a panel, the longer side
+CRITICAL = "#d00000"
+
+
+def draw_segments(ax, picture):
+    """Draws segments in colours, the Voronoi graph as thin lines, critical points as dots.
+
+    Args:
+      ax: `Axes`.
+      picture: `segmentation.Picture`.
+
+    Returns:
+      The image's artist.
+    """
+    height, width = picture.label.shape
+    count = int(picture.label.max()) + 1
+    rgb = np.full((height, width, 3), 255, np.uint8)
+    rgb[~picture.free] = 60
+    rgb[picture.free] = 235
+    if count:
+        colours = (255 * np.asarray(room_colours(count))[:, :3]).astype(np.uint8)
+        rooms = picture.label >= 0
+        rgb[rooms] = colours[picture.label[rooms]]
+    rgb.reshape(-1, 3)[picture.lines] = 90
+    extent = (0, width * picture.cell_m, 0, height * picture.cell_m)
+    artist = ax.imshow(rgb, origin="lower", extent=extent, interpolation="nearest")
+    rows, cols = picture.critical // width, picture.critical % width
+    ax.plot((cols + 0.5) * picture.cell_m, (rows + 0.5) * picture.cell_m, "o", color=CRITICAL, markersize=3)
+    ax.set_xticks([])
+    ax.set_yticks([])
+    return artist
+
+
+def figure(pictures, scores):
+    """A page with a row for every map and share known, and a column for every variant.
+
+    Args:
+      pictures: list of `segmentation.Picture`.
+      scores: table with the columns `map`, `variant`, `explored`, `mcc`, `rooms`, in the order of the pictures.
+
+    Returns:
+      `Figure`.
+    """
+    variants = list(dict.fromkeys(picture.variant for picture in pictures))
+    n_rows = math.ceil(len(pictures) / len(variants))
+    tallest = max(p.label.shape[0] / max(p.label.shape) for p in pictures)
+    page = Figure(figsize=(SIDE_IN * len(variants), (SIDE_IN * tallest + 0.5) * n_rows), layout="constrained")
+    axes = page.subplots(n_rows, len(variants), squeeze=False)
+    for ax, picture, (_, row) in zip(axes.flat, pictures, scores.iterrows()):
+        draw_segments(ax, picture)
+        share = "" if picture.explored == 1 else f", {picture.explored:.0%} known"
+        agreement = "" if np.isnan(row["mcc"]) else f", MCC {row['mcc']:.2f}"
+        title = f"{wrapped(os.path.basename(picture.name), 40, max_lines=1)}{share}\n"
+        ax.set_title(f"{title}{picture.variant}: {int(row['rooms'])} rooms{agreement}", fontsize=8, parse_math=False)
+    return page

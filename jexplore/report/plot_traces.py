@@ -1,0 +1,216 @@
+"""Pictures of Behavioral Trace Maps: nodes and links, and on a page with them the building and the run."""
+
+import math
+
+import numpy as np
+from matplotlib import patheffects
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.ticker import MaxNLocator
+
+from jexplore.report.plot import PALETTE, wrapped
+from jexplore.tracemap.record import NODE_TYPES, NOWHERE
+
+NODE_STYLES = {
+    "terminal": {"marker": "s", "markerfacecolor": "white"},
+    "divergence": {"marker": "o", "markerfacecolor": PALETTE[6]},
+    "free_space": {"marker": "D", "markerfacecolor": PALETTE[4]},
+    "obstacle": {"marker": "^", "markerfacecolor": PALETTE[3]},
+}
+MODE_COLOURS = tuple(PALETTE[i] for i in (0, 1, 2, 5, 7, 3, 4, 6))
+"""Of run modes, those first that no type of node has; a ninth mode starts over."""
+WALL, POINT, LINK = "#dddddd", "#555555", "black"
+STUB_M = 0.8  # drawn length of a link that nobody has followed
+LONG_IN, LEGEND_IN = 8.0, 1.9
+NEAR_M = 0.25  # by which a first pass of a node may be farther than the nearest
+_HALO = (patheffects.withStroke(linewidth=2.2, foreground="white"),)
+
+
+def draw_btm(ax, btm, *, legend=True):
+    """Draws searched links as straight lines, un-searched ones as short dashed lines, and nodes with their ids.
+
+    Args:
+      ax: `Axes`, in metres; its limits are left to matplotlib.
+      btm: `BtmMap`.
+      legend: whether to put a legend beside the axes.
+
+    Returns:
+      Handles for a legend: a `Line2D` for every type of node and state of a link that the map has.
+    """
+    places = {node.id: (node.x_m, node.y_m) for node in btm.nodes}
+    ways, stubs = [], []
+    for link in btm.links:
+        start = places[link.start]
+        if link.end == NOWHERE:
+            stubs.append([start, _beside(start, link.start_bearing_deg)])
+        elif link.start == link.end:
+            ends = (bearing for bearing in (link.start_bearing_deg, link.end_bearing_deg) if bearing is not None)
+            ways.append([_beside(start, bearing) for bearing in ends])
+            ways[-1].insert(1, start)
+        else:
+            ways.append([start, places[link.end]])
+    handles = []
+    for lines, style, label in ((ways, "-", "searched link"), (stubs, (0, (2, 1)), "un-searched link")):
+        if lines:
+            ax.add_collection(LineCollection(lines, colors=LINK, linewidths=1.1, linestyles=[style], zorder=4))
+            handles.append(Line2D([], [], color=LINK, label=label, **{"linestyle": style, "linewidth": 1.1}))
+    for kind in NODE_TYPES:
+        xy = np.array([places[node.id] for node in btm.nodes if node.type == kind]).reshape(-1, 2)
+        if len(xy):
+            style = {"linestyle": "none", "markersize": 7, "markeredgecolor": "black", **NODE_STYLES[kind]}
+            ax.plot(xy[:, 0], xy[:, 1], zorder=6, **style)
+            handles.append(Line2D([], [], label=f"{kind.replace('_', ' ')} node", **style))
+    for node in btm.nodes:
+        x, y = _free_side(btm, node)
+        place = {"xytext": (12 * x, 12 * y), "textcoords": "offset points", "ha": "center", "va": "center"}
+        text = ax.annotate(str(node.id), places[node.id], fontsize=7, zorder=7, **place)
+        text.set_path_effects(_HALO)
+    ax.autoscale_view()
+    if legend and handles:
+        ax.legend(handles=handles, loc="upper left", bbox_to_anchor=(1.01, 1.0), fontsize=8, frameon=False)
+    return handles
+
+
+def _beside(place, bearing_deg):
+    angle = math.radians(bearing_deg)
+    return place[0] + STUB_M * math.cos(angle), place[1] + STUB_M * math.sin(angle)
+
+
+def _free_side(btm, node):
+    """Unit vector to where the id of a node stands: above it, or else in a direction 45 degrees off its links."""
+    links = btm.bearings_deg(node.id)
+
+    def off(angle):
+        return min((abs((angle - bearing + 180) % 360 - 180) for bearing in links), default=180.0)
+
+    best = max((90, 45, 135, 0, 180, 315, 225, 270), key=lambda angle: min(round(off(angle)), 45))
+    return math.cos(math.radians(best)), math.sin(math.radians(best))
+
+
+def draw_trail(ax, trail, modes, mode_names):
+    """Draws the robot's way in the colour of its mode, a ring at the start and a cross at the end.
+
+    Args:
+      ax: `Axes`, in metres.
+      trail: `[T, 3]` x and y, metres, and heading, which is not drawn.
+      modes: `[T]` int, index into `mode_names`: of the piece that leads to this pose.
+      mode_names: list of text.
+
+    Returns:
+      Handles for a legend: the modes that occur, and the two marks.
+    """
+    xy, modes = np.asarray(trail, float).reshape(-1, 3)[:, :2], np.asarray(modes, int)
+    if len(xy) != len(modes):
+        raise ValueError(f"expected a mode for every pose, got {len(modes)} for {len(xy)}")
+    if not len(xy):
+        return []
+    colours = [MODE_COLOURS[i % len(MODE_COLOURS)] for i in range(len(mode_names))]
+    if len(xy) > 1:
+        pieces, own = np.stack([xy[:-1], xy[1:]], axis=1), [colours[mode] for mode in modes[1:]]
+        ax.add_collection(LineCollection(list(pieces), colors=own, linewidths=3.4, capstyle="round", zorder=3))
+    handles = [Line2D([], [], color=colours[i], linewidth=3.4, label=mode_names[i]) for i in np.unique(modes)]
+    marks = (("start", xy[0], "o", "none", 13), ("end", xy[-1], "x", "black", 11))
+    for label, place, marker, face, size in marks:
+        style = {"linestyle": "none", "marker": marker, "markerfacecolor": face, "markersize": size}
+        handles += ax.plot(*place, **style, markeredgecolor="black", markeredgewidth=1.4, zorder=5, label=label)
+    return handles
+
+
+def draw_pitch(ax, btm, trail, pitch_deg):
+    """Draws the body's inclination over the way driven; lines with ids mark where the way first came to the nodes.
+
+    Args:
+      ax: `Axes`.
+      btm: `BtmMap`.
+      trail: `[T, 3]` x and y, metres, and heading; T >= 1.
+      pitch_deg: `[T]` degrees.
+
+    Returns:
+      The `Line2D` of the inclination.
+    """
+    xy = np.asarray(trail, float)[:, :2]
+    driven = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(xy, axis=0).T))])
+    (line,) = ax.plot(driven, pitch_deg, color="black", linewidth=1.2)
+    now, above, taken = 0, ax.get_xaxis_transform(), [-math.inf] * 3
+    for node in btm.nodes:
+        apart = np.hypot(*(xy[now:] - (node.x_m, node.y_m)).T)
+        near = np.append(apart <= apart.min() + NEAR_M, False)  # later passes count no more than the first
+        first = int(np.argmax(near))
+        now += first + int(np.argmin(apart[first : first + int(np.argmin(near[first:]))]))
+        ax.axvline(driven[now], color="#999999", linewidth=0.8, linestyle=":", zorder=0)
+        need = 0.022 * driven[-1]  # width of an id
+        row = next((i for i, last in enumerate(taken) if driven[now] - last > need), len(taken) - 1)
+        taken[row] = driven[now]
+        style = {"ha": "center", "va": "bottom", "fontsize": 7, "transform": above}
+        ax.text(driven[now], 1.03 + 0.14 * row, str(node.id), **style)
+    ax.set_xlim(0, max(driven[-1], 1e-9))
+    ax.set_xlabel("way driven (m), nodes above", fontsize=8)
+    ax.set_ylabel("pitch (°)", fontsize=8)
+    ax.tick_params(labelsize=8)
+    ax.spines[["top", "right"]].set_visible(False)
+    return line
+
+
+def figure(btm, walls, trail, points, modes, mode_names, title="", *, pitch_deg=None):
+    """A page with the building, the run through it and the map that came of it.
+
+    Args:
+      btm: `BtmMap`.
+      walls: `[S, 4]` x and y of either end, metres, of the true building; None leaves it out.
+      trail: `[T, 3]` x and y, metres, and heading.
+      points: `[P, 2]` points of scans, metres; None leaves them out.
+      modes: `[T]` int, index into `mode_names`.
+      mode_names: list of text.
+      title: of the page.
+      pitch_deg: `[T]` inclination of the body, degrees: a panel below the map. None for none.
+
+    Returns:
+      `Figure`.
+
+    Source:
+      The resulting map of Mano et al., whose figure is lost: made after its text.
+    """
+    walls = np.zeros((0, 4)) if walls is None else np.asarray(walls, float).reshape(-1, 4)
+    points = np.zeros((0, 2)) if points is None else np.asarray(points, float).reshape(-1, 2)
+    trail = np.asarray(trail, float).reshape(-1, 3)
+    nodes = np.array([(node.x_m, node.y_m) for node in btm.nodes]).reshape(-1, 2)
+    everything = np.concatenate([walls.reshape(-1, 2), points, trail[:, :2], nodes])
+    low, high = (everything.min(0), everything.max(0)) if len(everything) else (np.zeros(2), np.ones(2))
+    low, high = low - 1.5 * STUB_M, high + 1.5 * STUB_M
+    pitched = pitch_deg is not None and len(trail) > 0
+    width, height = (high - low) * LONG_IN / max(high - low)
+    width, height = max(width, 4.0), max(height, 2.6)
+    lower = 1.3 if pitched else 0.0
+    page = Figure(figsize=(width + LEGEND_IN + 0.7, height + lower + 0.9), layout="constrained")
+    axes = page.subplots(1 + pitched, 1, squeeze=False, height_ratios=[height, lower][: 1 + pitched])[:, 0]
+    ax = axes[0]
+    handles = []
+    if len(walls):
+        ax.add_collection(LineCollection(list(walls.reshape(-1, 2, 2)), colors=WALL, linewidths=3, zorder=1))
+        handles.append(Line2D([], [], color=WALL, linewidth=3, label="building"))
+    if len(points):
+        ax.plot(
+            points[:, 0], points[:, 1], ".", color=POINT, markersize=1.4, markeredgewidth=0, zorder=2, rasterized=True
+        )
+        handles.append(
+            Line2D(
+                [], [], color=POINT, linestyle="none", marker=".", markersize=3, markeredgewidth=0, label="scan point"
+            )
+        )
+    handles += draw_trail(ax, trail, modes, mode_names)
+    handles = draw_btm(ax, btm, legend=False) + handles
+    ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
+    for axis, long_in in ((ax.xaxis, width), (ax.yaxis, height)):  # not left to the layout, which would chase its ticks
+        axis.set_major_locator(MaxNLocator(nbins=max(2, round(long_in)), steps=[1, 2, 5, 10]))
+    ax.set_xlabel("x (m)", fontsize=8)
+    ax.set_ylabel("y (m)", fontsize=8)
+    ax.tick_params(labelsize=8)
+    if title:
+        ax.set_title(wrapped(title, int(11 * width), max_lines=2), fontsize=10, parse_math=False)
+    if handles:
+        page.legend(handles=handles, loc="outside right upper", fontsize=8, frameon=False)
+    if pitched:
+        draw_pitch(axes[1], btm, trail, pitch_deg)
+    page.draw_without_rendering()  # with equal scales the layout needs a first guess
+    return page

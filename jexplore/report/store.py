@@ -1,0 +1,325 @@
+"""Result files: written whole or not at all, into folders that hold one run each.
+
+pandas, pyarrow and jax are imported by the functions that need them.
+"""
+
+import contextlib
+import dataclasses
+import datetime
+import enum
+import importlib.metadata
+import json
+import math
+import os
+import platform
+import secrets
+import shutil
+from pathlib import Path
+
+import numpy as np
+
+from jexplore.config import InputError
+from jexplore.version import __version__
+
+OUR_FILES = (
+    *("run.json", "episodes.parquet", "compare.png", "paths.png", "league.png"),  # compare
+    *("episode.png", "episode.gif", "worlds.png"),  # explore, worlds
+    *("bench.json", "bench.png"),  # bench
+    *("scores.parquet", "segments.png"),  # segment
+    "reproduce.png",  # reproduce
+    *("btm.json", "btm.geojson", "btm.graphml", "btm.png", "btm.html", "runs.parquet"),  # trace
+)
+"""Names that a run writes into its folder: their presence marks it as taken, and only they are ever replaced."""
+
+_PACKAGES = ("jax", "jaxlib", "numpy", "scipy", "flax", "chex", "pandas", "pyarrow", "matplotlib", "pillow")
+
+
+def _reason(error):
+    return (getattr(error, "strerror", None) or str(error)).splitlines()[0]
+
+
+@contextlib.contextmanager
+def atomic(path):
+    """A temporary path in the same folder that replaces `path` once the block has ended well.
+
+    The data are synced before the replacement, so a reader finds the old file or the new one. If the block raises, the
+    temporary file is removed and `path` stays as it was.
+
+    Args:
+      path: the file to write.
+
+    Raises:
+      InputError: the file cannot be written.
+    """
+    path = Path(path)
+    part = path.parent / f".{path.name}.{os.getpid()}-{secrets.token_hex(4)}.part"
+    try:
+        yield part
+        with open(part, "rb+") as file:
+            os.fsync(file.fileno())
+        os.replace(part, path)
+        _sync_folder(path.parent)
+    except OSError as error:
+        raise InputError(f"{path} must be a file that can be written: {_reason(error)}") from error
+    finally:
+        with contextlib.suppress(OSError):
+            part.unlink()
+
+
+def _sync_folder(folder):
+    """Make a replacement in `folder` durable, where the system lets a folder be opened."""
+    with contextlib.suppress(OSError):
+        handle = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)
+
+
+def write_parquet(episodes, path):
+    """Write a DataFrame as Parquet, without its index, whole or not at all.
+
+    Args:
+      episodes: a pandas DataFrame.
+      path: the file.
+
+    Raises:
+      InputError: the file cannot be written.
+    """
+    with atomic(path) as part:
+        episodes.to_parquet(part, index=False)
+
+
+def read_parquet(path, *, required=()):
+    """Read a DataFrame that `write_parquet` wrote; column types come back as they were.
+
+    Args:
+      path: the file.
+      required: names of columns that it must have.
+
+    Raises:
+      InputError: the file is missing, cannot be read, is no Parquet file, or lacks a required column.
+    """
+    import pandas as pd
+    import pyarrow
+
+    try:
+        with open(path, "rb") as file:
+            table = pd.read_parquet(file)
+    except OSError as error:
+        raise InputError(f"{path} must be a readable Parquet file: {_reason(error)}") from error
+    except pyarrow.ArrowException as error:
+        raise InputError(f"{path} must be a Parquet file: {_reason(error)}") from error
+    missing = [name for name in required if name not in table.columns]
+    if missing:
+        raise InputError(f"{path} must have the column {missing[0]}, got {', '.join(map(str, table.columns))}")
+    return table
+
+
+def jsonable(value):
+    """`value` as plain JSON types.
+
+    Numbers and arrays of numpy and jax become numbers and lists; NaN, infinities and pandas' NA become None; records
+    become objects, paths and times text, enumerations their names.
+
+    Raises:
+      TypeError: a type that has no such form.
+    """
+    if value is None or isinstance(value, (bool, str)):
+        return value
+    if isinstance(value, enum.Enum):
+        return value.name
+    if isinstance(value, int):
+        return int(value)
+    if isinstance(value, float):
+        return float(value) if math.isfinite(value) else None
+    if isinstance(value, os.PathLike):
+        return os.fspath(value)
+    if isinstance(value, (datetime.datetime, datetime.date)):
+        return value.isoformat()
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return {field.name: jsonable(getattr(value, field.name)) for field in dataclasses.fields(value)}
+    if isinstance(value, dict):
+        return {str(key): jsonable(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [jsonable(item) for item in value]
+    if type(value).__name__ == "NAType":
+        return None
+    if hasattr(value, "__array__"):
+        return jsonable(np.asarray(value).tolist())
+    raise TypeError(f"expected something that JSON can hold, got {type(value).__name__}")
+
+
+def write_json(obj, path):
+    """Write `obj` as JSON (see `jsonable`), indented, whole or not at all.
+
+    Args:
+      obj: nested dicts, lists, records, numbers, arrays, text.
+      path: the file.
+
+    Raises:
+      InputError: the file cannot be written.
+      TypeError: `obj` holds something that has no JSON form; nothing is written.
+    """
+    text = json.dumps(jsonable(obj), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+    with atomic(path) as part:
+        part.write_text(text, encoding="utf-8")
+
+
+def _writable(path, overwrite, names):
+    """Makes the folder, proves that it can be written and that it may hold a run: `(taken files, folders made)`."""
+    if not os.fspath(path):
+        raise InputError("the output folder must have a name, got an empty one")
+    path, made = Path(path), []
+    try:
+        if path.exists() and not path.is_dir():
+            raise InputError(f"{path} must be a folder, got a file")
+        taken = [path / name for name in names if os.path.lexists(path / name)]
+        for file in taken:
+            if not overwrite:
+                raise InputError(
+                    f"{path} holds a run ({file.name}): choose another folder or allow overwriting (--overwrite)"
+                )
+            if file.is_dir():
+                raise InputError(f"{file} must be a file to be overwritten, got a folder")
+        for folder in reversed([path, *path.parents]):
+            if not folder.is_dir():
+                folder.mkdir()
+                made.append(folder)
+        probe = path / f".probe.{os.getpid()}-{secrets.token_hex(4)}.part"
+        probe.touch(exist_ok=False)
+        probe.unlink()
+    except InputError:
+        raise
+    except (OSError, ValueError) as error:
+        _remove_folders(made)
+        raise InputError(f"{str(path)!r} must be a folder that can be written: {_reason(error)}") from error
+    return taken, made
+
+
+def _remove_folders(made):
+    for folder in reversed(made):
+        with contextlib.suppress(OSError):
+            folder.rmdir()
+
+
+def check_out(path, overwrite=False, *, names=OUR_FILES):
+    """Refuse a folder that `claim_out` would refuse, and leave everything as it is. Arguments and errors as there."""
+    _remove_folders(_writable(path, overwrite, names)[1])
+
+
+def claim_out(path, overwrite=False, *, names=OUR_FILES):
+    """Make the folder of a run, or accept one that holds no run yet.
+
+    Files of other names are never touched. With `overwrite`, the files of an earlier run are removed once the folder
+    has proved writable, so that nothing old stands beside the new.
+
+    Args:
+      path: the folder; missing parents are made too.
+      overwrite: whether the folder may hold a run.
+      names: the files that make up a run.
+
+    Returns:
+      `Path` of the folder.
+
+    Raises:
+      InputError: the folder holds a run and `overwrite` is off, is a file, or cannot be made or written. Nothing has
+        been made or removed then.
+    """
+    taken, made = _writable(path, overwrite, names)
+    try:
+        for file in taken:
+            file.unlink()
+    except OSError as error:
+        _remove_folders(made)
+        raise InputError(f"{str(path)!r} must be a folder that can be written: {_reason(error)}") from error
+    return Path(path)
+
+
+def write_run(path, writers, overwrite=False):
+    """Write the files of a run into its folder: all of them, or none.
+
+    They are first written into a hidden folder inside it and moved when all are there. If one fails, or the user
+    interrupts, the folder is as before: an earlier run is still whole, and folders that were made are gone.
+
+    Args:
+      path: the folder; see `claim_out`.
+      writers: `{name: function}`, each called with the path that it is to write.
+      overwrite: whether the folder may hold a run.
+
+    Returns:
+      `Path` of the folder.
+
+    Raises:
+      InputError: as `claim_out`, or a file cannot be written.
+    """
+    _, made = _writable(path, overwrite, OUR_FILES)
+    path = Path(path)
+    stage = path / f".{os.getpid()}-{secrets.token_hex(4)}.part"
+    try:
+        stage.mkdir()
+        for name, write in writers.items():
+            write(stage / name)
+        claim_out(path, overwrite)
+        for name in writers:
+            os.replace(stage / name, path / name)
+        _sync_folder(path)
+        made = []
+    except OSError as error:
+        raise InputError(f"{str(path)!r} must be a folder that can be written: {_reason(error)}") from error
+    finally:
+        shutil.rmtree(stage, ignore_errors=True)
+        _remove_folders(made)
+    return path
+
+
+def default_out(command, now=None, *, root="runs"):
+    """An unused folder name for a run: `runs/20261121T093042Z-compare`, with `-2`, `-3`, ... where that exists.
+
+    Args:
+      command: what was run, part of the name.
+      now: `datetime`, by default the present; one without a time zone counts as UTC.
+      root: folder of the runs.
+
+    Returns:
+      `Path`, not made yet.
+    """
+    now = now or datetime.datetime.now(datetime.UTC)
+    if now.tzinfo is not None:
+        now = now.astimezone(datetime.UTC)
+    first = Path(root) / f"{now:%Y%m%dT%H%M%SZ}-{command}"
+    path, count = first, 1
+    while os.path.lexists(path):
+        count += 1
+        path = first.with_name(f"{first.name}-{count}")
+    return path
+
+
+def _version(package):
+    try:
+        return importlib.metadata.version(package)
+    except importlib.metadata.PackageNotFoundError:
+        return None
+
+
+def environment():
+    """What a run ran on, for its record. Starts jax's backend.
+
+    Returns:
+      A dict: `jexplore`, `python` and the packages' versions (None for one that is not installed), `platform`,
+        `machine`, `cpu_count`, and jax's `backend`, `device` (kind of the first one) and `device_count`.
+    """
+    import jax
+
+    devices = jax.devices()
+    return {
+        "jexplore": __version__,
+        "python": platform.python_version(),
+        **{name: _version(name) for name in _PACKAGES},
+        "platform": platform.platform(),
+        "machine": platform.machine(),
+        "cpu_count": os.cpu_count(),
+        "backend": devices[0].platform,
+        "device": devices[0].device_kind,
+        "device_count": len(devices),
+    }

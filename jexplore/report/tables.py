@@ -1,0 +1,50 @@
+"""Numbers and tables as text."""
+
+import math
+
+
+def number_text(value, decimals):
+    """A number with so many decimals; a missing one is `-`."""
+    return "-" if not math.isfinite(value) else f"{value:.{decimals}f}"
+
+
+def spread_text(mean, sd):
+    """`mean ± sd` with two decimals, without the part that is missing."""
+    return number_text(mean, 2) + (f" ± {sd:.2f}" if math.isfinite(sd) else "")
+
+
+def interval_text(low, high, decimals):
+    """`[low, high]`; one with a missing end is `-`."""
+    return "-" if not (math.isfinite(low) and math.isfinite(high)) else f"[{low:.{decimals}f}, {high:.{decimals}f}]"
+
+
+def p_text(p):
+    """A p value with three decimals."""
+    return "-" if not math.isfinite(p) else "<0.001" if p < 0.001 else f"{p:.3f}"
+
+
+def ratio_text(ratio, low=math.nan, high=math.nan):
+    """A ratio and its interval with three decimals, without the part that is missing."""
+    return " ".join(part for part in (number_text(ratio, 3), interval_text(low, high, 3)) if part != "-") or "-"
+
+
+def aligned_table(head, lines, *, left):
+    """Texts as one aligned Markdown table.
+
+    Args:
+      head: `[K]` texts, the names of the columns.
+      lines: lists of `[K]` texts. Bars in them are escaped.
+      left: names of the columns that are aligned to the left; the others are to the right.
+
+    Returns:
+      Text that ends with a newline.
+    """
+    lines = [[" ".join(cell.split()).replace("|", "\\|") for cell in line] for line in lines]
+    is_left = [name in left for name in head]
+    widths = [max(3, *(len(line[i]) for line in [head, *lines])) for i in range(len(head))]
+    rule = ["-" * width if to_left else "-" * (width - 1) + ":" for width, to_left in zip(widths, is_left)]
+    text = [
+        [cell.ljust(width) if to_left else cell.rjust(width) for cell, width, to_left in zip(line, widths, is_left)]
+        for line in [head, rule, *lines]
+    ]
+    return "".join("| " + " | ".join(line) + " |\n" for line in text)

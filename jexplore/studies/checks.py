@@ -1,0 +1,159 @@
+"""What is checked, loaded and drawn before anything is compiled: worlds, strategies, starts, memory."""
+
+import os
+
+import numpy as np
+
+from jexplore.arrays.bits import WORD
+from jexplore.arrays.padding import bucket
+from jexplore.config import InputError, Lidar, Rules
+from jexplore.exploration.site import LEAST_LIMIT
+from jexplore.grid import in_cells, radius_d2
+from jexplore.policies import parse_strategy
+from jexplore.raycast import HEADINGS, n_steps
+from jexplore.worlds import load_world
+from jexplore.worlds.world import World, check_start, checked, draw_start, draw_starts
+
+LIDAR, RULES = Lidar(), Rules()  # the defaults
+MAX_EPISODES = 1_000_000  # of one strategy in one world
+MAX_SEED = 2**32 - 1
+CELL_BYTES = 120  # of one episode under way and of the world itself, measured on a CPU; a cell of the padded map
+TRAIL_BYTES = 24  # a step
+BEAM_BYTES = 64  # a step of a beam, while the table is made
+MEMORY_SHARE = 0.8  # of the machine's memory that a run may be expected to need
+
+
+def listed(kind, items):
+    """A list of one or more different items; a single one may stand for itself."""
+    if isinstance(items, (str, os.PathLike, World)):
+        items = [items]
+    try:
+        items = list(items)
+    except TypeError:
+        raise InputError(f"{kind} must be names, got {items!r}") from None
+    if not items:
+        raise InputError(f"{kind} must name at least one, got none")
+    return items
+
+
+def require_different(kind, names):
+    for name in names:
+        if names.count(name) > 1:
+            raise InputError(f"{kind} must differ, got {name!r} more than once")
+
+
+def ready_worlds(worlds, cell_m):
+    """Worlds from names and `World` records, in order.
+
+    Args:
+      worlds: one or more world names or `World`s; a single one may stand for itself.
+      cell_m: edge of a cell, metres, for those that are loaded.
+
+    Returns:
+      A list of `World`s with different names.
+
+    Raises:
+      InputError: none, one twice, a `World` without a name or free cell, or a name that cannot be loaded.
+    """
+    worlds = listed("worlds", worlds)
+    require_different("worlds", [w.name if isinstance(w, World) else str(w) for w in worlds])
+    for world in worlds:
+        if isinstance(world, World) and not world.name:
+            raise InputError("a world needs a name to be told from others: world.replace(name=...)")
+        if not isinstance(world, (str, os.PathLike, World)):
+            raise InputError(f"a world must be a name, a path or a World, got {world!r}")
+    return [checked(world) if isinstance(world, World) else load_world(world, cell_m) for world in worlds]
+
+
+def ready_strategies(strategies):
+    """Strategies from their names, in order.
+
+    Returns:
+      A list of `Strategy`.
+
+    Raises:
+      InputError: none, one twice, or a name that says nothing.
+    """
+    strategies = listed("strategies", strategies)
+    for name in strategies:
+        if not isinstance(name, str):
+            raise InputError(f"a strategy must be a name, got {name!r}")
+    require_different("strategies", strategies)
+    return [parse_strategy(name) for name in strategies]
+
+
+def ready_starts(world, start, n, *, seed, rules):
+    """The starts of n episodes in a world.
+
+    Args:
+      world: `World`.
+      start: "random" (drawn, start i the same for every n), "world" (the world's own, n times), or
+        `(row, col, heading_deg)`, n times.
+      n: episodes.
+      seed: of the drawing.
+      rules: `Rules`.
+
+    Returns:
+      `[n, 3]` int32: row, col, heading in degrees.
+
+    Raises:
+      InputError: no clear cell, no start of its own, a start in a wall or enclosed.
+    """
+    require_clearance(world, rules)
+    if isinstance(start, str) and start not in ("random", "world"):
+        raise InputError(f"start must be random, world or row,col,heading_deg, got {start!r}")
+    if start == "random":
+        check_start(world, draw_start(world, seed, 0, rules.clearance_m), rules.clearance_m, rules.near_m)
+        return draw_starts(world, seed, n, rules.clearance_m)
+    if start == "world":
+        start = world.start
+        if start is None:
+            raise InputError(f"{world.name!r}: has no start of its own; use start random")
+    start = check_start(world, start, rules.clearance_m, rules.near_m)
+    return np.tile(np.asarray(start, np.int32), (n, 1))
+
+
+def memory_needed(world, lidar, rules, workers):
+    """About how many bytes episodes in a world take at a time. An int."""
+    rows, cols = (bucket(side) for side in world.shape)
+    steps = max(LEAST_LIMIT, rows * cols, rules.max_steps or 0)
+    beams = HEADINGS * lidar.n_beams * n_steps(in_cells(lidar.range_m, world.cell_m))
+    return workers * (CELL_BYTES * rows * cols + TRAIL_BYTES * steps) + BEAM_BYTES * beams
+
+
+def _memory():
+    """Bytes of memory that the machine has; None where the system does not tell."""
+    try:
+        return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    except (AttributeError, OSError, ValueError):
+        return None
+
+
+def require_clearance(world, rules):
+    """Refuse a clearance of more cells than the kernels look across.
+
+    Raises:
+      InputError: naming it and the largest one for the world's cells.
+    """
+    if radius_d2(rules.clearance_m, world.cell_m) >= WORD**2:
+        most = (WORD - 0.5) * world.cell_m
+        raise InputError(
+            f"episode.clearance_m must be below {WORD} cells: at most {most:g} m in {world.name!r} with cells of "
+            f"{world.cell_m:g} m, got {rules.clearance_m:g}"
+        )
+
+
+def require_memory(world, lidar, rules):
+    """Refuse what would not fit into the machine's memory.
+
+    Raises:
+      InputError: naming the world and the sizes.
+    """
+    have, need = _memory(), memory_needed(world, lidar, rules, os.cpu_count() or 1)
+    if have is not None and need > MEMORY_SHARE * have:
+        rows, cols = world.shape
+        raise InputError(
+            f"{world.name!r}: {rows} x {cols} cells and {lidar.n_beams} beams of {lidar.range_m:g} m need about "
+            f"{need / 2**30:.1f} GiB, and the machine has {have / 2**30:.1f}; use a larger cell_m, fewer beams, "
+            "a shorter lidar.range_m or a smaller episode.max_steps"
+        )

@@ -1,0 +1,248 @@
+"""A comparison: strategies in worlds, all from the same starts, as a table with statistics and warnings.
+
+pandas and matplotlib are imported by the functions that need them.
+"""
+
+import dataclasses
+import functools
+import os
+from typing import TYPE_CHECKING, NamedTuple
+
+from jexplore.config import InputError, require_whole
+from jexplore.exploration import batch
+from jexplore.exploration.episode import Outcome
+from jexplore.exploration.results import columns, map_state
+from jexplore.studies import stats
+from jexplore.studies.checks import (
+    LIDAR,
+    MAX_EPISODES,
+    MAX_SEED,
+    RULES,
+    ready_starts,
+    ready_strategies,
+    ready_worlds,
+    require_memory,
+)
+from jexplore.studies.league import standings
+from jexplore.worlds.world import World
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+COLUMNS = (
+    *("world", "strategy", "episode", "seed", "start_row", "start_col", "path_m", "turning_rad"),
+    *("steps", "scans", "plans", "outcome", "exhausted", "explored_fraction"),
+    *("path_m_at_50", "path_m_at_90", "path_m_at_95", "path_m_at_99", "room_entries"),
+    *("start_heading_deg", "refused", "saturated", "overflow"),
+)
+"""Columns of a table of episodes. `stats` and `plot` read them by these names."""
+
+
+class Seen(NamedTuple):
+    """How episode 0 of a strategy in a world ended: its map and its way."""
+
+    strategy: str
+    state: object  # [H, W] uint8, 0 unknown, 1 free, 2 occupied
+    rows: object  # [n + 1] int32, cells driven
+    cols: object  # [n + 1] int32
+    cell_m: float
+    path_m: float
+
+
+@dataclasses.dataclass(frozen=True)
+class Comparison:
+    """What `compare` found. Tables are pandas DataFrames."""
+
+    episodes: "pd.DataFrame"
+    """One row an episode, ordered by world, strategy, episode; columns `COLUMNS`."""
+    worlds: tuple[World, ...]
+    """The worlds, in order."""
+    first: dict[str, list[Seen]]
+    """Per world name, how episode 0 of every strategy ended."""
+    compile_s: float
+    """Seconds spent compiling, or loading compiled programs."""
+    run_s: float
+    """Seconds in which compiled programs ran."""
+    interrupted: int = 0
+    """Episodes that are missing because the run was interrupted; of the others, those that every strategy finished."""
+
+    @functools.cached_property
+    def summary(self):
+        """One row a world and strategy: see `stats.summarise`."""
+        return stats.summarise(self.episodes)
+
+    @functools.cached_property
+    def standings(self):
+        """One row a strategy, over all worlds: see `league.standings`."""
+        return standings(self.episodes)
+
+    @functools.cached_property
+    def warnings(self):
+        """What makes the comparison unfair or inexact: a list of lines."""
+        lines = [f"interrupted: {self.interrupted} episodes are missing"] if self.interrupted else []
+        return [*lines, *stats.warnings_of(self.episodes), *_bounds_met(self.episodes)]
+
+    @property
+    def episodes_per_s(self):
+        """Episodes over the seconds in which compiled programs ran."""
+        return len(self.episodes) / self.run_s
+
+    def to_pandas(self):
+        """The table of episodes."""
+        return self.episodes
+
+    def to_markdown(self):
+        """The summary as a Markdown table."""
+        return stats.markdown_table(self.summary)
+
+    def plot(self, ax, world=None):
+        """Mean path lengths in one world as bars.
+
+        Args:
+          ax: matplotlib `Axes`.
+          world: its name; by default the first.
+
+        Returns:
+          The `BarContainer`.
+
+        Raises:
+          InputError: no such world in this comparison.
+        """
+        from jexplore.report import plot
+
+        world = self.worlds[0].name if world is None else world
+        rows = self.summary[self.summary["world"] == world]
+        if not len(rows):
+            raise InputError(f"world must be one of {', '.join(w.name for w in self.worlds)}, got {world!r}")
+        return plot.bars(ax, rows["strategy"].tolist(), rows["mean"], rows["sd"], world)
+
+    def compare_figure(self):
+        """Bars of mean path lengths, one panel a world: a matplotlib `Figure`."""
+        from jexplore.report import plot
+
+        return plot.compare_figure(self.summary)
+
+    def paths_figure(self):
+        """The map as each strategy saw it in episode 0, with its path: a matplotlib `Figure`."""
+        from jexplore.report import plot
+
+        return plot.paths_figure(list(self.first.items()))
+
+    def _repr_markdown_(self):
+        return self.to_markdown()
+
+    def __repr__(self):
+        n_strategies = self.episodes["strategy"].nunique()
+        return f"<Comparison of {n_strategies} strategies in {len(self.worlds)} worlds, {len(self.episodes)} episodes>"
+
+
+BOUNDS = {
+    "saturated": "some cells were too far to plan to",
+    "overflow": "a plan had to leave out some frontier clusters, mixed cells, Voronoi nodes or critical points",
+}
+
+
+def _bounds_met(episodes):
+    """Warnings about episodes that met a bound of what a plan can express or has room for."""
+    lines = []
+    for (world, strategy), rows in episodes.groupby(["world", "strategy"], sort=False):
+        for column, what in BOUNDS.items():
+            count = int((rows[column] > 0).sum())
+            if count:
+                lines.append(f"{world}: {strategy}: in {count} of {len(rows)} episodes {what}")
+    return lines
+
+
+def compare(
+    worlds,
+    strategies,
+    *,
+    episodes=20,
+    seed=0,
+    cell_m=0.1,
+    start="random",
+    lidar=LIDAR,
+    rules=RULES,
+    engine=None,
+    lanes=None,
+    workers=None,
+    on_progress=None,
+):
+    """Runs every strategy in every world, from the same starts. An interruption keeps what is finished.
+
+    Args:
+      worlds: names (`worlds.load_world`) or `World`s; one may stand for itself.
+      strategies: names (`policies.parse_strategy`); the others are compared with the first.
+      episodes: of each strategy in each world. More episodes leave the earlier ones as they were.
+      seed: of starts and draws.
+      cell_m: edge of a cell of the worlds that are loaded by name, metres.
+      start: "random", or "world" for every world's own start in every episode.
+      lidar: `Lidar`.
+      rules: `Rules`.
+      engine: one of `batch.ENGINES`; by default "serial" on a CPU, "lockstep" on an accelerator. Results are equal.
+      lanes: episodes at a time on each device in lockstep; by default as many as its memory holds.
+      workers: threads of the serial engine; by default one a core.
+      on_progress: called now and then with the number of episodes finished.
+
+    Returns:
+      `Comparison`.
+
+    Raises:
+      InputError: a name, number, map or start that cannot be used. Raised before anything is compiled.
+    """
+    jobs = prepare_jobs(
+        worlds, strategies, episodes=episodes, seed=seed, cell_m=cell_m, start=start, lidar=lidar, rules=rules
+    )
+    batch.use_compilation_cache()
+    report = batch.run(jobs, lidar, rules, engine=engine, lanes=lanes, workers=workers, on_progress=on_progress)
+    return assemble(jobs, report, rules)
+
+
+def prepare_jobs(worlds, strategies, *, episodes, seed, cell_m, start, lidar, rules):
+    """Everything that `compare` refuses or loads before it runs: a list of `batch.Job`. Arguments as there."""
+    episodes = require_whole("episodes", episodes, 1, MAX_EPISODES)
+    seed = require_whole("seed", seed, 0, MAX_SEED)
+    if start not in ("random", "world"):
+        raise InputError(f"start must be random or world, got {start!r}")
+    strategies = ready_strategies(strategies)
+    jobs = []
+    for world in ready_worlds(worlds, cell_m):
+        require_memory(world, lidar, rules)
+        starts = ready_starts(world, start, episodes, seed=seed, rules=rules)
+        jobs += [batch.Job(world, strategy, starts, seed) for strategy in strategies]
+    return jobs
+
+
+def assemble(jobs, report, rules):
+    """The `Comparison` of jobs that have run.
+
+    Of a run that was interrupted it holds the episodes that every strategy has finished in a world.
+
+    Raises:
+      KeyboardInterrupt: there are none.
+    """
+    import pandas as pd
+
+    finished = {}
+    for job, (result, _) in zip(jobs, report.outcomes):
+        ended = result.outcome != Outcome.RUNNING
+        finished[job.world.name] = finished.get(job.world.name, True) & ended
+    tables, worlds, first = [], {}, {}
+    for job, (result, final) in zip(jobs, report.outcomes):
+        world, strategy, kept = job.world, job.strategy.name, finished[job.world.name]
+        if not kept.any():
+            continue
+        found = columns(result, job.starts, seed=job.seed, cell_m=world.cell_m, has_rooms=world.rooms is not None)
+        table = pd.DataFrame({"world": os.fspath(world.name), "strategy": strategy, **found})
+        table["room_entries"] = table["room_entries"].astype("Int64")
+        tables.append(table[kept])
+        worlds[world.name] = world
+        if kept[0]:
+            state = map_state(final.hits, final.misses, rules.p_free)
+            seen = Seen(strategy, state, final.rows, final.cols, world.cell_m, float(found["path_m"][0]))
+            first.setdefault(world.name, []).append(seen)
+    if not tables:
+        raise KeyboardInterrupt
+    table = pd.concat(tables, ignore_index=True).loc[:, list(COLUMNS)]
+    missing = sum(len(job.starts) for job in jobs) - len(table)
+    return Comparison(table, tuple(worlds.values()), first, report.compile_s, report.run_s, missing)

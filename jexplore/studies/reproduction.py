@@ -1,0 +1,249 @@
+"""A paper's tables reproduced: its strategies in its environments, its figures beside ours, and what it claims tested.
+
+pandas and matplotlib are imported by the functions that need them.
+"""
+
+import dataclasses
+import functools
+import math
+import os
+
+from jexplore.config import InputError, unknown
+from jexplore.exploration import batch
+from jexplore.report import tables
+from jexplore.studies import comparison, stats
+from jexplore.studies.checks import LIDAR, RULES
+from jexplore.studies.comparison import Comparison
+from jexplore.studies.papers import PAPERS, Paper
+
+COUNTERPARTS = (
+    "The worlds are built-in counterparts, NOT the paper's maps: ratios and orderings compare, metres do not."
+)
+MAPS = "The worlds are public maps of the paper's environments; that they equal the paper's own is not proven."
+
+
+def find(name):
+    """The `Paper` of a name; refuses one that is not in `PAPERS`."""
+    if name not in PAPERS:
+        raise unknown("paper", name, PAPERS)
+    return PAPERS[name]
+
+
+def world_names(paper, maps=None):
+    """`{environment: name of its world}`: maps in the folder `maps`, by default the built-in counterparts."""
+    if maps is None:
+        return {name: environment.counterpart for name, environment in paper.environments.items()}
+    folder = os.path.expanduser(maps)
+    return {name: os.path.join(folder, found.file) + found.scale for name, found in paper.environments.items()}
+
+
+def require_maps(paper, maps):
+    """Refuse a folder that lacks a map of the paper.
+
+    Raises:
+      InputError: naming the first one that is missing.
+    """
+    files = [environment.file for environment in paper.environments.values()]
+    for file in files:
+        path = os.path.join(os.path.expanduser(maps), file)
+        if not os.path.isfile(path):
+            raise InputError(f"maps must be a folder that holds {', '.join(files)}; there is no file {path}")
+
+
+def verdict(direction, low, high, than_low=1.0, than_high=1.0):
+    """Whether a ratio's interval lies wholly on the claimed side of another's (by default of equality).
+
+    Returns:
+      "holds", "does not hold", or "undecided" where the intervals meet or one is NaN.
+    """
+    below, above = high < than_low, low > than_high
+    holds, fails = (below, above) if direction == "shorter" else (above, below)
+    return "holds" if holds else "does not hold" if fails else "undecided"
+
+
+@dataclasses.dataclass(frozen=True)
+class Reproduction:
+    """A paper's tables beside ours. Tables are pandas DataFrames."""
+
+    paper: Paper
+    comparison: Comparison
+    worlds: dict[str, str]
+    """Environment -> name of its world."""
+    notes: tuple[str, ...]
+    """What must be known to read the tables."""
+
+    @functools.cached_property
+    def tables(self):
+        """One row an environment and strategy, in the paper's order; columns as in `stats.summarise`, and the paper's.
+
+        `ratio` is ours to the paper's reference strategy, paired; `first_mean` and `first_sd` are over the first
+        episodes, `first_n` of them: as many as the paper has runs, or fewer where fewer have run.
+        """
+        import pandas as pd
+
+        published = [
+            (name, self.worlds[name], strategy, *path, path[0] / environment.paths[self.paper.reference][0])
+            for name, environment in self.paper.environments.items()
+            for strategy, path in environment.paths.items()
+        ]
+        head = ["environment", "world", "strategy", "paper_mean", "paper_sd", "paper_ratio"]
+        episodes, key = self.comparison.episodes, ["world", "strategy"]
+        first = episodes[episodes["episode"] < self.paper.runs].groupby(key)["path_m"]
+        first = first.agg(first_n="count", first_mean="mean", first_sd="std").reset_index()
+        ours = self.comparison.summary.merge(first, on=key, how="left")
+        return pd.DataFrame(published, columns=head).merge(ours, on=key)
+
+    @functools.cached_property
+    def orderings(self):
+        """One row a claim of the paper: its ratio and ours, paired, with 95 % intervals, and the `verdict`.
+
+        Each interval stands alone: of twenty that are undecided in truth about one will seem decided.
+        """
+        import pandas as pd
+
+        episodes = self.comparison.episodes
+        paths_m, outcomes = (
+            episodes.pivot(index="episode", columns=["world", "strategy"], values=value)
+            for value in ("path_m", "outcome")
+        )
+
+        def versus(environment, a, b):
+            pair = [(self.worlds[environment], a), (self.worlds[environment], b)]
+            if not set(pair) <= set(paths_m.columns):
+                return stats.PairedRatio(math.nan, math.nan, math.nan, math.nan, 0), 0
+            both = paths_m[pair].dropna()
+            n_complete = int((outcomes.loc[both.index, pair] == "COMPLETE").all(axis=1).sum())
+            return stats.paired_ratio(both[pair[0]], both[pair[1]]), n_complete
+
+        rows = []
+        for claim in self.paper.claims:
+            ours, n_complete = versus(claim.environment, claim.a, claim.b)
+            than = (claim.than,) * 3
+            if claim.than_in is not None:
+                there, _ = versus(claim.than_in, claim.a, claim.b)
+                than = (there.ratio, there.low, there.high)
+            paths = self.paper.environments[claim.environment].paths
+            rows.append(
+                {
+                    "environment": claim.environment,
+                    "claim": f"{claim.a} {claim.direction} than {claim.b} {claim.words}".strip(),
+                    "verdict": verdict(claim.direction, ours.low, ours.high, *than[1:]),
+                    "paper_ratio": paths[claim.a][0] / paths[claim.b][0],
+                    **{"ratio": ours.ratio, "ratio_low": ours.low, "ratio_high": ours.high, "p": ours.p},
+                    **dict(zip(("than", "than_low", "than_high"), than)),
+                    **{"pairs": ours.n, "complete": n_complete},
+                }
+            )
+        return pd.DataFrame(rows)
+
+    def to_pandas(self):
+        """The table of episodes."""
+        return self.comparison.episodes
+
+    def to_markdown(self):
+        """The notes, a table an environment, and the orderings."""
+        text = [f"# {self.paper.title}\n", *(f"{note}\n" for note in self.notes)]
+        for name, environment in self.paper.environments.items():
+            rows = self.tables[self.tables["environment"] == name]
+            text.append(f"## {name} ({environment.where}): {self.worlds[name]}\n")
+            text.append(_table_text(rows) if len(rows) else "Nothing has run here.\n")
+        return "\n".join([*text, "## Orderings\n", _orderings_text(self.orderings)])
+
+    def figure(self):
+        """Bars of mean paths, ours beside the paper's, one panel an environment: a matplotlib `Figure`."""
+        from jexplore.report import plot_papers
+
+        return plot_papers.figure(self.tables, self.paper.short)
+
+    def _repr_markdown_(self):
+        return self.to_markdown()
+
+    def __repr__(self):
+        return f"<Reproduction of {self.paper.title!r}, {len(self.comparison.episodes)} episodes>"
+
+
+def _table_text(rows):
+    """One environment of `Reproduction.tables` as Markdown."""
+    n_first = int(rows["first_n"].fillna(0).max())
+    head = ["strategy", "paper m", "n", "ours m", "95 % interval", f"ours m, first {n_first} episodes"]
+    head += ["paper ratio", "our ratio", "explored", "outcomes"]
+    lines = [
+        [
+            *(row.strategy, tables.spread_text(row.paper_mean, row.paper_sd), str(row.n)),
+            *(tables.spread_text(row.mean, row.sd), tables.interval_text(row.ci_low, row.ci_high, 2)),
+            *(tables.spread_text(row.first_mean, row.first_sd), tables.ratio_text(row.paper_ratio)),
+            tables.ratio_text(row.ratio, row.ratio_low, row.ratio_high),
+            *(tables.number_text(row.explored_fraction, 3), row.outcomes),
+        ]
+        for row in rows.itertuples()
+    ]
+    return tables.aligned_table(head, lines, left=("strategy", "outcomes"))
+
+
+def _orderings_text(orderings):
+    """`Reproduction.orderings` as Markdown."""
+    head = ["environment", "claim", "verdict", "paper ratio", "our ratio", "against", "pairs", "both COMPLETE"]
+    lines = [
+        [
+            *(row.environment, row.claim, row.verdict, tables.ratio_text(row.paper_ratio)),
+            tables.ratio_text(row.ratio, row.ratio_low, row.ratio_high),
+            tables.ratio_text(row.than, *((row.than_low, row.than_high) if row.than_low < row.than_high else ())),
+            *(str(row.pairs), str(row.complete)),
+        ]
+        for row in orderings.itertuples()
+    ]
+    return tables.aligned_table(head, lines, left=head[:3])
+
+
+def prepare(name, *, maps, episodes, seed, cell_m, lidar, rules):
+    """Everything that `reproduce` refuses or loads before it runs: a list of `batch.Job`. Arguments as there."""
+    paper, jobs = find(name), []
+    if maps is not None:
+        require_maps(paper, maps)
+    for environment, world in world_names(paper, maps).items():
+        strategies = sorted(paper.environments[environment].paths, key=lambda name: name != paper.reference)
+        jobs += comparison.prepare_jobs(
+            [world], strategies, episodes=episodes, seed=seed, cell_m=cell_m, start="random", lidar=lidar, rules=rules
+        )
+    return jobs
+
+
+def assemble(name, maps, jobs, report, rules):
+    """The `Reproduction` of jobs that have run. Of an interrupted run it holds what `comparison.assemble` keeps."""
+    paper = find(name)
+    notes = (COUNTERPARTS if maps is None else MAPS, paper.remark)
+    return Reproduction(paper, comparison.assemble(jobs, report, rules), world_names(paper, maps), notes)
+
+
+def reproduce(
+    paper="holz2010",
+    *,
+    maps=None,
+    episodes=100,
+    seed=0,
+    cell_m=0.1,
+    lidar=LIDAR,
+    rules=RULES,
+    engine=None,
+    lanes=None,
+    workers=None,
+    on_progress=None,
+):
+    """Runs a paper's strategies in its environments, and compares the tables and the claims.
+
+    Args:
+      paper: a key of `PAPERS`.
+      maps: folder of the paper's maps (`Environment.file`); by default built-in counterparts stand in.
+      episodes: of each strategy in each environment.
+      seed, cell_m, lidar, rules, engine, lanes, workers, on_progress: as in `comparison.compare`.
+
+    Returns:
+      `Reproduction`.
+
+    Raises:
+      InputError: a paper, folder, map or number that cannot be used. Raised before anything is compiled.
+    """
+    jobs = prepare(paper, maps=maps, episodes=episodes, seed=seed, cell_m=cell_m, lidar=lidar, rules=rules)
+    batch.use_compilation_cache()
+    report = batch.run(jobs, lidar, rules, engine=engine, lanes=lanes, workers=workers, on_progress=on_progress)
+    return assemble(paper, maps, jobs, report, rules)

@@ -1,0 +1,246 @@
+"""The question behind `jexplore segment`: how well are the rooms of maps found, by which variant, and how early?"""
+
+import functools
+import os
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jexplore import segment
+from jexplore.arrays.padding import bucket
+from jexplore.config import InputError, require_number, unknown
+from jexplore.exploration.results import FREE
+from jexplore.studies.checks import LIDAR, RULES, listed, ready_worlds, require_different
+from jexplore.studies.explore import maps_at, prepare_job, run_job
+from jexplore.studies.room_scores import AGREEMENT, regions_of, rooms_of, score
+from jexplore.worlds import GENERATORS, names
+from jexplore.worlds.readers.images import load_image, read_pixels
+from jexplore.worlds.world import World
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+SMALLEST_M2 = 0.25  # regions up to this area are not scored: 100 pixels of 0.05 m
+SHARES = (0.25, 0.5, 0.75)  # of the cells known in the end, at which partial maps are taken
+EXPLORER = "closest+recheck"  # the strategy of the episodes that partial maps come from
+COUNTS = ("rooms", "rooms_truth", "room_count_error", "critical_points", "overflow")
+COLUMNS = (
+    *("map", "variant", "stage", "explored", *AGREEMENT, "rooms", "rooms_truth", "room_count_error"),
+    *("variation_of_information", "critical_points", "overflow"),
+)
+
+
+class Task(NamedTuple):
+    """A map and its true rooms."""
+
+    world: World
+    truth: np.ndarray | None  # [H, W] int32, -1 outside rooms; None where nobody says
+
+
+class Picture(NamedTuple):
+    """What a variant made of a map."""
+
+    name: str
+    variant: str
+    explored: float  # share of the map known; 1 for all of it
+    label: np.ndarray  # [H, W] int32
+    free: np.ndarray  # [H, W] bool
+    lines: np.ndarray  # [n] int, flat index of the cells of the Voronoi graph
+    critical: np.ndarray  # [m] int, flat index of the critical points
+    cell_m: float
+
+
+class Segmentation(NamedTuple):
+    """Scores and pictures of segmentations."""
+
+    scores: (
+        "pd.DataFrame"  # one row a map, variant and share, columns `COLUMNS`; NaN where the true rooms are not known
+    )
+    pictures: list[Picture]
+
+    def to_markdown(self):
+        """A table for every share of the map and every variant: all scores, their means and medians. Text."""
+        from jexplore.report.tables import aligned_table
+
+        text = []
+        groups: Any = self.scores.groupby(["stage", "variant"], sort=False)
+        for (stage, variant), rows in groups:
+            shown = rows.drop(columns=["variant", "stage"]).set_index("map")
+            whole = [name in COUNTS for name in shown.columns]
+            shown = shown.rename(columns={"variation_of_information": "VI bits", "room_count_error": "room error"})
+            lines = [
+                [os.path.basename(name), *map(_text, row, whole)] for name, row in zip(shown.index, shown.to_numpy())
+            ]
+            if len(shown) > 1:
+                lines += [[name, *map(_text, getattr(shown, name)(), whole)] for name in ("mean", "median")]
+            table = aligned_table(["map", *(name.replace("_", " ") for name in shown.columns)], lines, left=["map"])
+            text.append(f"### {variant}, {stage:.0%} of the map\n\n{table}")
+        return "\n".join(text)
+
+
+def _text(value, whole):
+    value = float(value)
+    return "-" if np.isnan(value) else f"{value:.0f}" if whole and value.is_integer() else f"{value:.3f}"
+
+
+def segment_maps(
+    maps: str | World | Sequence[str | World],
+    *,
+    truth: str | Sequence[str] | None = None,
+    variants: str | Sequence[str] = tuple(segment.VARIANTS),
+    partial: bool = False,
+    cell_m: float = 0.05,
+    prominence_m: float = 0.15,
+    gamma: float = 3.0,
+    metric: str = "geodesic",
+    lines: bool = False,
+    seed: int = 0,
+    on_progress=None,
+):
+    """Divides maps into rooms and scores the result.
+
+    Args:
+      maps: names (`worlds.load_world`) or `World`s; one may stand for itself.
+      truth: pictures with the true rooms, in the order of the maps: as the map, with doorways closed by lines. By
+        default worlds that know their rooms are scored by them.
+      variants: names in `segment.VARIANTS`.
+      partial: also segment the maps that a robot has when it first knows 25, 50 and 75 % of what it will know. Stages
+        that it has passed with its very first scans are left out.
+      cell_m: edge of a cell of the worlds that are loaded by name, metres.
+      prominence_m: see `segment.Criteria`, in metres.
+      gamma: see `segment.Criteria`, cells.
+      metric, lines: see `segment.Form`.
+      seed: of the start of the episodes that partial maps come from.
+      on_progress: called with the number of maps, partial ones included, that are done.
+
+    Returns:
+      `Segmentation`.
+
+    Raises:
+      InputError: a name, number or picture that cannot be used. Raised before anything is compiled.
+    """
+    variants = listed("variants", variants)
+    tasks = prepare(maps, truth, variants, cell_m, prominence_m, gamma, metric)
+    jobs = [
+        prepare_job(task.world, EXPLORER, seed=seed, cell_m=cell_m, start="random", lidar=LIDAR, rules=RULES)
+        for task in tasks
+        if partial
+    ]
+    rows, pictures, done = [], [], 0
+    for i, task in enumerate(tasks):
+        known = [(1.0, 1.0, ~task.world.occupied)]
+        if partial:
+            found = run_job(jobs[i], LIDAR, RULES)
+            known = [(*shares, state == FREE) for *shares, state in maps_at(found, SHARES)] + known
+        for stage, explored, free in known:
+            settings = [
+                segment.criteria(variant, prominence=prominence_m / task.world.cell_m, gamma=gamma)
+                for variant in variants
+            ]
+            for variant, made in zip(variants, segmentations(free, settings, metric=metric, lines=lines)):
+                row, picture = _judged(task, variant, stage, explored, free, made)
+                rows.append(row)
+                pictures.append(picture)
+            done += 1
+            if on_progress is not None:
+                on_progress(done)
+    import pandas as pd
+
+    return Segmentation(pd.DataFrame(rows, columns=list(COLUMNS)), pictures)
+
+
+def prepare(maps, truth, variants, cell_m, prominence_m, gamma, metric):
+    """Everything that `segment_maps` refuses or loads before it runs: a list of `Task`. Arguments as there."""
+    variants = listed("variants", variants)
+    require_different("variants", variants)
+    for variant in variants:
+        if variant not in segment.VARIANTS:
+            raise unknown("variant", variant, segment.VARIANTS)
+    if metric not in segment.METRICS:
+        raise unknown("metric", metric, segment.METRICS)
+    require_number("prominence_m", prominence_m, high=100)
+    require_number("gamma", gamma, high=1000)
+    worlds = ready_worlds(maps, cell_m)
+    if truth is None:
+        return [Task(world, world.rooms) for world in worlds]
+    truth = listed("truth", truth)
+    if len(truth) != len(worlds):
+        raise InputError(f"expected ground truth for each of {len(worlds)} maps, got {len(truth)}")
+    return [Task(world, _rooms_in(picture, world)) for world, picture in zip(worlds, truth)]
+
+
+def _rooms_in(picture, world):
+    """The true rooms of a world from a picture of it with closed doorways: `[H, W]` int32."""
+    parsed = names.parse(os.fspath(world.name), generators=GENERATORS)
+    if parsed.kind != "image" or not isinstance(parsed.scale, float | int):
+        raise InputError(f"{world.name!r}: ground truth is for maps such as map.png@0.05, metres a pixel")
+    sizes = [read_pixels(path).shape[1::-1] for path in (picture, parsed.base)]
+    if sizes[0] != sizes[1]:
+        (w, h), (width, height) = sizes
+        raise InputError(f"{picture!r}: must be as large as {parsed.base!r}, {width} x {height} pixels, got {w} x {h}")
+    free: Any = parsed.parameters.get("free", 250)
+    closed = load_image(picture, parsed.scale, cell_m=world.cell_m, free=free).occupied
+    # Either of them may have got a wall all round, where the picture had none.
+    more = [(full - n) // 2 for full, n in zip(world.shape, closed.shape)]
+    closed = np.pad(closed, [(max(n, 0),) * 2 for n in more], constant_values=True)
+    rows, cols = (slice(max(-n, 0), max(-n, 0) + full) for n, full in zip(more, world.shape))
+    return rooms_of(~closed[rows, cols] & ~world.occupied, min_px=_smallest_px(world.cell_m))
+
+
+def _smallest_px(cell_m):
+    return round(SMALLEST_M2 / cell_m**2)
+
+
+@functools.partial(jax.jit, static_argnames=("form",))
+def _each(free, settings, *, form):
+    return jax.lax.map(lambda criteria: segment.segment(free, criteria, form=form), settings)
+
+
+def segmentations(free, settings, *, metric="geodesic", lines=False):
+    """Segments a map by many settings, as one compiled batch.
+
+    Args:
+      free: `[H, W]` bool, numpy.
+      settings: list of `segment.Criteria`.
+      metric, lines: see `segment.Form`.
+
+    Returns:
+      A list of `segment.Segments` of numpy arrays, whose labels are cut to the map and whose flat indices count in it.
+    """
+    height, width = free.shape
+    shape = bucket(height), bucket(width)
+    padded = np.pad(free, [(0, full - n) for full, n in zip(shape, free.shape)])
+    form = segment.form_for(shape, metric=metric, lines=lines)
+    stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *settings)
+    made = jax.tree.map(np.asarray, _each(padded, stacked, form=form))
+
+    def in_map(cell):
+        return np.where(cell < padded.size, cell // shape[1] * width + cell % shape[1], free.size)
+
+    def cut(one):
+        graph = one.graph.replace(cell=in_map(one.graph.cell))
+        return one.replace(label=one.label[:height, :width], graph=graph, seed=in_map(one.seed))
+
+    return [cut(jax.tree.map(lambda a, i=i: a[i], made)) for i in range(len(settings))]
+
+
+def _judged(task, variant, stage, explored, free, made):
+    """A row of scores, and a picture."""
+    critical = made.graph.cell[made.critical]
+    row: dict[str, Any] = dict.fromkeys(COLUMNS, np.nan)
+    least = _smallest_px(task.world.cell_m)
+    found = regions_of(np.where(free, made.label, -1), free, min_px=least)
+    row |= {"map": os.fspath(task.world.name), "variant": variant, "rooms": found.max() + 1}
+    row |= {"stage": stage, "explored": explored}
+    row |= {"critical_points": int(made.count), "overflow": int(made.overflow)}
+    if task.truth is not None:
+        # Of a partial map only what is known counts, on both sides.
+        seen = np.where(free | (explored == 1), task.truth, -1)
+        sizes = np.bincount(seen[seen >= 0], minlength=1)
+        row |= score(np.where((seen >= 0) & (sizes[np.maximum(seen, 0)] > least), seen, -1), found)
+    lines = made.graph.cell[made.graph.cell < free.size]
+    picture = Picture(row["map"], variant, explored, found, free, lines, critical, task.world.cell_m)
+    return row, picture

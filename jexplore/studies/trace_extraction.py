@@ -1,0 +1,108 @@
+"""A Behavioral Trace Map from what an exploration episode has seen, beside what is true."""
+
+import dataclasses
+
+import numpy as np
+
+from jexplore.driving.settings import Tuning, require_tuning
+from jexplore.driving.walls import segments, walls_of
+from jexplore.extraction.extract import extract
+from jexplore.grid import centre_of
+from jexplore.report import plot_traces
+from jexplore.studies import explore
+from jexplore.studies.explore import Episode
+from jexplore.tracemap.record import BtmMap
+
+NEAR_CELLS = 2.0  # a node is found if it lies this near to the true one
+
+
+@dataclasses.dataclass(frozen=True)
+class Extracted:
+    """What `extracted` found."""
+
+    map: BtmMap
+    episode: Episode
+
+    @property
+    def measures(self):
+        """The episode's measures: name -> value."""
+        return {"strategy": self.episode.strategy, **self.episode.measures}
+
+    def agreement(self):
+        """How the map compares with the world's true topology: lines of text, none where the world has none."""
+        course = self.episode.world.course
+        return [] if course is None else [agreement(self.map, course.topology, self.episode.world.cell_m)]
+
+    def figure(self):
+        """The map over the building and the robot's way: a matplotlib `Figure`."""
+        world, final = self.episode.world, self.episode.final
+        x, y = centre_of(final.rows, final.cols, cell_m=world.cell_m, origin_m=world.origin_m)
+        trail = np.stack([x, y, np.zeros(len(x))], axis=1)
+        walls = segments(walls_of(world.occupied, world.cell_m)) + np.tile(np.asarray(world.origin_m), 2)
+        modes = np.zeros(len(x), int)
+        return plot_traces.figure(self.map, walls, trail, None, modes, [self.episode.strategy], self.episode.title)
+
+
+def extracted(world, strategy="closest+recheck", *, seed=0, cell_m=0.1, tuning=None):
+    """Explores a world and reads the map off the last grid.
+
+    Args:
+      world: name or `World`. A course is explored from its own start.
+      strategy: name of a strategy.
+      seed: of the episode.
+      cell_m: edge of a cell, metres.
+      tuning: `Tuning`; its reference width and C1 are used.
+
+    Returns:
+      `Extracted`.
+
+    Raises:
+      InputError: as `explore.explore`, or thresholds that contradict each other.
+    """
+    tuning = tuning or Tuning()
+    require_tuning(tuning)
+    own = isinstance(world, str) and world.partition("#")[0].partition(":")[0] == "course"
+    start = "world" if own or getattr(world, "course", None) is not None else "random"
+    episode = explore.explore(world, strategy, seed=seed, cell_m=cell_m, start=start)
+    final = episode.final
+    n = final.hits + final.misses
+    known = n > 0
+    free = known & (final.hits <= episode.rules.p_free * n)
+    found = extract(
+        free,
+        known,
+        cell_m,
+        start_rc=(int(final.rows[0]), int(final.cols[0])),
+        trail=np.stack([final.rows, final.cols], axis=1),
+        width_m=tuning.width_m,
+        open_m=tuning.open_m,
+        origin_m=episode.world.origin_m,
+    )
+    return Extracted(found, episode)
+
+
+def matched(found, true, cell_m):
+    """Divergences of one map that lie where another has one of the same degree.
+
+    Args:
+      found, true: `BtmMap`.
+      cell_m: edge of a cell, metres.
+
+    Returns:
+      `(hits, n_found, n_true)`: true divergences that were found, divergences found, true ones.
+    """
+    ours, theirs = ([n for n in m.nodes if n.type == "divergence"] for m in (found, true))
+    left, hits = list(ours), 0
+    for node in theirs:
+        near = [o for o in left if np.hypot(o.x_m - node.x_m, o.y_m - node.y_m) <= NEAR_CELLS * cell_m]
+        near = [o for o in near if len(found.bearings_deg(o.id)) == len(true.bearings_deg(node.id))]
+        if near:
+            left.remove(near[0])
+            hits += 1
+    return hits, len(ours), len(theirs)
+
+
+def agreement(found, true, cell_m):
+    """How the divergences of two maps compare: a line of text."""
+    hits, ours, theirs = matched(found, true, cell_m)
+    return f"true divergences found, within {NEAR_CELLS:g} cells and of their degree: {hits} of {theirs}; {ours} in all"

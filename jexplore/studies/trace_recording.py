@@ -1,0 +1,120 @@
+"""Run 0 of a plan once more, step by step, with what the operator would have seen."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jexplore import btm
+from jexplore.driving import behaviour, mission, perception, vehicle
+from jexplore.driving.batch import MAX_STEPS
+from jexplore.driving.behaviour import RunMode
+from jexplore.driving.walls import cast, segments
+from jexplore.report.operator_view import Recording
+from jexplore.studies import tracing
+
+TRIANGLES = 8  # most that are shown of a scan
+MODE_NAMES = tuple(mode.name.lower().replace("_", " ") for mode in RunMode)
+POINT_EVERY = 5  # steps between two scans whose points are drawn
+
+
+def scan_points(plan, track):
+    """Points of some scans along a way, as the odometry has them: `[P, 2]`, metres, in the world's frame."""
+    steps = np.arange(0, len(track.truth), POINT_EVERY)
+    ranges = jax.jit(jax.vmap(lambda pose: cast(plan.building.walls, pose, vehicle.ANGLES_RAD, vehicle.RANGE_M)))
+    found = np.asarray(ranges(track.truth[steps]))
+    angle = track.estimate[steps, 2:3] + vehicle.ANGLES_RAD
+    hit = np.isfinite(found)
+    reach = np.where(hit, found, 0)[..., None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    return (track.estimate[steps, None, :2] + reach)[hit] + np.asarray(plan.world.origin_m)
+
+
+def moved(poses, origin_m):
+    """Poses `[n, 3]` in the world's frame."""
+    return np.asarray(poses) + np.array([*origin_m, 0.0], np.float32)
+
+
+def wall_lines(plan):
+    """The building's walls in the world's frame: `[S, 4]`, metres."""
+    return segments(plan.building.walls) + np.tile(np.asarray(plan.world.origin_m), 2)
+
+
+@jax.jit
+def _frame(key, building, robot, tuning, noise, state):
+    """One step, and what was seen in it."""
+    draws = vehicle.draw(key)
+    senses = vehicle.sense(draws, building, robot, noise, state.body)
+    xy, valid = perception.points(senses.ranges_m, vehicle.ANGLES_RAD)
+    wall_m = jnp.minimum(*perception.clearances(xy, valid, robot.length_m / 2))
+    found = mission.look(xy, valid, wall_m, tuning)
+    best = jnp.argsort(jnp.where(found.valid, jnp.hypot(*found.centre.T), jnp.inf))[:TRIANGLES]
+    there = found.valid[best]
+    after = mission.step(draws, building, robot, tuning, noise, state)
+    region = tuning.ahead_m / 2, tuning.ahead_m / 2 + tuning.region_m
+    left_m, right_m = perception.sides(xy, valid, *region)
+    seen = {
+        "pose": state.body.pose,
+        "estimate": state.estimate,
+        "mode": after.mode,
+        "target": vehicle.to_odometry(state.estimate)(after.target),
+        "ranges_m": senses.ranges_m,
+        "triangles_m": jnp.where(there[:, None, None], found.corners[best], jnp.nan),
+        "chosen": jnp.where(there[0], 0, -1),
+        "pitch_deg": jnp.degrees(senses.pitch),
+        "roll_deg": jnp.degrees(senses.roll),
+        "n_nodes": after.writer.map.n_nodes,
+        "status": after.writer.map.status,
+        "votes": behaviour.votes(after.track),
+        "left_m": left_m,
+        "right_m": right_m,
+    }
+    return after, seen
+
+
+def record(plan, on_progress=lambda n: None):
+    """What the operator would have seen of run 0.
+
+    Args:
+      plan: `tracing.Plan`.
+      on_progress: called with the number of steps so far.
+
+    Returns:
+      `Recording`.
+    """
+
+    def numbers(settings):
+        own = tracing.numbers_of(settings, 1)
+        return jax.tree.map(lambda a: jnp.asarray(a[0]), own)
+
+    robot, tuning, noise = (numbers(s) for s in plan.first_settings())
+    building = jax.device_put(plan.building)
+    key = jax.random.fold_in(jax.random.key(np.uint32(plan.seed)), 0)
+    state = jax.tree.map(jnp.asarray, mission.begin(building, robot, max(plan.max_steps, MAX_STEPS)))
+    frames, steps = [], 0
+    while int(state.outcome) == mission.Outcome.RUNNING and steps < plan.max_steps:
+        state, seen = _frame(jax.random.fold_in(key, steps), building, robot, tuning, noise, state)
+        frames.append(jax.device_get(seen))
+        steps += 1
+        on_progress(steps)
+    series = {name: np.stack([frame[name] for frame in frames]) for name in frames[0]}
+    status = series.pop("status")
+    used = np.flatnonzero(status[-1] != btm.NONE)
+    there, searched = status[:, used] != btm.NONE, status[:, used] == btm.SEARCHED
+    origin = plan.world.origin_m
+    goal = None if np.isnan(plan.building.goal).any() else tuple(np.asarray(plan.building.goal) + origin)
+    return Recording(
+        title=f"{plan.robot.name} in {plan.world.name}",
+        dt_s=vehicle.DT_S,
+        mode_names=MODE_NAMES,
+        walls_m=wall_lines(plan),
+        goal_m=goal,
+        angles_rad=vehicle.ANGLES_RAD,
+        time_s=vehicle.DT_S * np.arange(steps),
+        target_m=series.pop("target") + np.asarray(origin),
+        pose=moved(series.pop("pose"), origin),
+        estimate=moved(series.pop("estimate"), origin),
+        n_links=there.sum(axis=1),
+        link_searched_frame=np.where(searched.any(axis=0), searched.argmax(axis=0), steps),
+        map=btm.to_map(jax.device_get(state.writer.map), origin_m=origin),
+        robot_m=(plan.robot.length_m, plan.robot.width_m),
+        **series,
+    )

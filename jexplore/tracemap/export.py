@@ -1,0 +1,175 @@
+"""Behavioral Trace Maps in the words of other programs: route graphs of Nav2, and GraphML.
+
+Both leave something out; `json_form.to_json` is the form that keeps everything.
+"""
+
+import json
+import math
+import re
+import xml.etree.ElementTree as ET
+
+from jexplore.config import InputError
+from jexplore.tracemap.record import NOWHERE, check
+
+NAV2_IDS = 65536
+"""Ids of nodes and edges must lie below: messages of the Route Server hold 16 bits."""
+SHORTEST_M = 0.001
+"""Least cost of an edge: the planner of the Route Server gives up over one that costs nothing."""
+
+_NODE_MEASURES = ("inclination_deg", "step_m", "posture_deg")
+_LINK_MEASURES = ("length_m", "min_width_m", "posture_deg", "opening_m")
+_NOT_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+
+
+def geojson(btm, *, frame="map"):
+    """The map as a GeoJSON route graph for the Nav2 Route Server, for `store.write_json`.
+
+    A node becomes a Point under its own id, a searched link two LineStrings, one each way, under ids that follow the
+    highest one of the nodes. Un-searched links lead nowhere, which the server refuses; they are in the metadata of
+    their nodes, as `unsearched_bearings_deg`. An edge's `penalty` is what its length exceeds the straight line, since
+    the server's distance scorer measures that; its `cost`, used without scorers, is the length, 1 mm or more. `class`
+    is for the semantic scorer: the shape of an obstacle, else the type of the node.
+
+    Metadata are text, truth values, floats and flat lists of them, as the server's loader needs: unknown measures are
+    left out, extensions lie below `attributes` with integers as floats, and an attribute that is null, nested deeper in
+    lists or too large for a float is JSON text there.
+
+    Args:
+      btm: the map, with one searched link or more.
+      frame: the frame of the coordinates.
+
+    Returns:
+      A dict, a FeatureCollection.
+
+    Raises:
+      InputError: not a proper map, no searched link (the server refuses a graph without edges), or ids of 65536 and
+        above.
+
+    Source:
+      The geojson loader, distance, penalty and semantic scorers of nav2_route.
+    """
+    btm = check(btm)
+    searched = [link for link in btm.links if link.end != NOWHERE]
+    if not searched:
+        raise InputError("a route graph must have an edge: the map has no searched link")
+    first = max(node.id for node in btm.nodes) + 1
+    last = first + 2 * len(searched) - 1
+    if last >= NAV2_IDS:
+        raise InputError(f"ids of a route graph must lie below {NAV2_IDS}, those of this map would reach {last}")
+    features = [_feature("Point", [node.x_m, node.y_m], _node_properties(btm, node, frame)) for node in btm.nodes]
+    places = {node.id: [node.x_m, node.y_m] for node in btm.nodes}
+    for number, link in enumerate(searched):
+        for way, (start, end) in enumerate(((link.start, link.end), (link.end, link.start))):
+            line = [places[start], places[end]]
+            ends = {"id": first + 2 * number + way, "startid": start, "endid": end}
+            features.append(_feature("LineString", line, {**ends, **_edge_properties(link, math.dist(*line))}))
+    return {"type": "FeatureCollection", "features": features}
+
+
+def _feature(kind, coordinates, properties):
+    return {"type": "Feature", "properties": properties, "geometry": {"type": kind, "coordinates": coordinates}}
+
+
+def _node_properties(btm, node, frame):
+    metadata = {"class": node.obstacle or node.type, "type": node.type}
+    if node.obstacle:
+        metadata["obstacle"] = node.obstacle
+    metadata |= _measures(node, _NODE_MEASURES)
+    metadata["angles_deg"] = btm.angles_deg(node.id)
+    metadata["unsearched_bearings_deg"] = _unsearched_deg(btm, node)
+    return {"id": node.id, "frame": frame, "metadata": metadata | _extensions(node.attributes)}
+
+
+def _edge_properties(link, chord_m):
+    length_m = max(chord_m if link.length_m is None else link.length_m, SHORTEST_M)
+    metadata = {"penalty": max(0.0, length_m - chord_m), **_measures(link, _LINK_MEASURES), "link": float(link.id)}
+    return {"cost": length_m, "overridable": True, "metadata": metadata | _extensions(link.attributes)}
+
+
+def _measures(record, names):
+    return {name: value for name in names if (value := getattr(record, name)) is not None}
+
+
+def _unsearched_deg(btm, node):
+    return [link.start_bearing_deg for link in btm.links if link.start == node.id and link.end == NOWHERE]
+
+
+def _extensions(attributes):
+    return {"attributes": _metadata(attributes)} if attributes else {}
+
+
+def _metadata(value, depth=0):
+    """A value in metadata of the Route Server; lists stay only where they hold plain values."""
+    if isinstance(value, dict):
+        return {key: _metadata(item) for key, item in value.items()}
+    if isinstance(value, list) and depth == 0 and not any(isinstance(item, dict) for item in value):
+        return [_metadata(item, depth=1) for item in value]
+    if isinstance(value, (bool, str)):
+        return value
+    if isinstance(value, (int, float)) and abs(value) < 2**127:  # single precision
+        return float(value)
+    return json.dumps(value, ensure_ascii=False)
+
+
+def graphml(btm):
+    """The map as undirected GraphML text.
+
+    Nodes and edges have the ids of the map, edges the searched links only: an un-searched link would need a node that
+    is not there, so its bearing stands in `unsearched_bearings_deg` of its node, as text, blanks between numbers.
+    Unknown measures and empty lists are left out. Extensions get `attribute_` before their names; those that are no
+    text are JSON. A character that XML cannot hold becomes U+FFFD.
+
+    Raises:
+      InputError: not a proper map; see `policy.check`.
+    """
+    btm = check(btm)
+    nodes = [(str(node.id), {}, _graphml_node(btm, node)) for node in btm.nodes]
+    edges = [
+        (str(link.id), {"source": str(link.start), "target": str(link.end)}, _graphml_edge(link))
+        for link in btm.links
+        if link.end != NOWHERE
+    ]
+    root = ET.Element("graphml", xmlns="http://graphml.graphdrawing.org/xmlns")
+    keys = {}
+    for kind, items in (("node", nodes), ("edge", edges)):
+        for _, _, values in items:
+            for name, value in values.items():
+                if (kind, name) not in keys:
+                    keys[kind, name] = f"d{len(keys)}"
+                    value_type = "string" if isinstance(value, str) else "double"
+                    named = {"attr.name": _xml(name), "attr.type": value_type}
+                    ET.SubElement(root, "key", {"id": keys[kind, name], "for": kind, **named})
+    graph = ET.SubElement(root, "graph", edgedefault="undirected")
+    for kind, items in (("node", nodes), ("edge", edges)):
+        for own, ends, values in items:
+            element = ET.SubElement(graph, kind, {"id": own, **ends})
+            for name, value in values.items():
+                text = _xml(value) if isinstance(value, str) else repr(value)
+                ET.SubElement(element, "data", key=keys[kind, name]).text = text
+    ET.indent(root)
+    return '<?xml version="1.0" encoding="UTF-8"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
+
+
+def _graphml_node(btm, node):
+    values = {"x_m": node.x_m, "y_m": node.y_m, "type": node.type}
+    if node.obstacle:
+        values["obstacle"] = node.obstacle
+    values |= _measures(node, _NODE_MEASURES)
+    lists = {"angles_deg": btm.angles_deg(node.id), "unsearched_bearings_deg": _unsearched_deg(btm, node)}
+    texts = {name: " ".join(map(repr, numbers)) for name, numbers in lists.items() if numbers}
+    return values | texts | _texts(node.attributes)
+
+
+def _graphml_edge(link):
+    bearings = {"start": str(link.start), "start_bearing_deg": link.start_bearing_deg}
+    bearings["end_bearing_deg"] = link.end_bearing_deg
+    return bearings | _measures(link, _LINK_MEASURES) | _texts(link.attributes)
+
+
+def _texts(attributes):
+    texts = {key: item if isinstance(item, str) else json.dumps(item) for key, item in attributes.items()}
+    return {f"attribute_{key}": text for key, text in texts.items()}
+
+
+def _xml(text):
+    return _NOT_XML.sub("�", text)

@@ -1,0 +1,157 @@
+"""The JSON form of Behavioral Trace Maps. Plain Python: importing this loads no jax."""
+
+import bisect
+import dataclasses
+import functools
+import json
+import re
+import reprlib
+
+from jexplore.config import InputError
+from jexplore.tracemap.record import BtmMap, Link, Node, called, check
+
+FORMAT = "behavioral-trace-map"
+VERSION = (1, 0)
+"""The first number changes where an older reader would go wrong, the second where it would not."""
+
+
+def to_json(btm):
+    """The map as nested dicts and lists for `store.write_json`, every number as it is.
+
+    Besides the fields of the records a node has `links`, their number, and `angles_deg`, the angles between adjacent
+    ones, as Table I has them; readers take both from the links instead.
+
+    Raises:
+      InputError: the map is not a proper one; see `policy.check`.
+    """
+    btm = check(btm)
+    nodes = []
+    for node in btm.nodes:
+        angles, item = btm.angles_deg(node.id), dict(vars(node))
+        attributes = item.pop("attributes")
+        nodes.append({**item, "links": len(angles), "angles_deg": angles, "attributes": attributes})
+    return {
+        "format": FORMAT,
+        "version": list(VERSION),
+        "attributes": btm.attributes,
+        "nodes": nodes,
+        "links": [dict(vars(link)) for link in btm.links],
+    }
+
+
+def read_btm(path):
+    """The map in a JSON file, such as `btm.json`.
+
+    Args:
+      path: the file.
+
+    Returns:
+      `BtmMap`.
+
+    Raises:
+      InputError: the file cannot be read, is no JSON or no map; with the line.
+    """
+    try:
+        with open(path, encoding="utf-8") as file:
+            text = file.read()
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path} must be a readable JSON file: {error}") from error
+    return parse(text, str(path))
+
+
+def parse(text, name):
+    """The map in the text of a JSON file. As `from_json`, and errors name the line.
+
+    Raises:
+      InputError: the text is no JSON, or no map.
+    """
+    try:
+        obj = json.loads(text)
+    except json.JSONDecodeError as error:
+        raise InputError(f'"{name}": line {error.lineno} must be JSON: {error.msg}') from error
+    except (ValueError, RecursionError) as error:
+        raise InputError(f'"{name}" must be JSON of usual numbers and depth: {error}') from error
+    return _read(obj, functools.partial(_where, name, _lines(text) if isinstance(obj, dict) else {}))
+
+
+def from_json(obj, name="map"):
+    """The map that `to_json` turned into `obj`. Fields that this version does not know are skipped.
+
+    Args:
+      obj: nested dicts and lists.
+      name: what the user calls it, for errors.
+
+    Raises:
+      InputError: another format, a newer major version, or not a proper map; see `policy.check`.
+    """
+    return _read(obj, functools.partial(_where, name, {}))
+
+
+def _where(name, lines, member, index=None):
+    line = lines.get((member, index), lines.get((member, None)))
+    return f'"{name}": line {line}' if line else f'"{name}"'
+
+
+def _lines(text):
+    """Line of every member of the outer object, and of every element of its arrays: `{(name, index or None): line}`.
+
+    The text is known to be JSON, so commas and colons need no more care than blanks.
+    """
+    decode, found = json.JSONDecoder().raw_decode, {}
+    newlines = [match.start() for match in re.finditer("\n", text)]
+
+    def past(at):
+        while text[at : at + 1] in set(" \t\r\n,:"):
+            at += 1
+        return at
+
+    def line(at):
+        return bisect.bisect(newlines, at) + 1
+
+    at = past(text.index("{") + 1)
+    while text[at] != "}":
+        member, at = decode(text, at)
+        at = past(at)
+        found[member, None] = line(at)
+        if text[at] == "[":
+            at, index = past(at + 1), 0
+            while text[at] != "]":
+                found[member, index] = line(at)
+                at, index = past(decode(text, at)[1]), index + 1
+            at = past(at + 1)
+        else:
+            at = past(decode(text, at)[1])
+    return found
+
+
+def _read(obj, where):
+    got = obj.get("format") if isinstance(obj, dict) else None
+    if got != FORMAT:
+        got = reprlib.repr(got) if isinstance(obj, dict) else f"a {type(obj).__name__}"
+        raise InputError(f'{where("format")}: format must be "{FORMAT}", got {got}')
+    version = obj.get("version")
+    pair = version if isinstance(version, list) and [type(part) for part in version] == [int, int] else (0, -1)
+    if pair[0] != VERSION[0] or pair[1] < 0:
+        raise InputError(
+            f"{where('version')}: version must be [{VERSION[0]}, 0] or a later minor one, got {reprlib.repr(version)}"
+        )
+    nodes, links = (_records(kind, obj, member, where) for kind, member in ((Node, "nodes"), (Link, "links")))
+    return check(BtmMap(nodes, links, obj.get("attributes", {})), where)
+
+
+def _records(kind, obj, member, where):
+    """Records with values that are not checked yet."""
+    items, made = obj.get(member), []
+    if not isinstance(items, list):
+        raise InputError(f"{where(member)}: {member} must be a list, got {reprlib.repr(items)}")
+    for index, item in enumerate(items):
+        if not isinstance(item, dict):
+            raise InputError(f"{where(member, index)}: {member}[{index}] must be an object, got {reprlib.repr(item)}")
+        values = {field.name: item[field.name] for field in dataclasses.fields(kind) if field.name in item}
+        try:
+            made.append(kind(**values))
+        except TypeError:
+            missing = next(field.name for field in dataclasses.fields(kind) if field.name not in item)
+            own = f"{where(member, index)}: {called(member, index, item.get('id'))}"
+            raise InputError(f"{own}: {missing} is missing") from None
+    return tuple(made)

@@ -1,0 +1,148 @@
+"""A course for Behavioral Trace Maps: passages, a slope, junctions and a hall, with the topology that is true of it."""
+
+from jexplore.config import InputError, require_number
+from jexplore.worlds.generators.course_map import render
+from jexplore.worlds.generators.draft import random_stream
+from jexplore.worlds.generators.route import LEFT, RIGHT, STRAIGHT, Route
+from jexplore.worlds.world import World
+
+OBSTACLES = {"slope": 3, "stairs": 4, "none": 0}
+"""Name -> places at which the ground bends: the stairs have a landing."""
+_KIND = 6
+_START_M = 1.5  # from the wall behind the start
+_TRIES = 60
+_JUNCTIONS = (
+    ((RIGHT, LEFT), 0.2),
+    ((RIGHT, STRAIGHT), 0.2),
+    ((STRAIGHT, LEFT), 0.15),
+    ((RIGHT, STRAIGHT, LEFT), 0.15),
+    ((LEFT,), 0.2),
+    ((RIGHT,), 0.1),
+)
+"""Openings, and how often: T from its stem, T from either side, crossing, corners."""
+
+
+def course(
+    seed: int,
+    *,
+    cell_m: float = 0.1,
+    width_m: float = 2.0,
+    obstacle: str = "slope",
+    riser_m: float = 0.10,
+    furniture: bool = False,
+    dead_ends: bool = True,
+) -> World:
+    """A way from a start to a goal, for a robot that at a junction takes the first way counter-clockwise from behind.
+
+    Seed 0 is the course of the paper as its text tells it: a passage, a slope of 10 degrees up and down, a junction
+    (right), an elevator hall passed along its right wall, a junction (right), the goal; the lengths are ours. Every
+    other seed draws lengths, widths, the angle (6 to 15 degrees), the elements and their order. The robot's rule leads
+    to the goal; ways that it does not take go on for at least 6 m. `World.course` has start, goal and true topology:
+    a divergence lies at the centre of the largest empty circle that touches three walls, links run along the centre
+    lines, and their bearings are those of the passages.
+
+    Everything is a multiple of 0.2 m, so one seed is one course where `cell_m` divides that; at other cells widths are
+    rounded to whole cells, and the topology with them.
+
+    Args:
+      seed: integer from 0.
+      cell_m: edge of a cell, metres, at most 0.2.
+      width_m: width of the passages, metres; for seeds from 1 they have 0.7 to 1.2 times this, and at least 1.2 m.
+      obstacle: `slope`; `stairs` of the same length, with treads of 0.3 m; `none`, level ground in the same layout.
+      riser_m: height of a step of the stairs, metres.
+      furniture: whether small boxes stand along some walls; they leave at least 1.2 m. The corner of a box and the two
+        walls make a right-angled triangle, which a robot may take for a divergence: the topology has none there.
+      dead_ends: whether a way to the right may be a dead end, for seeds from 1.
+
+    Returns:
+      A `World` without rooms, with a start and a course, and with elevation where there is an obstacle.
+
+    Raises:
+      InputError: a parameter out of range.
+
+    Source:
+      Mano et al. 2009, Autonomous generation of Behavioral Trace Maps using rescue robots.
+    """
+    require_number("course: cell_m", cell_m, low=0.001, high=0.2)
+    require_number("course: width_m", width_m, low=1.2, high=3.0)
+    require_number("course: riser_m", riser_m, low=0.01, high=0.3)
+    if obstacle not in OBSTACLES:
+        raise InputError(f"course: obstacle must be one of {', '.join(OBSTACLES)}, got {obstacle!r}")
+    for name, value in (("furniture", furniture), ("dead_ends", dead_ends)):
+        if not isinstance(value, bool):
+            raise InputError(f"course: {name} must be true or false, got {value!r}")
+    rng = random_stream(seed, _KIND)
+    creases = OBSTACLES[obstacle]
+    route = _drawn(rng, width_m, creases, dead_ends) if seed else _paper(width_m, creases)
+    if furniture:
+        _furnish(rng, route)
+    return render(route, cell_m, obstacle, riser_m)
+
+
+def _paper(width_m, creases):
+    route = Route(0, width_m, _START_M)
+    route.passage(4.1)
+    route.ramp(10.0, creases)
+    route.passage(5.0)
+    route.junction((RIGHT, LEFT), width_m, 7.0)
+    route.passage(5.0)
+    route.hall(6.0, 5.0, LEFT)
+    route.passage(5.0)
+    route.junction((RIGHT, STRAIGHT), width_m, 7.0)
+    route.goal(5.0, 7.0)
+    return route
+
+
+def _drawn(rng, width_m, creases, dead_ends):
+    """A route that keeps clear of itself: with fewer elements where many do not fit. Two always do."""
+    n = int(rng.integers(4, 9))
+    route = None
+    for n_elements in range(n, 1, -1):
+        for _ in range(_TRIES):
+            route = _attempt(rng, n_elements, width_m, creases, dead_ends)
+            if route.fits:
+                return route
+    raise AssertionError("a route of two elements keeps clear of itself")
+
+
+def _attempt(rng, n_elements, width_m, creases, dead_ends):
+    elements = ["ramp", "junction", *(["hall"] if n_elements > 2 and rng.random() < 0.8 else [])]
+    elements += ["junction"] * (n_elements - len(elements))
+    route = Route(int(rng.integers(4)), _width(rng, width_m), _START_M)
+    first_m = 0.1  # brings the first passage to whole multiples
+    for element in rng.permutation(elements):
+        route.passage(_fifths(rng, 4.4, 7.0) + first_m)
+        first_m = 0.0
+        if element == "ramp":
+            route.ramp(float(rng.integers(6, 16)), creases)
+        elif element == "hall":
+            route.hall(_fifths(rng, 5.0, 8.0), _fifths(rng, 4.0, 6.0), int(rng.choice((LEFT, RIGHT))))
+        else:
+            turns = _JUNCTIONS[rng.choice(len(_JUNCTIONS), p=[weight for _, weight in _JUNCTIONS])][0]
+            dead_m = _fifths(rng, 5.0, 7.0) if rng.random() < 0.4 else 0.0
+            possible = dead_ends and RIGHT in turns and len(turns) > 1
+            route.junction(turns, _width(rng, width_m), _fifths(rng, 6.2, 8.0), dead_m if possible else 0.0)
+    route.goal(_fifths(rng, 5.0, 7.0), _fifths(rng, 6.2, 8.0))
+    return route
+
+
+def _furnish(rng, route):
+    """A box in some passages, no nearer than 1.6 m to their ends, where the nodes are."""
+    for i, (rect, heading) in enumerate(route.straights):
+        along, across = sorted((0, 1), key=lambda axis: axis != heading % 2)
+        length, width = (rect[axis + 2] - rect[axis] for axis in (along, across))
+        depth = min(0.4, 0.2 * int((width - 1.2 + 1e-6) / 0.2))
+        size = _fifths(rng, 0.4, 0.8)
+        start = _fifths(rng, 1.6, max(1.6, length - 1.6 - size))
+        side = int(rng.integers(2))
+        if depth > 0 and rng.random() < 0.4:
+            route.box(i, start, size, depth, side)
+
+
+def _width(rng, width_m):
+    return max(1.2, _fifths(rng, 0.7 * width_m, 1.2 * width_m))
+
+
+def _fifths(rng, low, high):
+    """A multiple of 0.2 m from about `low` to about `high`."""
+    return 0.2 * int(rng.integers(round(low / 0.2), round(high / 0.2) + 1))

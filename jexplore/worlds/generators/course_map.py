@@ -1,0 +1,182 @@
+"""From the plan of a course to cells: walls, height of the ground, and the true topology.
+
+Every coordinate is rounded to the nearest edge of a cell by itself, so walls that are in line stay in line, and the
+topology is made from what is rounded: it is true of the cells, not of the drawing.
+"""
+
+import math
+
+import numpy as np
+
+from jexplore.tracemap.record import NOWHERE, BtmMap, Link, Node
+from jexplore.worlds.generators.draft import to_cells
+from jexplore.worlds.generators.route import MARGIN_M, RAMP_M, largest_circle
+from jexplore.worlds.world import Course, World, require_side
+
+TREAD_M = 0.30
+_BESIDE_M = 0.4  # the ground of a ramp goes on so far into the walls beside it, for interpolation
+
+
+class _Grid:
+    """Metres of a drawing to metres of the cells."""
+
+    def __init__(self, rects, cell_m):
+        bounds = np.array(rects)
+        self.low = bounds[:, :2].min(axis=0) - MARGIN_M
+        high = bounds[:, 2:].max(axis=0) + MARGIN_M
+        self.cell_m = cell_m
+        self.shape = tuple(math.ceil(side / cell_m - 1e-6) for side in (high - self.low)[::-1].tolist())
+
+    def cells(self, value, axis):
+        """The nearest edge between cells; `axis` 0 for x, 1 for y."""
+        return to_cells((value - float(self.low[axis])) / self.cell_m)
+
+    def snap(self, value, axis):
+        """The same in metres."""
+        return round(self.cells(value, axis) * self.cell_m, 9)
+
+    def box(self, rect):
+        """Rows and columns of a rectangle."""
+        x0, y0, x1, y1 = (self.cells(value, i % 2) for i, value in enumerate(rect))
+        return slice(y0, y1), slice(x0, x1)
+
+    def middle(self, heading, lane):
+        """Where the centre line of a passage lies, metres."""
+        return sum(self.snap(side, 1 - heading % 2) for side in lane) / 2
+
+    def width(self, heading, lane):
+        """Metres, of a passage."""
+        low, high = (self.cells(side, 1 - heading % 2) for side in lane)
+        return round((high - low) * self.cell_m, 9)
+
+
+def render(route, cell_m, obstacle, riser_m):
+    """A course as a world.
+
+    Args:
+      route: a `Route`.
+      cell_m: edge of a cell, metres.
+      obstacle: `slope` or `stairs`: what the ramps of the route are.
+      riser_m: height of a step, metres.
+
+    Returns:
+      A `World` with a course, its start the cell that the course starts in; with elevation where there is a ramp.
+
+    Raises:
+      InputError: more than `MAX_SIDE` cells a side.
+    """
+    grid = _Grid([rect for _, rect in route.rects], cell_m)
+    require_side("course", *grid.shape)
+    occupied = np.ones(grid.shape, bool)
+    for _, rect in route.rects:
+        occupied[grid.box(rect)] = False
+    for rect in route.boxes:
+        occupied[grid.box(rect)] = True
+    elevation = np.zeros(grid.shape, np.float32) if route.ramps else None
+    for ramp in route.ramps:
+        _raise_ground(elevation, grid, ramp, obstacle, riser_m)
+    nodes = tuple(_node(i, stop, grid, obstacle, riser_m) for i, stop in enumerate(route.stops))
+    links = _links(route, nodes, grid)
+    start, goal = nodes[0], nodes[-1]
+    course = Course(
+        start_pose=(start.x_m, start.y_m, 90.0 * route.stops[0].heading),
+        goal_m=(goal.x_m, goal.y_m),
+        topology=BtmMap(nodes, links),
+    )
+    cell = int(start.y_m / cell_m), int(start.x_m / cell_m), 90 * route.stops[0].heading
+    return World(occupied=occupied, elevation=elevation, start=cell, cell_m=float(cell_m), course=course)
+
+
+def _creases(grid, ramp, obstacle):
+    """Where the ground bends along a ramp's passage, metres: start, top, end; of stairs both ends of the landing.
+
+    A slope has its creases in the middles of cells, half a cell after the drawing: heights interpolated between the
+    middles of cells are then exact. Steps begin at edges of cells.
+    """
+    forward = 1 if ramp.heading < 2 else -1
+    run = to_cells(RAMP_M / grid.cell_m) * grid.cell_m
+    start = grid.snap(ramp.along, ramp.heading % 2)
+    if obstacle == "slope":
+        return [start + forward * (grid.cell_m / 2 + k * run) for k in range(3)]
+    return [start + forward * along for along in (0, run - TREAD_M, run + TREAD_M, 2 * run)]
+
+
+def _raise_ground(elevation, grid, ramp, obstacle, riser_m):
+    start, *_, end = _creases(grid, ramp, obstacle)
+    top = (start + end) / 2
+    axis = ramp.heading % 2
+    run = abs(top - start)
+    middles = (np.arange(elevation.shape[1 - axis]) + 0.5) * grid.cell_m
+    inward = run - np.abs(middles - top)  # distance from the nearer end
+    if obstacle == "slope":
+        height = np.maximum(inward, 0) * math.tan(math.radians(ramp.angle_deg))
+    else:
+        height = np.where(inward > 0, (np.floor(inward / TREAD_M + 1e-6) + 1) * riser_m, 0)
+    low, high = min(start, end), max(start, end)
+    along = slice(math.floor(low / grid.cell_m + 1e-6), math.ceil(high / grid.cell_m - 1e-6))
+    across = slice(
+        grid.cells(ramp.lane[0] - _BESIDE_M, 1 - axis),
+        grid.cells(ramp.lane[1] + _BESIDE_M, 1 - axis),
+    )
+    if axis:
+        elevation[along, across] = height[along, None]
+    else:
+        elevation[across, along] = height[None, along]
+
+
+def _node(number, stop, grid, obstacle, riser_m):
+    about = {}
+    if stop.rect is not None:
+        snapped = tuple(grid.snap(value, i % 2) for i, value in enumerate(stop.rect))
+        x, y, _ = largest_circle(snapped, stop.arms)
+        return Node(number, x, y, stop.type)
+    axis = stop.heading % 2
+    if stop.ramp is not None:
+        along = _creases(grid, stop.ramp, obstacle)[stop.crease]
+        inclined = {"inclination_deg": stop.ramp.angle_deg} if obstacle == "slope" else {"step_m": riser_m}
+        about = {"obstacle": obstacle, **inclined}
+    elif stop.type == "free_space":
+        along = grid.snap(stop.along, axis)
+    else:
+        along = round(stop.along - float(grid.low[axis]), 9)
+    middle = grid.middle(stop.heading, stop.lane)
+    x, y = (middle, along) if axis else (along, middle)
+    return Node(number, x, y, stop.type, **about)
+
+
+def _links(route, nodes, grid):
+    """Links that the robot follows in the order of following, then the others."""
+    links = []
+    for leg in sorted(route.legs, key=lambda leg: leg.end is None):
+        width = grid.width(leg.heading, leg.lane)
+        common = {"start_bearing_deg": 90.0 * leg.heading, "opening_m": width}
+        if leg.end is None:
+            links.append(Link(len(links), leg.start, NOWHERE, "un-searched", **common))
+            continue
+        ends = [(node.x_m, node.y_m)[leg.heading % 2] for node in (nodes[leg.start], nodes[leg.end])]
+        links.append(
+            Link(
+                len(links),
+                leg.start,
+                leg.end,
+                "searched",
+                **common,
+                end_bearing_deg=90.0 * ((leg.heading + 2) % 4),
+                length_m=round(abs(ends[1] - ends[0]), 9),
+                min_width_m=round(width - _furniture(route.boxes, grid, leg, ends), 9),
+            )
+        )
+    return tuple(links)
+
+
+def _furniture(boxes, grid, leg, ends):
+    """How much of a passage its deepest piece of furniture takes between two nodes, metres."""
+    axis = leg.heading % 2
+    sides = [grid.snap(side, 1 - axis) for side in leg.lane]
+    deepest = 0.0
+    for box in boxes:
+        snapped = [grid.snap(value, i % 2) for i, value in enumerate(box)]
+        middle = [(snapped[i] + snapped[i + 2]) / 2 for i in range(2)]
+        if min(ends) < middle[axis] < max(ends) and sides[0] < middle[1 - axis] < sides[1]:
+            deepest = max(deepest, snapped[3 - axis] - snapped[1 - axis])
+    return deepest

@@ -1,0 +1,274 @@
+"""Floor plans drawn in metres and rasterised to cells: what the generators share.
+
+Rectangles are `(x0, y0, x1, y1)` in metres and run along the middles of the walls: neighbours share a coordinate.
+Everything random is drawn in metres before any cell exists: one seed is one building at every `cell_m`.
+"""
+
+import dataclasses
+import itertools
+import math
+import operator
+
+import numpy as np
+
+from jexplore.config import InputError, require_number
+from jexplore.worlds.world import World, radius_d2, require_side
+
+CLEARANCE_M = 0.30  # every door lets a robot through that needs this much, centre to centre
+MAX_CELL_M = 0.3  # a wall is at least one cell thick: above this, small rooms would be lost in their walls
+WALL_M = 0.15
+OUTER_M = 0.3
+
+
+def random_stream(seed, kind):
+    """The random numbers of a seed, different for every kind of world.
+
+    Args:
+      seed: integer from 0.
+      kind: a number of the generator's own.
+
+    Returns:
+      A numpy `Generator`.
+
+    Raises:
+      InputError: `seed` is no integer, or is negative.
+    """
+    try:
+        seed = operator.index(seed)
+    except TypeError:
+        raise InputError(f"seed must be an integer from 0, got {seed!r}") from None
+    if seed < 0:
+        raise InputError(f"seed must be an integer from 0, got {seed}")
+    return np.random.default_rng([seed, kind])
+
+
+def require_size(kind, cell_m, width_m, height_m, low):
+    """Refuse a size that a generator cannot draw.
+
+    Args:
+      kind: name of the generator, for the message.
+      cell_m: edge of a cell, metres.
+      width_m, height_m: outer size, metres.
+      low: the smallest width and height, metres.
+
+    Returns:
+      `(rows, cols)`, cells.
+
+    Raises:
+      InputError: not numbers, too small to hold the layout, or more than `MAX_SIDE` cells a side.
+    """
+    require_number(f"{kind}: cell_m", cell_m, low=0.001, high=MAX_CELL_M)
+    require_number(f"{kind}: width_m", width_m, low=low[0], high=1e4)
+    require_number(f"{kind}: height_m", height_m, low=low[1], high=1e4)
+    rows, cols = (math.ceil(side / cell_m - 1e-6) for side in (height_m, width_m))
+    require_side(kind, rows, cols)
+    return rows, cols
+
+
+def passable_cells(cell_m):
+    """The narrowest gap that a robot can pass, cells: one cell of it has more than `CLEARANCE_M` to both sides."""
+    return 2 * math.isqrt(radius_d2(CLEARANCE_M, cell_m)) + 1
+
+
+def to_cells(length):
+    """The nearest whole number; a half goes up, also one that rounding has made a little less."""
+    return math.floor(length + 0.5 + 1e-6)
+
+
+def wall_span(middle_m, side_m, cell_m, *, wall_m=WALL_M, outer_m=OUTER_M):
+    """The cells that a wall covers across its thickness: at least one, and as many wherever it stands.
+
+    Args:
+      middle_m: where the wall's middle lies, metres; 0 and `side_m` are the outer faces of the outer walls.
+      side_m: length of the world along this axis, metres.
+      cell_m: edge of a cell, metres.
+      wall_m, outer_m: thickness of inner and outer walls, metres.
+
+    Returns:
+      `(first, stop)`, cell indices.
+    """
+    n_cells = math.ceil(side_m / cell_m - 1e-6)
+    thick = max(1, to_cells(outer_m / cell_m))
+    if middle_m < 1e-6:
+        return 0, thick
+    if middle_m > side_m - 1e-6:
+        return n_cells - thick, n_cells
+    thick = max(1, to_cells(wall_m / cell_m))
+    first = to_cells(middle_m / cell_m - thick / 2)
+    return first, first + thick
+
+
+@dataclasses.dataclass(frozen=True)
+class Door:
+    """A gap in a wall between two rooms."""
+
+    vertical: bool
+    """Whether the wall runs along y."""
+    wall: float
+    """Where the wall's middle lies: x if it is vertical, else y, metres."""
+    middle: float
+    """Middle of the gap along the wall, metres."""
+    width: float
+    """Metres."""
+    low: float
+    high: float
+    """Where the stretch of wall that both rooms share begins and ends, metres."""
+
+
+@dataclasses.dataclass
+class Plan:
+    """A floor plan under construction. What no room covers is solid."""
+
+    width_m: float
+    height_m: float
+    rooms: list = dataclasses.field(default_factory=list)
+    """A room is a list of rectangles; those that overlap are one space."""
+    doors: list = dataclasses.field(default_factory=list)
+    blocks: list = dataclasses.field(default_factory=list)
+    """Columns and counters: rectangles of their true size, at least one cell."""
+
+    def room(self, *rects):
+        """Add a room of one or more overlapping rectangles. Returns its number."""
+        self.rooms.append(list(rects))
+        return len(self.rooms) - 1
+
+    def shared_walls(self, a, b):
+        """The straight stretches of wall that two rooms share: `(vertical, wall, low, high)`, metres, as in `Door`."""
+        stretches = []
+        for p in self.rooms[a]:
+            for q in self.rooms[b]:
+                for vertical in (True, False):
+                    across, along = (0, 1) if vertical else (1, 0)
+                    low, high = max(p[along], q[along]), min(p[along + 2], q[along + 2])
+                    for wall, other in ((p[across], q[across + 2]), (p[across + 2], q[across])):
+                        if abs(wall - other) < 1e-6 and high - low > 1e-6:
+                            stretches.append((vertical, wall, low, high))
+        apart = []
+        for vertical, wall, low, high in sorted(stretches):  # rectangles of one room overlap, and so may stretches
+            if apart and apart[-1][0] == vertical and abs(apart[-1][1] - wall) < 1e-6 and low < apart[-1][3]:
+                low, high = apart[-1][2], max(high, apart.pop()[3])
+            apart.append((vertical, wall, low, high))
+        return apart
+
+    def gap(self, stretch, width, at=0.5):
+        """A door in a stretch of wall. `at` goes from 0, at its lower end, to 1; jambs remain at both ends."""
+        vertical, wall, low, high = stretch
+        margin = min((high - low) / 2, width / 2 + WALL_M / 2 + 0.25)
+        self.doors.append(Door(vertical, wall, low + margin + at * (high - low - 2 * margin), width, low, high))
+
+    def door(self, a, b, width, at=0.5):
+        """A door between two rooms, in the longest stretch of wall that they share."""
+        self.gap(max(self.shared_walls(a, b), key=lambda stretch: stretch[3] - stretch[2]), width, at)
+
+    def render(self, cell_m, *, flip_x=False, flip_y=False):
+        """The plan as cells.
+
+        A wall is at least one cell thick. A door has the whole number of cells nearest to its width, fewer where that
+        leaves no cell of wall on either side, but never fewer than a robot passes (`passable_cells`).
+
+        Args:
+          cell_m: edge of a cell, metres.
+          flip_x, flip_y: mirror the building left to right, bottom to top.
+
+        Returns:
+          A `World` with rooms numbered as they were added; -1 on walls, blocks and doorways.
+        """
+        sides = (self.width_m, self.height_m)
+        spans = [lambda middle, side=side: wall_span(middle, side, cell_m) for side in sides]
+        cols, rows = (math.ceil(side / cell_m - 1e-6) for side in sides)
+        occupied = np.ones((rows, cols), bool)
+        rooms = np.full((rows, cols), -1, np.int32)
+        for number, rects in enumerate(self.rooms):
+            for x0, y0, x1, y1 in rects:
+                inside = slice(spans[1](y0)[1], spans[1](y1)[0]), slice(spans[0](x0)[1], spans[0](x1)[0])
+                occupied[inside] = False
+                rooms[inside] = number
+        for door in self.doors:
+            across = slice(*spans[0 if door.vertical else 1](door.wall))
+            span = spans[1 if door.vertical else 0]
+            first, stop = span(door.low)[1], span(door.high)[0]
+            n = min(to_cells(door.width / cell_m), stop - first - 2)
+            n = min(max(n, passable_cells(cell_m)), stop - first)
+            jamb = min(1, (stop - first - n) // 2)
+            begin = min(max(to_cells(door.middle / cell_m - n / 2), first + jamb), stop - jamb - n)
+            along = slice(begin, begin + n)
+            occupied[(along, across) if door.vertical else (across, along)] = False
+        for x0, y0, x1, y1 in self.blocks:
+            x, y = (
+                slice(to_cells(low / cell_m), max(to_cells(low / cell_m) + 1, to_cells(high / cell_m)))
+                for low, high in ((x0, x1), (y0, y1))
+            )
+            occupied[y, x] = True
+            rooms[y, x] = -1
+        flip = slice(None, None, -1 if flip_y else 1), slice(None, None, -1 if flip_x else 1)
+        return World(occupied=occupied[flip].copy(), rooms=rooms[flip].copy(), cell_m=float(cell_m))
+
+
+def cut(rng, length, kinds):
+    """Cut a length into stretches of several kinds.
+
+    Args:
+      rng: numpy `Generator`.
+      length: metres.
+      kinds: rows of `(weight, low, high)`: how often a kind comes, and its lengths, metres.
+
+    Returns:
+      A list of lengths, metres, that sum to `length`; all at least the least `low` if `length` is.
+    """
+    weights = np.array([kind[0] for kind in kinds], float)
+    lengths = []
+    while sum(lengths) < length:
+        _, low, high = kinds[rng.choice(len(kinds), p=weights / weights.sum())]
+        lengths.append(rng.uniform(low, high))
+    least = min(kind[1] for kind in kinds)
+    while len(lengths) > 1 and (
+        sum(lengths) - length > lengths[-1] / 2 or min(lengths) * length < least * sum(lengths)
+    ):
+        lengths.pop()
+    return [one * length / sum(lengths) for one in lengths]
+
+
+def bands(rng, height_m, corridor_m, edge):
+    """Stack a building: a row of rooms, a corridor, a core, a corridor, ..., a row of rooms.
+
+    Args:
+      rng: numpy `Generator`.
+      height_m: metres; every 10 m have a corridor.
+      corridor_m: width of the corridors, metres.
+      edge: least and largest depth of the first and last row, as a multiple of half a corridor's share of the depth;
+        the cores take what is left.
+
+    Returns:
+      A list of `(y0, y1)` from 0 to `height_m`. Rows and cores have even indices, corridors odd ones.
+    """
+    n = max(1, round(height_m / 10))
+    row = (height_m - n * corridor_m) / (2 * n)
+    if n == 1:
+        depths = [row * (share := rng.uniform(0.9, 1.1)), row * (2 - share)]
+    else:
+        first, last = row * rng.uniform(*edge, 2)
+        depths = [first, *[(2 * n * row - first - last) / (n - 1)] * (n - 1), last]
+    heights = [depth for pair in zip(depths, [corridor_m] * n + [0.0]) for depth in pair][:-1]
+    edges = [0.0, *np.cumsum(heights)[:-1].tolist(), height_m]
+    return list(itertools.pairwise(edges))
+
+
+def columns(plan, rect, *, spacing_m, side_m=0.4, margin_m=1.6):
+    """Stand columns in a room on a square lattice, away from its walls.
+
+    Args:
+      plan: a `Plan`.
+      rect: the room.
+      spacing_m: at least this far apart, metres.
+      side_m: edge of a column, metres.
+      margin_m: at least this far from the middles of the walls, metres.
+    """
+    x0, y0, x1, y1 = rect
+    lines = []
+    for low, high in ((x0 + margin_m, x1 - margin_m), (y0 + margin_m, y1 - margin_m)):
+        if high - low < side_m:
+            return
+        n = 1 + int((high - low) // spacing_m)
+        lines.append(np.linspace(low, high, n) if n > 1 else [(low + high) / 2])
+    half = side_m / 2
+    plan.blocks += [(x - half, y - half, x + half, y + half) for x in lines[0] for y in lines[1]]

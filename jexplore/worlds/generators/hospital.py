@@ -1,0 +1,204 @@
+"""A hospital wing: a ward round a core with the nurses' station, a hall, and a treatment wing."""
+
+from jexplore.config import require_number
+from jexplore.worlds.generators.draft import Plan, bands, columns, cut, random_stream, require_size
+from jexplore.worlds.world import World
+
+_KIND = 3
+
+
+def hospital(
+    seed: int,
+    *,
+    cell_m: float = 0.1,
+    width_m: float = 50.0,
+    height_m: float = 20.0,
+    corridor_m: float = 2.4,
+    room_m: float = 4.2,
+) -> World:
+    """A hospital floor: a ward, a hall and a treatment wing side by side.
+
+    In the ward, a corridor runs round a core (several for buildings from 25 m in height; a single straight one below
+    15 m). Patient rooms lie at the facades, most with a bathroom beside the entrance; nurses, stores and treatment lie
+    in the core. The corridors end at the hall. The treatment wing has one corridor, patient rooms on one side of it and
+    on the other suites of a waiting room and the rooms behind it; it may be less deep than the ward.
+
+    Args:
+      seed: integer from 0.
+      cell_m: edge of a cell, metres, at most 0.3.
+      width_m, height_m: outer size, metres.
+      corridor_m: width of the corridors between the middles of their walls, metres.
+      room_m: width of a common patient room, metres; the others follow.
+
+    Returns:
+      A `World` with rooms.
+
+    Raises:
+      InputError: a parameter out of range, or a size below 32 x 11 m.
+    """
+    require_number("hospital: corridor_m", corridor_m, low=1.8, high=3.5)
+    require_number("hospital: room_m", room_m, low=3.4, high=7)
+    require_size("hospital", cell_m, width_m, height_m, (32.0, 11.0))
+    rng = random_stream(seed, _KIND)
+    plan = Plan(width_m, height_m)
+    stack = bands(rng, height_m, corridor_m, (1.25, 1.4))
+    hall_m = rng.uniform(6.0, 8.5) if width_m > 40 else 6.0
+    x0 = width_m * rng.uniform(0.45, 0.58) - hall_m / 2
+    x1 = x0 + hall_m
+    kinds = [(0.5, 0.9 * room_m, 1.05 * room_m), (0.3, 1.2 * room_m, 1.6 * room_m), (0.2, 2.2, 2.8)]
+    corridor = _ward(rng, plan, x0, stack, corridor_m, kinds)
+    hall = _hall(rng, plan, (x0, x1), stack)
+    for stretch in plan.shared_walls(corridor, hall):
+        plan.gap(stretch, 1.2)
+    _treatment(rng, plan, x1, stack, hall, kinds)
+    return plan.render(cell_m, flip_x=rng.random() < 0.5, flip_y=rng.random() < 0.5)
+
+
+def _ward(rng, plan, end, stack, corridor_m, kinds):
+    """The ward from x = 0 to `end`. Returns the number of its corridor."""
+    lines = stack[1::2]
+    x = 0.0
+    if len(lines) == 1:
+        corridor = plan.room((0.0, lines[0][0], end, lines[0][1]))
+    else:
+        x = rng.uniform(4.2, 5.2)
+        y0, y1 = lines[0][0], lines[-1][1]
+        corridor = plan.room((x, y0, x + corridor_m, y1), *((x, low, end, high) for low, high in lines))
+        for height in cut(rng, y1 - y0, [(1.0, 2.8, 5.5)]):
+            plan.room((0.0, y0, x, y0 + height))
+            plan.gap((True, x, y0, y0 + height), rng.choice([0.9, 1.2]), rng.choice([0.1, 0.5, 0.9]))
+            y0 += height
+        for low, high in stack[2:-1:2]:
+            _core(rng, plan, (x + corridor_m, low, end, high))
+    for (y0, y1), front in ((stack[0], lines[0][0]), (stack[-1], lines[-1][1])):
+        begin = 0.0
+        if len(lines) > 1:  # a corner room: it must reach the corridor
+            begin = x + rng.uniform(2.0, 3.0)
+            plan.room((0.0, y0, begin, y1))
+            plan.gap((False, front, x, begin), 1.2)
+        _patients(rng, plan, (begin, y0, end, y1), front, kinds)
+    return corridor
+
+
+def _patients(rng, plan, rect, front, kinds):
+    """A row of patient rooms and stores between a facade and a corridor that begins at y = `front`."""
+    x0, y0, x1, y1 = rect
+    left = bool(rng.random() < 0.5)
+    for width in cut(rng, x1 - x0, kinds):
+        x0, x1 = x0, x0 + width
+        inner_m = min(rng.uniform(1.8, 2.2), width - 1.9)
+        if inner_m < 1.8 or y1 - y0 < 4.2 or rng.random() < 0.15:
+            plan.room((x0, y0, x1, y1))
+            plan.gap((False, front, x0, x1), 0.9 if width < 3 else 1.2, rng.choice([0.0, 0.1, 0.9, 1.0]))
+        else:
+            _with_bathroom(rng, plan, (x0, y0, x1, y1), front, inner_m, left)
+            left = not left  # bathrooms of neighbours share a wall of pipes
+        x0 = x1
+
+
+def _with_bathroom(rng, plan, rect, front, inner_m, left):
+    """A patient room with a bathroom `inner_m` wide in the corner at the corridor, left or right of the entrance."""
+    x0, y0, x1, y1 = rect
+    depth = rng.uniform(1.8, 2.2)
+    y = front + depth if front == y0 else front - depth
+    x = x0 + inner_m if left else x1 - inner_m
+    low, high = min(y, front), max(y, front)
+    bath = (x0, low, x, high) if left else (x, low, x1, high)
+    entry = (x, y0, x1, y1) if left else (x0, y0, x, y1)
+    plan.room(entry, (x0, y, x1, y1) if front == y0 else (x0, y0, x1, y))
+    plan.room(bath)
+    plan.gap((False, front, entry[0], entry[2]), 1.2)
+    if rng.random() < 0.5:
+        plan.gap((True, x, low, high), 0.9)
+    else:
+        plan.gap((False, y, bath[0], bath[2]), 0.9)
+
+
+def _core(rng, plan, rect):
+    """The nurses' station somewhere in the core, and stores and treatment rooms on both sides of it."""
+    x0, y0, x1, y1 = rect
+    size = rng.uniform(6.0, 7.5)
+    size = size if x1 - x0 - size > 2.2 else x1 - x0
+    rest = x1 - x0 - size
+    begin = x0 + rest * rng.uniform(0.3, 0.7) if rest > 8 else x0
+    station = (begin, y0, begin + size, y1)
+    plan.room(station)
+    for y in (y0, y1):
+        for at in (0.1, 0.9):
+            plan.gap((False, y, station[0], station[2]), 1.2, at)
+    if y1 - y0 > 4.4 and size > 5.0:
+        _desk(plan, begin + size / 2, (y0 + y1) / 2)
+    kinds = [(0.4, 2.2, 3.0), (0.6, 3.2, 5.0)]
+    for low, high in ((x0, begin), (begin + size, x1)):
+        for width in cut(rng, high - low, kinds) if high > low + 1e-6 else ():
+            if y1 - y0 > 4.6 and rng.random() < 0.55:  # two rooms, back to back
+                y = y0 + (y1 - y0) * rng.uniform(0.42, 0.58)
+                halves = [(y0, y, y0), (y, y1, y1)]
+            else:
+                halves = [(y0, y1, (y0, y1)[rng.integers(2)])]
+            for bottom, top, front in halves:
+                plan.room((low, bottom, low + width, top))
+                plan.gap((False, front, low, low + width), rng.choice([0.9, 1.1]), rng.choice([0.1, 0.5, 0.9]))
+            low += width
+
+
+def _desk(plan, x, y):
+    """A counter on three sides of a square place, open towards the top."""
+    half_x, half_y, depth = 1.3, 0.85, 0.4
+    plan.blocks += [
+        (x - half_x, y - half_y, x + half_x, y - half_y + depth),
+        (x - half_x, y - half_y, x - half_x + depth, y + half_y),
+        (x + half_x - depth, y - half_y, x + half_x, y + half_y),
+    ]
+
+
+def _hall(rng, plan, ends, stack):
+    """The hall, from the facade to the last corridor, and the rooms behind it. Returns its number."""
+    x0, x1 = ends
+    y = stack[-2][1]
+    rect = (x0, 0.0, x1, y)
+    columns(plan, rect, spacing_m=3.6, margin_m=1.9)
+    hall = plan.room(rect)
+    for width in cut(rng, x1 - x0, [(1.0, 2.6, 4.5)]):
+        plan.room((x0, y, x0 + width, plan.height_m))
+        plan.gap((False, y, x0, x0 + width), rng.choice([0.9, 1.0]), rng.choice([0.1, 0.5, 0.9]))
+        x0 += width
+    return hall
+
+
+def _treatment(rng, plan, begin, stack, hall, kinds):
+    """The wing from x = `begin` to the end, along the first or the last corridor of the ward."""
+    end = plan.width_m
+    first = bool(rng.random() < 0.5)
+    row, line = (stack[0], stack[1]) if first else (stack[-1], stack[-2])
+    corridor = plan.room((begin, line[0], end, line[1]))
+    plan.door(corridor, hall, 1.2)
+    near, far = line if first else line[::-1]  # sides of the corridor towards the row, and away from it
+    _patients(rng, plan, (begin, row[0], end, row[1]), near, kinds)
+    room_m = plan.height_m - far if first else far
+    suites = room_m >= 7.0 and rng.random() < 0.65
+    depth = min(room_m, rng.uniform(7.6, 8.8) if suites else rng.uniform(4.8, 5.6))
+    if room_m - depth < 1.0:
+        depth = room_m
+    y = far + depth if first else far - depth
+    y = min(max(y, 0.0), plan.height_m)
+    if suites:
+        _suites(rng, plan, (begin, end), far, y)
+    else:
+        _patients(rng, plan, (begin, min(far, y), end, max(far, y)), far, kinds)
+
+
+def _suites(rng, plan, ends, front, back):
+    """Waiting rooms at a corridor (y = `front`), each with two or three rooms behind it."""
+    x0 = ends[0]
+    for width in cut(rng, ends[1] - ends[0], [(1.0, 6.5, 10.0)]):
+        middle = front + (back - front) * rng.uniform(0.42, 0.52)
+        plan.room((x0, min(front, middle), x0 + width, max(front, middle)))
+        for at in (0.1, 0.9) if width > 7.5 else (0.5,):
+            plan.gap((False, front, x0, x0 + width), 1.2, at)
+        x = x0
+        for part in cut(rng, width, [(1.0, 2.6, 4.4)]):
+            plan.room((x, min(back, middle), x + part, max(back, middle)))
+            plan.gap((False, middle, x, x + part), rng.choice([0.9, 1.0]), rng.choice([0.1, 0.5, 0.9]))
+            x += part
+        x0 += width

@@ -1,0 +1,123 @@
+"""A maze on a square lattice."""
+
+import collections
+import itertools
+
+import numpy as np
+
+from jexplore.config import InputError, require_number
+from jexplore.worlds.generators.draft import passable_cells, random_stream, require_size, wall_span
+from jexplore.worlds.world import World
+
+_KIND = 4
+_STEPS = ((0, 1), (1, 0), (0, -1), (-1, 0))
+
+
+def maze(
+    seed: int,
+    *,
+    cell_m: float = 0.1,
+    width_m: float = 15.0,
+    height_m: float = 15.0,
+    corridor_m: float = 1.2,
+    wall_m: float = 0.2,
+    loops: float = 0.1,
+) -> World:
+    """A maze: every place is reached, by exactly one way if `loops` is 0.
+
+    As many corridors as fit are spread over the size, so they are at least `corridor_m` wide up to a cell, and
+    a little wider where the size is no multiple. A random depth-first walk lays them: long corridors, deep dead ends.
+
+    Args:
+      seed: integer from 0.
+      cell_m: edge of a cell, metres, at most 0.3.
+      width_m, height_m: outer size, metres.
+      corridor_m: least width of a corridor, metres.
+      wall_m: thickness of the walls, metres; at least one cell.
+      loops: fraction of the walls between two places of the perfect maze that is taken away again, 0 to 1.
+
+    Returns:
+      A `World` without rooms.
+
+    Raises:
+      InputError: a parameter out of range, a size below 2 x 2 corridors, or corridors that no robot passes.
+    """
+    require_number("maze: corridor_m", corridor_m, low=0.8, high=100)
+    require_number("maze: wall_m", wall_m, low=0.01, high=10)
+    require_number("maze: loops", loops, high=1)
+    low = 2 * corridor_m + 3 * wall_m
+    rows, cols = require_size("maze", cell_m, width_m, height_m, (low, low))
+    shape, spans = [], []
+    for side_m in (height_m, width_m):
+        n = int((side_m - wall_m + 1e-6) // (corridor_m + wall_m))
+        middles = [0.0, *(wall_m / 2 + k * (side_m - wall_m) / n for k in range(1, n)), side_m]
+        spans.append([wall_span(middle, side_m, cell_m, wall_m=wall_m, outer_m=wall_m) for middle in middles])
+        shape.append(n)
+        narrowest = min(after[0] - before[1] for before, after in itertools.pairwise(spans[-1]))
+        if narrowest < passable_cells(cell_m):
+            raise InputError(
+                f"maze: corridor_m = {corridor_m:g} leaves {max(narrowest, 0)} cells of {cell_m:g} m between walls "
+                f"and a robot needs {passable_cells(cell_m)}; use wider corridors or a smaller cell_m"
+            )
+    occupied = np.ones((rows, cols), bool)
+    ys, xs = ([slice(a[1], b[0]) for a, b in itertools.pairwise(axis)] for axis in spans)
+    for y in ys:
+        for x in xs:
+            occupied[y, x] = False
+    for (row, col), (to_row, to_col) in passages(random_stream(seed, _KIND), shape, loops):
+        if row == to_row:
+            occupied[ys[row], slice(*spans[1][max(col, to_col)])] = False
+        else:
+            occupied[slice(*spans[0][max(row, to_row)]), xs[col]] = False
+    return World(occupied=occupied, cell_m=float(cell_m))
+
+
+def passages(rng, shape, loops):
+    """Which neighbouring places of a maze are joined.
+
+    Args:
+      rng: numpy `Generator`.
+      shape: rows and columns of places.
+      loops: fraction of the walls that a spanning tree leaves, and that are opened all the same.
+
+    Returns:
+      A list of pairs of places `(row, col)`; the first rows * cols - 1 are a spanning tree.
+    """
+    rows, cols = shape
+    start = (int(rng.integers(rows)), int(rng.integers(cols)))
+    trail, seen, joined = [start], {start}, []
+    while trail:
+        row, col = trail[-1]
+        ways = [
+            (row + dy, col + dx)
+            for dy, dx in _STEPS
+            if 0 <= row + dy < rows and 0 <= col + dx < cols and (row + dy, col + dx) not in seen
+        ]
+        if not ways:
+            trail.pop()
+            continue
+        way = ways[rng.integers(len(ways))]
+        joined.append(((row, col), way))
+        seen.add(way)
+        trail.append(way)
+    tree = {frozenset(pair) for pair in joined}
+    pairs = [((y, x), (y + dy, x + dx)) for y in range(rows) for x in range(cols) for dy, dx in _STEPS[:2]]
+    walls = [(a, b) for a, b in pairs if b[0] < rows and b[1] < cols and frozenset((a, b)) not in tree]
+    order = [walls[i] for i in rng.permutation(len(walls))]
+    return joined + _last_of_a_post_last(order, shape)[: round(loops * len(walls))]
+
+
+def _last_of_a_post_last(walls, shape):
+    """The walls in their order, but those without which a post between four places would stand alone at the end."""
+    ends = [((max(a[0], b[0]), max(a[1], b[1])), (a[0] + 1, a[1] + 1)) for a, b in walls]
+    left = collections.Counter(post for pair in ends for post in pair)
+    for y, x in left:
+        left[y, x] += y in (0, shape[0]) or x in (0, shape[1])  # the outer wall holds it
+    early, late = [], []
+    for wall, posts in zip(walls, ends):
+        if any(left[post] == 1 for post in posts):
+            late.append(wall)
+        else:
+            early.append(wall)
+            left.subtract(posts)
+    return early + late

@@ -1,0 +1,206 @@
+"""An office floor: corridors with rooms on both sides, and a core with an open-plan area between them."""
+
+import itertools
+
+from jexplore.config import require_number
+from jexplore.worlds.generators.draft import Plan, bands, columns, cut, random_stream, require_size
+from jexplore.worlds.world import World
+
+_KIND = 2
+
+
+def office(
+    seed: int,
+    *,
+    cell_m: float = 0.1,
+    width_m: float = 30.0,
+    height_m: float = 20.0,
+    corridor_m: float = 2.0,
+    room_m: float = 3.4,
+) -> World:
+    """A floor of offices, meeting rooms, small service rooms, one open-plan area and a lobby at the facade.
+
+    Corridors run the length of the building, one in every 10 m of its height; cross corridors join two of them, open to
+    one and with a door to the other. Every corridor is a room of its own, together with the cross corridors open to it.
+
+    Args:
+      seed: integer from 0.
+      cell_m: edge of a cell, metres, at most 0.3.
+      width_m, height_m: outer size, metres.
+      corridor_m: width of the corridors between the middles of their walls, metres.
+      room_m: width of a common office, metres; the others follow.
+
+    Returns:
+      A `World` with rooms.
+
+    Raises:
+      InputError: a parameter out of range, or a size below 14 x 9 m.
+    """
+    require_number("office: corridor_m", corridor_m, low=1.5, high=3)
+    require_number("office: room_m", room_m, low=2.6, high=6)
+    require_size("office", cell_m, width_m, height_m, (14.0, 9.0))
+    rng = random_stream(seed, _KIND)
+    plan = Plan(width_m, height_m)
+    stack = bands(rng, height_m, corridor_m, (1.05, 1.25))
+    end = width_m
+    if len(stack) > 3 and width_m >= 22 and rng.random() < 0.5:
+        end -= rng.uniform(0.22, 0.3) * width_m
+    crossings = {k: _crossings(rng, end, corridor_m) for k in range(2, len(stack) - 1, 2)}
+    corridors = _corridors(rng, plan, stack, crossings, end)
+    kinds = [
+        (0.40, 0.8 * room_m, 1.0 * room_m),
+        (0.28, 1.0 * room_m, 1.4 * room_m),
+        (0.18, 1.5 * room_m, 2.1 * room_m),
+        (0.14, max(1.9, 0.55 * room_m), max(2.2, 0.7 * room_m)),
+    ]
+    bottom, top = ((0.0, y0, end, y1) for y0, y1 in (stack[0], stack[-1]))
+    if end < width_m:
+        _head(rng, plan, end, stack, corridors)
+        _row(rng, plan, bottom, corridors[0], kinds)
+    else:
+        _row_around(rng, plan, bottom, corridors[0], kinds, _lobby, 7.0)
+    if crossings:
+        _row(rng, plan, top, corridors[-1], kinds)
+    else:
+        _row_around(rng, plan, top, corridors[-1], kinds, _open_plan, 10.0)
+    for k, across in crossings.items():
+        _core(
+            rng,
+            plan,
+            (0.0, *(x for pair in across for x in pair), end),
+            stack[k],
+            corridors[k // 2 - 1 : k // 2 + 1],
+            kinds,
+        )
+    return plan.render(cell_m, flip_x=rng.random() < 0.5, flip_y=rng.random() < 0.5)
+
+
+def _crossings(rng, end, corridor_m):
+    """Where cross corridors run through a core from 0 to `end`: a list of `(x0, x1)`."""
+    n = max(1, round(end / 20 + rng.uniform(-0.5, 0.7)))
+    half = corridor_m / 2 * rng.uniform(1.0, 1.15)
+    middles = [end * (i + rng.uniform(0.25, 0.75)) / n for i in range(n)]
+    return [(x - half, x + half) for x in middles]
+
+
+def _corridors(rng, plan, stack, crossings, end):
+    """Add the corridors, bottom to top, and the doors at the ends of cross corridors. Returns their room numbers."""
+    shapes = [[(0.0, y0, end, y1)] for y0, y1 in stack[1::2]]
+    for k, across in crossings.items():
+        for x0, x1 in across:
+            if rng.random() < 0.5:  # open to the corridor below
+                shapes[k // 2 - 1].append((x0, stack[k - 1][0], x1, stack[k][1]))
+            else:
+                shapes[k // 2].append((x0, stack[k][0], x1, stack[k + 1][1]))
+    numbers = [plan.room(*shape) for shape in shapes]
+    for below, above in itertools.pairwise(numbers):
+        for stretch in plan.shared_walls(below, above):
+            plan.gap(stretch, 1.2)
+    return numbers
+
+
+def _head(rng, plan, end, stack, corridors):
+    """The lobby and large rooms at the end of the corridors, one to each, and perhaps meeting rooms in the corners."""
+    corners = [y if rng.random() < 0.6 else edge for y, edge in ((stack[0][1], 0.0), (stack[-1][0], plan.height_m))]
+    middles = [y0 + (y1 - y0) * rng.uniform(0.35, 0.65) for y0, y1 in stack[2:-1:2]]
+    large = []
+    for (y0, y1), corridor in zip(itertools.pairwise([corners[0], *middles, corners[1]]), corridors):
+        rect = (end, y0, plan.width_m, y1)
+        columns(plan, rect, spacing_m=3.5, margin_m=1.7)
+        large.append(plan.room(rect))
+        plan.door(large[-1], corridor, 1.2)
+    for before, after in itertools.pairwise(large):
+        plan.door(before, after, 1.2, rng.uniform(0.2, 0.8))
+    for low, high, room in ((0.0, corners[0], large[0]), (corners[1], plan.height_m, large[-1])):
+        if high > low:
+            plan.door(plan.room((end, low, plan.width_m, high)), room, 1.0, rng.choice([0.1, 0.9]))
+
+
+def _row_around(rng, plan, rect, corridor, kinds, special, size_m):
+    """A row of rooms with one special room somewhere in it, about `size_m` long."""
+    x0, y0, x1, y1 = rect
+    size = min(size_m * rng.uniform(0.85, 1.2), (x1 - x0) / 2)
+    begin = x0 + rng.uniform(3.0, x1 - x0 - size - 3.0)
+    special(plan, (begin, y0, begin + size, y1), (corridor,))
+    _row(rng, plan, (x0, y0, begin, y1), corridor, kinds)
+    _row(rng, plan, (begin + size, y0, x1, y1), corridor, kinds)
+
+
+def _lobby(plan, rect, corridors):
+    columns(plan, rect, spacing_m=3.0, margin_m=1.7)
+    _with_doors(plan, rect, corridors, 1.2)
+
+
+def _open_plan(plan, rect, corridors):
+    columns(plan, rect, spacing_m=4.5, margin_m=2.2)
+    _with_doors(plan, rect, corridors, 1.1)
+
+
+def _with_doors(plan, rect, corridors, width):
+    """A large room with two doors to every corridor it lies at."""
+    room = plan.room(rect)
+    for corridor in corridors:
+        plan.door(room, corridor, width, 0.12)
+        plan.door(room, corridor, width, 0.88)
+
+
+def _row(rng, plan, rect, corridor, kinds):
+    """Rooms side by side along a corridor. Some lie behind a front office, some have a door to the room before."""
+    x0, y0, x1, y1 = rect
+    above = plan.rooms[corridor][0][1] > y0  # the corridor lies above the row
+    before = None
+    for width in cut(rng, x1 - x0, kinds):
+        x0, x1 = x0, x0 + width
+        if width >= 3.2 and y1 - y0 >= 4.6 and rng.random() < 0.18:
+            share = rng.uniform(0.45, 0.55)
+            y = y0 + (y1 - y0) * share
+            low, high = plan.room((x0, y0, x1, y)), plan.room((x0, y, x1, y1))
+            front, back = (high, low) if above else (low, high)
+            plan.door(front, back, 0.9, rng.random())
+        else:
+            front = back = plan.room((x0, y0, x1, y1))
+        if width > 6.2:
+            plan.door(front, corridor, 1.0, 0.05)
+            plan.door(front, corridor, 1.0, 0.95)
+        else:
+            plan.door(front, corridor, 1.2 if width > 4.8 else rng.choice([0.9, 1.0]), rng.choice([0.0, 0.1, 0.9, 1.0]))
+        if before is not None and width > 2.4 and rng.random() < 0.12:
+            plan.door(before, back, 0.9, rng.choice([0.1, 0.9]))
+        before = back if width > 2.4 else None
+        x0 = x1
+
+
+def _core(rng, plan, ends, band, corridors, kinds):
+    """What lies between two corridors: an open-plan area in a long part, and rooms back to back or across.
+
+    Args:
+      rng: numpy `Generator`.
+      plan: the `Plan`.
+      ends: where the parts begin and end, alternately, metres.
+      band: `(y0, y1)`.
+      corridors: numbers of the corridors below and above.
+      kinds: see `cut`.
+    """
+    y0, y1 = band
+    parts = list(zip(ends[::2], ends[1::2]))
+    lengths = [x1 - x0 for x0, x1 in parts]
+    long = [i for i, length in enumerate(lengths) if length >= min(8.0, max(lengths))]
+    chosen = long[rng.integers(len(long))]
+    for i, (x0, x1) in enumerate(parts):
+        if i == chosen:
+            size = rng.uniform(8.0, 13.0)
+            size = size if x1 - x0 - size >= 3.0 else x1 - x0
+            _open_plan(plan, (x0, y0, x0 + size, y1), corridors)
+            x0 += size
+        if x1 - x0 < 1.9:  # nothing is left, or a shaft
+            continue
+        if 3.5 < x1 - x0 < 7.5 and rng.random() < 0.3:
+            room = plan.room((x0, y0, x1, y1))
+            plan.door(room, corridors[0], 1.2, rng.choice([0.1, 0.9]))
+            plan.door(room, corridors[1], 1.2, rng.choice([0.1, 0.9]))
+        elif y1 - y0 < 5.2:
+            _row(rng, plan, (x0, y0, x1, y1), corridors[rng.integers(2)], kinds)
+        else:
+            y = y0 + (y1 - y0) * rng.uniform(0.46, 0.54)
+            _row(rng, plan, (x0, y0, x1, y), corridors[0], kinds)
+            _row(rng, plan, (x0, y, x1, y1), corridors[1], kinds)

@@ -1,0 +1,90 @@
+"""Rectangular rooms that fill a rectangle, each behind the next."""
+
+import math
+
+import numpy as np
+
+from jexplore.config import require_number
+from jexplore.worlds.generators.draft import Plan, random_stream, require_size
+from jexplore.worlds.world import World
+
+_KIND = 5
+_SHARED_M = 1.9  # a stretch of wall that holds the widest door, its jambs and the walls at both ends
+
+
+def rooms(
+    seed: int,
+    *,
+    cell_m: float = 0.1,
+    width_m: float = 20.0,
+    height_m: float = 20.0,
+    room_m: float = 2.5,
+    extra_doors: float = 0.3,
+) -> World:
+    """Random rectangular rooms without corridors: cut in two again and again, then joined by doors.
+
+    The doors 0.9 to 1.2 m wide are a random spanning tree of the neighbours, and a fraction of the others.
+
+    Args:
+      seed: integer from 0.
+      cell_m: edge of a cell, metres, at most 0.3.
+      width_m, height_m: outer size, metres.
+      room_m: least side of a room, between the middles of its walls, metres.
+      extra_doors: fraction of the neighbours outside the spanning tree that have a door as well, 0 to 1.
+
+    Returns:
+      A `World` with rooms.
+
+    Raises:
+      InputError: a parameter out of range, or a size below two rooms a side.
+    """
+    require_number("rooms: room_m", room_m, low=2.0, high=100)
+    require_number("rooms: extra_doors", extra_doors, high=1)
+    require_size("rooms", cell_m, width_m, height_m, (2 * room_m, 2 * room_m))
+    rng = random_stream(seed, _KIND)
+    plan = Plan(width_m, height_m)
+    todo = [(0.0, 0.0, width_m, height_m)]
+    while todo:
+        rect = todo.pop()
+        halves = _halves(rng, rect, room_m)
+        if halves:
+            todo += halves
+        else:
+            plan.room(rect)
+    pairs = _neighbours(np.array([rects[0] for rects in plan.rooms]))
+    group = np.arange(len(plan.rooms))  # rooms that are joined carry one number
+    for a, b in rng.permutation(pairs).tolist():
+        if group[a] != group[b] or rng.random() < extra_doors:
+            plan.door(a, b, rng.uniform(0.9, 1.2), rng.random())
+            group[group == group[b]] = group[a]
+    return plan.render(cell_m)
+
+
+def _halves(rng, rect, room_m):
+    """The two parts of a rectangle, or nothing if it stays one room: too small, or small enough for its draw."""
+    x0, y0, x1, y1 = rect
+    width, height = x1 - x0, y1 - y0
+    small = math.exp(rng.uniform(0.0, 2.7)) * room_m**2
+    if max(width, height) < 2 * room_m or (width * height < small and max(width, height) < 2.5 * min(width, height)):
+        return []
+    share = rng.beta(2.5, 2.5)
+    if width >= 2 * room_m and (height < 2 * room_m or rng.random() < width**2 / (width**2 + height**2)):
+        x = x0 + room_m + share * (width - 2 * room_m)
+        return [(x0, y0, x, y1), (x, y0, x1, y1)]
+    y = y0 + room_m + share * (height - 2 * room_m)
+    return [(x0, y0, x1, y), (x0, y, x1, y1)]
+
+
+def _neighbours(rects):
+    """Pairs of rooms that share enough wall for a door, `[n, 2]`.
+
+    They join all rooms: where a cut begins, a room on either side of it begins, and both are at least `room_m` long.
+    """
+    x0, y0, x1, y1 = rects.T
+    pairs = [np.empty((0, 2), int)]
+    for a, (ax0, ay0, ax1, ay1) in enumerate(rects):
+        along_y = np.minimum(y1, ay1) - np.maximum(y0, ay0) >= _SHARED_M
+        along_x = np.minimum(x1, ax1) - np.maximum(x0, ax0) >= _SHARED_M
+        (others,) = np.nonzero(((x0 == ax1) & along_y) | ((y0 == ay1) & along_x))
+        pairs.append(np.stack([np.full_like(others, a), others], axis=1))
+    return np.concatenate(pairs)

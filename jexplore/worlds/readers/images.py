@@ -1,0 +1,157 @@
+"""Pictures as worlds: a pixel is free if it is bright enough, everything else is a wall.
+
+A grey that stands for "unknown" counts as occupied, and so does every pixel that is not fully opaque.
+"""
+
+import io
+import warnings
+
+import numpy as np
+from PIL import Image
+
+from jexplore.config import InputError, require_number
+from jexplore.worlds.readers.files import first_line, read_bytes
+from jexplore.worlds.readers.resample import resample
+from jexplore.worlds.world import World
+
+MAX_PIXELS = 64 * 10**6
+_MAX_BYTES = 512 * 2**20  # 64 megapixels of eight bytes
+_FORMATS = ("PNG", "PPM", "JPEG", "BMP", "GIF", "TIFF")  # none that starts another program, as EPS does
+_SATURATED = 128  # largest minus smallest of red, green, blue: a grey has 0, pure yellow 255
+
+
+def load_image(path, scale, *, cell_m=0.1, free=250):
+    """A world from a picture.
+
+    A filled rectangle of one saturated colour in an otherwise grey picture, as the dungeon maps have it, marks the
+    start: its middle, heading 0. It does so only if it is the only colour and its cell is free.
+
+    Args:
+      path: PNG, PGM, PBM, PPM, JPEG, BMP, GIF (its first frame) or TIFF.
+      scale: `(width_m, height_m)`: the bounding box of the occupied pixels is stretched to this size, as Stage does;
+        or a number: the whole picture at so many metres a pixel.
+      cell_m: edge of a cell, metres.
+      free: a pixel is free if its grey, 0 to 255, is at least this.
+
+    Returns:
+      A `World` as drawn: its edges need not be occupied. The origin is the lower left corner of what was used.
+
+    Raises:
+      InputError: the file cannot be read, has no free pixel, no scale is given, or the world would be too large.
+    """
+    require_number(f"{path!r}: free", free, low=0, high=255)
+    if scale is None:
+        raise InputError(
+            f"{path!r}: a picture needs a scale; append @16x16 for its size in metres or @0.05 for metres a pixel"
+        )
+    levels = read_pixels(path)[::-1]
+    shade = grey(levels)
+    occupied = (shade < free) | (opacity(levels) < 255)
+    if occupied.all():
+        raise InputError(
+            f"{path!r}: no pixel is free; the brightest opaque grey is {_brightest(shade, levels)} and free is "
+            f"{free:g}; append :free=... after the scale to set another bound"
+        )
+    bottom, left = 0, 0
+    rows, cols = occupied.shape
+    if isinstance(scale, tuple):
+        if not occupied.any():
+            raise InputError(
+                f"{path!r}: no pixel is occupied, so there is no box to stretch; take @0.05, metres a pixel"
+            )
+        (bottom, rows), (left, cols) = (_extent(occupied.any(axis=axis)) for axis in (1, 0))
+        pixel_m = (scale[0] / cols, scale[1] / rows)
+    else:
+        pixel_m = (scale, scale)
+    box = (slice(bottom, bottom + rows), slice(left, left + cols))
+    if occupied[box].all():
+        raise InputError(
+            f"{path!r}: no pixel is free within the box round the occupied ones; take @0.05, metres a pixel"
+        )
+    cells = resample(occupied[box], pixel_m, cell_m, name=path)
+    return World(occupied=cells, start=_marked_start(levels[box], pixel_m, cell_m, cells), cell_m=cell_m, name=path)
+
+
+def read_pixels(path):
+    """The pixels of a picture file, refused by its header if there are too many.
+
+    Args:
+      path: the file.
+
+    Returns:
+      `[h, w, c]` uint8, row 0 at the top; c is 1 (grey), 3 (red, green, blue) or 4 (and opacity). Sixteen bit greys
+      are scaled to 0..255.
+
+    Raises:
+      InputError: the file cannot be read, is no picture, is cut short, or has more than `MAX_PIXELS` pixels.
+    """
+    content = read_bytes(path, _MAX_BYTES)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # Pillow's own bound on the size lies above ours; the rest is cosmetic
+            image = Image.open(io.BytesIO(content), formats=_FORMATS)
+            width, height = image.size
+            if width * height > MAX_PIXELS:
+                raise Image.DecompressionBombError
+            return _levels(image)
+    except Image.DecompressionBombError:
+        raise InputError(f"{path!r}: has more than {MAX_PIXELS // 10**6} megapixels; use a smaller picture") from None
+    except Image.UnidentifiedImageError:
+        raise InputError(f"{path!r}: is no picture in a known format ({', '.join(_FORMATS)})") from None
+    except Exception as error:  # Pillow's decoders raise OSError, SyntaxError, ValueError, struct.error and more
+        raise InputError(f"{path!r}: is damaged or cut short ({first_line(error)})") from None
+
+
+def grey(levels):
+    """`[h, w]` uint8 greys of `[h, w, c]` levels: as they are, or the luma of ITU-R 601 as Pillow computes it."""
+    if levels.shape[2] == 1:
+        return levels[..., 0]
+    return np.asarray(Image.fromarray(np.ascontiguousarray(levels[..., :3])).convert("L"))
+
+
+def opacity(levels):
+    """`[h, w]` uint8 opacities of `[h, w, c]` levels, 255 where the picture has none."""
+    if levels.shape[2] == 4:
+        return levels[..., 3]
+    return np.full(levels.shape[:2], 255, np.uint8)
+
+
+def _levels(image):
+    if image.mode.startswith("I"):
+        values = np.asarray(image).astype(np.int64)
+        if values.min() < 0 or values.max() > 65535:
+            raise ValueError("more than 16 bits a pixel")
+        return ((values + 128) // 257).astype(np.uint8)[..., None]
+    if image.mode == "F":
+        raise ValueError("pixels in floating point")
+    plain = "L" if image.mode in ("1", "L") else "RGB"
+    pixels = np.array(image.convert("RGBA" if image.has_transparency_data else plain))
+    return pixels[..., None] if pixels.ndim == 2 else pixels
+
+
+def _brightest(shade, levels):
+    opaque = shade[opacity(levels) == 255]
+    return int(opaque.max()) if opaque.size else "none"
+
+
+def _extent(any_along):
+    """First index and length of the range from the first to the last True."""
+    where = np.flatnonzero(any_along)
+    return int(where[0]), int(where[-1] - where[0] + 1)
+
+
+def _marked_start(levels, pixel_m, cell_m, cells):
+    if levels.shape[2] < 3:
+        return None
+    rgb = levels[..., :3]
+    coloured = rgb.max(axis=2) - rgb.min(axis=2) >= _SATURATED
+    if not coloured.any():
+        return None
+    (bottom, rows), (left, cols) = (_extent(coloured.any(axis=axis)) for axis in (1, 0))
+    block = rgb[bottom : bottom + rows, left : left + cols]
+    if (block != block[0, 0]).any():
+        return None
+    col, row = (
+        (low + n / 2) * size / cell_m for low, n, size in ((left, cols, pixel_m[0]), (bottom, rows, pixel_m[1]))
+    )
+    return None if cells[int(row), int(col)] else (int(row), int(col), 0)

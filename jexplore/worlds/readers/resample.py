@@ -1,0 +1,54 @@
+"""From pixels of one size to cells of another, without ever opening a wall.
+
+A cell is occupied if any occupied pixel overlaps it, whichever of the two is larger. Two free cells side by side
+then lie over pixels that are free and connected side by side: what was apart in the picture stays apart in the world,
+for a robot and for a beam, both of which go from cell to cell across edges.
+"""
+
+import math
+
+import numpy as np
+
+from jexplore.worlds.world import require_side
+
+_SLIVER = 1e-6  # an overlap of less than this part of a pixel, or of a cell at the far edge, is rounding
+
+
+def count_cells(size_m, cell_m):
+    """Cells that cover a length: `ceil(size / cell)`, at least one, where a hair's breadth more does not count."""
+    return max(1, math.ceil(size_m / cell_m - _SLIVER))
+
+
+def resample(occupied, pixel_m, cell_m, *, name):
+    """Occupied cells of a picture. The lower left corners of cell (0, 0) and pixel (0, 0) coincide.
+
+    The last row and column of cells may reach beyond the picture; only the part within counts.
+
+    Args:
+      occupied: `[h, w]` bool, row 0 at the bottom.
+      pixel_m: `(x, y)`, width and height of a pixel, metres.
+      cell_m: edge of a cell, metres.
+      name: what errors call the world.
+
+    Returns:
+      `[H, W]` bool.
+
+    Raises:
+      InputError: more than `world.MAX_SIDE` cells a side; nothing has been allocated then.
+    """
+    rows, cols = (n * size / cell_m for n, size in zip(occupied.shape, reversed(pixel_m)))
+    require_side(name, math.ceil(rows - _SLIVER), math.ceil(cols - _SLIVER))
+    by_rows = _overlapped(occupied, pixel_m[1], cell_m)
+    return np.ascontiguousarray(_overlapped(by_rows.T, pixel_m[0], cell_m).T)
+
+
+def _overlapped(occupied, pixel_m, cell_m):
+    """The same along the first axis alone."""
+    n = len(occupied)
+    edges = np.arange(count_cells(n * pixel_m, cell_m) + 1) * (cell_m / pixel_m)  # cell edges, in pixels
+    first = np.minimum(np.floor(edges[:-1] + _SLIVER).astype(int), n - 1)
+    last = np.ceil(edges[1:] - _SLIVER).astype(int)  # beyond the picture, a slice ends with it
+    out = np.empty((len(first), occupied.shape[1]), bool)
+    for k in range(len(first)):
+        occupied[first[k] : last[k]].any(axis=0, out=out[k])
+    return out

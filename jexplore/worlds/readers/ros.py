@@ -1,0 +1,225 @@
+"""ROS maps: a yaml file and its picture, read as map_server (ROS 1) and nav2_map_server (ROS 2) read them.
+
+Source:
+  nav2_map_server, map_io.cpp (occupancy of a pixel in the modes trinary, scale and raw; greys of a saved map) and
+  map_server, image_loader.cpp. Where they differ nav2 is followed: scale runs from 0 to 100 (ROS 1: to 99), raw
+  ignores `negate` and takes values above 100 as unknown.
+"""
+
+import dataclasses
+import json
+import math
+import os
+from pathlib import Path
+
+import numpy as np
+import yaml
+
+from jexplore.config import InputError, require_number
+from jexplore.worlds.readers.files import first_line, read_text
+from jexplore.worlds.readers.images import opacity, read_pixels
+from jexplore.worlds.readers.resample import resample
+from jexplore.worlds.world import World
+
+MODES = ("trinary", "scale", "raw")
+_FREE, _UNKNOWN, _OCCUPIED = 254, 205, 0  # greys of a saved map
+_MAX_YAML = 2**16
+
+
+@dataclasses.dataclass(frozen=True)
+class RosInfo:
+    """What the yaml file of a ROS map says."""
+
+    image: str
+    """Path of the picture."""
+    resolution_m: float
+    """Edge of a pixel, metres."""
+    origin_m: tuple[float, float]
+    """x, y of the lower left corner of the picture, metres."""
+    negate: bool
+    """Whether white is occupied."""
+    occupied_thresh: float
+    """A pixel is occupied if its probability is above this."""
+    free_thresh: float
+    """A pixel is free if its probability is below this."""
+    mode: str
+    """`trinary`, `scale` or `raw`."""
+
+
+def read_ros(path):
+    """The occupancy of a ROS map, cell for cell as the map server publishes it.
+
+    Args:
+      path: the yaml file. Its `image` is relative to it.
+
+    Returns:
+      occupancy: `[H, W]` int8, -1 unknown, 0 free to 100 occupied; row 0 is the bottom.
+      info: a `RosInfo`.
+
+    Raises:
+      InputError: a file cannot be read, a key is missing or wrong, or the map is turned (yaw is not 0).
+    """
+    info = _read_yaml(str(path))
+    try:
+        levels = read_pixels(info.image)[::-1]
+    except InputError as error:
+        raise InputError(f"{str(path)!r}: its image cannot be read: {error}") from None
+    return _occupancy(levels, info), info
+
+
+def load_ros(path, *, cell_m=0.1, free_max=25):
+    """A world from a ROS map. What is unknown counts as occupied.
+
+    Args:
+      path: the yaml file.
+      cell_m: edge of a cell, metres; the map is resampled to it.
+      free_max: a pixel is free if its occupancy is from 0 to this.
+
+    Returns:
+      A `World` with the map's origin: a point has the same metres in ROS. It has no start.
+
+    Raises:
+      InputError: as `read_ros`, no free pixel, or too large a world.
+    """
+    occupancy, info = read_ros(path)
+    occupied = (occupancy < 0) | (occupancy > free_max)
+    if occupied.all():
+        raise InputError(f"{str(path)!r}: no pixel is free at free_thresh {info.free_thresh:g}, negate {info.negate:d}")
+    cells = resample(occupied, (info.resolution_m, info.resolution_m), cell_m, name=str(path))
+    return World(occupied=cells, cell_m=cell_m, name=str(path), origin_m=info.origin_m)
+
+
+def write_ros(grid, path, *, cell_m=None, origin_m=None):
+    """Write a ROS map that `read_ros` and the map servers give back unchanged: a yaml file and a PGM beside it.
+
+    The mode is trinary if every value is -1, 0 or 100, else raw.
+
+    Args:
+      grid: a `World`, or an occupancy `[H, W]` of integers from -1 to 100 (or bool, True is occupied), row 0 at the
+        bottom.
+      path: the yaml file to write. The picture gets its name with the suffix `.pgm`.
+      cell_m: edge of a cell, metres. Default: the world's, or 0.1.
+      origin_m: x, y of the lower left corner, metres. Default: the world's, or 0, 0.
+
+    Returns:
+      The path of the picture.
+
+    Raises:
+      InputError: not an occupancy, a suffix that is not `.yaml` or `.yml`, a bad number, or a place that cannot be
+        written.
+    """
+    path = Path(path)
+    if path.suffix.lower() not in (".yaml", ".yml"):
+        raise InputError(f"{str(path)!r}: the file to write must end in .yaml")
+    default_m, default_origin_m = (grid.cell_m, grid.origin_m) if isinstance(grid, World) else (0.1, (0.0, 0.0))
+    cell_m = require_number("cell_m", float(default_m if cell_m is None else cell_m), low_open=True)
+    x_m, y_m = (
+        require_number("origin_m", float(value), low=-math.inf)
+        for value in (default_origin_m if origin_m is None else origin_m)
+    )
+    occupancy = _as_occupancy(grid.occupied if isinstance(grid, World) else grid)
+    trinary = bool(np.isin(occupancy, (-1, 0, 100)).all())
+    if trinary:
+        pixels = np.select([occupancy == 0, occupancy == 100], [_FREE, _OCCUPIED], _UNKNOWN)
+    else:
+        pixels = np.where(occupancy < 0, 255, occupancy)
+    image = path.with_suffix(".pgm")
+    text = (
+        f"image: {json.dumps(image.name)}\n"
+        f"mode: {'trinary' if trinary else 'raw'}\n"
+        f"resolution: {_decimal(cell_m)}\n"
+        f"origin: [{_decimal(x_m)}, {_decimal(y_m)}, 0.0]\n"
+        "negate: 0\n"
+        "occupied_thresh: 0.65\n"
+        "free_thresh: 0.196\n"
+    )
+    rows, cols = occupancy.shape
+    try:
+        image.write_bytes(f"P5\n{cols} {rows}\n255\n".encode() + pixels[::-1].astype(np.uint8).tobytes())
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"{str(path)!r}: cannot be written ({first_line(error)})") from None
+    return image
+
+
+def _decimal(value):
+    """The shortest decimal that reads back as `value`, in a form that every YAML reader takes for a number."""
+    return np.format_float_positional(value, trim="0")
+
+
+def _as_occupancy(grid):
+    grid = np.asarray(grid)
+    if grid.dtype == bool and grid.ndim == 2 and grid.size:
+        return np.where(grid, 100, 0)
+    if grid.dtype.kind not in "iu" or grid.ndim != 2 or not grid.size or grid.min() < -1 or grid.max() > 100:
+        raise InputError(
+            "occupancy must be a matrix [H, W] of bool, or of integers from -1 to 100, "
+            f"got {grid.dtype} of shape {grid.shape}"
+        )
+    return grid
+
+
+def _occupancy(levels, info):
+    """Occupancy by way of a table over the sum of a pixel's channels. Trinary counts opacity as a channel."""
+    counted = levels if info.mode == "trinary" else levels[..., : min(3, levels.shape[2])]
+    channels = counted.shape[2]
+    shade = np.arange(255 * channels + 1) / channels  # 0..255, brightness for each possible sum
+    p = shade / 255 if info.negate else (255 - shade) / 255
+    if info.mode == "raw":
+        value = np.floor(shade + 0.5)
+        table = np.where(value > 100, -1, value)
+    else:
+        between = -1
+        if info.mode == "scale":
+            between = np.rint((p - info.free_thresh) / (info.occupied_thresh - info.free_thresh) * 100)
+        table = np.where(p > info.occupied_thresh, 100, np.where(p < info.free_thresh, 0, between))
+    occupancy = table.astype(np.int8)[counted.sum(axis=2, dtype=np.uint16)]
+    if info.mode == "scale":
+        occupancy[opacity(levels) < 255] = -1
+    return occupancy
+
+
+def _read_yaml(path):
+    text = read_text(path, _MAX_YAML)
+    try:
+        content = yaml.safe_load(text)
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
+        raise InputError(f"{path!r}: is not valid YAML ({first_line(error)})") from None
+    if not isinstance(content, dict):
+        raise InputError(f"{path!r}: is not a ROS map; expected the keys image, resolution, origin, ...")
+    for key in ("image", "resolution", "origin", "negate", "occupied_thresh", "free_thresh"):
+        if key not in content:
+            raise InputError(f"{path!r}: the key {key!r} is missing")
+    image, origin, mode = content["image"], content["origin"], content.get("mode", "trinary")
+    if not isinstance(image, str) or not image:
+        raise InputError(f"{path!r}: image must be the name of a file, got {image!r}")
+    if not isinstance(origin, list) or len(origin) != 3:
+        raise InputError(f"{path!r}: origin must be [x, y, yaw], got {origin!r}")
+    x_m, y_m, yaw = (_float(path, "origin", value, low=-math.inf) for value in origin)
+    if yaw != 0:
+        raise InputError(f"{path!r}: the map is turned by yaw = {yaw:g}; only origin: [x, y, 0] is supported")
+    if not isinstance(mode, str) or mode not in MODES:
+        raise InputError(f"{path!r}: mode must be one of {', '.join(MODES)}, got {mode!r}")
+    info = RosInfo(
+        image=os.path.join(os.path.dirname(path), image),
+        resolution_m=_float(path, "resolution", content["resolution"], low_open=True),
+        origin_m=(x_m, y_m),
+        negate=bool(_float(path, "negate", content["negate"], high=1)),
+        occupied_thresh=_float(path, "occupied_thresh", content["occupied_thresh"], high=1),
+        free_thresh=_float(path, "free_thresh", content["free_thresh"], high=1),
+        mode=mode,
+    )
+    if info.free_thresh >= info.occupied_thresh:
+        raise InputError(
+            f"{path!r}: free_thresh {info.free_thresh:g} must be below occupied_thresh {info.occupied_thresh:g}"
+        )
+    return info
+
+
+def _float(path, key, value, **bounds):
+    """A number as YAML readers of ROS take it: also `5e-2`, which YAML 1.1 has as a string, and true for 1."""
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        number = value
+    return require_number(f"{path!r}: {key}", number, **bounds)

@@ -1,0 +1,444 @@
+"""World generators: plans of a size to check with a pencil, then measured buildings, laws and bad input."""
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import ndimage
+
+from jexplore.config import InputError
+from jexplore.worlds.generators.cave import _widen, cave
+from jexplore.worlds.generators.draft import Plan, bands, columns, cut, passable_cells, wall_span
+from jexplore.worlds.generators.hospital import hospital
+from jexplore.worlds.generators.maze import maze, passages
+from jexplore.worlds.generators.office import office
+from jexplore.worlds.generators.rooms import rooms
+from jexplore.worlds.world import World, clear_cells, label_components
+
+KINDS = {"cave": cave, "office": office, "hospital": hospital, "maze": maze, "rooms": rooms}
+BUILDINGS = {"office": office, "hospital": hospital, "rooms": rooms}
+ROBOT_M = 0.30
+EIGHT = np.ones((3, 3))
+
+
+def picture(world):
+    """Lines of `#` (wall), `.` (free, no room) and room numbers, the top row first."""
+    return [
+        "".join("#" if wall else "." if room < 0 else str(room) for wall, room in zip(walls, numbers))
+        for walls, numbers in zip(world.occupied[::-1], world.rooms[::-1])
+    ]
+
+
+def doorways(world):
+    """Of every doorway `(gap, a, b)`: its width in cells and the rooms it joins; fails where it is no gap in a wall."""
+    labels, _ = ndimage.label(~world.occupied & (world.rooms < 0))
+    found = []
+    for y, x in ndimage.find_objects(labels):
+        assert not world.occupied[y, x].any(), "a doorway is a rectangle"
+        beside = [world.occupied[y, x.start - 1], world.occupied[y, x.stop]]
+        above = [world.occupied[y.start - 1, x], world.occupied[y.stop, x]]
+        assert np.all(beside) != np.all(above), "wall on two opposite sides, rooms on the two others"
+        around = world.rooms[y.start - 1 : y.stop + 1, x.start - 1 : x.stop + 1]
+        joined = np.unique(around[around >= 0])
+        assert len(joined) == 2, "a doorway joins two rooms"
+        found.append((x.stop - x.start if np.all(beside) else y.stop - y.start, *joined.tolist()))
+    return found
+
+
+def assert_sound(world):
+    """What holds for every generated world."""
+    occupied, free = world.occupied, ~world.occupied
+    assert occupied.dtype == bool
+    assert occupied[[0, -1], :].all()
+    assert occupied[:, [0, -1]].all()
+    assert world.start is None
+    assert label_components(free).max() == 0, "the free cells hang together"
+    clear = clear_cells(occupied, ROBOT_M, world.cell_m)
+    assert label_components(clear).max() == 0, "a robot reaches every place that it could stand on"
+    if world.rooms is None:
+        return
+    assert world.rooms.dtype == np.int32
+    assert world.rooms.shape == occupied.shape
+    assert (world.rooms[occupied] == -1).all()
+    n = world.rooms.max() + 1
+    np.testing.assert_array_equal(np.unique(world.rooms[clear & (world.rooms >= 0)]), np.arange(n))
+    spaces = label_components(free & (world.rooms >= 0))  # what is left when every doorway is closed
+    assert spaces.max() + 1 == n, "closing the doorways parts every room from every other"
+    for space in range(n):
+        assert len(np.unique(world.rooms[spaces == space])) == 1, "and no space has two numbers"
+    for gap, _, _ in doorways(world):
+        assert 0.9 - world.cell_m <= gap * world.cell_m + 1e-9
+        assert gap * world.cell_m - 1e-9 <= 1.2 + world.cell_m
+
+
+# Pencil cases
+
+
+def test_two_rooms_and_a_door():
+    plan = Plan(4.0, 3.0)
+    left, right = plan.room((0.0, 0.0, 2.0, 3.0)), plan.room((2.0, 0.0, 4.0, 3.0))
+    plan.door(left, right, 1.0)
+    plan.blocks.append((1.0, 0.5, 1.5, 1.0))
+    world = plan.render(0.5)
+    assert picture(world) == [
+        "########",
+        "#000#11#",
+        "#000.11#",
+        "#000.11#",
+        "#0#0#11#",
+        "########",
+    ]
+    assert world.cell_m == 0.5
+    flipped = plan.render(0.5, flip_x=True, flip_y=True)
+    np.testing.assert_array_equal(flipped.occupied, world.occupied[::-1, ::-1])
+    np.testing.assert_array_equal(flipped.rooms, world.rooms[::-1, ::-1])
+
+
+def test_a_room_of_two_rectangles_has_one_stretch_of_wall_to_each_neighbour():
+    plan = Plan(6.0, 4.0)
+    bent = plan.room((0.0, 0.0, 6.0, 2.0), (2.0, 0.0, 4.0, 4.0))
+    corner = plan.room((0.0, 2.0, 2.0, 4.0))
+    assert plan.shared_walls(bent, corner) == [(False, 2.0, 0.0, 2.0), (True, 2.0, 2.0, 4.0)]
+    plan = Plan(6.0, 4.0)
+    bent = plan.room((0.0, 0.0, 6.0, 2.0), (2.0, 0.0, 4.0, 2.0))
+    above = plan.room((1.0, 2.0, 6.0, 4.0))
+    assert plan.shared_walls(bent, above) == [(False, 2.0, 1.0, 6.0)]
+
+
+def test_a_door_keeps_jambs_and_lets_a_robot_pass():
+    for cell_m, n in ((0.1, 7), (0.05, 13), (0.2, 3), (0.3, 3)):
+        assert passable_cells(cell_m) == n
+        plan = Plan(4.0, 2.0)
+        left, right = plan.room((0.0, 0.0, 2.0, 2.0)), plan.room((2.0, 0.0, 4.0, 2.0))
+        plan.door(left, right, 0.1, at=1.0)  # too narrow for any robot: widened to what passes
+        world = plan.render(cell_m)
+        assert doorways(world) == [(n, 0, 1)]
+        rows = np.flatnonzero((world.rooms >= 0).any(axis=1))
+        gap_rows = np.flatnonzero((~world.occupied & (world.rooms < 0)).any(axis=1))
+        assert rows[0] < gap_rows[0] < gap_rows[-1] < rows[-1], "a cell of wall remains on either side"
+        clear = clear_cells(world.occupied, ROBOT_M, cell_m)
+        assert label_components(clear).max() == 0
+        plan.doors.clear()
+        plan.door(left, right, 9.0)  # wider than the wall: a cell of wall remains on either side
+        world = plan.render(cell_m)
+        assert (world.rooms >= 0).any(axis=1).sum() - doorways(world)[0][0] == 2
+
+
+def test_walls_have_one_thickness_wherever_they_stand():
+    for cell_m in (0.05, 0.07, 0.1, 0.15, 0.2, 0.3):
+        middles = np.linspace(0.5, 9.5, 91)
+        spans = [wall_span(middle, 10.0, cell_m) for middle in middles]
+        thick = {stop - first for first, stop in spans}
+        assert len(thick) == 1
+        assert thick.pop() == max(1, math.floor(0.15 / cell_m + 0.5 + 1e-6))
+        assert all(abs((first + stop) / 2 * cell_m - m) < 0.51 * cell_m for (first, stop), m in zip(spans, middles))
+    assert wall_span(0.0, 10.0, 0.1) == (0, 3)
+    assert wall_span(10.0, 10.0, 0.1) == (97, 100)
+
+
+def test_cut_fills_the_length_with_stretches_of_the_kinds():
+    rng = np.random.default_rng(0)
+    for length in (1.0, 2.0, 5.0, 30.0):
+        for _ in range(50):
+            parts = cut(rng, length, [(0.5, 2.0, 3.0), (0.5, 5.0, 7.0)])
+            assert sum(parts) == pytest.approx(length)
+            assert min(parts) >= min(2.0, length) - 1e-9
+
+
+def test_bands_alternate_rooms_and_corridors():
+    for height, n in ((9.0, 1), (20.0, 2), (33.0, 3)):
+        stack = bands(np.random.default_rng(1), height, 2.0, (1.05, 1.25))
+        assert len(stack) == 2 * n + 1
+        assert stack[0][0] == 0
+        assert stack[-1][1] == height
+        assert all(low[1] == high[0] for low, high in itertools.pairwise(stack))
+        assert [y1 - y0 for y0, y1 in stack[1::2]] == pytest.approx([2.0] * n)
+        assert min(y1 - y0 for y0, y1 in stack) > 1.9
+
+
+def test_columns_stand_clear_of_the_walls():
+    plan = Plan(10.0, 10.0)
+    columns(plan, (0.0, 0.0, 10.0, 5.0), spacing_m=3.0, margin_m=2.0)
+    middles = sorted(((x0 + x1) / 2, (y0 + y1) / 2) for x0, y0, x1, y1 in plan.blocks)
+    np.testing.assert_allclose(middles, [(2, 2.5), (5, 2.5), (8, 2.5)])
+    columns(plan, (0.0, 0.0, 3.0, 10.0), spacing_m=3.0, margin_m=2.0)
+    assert len(plan.blocks) == 3  # none in a room too narrow for it
+
+
+def test_passages_are_a_spanning_tree_and_the_wanted_share_of_the_rest():
+    shape = (4, 6)
+    n_walls = 4 * 5 + 3 * 6 - 23
+    for loops in (0.0, 0.1, 0.5, 1.0):
+        pairs = passages(np.random.default_rng(3), shape, loops)
+        assert len(pairs) == len({frozenset(pair) for pair in pairs}) == 23 + round(loops * n_walls)
+        assert all(abs(a[0] - b[0]) + abs(a[1] - b[1]) == 1 for a, b in pairs)
+        reached = {(0, 0)}
+        for _ in range(24):
+            reached |= {place for pair in pairs[:23] if reached & set(pair) for place in pair}
+        assert len(reached) == 24
+
+
+# Measured worlds
+
+
+@pytest.mark.parametrize("cell_m", [0.05, 0.1, 0.2, 0.3])
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_world_is_sound(kind, cell_m):
+    for seed in range(3):
+        world = KINDS[kind](seed, cell_m=cell_m)
+        assert isinstance(world, World)
+        assert world.cell_m == cell_m
+        assert (world.rooms is None) == (kind not in BUILDINGS)
+        assert_sound(world)
+
+
+@pytest.mark.parametrize("kind", BUILDINGS)
+def test_many_buildings_are_sound_at_the_default_cell(kind):
+    for seed in range(3, 30):
+        assert_sound(BUILDINGS[kind](seed))
+
+
+@pytest.mark.parametrize(
+    ("kind", "shape", "low", "high"),
+    [
+        ("cave", (160, 160), 0.58, 0.75),
+        ("office", (200, 300), 0.80, 0.93),
+        ("hospital", (200, 500), 0.65, 0.90),
+        ("maze", (150, 150), 0.75, 0.92),
+        ("rooms", (200, 200), 0.80, 0.93),
+    ],
+)
+def test_size_and_free_area(kind, shape, low, high):
+    for seed in range(8):
+        world = KINDS[kind](seed)
+        assert world.shape == shape
+        assert low <= 1 - world.occupied.mean() <= high
+
+
+@pytest.mark.parametrize(("kind", "few", "many"), [("office", 16, 40), ("hospital", 30, 60), ("rooms", 10, 45)])
+def test_rooms_are_many_and_of_different_sizes(kind, few, many):
+    for seed in range(8):
+        world = KINDS[kind](seed)
+        area = np.bincount(world.rooms[world.rooms >= 0]) * world.cell_m**2
+        assert few <= len(area) <= many
+        assert area.min() > 2.0
+        assert area.max() > 3 * area.min()
+        assert area.std() > 0.25 * area.mean()
+
+
+def test_an_office_has_corridors_of_the_asked_width():
+    for corridor_m in (1.8, 2.4):
+        world = office(1, corridor_m=corridor_m)
+        boxes = ndimage.find_objects(world.rooms + 1)
+        lengths = [x.stop - x.start for y, x in boxes]
+        wide = corridor_m / world.cell_m - 2  # walls of 0.15 m are two cells here
+        long = [i for i in np.argsort(lengths)[::-1] if lengths[i] > 150][:2]
+        for i in long:
+            rows = (world.rooms == i).sum(axis=1)
+            assert abs((rows > 150).sum() - wide) <= 1
+
+
+def test_cross_corridors_lead_from_one_corridor_to_the_next():
+    for seed in range(6):
+        world = office(seed)
+        boxes = ndimage.find_objects(world.rooms + 1)
+        corridors = [i for i, (_, x) in enumerate(boxes) if x.stop - x.start > 200]
+        assert len(corridors) == 2
+        assert corridors in [[a, b] for _, a, b in doorways(world)]
+
+
+def test_large_rooms_of_a_hospital_lie_at_a_corridor():
+    for seed in range(8):
+        world = hospital(seed)
+        area = np.bincount(world.rooms[world.rooms >= 0]) * world.cell_m**2
+        pairs = [{a, b} for _, a, b in doorways(world)]
+        busy = {room for room in range(len(area)) if sum(room in pair for pair in pairs) >= 5}
+        for room in np.flatnonzero(area > 25):
+            assert any(room in pair and pair & busy for pair in pairs)
+
+
+def test_rooms_without_extra_doors_are_a_tree():
+    for seed in range(5):
+        few, some, all_doors = (rooms(seed, extra_doors=extra) for extra in (0.0, 0.3, 1.0))
+        n = few.rooms.max() + 1
+        assert len(doorways(few)) == n - 1
+        assert n - 1 < len(doorways(some)) < len(doorways(all_doors))
+
+
+def test_a_hospital_has_bathrooms_and_a_counter():
+    for seed in range(5):
+        world = hospital(seed)
+        area = np.bincount(world.rooms[world.rooms >= 0]) * world.cell_m**2
+        assert (area < 5).sum() >= 3
+        _, islands = ndimage.label(world.occupied, EIGHT)
+        assert islands >= 4  # the counter and the columns of the hall stand free
+
+
+@pytest.mark.parametrize("loops", [0.0, 0.1, 0.4])
+def test_every_opened_wall_of_a_maze_makes_one_loop(loops):
+    # A wall opened beyond the tree closes one way round, and that way runs round one island of wall.
+    for seed in range(3):
+        world = maze(seed, loops=loops)
+        n = int((15 - 0.2 + 1e-6) // 1.4)
+        _, walls = ndimage.label(world.occupied, EIGHT)
+        assert walls - 1 == round(loops * (2 * n * (n - 1) - (n * n - 1)))
+        assert_sound(world)
+
+
+def test_a_maze_corridor_is_as_wide_as_asked():
+    world = maze(0, corridor_m=2.0)
+    free_runs = np.diff(np.flatnonzero(np.diff(np.pad(~world.occupied[10], 1).astype(int))))[::2]
+    assert free_runs.min() >= 20
+    assert maze(0, corridor_m=2.0).free_m2 > maze(0, corridor_m=1.2).free_m2
+
+
+@pytest.mark.parametrize("passage_m", [1.0, 1.6])
+def test_a_disc_as_wide_as_a_passage_touches_every_place_of_a_cave(passage_m):
+    for seed in range(4):
+        world = cave(seed, passage_m=passage_m)
+        radius = passage_m / 2 / world.cell_m
+        inside = ndimage.distance_transform_edt(~world.occupied) > radius
+        labels = label_components(inside)
+        largest = labels == np.argmax(np.bincount(labels[inside]))
+        assert (ndimage.distance_transform_edt(~largest)[~world.occupied] <= radius).all()
+
+
+def test_a_place_behind_a_slot_is_filled_until_no_robot_can_stand_there():
+    occupied = np.ones((30, 60), bool)
+    occupied[1:29, 1:30] = False
+    occupied[1:29, 31:50] = False
+    occupied[14:17, 30] = False  # 0.3 m: no robot passes
+    filled = _widen(occupied, 0.0, 0.1)
+    clear = clear_cells(filled, ROBOT_M, 0.1)
+    np.testing.assert_array_equal(clear, clear_cells(occupied, ROBOT_M, 0.1) & (np.arange(60) < 30))
+    assert (filled >= occupied).all()
+    disc = _widen(occupied, 3.5, 0.1)  # a wide disc does not pass either
+    assert disc[:, 31:].all()
+
+
+def test_a_cave_has_pillars_and_follows_the_wanted_area():
+    for seed in range(5):
+        _, islands = ndimage.label(cave(seed).occupied, EIGHT)
+        assert islands >= 4
+        assert cave(seed, free=0.85).free_m2 > cave(seed).free_m2
+
+
+# Laws
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_seed_is_one_world_and_seeds_differ(kind):
+    generate = KINDS[kind]
+    first, again, other = generate(1), generate(np.int64(1)), generate(2)
+    np.testing.assert_array_equal(first.occupied, again.occupied)
+    if first.rooms is not None:
+        np.testing.assert_array_equal(first.rooms, again.rooms)
+    assert (first.occupied != other.occupied).mean() > 0.05
+
+
+@pytest.mark.parametrize("kind", BUILDINGS)
+def test_a_seed_is_one_building_at_every_cell(kind):
+    for seed in range(4):
+        fine, *others = (BUILDINGS[kind](seed, cell_m=cell_m) for cell_m in (0.05, 0.1, 0.2))
+        for world in others:
+            assert world.rooms.max() == fine.rooms.max()
+            assert len(doorways(world)) == len(doorways(fine))
+            assert world.free_m2 == pytest.approx(fine.free_m2, rel=0.05)
+            np.testing.assert_allclose(_room_middles(world), _room_middles(fine), atol=0.25)
+
+
+def _room_middles(world):
+    """The middle of every room's bounding box, metres."""
+    boxes = ndimage.find_objects(world.rooms + 1)
+    return np.array([[(span.start + span.stop) / 2 * world.cell_m for span in box] for box in boxes])
+
+
+@pytest.mark.parametrize("kind", ["cave", "maze"])
+def test_a_seed_is_one_shape_at_every_cell(kind):
+    for seed in range(3):
+        fine, coarse = (KINDS[kind](seed, cell_m=cell_m) for cell_m in (0.05, 0.2))
+        assert coarse.free_m2 == pytest.approx(fine.free_m2, rel=0.04)
+        middles = fine.occupied.reshape(*coarse.shape[:1], 4, coarse.shape[1], 4).mean(axis=(1, 3)) > 0.5
+        assert (middles == coarse.occupied).mean() > 0.93
+
+
+def _sizes(low_w, low_h, high, **others):
+    fixed = {"width_m": st.floats(low_w, high), "height_m": st.floats(low_h, high), "cell_m": st.floats(0.08, 0.3)}
+    return st.fixed_dictionaries(fixed | others)
+
+
+PARAMETERS = {
+    "cave": _sizes(6, 6, 20, free=st.floats(0.5, 0.9), passage_m=st.floats(0.8, 1.0)),
+    "office": _sizes(14, 9, 50, corridor_m=st.floats(1.5, 3), room_m=st.floats(2.6, 6)),
+    "hospital": _sizes(32, 11, 60, corridor_m=st.floats(1.8, 3.5), room_m=st.floats(3.4, 7)),
+    "maze": _sizes(8, 8, 20, corridor_m=st.floats(1.4, 3), wall_m=st.floats(0.05, 0.6), loops=st.floats(0, 1)),
+    "rooms": _sizes(8, 8, 30, room_m=st.floats(2, 4), extra_doors=st.floats(0, 1)),
+}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_permitted_parameter_makes_a_sound_world(kind):
+    @settings(max_examples=6 if kind == "cave" else 20, deadline=None, derandomize=True)
+    @given(seed=st.integers(0, 2**32 - 1), parameters=PARAMETERS[kind])
+    def check(seed, parameters):
+        assert_sound(KINDS[kind](seed, **parameters))
+
+    check()
+
+
+# Bad input
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"width_m": math.nan},
+        {"height_m": -5.0},
+        {"width_m": 1.0},
+        {"height_m": math.inf},
+        {"width_m": "wide"},
+        {"width_m": 5000.0},
+        {"cell_m": 0.0},
+        {"cell_m": math.nan},
+        {"cell_m": 0.5},
+        {"cell_m": 0.001},
+        {"seed": -1},
+        {"seed": 1.5},
+    ],
+)
+def test_wrong_numbers_are_refused_in_one_line(kind, wrong):
+    with pytest.raises(InputError) as caught:
+        KINDS[kind](**({"seed": 0} | wrong))
+    assert "\n" not in str(caught.value)
+    assert "seed" in str(caught.value) or kind in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("kind", "key", "values"),
+    [
+        ("cave", "free", (0.2, 1.0, math.nan)),
+        ("cave", "passage_m", (0.1, 5.0, math.nan)),
+        ("office", "corridor_m", (0.5, 9.0, math.nan)),
+        ("office", "room_m", (1.0, 20.0, math.nan)),
+        ("hospital", "corridor_m", (0.5, 9.0, math.nan)),
+        ("hospital", "room_m", (1.0, 20.0, math.nan)),
+        ("maze", "corridor_m", (0.5, 9.0, math.nan)),
+        ("maze", "wall_m", (0.0, 9.0, math.nan)),
+        ("maze", "loops", (-0.1, 1.1, math.nan)),
+        ("rooms", "room_m", (0.5, 11.0, math.nan)),
+        ("rooms", "extra_doors", (-0.1, 1.1, math.nan)),
+    ],
+)
+def test_wrong_parameters_are_refused(kind, key, values):
+    for value in values:
+        with pytest.raises(InputError, match=kind):
+            KINDS[kind](0, **{key: value})
+
+
+def test_a_maze_that_no_robot_passes_is_refused():
+    with pytest.raises(InputError, match=r"corridor_m = 0\.8 leaves [012] cells of 0\.3 m"):
+        maze(0, cell_m=0.3, corridor_m=0.8)

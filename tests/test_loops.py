@@ -1,0 +1,76 @@
+"""Conditions and loops, for one and for many at a time."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jexplore.arrays.loops import SHARE, first_lanes, put, repeat, run_if, stored, take
+
+
+def bumped(x, table):
+    """A condition that closes over arrays, within a loop, with a pytree as its state."""
+
+    def turn(_, state):
+        low = state[0] + table.sum() < 40
+        return run_if(low, lambda s: (s[0] + table[0] + x, s[1].at[s[0] % 3].add(1)), state)
+
+    return jax.lax.fori_loop(0, 3, turn, (x, jnp.zeros(3, jnp.int32)))
+
+
+def halved(x, y):
+    """A loop that a lane may run on in once it has ended."""
+    return repeat(lambda s: s[0] > y, lambda s: (jnp.where(s[0] > y, s[0] // 2, s[0]), s[1] + (s[0] > y)), (x, 0 * x))
+
+
+def kept(x, y):
+    return stored(x > -100, lambda: {"sum": x + y, "twice": 2 * x})
+
+
+@pytest.mark.jit
+@pytest.mark.parametrize("n", [1, 5, SHARE, 2 * SHARE + 1])
+@pytest.mark.parametrize(
+    "function",
+    [lambda x: bumped(x, jnp.arange(3) + x), lambda x: halved(x, jnp.int32(2)), lambda x: kept(x, 7)],
+)
+def test_many_at_a_time_are_as_many_alone(function, n):
+    xs = jnp.arange(n, dtype=jnp.int32) * 5
+    together = jax.jit(jax.vmap(function))(xs)
+    for i, x in enumerate(xs):
+        jax.tree.map(lambda many, one, i=i: np.testing.assert_array_equal(many[i], one), together, jax.jit(function)(x))
+        with jax.disable_jit():
+            plain = function(x)
+        jax.tree.map(lambda many, one, i=i: np.testing.assert_array_equal(many[i], one), together, plain)
+
+
+@pytest.mark.jit
+def test_a_condition_may_be_common_to_all():
+    both = [jax.vmap(lambda x, c=c: run_if(c, lambda x: x + 1, x))(jnp.arange(4)) for c in (jnp.bool_(False), True)]
+    assert [b.tolist() for b in both] == [[0, 1, 2, 3], [1, 2, 3, 4]]
+
+
+@pytest.mark.jit
+def test_a_loop_over_what_lanes_share_and_what_they_do_not():
+    limits = jnp.asarray([3, 8, 0])
+    counts = jax.vmap(lambda limit: repeat(lambda n: n < limit, lambda n: n + (n < limit), jnp.int32(0)))(limits)
+    assert counts.tolist() == [3, 8, 0]
+
+
+@pytest.mark.jit
+def test_a_condition_works_on_the_lanes_that_need_it_only():
+    """An eighth of the lanes at a time."""
+    text = str(jax.make_jaxpr(jax.vmap(lambda x: run_if(x > 3, lambda x: jnp.sin(x), x)))(jnp.arange(32.0)))
+    assert f"f32[{32 // SHARE}] = sin" in text
+    assert "f32[32] = sin" not in text
+
+
+def test_lanes_are_taken_and_put_back():
+    mask = jnp.asarray([False, True, True, False, True])
+    assert first_lanes(mask, 2).tolist() == [1, 2]
+    assert first_lanes(mask, 4).tolist() == [1, 2, 4, 5]
+    tree = {"a": jnp.arange(5), "b": jnp.arange(10).reshape(5, 2)}
+    at = first_lanes(mask, 4)
+    assert take(tree, at)["a"].tolist() == [1, 2, 4, 4]
+    new = put(tree, at, jax.tree.map(lambda a: -a, take(tree, at)))
+    assert new["a"].tolist() == [0, -1, -2, 3, -4]
+    assert new["b"][:, 1].tolist() == [1, -3, -5, 7, -9]

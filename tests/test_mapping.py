@@ -1,0 +1,764 @@
+"""How a map is written: changes of level from pitch alone, and every kind of node by hand."""
+
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jexplore import btm
+from jexplore.btm import DIVERGENCE, FREE_SPACE, NONE, OBSTACLE, SEARCHED, TERMINAL, UNSEARCHED
+from jexplore.driving import mapping
+from jexplore.driving.behaviour import Latch
+from jexplore.driving.mapping import Event
+from jexplore.driving.settings import ROBOTS, Tuning
+from jexplore.tracemap import record
+from jexplore.tracemap.similarity import code
+
+pytestmark = pytest.mark.jit
+TUNING, KAMUI = Tuning(), ROBOTS["kamui"]
+EAST, NORTH, WEST, SOUTH = (math.radians(angle) for angle in (0, 90, 180, -90))
+
+
+# ---------------------------------------------------------------- changes of level
+
+STEP_M = 0.04  # at 0.4 m/s and 0.1 s a step
+
+
+def pitch_deg(odometer, creases, grounds, length_m):
+    """A body on ground whose inclination changes at creases turns evenly while it is over one."""
+    pitch = np.full(odometer.shape, float(grounds[0]))
+    for crease, before, after in zip(creases, grounds, grounds[1:]):
+        pitch += (after - before) * np.clip((odometer - crease) / length_m + 0.5, 0, 1)
+    return pitch
+
+
+WATCH = jax.jit(
+    lambda pitch, odometer, even_m: jax.lax.scan(
+        lambda level, now: _watched(level, *now, even_m), mapping.begin(1, 1, 1, 1, jnp.zeros(3), False).level,
+        (pitch, odometer),
+    )[1]
+)  # fmt: skip
+
+
+def _watched(level, pitch, odometer_m, even_m):
+    level, *seen = mapping.watch_level(level, pitch, odometer_m, math.radians(TUNING.inclination_deg), even_m)
+    return level, seen
+
+
+def changes(pitch, odometer, length_m=KAMUI.length_m):
+    """`(odometer, crease, steepest in degrees)` of every change."""
+    even_m = mapping.EVEN_LENGTHS * length_m
+    changed, crease, steepest = WATCH(jnp.radians(jnp.float32(pitch)), jnp.float32(odometer), even_m)
+    changed = np.asarray(changed)
+    return odometer[changed], np.asarray(crease)[changed], np.degrees(np.asarray(steepest)[changed])
+
+
+RIDE = np.arange(0, 10, STEP_M)
+BUMP = [2.0, 4.5, 7.0]  # the ground rises, falls, and is level again
+
+
+@pytest.mark.parametrize(("degrees", "within_m"), [(10, 0.03), (6, 0.05), (20, 0.03)])
+@pytest.mark.parametrize("direction", [-1, 1])
+def test_a_ride_up_and_down_changes_three_times(degrees, within_m, direction):
+    grounds = [0, direction * degrees, -direction * degrees, 0]
+    at, crease, steepest = changes(pitch_deg(RIDE, BUMP, grounds, KAMUI.length_m), RIDE)
+    np.testing.assert_allclose(crease, BUMP, atol=within_m)  # a degree of the turn is 3 to 12 cm long
+    np.testing.assert_allclose(steepest, degrees, atol=1)
+    # Known once the robot has stood evenly for a quarter of its length.
+    assert ((at > crease + KAMUI.length_m / 2) & (at < crease + 0.8 * KAMUI.length_m)).all()
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_noise_changes_no_count(seed):
+    noise = 0.1 * np.random.default_rng(seed).normal(size=RIDE.size)
+    _, crease, steepest = changes(pitch_deg(RIDE, BUMP, [0, -10, 10, 0], KAMUI.length_m) + noise, RIDE)
+    np.testing.assert_allclose(crease, BUMP, atol=0.08)
+    np.testing.assert_allclose(steepest, 10, atol=1.1)
+    assert not changes(noise, RIDE)[0].size
+
+
+def test_ground_that_hardly_changes_is_level():
+    assert not changes(np.zeros(RIDE.size), RIDE)[0].size
+    assert not changes(pitch_deg(RIDE, [3.0], [0, 4.5], KAMUI.length_m), RIDE)[0].size
+    assert not changes(pitch_deg(RIDE, [3.0, 3.1], [0, 20, 0], KAMUI.length_m), RIDE)[0].size  # a sill
+    assert not changes(np.linspace(0, 90, RIDE.size), RIDE)[0].size  # never even
+    assert not changes(pitch_deg(RIDE, [3.0, 6.0], [0, 4.5, 9], KAMUI.length_m), RIDE)[0].size  # little by little
+
+
+def test_a_jolt_before_a_crease_moves_it_not():
+    pitch = pitch_deg(RIDE, [4.0], [0, 10], KAMUI.length_m)
+    pitch[np.argmin(abs(RIDE - 3.56))] = 3
+    _, crease, _ = changes(pitch, RIDE)
+    np.testing.assert_allclose(crease, [4], atol=0.03)
+
+
+def test_a_crease_lies_half_way_for_a_robot_of_any_length():
+    for length in (0.3, 1.2):
+        at, crease, _ = changes(pitch_deg(RIDE, [4.0], [0, 12], length), RIDE, length)
+        np.testing.assert_allclose(crease, [4], atol=0.06)
+        assert at[0] == pytest.approx(4 + 0.75 * length, abs=0.15)
+
+
+# ---------------------------------------------------------------- what is kept of the way
+
+STEPS, POINTS, NODES, LINKS = 160, 64, 8, 12
+BEGIN = jax.jit(mapping.begin, static_argnums=(0, 1, 2, 3))
+
+
+def begun(pose=(0.0, 0.0, 0.0), *, points=POINTS, behind=False):
+    return BEGIN(STEPS, points, NODES, LINKS, jnp.asarray(pose, jnp.float32), behind)
+
+
+def test_a_map_begins_with_the_start_and_a_link_ahead():
+    writer = begun((1.0, 2.0, 0.5))
+    assert record.check(btm.to_map(writer.map)) == record.BtmMap(
+        (record.Node(0, 1.0, 2.0, "terminal"),),
+        (record.Link(0, 0, -1, "un-searched", pytest.approx(math.degrees(0.5))),),
+        {"overflow": 0},
+    )
+    assert (int(writer.node), int(writer.link), float(writer.left_bearing)) == (0, 0, 0.5)
+    assert not writer.exhausted
+    assert float(writer.border_m) == math.inf
+
+
+def path(writer, *rows):
+    """The writer with a way of rows `(odometer, x, y, heading, pitch_deg, posture_deg, width)`."""
+    table = np.tile(np.float32([math.inf, 0, 0, 0, 0, 0, math.inf]), (STEPS, 1))
+    table[: len(rows)] = rows
+    odometer, *_, pitch, posture, width = (jnp.asarray(column) for column in table.T)
+    return writer.replace(
+        way=writer.way.replace(
+            odometer_m=odometer,
+            pose=jnp.asarray(table[:, 1:4]),
+            pitch=jnp.asarray(np.radians(pitch)),
+            posture=jnp.asarray(np.radians(posture)),
+            width_m=width,
+        )
+    )
+
+
+ROWS = [(0, 0, 0, 0, 0, 1, 2.0), (1, 1, 0, 0.1, 0, 8, 1.5), (2, 2, 0, 0.2, 0, 3, 1.8), (3, 3, 0, 0.3, 0, 9, 1.0)]
+
+
+def test_narrowest_and_steepest_between_two_places():
+    way = path(begun(), *ROWS).way
+    for bounds, want in (((0, 3), (1, 9)), ((0, 2), (1.5, 8)), ((1.5, 2.5), (1.8, 3)), ((1.1, 1.9), (math.inf, 0))):
+        assert [float(value) for value in mapping.along(way, *bounds)] == pytest.approx(want)
+    assert [float(value) for value in mapping.along(mapping.no_way(3), 0, 9)] == [math.inf, 0]
+
+
+def test_noise_makes_a_passage_hardly_narrower():
+    rng = np.random.default_rng(0)
+    widths = 2 + 0.05 * rng.normal(size=STEPS)
+    rows = [(0.04 * i, 0.04 * i, 0, 0, 0, 0, width) for i, width in enumerate(widths)]
+    narrowest = float(mapping.along(path(begun(), *rows).way, 0, 99)[0])
+    assert widths.min() < narrowest - 0.02
+    assert narrowest == pytest.approx(min(np.mean(widths[max(0, i - 2) : i + 3]) for i in range(STEPS)), abs=1e-4)
+
+
+def test_the_pose_at_an_odometer():
+    way = path(begun(), *ROWS).way
+    for odometer, x in ((0, 0), (0.5, 1), (1, 1), (2.9, 3), (3, 3)):
+        assert mapping.pose_at(way, odometer).tolist() == pytest.approx([x, 0, x / 10])
+
+
+def test_snapshots_are_kept_in_a_ring():
+    writer, kept = begun(points=1), []
+    for i in range(1, 40):
+        odometer = i * 0.11
+
+        def points_of(i=i):
+            return jnp.full((1, 2), float(i)), jnp.asarray([i % 3 != 0])
+
+        before = int(writer.n_snapshots)
+        writer = mapping.keep_snapshot(writer, points_of, jnp.float32(odometer))
+        if int(writer.n_snapshots) > before:
+            kept.append(i)
+            assert float(writer.snapshot_m) == pytest.approx(odometer)
+    assert kept == list(range(1, 40, 2))
+    ring = {k % mapping.SNAPSHOTS: i for k, i in enumerate(kept)}
+    want = [ring[k] for k in range(mapping.SNAPSHOTS)]
+    assert want[:4] == [33, 35, 37, 39]
+    np.testing.assert_array_equal(writer.snapshot[:, 0, 0], want)
+    np.testing.assert_array_equal(writer.snapshot_there[:, 0], np.mod(want, 3) != 0)
+
+
+# ---------------------------------------------------------------- nodes
+
+
+def wall(x, y):
+    """Points every 5 cm."""
+    (x0, x1), (y0, y1) = x, y
+    n = round(math.hypot(x1 - x0, y1 - y0) / 0.05) + 1
+    return np.stack([np.linspace(x0, x1, n), np.linspace(y0, y1, n)], axis=1)
+
+
+# A T of passages two metres wide that one enters eastwards. Its circle touches two corners and the wall opposite.
+T_CENTRE, T_RADIUS = (3.75, 0.0), 1.25
+T_WALLS = np.concatenate([
+    wall((0, 3), (1, 1)), wall((0, 3), (-1, -1)), wall((3, 3), (1, 4)), wall((3, 3), (-1, -4)), wall((5, 5), (-4, 4)),
+])  # fmt: skip
+# A dead end: a passage two metres wide that ends.
+DEAD_CENTRE, DEAD_RADIUS = (0.0, 0.0), 1.0
+DEAD_WALLS = np.concatenate([wall((-3, 1), (1, 1)), wall((-3, 1), (-1, -1)), wall((1, 1), (-1, 1))])
+
+
+def turned(xy, angle):
+    cos, sin = math.cos(angle), math.sin(angle)
+    xy = np.asarray(xy, float)
+    return np.stack([cos * xy[..., 0] - sin * xy[..., 1], sin * xy[..., 0] + cos * xy[..., 1]], axis=-1)
+
+
+def seen(writer, xy):
+    """The writer with these points in its snapshots."""
+    slots = np.zeros((mapping.SNAPSHOTS * POINTS, 2), np.float32)
+    assert len(xy) <= len(slots)
+    slots[: len(xy)] = xy
+    there = np.arange(len(slots)) < len(xy)
+    return writer.replace(
+        snapshot=jnp.asarray(slots.reshape(-1, POINTS, 2)), snapshot_there=jnp.asarray(there.reshape(-1, POINTS))
+    )
+
+
+def event(
+    kind,
+    odometer,
+    pose,
+    centre=None,
+    *,
+    radius=0.0,
+    posture=0.0,
+    steepest=0.0,
+    step_m=0.0,
+    blocked=False,
+    returns=False,
+):
+    return Event(
+        kind=jnp.int32(kind),
+        odometer_m=jnp.float32(odometer),
+        pose=jnp.asarray(pose, jnp.float32),
+        centre=jnp.asarray(pose[:2] if centre is None else centre, jnp.float32),
+        radius=jnp.float32(radius),
+        posture=jnp.float32(math.radians(posture)),
+        steepest=jnp.float32(math.radians(steepest)),
+        step_m=jnp.float32(step_m),
+        blocked=jnp.bool_(blocked),
+        returns=jnp.bool_(returns),
+    )
+
+
+WRITE = jax.jit(lambda writer, due: mapping.write(writer, due, TUNING, KAMUI))
+
+
+def write_node(writer, due):
+    writer, latch, target, shift = WRITE(*jax.device_get((writer, due)))  # of one type: one program
+    return writer, int(latch), target.tolist(), shift.tolist()
+
+
+def links_of(writer):
+    """`(start, end, status)` of every link in use."""
+    map_, n = writer.map, int(writer.map.n_links)
+    return [tuple(int(field[i]) for field in (map_.start, map_.end, map_.status)) for i in range(n)]
+
+
+def degrees(bearing):
+    return math.degrees(float(bearing))
+
+
+def at_the_t(turn=0.0, start=begun):
+    """The writer, latch and target on arrival at the T, all turned about the start."""
+    writer = seen(start((0.0, 0.0, turn)), turned(T_WALLS, turn))
+    rows = [(0, 0, 0, 0, 0, 1, 2.0), (1.5, 1.5, 0, 0, 0, 2, 1.9), (3.5, 3.5, 0, 0, 0, 1, 2.1)]
+    writer = path(writer, *rows).replace(entry=jnp.asarray(turned((1, 0), turn), jnp.float32))
+    pose = (*turned((3.5, 0), turn), turn)
+    return write_node(writer, event(DIVERGENCE, 3.5, pose, turned(T_CENTRE, turn), radius=T_RADIUS, posture=1.5))
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.7, math.pi / 2, 3.0, -2.0])
+def test_a_t_is_left_to_the_right_whichever_way_it_lies(turn):
+    writer, latch, target, shift = at_the_t(turn)
+    map_ = writer.map
+    assert (int(map_.n_nodes), int(map_.n_links), int(map_.overflow)) == (2, 3, 0)
+    assert sorted(links_of(writer)) == [(0, 1, SEARCHED), (1, NONE, UNSEARCHED), (1, NONE, UNSEARCHED)]
+    assert links_of(writer)[0] == (0, 1, SEARCHED)
+    # From the middle of the circle, 1.5 radii wide, the openings lie 81 degrees to both sides.
+    bearings = [(degrees(map_.start_bearing[i]) - math.degrees(turn)) % 360 for i in (1, 2)]
+    assert sorted(bearings) == pytest.approx([80.8, 279.2], abs=3)
+    onto = int(writer.link)
+    assert bearings[onto - 1] == pytest.approx(279.2, abs=3)
+    assert latch == Latch.LEAVE
+    out = T_RADIUS + TUNING.leave_m
+    at = np.asarray(T_CENTRE) + out * np.array([math.cos(math.radians(-80.8)), math.sin(math.radians(-80.8))])
+    np.testing.assert_allclose(target, turned(at, turn), atol=0.08)
+    away = np.subtract(target, turned(T_CENTRE, turn))
+    assert math.hypot(*away) == pytest.approx(out, rel=1e-5)
+    assert math.atan2(away[1], away[0]) == pytest.approx(float(map_.start_bearing[onto]), abs=1e-5)
+    assert shift == [0, 0]
+    assert float(writer.left_bearing) == float(map_.start_bearing[onto])
+    assert (int(writer.node), float(writer.node_m), bool(writer.exhausted)) == (1, 3.5, False)
+    assert not writer.snapshot_there.any()
+
+
+def test_what_is_written_of_a_t():
+    written = record.check(btm.to_map(at_the_t()[0].map))
+    assert written.nodes[1] == record.Node(1, 3.75, 0.0, "divergence", posture_deg=pytest.approx(1.5))
+    link = written.links[0]
+    assert (link.length_m, link.min_width_m, link.posture_deg) == pytest.approx((3.5, 1.9, 2))
+    assert (link.start_bearing_deg, abs(link.end_bearing_deg)) == pytest.approx((0, 180), abs=1)
+    assert written.links[1].opening_m == pytest.approx(2, abs=0.1)  # 2.03 m askew
+    assert written.angles_deg(1) == pytest.approx([99.2, 99.2, 161.6], abs=4)
+
+
+def test_where_the_way_in_is_not_seen_every_opening_is_one():
+    """The robot claims to have come from the east, where a wall is: its way in lies in no opening."""
+    writer = seen(begun(), T_WALLS).replace(entry=jnp.asarray([9.0, 0.0]))
+    writer, *_ = write_node(writer, event(DIVERGENCE, 3.5, (3.5, 0.0, 0.0), T_CENTRE, radius=T_RADIUS))
+    assert links_of(writer) == [(0, 1, SEARCHED)] + [(1, NONE, UNSEARCHED)] * 3
+    assert degrees(writer.map.end_bearing[0]) == pytest.approx(0, abs=1e-3)
+
+
+def hall():
+    writer = path(begun(), *[(i, i, 0, 0, 0, i, 2 - i / 10) for i in range(8)]).replace(border_m=jnp.float32(2))
+    first, latch, _, shift = write_node(writer, event(FREE_SPACE, 2, (2.0, 0.0, 0.25), posture=3))
+    assert (latch, shift) == (Latch.FREE, [0, 0])
+    return first
+
+
+def test_a_free_space_is_two_nodes_on_the_way():
+    writer = hall()
+    assert links_of(writer) == [(0, 1, SEARCHED), (1, NONE, UNSEARCHED)]
+    assert (int(writer.link), float(writer.left_bearing), float(writer.border_m)) == (1, 0.25, math.inf)
+    writer, latch, *_ = write_node(writer, event(FREE_SPACE, 6, (6.0, 0.0, 0.0)))
+    assert latch == Latch.FREE
+    assert links_of(writer) == [(0, 1, SEARCHED), (1, 2, SEARCHED), (2, NONE, UNSEARCHED)]
+    written = record.check(btm.to_map(writer.map))
+    assert [node.type for node in written.nodes] == ["terminal", "free_space", "free_space"]
+    assert written.nodes[1] == record.Node(1, 2.0, 0.0, "free_space", posture_deg=pytest.approx(3))
+    link = written.links[1]
+    assert (link.length_m, link.min_width_m, link.posture_deg) == pytest.approx((4, 1.4, 6))
+    assert (link.start_bearing_deg, abs(link.end_bearing_deg)) == pytest.approx((math.degrees(0.25), 180))
+    assert not writer.exhausted
+    assert written.links[2].attributes == {}
+
+
+def test_a_border_ahead_is_kept_until_it_is_reached():
+    writer = begun().replace(border_m=jnp.float32(5))
+    for kind, odometer, border in (
+        (FREE_SPACE, 4.9, 5), (FREE_SPACE, 5, math.inf), (OBSTACLE, 6, 5), (DIVERGENCE, 1, math.inf), (TERMINAL, 6, 5),
+    ):  # fmt: skip
+        after, *_ = write_node(writer, event(kind, odometer, (3.0, 0.0, 0.0), radius=1.0 * (kind == DIVERGENCE)))
+        assert float(after.border_m) == border
+
+
+def test_snapshots_last_until_the_next_divergence():
+    writer, *_ = write_node(seen(begun(), T_WALLS), event(FREE_SPACE, 2, (2.0, 0.0, 0.0)))
+    assert int(writer.snapshot_there.sum()) == len(T_WALLS)
+
+
+def test_the_end_of_a_run_is_a_node_even_where_it_began():
+    writer, latch, *_ = write_node(begun(), event(TERMINAL, 3, (0.1, 0.0, 0.5), posture=2))
+    assert links_of(writer) == [(0, 1, SEARCHED)]
+    assert (latch, bool(writer.exhausted)) == (Latch.FREE, False)
+    assert btm.to_map(writer.map).nodes[1].type == "terminal"
+    writer, *_ = write_node(hall(), event(TERMINAL, 5, (0.1, 0.0, 0.5)))
+    assert links_of(writer)[1] == (1, 2, SEARCHED)
+
+
+# ---------------------------------------------------------------- known nodes, dead ends
+
+
+def at_a_dead_end(writer, centre, heading, odometer):
+    """Arrival at the end of a passage in which the robot drives."""
+    writer = seen(writer, turned(DEAD_WALLS, heading) + centre)
+    writer = writer.replace(entry=jnp.asarray(turned((-2, 0), heading) + centre, jnp.float32))
+    return write_node(writer, event(DIVERGENCE, odometer, (*centre, heading), centre, radius=DEAD_RADIUS))
+
+
+def back_at_the_t(writer, odometer, came_from, centre=T_CENTRE):
+    writer = seen(writer, T_WALLS).replace(entry=jnp.asarray(came_from, jnp.float32))
+    return write_node(writer, event(DIVERGENCE, odometer, (3.7, 0.1, 0.0), centre, radius=T_RADIUS))
+
+
+def test_a_dead_end_sends_back_until_nothing_is_left():
+    t, *_ = at_the_t()
+    south, north = int(t.link), 3 - int(t.link)
+    writer, latch, target, shift = at_a_dead_end(t, (4.0, -6.0), SOUTH, 9.5)
+    assert links_of(writer)[south] == (1, 2, SEARCHED)
+    assert float(writer.map.length_m[south]) == 6
+    assert int(writer.map.n_links) == 3  # a dead end has none of its own
+    assert (int(writer.node), int(writer.link), latch, bool(writer.exhausted)) == (2, south, Latch.LEAVE, False)
+    assert degrees(writer.left_bearing) == pytest.approx(90, abs=2)
+    np.testing.assert_allclose(target, [4, -6 + DEAD_RADIUS + TUNING.leave_m], atol=0.06)
+    assert shift == [0, 0]
+
+    # The T is met again on a known link: nothing new, a corrected odometry, and north is left.
+    before = writer.map
+    writer, latch, target, shift = back_at_the_t(writer, 15.5, (3.9, -4.0), (3.95, 0.1))
+    jax.tree.map(np.testing.assert_array_equal, writer.map, before)
+    assert shift == pytest.approx([-0.2, -0.1], abs=1e-6)
+    assert (int(writer.node), int(writer.link), latch) == (1, north, Latch.LEAVE)
+    np.testing.assert_allclose(target, [3.75 + 1.75 * 0.16, 1.75 * 0.987], atol=0.08)
+
+    writer, latch, *_ = at_a_dead_end(writer, (4.0, 6.0), NORTH, 21.5)
+    assert links_of(writer) == [(0, 1, SEARCHED), *sorted([(1, 2, SEARCHED), (1, 3, SEARCHED)], reverse=south == 2)]
+    assert (bool(writer.exhausted), int(writer.link), latch) == (True, 12, Latch.FREE)
+    record.check(btm.to_map(writer.map))
+
+
+def test_only_the_link_by_which_it_came_is_taken_away():
+    t, *_ = at_the_t()
+    writer, *_ = write_node(t, event(FREE_SPACE, 9.5, (4.0, -6.0, -0.5)))
+    aside, *_ = back_at_the_t(writer, 20, (9.0, 0.0))  # through the wall, 80 degrees from both openings
+    assert links_of(aside) == [*links_of(writer)[:3], (2, 1, SEARCHED)]
+    came = (3.9, 4.0), (3.65, -0.2)
+    back = back_at_the_t(writer, 20, *came)[0].map.end_bearing[3]
+    map_, other = btm.add_link(writer.map, 0, back)  # the very bearing, at another node
+    after, *_ = back_at_the_t(writer.replace(map=map_), 20, *came)
+    assert links_of(after)[int(other)] == (0, NONE, UNSEARCHED)
+    assert links_of(after)[3 - int(t.link)] == (NONE, NONE, NONE)
+
+
+def test_a_known_link_takes_no_other_away():
+    t, *_ = at_the_t()
+    writer, *_ = at_a_dead_end(t, (4.0, -6.0), SOUTH, 9.5)
+    before = writer.map
+    writer, *_ = back_at_the_t(writer, 15.5, (3.9, 4.0))  # on the link from the south, though it came in from the north
+    jax.tree.map(np.testing.assert_array_equal, writer.map, before)
+
+
+def test_a_node_met_again_from_its_other_end_loses_the_double_link():
+    t, *_ = at_the_t()
+    south, north = int(t.link), 3 - int(t.link)
+    writer, *_ = write_node(t, event(FREE_SPACE, 9.5, (4.0, -6.0, -0.5)))
+    writer, _, _, shift = back_at_the_t(writer, 20, (3.9, 4.0), (3.65, -0.2))
+    onward = 3
+    assert links_of(writer)[south] == (1, 2, SEARCHED)
+    assert links_of(writer)[onward] == (2, 1, SEARCHED)
+    assert links_of(writer)[north] == (NONE, NONE, NONE)
+    assert (int(writer.map.n_nodes), int(writer.map.n_links), int(writer.node)) == (3, 4, 1)
+    assert shift == pytest.approx([0.1, 0.2], abs=1e-6)
+    assert degrees(writer.map.end_bearing[onward]) == pytest.approx(81, abs=6)
+    assert writer.exhausted  # the ring is closed
+    written = record.check(btm.to_map(writer.map))
+    assert [(link.id, link.start, link.end) for link in written.links] == [(0, 0, 1), (1, 1, 2), (2, 2, 1)]
+
+
+def test_a_way_may_lead_back_to_the_node_where_it_began():
+    t, *_ = at_the_t()
+    south, north = int(t.link), 3 - int(t.link)
+    writer, _, _, shift = back_at_the_t(t, 20, (3.9, 4.0), (3.65, -0.2))
+    assert links_of(writer)[south] == (1, 1, SEARCHED)
+    assert links_of(writer)[north] == (NONE, NONE, NONE)
+    assert (int(writer.map.n_nodes), bool(writer.exhausted)) == (2, True)
+    assert shift == pytest.approx([0.1, 0.2], abs=1e-6)
+    written = record.check(btm.to_map(writer.map))
+    assert [(link.start, link.end) for link in written.links] == [(0, 1), (1, 1)]
+    assert sorted(written.angles_deg(1)) == pytest.approx([99, 99, 162], abs=6)  # the link counts at both its ends
+    assert code(written) == "T(D(=1,=1))"
+    near, *_ = back_at_the_t(t, 6.9, (3.9, 4.0))  # after less than it takes to leave it twice
+    assert int(near.map.n_nodes) == 3
+
+
+def test_a_way_that_leads_back_to_its_own_opening_is_none():
+    """The robot has turned round on the way, unawares."""
+    t, *_ = at_the_t()
+    south, north = int(t.link), 3 - int(t.link)
+    writer, latch, *_ = back_at_the_t(t, 20, (3.9, -4.0), (3.65, -0.2))
+    assert links_of(writer) == links_of(t)
+    assert writer.map.blocked.tolist() == [i == south for i in range(len(writer.map.blocked))]
+    assert (int(writer.link), latch) == (north, Latch.LEAVE)
+    writer, *_ = back_at_the_t(writer, 40, (3.9, 4.0))
+    assert links_of(writer) == links_of(t)
+    assert (bool(writer.exhausted), int(writer.map.n_nodes)) == (True, 2)
+
+
+def test_past_its_start_a_robot_goes_on_behind_it():
+    writer = begun(behind=True)
+    assert links_of(writer) == [(0, NONE, UNSEARCHED)] * 2
+    assert [abs(degrees(b)) for b in writer.map.start_bearing[:2]] == pytest.approx([0, 180])
+    writer, latch, *_ = at_a_dead_end(writer, (4.0, 0.0), EAST, 4)
+    assert (int(writer.link), latch, bool(writer.exhausted)) == (0, Latch.LEAVE, False)
+    before = writer.map
+    writer, latch, _, shift = write_node(writer, event(TERMINAL, 8, (-0.1, 0.2, WEST), returns=True))
+    jax.tree.map(np.testing.assert_array_equal, writer.map, before)
+    assert (int(writer.node), int(writer.link), latch, shift) == (0, 1, Latch.FREE, [0, 0])
+    writer, *_ = at_a_dead_end(writer, (-5.0, 0.0), WEST, 13)
+    assert links_of(writer) == [(0, 1, SEARCHED), (0, 2, SEARCHED)]
+    assert (float(writer.map.length_m[1]), bool(writer.exhausted)) == (5, True)
+
+
+def test_a_ring_through_the_start_is_closed_there():
+    writer, *_ = at_a_dead_end(begun(behind=True), (4.0, 0.0), EAST, 4)
+    writer, *_ = write_node(writer, event(FREE_SPACE, 9, (0.0, 6.0, WEST)))  # by a way of its own
+    ways = links_of(writer)
+    writer, *_ = write_node(writer, event(TERMINAL, 20, (0.1, 0.2, EAST), returns=True))
+    assert links_of(writer)[1] == (NONE, NONE, NONE)
+    assert links_of(writer)[-1] == (2, 0, SEARCHED)
+    assert len(links_of(writer)) == len(ways)
+    assert int(writer.map.n_nodes) == 3
+
+
+def test_how_near_a_known_node_is_met_again():
+    t, *_ = at_the_t()
+    writer, *_ = write_node(t, event(FREE_SPACE, 9.5, (4.0, -6.0, 0.0)))
+    for away, kind, radius, again in (
+        (1.2, DIVERGENCE, 1.25, True), (1.3, DIVERGENCE, 1.25, False), (0.45, DIVERGENCE, 0.3, True),
+        (0.55, DIVERGENCE, 0.3, False), (0.1, FREE_SPACE, 0.0, False), (0.1, OBSTACLE, 0.0, False),
+    ):  # fmt: skip
+        after, _, _, shift = write_node(writer, event(kind, 16, (4.5, 0.0, 0.0), (3.75 + away, 0.0), radius=radius))
+        assert int(after.map.n_nodes) == 3 + (not again)
+        assert shift == pytest.approx([-away * again, 0], abs=1e-6)
+
+
+def test_a_free_space_met_again_is_passed_through():
+    writer = hall()  # node 1 at (2, 0), heading 0.25 rad
+    writer, *_ = write_node(writer, event(FREE_SPACE, 6, (6.0, 0.0, 0.0)))
+    writer, *_ = at_a_dead_end(writer, (9.0, 0.0), EAST, 9)
+    assert (int(writer.node), bool(writer.exhausted)) == (3, True)
+    writer = writer.replace(link=jnp.int32(2), left_bearing=jnp.float32(WEST))  # it turns back all the same
+    before = writer.map
+    writer, latch, _, shift = write_node(writer, event(FREE_SPACE, 12, (6.3, 0.2, WEST)))
+    assert (int(writer.node), int(writer.link), latch, shift) == (2, 1, Latch.FREE, [0, 0])
+    writer, *_ = write_node(writer, event(FREE_SPACE, 16, (2.9, 0.2, WEST)))
+    assert (int(writer.node), int(writer.link), float(writer.left_bearing)) == pytest.approx((1, 0, WEST))
+    forth = writer.replace(node=jnp.int32(0))
+    forth, *_ = write_node(forth, event(FREE_SPACE, 20, (2.1, 0.0, EAST)))
+    assert (int(forth.node), int(forth.link)) == (1, 1)
+    jax.tree.map(np.testing.assert_array_equal, forth.map, before)
+
+
+@pytest.mark.parametrize(("away", "again"), [(0.95, True), (1.05, False)])
+def test_how_near_a_known_border_is_met_again(away, again):
+    writer, *_ = write_node(hall(), event(FREE_SPACE, 6, (6.0, 0.0, 0.0)))
+    writer, *_ = write_node(writer, event(FREE_SPACE, 12, (2.0 + away, 0.0, WEST)))
+    assert int(writer.map.n_nodes) == 3 + (not again)
+
+
+def test_the_node_last_made_is_not_met_again():
+    writer, *_ = write_node(hall(), event(FREE_SPACE, 2.5, (2.5, 0.0, 0.0)))
+    assert links_of(writer)[1] == (1, 2, SEARCHED)
+
+
+def test_a_new_node_on_a_known_link_has_a_way_of_its_own():
+    t, *_ = at_the_t()
+    writer, *_ = at_a_dead_end(t, (4.0, -6.0), SOUTH, 9.5)
+    before = links_of(writer)
+    writer, *_ = write_node(writer, event(FREE_SPACE, 12.5, (7.0, -5.0, 0.3)))
+    assert links_of(writer) == [*before, (2, 3, SEARCHED), (3, NONE, UNSEARCHED)]
+    assert degrees(writer.map.start_bearing[3]) == pytest.approx(90, abs=2)  # as it left the dead end
+    assert float(writer.map.length_m[3]) == 3
+    assert float(writer.map.length_m[int(t.link)]) == 6
+    assert int(writer.link) == 4
+
+
+# ---------------------------------------------------------------- obstacles
+
+
+def over(height, pitch=-10.0):
+    """The writer and the records after a ride over an obstacle from 2 m to 4 m of this profile."""
+    odometer = np.arange(0, 6, 0.04)
+    on_it = (odometer > 2) & (odometer < 4)
+    writer = begun()
+    rows = [(s, s, 0, 0, pitch * p, abs(pitch) * p + 1, 2.0) for s, p in zip(odometer, on_it)]
+    writer = path(writer, *rows)
+    z = np.zeros(STEPS, np.float32)
+    z[: len(odometer)] = [*map(height, odometer)]
+    way = writer.way
+    writer = writer.replace(way=way.replace(ground_x_m=way.odometer_m, ground_z_m=jnp.asarray(z)))
+    writer, latch, *_ = write_node(writer, event(OBSTACLE, 2, (2.0, 0.0, 0.0), steepest=9))
+    assert latch == Latch.FREE
+    first = btm.to_map(writer.map)
+    writer, *_ = write_node(writer, event(OBSTACLE, 4, (4.0, 0.0, 0.0), steepest=9))
+    return writer, first, record.check(btm.to_map(writer.map))
+
+
+def slope(s):
+    return math.tan(math.radians(10)) * min(max(s - 2, 0), 2)
+
+
+def stairs(s):
+    return 0.1 * math.floor(min(max(s - 2, 0), 2) / 0.4)
+
+
+def test_an_obstacle_is_a_slope_until_its_profile_says_otherwise():
+    _, first, written = over(slope)
+    assert first.nodes[1].obstacle == "slope"
+    assert first.nodes[1].inclination_deg == pytest.approx(9)
+    for node in written.nodes[1:]:
+        assert (node.type, node.obstacle, node.step_m) == ("obstacle", "slope", None)
+        assert node.inclination_deg == pytest.approx(10, abs=0.01)  # as it was ridden
+        assert node.attributes.get("profile_variance_m2", 0) < 1e-6
+    assert written.links[1].posture_deg == pytest.approx(11)
+    assert [node.posture_deg for node in written.nodes[1:]] == pytest.approx([11, 11])
+
+
+def test_stairs_fit_no_line():
+    _, first, written = over(stairs)
+    assert first.nodes[1].obstacle == "slope"
+    for node in written.nodes[1:]:
+        assert (node.type, node.obstacle) == ("obstacle", "stairs")
+        assert node.step_m == pytest.approx(0.1, abs=1e-3)
+        # h^2 / 12 of risers of h, about.
+        assert node.attributes["profile_variance_m2"] == pytest.approx(0.1**2 / 12, rel=0.2)
+
+
+def test_low_risers_read_as_a_slope():
+    _, _, written = over(lambda s: stairs(s) / 2, pitch=-8)
+    assert {node.obstacle for node in written.nodes[1:]} == {"slope"}
+    assert written.nodes[1].attributes["profile_variance_m2"] == pytest.approx(0.05**2 / 12, rel=0.2)
+
+
+def test_rough_level_ground_is_no_stairs():
+    _, _, written = over(lambda s: 0.06 * (int(s / 0.2) % 2), pitch=0)
+    assert [(node.obstacle, node.attributes) for node in written.nodes[1:]] == [("slope", {})] * 2
+
+
+def test_level_ground_between_two_obstacles_is_not_judged():
+    writer, *_ = over(stairs)
+    writer, *_ = write_node(writer, event(OBSTACLE, 5.9, (5.9, 0.0, 0.0), steepest=7))
+    written = btm.to_map(writer.map)
+    assert [node.obstacle for node in written.nodes] == [None, "stairs", "stairs", "slope"]
+    assert written.nodes[3].step_m is None
+    assert written.nodes[3].attributes == {}
+
+
+def test_what_comes_after_an_obstacle_is_not_one():
+    writer, *_ = over(stairs)
+    writer = writer.replace(node=jnp.int32(1), node_m=jnp.float32(2))
+    after, *_ = write_node(writer, event(FREE_SPACE, 4, (9.0, 0.0, 0.0)))
+    node = btm.to_map(after.map).nodes[-1]
+    assert (node.type, node.obstacle, node.step_m, node.inclination_deg) == ("free_space", None, None, None)
+    assert node.attributes == {}
+
+
+@pytest.mark.parametrize("step_m", [0.0, 0.35])
+def test_a_blocked_obstacle_sends_back(step_m):
+    t, *_ = at_the_t()
+    south = int(t.link)
+    writer, latch, target, _ = write_node(
+        t, event(OBSTACLE, 8, (4.0, -4.5, SOUTH), steepest=30, step_m=step_m, blocked=True)
+    )
+    node = btm.to_map(writer.map).nodes[2]
+    want = ("obstacle", "stairs", pytest.approx(0.35)) if step_m else ("obstacle", "slope", None)
+    assert (node.type, node.obstacle, node.step_m) == want
+    assert node.inclination_deg == (None if step_m else pytest.approx(30))
+    assert links_of(writer)[south] == (1, 2, SEARCHED)
+    assert links_of(writer)[3] == (2, NONE, UNSEARCHED)
+    np.testing.assert_array_equal(writer.map.blocked[:5], [False] * 3 + [True, False])
+    assert (latch, int(writer.link), bool(writer.exhausted)) == (Latch.LEAVE, south, False)
+    np.testing.assert_allclose(target, [4, -4.5 + TUNING.leave_m], atol=1e-5)
+    assert degrees(writer.left_bearing) == pytest.approx(90)
+    before = writer.map
+    writer, *_ = back_at_the_t(writer, 12.5, (3.9, -4.0))
+    jax.tree.map(np.testing.assert_array_equal, writer.map, before)
+    assert int(writer.link) == 3 - south
+
+
+def test_a_blocked_obstacle_on_the_only_way_is_the_end():
+    writer, latch, *_ = write_node(begun(), event(OBSTACLE, 2, (2.0, 0.0, 0.0), blocked=True))
+    assert (bool(writer.exhausted), latch, int(writer.link)) == (True, Latch.FREE, 12)
+
+
+def test_an_obstacle_met_again_leaves_other_nodes_alone():
+    """Over a slope to a dead end and back: the nodes of the slope are met again, the dead end is none of them."""
+    writer, *_ = over(slope)
+    writer, *_ = at_a_dead_end(writer, (6.0, 0.0), EAST, 5.8)
+    writer = writer.replace(link=jnp.int32(2), left_bearing=jnp.float32(WEST))
+    writer, *_ = write_node(writer, event(OBSTACLE, 7.8, (4.0, 0.0, WEST), steepest=9))
+    before = btm.to_map(writer.map).nodes[3]
+    odometer = np.arange(5.8, 10, 0.04)
+    rows = [(s, 11.8 - s, 0, WEST, 10 * (7.8 < s < 9.8), 1, 2.0) for s in odometer]
+    writer, *_ = write_node(path(writer, *rows), event(OBSTACLE, 9.8, (2.0, 0.0, WEST), steepest=9))
+    assert int(writer.map.n_nodes) == 4
+    assert (int(writer.node), before.type, before.inclination_deg) == (1, "divergence", None)
+    assert btm.to_map(writer.map).nodes[3] == before
+
+
+# ---------------------------------------------------------------- overflow
+
+
+def room_for(links):
+    """A start with room for so many links more; the others have been withdrawn."""
+
+    def start(pose=(0.0, 0.0, 0.0)):
+        writer = begun(pose)
+        return writer.replace(map=writer.map.replace(n_links=jnp.int32(LINKS - links)))
+
+    return start
+
+
+def test_links_that_do_not_fit_are_counted():
+    writer, *_ = at_the_t(start=room_for(1))
+    others = [(NONE,) * 3] * (LINKS - 2)
+    assert links_of(writer) == [(0, 1, SEARCHED), *others, (1, NONE, UNSEARCHED)]
+    assert int(writer.map.overflow) == 1
+    record.check(btm.to_map(writer.map))
+    assert int(at_the_t(start=room_for(2))[0].map.overflow) == 0
+
+
+def full_of_nodes():
+    """A hall's first border, and the last nodes taken by others far away."""
+    writer, *_ = write_node(begun(), event(FREE_SPACE, 2, (2.0, 0.0, 0.0)))
+    map_ = writer.map
+    for i in range(int(map_.n_nodes), NODES):
+        map_, _ = btm.add_node(map_, OBSTACLE, 100.0, float(i), posture_deg=1.0)
+    return writer.replace(map=map_)
+
+
+def test_a_node_that_does_not_fit_is_counted_and_overwrites_none():
+    full = full_of_nodes()
+    for kind in (FREE_SPACE, OBSTACLE):
+        writer, *_ = write_node(full, event(kind, 6, (6.0, 0.0, 0.0), steepest=9, step_m=0.1))
+        assert int(writer.map.overflow) >= 1
+        assert int(writer.map.n_nodes) == NODES
+        for name in ("x_m", "y_m", "kind", "posture_deg", "obstacle", "inclination_deg", "step_m"):
+            np.testing.assert_array_equal(getattr(writer.map, name), getattr(full.map, name))
+
+
+def test_what_comes_after_a_node_that_did_not_fit_overwrites_none():
+    full = full_of_nodes()
+    writer, *_ = write_node(full, event(FREE_SPACE, 6, (6.0, 0.0, 0.0)))
+    writer = path(writer, *[(s, s, 0, 0, 10, 20, 2.0) for s in range(12)])
+    writer, *_ = write_node(writer, event(FREE_SPACE, 10, (10.0, 0.0, 0.0)))
+    for name in ("posture_deg", "inclination_deg"):
+        np.testing.assert_array_equal(getattr(writer.map, name), getattr(full.map, name))
+
+
+def test_a_map_that_is_full_is_still_a_map():
+    writer, *_ = write_node(full_of_nodes(), event(FREE_SPACE, 6, (6.0, 0.0, 0.0)))
+    record.check(btm.to_map(writer.map))
+
+
+# ---------------------------------------------------------------- the divergence just left
+
+
+def test_a_divergence_just_left_is_known():
+    writer, *_ = at_the_t()  # at (3.75, 0), radius 1.25, odometer 3.5
+    places = jnp.asarray([[3.75, 0.0], [4.95, 0.0], [5.05, 0.0], [3.75, -1.2], [0.0, 0.0]])
+
+    def known(odometer, writer=writer):
+        return mapping.is_near_known(writer, places, jnp.float32(odometer), TUNING.leave_m).tolist()
+
+    assert known(3.5) == known(6.9) == [True, True, False, True, False]
+    assert known(7.1) == [False] * 5  # it may come back
+    small = writer.replace(map=writer.map.replace(radius_m=writer.map.radius_m.at[1].set(0.1)))
+    near = jnp.asarray([[3.75, 0.45], [3.75, 0.55]])
+    assert mapping.is_near_known(small, near, jnp.float32(3.5), TUNING.leave_m).tolist() == [True, False]
+    assert known(0.5, begun()) == [False] * 5  # the start is none
+
+
+# ---------------------------------------------------------------- laws
+
+
+def test_rows_of_a_batch_are_independent():
+    cases = []
+    for turn, kind in ((0.2, DIVERGENCE), (1.1, OBSTACLE)):
+        writer = seen(begun(), turned(T_WALLS, turn)).replace(entry=jnp.asarray(turned((1, 0), turn), jnp.float32))
+        cases.append(jax.device_get((writer, event(kind, 3.5, (*turned(T_CENTRE, turn), turn), radius=T_RADIUS))))
+    batch = jax.vmap(WRITE)(*jax.tree.map(lambda *a: np.stack(a), *cases))
+    for i, case in enumerate(cases):
+        jax.tree.map(
+            lambda many, one, i=i: np.testing.assert_allclose(many[i], one, rtol=1e-5, atol=1e-5), batch, WRITE(*case)
+        )

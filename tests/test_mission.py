@@ -1,0 +1,366 @@
+"""Whole runs: what the robot of the paper finds on its course, how it drives, and how a run may end."""
+
+import dataclasses
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jexplore import btm
+from jexplore.config import InputError
+from jexplore.driving import batch, mission, vehicle
+from jexplore.driving.batch import building_of, numbers_of
+from jexplore.driving.behaviour import RunMode
+from jexplore.driving.mission import Outcome
+from jexplore.driving.settings import ROBOTS, Noise, Tuning
+from jexplore.driving.vehicle import DT_S
+from jexplore.extraction.extract import extract
+from jexplore.studies import tracing
+from jexplore.studies.trace_extraction import matched
+from jexplore.tracemap.similarity import code
+from jexplore.worlds import load_world
+from jexplore.worlds.world import World
+
+STILL = Noise(attitude_deg=0, odometry=0, heading_deg_sqrt_m=0, slip=0)
+KAMUI = ROBOTS["kamui"]
+
+
+def ran(plan):
+    return tracing.execute(plan, workers=1)
+
+
+@pytest.fixture(scope="module")
+def course(jit_on):
+    """`kamui` on `course` without noise."""
+    with jit_on():
+        return ran(tracing.prepare("course", noise=STILL))
+
+
+@pytest.fixture(scope="module")
+def noisy(jit_on):
+    """Eight runs at 1 cm, of two settings."""
+    with jit_on():
+        return ran(tracing.prepare("course", noise=Noise(range_m=0.01), runs=4, sweep=["votes=5,3"], seed=5))
+
+
+def kinds(found):
+    return "".join(
+        {"terminal": "T", "obstacle": "O", "divergence": "D", "free_space": "F"}[n.type] for n in found.nodes
+    )
+
+
+def test_the_crawlers_course(course):
+    assert kinds(course.first) == "TOOODFFDT"
+    assert course.table["outcome"].tolist() == ["GOAL"]
+    assert code(course.first) == code(course.truth)
+    assert course.table["contacts"].tolist() == course.table["interventions"].tolist() == [0]
+
+
+def test_nodes_lie_where_the_building_has_them(course):
+    for found, true in zip(course.first.nodes, course.truth.nodes):
+        off = math.hypot(found.x_m - true.x_m, found.y_m - true.y_m)
+        assert off < {"divergence": 0.2, "obstacle": 0.1, "free_space": 0.3, "terminal": 0.6}[true.type]
+
+
+@pytest.mark.jit
+def test_the_map_that_the_robot_writes_agrees_with_that_of_the_whole_grid(course):
+    world = course.plan.world
+    free = ~world.occupied
+    cell = tuple(int(v / world.cell_m) for v in world.course.start_pose[1::-1])
+    grid_map = extract(free, np.ones_like(free), world.cell_m, start_rc=cell)
+    hits, ours, _ = matched(grid_map, course.first, world.cell_m)
+    assert hits == ours - 3 == 2  # besides, the grid shows the three ends that the robot did not go to
+
+
+def test_every_field_of_the_tables_is_set(course):
+    found = course.first
+    for node in found.nodes:
+        assert math.isclose(sum(found.angles_deg(node.id)), 360)
+        if node.type == "obstacle":
+            assert node.obstacle == "slope"
+            assert abs(node.inclination_deg - 10) < 1
+            assert abs(node.posture_deg - 10) < 1
+    for link in found.links:
+        if link.status == "searched":
+            assert link.length_m > 0
+            assert abs(link.min_width_m - 2) < 0.1
+            assert link.posture_deg is not None
+        else:
+            assert link.end == -1
+            assert abs(link.opening_m - 2) < 0.2
+    lengths = [link.length_m for link in found.links if link.status == "searched"]
+    true = [link.length_m for link in course.truth.links if link.status == "searched"]
+    assert np.abs(np.array(lengths) - true).max() < 0.8
+
+
+def test_pose_and_estimate_are_of_one_moment(course):
+    np.testing.assert_allclose(course.track.truth[:, :2], course.track.estimate[:, :2], atol=0.02)
+    np.testing.assert_allclose(course.track.truth[:, 2], course.track.estimate[:, 2], atol=1e-3)
+
+
+def test_both_divergences_are_turned_right_and_modes_come_in_the_order_of_the_text(course):
+    heading = np.unwrap(course.track.truth[:, 2])
+    assert abs(heading[-1] - (-math.pi)) < 0.1
+    mode = course.track.mode
+    order = [RunMode(m) for m in mode[np.flatnonzero(np.diff(mode, prepend=-1))]]
+    central, branch, wall = RunMode.CENTRAL, RunMode.BRANCH_SELECTION, RunMode.WALL_FOLLOWING
+    assert order == [central, branch, central, wall, central, branch, central]
+
+
+def test_the_middle_of_passages_is_kept_within_five_centimetres(course):
+    truth, mode = course.track.truth, course.track.mode
+    first = (truth[:, 0] < 15) & (np.abs(truth[:, 1] - 27) < 2) & (mode == RunMode.CENTRAL)
+    assert first.sum() > 200
+    assert np.abs(truth[first, 1] - 27).max() < 0.05
+    hall = (np.abs(truth[:, 0] - 17.4) < 2) & (truth[:, 1] > 12.5) & (truth[:, 1] < 23)  # a stretch after the turn
+    assert np.abs(truth[hall, 0] - 17.4).max() < 0.05
+
+
+@pytest.mark.jit
+def test_the_wheeled_robot_without_the_slope():
+    found = ran(tracing.prepare("course:obstacle=none", robot="wheeled", noise=STILL))
+    assert kinds(found.first) == "TDFFDT"
+    assert code(found.first) == code(found.truth)
+
+
+@pytest.mark.jit
+def test_the_wheeled_robot_cannot_pass_the_slope():
+    found = ran(tracing.prepare("course", robot="wheeled", noise=STILL))
+    assert kinds(found.first) == "TO"
+    assert found.table["outcome"].tolist() == ["EXHAUSTED"]
+    assert found.table["refused"].tolist() == [0]  # it has seen it
+    (onward,) = (link for link in found.first.links if link.status == "un-searched")
+    assert onward.attributes["blocked"] is True
+    assert found.first.nodes[1].obstacle == "slope"
+    assert abs(found.first.nodes[1].inclination_deg - 10) < 2
+
+
+@pytest.mark.jit
+def test_the_wheeled_robot_cannot_pass_stairs():
+    found = ran(tracing.prepare("course:obstacle=stairs", robot="wheeled", noise=Noise(range_m=0.01)))
+    assert kinds(found.first) == "TO"
+    assert found.first.nodes[1].obstacle == "stairs"
+    assert abs(found.first.nodes[1].step_m - 0.10) < 0.02
+    assert found.first.nodes[1].inclination_deg is None
+
+
+@pytest.mark.jit
+def test_a_riser_that_the_ground_refuses_is_an_obstacle():
+    found = ran(tracing.prepare("course:obstacle=stairs,riser_m=0.25", noise=Noise(range_m=0.01)))
+    assert kinds(found.first) == "TO"
+    assert found.table["outcome"].tolist() == ["EXHAUSTED"]
+    (onward,) = (link for link in found.first.links if link.status == "un-searched")
+    assert onward.attributes["blocked"] is True
+    assert found.first.nodes[1].obstacle == "stairs"
+    assert abs(found.first.nodes[1].step_m - 0.25) < 0.03
+
+
+def test_ends_by_name(course):
+    plan = course.plan
+    state = mission.begin(plan.building, KAMUI, 10)
+    full = state.replace(writer=state.writer.replace(full=True))
+    done = state.replace(writer=state.writer.replace(exhausted=True))
+    for at, at_end, outcome in [
+        (state, False, Outcome.RUNNING),
+        (state, True, Outcome.GOAL),
+        (full, False, Outcome.MAP_FULL),
+        (done, False, Outcome.EXHAUSTED),
+        (state.replace(helps=mission.HELPS), False, Outcome.STUCK),
+        (state.replace(blind=mission.BLIND_STEPS), False, Outcome.BLIND),
+        (done, True, Outcome.GOAL),
+    ]:
+        assert int(mission._end(at, at_end).outcome) == outcome
+
+
+@pytest.mark.jit
+def test_stairs_are_stairs():
+    found = ran(tracing.prepare("course:obstacle=stairs", noise=Noise(range_m=0.01)))
+    (world,) = {found.plan.world.name}
+    stairs = [node for node in found.first.nodes if node.type == "obstacle"]
+    assert [node.obstacle for node in stairs] == ["stairs"] * len(stairs), world
+    assert all(abs(node.step_m - 0.10) <= 0.01 for node in stairs)
+
+
+@pytest.mark.jit
+def test_a_wider_robot_makes_the_same_map(course):
+    found = ran(tracing.prepare("course", robot="kamui:width_m=0.6", noise=STILL))
+    assert code(found.first) == code(course.first)
+
+
+def test_a_run_depends_on_its_number_and_settings_alone(noisy, jit_on):
+    with jit_on():
+        lone = tracing.prepare("course", noise=Noise(range_m=0.01), runs=3, tuning=Tuning(votes=3), seed=5)
+        again = ran(lone)
+    ours = noisy.table[(noisy.table["setting"] == 1) & (noisy.table["run"] < 3)].reset_index(drop=True)
+    for name in ("outcome", "steps", "path_m", "drift_m", "code", "inclination_deg"):
+        assert ours[name].tolist() == again.table[name].tolist()
+    assert noisy.table["drift_m"].nunique() == len(noisy.table)  # the runs differ
+
+
+def test_threads_change_nothing(noisy, jit_on):
+    with jit_on():
+        other = tracing.execute(noisy.plan, workers=2)
+    assert other.table.equals(noisy.table)
+
+
+@pytest.mark.jit
+def test_lanes_in_lockstep_give_the_same_maps(noisy):
+    """As on an accelerator; two runs of few steps."""
+    plan = noisy.plan
+    settings, which = plan.first_settings(), np.arange(2, dtype=np.int32)
+    numbers = tuple(numbers_of(s, 2) for s in settings)
+    alone = batch.run(plan.building, *numbers, 5, which, workers=1, max_steps=500).result
+    program = jax.jit(batch._all_at_once, static_argnames="room")
+    arguments = plan.building, numbers, np.uint32(5), which, np.int32(2), np.int32(500)
+    lanes, _ = program(*arguments, room=500)
+    assert lanes.steps.tolist() == alone.steps.tolist() == [500, 500]
+    assert lanes.map.kind.tolist() == alone.map.kind.tolist()
+    assert lanes.map.n_nodes.tolist() == [5, 5]
+    np.testing.assert_allclose(lanes.path_m, alone.path_m, rtol=1e-4)
+
+
+def box(height_m=1.6, width_m=1.6):
+    """A closed room, on ground and with arrays like those of the course."""
+    world = load_world("course")
+    occupied = np.ones(world.shape, bool)
+    occupied[2 : 2 + round(10 * height_m), 2 : 2 + round(10 * width_m)] = False
+    return World(occupied=occupied, elevation=1e-9 + 0 * world.elevation, cell_m=0.1, name="box")
+
+
+@pytest.mark.jit
+@pytest.mark.parametrize(
+    ("change", "outcome"), [({"noise": Noise(invalid=1.0)}, "BLIND"), ({"max_steps": 100}, "STEP_LIMIT")]
+)
+def test_how_runs_may_end(change, outcome):
+    found = ran(tracing.prepare("course", **{"noise": STILL, **change}))
+    assert found.table["outcome"].tolist() == [outcome]
+    assert found.table["steps"][0] == {"BLIND": mission.BLIND_STEPS, "STEP_LIMIT": 100}[outcome]
+
+
+@pytest.mark.jit
+def test_a_room_without_a_passage():
+    found = ran(tracing.prepare(box(), start=(1.0, 1.0, 0), noise=STILL))
+    assert found.table["outcome"].tolist()[0] in ("STUCK", "EXHAUSTED")
+    assert found.table["steps"][0] < 1000
+
+
+@pytest.mark.jit
+def test_without_a_goal_what_lies_behind_the_start_is_searched_as_well():
+    found = ran(tracing.prepare(box(2.0, 14.0), start=(6.0, 1.2, 0), noise=STILL))
+    assert kinds(found.first) == "TDD"
+    assert found.table["outcome"].tolist() == ["EXHAUSTED"]
+    links = [(link.start, link.end, link.status) for link in found.first.links]
+    assert links == [(0, 1, "searched"), (0, 2, "searched")]
+    east, west = found.first.nodes[1:]
+    assert [east.x_m, west.x_m] == pytest.approx([13.2, 1.2], abs=0.3)
+    lengths = [link.length_m for link in found.first.links]
+    assert lengths == pytest.approx([7.2, 4.8], abs=0.6)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        ({"start": (0.3, 0.3, 0)}, "lies in a wall"),
+        ({"start": (-3, 0.3, 0)}, "lies outside"),
+        ({"start": (2.5, 26.1, 0)}, "does not fit there"),
+        ({"robot": "kamui:width_m=2.2"}, "does not fit there"),
+        ({"robot": "tank"}, "robot must be one of kamui, wheeled, got 'tank'"),
+        ({"robot": "kamui:legs=4"}, "there is no 'legs'"),
+        ({"robot": "kamui:width_m=wide"}, "width_m must be a number"),
+        ({"tuning": Tuning(near_m=5)}, "near_m must be less than tuning.far_m"),
+        ({"tuning": Tuning(votes=10)}, "tuning.votes"),
+        ({"noise": Noise(range_m=-1)}, "noise.range_m"),
+        ({"sweep": ["vote=3"]}, "sweep must be NAME="),
+        ({"sweep": ["votes=a"]}, "values must be numbers"),
+        ({"sweep": ["circle=0.5:2"]}, "tuning.circle"),
+        ({"sweep": ["circle=2:1.5"]}, "a range must rise"),
+        ({"sweep": ["circle=1.2:1.5:2"]}, "values must be numbers"),
+        ({"sweep": ["circle=1.2", "circle=1.5"]}, "names circle more than once"),
+        ({"sweep": ["votes=2.5"]}, "votes must be integers"),
+        ({"sweep": [f"{name}=" + ",".join(["1.5"] * 200) for name in ("circle", "same_m", "ahead_m")]}, "combinations"),
+        ({"runs": 0}, "runs must be an integer"),
+        ({"runs": 1000, "sweep": ["circle=1.2:2"], "settings": 10_000}, "use fewer"),
+        ({"max_steps": 5}, "max_steps"),
+    ],
+)
+def test_what_is_refused(arguments, says):
+    with pytest.raises(InputError, match=says.replace("(", r"\(").replace("[", r"\[")):
+        tracing.prepare("course", **arguments)
+
+
+def test_sweeps():
+    values = tracing.swept_values(["votes=1,3", "circle=1.2,1.5"], 100, 0)
+    assert {name: v.tolist() for name, v in values.items()} == {"votes": [1, 1, 3, 3], "circle": [1.2, 1.5, 1.2, 1.5]}
+    values = tracing.swept_values(["votes=1:9", "circle=1.1:2.0", "noise.range_m=0,0.03"], 64, 0)
+    assert set(values["votes"]) <= set(range(1, 10))
+    assert len(set(np.floor((values["circle"] - 1.1) / 0.9 * 64))) == 64  # one in every 64th: Latin
+    assert sorted(set(values["noise.range_m"])) == [0, 0.03]
+    assert tracing.swept_values([], 100, 0) == {}
+
+
+def test_a_step_without_jit_is_the_step_with_and_uses_no_key_twice(noisy, jit_on):
+    """And a run is its steps: run 0 with draws of its own keys, beyond the first block of draws."""
+    plan = noisy.plan
+    robot, tuning, noise = (jax.tree.map(lambda a: jnp.asarray(a[0]), numbers_of(s, 1)) for s in plan.first_settings())
+    building = jax.tree.map(jnp.asarray, plan.building)
+    key = jax.random.fold_in(jax.random.key(np.uint32(plan.seed)), 0)
+    with jit_on(), jax.debug_key_reuse(True):
+        states = [jax.tree.map(jnp.asarray, mission.begin(building, robot, 200))]
+        one = jax.jit(lambda key, *rest: mission.step(vehicle.draw(key), *rest))
+        for i in range(2 * mission.BLOCK + 2):
+            states.append(one(jax.random.fold_in(key, i), building, robot, tuning, noise, states[-1]))
+    for ours, theirs in ((states[-1].truth, noisy.track.truth), (states[-1].writer.way.pose, noisy.track.estimate)):
+        np.testing.assert_allclose(ours[: len(states) - 1], theirs[: len(states) - 1], atol=1e-4)
+    assert np.abs(noisy.track.estimate[: len(states)] - noisy.track.truth[: len(states)]).max() > 1e-3
+    slow = mission.step(vehicle.draw(jax.random.fold_in(key, 1)), building, robot, tuning, noise, states[1])
+    for ours, theirs in zip(jax.tree.leaves(slow), jax.tree.leaves(states[2])):
+        np.testing.assert_allclose(np.asarray(ours), np.asarray(theirs), atol=2e-4)
+
+
+@pytest.mark.jit
+@pytest.mark.parametrize(("n", "lanes", "calls"), [(5, 2, [2, 2, 1]), (3, 8, [3]), (4, 2, [2, 2])])
+def test_an_accelerator_takes_runs_in_groups(course, monkeypatch, n, lanes, calls):
+    plan, done, counts = course.plan, [], []
+    settings = tuple(numbers_of(s, n) for s in plan.first_settings())
+    result = jax.tree.map(lambda a: np.zeros((min(n, lanes), *a.shape[1:]), a.dtype), course.report.result)
+    track = [np.zeros((200, k)) for k in (3, 3)] + [np.zeros(200, np.int32), np.zeros(200)]
+
+    def program(building, settings, seed, which, count, limit):
+        assert len(which) == len(settings[0].width_m) == min(n, lanes)
+        counts.append(int(count))
+        return result.replace(steps=which + 100, outcome=np.ones_like(which)), track
+
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    monkeypatch.setattr(batch, "LANES", lanes)
+    monkeypatch.setattr(batch, "_compiled", lambda *args: (program, (result, track)))
+    report = batch.run(plan.building, *settings, 0, np.arange(n)[::-1], workers=2, on_progress=done.append)
+    assert report.result.steps.tolist() == [100 + n - 1 - i for i in range(n)]
+    assert (counts, done[-1], len(report.track.truth)) == (calls, n, 100 + n - 1)
+
+
+def test_a_building_keeps_the_worlds_measures():
+    world = load_world("course", 0.1)
+    building = building_of(world, world.course.start_pose, world.course.goal_m)
+    assert building.walls.x.shape == building.walls.y.shape == (16, 3)
+    assert building.start.tolist() == pytest.approx([2.5, 27, 0])
+    assert np.isnan(building_of(world, (2.5, 27, 0), None).goal).all()
+
+
+def test_time_is_counted_in_steps(course):
+    assert course.table["time_s"][0] == course.table["steps"][0] * DT_S
+    assert len(course.track.truth) == course.table["steps"][0]
+    assert Outcome[course.table["outcome"][0]] is Outcome.GOAL
+
+
+def test_withdrawn_links_are_left_out():
+    map_, node = btm.add_node(btm.empty(4, 4), btm.TERMINAL, 0.0, 0.0)
+    for bearing in (0.0, 1.0, 2.0):
+        map_, _ = btm.add_link(map_, node, bearing)
+    map_ = map_.replace(status=map_.status.at[1].set(btm.NONE))
+    assert [round(math.radians(link.start_bearing_deg), 3) for link in btm.to_map(map_).links] == [0.0, 2.0]
+
+
+def test_robots_are_told_apart():
+    assert tracing.robot_of("kamui:width_m=0.6") == dataclasses.replace(KAMUI, name="kamui:width_m=0.6", width_m=0.6)

@@ -1,0 +1,947 @@
+"""What a robot makes of a scan: pencil scans, maps drawn by hand for every kind of divergence, height profiles."""
+
+import itertools
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jexplore.driving import ground_profile, perception, terrain, vehicle, walls
+from jexplore.driving.mission import KEPT_POINTS, SCAN_POINTS, look
+from jexplore.driving.settings import ROBOTS, Tuning
+from jexplore.driving.vehicle import ANGLES_RAD, BEAM_SPACING_RAD, BEAMS, RANGE_M
+
+pytestmark = pytest.mark.jit
+
+TUNING = Tuning()
+WIDTHS_M = (1.2, 2.0, 2.4)
+CELL_M = 0.1
+ARM_M = 6.0
+SLOTS = 32
+EAST, NORTH, WEST, SOUTH = 0.0, math.pi / 2, math.pi, -math.pi / 2
+KAMUI = ROBOTS["kamui"]
+TEN = math.radians(10)
+
+
+points = jax.jit(perception.points)
+smoothed = jax.jit(perception.smoothed)
+sides = jax.jit(perception.sides)
+front = jax.jit(perception.front)
+clearances = jax.jit(perception.clearances)
+resampled = jax.jit(perception.resampled, static_argnames="size")
+
+
+def scan_of(lines, angles=ANGLES_RAD, range_m=RANGE_M):
+    """Ranges, float64, to the nearest of some segments `(x0, y0, x1, y1)` in the robot's frame."""
+    ranges = np.full(len(angles), np.inf)
+    for x0, y0, x1, y1 in lines:
+        d, way = np.stack([np.cos(angles), np.sin(angles)]).astype(float), np.array([x1 - x0, y1 - y0])
+        cross = d[0] * way[1] - d[1] * way[0]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            r = (x0 * way[1] - y0 * way[0]) / cross
+            share = (x0 * d[1] - y0 * d[0]) / cross
+        ranges = np.where((r > 0) & (share >= 0) & (share <= 1), np.minimum(ranges, r), ranges)
+    return np.where(ranges < range_m, ranges, np.inf).astype(np.float32)
+
+
+def points_of(lines, noise_m=0):
+    return points(scan_of(lines) + np.float32(noise_m), ANGLES_RAD)
+
+
+# ---------------------------------------------------------------- points
+
+
+def test_points_by_hand():
+    ranges = np.array([2, 1, np.inf, np.nan, 3, 4], np.float32)
+    angles = np.radians([-90, 0, 0, 45, 90, 30]).astype(np.float32)
+    xy, valid = points(ranges, angles)
+    np.testing.assert_array_equal(valid, [True, True, False, False, True, True])
+    np.testing.assert_allclose(xy, [[0, -2], [1, 0], [0, 0], [0, 0], [0, 3], [2 * math.sqrt(3), 2]], atol=1e-6)
+    assert xy.dtype == jnp.float32
+
+
+def test_a_few_beams_that_fail_are_bridged():
+    ranges = np.full(BEAMS, 2.0, np.float32)
+    ranges[100:] = 2.1
+    for missed, n in (((50,), 0), ((50, 51, 52), 0), ((50, 51, 52, 53), 4), ((99, 100), 0), ((0, 1), 2), ((180,), 1)):
+        some = ranges.copy()
+        some[list(missed)] = np.nan
+        xy, valid = points(some, ANGLES_RAD)
+        assert BEAMS - int(np.sum(valid)) == n, missed
+        distance = np.hypot(*np.asarray(xy).T)[np.asarray(valid)]
+        assert distance.min() > 1.99
+        assert distance.max() < 2.11
+    for jump, n in ((2.19, 0), (2.21, 1)):  # one wall, two walls
+        ranges[100:] = jump
+        some = ranges.copy()
+        some[99] = np.nan
+        for scan in (some, some[::-1]):
+            assert BEAMS - int(np.sum(points(scan, ANGLES_RAD)[1])) == n
+    ranges[100:] = 2.3
+    some = ranges.copy()
+    some[99:101] = np.nan
+    assert not np.asarray(points(some, ANGLES_RAD)[1])[99:101].any()
+    some[99:101] = np.inf  # nothing is there
+    assert not np.asarray(points(some, ANGLES_RAD)[1])[99:101].any()
+
+
+def test_no_reading_at_all():
+    for value in (np.inf, np.nan):
+        xy, valid = points(np.full(BEAMS, value, np.float32), ANGLES_RAD)
+        assert not np.asarray(valid).any()
+        assert not np.asarray(xy).any()
+        assert [float(v) for v in sides(xy, valid, 0, 5)] == [math.inf, math.inf]
+        assert [float(v) for v in front(xy, valid, 0.39)] == [math.inf, math.inf]
+        np.testing.assert_array_equal(smoothed(xy, valid, 0.1), xy)
+
+
+# ---------------------------------------------------------------- sides and front
+
+DOTS = np.array([[0.5, 1.0], [1.0, 2.0], [1.5, 0.8], [0.5, -0.6], [1.0, -0.4], [2.0, -0.1], [-0.5, 0.2]], np.float32)
+ALL = np.ones(len(DOTS), bool)
+
+
+@pytest.mark.parametrize(
+    ("from_m", "to_m", "left", "right"),
+    [
+        (0, 1.2, 1.0, 0.4),
+        (0, 1.5, 0.8, 0.4),
+        (0, 2.5, 0.8, 0.1),
+        (0.6, 1.2, 2.0, 0.4),
+        (1.0, 1.0, 2.0, 0.4),  # both ends belong to it
+        (1.6, 1.9, math.inf, math.inf),
+        (1.6, 2.5, math.inf, 0.1),
+        (-1, 0, 0.2, math.inf),
+    ],
+)
+def test_sides_by_hand(from_m, to_m, left, right):
+    found = [float(v) for v in sides(DOTS, ALL, from_m, to_m)]
+    assert found == pytest.approx([left, right])
+
+
+def test_sides_leave_out_what_is_no_point_and_mirror():
+    assert [float(v) for v in sides(DOTS, DOTS[:, 1] != 1, 0, 1.2)] == pytest.approx([2.0, 0.4])
+    mirrored = DOTS * np.array([1, -1], np.float32)
+    assert [float(v) for v in sides(mirrored, ALL, 0, 1.2)] == pytest.approx([0.4, 1.0])
+    ahead = np.array([[1, 0]], np.float32)  # straight ahead: on both sides
+    assert [float(v) for v in sides(ahead, ALL[:1], 0, 2)] == [0, 0]
+
+
+def test_noise_makes_clearances_hardly_smaller():
+    rng = np.random.default_rng(3)
+    ours, least = [], []
+    for _ in range(100):
+        noise_m = rng.normal(scale=0.03, size=BEAMS).astype(np.float32)
+        place = points_of([(-9, 0.8, 9, 0.8), (-9, -1.2, 9, -1.2)], noise_m=noise_m)
+        ours.append([float(v) for v in clearances(*place, 0.35)])
+        least.append([float(v) for v in sides(*place, 0, 0.35)])
+    assert np.abs(np.mean(ours, axis=0) - [0.8, 1.2]).max() < 0.03
+    assert np.abs(np.mean(least, axis=0) - [0.8, 1.2]).min() > 0.04  # the nearest points alone
+    xy, valid = points_of([(-9, 0.8, 9, 0.8), (-9, -1.2, 9, -1.2), (0.2, 0.5, 0.3, 0.5)])
+    assert [float(v) for v in clearances(xy, valid, 0.35)] == pytest.approx([0.5, 1.2], abs=1e-5)  # a post counts
+    assert [float(v) for v in clearances(xy, valid & (xy[:, 1] > 0), 0.35)] == [pytest.approx(0.5), math.inf]
+
+
+@pytest.mark.parametrize("sigma_m", [0.0, 0.05, 0.3])
+def test_a_wall_ahead_is_none_beside(sigma_m):
+    rng = np.random.default_rng(4)
+    for _ in range(50):
+        noise_m = rng.normal(scale=sigma_m, size=BEAMS)
+        lines = [(-9, 1, 9, 1), (-9, -1, 9, -1), (0.45, -1, 0.45, 1)]
+        left, right = clearances(*points_of(lines, noise_m=np.maximum(noise_m, -0.4)), 0.35)
+        assert min(left, right) > (0.9 if sigma_m == 0 else 0)
+
+
+def test_front_is_as_wide_as_the_robot_and_its_guard():
+    dots = np.array([[3, 0], [2, 0.2], [1.5, -0.24], [1.0, 0.26], [-0.5, 0.0], [0.0, 0.0]], np.float32)
+    there = np.ones(6, bool)
+    half = perception.GUARD_M / 2
+    assert half == pytest.approx(0.05)
+    assert [float(v) for v in front(dots, there, 0.4)] == [2.0, 1.5]
+    assert [float(v) for v in front(dots, there, 0.44)] == [1.0, 1.5]
+    assert [float(v) for v in front(dots, there, 0.32)] == [2.0, 3.0]
+    assert [float(v) for v in front(dots, there, 0.2)] == [3.0, 3.0]
+    assert [float(v) for v in front(dots, dots[:, 0] <= 0, 0.4)] == [math.inf, math.inf]
+
+
+def test_in_a_passage():
+    xy, valid = points_of([(-9, 0.8, 9, 0.8), (-9, -1.2, 9, -1.2), (3, -2, 3, 2)])
+    assert [float(v) for v in sides(xy, valid, 0, 1.5)] == pytest.approx([0.8, 1.2], abs=1e-5)
+    assert [float(v) for v in front(xy, valid, 0.39)] == pytest.approx([3, 3], abs=1e-4)
+
+
+# ---------------------------------------------------------------- smoothed
+
+
+def test_straight_walls_stay_exactly_straight():
+    xy, valid = points_of([(-9, 1, 9, 1), (-9, -1.3, 9, -1.3)])
+    even = np.asarray(smoothed(xy, valid, 0.1))
+    kept = np.asarray(valid)
+    want = np.where(np.asarray(xy)[:, 1] > 0, 1, -1.3)
+    np.testing.assert_allclose(even[kept, 1], want[kept], atol=1e-5)
+    assert np.abs(even - xy)[kept].max() < 0.1
+    np.testing.assert_array_equal(even[~kept], np.asarray(xy)[~kept])
+
+
+def test_smoothing_does_not_cross_a_jump():
+    """Two walls 0.3 m one behind the other, many beams on each."""
+    xy, valid = points_of([(1.0, -3, 1.0, 0), (1.3, 0, 1.3, 3)])
+    kept = np.asarray(valid)
+    even = np.asarray(smoothed(xy, valid, 0.1))
+    np.testing.assert_allclose(even[kept, 0], np.asarray(xy)[kept, 0], atol=1e-5)
+    wide = np.asarray(smoothed(xy, valid, 0.5))
+    assert np.abs(wide - xy)[kept, 0].max() > 0.1  # a longer reach would
+
+
+def test_smoothing_takes_the_mean_of_what_is_near():
+    xy = np.array([[1, 0.0], [1, 0.05], [1.06, 0.1], [2, 0.1], [1, 0.15]], np.float32)
+    valid = np.array([True, True, True, True, False])
+    even = smoothed(xy, valid, 0.1)
+    want = [[1, 0.025], [1.02, 0.05], [1.03, 0.075], [2, 0.1], [1, 0.15]]
+    np.testing.assert_allclose(even, want, atol=1e-6)
+
+
+def test_smoothing_looks_no_farther_than_some_beams():
+    n = 2 * perception.NEIGHBOURS + 1
+    xy = np.zeros((2 * n, 2), np.float32)
+    xy[0] = [n, 0]
+    even = np.asarray(smoothed(xy, np.ones(2 * n, bool), 100.0))
+    assert (even[1 : perception.NEIGHBOURS + 1, 0] > 0).all()
+    assert not even[perception.NEIGHBOURS + 1 :].any()
+
+
+def test_smoothing_reduces_noise():
+    rng = np.random.default_rng(1)
+    ranges = scan_of([(-9, 1, 9, 1)])
+    rough, smooth = [], []
+    for _ in range(20):
+        xy, valid = points(ranges + rng.normal(scale=0.02, size=BEAMS).astype(np.float32), ANGLES_RAD)
+        close = np.asarray(valid) & (np.abs(np.asarray(xy)[:, 0]) < 0.5)
+        rough.append(np.asarray(xy)[close, 1] - 1)
+        smooth.append(np.asarray(smoothed(xy, valid, TUNING.width_m / 4))[close, 1] - 1)
+    rough, smooth = np.concatenate(rough), np.concatenate(smooth)
+    assert smooth.std() < rough.std() / 2
+    assert abs(smooth.mean()) < 0.003
+
+
+# ---------------------------------------------------------------- resampled
+
+
+def sampled(xy, valid, near_m=0.3, far_m=4.0, aside_m=2.5, spacing_m=0.2, size=SCAN_POINTS):
+    """`(along the walls, ends, spacing, overflow)`."""
+    chosen, there, spacing, overflow = resampled(xy, valid, near_m, far_m, aside_m, spacing_m, size=size)
+    assert chosen.shape == (size, 2)
+    chosen, there, n = np.asarray(chosen), np.asarray(there), size - size // 4
+    return chosen[:n][there[:n]], chosen[n:][there[n:]], float(spacing), int(overflow)
+
+
+def test_points_lie_at_even_distances_and_both_ends_are_kept():
+    xy, valid = points_of([(1, 1, 3, 1)])
+    ticks, ends, spacing, overflow = sampled(xy, valid, spacing_m=0.25)
+    kept = np.asarray(xy)[np.asarray(valid)]
+    assert (spacing, overflow) == (0.25, 0)
+    np.testing.assert_allclose(ends, kept[[0, -1]], atol=1e-6)
+    length = kept[0, 0] - kept[-1, 0]
+    np.testing.assert_allclose(ticks[:, 1], 1, atol=1e-5)
+    np.testing.assert_allclose(kept[0, 0] - ticks[:, 0], (np.arange(len(ticks)) + 0.5) * 0.25, atol=1e-4)
+    assert len(ticks) == math.floor(length / 0.25 + 0.5)
+
+
+def test_points_follow_a_bend():
+    xy = np.array([[1, 0], [2, 0], [2, 1], [1, 1]], np.float32)
+    ticks, ends, spacing, _ = sampled(xy, np.ones(4, bool), spacing_m=0.5, size=16)
+    assert spacing == 0.5
+    want = [[1.25, 0], [1.75, 0], [2, 0.25], [2, 0.75], [1.75, 1], [1.25, 1]]
+    np.testing.assert_allclose(ticks, want, atol=1e-6)
+    np.testing.assert_array_equal(ends, xy[[0, 3]])
+
+
+def test_the_ends_of_every_wall_are_kept():
+    xy, valid = points_of([(1, -1.5, 3, -1.5), (2, -0.4, 2, 0.4), (1, 1.5, 3, 1.5)])
+    there = np.asarray(valid)
+    first = there & ~np.pad(there, (1, 0))[:-1]
+    last = there & ~np.pad(there, (0, 1))[1:]
+    _, ends, _, overflow = sampled(xy, valid)
+    assert first.sum() == last.sum() == 3  # beams between the walls meet nothing
+    np.testing.assert_array_equal(ends, np.asarray(xy)[first | last])
+    assert overflow == 0
+
+
+def test_a_jump_of_the_range_ends_a_wall_and_nothing_lies_in_between():
+    xy, valid = points_of([(1.0, -3, 1.0, 0.01), (3.0, -9, 3.0, 9)])
+    ticks, ends, _, _ = sampled(xy, valid, aside_m=2.0)
+    assert len(ends) == 4
+    np.testing.assert_allclose(np.sort(ends[:, 0]), [1, 1, 3, 3], atol=1e-5)
+    assert (np.isclose(ticks[:, 0], 1, atol=1e-4) | np.isclose(ticks[:, 0], 3, atol=1e-4)).all()
+    assert {1, 3} == set(np.round(ticks[:, 0]).astype(int).tolist())
+
+
+def test_a_jump_is_more_than_two_spacings():
+    assert 2 < perception.JUMP < 2.1  # two spacings are less than an opening
+    for step, n_ends in ((0.40, 2), (0.42, 6)):
+        xy = np.stack([1 + np.arange(3) * step, np.zeros(3)], 1).astype(np.float32)
+        _, ends, _, _ = sampled(xy, np.ones(3, bool))
+        assert len(ends) == (n_ends if n_ends < 6 else 3)
+
+
+def test_one_point_alone_is_both_ends():
+    xy = np.array([[1, 0], [2, 0.1], [1, 0.2]], np.float32)
+    ticks, ends, _, overflow = sampled(xy, np.array([False, True, False]))
+    assert len(ticks) == 0
+    np.testing.assert_array_equal(ends, xy[1:2])
+    assert overflow == 0
+
+
+def test_without_points_there_is_nothing():
+    ticks, ends, spacing, overflow = sampled(np.zeros((5, 2), np.float32), np.zeros(5, bool))
+    assert (len(ticks), len(ends), overflow) == (0, 0, 0)
+    assert spacing == pytest.approx(0.2)
+
+
+def test_points_out_of_bounds_are_left_out():
+    xy, valid = points_of([(-9, 1, 9, 1), (-9, -2, 9, -2), (5, -3, 5, 3)])
+    for near, far, aside in ((0.3, 4, 2.5), (1, 2, 2.5), (0.3, 4, 1.5)):
+        ticks, ends, _, _ = sampled(xy, valid, near, far, aside)
+        both = np.concatenate([ticks, ends])
+        assert len(both)
+        assert (both[:, 0] > near).all()
+        assert (both[:, 0] < far).all()
+        assert (np.abs(both[:, 1]) < aside).all()
+        assert (both[:, 1] < 0).any() == (aside > 2)
+
+
+@pytest.mark.parametrize("size", [8, 16, 48])
+def test_where_the_points_do_not_fit_the_spacing_grows(size):
+    xy, valid = points_of([(-9, 1, 9, 1), (-9, -1, 9, -1)])
+    ticks, ends, spacing, overflow = sampled(xy, valid, spacing_m=0.15, size=size)
+    n_ticks = size - size // 4
+    inside = np.asarray(xy)[(np.asarray(xy)[:, 0] > 0.3) & (np.asarray(xy)[:, 0] < 4)]
+    total = 2 * (inside[:, 0].max() - inside[:, 0].min())
+    assert spacing == pytest.approx(max(0.15, total / n_ticks), rel=1e-4)
+    assert len(ticks) == pytest.approx(total / spacing, abs=1)
+    right = ticks[ticks[:, 1] < 0]
+    np.testing.assert_allclose(np.diff(right[:, 0]), spacing, atol=1e-4)
+    assert len(ends) == min(4, size // 4)
+    assert overflow == 4 - len(ends)
+
+
+# ---------------------------------------------------------------- the far bound
+
+
+def test_far_bound_by_hand():
+    assert float(perception.far_bound(4.0, 0.39, math.pi / 180, 0.2)) == pytest.approx(2.0076, abs=1e-3)
+    assert float(perception.far_bound(4.0, 0.39, math.pi / 180, 1.0)) == 4.0
+    assert float(perception.far_bound(4.0, 0.39, math.pi / 180, math.inf)) == 4.0
+    assert float(perception.far_bound(4.0, 0.39, math.pi / 180, 0.0)) == 0.0
+
+
+@pytest.mark.parametrize("wall_m", [0.2, 0.5, 0.8])
+def test_up_to_the_far_bound_neighbouring_beams_lie_closer_than_an_opening(wall_m):
+    far = float(perception.far_bound(100.0, TUNING.width_m, BEAM_SPACING_RAD, wall_m))
+    xy, valid = points(scan_of([(-99, wall_m, 99, wall_m)], range_m=99), ANGLES_RAD)
+    x = np.sort(np.asarray(xy)[np.asarray(valid), 0])
+    apart = np.diff(x)
+    assert (apart[x[1:] < far] < TUNING.width_m).all()
+    assert (apart[x[:-1] > 1.25 * far] > TUNING.width_m).all()
+
+
+# ---------------------------------------------------------------- divergences
+
+
+def building(arms, width_m):
+    """Passages of a width from a crossing outwards: `(walls, crossing of the axes)`."""
+    n, arm = round(width_m / CELL_M), round(ARM_M / CELL_M)
+    size = 2 * arm + n
+    occupied = np.ones((size, size), bool)
+    mid, low, high = slice(arm, arm + n), slice(1, arm + n), slice(arm, size - 1)
+    ways = {"w": (mid, low), "e": (mid, high), "s": (low, mid), "n": (high, mid)}
+    for arm_to in arms:
+        occupied[ways[arm_to]] = False
+    middle = size * CELL_M / 2
+    return walls.walls_of(occupied, CELL_M, multiple=SLOTS), np.array([middle, middle])
+
+
+@jax.jit
+def look_from(walls_, pose, tuning, noise_m):
+    """`(divergence, centres in the world, points kept for openings, in the world, which there are)`."""
+    ranges = walls.cast(walls_, pose, ANGLES_RAD, RANGE_M) + noise_m
+    xy, valid = points(ranges, ANGLES_RAD)
+    beside = jnp.stack(sides(xy, valid, 0, KAMUI.length_m / 2)).min()
+    found = look(xy, valid, beside, tuning)
+    even = smoothed(xy, valid, tuning.width_m / 4)
+    bounds = tuning.near_m, tuning.far_m, tuning.open_m
+    kept, there, *_ = resampled(even, valid, *bounds, tuning.width_m / 4, size=KEPT_POINTS)
+    placed = vehicle.to_odometry(pose)
+    return found, placed(found.centre), placed(kept), there
+
+
+QUIET = np.zeros(BEAMS, np.float32)
+
+
+def seen_from(place, x, y, heading=EAST, tuning=TUNING, noise_m=QUIET):
+    """Centres, relative to the crossing of the axes, radii, and the points."""
+    walls_, middle = place
+    pose = np.array([middle[0] + x, middle[1] + y, heading], np.float32)
+    found, centre, kept, there = look_from(walls_, pose, tuning, noise_m)
+    valid = np.asarray(found.valid)
+    assert int(found.overflow) == 0
+    return np.asarray(centre)[valid] - middle, np.asarray(found.radius)[valid], np.asarray(kept)[np.asarray(there)]
+
+
+# Where the circle's centre lies and how large it is, in widths from the crossing of the axes, coming from the west.
+CORNER = 0.5 - 1 / (1 + math.sqrt(0.5))  # 0.586 widths from both outer walls
+FEATURES = {
+    "dead end": ("w", (0, 0), 0.5, [WEST]),
+    "left corner": ("wn", (CORNER, -CORNER), 0.5 - CORNER, [WEST, NORTH]),
+    "right corner": ("ws", (CORNER, CORNER), 0.5 - CORNER, [SOUTH, WEST]),
+    "T from the stem": ("wns", (-1 / 8, 0), 5 / 8, [SOUTH, NORTH, WEST]),
+    "T from the side, left": ("wen", (0, 1 / 8), 5 / 8, [EAST, NORTH, WEST]),
+    "T from the side, right": ("wes", (0, -1 / 8), 5 / 8, [SOUTH, EAST, WEST]),
+    "crossing": ("wesn", (0, 0), math.sqrt(0.5), [SOUTH, EAST, NORTH, WEST]),
+}
+
+
+def test_the_formulas():
+    assert abs(0.5 - CORNER - 0.586) < 1e-3
+
+
+@pytest.mark.parametrize("width_m", WIDTHS_M)
+def test_a_straight_passage_shows_nothing(width_m):
+    place = building("we", width_m)
+    for x, y, heading in itertools.product((-3, -0.7, 0), (-0.25, 0, 0.1), (-0.15, 0, 0.1)):
+        centres, *_ = seen_from(place, x, y * width_m, heading)
+        assert len(centres) == 0
+
+
+@pytest.mark.parametrize("name", FEATURES)
+@pytest.mark.parametrize("width_m", WIDTHS_M)
+def test_the_circle_lies_where_three_walls_are_equally_far(name, width_m):
+    """Within 4 cm and 2 % of the width: corners are rounded by as much as points are smoothed and beams are apart."""
+    arms, where, radius, _ = FEATURES[name]
+    place = building(arms, width_m)
+    for further, y, heading in itertools.product(np.linspace(0.5, 1.0, 6), (-0.1, 0, 0.1), (-0.1, 0, 0.1)):
+        back = width_m / 2 + further
+        centres, radii, _ = seen_from(place, -back, y * width_m, heading)
+        assert len(centres) >= 1, (back, y, heading)
+        np.testing.assert_allclose(
+            centres, np.tile(np.array(where) * width_m, (len(centres), 1)), atol=0.04 + 0.02 * width_m
+        )
+        np.testing.assert_allclose(radii, radius * width_m, atol=0.04 + 0.02 * width_m)
+
+
+def test_mirrored_maps_have_mirrored_divergences():
+    for left, right in (("left corner", "right corner"), ("T from the side, left", "T from the side, right")):
+        (one, radii, _), (other, mirrored_radii, _) = (
+            seen_from(building(FEATURES[name][0], 2.0), -2.0, sign * 0.1, sign * 0.1)
+            for name, sign in ((left, 1), (right, -1))
+        )
+        np.testing.assert_allclose(one, other * [1, -1], atol=0.02)
+        np.testing.assert_allclose(radii, mirrored_radii, atol=0.02)
+
+
+def test_the_way_the_robot_looks_along_does_not_matter():
+    walls_, middle = building("wns", 2.0)
+    turned, _ = building("sew", 2.0)  # by a quarter, counter-clockwise
+    one, *_ = seen_from((walls_, middle), -2.0, 0.1, 0.05)
+    other, *_ = seen_from((turned, middle), -0.1, -2.0, NORTH + 0.05)
+    np.testing.assert_allclose(np.stack([-one[:, 1], one[:, 0]], 1), other, atol=0.02)
+
+
+def test_a_hall_shows_nothing_but_a_larger_bound_of_free_space_does():
+    """A hall 6 m wide has a dead end as well, with a circle of 3 m."""
+    place = building("w", 6.0)
+    for x in (-5, -2, 0, 1):
+        assert len(seen_from(place, x, 0.3)[0]) == 0
+    larger = Tuning(open_m=3.5)
+    centres, radii, _ = seen_from(place, -0.6, 0.0, tuning=larger)
+    assert len(centres) >= 1
+    np.testing.assert_allclose(centres[0], [0, 0], atol=0.15)
+    np.testing.assert_allclose(radii[0], 3, atol=0.15)
+
+
+def test_circles_as_large_as_free_space_are_left_out():
+    """A T 2 m wide has a circle of 1.25 m, and all its corners are within 1.1 m of the axis."""
+    place = building("wns", 2.0)
+    assert len(seen_from(place, -1.8, 0)[0]) >= 1
+    assert len(seen_from(place, -1.8, 0, tuning=Tuning(open_m=1.4))[0]) >= 1
+    assert len(seen_from(place, -1.8, 0, tuning=Tuning(open_m=1.1))[0]) == 0
+
+
+def test_where_points_are_few_neighbours_on_a_wall_make_no_side():
+    """12 points of 7 m of wall are 0.6 m apart, more than the least opening."""
+    xy, valid = points_of([(-9, 1, 9, 1), (-9, -1, 9, -1)])
+    bounds = {"near_m": 0.3, "far_m": 4.0, "width_m": 0.39, "obtuse_tol_deg": 10.0, "open_m": 2.5}
+    found = jax.jit(perception.divergences, static_argnames="size")(xy, valid, **bounds, size=16)
+    assert not np.asarray(found.valid).any()
+
+
+def test_dead_ends_show_from_1_41_reference_widths_on():
+    place = building("w", 1.2)
+    for wider, shows in ((0.85 * 1.41, False), (1.3 * 1.41, True)):
+        for back in (0.9, 1.1, 1.3):
+            assert (len(seen_from(place, -back, 0, tuning=Tuning(width_m=1.2 / wider))[0]) > 0) == shows
+
+
+def test_a_dead_end_needs_the_tolerance_of_obtuse_triangles():
+    """Its triangle is exactly right-angled: to the paper's letter about every other scan loses it."""
+    rng = np.random.default_rng(2)
+    shown = {0.0: [], 10.0: []}
+    for width_m in WIDTHS_M:
+        place = building("w", width_m)
+        for back in rng.uniform(0.8, 2.2, 20):
+            noise_m = rng.normal(scale=0.01, size=BEAMS).astype(np.float32)
+            for tolerance, seen in shown.items():
+                tuning = Tuning(obtuse_tol_deg=tolerance)
+                seen.append(len(seen_from(place, -back, 0, tuning=tuning, noise_m=noise_m)[0]) > 0)
+    assert np.mean(shown[10.0]) >= 0.95
+    assert 0.2 < np.mean(shown[0.0]) < 0.75
+
+
+def test_every_triangle_keeps_to_its_bounds():
+    rng = np.random.default_rng(3)
+    walls_, middle = building("wesn", 2.0)
+    n_kept = 0
+    for _ in range(40):
+        pose = np.array([*(middle + rng.uniform([-3, -0.4], [-1, 0.4])), rng.uniform(-0.4, 0.4)], np.float32)
+        noise_m = rng.normal(scale=0.03, size=BEAMS).astype(np.float32)
+        found, *_ = look_from(walls_, pose, TUNING, noise_m)
+        assert found.corners.shape == (2 * SCAN_POINTS, 3, 2)
+        corners = np.asarray(found.corners)[np.asarray(found.valid)].astype(float)
+        for triangle, centre, radius in zip(
+            corners, *(np.asarray(a)[found.valid] for a in (found.centre, found.radius))
+        ):
+            np.testing.assert_allclose(np.hypot(*(triangle - centre).T), radius, rtol=1e-3)
+            edges = [triangle[i - 2] - triangle[i - 1] for i in range(3)]
+            assert min(np.hypot(*e) for e in edges) > TUNING.width_m - 1e-6
+            angles = [math.degrees(math.acos(-a @ b / np.hypot(*a) / np.hypot(*b)))
+                      for a, b in itertools.pairwise([*edges, edges[0]])]  # fmt: skip
+            assert sum(angles) == pytest.approx(180, abs=0.01)
+            assert max(angles) < 100.01
+            assert radius < TUNING.open_m
+            assert (triangle[:, 0] > TUNING.near_m).all()
+            assert (triangle[:, 0] < TUNING.far_m).all()
+            n_kept += 1
+    assert n_kept > 20
+
+
+def test_the_nearest_triangle():
+    centre = np.array([[3, 0], [1, 1], [0.5, 0], [2, 0]], np.float32)
+    found = perception.Divergence(
+        corners=jnp.zeros((4, 3, 2)),
+        centre=jnp.asarray(centre),
+        radius=jnp.ones(4),
+        valid=jnp.array([True, True, False, True]),
+        overflow=jnp.int32(0),
+    )
+    for place, which, distance in (((0, 0), 1, math.sqrt(2)), ((2.6, 0), 0, 0.4), ((2.4, 0), 3, 0.4)):
+        got, away = perception.nearest(found, np.array(place, np.float32))
+        assert (int(got), float(away)) == (which, pytest.approx(distance, abs=1e-6))
+    _, away = perception.nearest(found.replace(valid=jnp.zeros(4, bool)), np.zeros(2, np.float32))
+    assert float(away) == math.inf
+
+
+# ---------------------------------------------------------------- openings
+
+K = 8
+P = 1000
+find_openings = jax.jit(perception.openings, static_argnames="size")
+
+
+def ways_out(xy, centre=(0, 0), radius_m=2.0, width_m=TUNING.width_m, size=K, circle=1.0):
+    """`(bearings in degrees, widths, overflow)` of the openings, in their order."""
+    xy = np.asarray(xy, np.float32).reshape(-1, 2)
+    padded, there = np.zeros((P, 2), np.float32), np.arange(P) < len(xy)
+    padded[: len(xy)] = xy
+    found = find_openings(
+        padded, there, np.array(centre, np.float32), np.float32(radius_m), np.float32(width_m), circle=circle, size=size
+    )
+    valid = np.asarray(found.valid)
+    assert found.bearing.shape == found.width_m.shape == valid.shape == (size,)
+    assert not valid[valid.sum() :].any()
+    return np.degrees(found.bearing)[valid], np.asarray(found.width_m)[valid], int(found.overflow)
+
+
+def wrapped_deg(angle):
+    return (np.asarray(angle) + 180) % 360 - 180
+
+
+def polar(degrees, distance=1.0):
+    angle = np.radians(degrees)
+    return np.stack([distance * np.cos(angle), distance * np.sin(angle)], -1)
+
+
+def test_openings_of_a_ring_by_hand():
+    """A ring of points 3 degrees apart, with gaps of 30 degrees to the east, 60 to the north and 6 to the west."""
+    around = np.arange(1, 360, 3)
+    away = np.abs(wrapped_deg(around[:, None] - np.array([0, 90, 180])))
+    ring = polar(around[(away >= [15, 30, 3]).all(1)])
+    bearings, widths, overflow = ways_out(ring)
+    np.testing.assert_allclose(bearings, [1.0, 89.5], atol=1.6)
+    assert widths == pytest.approx([2 * math.sin(math.radians(15)), 1], abs=0.08)
+    assert overflow == 0
+    assert len(ways_out(ring, width_m=0.9)[0]) == 1  # a wider robot fits through one only
+    assert len(ways_out(ring, width_m=1.2)[0]) == 0
+    assert len(ways_out(ring, width_m=0.08)[0]) == 3
+
+
+def test_openings_in_order_and_the_circular_pair():
+    corners = polar([-135, -45, 45, 135])
+    bearings, widths, _ = ways_out(corners)
+    np.testing.assert_allclose(np.abs(bearings), [90, 0, 90, 180], atol=1e-3)
+    assert bearings[0] < 0 < bearings[2]
+    assert widths == pytest.approx([math.sqrt(2)] * 4, abs=1e-5)
+    bearings, widths, overflow = ways_out(corners, size=2)
+    np.testing.assert_allclose(bearings, [-90, 0], atol=1e-3)
+    assert (len(widths), overflow) == (2, 2)
+
+
+def test_of_one_direction_the_nearest_point_counts():
+    corners = np.concatenate([polar([-135, -45, 45, 135]), polar([-45, 45, 0, 90], 1.5)])
+    np.testing.assert_allclose(ways_out(corners, radius_m=1.2)[1], [math.sqrt(2)] * 4, atol=1e-5)
+    east = np.hypot(1.5 - math.sqrt(0.5), math.sqrt(0.5))
+    widths = ways_out(corners, radius_m=1.6)[1]
+    np.testing.assert_allclose(widths, [math.sqrt(2), east, east, east, east, math.sqrt(2)], atol=1e-5)
+
+
+def test_a_wall_farther_in_does_not_divide_an_opening():
+    corners = polar([-135, -45, 45, 135])
+    for distance, n in ((1.1, 5), (1.2, 4), (1.6, 4)):
+        stray = np.concatenate([corners, polar([0, 2], distance)])
+        bearings, widths, _ = ways_out(stray, radius_m=1.0, circle=1.5)
+        assert len(bearings) == n, distance
+        assert max(widths) == pytest.approx(math.sqrt(2), abs=1e-5)
+    far = np.concatenate([polar([angle], 1.3 + angle / 2000) for angle in (-120, 0, 120)])  # none comes nearer
+    assert len(ways_out(far, radius_m=1.0, circle=1.5)[0]) == 3
+    # A wall that leads from near to far is one.
+    wall = np.stack([np.linspace(0.8, 1.4, 20), np.full(20, 0.6)], 1)
+    bearings, widths, _ = ways_out(np.concatenate([wall, polar([-60, 180])]), radius_m=1.0, circle=1.5)
+    assert len(bearings) == 3
+
+
+def test_a_wall_that_leads_straight_outward_is_no_gap():
+    away = np.arange(0.9, 1.9, 0.05)
+    wall = np.stack([0.08 + 0 * away, away], 1)  # of two directions 1.5 degrees apart its points are 0.5 m apart
+    bearings, _, _ = ways_out(np.concatenate([wall, polar(np.arange(130, 430, 5))]))
+    assert len(bearings) == 1
+    assert 90 < bearings[0] < 130
+
+
+def test_where_a_gap_is_more_than_half_a_turn_it_lies_on_the_other_side():
+    bearings, _, _ = ways_out(polar([-60, -30, 0, 30, 60]), width_m=0.6)
+    np.testing.assert_allclose(np.abs(bearings), [180], atol=1e-3)
+    bearings, _, _ = ways_out(polar(np.arange(30, 151, 10)))
+    np.testing.assert_allclose(bearings, [-90], atol=1e-3)
+
+
+def test_without_points_there_is_no_opening():
+    assert len(ways_out(np.zeros((0, 2)))[0]) == 0
+    assert len(ways_out(polar([0, 120, 240], 3.0))[0]) == 0  # all beyond the circle
+    assert len(ways_out(polar([0, 120, 240], 3.0), radius_m=3.001)[0]) == 3
+
+
+def test_round_one_point_alone_everything_is_open():
+    assert len(ways_out(polar([30]))[0]) == 1
+    assert len(ways_out(polar([30, 30.1]))[0]) == 1
+
+
+def test_openings_turn_and_move_with_the_points():
+    rng = np.random.default_rng(4)
+    around = np.concatenate([np.arange(a, b, 2.0) for a, b in ((-170, -100), (-60, -10), (30, 60), (100, 150))])
+    ring = polar(around, 1 + 0.02 * rng.normal(size=len(around)))
+    bearings, widths, _ = ways_out(ring)
+    assert len(bearings) == 4
+    for degrees in (7.3, 90, -123.4):
+        turn = np.radians(degrees)
+        moved = ring @ np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]]) + [5, -3]
+        after, after_widths, _ = ways_out(moved, centre=(5, -3))
+        order = np.argsort(wrapped_deg(bearings + degrees))
+        np.testing.assert_allclose(wrapped_deg(after - (bearings + degrees)[order]), 0, atol=0.5)
+        np.testing.assert_allclose(after_widths, widths[order], atol=0.02)
+
+
+def on_the_way(arms, width_m, where, rng=None, sigma_m=0.0):
+    """Points of the scans on the way from the west to a place, relative to the crossing of the axes."""
+    place = building(arms, width_m)
+    kept = []
+    for back in np.linspace(2.2, 0.1, 8):
+        noise_m = QUIET if rng is None else rng.normal(scale=sigma_m, size=BEAMS).astype(np.float32)
+        kept.append(seen_from(place, where[0] * width_m - back, where[1] * width_m, noise_m=noise_m)[2] - place[1])
+    return np.concatenate(kept)
+
+
+@pytest.mark.parametrize("name", FEATURES)
+@pytest.mark.parametrize("width_m", WIDTHS_M)
+def test_every_divergence_has_its_openings(name, width_m):
+    arms, where, radius, want = FEATURES[name]
+    xy = on_the_way(arms, width_m, where)
+    centre, circle_m = np.array(where) * width_m, TUNING.circle * radius * width_m
+    bearings, widths, overflow = ways_out(xy, centre, circle_m)
+    assert len(bearings) == len(want)
+    off = np.abs(wrapped_deg(bearings[:, None] - np.degrees(want)))
+    assert off.min(axis=0).max() < 12
+    np.testing.assert_allclose(widths, width_m, rtol=0.15)
+    assert overflow == 0
+    assert len(ways_out(xy, centre, circle_m, 0.8 * width_m)[0]) == len(want)
+    assert len(ways_out(xy, centre, circle_m, 1.25 * width_m)[0]) == 0  # too wide a robot
+
+
+def test_a_search_circle_of_a_tenth_more_miscounts_corners():
+    rng = np.random.default_rng(5)
+    right = {1.1: 0, 1.5: 0}
+    for width_m, name in itertools.product(WIDTHS_M, ("left corner", "right corner")):
+        arms, where, radius, _ = FEATURES[name]
+        for _ in range(4):
+            xy = on_the_way(arms, width_m, where, rng, 0.02)
+            centre = np.array(where) * width_m + rng.normal(scale=0.03, size=2)
+            for k in right:
+                right[k] += len(ways_out(xy, centre, k * radius * width_m)[0]) == 2
+    assert right[1.5] >= 22  # of 24
+    assert right[1.1] <= right[1.5] - 4
+
+
+# ---------------------------------------------------------------- the ground ahead
+
+GROUND_CELL_M = 0.05
+
+
+def ground_of(heights):
+    """Ground whose height depends on x alone."""
+    rows = np.tile(np.asarray(ground_profile, np.float32), (60, 1))
+    return terrain.terrain_of(np.pad(rows, ((0, 0), (0, 130 - rows.shape[1])), mode="edge"), GROUND_CELL_M)
+
+
+def slope_of(angle_rad):
+    """Level up to x = 1.525 m, then 2 m up."""
+    return np.concatenate([np.zeros(30), np.arange(41) * GROUND_CELL_M * math.tan(angle_rad)])
+
+
+@jax.jit
+def ahead_of(ground, x, heading, half_width_m):
+    """The point that a robot measures, and the true height above its own there."""
+    pitch, roll, height, _ = terrain.attitude(ground, (x, 1.5, heading), KAMUI.length_m, KAMUI.width_m)
+    down = vehicle.down_directions(KAMUI)
+    mount = jnp.array([[KAMUI.scanner_x_m, 0.0, KAMUI.scanner_height_m]])
+    direction, at = (terrain.turned(v, pitch, roll, heading) for v in (down, mount))
+    ranges = terrain.look_down(ground, (x + at[0, 0], 1.5 + at[0, 1], height + at[0, 2]), direction)
+    place = KAMUI.scanner_x_m, KAMUI.scanner_height_m
+    seen_x, seen_z, found = ground_profile.ground_point(ranges, down, pitch, roll, place, half_width_m)
+    there = terrain.height_at(ground, x + seen_x * jnp.cos(heading), 1.5 + seen_x * jnp.sin(heading))
+    return seen_x, seen_z, found, there - height
+
+
+def measured(ground, x, heading=0.0):
+    seen_x, seen_z, found, want = ahead_of(ground, *(np.float32(v) for v in (x, heading, KAMUI.width_m / 2)))
+    assert bool(found)
+    return float(seen_x), float(seen_z), float(want)
+
+
+def test_level_ground_is_seen_at_the_height_of_the_scanner_ahead():
+    x, z, _ = measured(ground_of(np.zeros(130)), 2.0)
+    assert x == pytest.approx(KAMUI.scanner_x_m + KAMUI.scanner_height_m, abs=1e-3)  # at 45 degrees
+    assert z == pytest.approx(0, abs=1e-3)
+
+
+@pytest.mark.parametrize("degrees", [10, 25, -10, -25])
+def test_on_a_slope_the_true_height_ahead_is_seen(degrees):
+    angle = math.radians(degrees)
+    ground = ground_of(slope_of(angle))
+    x, z, want = measured(ground, 2.2)  # all of the robot is on it
+    assert z == pytest.approx(x * math.tan(angle), abs=2e-3)
+    assert z == pytest.approx(want, abs=2e-3)
+    x, z, _ = measured(ground, 3.2, math.pi)  # the other way
+    assert z == pytest.approx(-x * math.tan(angle), abs=2e-3)
+
+
+@pytest.mark.parametrize("heading", [0.0, math.pi])
+@pytest.mark.parametrize("angle", [TEN, -TEN])
+def test_before_and_behind_a_bend_of_the_ground_its_true_height_is_seen(angle, heading):
+    ground = ground_of(slope_of(angle))
+    for x in np.linspace(0.6, 4.4, 20) if heading == 0 else np.linspace(1.8, 4.6, 20):
+        _, z, want = measured(ground, x, heading)
+        assert z == pytest.approx(want, abs=4e-3)
+
+
+def test_across_a_slope_the_ground_ahead_is_level():
+    ground = ground_of(slope_of(TEN))
+    for heading in (math.pi / 2, -math.pi / 2):
+        x, z, _ = measured(ground, 2.5, heading)
+        assert x == pytest.approx(0.7, abs=5e-3)
+        assert z == pytest.approx(0, abs=5e-3)
+
+
+def test_ground_points_by_hand():
+    direction = np.array([[1, 0, 0], [0, 0, -1], [0.6, 0.8, 0], [0.6, -0.8, 0]], np.float32)
+    ranges = np.array([2, 1, 1, 1], np.float32)
+    mount = 0.5, 1.5
+
+    def seen(ranges, pitch=0.0, roll=0.0, half=5.0):
+        x, z, found = ground_profile.ground_point(np.asarray(ranges, np.float32), direction, pitch, roll, mount, half)
+        return (float(x), float(z)) if bool(found) else None
+
+    nothing = [np.inf, np.nan, np.inf, np.nan]
+    assert seen(nothing) is None
+    assert seen([np.nan, 1, np.inf, np.nan]) == pytest.approx((0.5, 0.5))
+    assert seen([2, np.inf, np.inf, np.nan]) == pytest.approx((2.5, 1.5))
+    assert seen(ranges) == pytest.approx((np.mean([2.5, 0.5, 1.1, 1.1]), 1.25))
+    assert seen(ranges, half=0.79) == pytest.approx((1.5, 1.0))  # without those aside
+    assert seen([np.inf, np.inf, 1, 1], half=0.79) is None
+    cos, sin = math.cos(0.3), math.sin(0.3)
+    nose_down = seen([2, np.inf, np.inf, np.inf], pitch=0.3)
+    assert nose_down == pytest.approx((2.5 * cos + 1.5 * sin, 1.5 * cos - 2.5 * sin))
+    left_up = seen([np.inf, np.inf, 1, np.inf], roll=0.3)
+    assert left_up == pytest.approx((1.1, 1.5 * cos + 0.8 * sin), abs=1e-6)
+
+
+# ---------------------------------------------------------------- profiles
+
+SLOTS_OF_PROFILE = 400
+fit = jax.jit(ground_profile.profile)
+
+
+def profile_of(x, z):
+    """Fits, with slots to spare that hold what must not matter."""
+    n = len(x)
+    padded = np.full((2, SLOTS_OF_PROFILE), 7.5, np.float32)
+    padded[0, n:] = np.inf  # as the engine leaves them
+    padded[:, :n] = x, z
+    found = fit(padded[0], padded[1], np.arange(SLOTS_OF_PROFILE) < n)
+    assert int(found.count) == n
+    return found
+
+
+def by_polyfit(x, z):
+    """`(residual variance, slope)`."""
+    coefficients, residual, *_ = np.polyfit(x, z, 1, full=True)
+    return residual[0] / (len(x) - 2), coefficients[0]
+
+
+def staircase(x, tread_m, riser_m):
+    return riser_m * np.floor(np.asarray(x) / tread_m)
+
+
+WAY = np.arange(0.013, 3.0, 0.04)  # a point every step of 0.1 s at 0.4 m/s
+
+
+@pytest.mark.parametrize("n", [0, 1, 2])
+def test_fewer_than_three_points_say_nothing(n):
+    found = profile_of(np.arange(n), 3 * np.arange(n))
+    assert [float(v) for v in (found.variance_m2, found.slope, found.step_m)] == [0, 0, 0]
+
+
+def test_three_points_by_hand():
+    found = profile_of([0, 1, 2], [0, 3, 0])
+    assert float(found.slope) == pytest.approx(0, abs=1e-6)
+    assert float(found.variance_m2) == pytest.approx(6, rel=1e-5)  # 1 + 4 + 1, over 3 - 2
+    assert float(found.step_m) == 0  # no point within a flank of another
+
+
+@pytest.mark.parametrize("degrees", [-30, -10, 0, 10, 45])
+def test_a_slope_fits_a_line(degrees):
+    gradient = math.tan(math.radians(degrees))
+    for start in (0.0, 25.0):
+        found = profile_of(start + WAY, gradient * WAY + 0.7)
+        assert float(found.variance_m2) < 1e-8
+        assert float(found.slope) == pytest.approx(gradient, abs=1e-4)
+        # The middles of both flanks are 0.12 m apart at most 0.16.
+        assert float(found.step_m) <= 0.17 * abs(gradient) + 1e-5
+
+
+@pytest.mark.parametrize("riser_m", [0.05, 0.08, 0.1, 0.15, 0.2])
+@pytest.mark.parametrize("sign", [1, -1])
+def test_stairs_leave_a_twelfth_of_the_riser_squared(riser_m, sign):
+    found = profile_of(WAY, staircase(WAY, 0.3, sign * riser_m))
+    assert float(found.variance_m2) == pytest.approx(riser_m**2 / 12, rel=0.1)
+    assert float(found.slope) == pytest.approx(sign * riser_m / 0.3, rel=0.05)
+    assert float(found.step_m) == pytest.approx(riser_m, abs=0.01)
+    is_stairs = float(found.variance_m2) > TUNING.variance_max_m2
+    assert is_stairs == (riser_m > 0.06)  # a riser of 5 cm reads as a slope
+
+
+def test_variance_and_slope_are_those_of_polyfit():
+    rng = np.random.default_rng(6)
+    for _ in range(60):
+        n = int(rng.integers(4, 200))
+        x = rng.uniform(0, 40) + np.cumsum(rng.uniform(0.01, 0.06, n))
+        z = rng.normal() + rng.normal() * x + rng.normal(scale=rng.choice([0.003, 0.03, 0.3]), size=n)
+        variance, slope = by_polyfit(x, z)
+        found = profile_of(x, z)
+        assert float(found.variance_m2) == pytest.approx(variance, rel=2e-2, abs=1e-7)
+        assert float(found.slope) == pytest.approx(slope, abs=2e-3 * max(1, abs(slope)))
+
+
+def test_the_order_of_the_points_does_not_matter():
+    rng = np.random.default_rng(7)
+    z = staircase(WAY, 0.28, 0.12) + rng.normal(scale=0.01, size=len(WAY))
+    order = rng.permutation(len(WAY))
+    one, other = profile_of(WAY, z), profile_of(WAY[order], z[order])
+    assert float(one.variance_m2) == pytest.approx(float(other.variance_m2), rel=1e-3)
+    assert float(one.slope) == pytest.approx(float(other.slope), rel=1e-3)
+    assert float(one.step_m) == pytest.approx(float(other.step_m), abs=0.005)  # points at edges of the way's cells
+
+
+def test_noise_shows_as_its_square_and_hardly_moves_the_step():
+    """Of the mean of 9 beams with 1 and with 3 cm."""
+    rng = np.random.default_rng(8)
+    for sigma in (0.01 / 3, 0.03 / 3):
+        variance, step, stairs = [], [], []
+        for _ in range(60):
+            noise = rng.normal(scale=sigma, size=len(WAY))
+            found = profile_of(WAY, WAY * math.tan(TEN) + noise)
+            variance.append(float(found.variance_m2))
+            step.append(float(found.step_m))
+            stairs.append(float(profile_of(WAY, staircase(WAY, 0.3, 0.15) + noise).step_m))
+        assert np.mean(variance) == pytest.approx(sigma**2, rel=0.1)
+        assert max(variance) < TUNING.variance_max_m2  # still a slope
+        assert max(step) < 0.17 * math.tan(TEN) + 4 * sigma
+        assert np.mean(stairs) == pytest.approx(0.15, abs=0.01 + sigma)
+
+
+def test_a_riser_that_leans_by_two_gaps_is_still_one_step():
+    """Beams that meet the riser itself lie between both treads."""
+    x = np.arange(0, 1, 0.005) + 0.0025
+    for sign in (1, -1):
+        found = profile_of(x, sign * np.interp(x, [0.504, 0.538], [0, 0.1]))
+        assert float(found.step_m) == pytest.approx(0.1, abs=1e-4)
+
+
+def test_the_step_is_the_median_of_all_and_small_ones_do_not_count():
+    far_apart = np.searchsorted([0.4, 0.9, 1.4, 1.9, 2.4], WAY)
+    for steps, want in (([0.1, 0.1, 0.18, 0.1, 0.1], 0.1), ([0.02, 0.1, 0.02, 0.02, 0.12], 0.1)):
+        z = np.concatenate([[0], np.cumsum(steps)])[far_apart]
+        assert float(profile_of(WAY, z).step_m) == pytest.approx(want, abs=1e-3)
+
+
+def test_a_long_slope_has_no_step():
+    """15 m: longer than what is looked at for steps."""
+    way = np.arange(0, 15.5, 0.04)
+    found = profile_of(way, way * math.tan(TEN))
+    assert float(found.step_m) <= 0.17 * math.tan(TEN)
+    assert float(found.slope) == pytest.approx(math.tan(TEN), abs=1e-4)
+
+
+@pytest.mark.parametrize("edge", [0.5, 1.51, 2.03])
+def test_one_step_in_level_ground(edge):
+    found = profile_of(WAY, np.where(edge < WAY, 0.12, 0))
+    assert float(found.step_m) == pytest.approx(0.12, abs=1e-4)
+    assert float(profile_of(WAY, np.where(edge < WAY, -0.12, 0)).step_m) == pytest.approx(0.12, abs=1e-4)
+
+
+@pytest.mark.parametrize(("riser_m", "tread_m"), [(0.08, 0.3), (0.1, 0.3), (0.15, 0.3)])
+def test_stairs_as_the_robot_measures_them(riser_m, tread_m):
+    """Driven over, with the attitude: what stands at BTM's two obstacle nodes is stairs with this riser."""
+    steps = np.repeat(np.arange(8), round(tread_m / GROUND_CELL_M)) * riser_m
+    ground = ground_of(np.concatenate([np.zeros(20), steps]))
+    x, z = [], []
+    for at in np.arange(0.6, 2.6, 0.04):
+        _, _, height, _ = terrain.attitude(ground, (at, 1.5, 0.0), KAMUI.length_m, KAMUI.width_m)
+        seen_x, seen_z, _ = measured(ground, at)
+        x.append(at + seen_x)
+        z.append(float(height) + seen_z)
+    x, z = np.array(x), np.array(z)
+    on = x > 1.3
+    found = profile_of(x[on], z[on])
+    assert float(found.variance_m2) > TUNING.variance_max_m2
+    assert float(found.step_m) == pytest.approx(riser_m, abs=0.015)
+    assert float(found.slope) == pytest.approx(riser_m / tread_m, rel=0.15)

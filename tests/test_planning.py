@@ -1,0 +1,272 @@
+"""What strategies ask of a belief: pencil cases, the oracle, and windows that never change the answer."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from ref import maps, plans
+
+from jexplore import planning
+from jexplore.grid import Grid
+from jexplore.planning import Belief, choose, field, nearest_frontier
+from jexplore.reach import DIAGONAL, FAR, MOTIONS, STRAIGHT
+
+S, D = STRAIGHT, DIAGONAL
+
+
+def believe(hits, misses, row, col, *, driven=None, exhausted=None, extent=None, clearance_d2=0, near_d2=0):
+    shape = np.shape(hits)
+    at = np.zeros(shape, bool)
+    at[row, col] = True
+    return Belief(
+        grid=Grid(jnp.asarray(hits, jnp.int32), jnp.asarray(misses, jnp.int32)),
+        driven=jnp.asarray(at if driven is None else driven | at),
+        exhausted=jnp.zeros(shape, bool) if exhausted is None else jnp.asarray(exhausted),
+        row=jnp.int32(row),
+        col=jnp.int32(col),
+        heading=jnp.int32(0),
+        extent=jnp.asarray(shape if extent is None else extent, jnp.int32),
+        p_free=jnp.float32(0.25),
+        near_d2=jnp.int32(near_d2),
+        cell_m=jnp.float32(0.1),
+        clearance_d2=clearance_d2,
+    )
+
+
+def drawn(text, **more):
+    """A drawn belief: `?` unknown, `#` one hit, `.` one miss, `R` the robot, in a free cell."""
+    cells = maps.drawn(text)
+    return believe(cells == "#", (cells == ".") | (cells == "R"), *maps.one(text, "R"), **more)
+
+
+def no_route(belief):
+    return jnp.full(belief.driven.shape, -1, jnp.int8)
+
+
+def follow(route, start, target):
+    """Cells of a route after its start, and what they cost."""
+    cells, cost, (row, col) = [], 0, start
+    while (row, col) != target:
+        assert route[row, col] >= 0
+        drow, dcol = MOTIONS[route[row, col]]
+        row, col, cost = row + drow, col + dcol, cost + (D if drow and dcol else S)
+        cells.append((row, col))
+        assert len(cells) <= route.size
+    return cells, cost
+
+
+def oracle(belief):
+    """`(traversable, cost, predecessors, candidates)`."""
+    hits, misses = np.asarray(belief.grid.hits), np.asarray(belief.grid.misses)
+    known, free, occupied = plans.classify(hits, misses)
+    at = int(belief.row), int(belief.col)
+    d2 = belief.clearance_d2
+    passable = plans.traversable(free, occupied, np.asarray(belief.driven), *at, d2, int(belief.near_d2))
+    cost, pred = plans.dijkstra(passable, at)
+    clear = plans.clear(free, occupied, d2)
+    return passable, cost, pred, plans.frontier(clear, cost, known, np.asarray(belief.exhausted))
+
+
+ROOM = """
+    ######
+    #...?#
+    #.R..#
+    #....#
+    ####?#
+"""
+
+
+def test_a_field_by_hand():
+    known = field(drawn(ROOM))
+    by_hand = [[FAR] * 6, [FAR, D, S, D, FAR, FAR], [FAR, S, 0, S, 2 * S, FAR], [FAR, D, S, D, S + D, FAR], [FAR] * 6]
+    np.testing.assert_array_equal(known.cost[::-1], by_hand)
+    np.testing.assert_array_equal(known.candidates, maps.walls("...... ...#.. ...##. ...##. ......"))
+    np.testing.assert_array_equal(known.traversable, ~maps.walls("###### #...## #....# #....# ######"))
+
+
+def test_the_nearest_frontier_by_hand():
+    belief = drawn(ROOM)
+    choice, route = nearest_frontier(belief, no_route(belief))
+    assert (int(choice.row), int(choice.col), int(choice.cost), int(choice.saturated)) == (2, 3, S, 0)
+    assert np.argwhere(np.asarray(route) >= 0).tolist() == [[2, 2]]
+    assert route[2, 2] == 0  # east
+
+
+def test_equal_costs_go_to_the_lowest_index():
+    belief = drawn("?.R.?")
+    choice, _ = nearest_frontier(belief, no_route(belief))
+    assert (int(choice.row), int(choice.col)) == (0, 1)
+    belief = drawn("? . R . ?")
+    choice, _ = nearest_frontier(belief, no_route(belief))
+    assert (int(choice.row), int(choice.col)) == (1, 0)
+
+
+def test_exhausted_cells_and_unreachable_ones_are_no_candidates():
+    belief = drawn("?.R#.?")
+    belief = belief.replace(exhausted=jnp.zeros((1, 6), bool).at[0, 1].set(True))
+    assert not field(belief).candidates.any()
+    old = jnp.full((1, 6), 3, jnp.int8)
+    choice, route = nearest_frontier(belief, old)
+    assert (int(choice.row), int(choice.col), int(choice.cost)) == (-1, -1, FAR)
+    np.testing.assert_array_equal(route, old)
+
+
+@pytest.mark.parametrize("text", ["R", ".R..", "#### #R.# ####"])
+def test_a_map_without_unknown_cells_has_no_frontier(text):
+    belief = drawn(text)
+    choice, _ = nearest_frontier(belief, no_route(belief))
+    assert (int(choice.row), int(choice.col), int(choice.cost)) == (-1, -1, FAR)
+
+
+def test_the_robots_own_cell_can_be_the_nearest_frontier():
+    belief = drawn("?R.?")
+    choice, route = nearest_frontier(belief, no_route(belief))
+    assert (int(choice.row), int(choice.col), int(choice.cost)) == (0, 1, 0)
+    assert (np.asarray(route) == -1).all()
+
+
+def test_choosing_nothing_leaves_the_route():
+    belief = drawn(ROOM)
+    choice, route = choose(belief, no_route(belief), field(belief), jnp.int32(-1), jnp.int32(-1))
+    assert (int(choice.row), int(choice.col), int(choice.cost), int(choice.saturated)) == (-1, -1, FAR, 0)
+    assert (np.asarray(route) == -1).all()
+
+
+SHAPES = ((1, 9), (8, 7))
+FIELD, NEAREST = jax.jit(field), jax.jit(nearest_frontier)
+IN_MAP = jax.jit(planning._nearest_in_map)
+
+
+def random_belief(seed, shape, unknown, occupied, clearance_d2=0):
+    draw = np.random.default_rng(seed)
+    u = draw.random(shape)
+    hits = ((u < occupied) * draw.integers(1, 4, shape)).astype(np.int32)
+    misses = np.where(u > occupied + unknown, 2, 0) + np.where(u < occupied / 4, 9, 0)
+    row, col = (int(draw.integers(n)) for n in shape)
+    return believe(
+        hits, misses, row, col, clearance_d2=clearance_d2, near_d2=int(draw.integers(4)),
+        driven=draw.random(shape) < 0.05, exhausted=draw.random(shape) < 0.1,
+    )  # fmt: skip
+
+
+@pytest.mark.jit
+@given(st.sampled_from(SHAPES), st.integers(0, 2**20), st.sampled_from((0, 1, 2)), st.floats(0, 0.4), st.floats(0, 0.4))
+@settings(max_examples=60, deadline=None)
+def test_fields_and_nearest_frontiers_are_the_oracles(shape, seed, clearance_d2, unknown, occupied):
+    belief = random_belief(seed, shape, unknown, occupied, clearance_d2)
+    passable, cost, pred, candidates = oracle(belief)
+    known = FIELD(belief)
+    np.testing.assert_array_equal(known.traversable, passable)
+    np.testing.assert_array_equal(known.cost, cost)
+    np.testing.assert_array_equal(known.candidates, candidates)
+    choice, route = NEAREST(belief, no_route(belief))
+    best, width = plans.closest(candidates, cost), shape[1]
+    assert (int(choice.row), int(choice.col)) == (divmod(best, width) if best >= 0 else (-1, -1))
+    if best >= 0:
+        start, target = (int(belief.row), int(belief.col)), divmod(best, width)
+        assert follow(np.asarray(route), start, target) == (plans.path(pred, start, target), int(choice.cost))
+
+
+@pytest.mark.jit
+@given(st.integers(0, 2**20))
+@settings(max_examples=25, deadline=None)
+def test_padding_changes_nothing(seed):
+    belief = random_belief(seed, (8, 7), 0.1, 0.2, 1)
+    wide = jax.tree.map(lambda a: jnp.pad(a, ((0, 3), (0, 5))) if a.ndim == 2 else a, belief)
+    known, known_wide = FIELD(belief), FIELD(wide)
+    np.testing.assert_array_equal(known_wide.cost[:8, :7], known.cost)
+    np.testing.assert_array_equal(known_wide.candidates, np.pad(known.candidates, ((0, 3), (0, 5))))
+    got, want = NEAREST(wide, no_route(wide)), NEAREST(belief, no_route(belief))
+    jax.tree.map(np.testing.assert_array_equal, got[0], want[0])
+    np.testing.assert_array_equal(got[1][:8, :7], want[1])
+
+
+# ---------------------------------------------------------------- windows
+
+
+def large_belief(seed, shape, clearance_d2, distances):
+    """Unknown cells near the robot or far away, with walls and exhausted cells on the way."""
+    draw = np.random.default_rng(seed)
+    row, col = (int(draw.choice([1, n // 2, n - 2, draw.integers(n)])) for n in shape)
+    rows, cols = np.indices(shape)
+    away = np.maximum(abs(rows - row), abs(cols - col))
+    unknown = (away > draw.choice(distances)) & (draw.random(shape) < draw.choice([0.004, 0.05, 1.0]))
+    wall = (draw.random(shape) < draw.choice([0.0, 0.02, 0.2])) & (away > 2)
+    exhausted = draw.random(shape) < 0.2
+    return believe(
+        wall & ~unknown, ~wall & ~unknown, row, col, clearance_d2=clearance_d2, near_d2=4, exhausted=exhausted
+    )
+
+
+def both(belief):
+    """The answer with windows, after a check that it is the whole map's: choice and route."""
+    got, route = NEAREST(belief, no_route(belief))
+    want, whole_route = IN_MAP(belief, no_route(belief))
+    for name in ("row", "col", "cost"):
+        assert int(getattr(got, name)) == int(getattr(want, name)), name
+    np.testing.assert_array_equal(route, whole_route)
+    return got
+
+
+SIDE = 192  # larger than every window
+
+
+@pytest.mark.jit
+@pytest.mark.parametrize("clearance_d2", [0, 9])
+def test_windows_never_change_the_answer(clearance_d2):
+    distances = [1, 3, 9, 20, 24, 26, 27, 28, 29, 30, 31, 32, 40, 50, 57, 58, 59, 60, 61, 62, 63, 64, 80, 120, 400]
+    costs = [int(both(large_belief(seed, (SIDE, SIDE - 9), clearance_d2, distances)).cost) for seed in range(60)]
+    for low, high in ((0, 20), (32, 56), (66, 10_000)):  # of every kind there were some
+        assert any(low * S <= cost <= high * S for cost in costs)
+    assert FAR in costs
+
+
+@pytest.mark.jit
+def test_a_frontier_just_inside_and_just_outside_a_window():
+    """A corridor that ends in the unknown, in the four directions."""
+    for turns in range(4):
+        for away in (0, 1, 16, 28, 29, 30, 31, 32, 33, 60, 61, 62, 63, 64, 65, 100):
+            misses, hits, robot = np.zeros((3, SIDE, SIDE), int)
+            misses[31:34, 30 : 31 + away] = 1
+            hits[30, :] = hits[34, :] = hits[30:35, 29] = robot[32, 30] = 1
+            hits, misses, robot = (np.rot90(a, turns) for a in (hits, misses, robot))
+            assert int(both(believe(hits, misses, *np.argwhere(robot)[0])).cost) == away * S
+
+
+@pytest.mark.jit
+def test_equal_costs_inside_and_outside_a_window_go_to_the_lowest_index():
+    """Two corridors of one length, one of them bent and so nearer as the crow flies: a window may see its end alone."""
+    for turns in range(4):
+        for length in (*range(26, 34), *range(57, 66)):
+            misses = np.zeros((SIDE, SIDE), int)
+            misses[96 - length : 97, 96] = 1  # straight down
+            misses[96, 96 - length + 5 : 97] = misses[96:102, 96 - length + 5] = 1  # to the left, and five cells up
+            hits = 1 - misses
+            hits[96 - length - 1, 96] = hits[102, 96 - length + 5] = 0  # unknown
+            hits, misses = np.rot90(hits, turns), np.rot90(misses, turns)
+            row, col = (96, 96) if turns == 0 else ((95, 96), (95, 95), (96, 95))[turns - 1]
+            assert misses[row, col] == 1
+            assert int(both(believe(hits, misses, row, col)).cost) == length * S
+
+
+@pytest.mark.jit
+def test_rows_of_a_batch_are_independent():
+    beliefs = [random_belief(seed, (8, 7), 0.1, 0.2, 1) for seed in range(3)]
+    stacked = jax.tree.map(lambda *a: jnp.stack(a), *beliefs)
+    batch = jax.vmap(nearest_frontier)(stacked, jnp.full((3, 8, 7), -1, jnp.int8))
+    for i, belief in enumerate(beliefs):
+        jax.tree.map(
+            lambda many, alone, i=i: np.testing.assert_array_equal(many[i], alone),
+            batch,
+            NEAREST(belief, no_route(belief)),
+        )
+
+
+@pytest.mark.jit
+def test_jit_changes_nothing():
+    belief = random_belief(3, (8, 7), 0.1, 0.2, 1)
+    with jax.disable_jit():
+        slow = nearest_frontier(belief, no_route(belief))
+    jax.tree.map(np.testing.assert_array_equal, NEAREST(belief, no_route(belief)), slow)

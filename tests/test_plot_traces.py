@@ -1,0 +1,210 @@
+"""Pictures of maps: what the artists hold, and that no text or legend covers another."""
+
+import itertools
+
+import numpy as np
+import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.collections import LineCollection
+from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
+from matplotlib.text import Annotation
+
+from jexplore.report import plot_traces
+from jexplore.tracemap.record import NODE_TYPES, NOWHERE, BtmMap, Link, Node
+
+MODES = ["central run", "wall following", "branch_selection $x$", "dead end run"]
+COURSE = BtmMap(
+    (
+        Node(0, 0.0, 0.0, "terminal"),
+        Node(1, 4.0, 0.0, "obstacle", "slope"),
+        Node(2, 8.0, 0.0, "divergence"),
+        Node(3, 8.0, -4.0, "free_space"),
+    ),
+    (
+        Link(0, 0, 1, "searched", 0.0, 180.0),
+        Link(1, 1, 2, "searched", 0.0, 180.0),
+        Link(2, 2, NOWHERE, "un-searched", 90.0),
+        Link(3, 2, 3, "searched", -90.0, 90.0),
+    ),
+)
+CORNERS = np.array([[0.0, 0.0], [8.0, 0.0], [8.0, -4.0]])
+TRAIL = np.column_stack(
+    [
+        np.concatenate([np.linspace(0, 8, 81), np.full(40, 8.0)]),
+        np.concatenate([np.zeros(81), np.linspace(-0.1, -4, 40)]),
+        np.zeros(121),
+    ]
+)
+WALLS = np.array([[-1.0, 1.0, 7.0, 1.0], [9.0, 3.0, 9.0, -6.0]])
+RUN = np.repeat([0, 2, 1], [70, 11, 40])
+
+
+@pytest.fixture
+def ax():
+    figure = Figure(figsize=(4, 3))
+    yield figure.add_axes((0, 0, 1, 1))
+    figure.clear()
+
+
+def lines_of(ax):
+    return [np.array(lines.get_segments()) for lines in ax.collections if isinstance(lines, LineCollection)]
+
+
+def drawn(figure):
+    figure.set_dpi(100)
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    return canvas.get_renderer()
+
+
+def test_nodes_and_links(ax):
+    handles = plot_traces.draw_btm(ax, COURSE)
+    searched, stubs = lines_of(ax)
+    np.testing.assert_array_equal(searched, [[[0, 0], [4, 0]], [[4, 0], [8, 0]], [[8, 0], [8, -4]]])
+    np.testing.assert_allclose(stubs, [[[8, 0], [8, plot_traces.STUB_M]]], atol=1e-12)
+    drawn_nodes = {line.get_marker(): line.get_xydata().tolist() for line in ax.lines}
+    assert drawn_nodes == {"s": [[0, 0]], "^": [[4, 0]], "o": [[8, 0]], "D": [[8, -4]]}
+    assert {text.get_text(): text.xy for text in ax.texts} == {
+        str(node.id): (node.x_m, node.y_m) for node in COURSE.nodes
+    }
+    labels = [handle.get_label() for handle in handles]
+    assert labels[:2] == ["searched link", "un-searched link"]
+    assert sorted(labels[2:]) == ["divergence node", "free space node", "obstacle node", "terminal node"]
+    assert [text.get_text() for text in ax.get_legend().get_texts()] == labels
+
+
+def test_types_differ_in_marker_and_colour():
+    assert set(plot_traces.NODE_STYLES) == set(NODE_TYPES)
+    for name in ("marker", "markerfacecolor"):
+        assert len({style[name] for style in plot_traces.NODE_STYLES.values()}) == len(NODE_TYPES)
+    faces = {to_rgb(style["markerfacecolor"]) for style in plot_traces.NODE_STYLES.values()}
+    assert not faces & {to_rgb(colour) for colour in plot_traces.MODE_COLOURS[:5]}
+
+
+def test_a_loop_and_nothing(ax):
+    assert plot_traces.draw_btm(ax, BtmMap((), ())) == []
+    assert ax.get_legend() is None
+    plot_traces.draw_btm(ax, BtmMap((Node(0, 1.0, 1.0, "divergence"),), (Link(0, 0, 0, "searched", 0.0, 90.0),)))
+    (loop,) = lines_of(ax)
+    np.testing.assert_allclose(loop, [[[1 + plot_traces.STUB_M, 1], [1, 1], [1, 1 + plot_traces.STUB_M]]])
+
+
+def test_ids_stand_off_the_links(ax):
+    plot_traces.draw_btm(ax, COURSE)
+    for text, node in zip(ax.texts, COURSE.nodes):
+        towards = np.degrees(np.arctan2(text.xyann[1], text.xyann[0]))
+        off = [abs((towards - bearing + 180) % 360 - 180) for bearing in COURSE.bearings_deg(node.id)]
+        assert min(off) >= 44.9
+
+
+def test_an_id_stands_above_if_it_can(ax):
+    nodes = tuple(Node(i, float(i), 0.0, "divergence") for i in range(3))
+    links = (Link(0, 1, NOWHERE, "un-searched", 180.0), Link(1, 2, NOWHERE, "un-searched", 60.0))
+    plot_traces.draw_btm(ax, BtmMap(nodes, links))
+    above, beside = (0, 12), (-(72**0.5), 72**0.5)  # 135 degrees is the first that is 45 or more off 60
+    np.testing.assert_allclose([text.xyann for text in ax.texts], [above, above, beside], atol=1e-9)
+
+
+def test_the_trail_has_the_colours_of_its_modes(ax):
+    handles = plot_traces.draw_trail(ax, TRAIL, RUN, MODES)
+    (pieces,) = ax.collections
+    np.testing.assert_array_equal(pieces.get_segments(), np.stack([TRAIL[:-1, :2], TRAIL[1:, :2]], axis=1))
+    want = [to_rgb(plot_traces.MODE_COLOURS[mode]) for mode in RUN[1:]]
+    np.testing.assert_allclose(pieces.get_colors()[:, :3], want)
+    assert [handle.get_label() for handle in handles] == [*MODES[:3], "start", "end"]
+    for handle, mode in zip(handles, range(3)):
+        assert handle.get_color() == plot_traces.MODE_COLOURS[mode]
+    start, end = handles[-2:]
+    assert (start.get_xydata().tolist(), end.get_xydata().tolist()) == ([[0, 0]], [[8, -4]])
+
+
+def test_short_trails(ax):
+    assert plot_traces.draw_trail(ax, np.zeros((0, 3)), [], MODES) == []
+    assert len(plot_traces.draw_trail(ax, np.zeros((1, 3)), [3], MODES)) == 3
+    with pytest.raises(ValueError, match=r"^expected a mode for every pose, got 1 for 2$"):
+        plot_traces.draw_trail(ax, np.zeros((2, 3)), [3], MODES)
+
+
+def test_pitch_is_drawn_over_the_way_driven(ax):
+    line = plot_traces.draw_pitch(ax, COURSE, TRAIL, np.arange(121.0))
+    np.testing.assert_allclose(line.get_xdata(), np.linspace(0, 12, 121), atol=1e-9)
+    np.testing.assert_array_equal(line.get_ydata(), np.arange(121))
+    marks = [float(mark.get_xdata()[0]) for mark in ax.lines[1:]]
+    np.testing.assert_allclose(marks, [0, 4, 8, 12])
+    assert [(text.get_text(), pytest.approx(text.get_position()[0])) for text in ax.texts] == [
+        ("0", 0),
+        ("1", 4),
+        ("2", 8),
+        ("3", 12),
+    ]
+
+
+def test_a_node_is_marked_where_the_way_first_comes_to_it(ax):
+    there_and_back = np.concatenate([TRAIL[:81], TRAIL[80::-1] + np.array([0, 0.01, 0]), TRAIL[:81]])
+    nodes = (
+        COURSE.nodes[0],
+        Node(1, 4.0, 0.1, "free_space"),
+        Node(2, 8.0, 0.0, "divergence"),
+        Node(3, 4.0, 0.0, "terminal"),
+    )
+    plot_traces.draw_pitch(ax, BtmMap(nodes, ()), there_and_back, np.zeros(len(there_and_back)))
+    marks = [float(mark.get_xdata()[0]) for mark in ax.lines[1:]]
+    np.testing.assert_allclose(marks, [0, 4, 8, 12.01], atol=1e-3)
+
+
+def pages():
+    points = np.random.default_rng(0).uniform(-1, 9, (50, 2))
+    pitch = np.sin(np.arange(121))
+    crowd = [Node(i, 8.0, -4.0 + 0.1 * i, "free_space") for i in range(3)]
+    return {
+        "all": plot_traces.figure(COURSE, WALLS, TRAIL, points, RUN, MODES, "A run_1 of $x$", pitch_deg=pitch),
+        "no pitch": plot_traces.figure(COURSE, WALLS, TRAIL, points, RUN, MODES, "A title of many words " * 12),
+        "map only": plot_traces.figure(COURSE, None, np.zeros((0, 3)), None, [], MODES, pitch_deg=[]),
+        "nothing": plot_traces.figure(BtmMap((), ()), None, np.zeros((0, 3)), None, [], MODES, ""),
+        "long": plot_traces.figure(
+            BtmMap(tuple(Node(i, 3.0 * i, 0.0, "terminal") for i in range(10)), ()),
+            *(None, TRAIL[:81] * [4, 1, 1], None, RUN[:81], MODES, "Corridor"),
+            pitch_deg=pitch[:81],
+        ),
+        "close": plot_traces.figure(BtmMap(tuple(crowd), ()), None, TRAIL, None, RUN, MODES, "", pitch_deg=pitch),
+    }
+
+
+@pytest.mark.parametrize("name", pages())
+def test_pages(name):
+    page = pages()[name]
+    renderer = drawn(page)
+    ax = page.axes[0]
+    assert len(page.axes) == (2 if name in ("all", "long", "close") else 1)
+    assert ax.get_aspect() == 1
+    boxes = [axes.get_tightbbox(renderer) for axes in page.axes]
+    boxes += [legend.get_window_extent(renderer) for legend in page.legends]
+    for box in boxes:
+        assert page.bbox.padded(1).containsx(box.x0)
+        assert page.bbox.padded(1).containsx(box.x1)
+        assert page.bbox.padded(1).containsy(box.y0)
+        assert page.bbox.padded(1).containsy(box.y1)
+    assert not any(a.padded(-1).overlaps(b.padded(-1)) for a, b in itertools.combinations(boxes, 2))
+    for axes in page.axes if name != "close" else page.axes[1:]:  # nodes 0.1 m apart crowd a map
+        texts = [text.get_window_extent(renderer) for text in axes.texts]
+        assert not any(a.overlaps(b) for a, b in itertools.combinations(texts, 2))
+    for text in ax.texts:
+        assert isinstance(text, Annotation)
+        assert ax.bbox.containsx(text.get_window_extent(renderer).x0)
+    if name != "nothing":
+        for lines in lines_of(ax):
+            assert (lines[..., 0] >= ax.get_xlim()[0]).all()
+            assert (lines[..., 1] <= ax.get_ylim()[1]).all()
+
+
+def test_the_legend_of_a_page():
+    page = pages()["all"]
+    assert [text.get_text() for text in page.legends[0].get_texts()] == [
+        *("searched link", "un-searched link", "terminal node", "divergence node", "free space node", "obstacle node"),
+        *("building", "scan point", *MODES[:3], "start", "end"),
+    ]
+    drawn_walls = next(
+        lines for lines in page.axes[0].collections if to_rgb(lines.get_colors()[0]) == to_rgb(plot_traces.WALL)
+    )
+    np.testing.assert_array_equal(drawn_walls.get_segments(), WALLS.reshape(-1, 2, 2))

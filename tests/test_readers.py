@@ -1,0 +1,737 @@
+"""Readers of map files, and the resampling below them."""
+
+import json
+import math
+import struct
+import zlib
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+from PIL import Image
+from scipy import ndimage
+from skimage.measure import points_in_poly
+
+from jexplore.config import InputError
+from jexplore.worlds import load_world
+from jexplore.worlds.readers import houseexpo
+from jexplore.worlds.readers.images import grey, opacity, read_pixels
+from jexplore.worlds.readers.resample import count_cells, resample
+from jexplore.worlds.readers.ros import load_ros, read_ros, write_ros
+from jexplore.worlds.world import MAX_SIDE, check_start, occupancy_to_world, start_region
+
+MAPS = Path(__file__).resolve().parents[2] / "shared" / "maps"
+real_maps = pytest.mark.skipif(not MAPS.is_dir(), reason="the folder shared/maps is not beside the checkout")
+
+pictures = hnp.arrays(bool, st.tuples(st.integers(1, 9), st.integers(1, 9)))
+sizes = st.fractions(min_value=Fraction(1, 5), max_value=4, max_denominator=7)
+
+
+def save(path, pixels, mode=None):
+    """Write a picture; `pixels` has its row 0 at the top."""
+    Image.fromarray(np.asarray(pixels, np.uint8 if mode is None else mode)).save(path)
+    return path
+
+
+def refused(line, call, *args, **kwargs):
+    """The call is refused in one line that matches."""
+    with pytest.raises(InputError, match=line) as error:
+        call(*args, **kwargs)
+    assert "\n" not in str(error.value)
+
+
+# --- resampling
+
+
+def test_resample_to_larger_cells_keeps_thin_walls():
+    occupied = np.zeros((4, 6), bool)
+    occupied[:, 3] = True
+    assert resample(occupied, (1, 1), 2, name="").tolist() == [[0, 1, 0], [0, 1, 0]]
+    assert resample(occupied, (1, 1), 4, name="").tolist() == [[1, 0]]  # the last cell reaches beyond the picture
+    assert resample(occupied, (1, 1), 5, name="").tolist() == [[1, 0]]
+    assert resample(occupied, (1, 1), 100, name="").tolist() == [[1]]
+
+
+def test_resample_to_smaller_cells_fills_by_area():
+    occupied = np.array([[0, 1, 0], [0, 0, 0]], bool)
+    assert resample(occupied, (2, 1), 1, name="").tolist() == [[0, 0, 1, 1, 0, 0], [0] * 6]
+    # pixels of 1.5 cells: cell 1 lies half under pixel 0 and half under pixel 1
+    assert resample(occupied[:1], (1.5, 1), 1, name="").tolist() == [[0, 1, 1, 0, 0]]
+
+
+@pytest.mark.parametrize("pixels", [1, 7, 333, 897, 4096])
+@pytest.mark.parametrize("cell_m", [0.05, 0.1, 0.3, 1 / 3, 0.0454])
+def test_resample_to_the_same_size_changes_nothing(pixels, cell_m):
+    occupied = np.random.default_rng(0).random((2, pixels)) < 0.5
+    assert np.array_equal(resample(occupied, (cell_m, cell_m), cell_m, name=""), occupied)
+
+
+def test_a_size_that_is_whole_cells_but_for_rounding_gets_no_further_cell():
+    assert count_cells(0.1 * 3, 0.1) == 3  # 0.30000000000000004
+    assert count_cells(49.3, 0.1) == 493
+    assert count_cells(49.31, 0.1) == 494
+    assert count_cells(0.001, 0.1) == 1
+
+
+@settings(deadline=None, max_examples=150)
+@given(pictures, sizes, sizes)
+def test_resample_is_occupied_where_any_occupied_pixel_overlaps(occupied, x, y):
+    """The oracle compares exact intervals, cell by cell and pixel by pixel."""
+    cells = resample(occupied, (float(x), float(y)), 1.0, name="")
+    assert cells.shape == (math.ceil(y * occupied.shape[0]), math.ceil(x * occupied.shape[1]))
+    for row, col in np.ndindex(cells.shape):
+        overlapping = [
+            bool(occupied[r, c])
+            for r, c in np.ndindex(occupied.shape)
+            if r * y < row + 1 and (r + 1) * y > row and c * x < col + 1 and (c + 1) * x > col
+        ]
+        assert cells[row, col] == any(overlapping)
+
+
+@settings(deadline=None, max_examples=150)
+@given(pictures, st.floats(0.1, 4), st.floats(0.1, 4))
+def test_resample_never_opens_a_wall(occupied, x, y):
+    """Free cells that are connected lie over free pixels that are connected: for robots and beams, 4-connected."""
+    cells = resample(occupied, (x, y), 1.0, name="")
+    regions, _ = ndimage.label(~occupied)
+    components, n = ndimage.label(~cells)
+    for component in range(1, n + 1):
+        centres = np.argwhere(components == component) + 0.5
+        rows, cols = (np.minimum((centres / (y, x)).astype(int), np.array(occupied.shape) - 1)).T
+        under = set(regions[rows, cols].tolist())
+        assert len(under) == 1
+        assert under != {0}
+
+
+@pytest.mark.parametrize("cell_m", [0.37, 0.5, 1.0, 1.3, 2.0, 3.7])
+@pytest.mark.parametrize("wall", ["column", "diagonal"])
+def test_a_wall_of_one_pixel_parts_the_world_at_any_cell_size(wall, cell_m):
+    occupied = np.zeros((40, 40), bool)
+    occupied[(slice(None), 20) if wall == "column" else (np.arange(40), np.arange(40))] = True
+    cells = resample(occupied, (1, 1), cell_m, name="")
+    labels, n = ndimage.label(~cells)
+    assert n >= 2
+    assert labels[0, -1] != labels[-1, 0]
+    assert labels[0, -1] > 0
+    assert labels[-1, 0] > 0
+
+
+def test_resample_refuses_a_large_world_before_allocating():
+    picture = np.zeros((2, 2), bool)
+    assert resample(picture, (1, 1024), 0.5, name="").shape == (MAX_SIDE, 4)
+    refused("'m.png': 4097 x 1 cells are more than 4096", resample, picture, (0.1, 2048.1), 1.0, name="m.png")
+    refused("more than 4096", resample, picture, (1e6, 1e6), 0.001, name="")
+
+
+# --- images
+
+
+def test_image_at_metres_a_pixel_by_pencil(tmp_path):
+    path = save(tmp_path / "m.png", [[0, 255, 250], [205, 249, 254]])
+    world = load_world(f"{path}@0.1")
+    assert world.occupied.tolist() == [[1, 1, 1, 1, 1], [1, 1, 1, 0, 1], [1, 1, 0, 0, 1], [1, 1, 1, 1, 1]]
+    assert world.name == f"{path}@0.1"
+    assert world.origin_m == (-0.1, -0.1)
+    assert world.rooms is None
+    assert world.start is None
+    assert load_world(path.parent / "m.png@0.1").shape == (4, 5)
+    assert load_world(f"{path}@0.1:free=205").occupied[1, 1:4].tolist() == [False, False, False]
+    assert load_world(f"{path}@0.1:free=255").occupied[2, 1:4].tolist() == [True, False, True]
+    assert load_world(f"{path}@0.2").shape == (6, 8)
+
+
+def test_image_of_a_size_stretches_the_box_of_what_is_occupied(tmp_path):
+    pixels = np.full((20, 30), 255, np.uint8)
+    pixels[4, 5:9] = 0  # the box: rows 4 to 7, columns 5 to 8
+    pixels[7, 5] = 0
+    world = load_world(f"{save(tmp_path / 'm.png', pixels)}@0.8x0.4")
+    inner = np.zeros((4, 8), bool)
+    inner[3] = True
+    inner[0, :2] = True
+    assert np.array_equal(world.occupied[1:-1, 1:-1], inner)
+    assert world.shape == (6, 10)
+    assert world.origin_m == (-0.1, -0.1)
+
+
+def test_transparent_is_occupied_whatever_its_colour(tmp_path):
+    levels = np.full((1, 4, 4), 255, np.uint8)
+    levels[0, 1, 3] = 254
+    levels[0, 2, 3] = 0
+    world = load_world(f"{save(tmp_path / 'm.png', levels)}@0.1")
+    assert world.occupied[1].tolist() == [True, False, True, True, False, True]
+    levels[..., 3] = 0
+    refused("the brightest opaque grey is none", load_world, f"{save(tmp_path / 'n.png', levels)}@0.1")
+
+
+def test_a_coloured_block_marks_the_start(tmp_path):
+    pixels = np.full((10, 12, 3), 195, np.uint8)
+    pixels[0] = 127
+    pixels[2:4, 6:10] = (255, 216, 0)
+    path = save(tmp_path / "d.png", pixels)
+    world = load_world(f"{path}@0.1:free=150")
+    assert world.start == (8, 9, 0)  # row 10 - 3 and column 8 of the picture, one more for the ring
+    assert load_world(f"{path}@0.2:free=150").start == (15, 17, 0)
+    assert load_world(f"{path}@0.1:free=190", cell_m=0.2).start == (4, 5, 0)
+    pixels[9, 2:] = 127
+    stretched = load_world(f"{save(tmp_path / 'box.png', pixels)}@6x2:free=150")  # half a metre by 0.2 m a pixel
+    assert stretched.start == (15, 41, 0)  # 1.4 m up and 4 m along
+    pixels[0, :10] = 195  # the box begins at column 2
+    pixels[0, 11] = 195
+    assert load_world(f"{save(tmp_path / 'box.png', pixels)}@5x2:free=150").start == (15, 31, 0)
+    pixels[0], pixels[9] = 127, 195
+    pixels[5, 5] = (255, 216, 0)
+    assert load_world(f"{save(tmp_path / 'two.png', pixels)}@0.1:free=150").start is None
+    pixels[2:6, 5:10] = (255, 0, 0)  # grey 76: a start in a wall is none
+    assert load_world(f"{save(tmp_path / 'red.png', pixels)}@0.1:free=150").start is None
+
+
+@pytest.mark.parametrize("suffix", ["png", "pgm", "bmp", "gif", "tif", "tiff", "ppm", "PNG"])
+def test_formats_give_the_same_world(tmp_path, suffix):
+    pixels = np.array([[0, 255, 255], [255, 255, 0]], np.uint8)
+    image = Image.fromarray(pixels)
+    path = tmp_path / f"m.{suffix}"
+    (image.convert("RGB") if suffix == "ppm" else image).save(path)
+    assert np.array_equal(load_world(f"{path}@0.1").occupied[1:-1, 1:-1], pixels[::-1] == 0)
+
+
+def test_a_jpeg_and_a_bitmap(tmp_path):
+    pixels = np.zeros((16, 32), np.uint8)
+    pixels[:, 16:] = 255
+    for name in ("m.jpg", "m.jpeg"):
+        save(tmp_path / name, pixels)
+        assert np.array_equal(load_world(f"{tmp_path / name}@0.1").occupied[1:-1, 1:-1], pixels == 0)
+    (tmp_path / "m.pbm").write_text("P1\n3 2\n1 0 0\n0 0 1\n")  # 1 is black
+    assert load_world(f"{tmp_path / 'm.pbm'}@0.1").occupied[1:-1, 1:-1].tolist() == [[0, 0, 1], [1, 0, 0]]
+
+
+def test_sixteen_bits_palettes_and_colours(tmp_path):
+    wide = save(tmp_path / "wide.png", np.array([[0, 32768, 64249, 64250, 65535]]), np.uint16)
+    assert read_pixels(str(wide))[0, :, 0].tolist() == [0, 128, 250, 250, 255]
+    (tmp_path / "wide.pgm").write_bytes(b"P5\n2 1\n65535\n" + struct.pack(">HH", 65535, 257))
+    assert read_pixels(str(tmp_path / "wide.pgm"))[0, :, 0].tolist() == [255, 1]
+    palette = Image.fromarray(np.array([[0, 1]], np.uint8), mode=None).convert("P")
+    palette.putpalette([255, 255, 255, 0, 0, 0])
+    palette.putdata([0, 1])
+    palette.save(tmp_path / "palette.png", transparency=1)
+    levels = read_pixels(str(tmp_path / "palette.png"))
+    assert grey(levels).tolist() == [[255, 0]]
+    assert opacity(levels).tolist() == [[255, 0]]
+    colours = save(tmp_path / "colours.png", [[[255, 0, 0], [0, 255, 0], [0, 0, 255]]])
+    assert grey(read_pixels(str(colours))).tolist() == [[76, 150, 29]]  # .299, .587, .114
+
+
+def test_images_that_are_no_map_are_refused(tmp_path):
+    white = save(tmp_path / "white.png", np.full((3, 3), 255))
+    black = save(tmp_path / "black.png", np.full((3, 3), 40))
+    refused(r"a picture needs a scale; append @16x16 for its size", load_world, white)
+    refused("no pixel is occupied, so there is no box", load_world, f"{white}@2x2")
+    refused("no pixel is free; the brightest opaque grey is 40 and free is 250", load_world, f"{black}@0.1")
+    refused("free must be a number at least 0 and at most 255, got 256", load_world, f"{white}@0.1:free=256")
+    refused("free must be a number", load_world, f"{white}@0.1:free=bright")
+    refused("no parameter 'fre'; it takes free .did you mean 'free'", load_world, f"{white}@0.1:fre=1")
+    refused("30000 x 30000 cells are more than 4096", load_world, f"{white}@1000")
+    line = save(tmp_path / "line.png", np.vstack([np.zeros((1, 4)), np.full((3, 4), 255)]))
+    refused("no pixel is free within the box round the occupied ones", load_world, f"{line}@4x4")
+    dots = np.full((30, 30), 255, np.uint8)
+    dots[::5, ::5] = 0
+    refused("no free cell is left at cell_m = 1", load_world, f"{save(tmp_path / 'dots.png', dots)}@0.1", cell_m=1)
+
+
+def test_files_that_cannot_be_read_are_refused(tmp_path, monkeypatch):
+    good = save(tmp_path / "good.png", np.random.default_rng(0).integers(0, 256, (50, 50)))
+    data = good.read_bytes()
+    for name, content, line in (
+        ("empty.png", b"", "is empty"),
+        ("text.png", b"hello", "is no picture in a known format"),
+        ("cut.png", data[: len(data) // 2], "is damaged or cut short"),
+        ("flipped.png", data[:60] + bytes([data[60] ^ 255]) + data[61:], "is damaged or cut short"),
+        ("cut.pgm", b"P5\n4 4\n255\n123", "is damaged or cut short"),
+        ("none.pgm", b"P5\n0 4\n255\n", "is (damaged|no picture)"),
+        ("plan.eps", b"%!PS-Adobe", "is neither"),
+        ("eps.png", b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 5 5\n", "is no picture"),
+    ):
+        (tmp_path / name).write_bytes(content)
+        refused(line, load_world, f"{tmp_path / name}@0.1")
+    (tmp_path / "folder.png").mkdir()
+    refused("is a directory", load_world, f"{tmp_path / 'folder.png'}@0.1")
+    refused("there is no such file", load_world, f"{tmp_path / 'absent.png'}@0.1")
+    monkeypatch.chdir(tmp_path)
+    refused("'absent.png': there is no such file .looked in ", load_world, "absent.png@0.1")
+    refused("cannot be opened", load_world, "nul\0.png@0.1")
+    Image.fromarray(np.zeros((2, 2), np.float32)).save("float.tif")
+    refused("pixels in floating point", load_world, "float.tif@0.1")
+
+
+def test_a_file_without_permission_is_refused(tmp_path, monkeypatch):
+    path = save(tmp_path / "m.png", [[255]])
+
+    def denied(*_args, **_kwargs):
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr("builtins.open", denied)
+    refused("'.*m.png': you have no permission to read it", load_world, f"{path}@0.1")
+
+
+def png_header(width, height):
+    """A PNG that claims to be of this size and holds no pixel."""
+
+    def chunk(kind, data):
+        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+    header = struct.pack(">IIBBBBB", width, height, 8, 0, 0, 0, 0)
+    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", b"") + chunk(b"IEND", b"")
+
+
+@pytest.mark.parametrize("size", [(8001, 8000), (10000, 10000), (60000, 60000)])
+def test_a_huge_image_is_refused_by_its_header(tmp_path, size):
+    (tmp_path / "bomb.png").write_bytes(png_header(*size))
+    refused("has more than 64 megapixels", load_world, f"{tmp_path / 'bomb.png'}@0.1")
+    (tmp_path / "fits.png").write_bytes(png_header(8000, 8000))
+    refused("is damaged or cut short", load_world, f"{tmp_path / 'fits.png'}@0.1")
+
+
+def test_a_file_of_too_many_bytes_is_refused(tmp_path):
+    with open(tmp_path / "long.json", "wb") as file:
+        file.truncate(2**24 + 1)
+    refused("has 16777217 bytes; at most 16777216", load_world, tmp_path / "long.json")
+
+
+# --- ROS
+
+
+def ros_map(folder, pixels, suffix="pgm", **changes):
+    """Write a ROS map and return its yaml; a change of None takes the key away."""
+    save(folder / f"m.{suffix}", pixels)
+    keys = {
+        "image": f"m.{suffix}",
+        "resolution": 0.1,
+        "origin": [-1.5, 2.0, 0.0],
+        "negate": 0,
+        "occupied_thresh": 0.65,
+        "free_thresh": 0.196,
+    } | changes
+    path = folder / "m.yaml"
+    path.write_text(yaml.safe_dump({key: value for key, value in keys.items() if value is not None}))
+    return path
+
+
+def test_ros_trinary_by_pencil(tmp_path):
+    path = ros_map(tmp_path, [[0, 89, 90], [204, 205, 206], [254, 255, 128]])
+    occupancy, info = read_ros(path)
+    # (255 - 89) / 255 = 0.651; (255 - 205) / 255 = 0.19608, just not below 0.196
+    assert occupancy.tolist() == [[0, 0, -1], [-1, -1, 0], [100, 100, -1]]
+    assert occupancy.dtype == np.int8
+    assert (info.resolution_m, info.origin_m, info.mode, info.negate) == (0.1, (-1.5, 2.0), "trinary", False)
+    world = load_world(path)
+    assert world.occupied[1:-1, 1:-1].tolist() == [[0, 0, 1], [1, 1, 0], [1, 1, 1]]
+    assert world.origin_m == pytest.approx((-1.6, 1.9))
+    assert world.start is None
+    assert world.name == str(path)
+
+
+def test_a_ros_pixel_on_a_bound_is_unknown(tmp_path):
+    pixels = [[101, 102, 204, 205]]  # 102 and 204 have exactly p = 0.6 and 0.2
+    assert read_ros(ros_map(tmp_path, pixels, occupied_thresh=0.6, free_thresh=0.2))[0].tolist() == [[100, -1, -1, 0]]
+
+
+def test_ros_negate_turns_black_and_white(tmp_path):
+    occupancy, _ = read_ros(ros_map(tmp_path, [[0, 255, 128, 49, 50]], negate=1))
+    assert occupancy.tolist() == [[0, 100, -1, 0, -1]]
+    assert read_ros(ros_map(tmp_path, [[0, 255]], negate=True))[0].tolist() == [[0, 100]]
+
+
+def test_ros_scale_is_linear_between_the_bounds(tmp_path):
+    levels = np.full((1, 6, 4), 255, np.uint8)
+    levels[0, :, :3] = np.array([[0, 51, 102, 153, 204, 255]]).T  # p = 1, 0.8, 0.6, 0.4, 0.2, 0
+    path = ros_map(tmp_path, levels, "png", mode="scale", occupied_thresh=0.9, free_thresh=0.1)
+    assert read_ros(path)[0].tolist() == [[100, 88, 62, 38, 12, 0]]  # 87.5 and 62.5 go to the even neighbour
+    levels[0, 3, 3] = 254
+    ros_map(tmp_path, levels, "png", mode="scale", occupied_thresh=0.9, free_thresh=0.1)
+    assert read_ros(path)[0].tolist() == [[100, 88, 62, -1, 12, 0]]
+    assert load_ros(path).occupied.tolist() == [[1, 1, 1, 1, 0, 0]]
+    assert load_ros(path, free_max=70).occupied.tolist() == [[1, 1, 0, 1, 0, 0]]
+
+
+def test_ros_raw_is_the_value_itself(tmp_path):
+    path = ros_map(tmp_path, [[0, 1, 25, 26, 100, 101, 255]], mode="raw")
+    assert read_ros(path)[0].tolist() == [[0, 1, 25, 26, 100, -1, -1]]
+    assert load_ros(path).occupied.tolist() == [[0, 0, 0, 1, 1, 1, 1]]
+    ros_map(tmp_path, [[0, 100]], mode="raw", negate=1)
+    assert read_ros(path)[0].tolist() == [[0, 100]]  # as nav2: raw does not negate
+
+
+def test_ros_averages_colours_and_in_trinary_opacity(tmp_path):
+    path = ros_map(tmp_path, [[[255, 255, 100], [0, 255, 0]]], "png")
+    assert read_ros(path)[0].tolist() == [[-1, 100]]  # p = 0.203 and 0.667
+    transparent = np.full((1, 1, 4), 255, np.uint8)
+    transparent[..., 3] = 0
+    assert read_ros(ros_map(tmp_path, transparent, "png"))[0].tolist() == [[-1]]  # p = 0.25
+    assert read_ros(ros_map(tmp_path, transparent, "png", mode="scale"))[0].tolist() == [[-1]]
+    assert read_ros(ros_map(tmp_path, transparent, "png", negate=1))[0].tolist() == [[100]]
+
+
+def test_ros_resamples_to_the_cell(tmp_path):
+    pixels = np.full((4, 4), 254, np.uint8)
+    pixels[0, 0] = 0
+    path = ros_map(tmp_path, pixels, resolution=0.05)
+    assert load_world(path).occupied[1:-1, 1:-1].tolist() == [[0, 0], [1, 0]]
+    assert load_world(path, cell_m=0.025).shape == (10, 10)
+
+
+def test_ros_yaml_is_read_as_written_by_people(tmp_path):
+    save(tmp_path / "m.pgm", [[254]])
+    (tmp_path / "m.yaml").write_text(
+        "image: ./m.pgm\nresolution: 5e-2  # YAML 1.1 has this as a string\norigin: [-1, 0, -0.0]\n"
+        "negate: false\noccupied_thresh: 1\nfree_thresh: 0.2\nmode: trinary\nextra: 1\n"
+    )
+    _, info = read_ros(tmp_path / "m.yaml")
+    assert (info.resolution_m, info.origin_m, info.negate) == (0.05, (-1.0, 0.0), False)
+    (tmp_path / "sub").mkdir()
+    ros_map(tmp_path / "sub", [[254]], image=str(tmp_path / "m.pgm"))
+    assert read_ros(tmp_path / "sub" / "m.yaml")[1].image == str(tmp_path / "m.pgm")
+
+
+@pytest.mark.parametrize(
+    ("changes", "line"),
+    [
+        ({"image": None}, "the key 'image' is missing"),
+        ({"resolution": None}, "the key 'resolution' is missing"),
+        ({"origin": None}, "the key 'origin' is missing"),
+        ({"negate": None}, "the key 'negate' is missing"),
+        ({"occupied_thresh": None}, "the key 'occupied_thresh' is missing"),
+        ({"free_thresh": None}, "the key 'free_thresh' is missing"),
+        ({"image": "gone.pgm"}, "m.yaml': its image cannot be read: '.*gone.pgm': there is no such file"),
+        ({"image": "."}, "its image cannot be read: .* is a directory"),
+        ({"image": 3}, "image must be the name of a file, got 3"),
+        ({"resolution": 0}, "resolution must be a number above 0, got 0.0"),
+        ({"resolution": -0.05}, "resolution must be a number above 0"),
+        ({"resolution": math.nan}, "resolution must be a number above 0"),
+        ({"resolution": math.inf}, "resolution must be a number above 0"),
+        ({"resolution": "fine"}, "resolution must be a number above 0, got 'fine'"),
+        ({"resolution": [1]}, "resolution must be a number above 0"),
+        ({"resolution": 5000}, "more than 4096"),
+        ({"origin": [0, 0]}, r"origin must be \[x, y, yaw\]"),
+        ({"origin": "0 0 0"}, r"origin must be \[x, y, yaw\]"),
+        ({"origin": [0, math.nan, 0]}, "origin must be a finite number"),
+        ({"origin": [0, 0, 0.5]}, "the map is turned by yaw = 0.5; only origin"),
+        ({"negate": 2}, "negate must be a number"),
+        ({"occupied_thresh": 65}, "occupied_thresh must be a number at least 0 and at most 1"),
+        ({"free_thresh": 0.65}, "free_thresh 0.65 must be below occupied_thresh 0.65"),
+        ({"mode": "color"}, "mode must be one of trinary, scale, raw, got 'color'"),
+        ({"mode": 1}, "mode must be one of"),
+        ({"negate": 1}, "no pixel is free at free_thresh 0.196, negate 1"),
+    ],
+)
+def test_bad_ros_maps_are_refused(tmp_path, changes, line):
+    refused(line, load_world, ros_map(tmp_path, [[254, 254]], **changes))
+
+
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [
+        ("", "is empty"),
+        ("- 1\n", "is not a ROS map; expected the keys"),
+        ("image: [", "is not valid YAML"),
+        ("image: !!python/name:os.system\n", "is not valid YAML"),
+        ("image: 2020-13-45\n", "is not valid YAML"),
+        ("[" * 20000, "is not valid YAML"),
+    ],
+)
+def test_bad_yaml_is_refused(tmp_path, text, line):
+    (tmp_path / "m.yaml").write_text(text)
+    refused(line, load_world, tmp_path / "m.yaml")
+    (tmp_path / "m.yaml").write_bytes(b"image: \xff\n")
+    refused("is not UTF-8 text", load_world, tmp_path / "m.yaml")
+
+
+def test_a_scale_or_a_parameter_for_a_ros_map_is_refused(tmp_path):
+    path = ros_map(tmp_path, [[254]])
+    refused("a ROS file has its own scale", load_world, f"{path}@0.1")
+    refused("no parameter 'free'; it takes none", load_world, f"{path}:free=3")
+
+
+def test_write_ros_by_pencil(tmp_path):
+    image = write_ros(np.array([[0, 100], [-1, 0]]), tmp_path / "o.yaml", cell_m=0.25, origin_m=(-1, 1e-7))
+    assert image == tmp_path / "o.pgm"
+    assert image.read_bytes() == b"P5\n2 2\n255\n" + bytes([205, 254, 254, 0])
+    assert yaml.safe_load((tmp_path / "o.yaml").read_text()) == {
+        "image": "o.pgm",
+        "mode": "trinary",
+        "resolution": 0.25,
+        "origin": [-1.0, 1e-7, 0.0],
+        "negate": 0,
+        "occupied_thresh": 0.65,
+        "free_thresh": 0.196,
+    }
+
+
+@pytest.mark.parametrize("values", [(-1, 0, 100), tuple(range(-1, 101)), (0,), (-1,), (50,)])
+def test_write_ros_is_read_back_unchanged(tmp_path, values):
+    occupancy = np.random.default_rng(1).choice(values, (7, 300)).astype(np.int8)
+    occupancy[0, : len(values)] = values
+    write_ros(occupancy, tmp_path / "odd: #1@2.yaml", cell_m=0.1 + 0.2, origin_m=(-1 / 3, 1e20))
+    again, info = read_ros(tmp_path / "odd: #1@2.yaml")
+    assert np.array_equal(again, occupancy)
+    assert (info.resolution_m, info.origin_m) == (0.1 + 0.2, (-1 / 3, 1e20))
+
+
+def test_write_ros_of_a_world_loads_as_that_world(tmp_path):
+    world = occupancy_to_world(np.random.default_rng(2).random((20, 31)) < 0.3, cell_m=0.07, origin_m=(3.3, -1.1))
+    write_ros(world, tmp_path / "w.yml")
+    again = load_world(tmp_path / "w.yml", cell_m=0.07)
+    assert np.array_equal(again.occupied, world.occupied)
+    assert again.origin_m == world.origin_m
+    assert again.cell_m == world.cell_m
+
+
+def test_bad_things_to_write_are_refused(tmp_path):
+    refused("must end in .yaml", write_ros, [[0]], tmp_path / "m.pgm")
+    refused("cannot be written", write_ros, [[0]], tmp_path / "none" / "m.yaml")
+    refused("from -1 to 100, got int64", write_ros, [[0, 101]], tmp_path / "m.yaml")
+    refused("got float64", write_ros, [[0.5]], tmp_path / "m.yaml")
+    refused("cell_m must be a number above 0", write_ros, [[0]], tmp_path / "m.yaml", cell_m=0)
+    refused("origin_m must be a finite number", write_ros, [[0]], tmp_path / "m.yaml", origin_m=(math.nan, 0))
+    assert list(tmp_path.iterdir()) == []
+
+
+# --- MovingAI
+
+
+def movingai(path, *rows, header="type octile\nheight {}\nwidth {}\nmap\n"):
+    path.write_text(header.format(len(rows), len(rows[0])) + "\n".join(rows) + "\n")
+    return path
+
+
+def test_movingai_by_pencil(tmp_path):
+    path = movingai(tmp_path / "m.map", ".GS@", "OTW.")
+    world = load_world(path)
+    assert world.occupied[1:-1, 1:-1].tolist() == [[1, 1, 1, 0], [0, 0, 0, 1]]  # the first line is the top
+    assert world.shape == (4, 6)
+    assert load_world(path, cell_m=0.3).shape == (4, 6)  # by default a cell of the map is a cell
+    finer = load_world(f"{path}@0.2")
+    assert np.array_equal(finer.occupied[1:-1, 1:-1], world.occupied[1:-1, 1:-1].repeat(2, 0).repeat(2, 1))
+
+
+def test_movingai_takes_other_line_ends_and_header_orders(tmp_path):
+    (tmp_path / "m.map").write_bytes(b"type octile\r\nwidth 3\r\nheight 2\r\nmap\r\n..@\r\n@..\r\n\r\n")
+    assert load_world(tmp_path / "m.map").occupied[1:-1, 1:-1].tolist() == [[1, 0, 0], [0, 0, 1]]
+
+
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [
+        ("", "is empty"),
+        ("hello\n", "is not a MovingAI map"),
+        ("type octile\nheight 1\nmap\n.\n", "is not a MovingAI map; expected the lines type, height, width and map"),
+        ("type octile\nheight 1\nwidth 1\n", "is not a MovingAI map"),
+        ("height 0\nwidth 1\nmap\n", "height must be an integer from 1, got '0'"),
+        ("height -1\nwidth 1\nmap\n.\n", "height must be an integer from 1, got '-1'"),
+        ("height 1\nwidth x\nmap\n.\n", "width must be an integer from 1, got 'x'"),
+        ("height 1\nwidth\nmap\n.\n", "width must be an integer from 1, got ''"),
+        ("height 2\nwidth 2\nmap\n..\n", "its header says 2 rows, but 1 follow"),
+        ("height 1\nwidth 2\nmap\n..\n..\n", "its header says 1 rows, but 2 follow"),
+        ("height 2\nwidth 2\nmap\n..\n.\n", "line 5 must have 2 characters, it has 1"),
+        ("height 1\nwidth 3\nmap\n.x.\n", "line 4 has 'x'; the characters are .GS and @OTW"),
+        ("height 1\nwidth 1\nmap\né\n", "line 4 has 'é'"),
+        ("height 1\nwidth 2\nmap\n@T\n", "no cell is free"),
+        ("height 5000\nwidth 2\nmap\n..\n", "5000 x 2 cells are more than 4096"),
+        ("height 999999999\nwidth 999999999\nmap\n..\n", "are more than 4096"),
+    ],
+)
+def test_bad_movingai_maps_are_refused(tmp_path, text, line):
+    (tmp_path / "m.map").write_text(text, encoding="utf-8")
+    refused(line, load_world, tmp_path / "m.map")
+
+
+def test_a_size_or_parameter_for_a_movingai_map_is_refused(tmp_path):
+    path = movingai(tmp_path / "m.map", "..")
+    refused(r"takes the metres of one cell after the '@', as in @0.1", load_world, f"{path}@2x2")
+    refused("no parameter 'free'; it takes none", load_world, f"{path}@1:free=3")
+    (tmp_path / "b.map").write_bytes(b"height 1\nwidth 1\nmap\n\xff\n")
+    refused("is not UTF-8 text", load_world, tmp_path / "b.map")
+
+
+# --- HouseExpo
+
+
+def plan(path, verts, rooms=None, **more):
+    """Write a plan with the keys that HouseExpo has."""
+    low, high = np.min(verts, axis=0).tolist(), np.max(verts, axis=0).tolist()
+    keys = {"id": "0", "room_num": 1, "bbox": {"min": low, "max": high}, "verts": verts, "room_category": rooms or {}}
+    path.write_text(json.dumps(keys | more))
+    return path
+
+
+def test_houseexpo_by_pencil(tmp_path):
+    square = [[1.0, 2.0], [1.55, 2.0], [1.55, 2.35], [1.0, 2.35]]
+    world = load_world(plan(tmp_path / "p.json", square))
+    inside = np.ones((4, 6), bool)
+    inside[1:3, 1:5] = False
+    assert np.array_equal(world.occupied, inside)
+    assert world.origin_m == (1.0, 2.0)
+    assert world.rooms is None
+    closed = load_world(plan(tmp_path / "p.json", [*square, square[0]]))
+    assert np.array_equal(closed.occupied, inside)
+    assert np.array_equal(load_world(plan(tmp_path / "p.json", square[::-1])).occupied, inside)
+
+
+def test_houseexpo_rooms_are_the_boxes(tmp_path):
+    rooms = {"Hall": [[0, 0, 1, 0.5]], "Bedroom": [[0.3, 0.0, 0.5, 0.5], [0.9, 0.5, 0.3, 0.3]]}
+    world = load_world(plan(tmp_path / "p.json", [[0, 0], [0.95, 0], [0.95, 0.55], [0, 0.55]], rooms))
+    assert world.shape == (6, 10)
+    # the hall (0) is the largest; boxes 1 (0.10 m2) and 2 (0.12 m2, its corners the other way round) lie over it
+    assert world.rooms.tolist() == [
+        [-1] * 10,
+        [-1, 0, 0, 1, 1, 0, 0, 0, 0, -1],
+        [-1, 0, 0, 1, 1, 0, 0, 0, 0, -1],
+        [-1, 0, 0, 1, 1, 2, 2, 2, 2, -1],
+        [-1, 0, 0, 1, 1, 2, 2, 2, 2, -1],
+        [-1] * 10,
+    ]
+    assert world.rooms.dtype == np.int32
+
+
+def test_houseexpo_of_equal_boxes_the_first_counts(tmp_path):
+    box = [[-1, -1, 2, 2]]
+    world = load_world(plan(tmp_path / "p.json", [[0, 0], [1, 0], [1, 1], [0, 1]], {"A": box, "B": box}))
+    assert set(world.rooms[~world.occupied].tolist()) == {0}
+
+
+def test_houseexpo_keeps_a_wall_that_is_thinner_than_a_cell(tmp_path):
+    """Two rooms beside each other, joined round the end of a slit of 1 cm."""
+    verts = [[0, 0], [2, 0], [2, 2], [1.01, 2], [1.01, 0.5], [1, 0.5], [1, 2], [0, 2]]
+    world = load_world(plan(tmp_path / "p.json", verts), cell_m=0.1)
+    assert world.occupied[5:, 10].all()
+    assert not world.occupied[1:5, 10].any()
+    assert ndimage.label(~world.occupied)[1] == 1
+    assert ndimage.label(~world.occupied[6:])[1] == 2
+
+
+@settings(deadline=None, max_examples=60)
+@given(st.integers(3, 9), st.integers(0, 10**6), st.sampled_from([0.05, 0.1, 0.23]))
+def test_houseexpo_inside_and_outline_agree_with_oracles(n, seed, cell_m):
+    """A star of n points: free cells have their centres inside; points along the outline lie in occupied cells."""
+    rng = np.random.default_rng(seed)
+    angle = np.sort(rng.random(n)) * 2 * np.pi
+    verts = (rng.uniform(0.5, 2, n)[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)).round(3)
+    corners = (verts - verts.min(axis=0)) / cell_m
+    cols, rows = (np.floor(corners.max(axis=0)) + 1).astype(int)
+    outline, inside = houseexpo._outline(corners, (rows, cols)), houseexpo._inside(corners, (rows, cols))
+    y, x = np.indices((rows, cols)).reshape(2, -1) + 0.5
+    expected = points_in_poly(np.stack([x, y], axis=1), corners).reshape(rows, cols)
+    assert np.array_equal(inside | outline, expected | outline)
+    t = np.linspace(0, 1, 200)[:, None]
+    for a, b in zip(corners, np.roll(corners, -1, axis=0)):
+        col, row = np.floor(a + (b - a) * t).astype(int).clip(0, [cols - 1, rows - 1]).T
+        assert outline[row, col].all()
+    occupied = outline | ~inside
+    assert occupied[[0, -1]].all()
+    assert occupied[:, [0, -1]].all()
+
+
+SQUARE = [[0, 0], [2, 0], [2, 2], [0, 2]]
+
+
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [
+        ("", "is empty"),
+        ("{", "is not valid JSON"),
+        ("[" * 100000, "is not valid JSON"),
+        ("[]", "is not a HouseExpo plan; expected an object with the key 'verts'"),
+        ('{"verts": []}', "verts must be at least 3 points"),
+        ('{"verts": [[0, 0], [1, 1]]}', "verts must be at least 3 points .* got 2"),
+        ('{"verts": [[0, 0], [1, 1], [2]]}', "verts must be a list of .metres, metres."),
+        ('{"verts": [[0, 0, 1], [1, 1, 1], [2, 3, 4], [5, 6, 7]]}', "verts must be a list"),
+        ('{"verts": [1, 2, 3]}', "verts must be a list"),
+        ('{"verts": {"a": 1}}', "verts must be a list"),
+        ('{"verts": 7}', "verts must be a list"),
+        ('{"verts": [[0, 0], [1, 1], [2, NaN]]}', "verts must be a list"),
+        ('{"verts": [[0, 0], [1, 1], [2, "a"]]}', "verts must be a list"),
+        ('{"verts": [[0, 0], [1, 0], [2, 1e300]]}', "verts must be a list"),
+        ('{"verts": [[0, 0], [1, 0], [2, 410]]}', "4101 x 21 cells are more than 4096"),
+        ('{"verts": [[0, 0], [0, 0], [0, 0]]}', "encloses no free cell at cell_m = 0.1"),
+        ('{"verts": [[0, 0], [0.15, 0], [0, 0.15]]}', "encloses no free cell"),
+        (json.dumps({"verts": SQUARE, "room_category": [1]}), "room_category must map names to lists of boxes"),
+        (json.dumps({"verts": SQUARE, "room_category": {"A": [1, 2, 3, 4]}}), "room_category 'A' must be a list"),
+        (json.dumps({"verts": SQUARE, "room_category": {"A": [[1, 2, 3]]}}), "room_category 'A' must be a list"),
+    ],
+)
+def test_bad_plans_are_refused(tmp_path, text, line):
+    (tmp_path / "p.json").write_text(text)
+    refused(line, load_world, tmp_path / "p.json")
+
+
+def test_a_scale_for_a_plan_is_refused(tmp_path):
+    path = plan(tmp_path / "p.json", SQUARE)
+    refused("a HouseExpo file has its own scale", load_world, f"{path}@0.1")
+    refused("no parameter 'free'; it takes none", load_world, f"{path}:free=1")
+
+
+# --- real maps
+
+
+@real_maps
+@pytest.mark.parametrize(
+    ("name", "shape", "component_m2"),
+    [
+        ("stage/cave_filled.png@16x16", (162, 162), 195.5),
+        ("stage/hospital_section.png@49.3x20.1", (203, 495), 689),
+        ("stage/hospital_section.png@40x18", (182, 402), 502),
+        ("avz/avz5floor_open.yaml", (241, 449), 330),
+        ("avz/avz5floor_closed.yaml", (239, 452), 193),
+        ("radish/intel.png@0.05", (424, 444), 513),
+    ],
+)
+def test_real_maps_have_their_size_and_nearly_their_free_area(name, shape, component_m2):
+    """Free areas are known at the maps' own resolutions; walls of whole cells make them smaller, by a fifth at most."""
+    world = load_world(f"{MAPS / name}")
+    assert world.shape == shape
+    labels, _ = ndimage.label(~world.occupied)
+    free_m2 = np.bincount(labels.ravel())[1:].max() * world.cell_m**2
+    assert 0.8 * component_m2 < free_m2 < component_m2
+    assert start_region(world, 0.3).sum() * world.cell_m**2 > 0.5 * free_m2
+
+
+@real_maps
+def test_the_hospital_does_not_leak_at_its_own_resolution():
+    """At 0.05 m cells are a little larger than the pixels of 0.0454 m; scattered pixel centres left gaps."""
+    pixels = np.asarray(Image.open(MAPS / "stage/hospital.png"))[::-1]
+    regions, _ = ndimage.label(pixels >= 250)
+    world = load_world(f"{MAPS / 'stage/hospital.png'}@0.0454", cell_m=0.05)
+    cells, _ = ndimage.label(~world.occupied)
+    row, col = (int((n + 0.5) * 0.0454 / 0.05) + 1 for n in (1189 - 1 - 890, 1340))  # one more for the ring
+    inside = np.argwhere(cells == cells[row, col]) - 1
+    assert cells[row, col] > 0
+    under = np.minimum(((inside + 0.5) * 0.05 / 0.0454).astype(int), (1188, 3116))
+    assert set(regions[under[:, 0], under[:, 1]].tolist()) == {int(regions[1189 - 1 - 890, 1340])}
+
+
+@real_maps
+@pytest.mark.parametrize("name", ["1", "614", "easy_1", "img_1248", "img_1671", "img_2094"])
+def test_dungeons_have_their_start(name):
+    path = MAPS / "dungeon" / f"{name}.png"
+    world = load_world(f"{path}@0.1:free=150")
+    assert world.shape == (480, 640)
+    row, col, _ = check_start(world, world.start, 0.3)
+    assert np.asarray(Image.open(path))[479 - row, col].tolist() == [255, 216, 0, 255]
+    refused("the brightest opaque grey is 203", load_world, f"{path}@0.1")
+
+
+@real_maps
+def test_movingai_maps_keep_their_rooms():
+    world = load_world(MAPS / "movingai" / "maze512-32-0.map")
+    assert world.shape == (514, 514)
+    assert ndimage.label(~world.occupied)[1] == 1
+
+
+@real_maps
+def test_a_real_ros_map_that_names_an_absent_image_is_refused():
+    refused(
+        "its image cannot be read: '.*map.pgm': there is no such file", load_world, MAPS / "ros/turtlebot3_world.yaml"
+    )

@@ -1,0 +1,292 @@
+"""Scores of room segmentations: by hand, against literal loops, by laws, and on bad input."""
+
+import itertools
+import math
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+from PIL import Image
+
+from jexplore.config import InputError
+from jexplore.studies.room_scores import AGREEMENT, regions_of, rooms_of, score
+
+SHAPES = hnp.array_shapes(min_dims=2, max_dims=2, min_side=1, max_side=6)
+LABELS = st.integers(-1, 3)
+
+
+@st.composite
+def pairs(draw):
+    """Ground truth and segmentation of one map, up to four regions each, in any number of parts."""
+    shape = draw(SHAPES)
+    return draw(hnp.arrays(np.int64, shape, elements=LABELS)), draw(hnp.arrays(np.int64, shape, elements=LABELS))
+
+
+def image(text):
+    """Labels from rows of digits; a point is -1."""
+    return np.array([[-1 if mark == "." else int(mark) for mark in row] for row in text.split()])
+
+
+def entropy(*shares):
+    return -sum(share * math.log2(share) for share in shares)
+
+
+def test_rooms_by_hand():
+    free = image("1.11 1.1. .1.1 11.1") == 1  # touching at a corner does not connect
+    np.testing.assert_array_equal(rooms_of(free, min_px=0), image("0.11 0.1. .2.3 22.3"))
+    np.testing.assert_array_equal(rooms_of(free, min_px=2), image("..00 ..0. .1.. 11.."))  # 2 pixels are dropped
+    assert rooms_of(free).dtype == np.int32
+
+
+def test_rooms_of_100_pixels_are_dropped():
+    free = np.zeros((12, 25), dtype=bool)
+    free[:10, :10] = free[:10, 12:22] = True
+    free[10, 12] = True
+    assert rooms_of(free).max() == 0
+    assert (rooms_of(free) == 0).sum() == 101
+
+
+def test_regions_by_hand():
+    labels, free = image("77.. 22.. 77.5"), image("11.1 1111 .1.1") > 0
+    # 7 is one region in two parts, less the pixel that is not free; so is the bare patch at the right; 5 stays
+    np.testing.assert_array_equal(regions_of(labels, free, min_px=0), image("00.1 2211 .0.3"))
+    np.testing.assert_array_equal(regions_of(labels, free, min_px=2), image("00.1 ..11 .0.."))
+
+
+def test_bare_patches_are_regions_of_their_own():
+    free = np.ones((3, 5), dtype=bool)
+    np.testing.assert_array_equal(regions_of(image("..4.. ..4.. ..4.."), free, min_px=0), image("00122 00122 00122"))
+
+
+def test_score_by_hand():
+    found = score(image("000111 000111"), image("00111. 001112"))
+    # Overlaps, with regions down and rooms across; sizes are 4, 6, 1 and 6, 6; 11 pixels have both labels.
+    #   4 0
+    #   2 4
+    #   0 1
+    # Matched: 0 with 0: tp 4, fp 0, fn 2, tn 5; 1 with 1: tp 4, fp 2, fn 2, tn 3; 2 with none.
+    assert found == {
+        "mcc": pytest.approx((20 / math.sqrt(4 * 6 * 5 * 7) + (12 - 4) / math.sqrt(6 * 6 * 5 * 5)) / 3),
+        "precision_room": pytest.approx((1 + 4 / 6 + 1) / 3),
+        "recall_room": pytest.approx((4 / 6 + 4 / 6) / 2),
+        "precision_pixel": pytest.approx((4 + 4 + 1) / 11),
+        "recall_pixel": pytest.approx((4 + 4) / 12),
+        "iou_predicted": pytest.approx((4 / 6 + 4 / 8 + 1 / 6) / 3),
+        "iou_truth": pytest.approx((4 / 6 + 4 / 8) / 2),
+        "rooms": 3,
+        "rooms_truth": 2,
+        "room_count_error": 1,
+        # which region, given a room: 4 to 2 of 6 pixels, 4 to 1 of 5; which room, given a region: 2 to 4 of 6
+        "variation_of_information": pytest.approx((12 * entropy(1 / 3, 2 / 3) + 5 * entropy(1 / 5, 4 / 5)) / 11),
+    }
+    kinds = {type(found[name]) for name in ("rooms", "rooms_truth", "room_count_error")}
+    assert (kinds, {type(found[name]) for name in (*AGREEMENT, "variation_of_information")}) == ({int}, {float})
+
+
+def test_matching_is_of_largest_overlap():
+    # Region 0 has 3 pixels of room 0 and 2 of room 1, region 1 has 2 pixels of room 0: the best pair first would give
+    # 3 and nothing, the best matching is 2 + 2. 0 with 1: tp 2, fp 3, fn 0, tn 2; 1 with 0: tp 2, fp 0, fn 3, tn 2.
+    found = score(image("0000011"), image("0001100"))
+    assert found["mcc"] == pytest.approx(2 * 4 / math.sqrt(5 * 2 * 5 * 2) / 2)
+
+
+@pytest.mark.parametrize("way", [slice(None), slice(None, None, -1)])
+def test_equal_overlaps_are_matched_by_correlation(way):
+    # Room 0 has 2 pixels of either region. tp 2, fp 0, fn 2, tn 2: 4 / sqrt(2 4 2 4) = 1/2; the other has one pixel
+    # outside, fp 1, tn 1: 0. The second room is found exactly: 1.
+    found = score(image("0000.11")[:, way], image("1100022")[:, way])
+    assert found["mcc"] == pytest.approx((1 / 2 + 1) / 3)
+
+
+def test_a_matched_pair_must_overlap():
+    # 0 is found, the other region lies where no room is; tp 0 against the other room would count below zero.
+    assert score(image("001.1"), image("00.1."))["mcc"] == pytest.approx(0.5)
+
+
+def test_negatives_are_not_below_zero():
+    # tp 1, fp 1, fn 2 of 1 pixel with both labels: tn is 0, not -3
+    assert score(image("000."), image("..00"))["mcc"] == pytest.approx(-2 / math.sqrt(2 * 3 * 1 * 2))
+
+
+def test_one_room_in_two_halves_has_no_correlation():
+    # tp 2, fp 0, fn 2, tn 0: 0 / 0, and the pair is not identical
+    assert score(image("0000"), image("0011"))["mcc"] == 0.0
+
+
+@pytest.mark.parametrize(("truth", "predicted", "value"), [("..", "..", 1.0), ("00", "..", 0.0), ("..", "01", 0.0)])
+def test_no_rooms(truth, predicted, value):
+    found = score(image(truth), image(predicted))
+    assert [found[name] for name in AGREEMENT] == [value] * len(AGREEMENT)
+    assert found["variation_of_information"] == 0.0
+    assert found["room_count_error"] == found["rooms"] - found["rooms_truth"]
+
+
+def test_labels_that_never_meet():
+    found = score(image("00.."), image("..00"))
+    assert [found[name] for name in AGREEMENT] == [0.0] * len(AGREEMENT)
+    assert found["variation_of_information"] == 0.0
+
+
+def correlation(tp, fp, fn, tn):
+    below = math.sqrt((tp + fp) * (tp + fn) * (tn + fp) * (tn + fn))
+    if below == 0:
+        return 1.0 if fp == fn == 0 else 0.0
+    return (tp * tn - fp * fn) / below
+
+
+def literal(truth, predicted):
+    """Every score from sets of pixels, each matching tried."""
+    pixels = [
+        [
+            {(r, c) for r, c in np.ndindex(labels.shape) if labels[r, c] == value}
+            for value in sorted(set(labels.flat) - {-1})
+        ]
+        for labels in (predicted, truth)
+    ]
+    regions, rooms = pixels
+    n_both = sum(len(s & g) for s in regions for g in rooms)
+    matchings = []
+    few, many = sorted((regions, rooms), key=len)
+    for chosen in itertools.permutations(many, len(few)):
+        total, value = 0, 0.0
+        for s, g in zip(few, chosen):
+            tp, fp, fn = len(s & g), len(s - g), len(g - s)
+            if tp:
+                total, value = total + tp, value + correlation(tp, fp, fn, max(n_both - tp - fp - fn, 0))
+        matchings.append((total, value))
+    inside = [max(len(s & g) for g in rooms) for s in regions]
+    covered = [max(len(s & g) for s in regions) for g in rooms]
+    vi = 0.0
+    for s in regions:
+        for g in rooms:
+            p = len(s & g) / max(n_both, 1)
+            p_s, p_g = (
+                sum(len(one & other) for other in of) / max(n_both, 1) for one, of in ((s, rooms), (g, regions))
+            )
+            if p > 0:
+                vi -= p * (math.log2(p / p_s) + math.log2(p / p_g))
+    return {
+        "mcc": max(matchings)[1] / max(len(regions), len(rooms)),
+        "precision_room": np.mean([i / len(s) for i, s in zip(inside, regions)]),
+        "recall_room": np.mean([i / len(g) for i, g in zip(covered, rooms)]),
+        "precision_pixel": sum(inside) / sum(map(len, regions)),
+        "recall_pixel": sum(covered) / sum(map(len, rooms)),
+        "iou_predicted": np.mean([max(len(s & g) / len(s | g) for g in rooms) for s in regions]),
+        "iou_truth": np.mean([max(len(s & g) / len(s | g) for s in regions) for g in rooms]),
+        "rooms": len(regions),
+        "rooms_truth": len(rooms),
+        "room_count_error": len(regions) - len(rooms),
+        "variation_of_information": vi,
+    }
+
+
+@given(pairs())
+def test_score_is_the_literal_one(pair):
+    truth, predicted = pair
+    if (truth >= 0).any() and (predicted >= 0).any():
+        assert score(truth, predicted) == pytest.approx(literal(truth, predicted), abs=1e-8)
+
+
+@settings(max_examples=50)
+@given(hnp.arrays(np.int64, SHAPES, elements=LABELS), st.data())
+def test_regions_are_the_literal_ones(labels, data):
+    free = data.draw(hnp.arrays(bool, labels.shape))
+    min_px = data.draw(st.integers(0, 3))
+    regions, left = {}, {(r, c) for r, c in np.ndindex(free.shape) if free[r, c]}
+    while left:
+        seed = min(left)
+        if labels[seed] >= 0:
+            part = {at for at in left if labels[at] == labels[seed]}
+        else:
+            part, edge = {seed}, [seed]
+            while edge:
+                r, c = edge.pop()
+                near = {(r + 1, c), (r - 1, c), (r, c + 1), (r, c - 1)} & left - part
+                near = {at for at in near if labels[at] < 0}
+                part, edge = part | near, edge + sorted(near)
+        left -= part
+        if len(part) > min_px:
+            regions |= dict.fromkeys(part, len(set(regions.values())))
+    want = np.full(labels.shape, -1)
+    for at, number in regions.items():
+        want[at] = number
+    np.testing.assert_array_equal(regions_of(labels, free, min_px=min_px), want)
+    np.testing.assert_array_equal(
+        rooms_of(free, min_px=min_px), regions_of(np.full(labels.shape, -1), free, min_px=min_px)
+    )
+
+
+@given(pairs())
+def test_scores_are_within_bounds(pair):
+    found = score(*pair)
+    assert -1.0 <= found["mcc"] <= 1.0
+    assert all(0.0 <= found[name] <= 1.0 for name in AGREEMENT if name != "mcc")
+    assert 0.0 <= found["variation_of_information"] <= 4.0  # at most log2 4 either way
+
+
+@given(pairs(), st.permutations(range(4)), st.permutations(range(4)))
+def test_names_of_labels_do_not_matter(pair, names, names_truth):
+    truth, predicted = pair
+    renamed = [
+        np.where(labels < 0, -7, 10 * np.array(to)[labels]) for labels, to in ((truth, names_truth), (predicted, names))
+    ]
+    assert score(*renamed) == score(truth, predicted)
+
+
+@given(pairs())
+def test_a_turned_map_has_the_same_scores(pair):
+    turned = score(*(np.rot90(labels) for labels in pair))
+    assert turned == pytest.approx(score(*pair), abs=1e-12)
+
+
+@given(pairs())
+def test_swapping_the_sides_swaps_the_scores(pair):
+    truth, predicted = pair
+    there, back = score(truth, predicted), score(predicted, truth)
+    for name, other in (("precision_room", "recall_room"), ("precision_pixel", "recall_pixel")):
+        assert (there[name], there[other]) == (back[other], back[name])
+    assert there["iou_predicted"] == back["iou_truth"]
+    assert there["mcc"] == pytest.approx(back["mcc"], abs=1e-12)
+    assert there["variation_of_information"] == pytest.approx(back["variation_of_information"], abs=1e-12)
+
+
+@given(hnp.arrays(np.int64, SHAPES, elements=LABELS))
+def test_a_perfect_segmentation(truth):
+    found = score(truth, truth)
+    assert [found[name] for name in AGREEMENT] == [1.0] * len(AGREEMENT)
+    assert (found["room_count_error"], found["variation_of_information"]) == (0, 0.0)
+
+
+@given(pairs())
+def test_the_trap_of_one_sided_scores(pair):
+    truth, cut = pair
+    truth = np.maximum(truth, 0)
+    pieces = score(truth, 5 * truth + cut + 1)
+    assert (pieces["precision_room"], pieces["precision_pixel"]) == (1.0, 1.0)
+    whole = score(truth, np.zeros_like(truth))
+    assert (whole["recall_room"], whole["recall_pixel"], whole["rooms"]) == (1.0, 1.0, 1)
+    if whole["rooms_truth"] > 1:
+        assert whole["mcc"] == 0.0  # tn and fn are 0
+
+
+def test_wrong_sizes_are_refused():
+    with pytest.raises(InputError, match=r"the segmentation must be as large .* 4 x 3 pixels, got 3 x 4$"):
+        score(np.zeros((3, 4), int), np.zeros((4, 3), int))
+    with pytest.raises(InputError, match=r"the labels must be as large as the free mask, 2 x 1 pixels, got 2$"):
+        regions_of(np.zeros(2, int), np.zeros((1, 2), bool))
+
+
+def test_real_ground_truth(maps):
+    free = np.asarray(Image.open(maps / "ipa" / "office_b_gt_segmentation.png").convert("L")) >= 250
+    truth = rooms_of(free)
+    found = score(truth, regions_of(truth, free))
+    assert (truth.max() + 1, found["rooms"], found["mcc"]) == (30, 30, 1.0)
+
+
+def test_import_loads_no_jax():
+    code = "import sys, jexplore.scores; sys.exit('jax' in sys.modules)"
+    subprocess.run([sys.executable, "-c", code], check=True)

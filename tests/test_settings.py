@@ -1,0 +1,130 @@
+"""Thresholds, noise and robots out of range are refused in one line that names the number."""
+
+import dataclasses
+import math
+import subprocess
+import sys
+
+import pytest
+
+from jexplore.config import InputError
+from jexplore.driving.settings import ROBOTS, Noise, Tuning, require_noise, require_robot, require_tuning
+
+KAMUI = ROBOTS["kamui"]
+
+
+def of_tuning(**values):
+    require_tuning(dataclasses.replace(Tuning(), **values))
+
+
+def of_noise(**values):
+    require_noise(dataclasses.replace(Noise(), **values))
+
+
+def of_robot(**values):
+    require_robot(dataclasses.replace(KAMUI, **values))
+
+
+CHECKS = {"tuning": of_tuning, "noise": of_noise, "robot": of_robot}
+
+# Name -> (outside, least, largest, outside); `ABOVE` where the bound itself is outside.
+ABOVE = 1e-9
+LEAST, MOST = 1e-6, 1000 * (1 + ABOVE)
+BOUNDS = {
+    "tuning.near_m": (-ABOVE, 0, 3.9, 4.0),
+    "tuning.far_m": (0.3, 0.31, 1000, MOST),
+    "tuning.width_m": (0, LEAST, 2.4, 2.5),
+    "tuning.ahead_m": (0, LEAST, 1000, MOST),
+    "tuning.region_m": (0, LEAST, 1000, MOST),
+    "tuning.open_m": (0.39, 0.4, 1000, MOST),
+    "tuning.dead_end_m": (0, LEAST, 1000, MOST),
+    "tuning.arrive_m": (0, LEAST, 2.4, 2.5),
+    "tuning.leave_m": (-ABOVE, 0, 1000, MOST),
+    "tuning.circle": (1, 1.001, 3, 3.001),
+    "tuning.obtuse_tol_deg": (-ABOVE, 0, 89.9, 90),
+    "tuning.votes": (0, 1, 9, 10),
+    "tuning.same_m": (0, LEAST, 1000, MOST),
+    "tuning.variance_max_m2": (-ABOVE, 0, 1000, MOST),
+    "tuning.inclination_deg": (0.99, 1, 45, 45.1),
+    "tuning.speed_m_s": (0, LEAST, 1000, MOST),
+    "tuning.turn_gain": (0, LEAST, 1000, MOST),
+    "noise.range_m": (-ABOVE, 0, 1, 1.01),
+    "noise.invalid": (-ABOVE, 0, 1, 1.01),
+    "noise.attitude_deg": (-ABOVE, 0, 10, 10.01),
+    "noise.odometry": (-ABOVE, 0, 0.5, 0.501),
+    "noise.heading_deg_sqrt_m": (-ABOVE, 0, 45, 45.1),
+    "noise.slip": (-ABOVE, 0, 0.5, 0.501),
+    "robot.length_m": (0, LEAST, 10, 10.01),
+    "robot.width_m": (0, LEAST, 10, 10.01),
+    "robot.height_m": (0, LEAST, 10, 10.01),
+    "robot.max_slope_deg": (-ABOVE, 0, 60, 60.1),
+    "robot.max_step_m": (-ABOVE, 0, 1, 1.01),
+    "robot.max_speed_m_s": (0, LEAST, 10, 10.01),
+    "robot.max_turn_rad_s": (0, LEAST, 10, 10.01),
+    "robot.scanner_height_m": (0, LEAST, 10, 10.01),
+    "robot.scanner_x_m": (-5.01, -5, 5, 5.01),
+    "robot.scanner_angle_deg": (9.9, 10, 75, 75.1),
+}
+
+
+def test_every_number_has_bounds():
+    fields = [
+        f"{part}.{field.name}"
+        for part, kind in (("tuning", Tuning), ("noise", Noise), ("robot", type(KAMUI)))
+        for field in dataclasses.fields(kind)
+    ]
+    assert set(fields) == {*BOUNDS, "robot.name"}
+
+
+@pytest.mark.parametrize("name", BOUNDS)
+def test_bounds(name):
+    part, field = name.split(".")
+    below, least, largest, above = BOUNDS[name]
+    for value in (least, largest):
+        CHECKS[part](**{field: value})
+    for value in (below, above, math.nan, math.inf, -math.inf, "1", None, True):
+        with pytest.raises(InputError) as refused:
+            CHECKS[part](**{field: value})
+        message = str(refused.value)
+        assert name in message
+        assert "\n" not in message
+
+
+def test_messages_by_hand():
+    for refuse, message in (
+        (lambda: of_tuning(votes=10), "tuning.votes must be an integer from 1 to 9, got 10"),
+        (lambda: of_tuning(votes=2.5), "tuning.votes must be an integer from 1 to 9, got 2.5"),
+        (lambda: of_tuning(circle=1), "tuning.circle must be a number above 1 and at most 3, got 1"),
+        (lambda: of_noise(slip=0.6), "noise.slip must be a number at least 0 and at most 0.5, got 0.6"),
+        (lambda: of_robot(width_m=0), "robot.width_m must be a number above 0 and at most 10, got 0"),
+    ):
+        with pytest.raises(InputError) as refused:
+            refuse()
+        assert str(refused.value) == message
+
+
+@pytest.mark.parametrize(("low", "high"), [("near_m", "far_m"), ("width_m", "open_m"), ("arrive_m", "open_m")])
+@pytest.mark.parametrize("more", [0, 0.5])
+def test_thresholds_that_contradict_each_other(low, high, more):
+    with pytest.raises(InputError) as refused:
+        of_tuning(**{low: 3 + more, high: 3})
+    assert str(refused.value) == f"tuning.{low} must be less than tuning.{high}, got {3 + more:g} and 3"
+
+
+def test_what_comes_with_the_package_passes():
+    require_tuning(Tuning())
+    require_noise(Noise())
+    for name, robot in ROBOTS.items():
+        require_robot(robot)
+        assert robot.name == name
+
+
+def test_kamui_is_the_one_of_the_paper():
+    assert (KAMUI.length_m, KAMUI.width_m, KAMUI.height_m, KAMUI.max_slope_deg) == (0.70, 0.39, 0.74, 45)
+    assert KAMUI.max_speed_m_s * 3.6 == pytest.approx(7)
+    assert Tuning().width_m == Tuning().dead_end_m == KAMUI.width_m
+
+
+def test_settings_load_no_jax():
+    code = "import sys, jexplore.driving.settings; assert not {'jax', 'numpy'} & set(sys.modules)"
+    subprocess.run([sys.executable, "-c", code], check=True)

@@ -1,0 +1,137 @@
+"""`jexplore trace`: what it writes, what it says, what it refuses."""
+
+import json
+
+import pandas as pd
+import pytest
+from PIL import Image
+
+from jexplore.cli import main
+from jexplore.driving import batch
+from jexplore.report import trace_tables
+from jexplore.studies import trace_extraction, tracing
+from jexplore.tracemap import json_form
+from jexplore.tracemap.record import BtmMap, Link, Node
+from jexplore.tracemap.similarity import code
+
+
+@pytest.fixture(scope="module")
+def ran(tmp_path_factory, jit_on):
+    """The folder of a sweep of two settings with two runs of each, and its page."""
+    out = tmp_path_factory.mktemp("runs") / "new"
+    with jit_on():
+        options = ("--noise-m", "0.01", "--runs", "2", "--sweep", "votes=5,1", "--seed", "3", "--animate")
+        assert main.main(["trace", *options, "--out", str(out)]) == 0
+    return out
+
+
+def test_files(ran):
+    names = ["btm.geojson", "btm.graphml", "btm.html", "btm.json", "btm.png", "run.json", "runs.parquet"]
+    assert sorted(path.name for path in ran.iterdir()) == names
+    found = json_form.read_btm(ran / "btm.json")
+    assert [node.type[0] for node in found.nodes] == list("tooodffdt")
+    table = pd.read_parquet(ran / "runs.parquet")
+    assert table["setting"].tolist() == [0, 0, 1, 1]
+    assert table["run"].tolist() == [0, 1, 0, 1]
+    assert table["votes"].tolist() == [5, 5, 1, 1]
+    assert table["code"][0] == code(found)
+    assert table["outcome"][0] == "GOAL"
+    record = json.loads((ran / "run.json").read_text())
+    assert record["command"][:2] == ["jexplore", "trace"]
+    assert record["configuration"]["noise_m"] == 0.01
+    assert record["runs_per_s"] > 0
+    with Image.open(ran / "btm.png") as image:
+        assert min(image.size) > 300
+    route = json.loads((ran / "btm.geojson").read_text())
+    assert sum(f["geometry"]["type"] == "Point" for f in route["features"]) == len(found.nodes)
+
+
+def test_the_page_shows_the_run_that_was_made(ran):
+    page = (ran / "btm.html").read_text(encoding="utf-8")
+    assert "kamui in course" in page
+    assert "branch selection" in page
+    assert len(page) > 200_000
+
+
+def test_what_it_says(ran):
+    said = trace_tables.tables(json_form.read_btm(ran / "btm.json")).splitlines()
+    assert [cell.strip() for cell in said[0].split("|")[1:4]] == ["node", "x m", "y m"]
+    assert sum("divergence" in line for line in said) == 2
+    assert sum("| un-searched |" in line for line in said) == 2
+    assert len({len(line) for line in said[:11]}) == 1
+
+
+@pytest.mark.jit
+def test_a_map_from_an_episode(tmp_path, capsys):
+    assert main.main(["trace", "--from-episode", "--world", "course", "--out", str(tmp_path / "e")]) == 0
+    said = capsys.readouterr().out
+    assert "true divergences found, within 2 cells and of their degree: 2 of 2; " in said
+    found = json_form.read_btm(tmp_path / "e" / "btm.json")
+    assert found.nodes[0].type == "terminal"
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        (("--robot", "tank"), "robot must be one of kamui, wheeled, got 'tank'"),
+        (("--world", "curse"), "there is no world 'curse'"),
+        (("--runs", "0"), "runs must be an integer from 1"),
+        (("--runs", "x"), "--runs must be an integer"),
+        (("--noise-m", "-1"), "noise.range_m must be a number at least 0"),
+        (("--noise-m", "nan"), "noise.range_m must be a number at least 0"),
+        (("--tuning.near-m", "5"), "tuning.near_m must be less than tuning.far_m, got 5 and 4"),
+        (("--tuning.votes", "0"), "tuning.votes must be an integer from 1 to 9"),
+        (("--start", "0.1", "0.1", "0"), "lies in a wall"),
+        (("--start", "2.5", "27"), "--start must be three numbers, got ['2.5', '27']"),
+        (("--start", "2.5", "27", "east"), "--start must be three numbers, got ['2.5', '27', 'east']"),
+        (("--start", "2.5", "27", "nan"), "start heading must be a number"),
+        (("--robot", "kamui:width_m=3"), "does not fit there"),
+        (("--sweep", "voices=3"), "sweep must be NAME="),
+        (("--sweep", "circle=0.2,1.5"), "tuning.circle"),
+        (("--from-episode", "--strategy", "nearest"), "strategy"),
+        (("--from-episode", "--runs", "3"), "--from-episode takes no --runs"),
+        (("--from-episode", "--robot", "wheeled"), "--from-episode takes no --robot"),
+        (("--strategy", "random"), "--strategy goes with --from-episode"),
+        (("--world", "course:obstacle=river"), "obstacle must be one of"),
+    ],
+)
+def test_what_is_refused(options, says, capsys, tmp_path, monkeypatch):
+    monkeypatch.setattr(batch, "run", lambda *_, **__: pytest.fail("it began"))
+    assert main.main(["trace", *options, "--out", str(tmp_path / "new")]) == 2
+    said = capsys.readouterr()
+    assert says in said.err
+    assert said.err.count("\n") == 1
+    assert said.out == ""
+    assert not (tmp_path / "new").exists()
+
+
+@pytest.mark.jit
+def test_an_interruption_keeps_what_is_finished(tmp_path, capsys):
+    calls = []
+
+    def interrupt(done):
+        calls.append(done)
+        if len(calls) == 2:
+            raise KeyboardInterrupt
+
+    plan = tracing.prepare("course", runs=40, seed=3)
+    found = tracing.execute(plan, workers=1, on_progress=interrupt)
+    assert found.report.interrupted
+    assert 1 <= len(found.table) < 40
+    assert found.table["run"].tolist() == list(range(len(found.table)))
+    assert set(found.table["outcome"]) == {"GOAL"}
+
+
+def test_divergences_are_matched_by_place_and_degree():
+    def at(number, x, links):
+        return Node(number, x, 0.0, "divergence"), [Link(0, number, -1, "un-searched", b) for b in range(links)]
+
+    def whole(*parts):
+        links = [link for _, own in parts for link in own]
+        return BtmMap(tuple(node for node, _ in parts), tuple(Link(i, k.start, -1, k.status, k.start_bearing_deg)
+                                                              for i, k in enumerate(links)))  # fmt: skip
+
+    true = whole(at(0, 0.0, 3), at(1, 5.0, 2))
+    assert trace_extraction.matched(whole(at(0, 0.15, 3), at(1, 5.0, 3)), true, 0.1) == (1, 2, 2)
+    assert trace_extraction.matched(whole(at(0, 0.25, 3)), true, 0.1) == (0, 1, 2)
+    assert trace_extraction.matched(true, true, 0.1) == (2, 2, 2)
