@@ -24,22 +24,29 @@ WINDOWS = (64, 128)  # sides of the windows that are searched first, cells
 
 
 @struct.dataclass
+class MapModel:
+    """By what a robot tells from counts what is free, clear and near, and which form of the kernels does so."""
+
+    p_free: Array  # float32, largest reflection probability of a free cell
+    near_d2: Array  # int32, cells^2, free cells this near to the robot are traversable
+    cell_m: Array  # float32, edge of a cell, metres
+    clearance_d2: int = struct.field(pytree_node=False)  # cells^2, a clear cell has no occupied one this near
+    reach: str = struct.field(pytree_node=False, default="sweeps")  # one of `reach.METHODS`
+    scan: str = struct.field(pytree_node=False, default="blocks")  # one of `raycast.METHODS`
+
+
+@struct.dataclass
 class Belief:
-    """What the robot knows, and the numbers by which it judges that."""
+    """What the robot knows: its map, and where it believes to be in it."""
 
     grid: Grid  # [H, W]
     driven: Array  # [H, W] bool, cells stood on, and those beside each diagonal step
     exhausted: Array  # [H, W] bool, targets that stayed live however much they were looked at
-    row: Array  # int32, the robot's cell
+    row: Array  # int32, the robot's cell, as estimated
     col: Array  # int32
-    heading: Array  # int32, units of 45 degrees
+    heading: Array  # int32, units of 45 degrees, likewise
     extent: Array  # [2] int32, height and width of the world without padding
-    p_free: Array  # float32
-    near_d2: Array  # int32, cells^2
-    cell_m: Array  # float32, edge of a cell, metres
-    clearance_d2: int = struct.field(pytree_node=False)  # cells^2
-    reach: str = struct.field(pytree_node=False, default="sweeps")  # one of `reach.METHODS`
-    scan: str = struct.field(pytree_node=False, default="blocks")  # one of `raycast.METHODS`
+    model: MapModel
 
 
 @struct.dataclass
@@ -74,7 +81,7 @@ def _masks(belief, origin=(0, 0)):
     inside = (rows < belief.extent[0]) & (cols < belief.extent[1])
     return plan_masks(
         belief.grid, belief.driven, belief.exhausted, inside, belief.row - origin[0], belief.col - origin[1],
-        p_free=belief.p_free, near_d2=belief.near_d2, clearance_d2=belief.clearance_d2,
+        p_free=belief.model.p_free, near_d2=belief.model.near_d2, clearance_d2=belief.model.clearance_d2,
     )  # fmt: skip
 
 
@@ -95,7 +102,7 @@ def field(belief, *, nearest_only=False):
     masks = _masks(belief)
     traversable, frontier = bits.unpack(masks.traversable), bits.unpack(masks.frontier)
     cost = reach_packed(
-        masks.traversable, belief.row, belief.col, frontier if nearest_only else None, method=belief.reach
+        masks.traversable, belief.row, belief.col, frontier if nearest_only else None, method=belief.model.reach
     )
     return Field(traversable[:height], cost[:height], (frontier & (cost < FAR))[:height])
 
@@ -123,7 +130,7 @@ def choose(belief, route, known, row, col):
     none = row < 0
     start = (belief.row, belief.col)
     target = (jnp.where(none, belief.row, row), jnp.where(none, belief.col, col))
-    route = lay_route(route, known.cost, known.traversable, start, target, (0, 0), stride=STRIDES[belief.reach])
+    route = lay_route(route, known.cost, known.traversable, start, target, (0, 0), stride=STRIDES[belief.model.reach])
     cost = jnp.where(none, FAR, known.cost[target])
 
     # Only beside cells whose cost hardly fits can there be some whose cost does not.
@@ -146,7 +153,9 @@ def _nearest_in_window(belief, route, side):
 
     Windows are as wide as a power of two, because flat indices are then cheap to take apart.
     """
-    halo = math.isqrt(belief.clearance_d2) + 1  # what decides about a cell of the window may lie this far outside it
+    halo = (
+        math.isqrt(belief.model.clearance_d2) + 1
+    )  # what decides about a cell of the window may lie this far outside it
     radius = side // 2 - halo - 1
     shape = tuple(min(n, side) for n in belief.driven.shape)
     origin = tuple(
@@ -170,13 +179,13 @@ def _nearest_in_window(belief, route, side):
     # Every path that leaves the window costs more than `radius` straight steps: what costs no more is final.
     bound = radius * STRAIGHT
     limit = jnp.where(count((masks.frontier & central) != 0) > 0, bound, -1)  # nothing to look for: not at all
-    cost = reach_packed(words, row, col, frontier, limit=limit, method=belief.reach)
+    cost = reach_packed(words, row, col, frontier, limit=limit, method=belief.model.reach)
     best = lowest(jnp.where(frontier, cost, FAR))
     decided = best <= bound
     at_row, at_col = first_at(frontier & (cost == best))
     target = (jnp.where(decided, at_row + origin[0], belief.row), jnp.where(decided, at_col + origin[1], belief.col))
     start = (belief.row, belief.col)
-    route = lay_route(route, cost, bits.unpack(words), start, target, origin, stride=STRIDES[belief.reach])
+    route = lay_route(route, cost, bits.unpack(words), start, target, origin, stride=STRIDES[belief.model.reach])
     return ~decided, Choice(target[0], target[1], best, jnp.int32(0)), route
 
 
@@ -197,7 +206,7 @@ def nearest_frontier(belief, route):
     state = (jnp.bool_(True), Choice(none, none, jnp.int32(FAR), jnp.int32(0)), route)
     for side in WINDOWS:
         # A window must be larger than the clearance, and pays only where the whole map is much more work.
-        if side > 4 * math.isqrt(belief.clearance_d2) and 2 * side <= max(route.shape):
+        if side > 4 * math.isqrt(belief.model.clearance_d2) and 2 * side <= max(route.shape):
 
             def search(state, side=side):
                 return _nearest_in_window(belief, state[2], side)

@@ -62,8 +62,8 @@ def oracle(belief):
     hits, misses = np.asarray(belief.grid.hits), np.asarray(belief.grid.misses)
     known, free, occupied = plans.classify(hits, misses)
     at = int(belief.row), int(belief.col)
-    d2 = belief.clearance_d2
-    passable = plans.traversable(free, occupied, np.asarray(belief.driven), *at, d2, int(belief.near_d2))
+    d2 = belief.model.clearance_d2
+    passable = plans.traversable(free, occupied, np.asarray(belief.driven), *at, d2, int(belief.model.near_d2))
     cost, pred = plans.dijkstra(passable, at)
     clear = plans.clear(free, occupied, d2)
     return passable, cost, pred, plans.frontier(clear, cost, known, np.asarray(belief.exhausted))

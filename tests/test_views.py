@@ -150,10 +150,10 @@ def all_views(utility, key, params, belief, beams):
     """Cell, utility and unknown cells in sight of every sample, none left out, and what `best_view` finds."""
     known = field(belief)
     row, col = views.drawn(key, belief, known, params)
-    around, ahead = all_round(beams), prospect(belief.grid, belief.extent, belief.p_free)
+    around, ahead = all_round(beams), prospect(belief.grid, belief.extent, belief.model.p_free)
     scratch = empty_grid(known.cost.shape)
     told = jax.lax.map(lambda at: look(ahead, *at, around, scratch)[0], (row, col))
-    worth = utility(params, told.gain, views.metres(known.cost[row, col], belief.cell_m))
+    worth = utility(params, told.gain, views.metres(known.cost[row, col], belief.model.cell_m))
     best, overflow = views.best_view(utility, key, params, belief, known, beams)
     return row * known.cost.shape[1] + col, worth, told.unknown, best, overflow
 

@@ -373,9 +373,9 @@ def _judged(belief):
         np.asarray(a) for a in (belief.grid.hits, belief.grid.misses, belief.driven, belief.exhausted)
     )
     numbers = {
-        "p_free": float(belief.p_free),
-        "near_d2": int(belief.near_d2),
-        "clearance_d2": belief.clearance_d2,
+        "p_free": float(belief.model.p_free),
+        "near_d2": int(belief.model.near_d2),
+        "clearance_d2": belief.model.clearance_d2,
     }
     row, col = int(belief.row), int(belief.col)
     return oracles.masks(hits, misses, driven, exhausted, inside, row, col, **numbers)

@@ -83,17 +83,17 @@ def _look(belief, side, nearest_only):
     """A `Look` of a belief, as `navigate` takes it."""
     cut = _cut(belief, side)
     shape, row, col = cut[1].shape, cut[4], cut[5]
-    found = _masks(np.int32(1), cut, belief.p_free, belief.near_d2, clearance_d2=belief.clearance_d2)
+    found = _masks(np.int32(1), cut, belief.model.p_free, belief.model.near_d2, clearance_d2=belief.model.clearance_d2)
     words, goals = np.asarray(found.traversable), np.asarray(bits.unpack(found.frontier))
     limit, decided = FAR, True
     if side is not None:
-        radius = side // 2 - math.isqrt(belief.clearance_d2) - 2
+        radius = side // 2 - math.isqrt(belief.model.clearance_d2) - 2
         rows, cols = np.ogrid[: shape[0], : shape[1]]
         central = (abs(rows - row) <= radius) & (abs(cols - col) <= radius)
         words = words & np.asarray(bits.pack(jnp.asarray(central)))
         goals = goals & np.pad(central, ((0, len(goals) - shape[0]), (0, 0)))
         limit = radius * STRAIGHT if goals.any() else -1
-        cost = np.asarray(_costs(np.int32(1), words, row, col, goals, np.int32(limit), method=belief.reach))
+        cost = np.asarray(_costs(np.int32(1), words, row, col, goals, np.int32(limit), method=belief.model.reach))
         decided = limit >= 0 and int(cost[goals].min()) <= limit
     return Look(cut, words, goals if nearest_only else None, limit, decided)
 
@@ -102,7 +102,7 @@ def looks(belief, nearest_only):
     """What a plan from a belief works on: list of `Look`; windows first where only the nearest frontier is wanted."""
     found, shape = [], belief.driven.shape
     for side in WINDOWS if nearest_only else ():
-        if side > 4 * math.isqrt(belief.clearance_d2) and 2 * side <= max(shape):
+        if side > 4 * math.isqrt(belief.model.clearance_d2) and 2 * side <= max(shape):
             found.append(_look(belief, side, True))
             if found[-1].decided:
                 return found

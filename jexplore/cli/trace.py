@@ -2,59 +2,114 @@
 
 import dataclasses
 import math
-import os
 import sys
+from typing import Annotated
+
+import tyro
 
 from jexplore.cli.console import COMPILING, Out, note, say, working
+from jexplore.cli.options import (
+    EngineName,
+    OneStrategy,
+    OneWorld,
+    OutFolder,
+)
 from jexplore.config import InputError
+from jexplore.driving.settings import Noise, Tuning
 
 
-def run(options, arguments):
-    from jexplore.exploration import batch
-    from jexplore.report import trace_tables
-    from jexplore.studies import tracing
+@dataclasses.dataclass(frozen=True)
+class Trace:
+    """Let a robot drive through a building and write its Behavioral Trace Map.
 
-    out = Out(options, "trace")
-    noise = options.noise if options.noise_m is None else dataclasses.replace(options.noise, range_m=options.noise_m)
-    if options.from_episode:
-        return _trace_episode(out, options, arguments)
-    if options.strategy != type(options)().strategy:
-        raise InputError("--strategy goes with --from-episode")
-    plan = tracing.prepare(
-        options.world,
-        robot=options.robot,
-        runs=options.runs,
-        seed=options.seed,
-        tuning=options.tuning,
-        noise=noise,
-        start=options.start,
-        sweep=options.sweep,
-        settings=options.settings,
-        cell_m=options.cell_m,
-        max_steps=options.max_steps,
-    )
-    workers = os.cpu_count() or 1
-    batch.start_backend(workers)
-    batch.use_compilation_cache()
-    with working(plan.runs * plan.settings, "runs") as on_progress:
-        found = tracing.execute(plan, workers=workers, on_progress=on_progress)
-    if found.track is None:
-        raise KeyboardInterrupt  # before the first run was finished
-    files = _drawn(found)
-    if options.animate and not found.report.interrupted:
-        from jexplore.report import operator_view
-        from jexplore.studies import trace_recording
+    Prints the node and link tables of run 0 and how many runs made the same map. Writes btm.json, btm.geojson (nav2
+    Route Server), btm.graphml, btm.png, runs.parquet and run.json.
+    """
 
-        try:
-            with working(len(found.track.truth), "steps") as on_progress:
-                page = operator_view.page(trace_recording.record(plan, on_progress))
-            files["btm.html"] = lambda path: path.write_text(page, encoding="utf-8")
-        except KeyboardInterrupt:
-            print("warning: interrupted, btm.html was left out", file=sys.stderr)
-    text = trace_tables.tables(found.first) + "\n" + "\n".join(trace_tables.summary(found))
-    rate = len(found.table) / found.report.run_s
-    entries = {"runs_per_s": rate, "compile_s": found.report.compile_s, "run_s": found.report.run_s}
-    return _finish_trace(out, out.record(arguments, options, **entries), files, text, found.report.interrupted)
+    world: OneWorld = "course"
+    """A course such as course#3 or course:obstacle=stairs, or any world: see `jexplore worlds`."""
+    robot: Annotated[str, tyro.conf.arg(metavar="ROBOT")] = "kamui"
+    """kamui (a crawler) or wheeled; with other measures kamui:width_m=0.6,max_slope_deg=8."""
+    runs: int = 1
+    """Runs, of every setting if some are swept."""
+    noise_m: Annotated[float | None, tyro.conf.arg(metavar="M", help_behavior_hint="")] = None
+    """Standard deviation of the scanners' ranges, metres: the same as --noise.range-m."""
+    sweep: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUES [...]", help_behavior_hint="")] = ()
+    """Thresholds to vary, all in one batch: votes=1,3,5 (a list), circle=1.1:2.0 (a range), noise.range_m=0,0.03.
+    Lists make every combination; with a range, --settings draws by Latin hypercube."""
+    settings: int = 100
+    """Draws of a sweep over ranges."""
+    start: Annotated[tuple[float, float, float] | None, tyro.conf.arg(metavar="X Y DEG", help_behavior_hint="")] = None
+    """Start in metres and degrees (default: the world's own)."""
+    seed: int = 0
+    """Seed of the noise."""
+    engine: EngineName = "auto"
+    """How runs are made: one after the other on each core, or many in lockstep, as suits a GPU."""
+    lanes: int | None = None
+    """Runs at a time in lockstep; by default as many as the memory holds."""
+    cell_m: float = 0.1
+    """Edge of a cell, metres."""
+    max_steps: int = 6000
+    """Steps of 0.1 s after which a run ends as STEP_LIMIT."""
+    animate: bool = False
+    """Also write btm.html: what the operator sees of run 0, one file that replays without a network."""
+    from_episode: bool = False
+    """Instead of driving so, run an exploration episode and read the map off what it has seen (Voronoi graph)."""
+    strategy: OneStrategy = "closest+recheck"
+    """Of that episode."""
+    out: OutFolder = None
+    """Folder to write."""
+    overwrite: bool = False
+    """Replace the run that the folder holds."""
+    tuning: Tuning = dataclasses.field(default_factory=Tuning)
+    noise: Noise = dataclasses.field(default_factory=Noise)
+
+    def execute(self, arguments):
+        """Runs the command; returns the exit status, None for 0."""
+        from jexplore.engine.backend import use_compilation_cache
+        from jexplore.report import trace_tables
+        from jexplore.studies import tracing
+
+        out = Out(self, "trace")
+        noise = self.noise if self.noise_m is None else dataclasses.replace(self.noise, range_m=self.noise_m)
+        if self.from_episode:
+            return _trace_episode(out, self, arguments)
+        if self.strategy != type(self)().strategy:
+            raise InputError("--strategy goes with --from-episode")
+        plan = tracing.prepare(
+            self.world,
+            robot=self.robot,
+            runs=self.runs,
+            seed=self.seed,
+            tuning=self.tuning,
+            noise=noise,
+            start=self.start,
+            sweep=self.sweep,
+            settings=self.settings,
+            cell_m=self.cell_m,
+            max_steps=self.max_steps,
+        )
+        use_compilation_cache()
+        engine = None if self.engine == "auto" else self.engine
+        with working(plan.runs * plan.settings, "runs") as on_progress:
+            found = tracing.execute(plan, engine=engine, lanes=self.lanes, on_progress=on_progress)
+        if found.driven is None:
+            raise KeyboardInterrupt  # before the first run was finished
+        files = _drawn(found)
+        if self.animate and not found.report.costs.interrupted:
+            from jexplore.report import operator_view
+            from jexplore.studies import trace_recording
+
+            try:
+                with working(len(found.driven.truth), "steps") as on_progress:
+                    page = operator_view.page(trace_recording.record(plan, on_progress))
+                files["btm.html"] = lambda path: path.write_text(page, encoding="utf-8")
+            except KeyboardInterrupt:
+                print("warning: interrupted, btm.html was left out", file=sys.stderr)
+        text = trace_tables.tables(found.first) + "\n" + "\n".join(trace_tables.summary(found))
+        rate = len(found.table) / found.report.costs.run_s
+        entries = {"runs_per_s": rate, "compile_s": found.report.costs.compile_s, "run_s": found.report.costs.run_s}
+        return _finish_trace(out, out.record(arguments, self, **entries), files, text, found.report.costs.interrupted)
 
 
 def _drawn(found):
@@ -62,7 +117,7 @@ def _drawn(found):
     from jexplore.report import plot, plot_traces, store
     from jexplore.studies import trace_recording
 
-    plan, track = found.plan, found.track
+    plan, track = found.plan, found.driven
     figure = plot_traces.figure(
         found.first,
         trace_recording.wall_lines(plan),

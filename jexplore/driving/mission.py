@@ -6,6 +6,7 @@ looks down, an attitude sensor and encoders. One jitted function of building, ro
 
 import dataclasses
 import enum
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -14,6 +15,7 @@ from jax import Array, lax
 
 from jexplore import btm
 from jexplore.arrays.loops import run_if
+from jexplore.btm import Btm
 from jexplore.driving import behaviour, ground_profile, mapping, perception
 from jexplore.driving.behaviour import Drive, Hall, Latch, RunMode, Track
 from jexplore.driving.mapping import Event, Writer
@@ -32,6 +34,7 @@ from jexplore.driving.vehicle import (
     to_robot,
     touches,
 )
+from jexplore.engine.program import Program
 
 DRIVE = 1.5  # length of the stretch in which walls are steered by, in look-aheads
 CROSSING_M = 0.1  # but no nearer than this to a wall across the way
@@ -92,6 +95,28 @@ class State:
     truth: Array  # [T, 3] float32, true poses
     step: Array  # int32
     outcome: Array  # int32
+    draws: Any  # `vehicle.Draws` of `BLOCK` steps
+
+
+class Setup(NamedTuple):
+    """What is fixed before a run is compiled. Hashable."""
+
+    room: int  # T, steps that there is room for
+
+
+@struct.dataclass
+class Result:
+    """What is kept of a run."""
+
+    map: Btm
+    outcome: Array  # int32, `Outcome`
+    steps: Array  # int32, of `vehicle.DT_S` seconds
+    path_m: Array  # float32, way in the plane
+    contacts: Array  # int32, steps refused because of a wall
+    refused: Array  # int32, steps refused because of the ground
+    interventions: Array  # int32, of the operator
+    scan_overflow: Array  # int32, ends of walls that did not fit into a scan's points
+    drift_m: Array  # float32, how far the odometry was off in the end
 
 
 def _is_open(building):
@@ -99,8 +124,8 @@ def _is_open(building):
     return jnp.isnan(building.goal[0])
 
 
-def begin(building, robot, room):
-    """The state before the first step; `room` for so many steps, static."""
+def at_start(building, robot, room):
+    """The state before the first step, with no random numbers; `room` for so many steps, static."""
     zero, none = jnp.float32(0), jnp.int32(0)
     start = jnp.asarray(building.start, jnp.float32)
     return State(
@@ -124,6 +149,7 @@ def begin(building, robot, room):
         truth=jnp.zeros((room, 3)),
         step=none,
         outcome=jnp.int32(Outcome.RUNNING),
+        draws=(),
     )
 
 
@@ -427,31 +453,69 @@ def _end(state, at_end):
     return state.replace(outcome=outcome)
 
 
-def run(key, building, robot, tuning, noise, max_steps, *, room):
-    """A whole run.
+def _draws_from(key, first):
+    """The random numbers of `BLOCK` steps from one on."""
+    return jax.vmap(lambda i: draw(jax.random.fold_in(key, i)))(first + jnp.arange(BLOCK))
+
+
+def begin(setup, given):
+    """A run before its first step.
 
     Args:
-      key: a key; step i takes `draw(fold_in(key, i))`.
-      building: `Building`.
-      robot, tuning, noise: `Robot`, `Tuning`, `Noise`, whose numbers may be arrays.
-      max_steps: int32, steps after which it ends as `STEP_LIMIT`, if no earlier way ends it.
-      room: steps that there is room for, at least `max_steps`. Static.
+      setup: `Setup`. Static.
+      given: `engine.Given`: key of the run, step i takes `draw(fold_in(key, i))`; the scenes are `Building`s; the
+        number is the step after which it ends as `STEP_LIMIT`, int32; the task is `(Robot, Tuning, Noise)`, whose
+        numbers are arrays.
 
     Returns:
-      `State` at the end.
+      `State`.
     """
+    block = jax.eval_shape(_draws_from, given.key, 0)
+    state = at_start(given.own_scene, given.task[0], setup.room)
+    return state.replace(draws=jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), block))
 
-    def drawn(first):
-        return jax.vmap(lambda i: draw(jax.random.fold_in(key, i)))(first + jnp.arange(BLOCK))
 
-    def one(carry):
-        state, block = carry
-        block = run_if(state.step % BLOCK == 0, lambda _: drawn(state.step), block)
-        draws = jax.tree.map(lambda a: a[state.step % BLOCK], block)
-        after = step(draws, building, robot, tuning, noise, state)
-        late = (after.outcome == Outcome.RUNNING) & (after.step >= max_steps)
-        return after.replace(outcome=jnp.where(late, jnp.int32(Outcome.STEP_LIMIT), after.outcome)), block
+def advance(setup, given, state):
+    """One step of a run: a `State`. Arguments as for `begin`."""
+    del setup
+    building, (robot, tuning, noise) = given.own_scene, given.task
+    block = run_if(state.step % BLOCK == 0, lambda _: _draws_from(given.key, state.step), state.draws)
+    draws = jax.tree.map(lambda a: a[state.step % BLOCK], block)
+    after = step(draws, building, robot, tuning, noise, state.replace(draws=block))
+    late = (after.outcome == Outcome.RUNNING) & (after.step >= given.numbers)
+    return after.replace(outcome=jnp.where(late, jnp.int32(Outcome.STEP_LIMIT), after.outcome))
 
-    blank = jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), jax.eval_shape(drawn, 0))
-    state = begin(building, robot, room), blank
-    return lax.while_loop(lambda carry: carry[0].outcome == Outcome.RUNNING, one, state)[0]
+
+def finish(setup, given, state):
+    """The `Result` of a run that has ended. Arguments as for `begin`."""
+    del setup, given
+    body = state.body
+    return Result(
+        map=state.writer.map,
+        outcome=state.outcome,
+        steps=state.step,
+        path_m=body.path_m,
+        contacts=body.contacts,
+        refused=body.refused,
+        interventions=state.helps,
+        scan_overflow=state.scan_overflow,
+        drift_m=jnp.hypot(*(body.pose[:2] - state.estimate[:2])),
+    )
+
+
+def _keep(state):
+    """The way of a run, step by step: poses, estimates, run modes, pitch."""
+    return state.truth, state.writer.way.pose, state.writer.way.mode, state.writer.way.pitch
+
+
+def _is_done(state):
+    return state.outcome != Outcome.RUNNING
+
+
+def program_of(room):
+    """A run as a `Program`, with room for so many steps.
+
+    Source:
+      Mano et al., sections 2 and 3.
+    """
+    return Program(Setup(room), begin, advance, _is_done, finish, _keep)

@@ -1,10 +1,14 @@
-"""Several devices, each of which works on its own part without a word to the others."""
+"""Several devices, each of which works on its own part without a word to the others; programs compiled for them."""
+
+import functools
 
 import jax
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 AXIS = "device"
+PROGRAMS = 32  # compiled programs that are kept in a process
+CONFIGURATION = ("jax_default_device", "jax_enable_x64", "jax_default_prng_impl", "jax_threefry_partitionable")
 
 
 def _mesh(devices):
@@ -49,3 +53,47 @@ def whole(tree, devices):
 def parted(tree, devices):
     """A pytree of arrays with a leading axis of the devices, each part on its device."""
     return jax.device_put(tree, devices[0] if len(devices) == 1 else NamedSharding(_mesh(devices), PartitionSpec(AXIS)))
+
+
+class _Function:
+    """A function that is told from others by its name only: what it is made from, hashable."""
+
+    def __init__(self, function, name):
+        self.function, self.name = function, name
+
+    def __eq__(self, other):
+        return self.name == other.name
+
+    def __hash__(self):
+        return hash(self.name)
+
+
+def compiled(function, name, arguments, devices, *, donate=()):
+    """A compiled function and the shapes of what it returns. Compiled once in a process for equal names and shapes.
+
+    Args:
+      function: to be compiled.
+      name: what it is made from, hashable: with the arguments' shapes it tells it from other functions.
+      arguments: pytrees of arrays, or of their shapes.
+      devices: list of JAX devices.
+      donate: numbers of the arguments whose memory may be used again.
+
+    Returns:
+      `(call, shapes)`.
+    """
+    leaves, tree = jax.tree.flatten(arguments)
+    leaves = tuple(jax.ShapeDtypeStruct(np.shape(a), a.dtype, sharding=getattr(a, "sharding", None)) for a in leaves)
+    configuration = tuple(str(jax.config.values[option]) for option in CONFIGURATION)
+    return _compiled(_Function(function, name), tree, leaves, tuple(devices), donate, configuration)
+
+
+@functools.lru_cache(maxsize=PROGRAMS)
+def _compiled(made, tree, leaves, devices, donate, configuration):
+    del devices, configuration  # they only tell programs apart
+    lowered = jax.jit(made.function, donate_argnums=donate).lower(*jax.tree.unflatten(tree, leaves))
+    return lowered.compile(), lowered.out_info
+
+
+def forget_compiled():
+    """Drops what is compiled."""
+    _compiled.cache_clear()

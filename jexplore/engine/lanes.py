@@ -1,12 +1,13 @@
-"""Episodes in lockstep: L lanes that scan, move and plan together, as an accelerator wants it.
+"""Runs in lockstep: L lanes that advance together, as an accelerator wants it.
 
-No lane waits for the slowest. All lanes make a step in every turn; those whose plan is done wait until there are enough
-of them to fill a group, which is gathered and plans on its own; those whose episode has ended are measured, and filled
-again from the queue, in groups as well. Results are written by their place in the queue.
+No lane waits for the slowest. All lanes advance in every turn; those that must decide wait until there are enough of
+them to fill a group, which is gathered and decides on its own; those whose run is done are measured, and filled again
+from the queue, in groups as well. Results are written by their place in the queue.
 """
 
 import functools
 import math
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -14,246 +15,282 @@ from flax import struct
 from jax import Array, lax
 
 from jexplore.arrays.loops import first_lanes, put, take
-from jexplore.exploration import episode
-from jexplore.exploration.episode import Numbers, Outcome, Result, State
-from jexplore.grid import Grid
-from jexplore.raycast import BLOCK
+from jexplore.engine.program import Given
 
-PLANNERS = 8  # one lane in so many plans at a time: at most so large a share of the lanes waits
+DECIDERS = 8  # one lane in so many decides at a time: at most so large a share of the lanes waits
 STARTERS = 16  # one lane in so many is measured and started at a time
+SMALL = 1024  # elements of a lane's array up to which the engine keeps the old one where a lane does nothing
 
 
 @struct.dataclass
-class Lines:
-    """J strategies in worlds that share a compiled program."""
+class Table:
+    """J lines that share a compiled program."""
 
-    world: Array  # [J] int32, which of the worlds in `Truth`
+    scene: Array  # [J] int32, which of the M scenes
     seed: Array  # [J] uint32
-    numbers: Numbers  # [J]
+    keeps: Array  # [J] int32, number of the run of which more than the result is kept
+    scalars: Any  # list of `[J]`, the scalars among the lines' numbers
 
 
 @struct.dataclass
 class Queue:
-    """The episodes to be run: N, of which the first `count` are real."""
+    """The runs to be made: N, of which the first `count` are real."""
 
     line: Array  # [N] int32
-    number: Array  # [N] int32, with its line's seed it makes the episode's key
-    start: Array  # [N, 3] int32, row, col, heading (units of 45 degrees)
+    number: Array  # [N] int32, number of the run in its line
+    draw: Array  # [N] int32, with its line's seed it makes the run's key
+    task: Any  # pytree of `[N, ...]`
     count: Array  # int32
 
 
 @struct.dataclass
-class Use:
-    """How much of the work was useful."""
+class Common:
+    """What all lanes share."""
 
-    turns: Array  # int32
-    walked: Array  # int32, lanes that made a step or a scan in these turns
-    groups: Array  # int32, groups that planned
-    planned: Array  # int32, lanes in these groups
+    table: Table
+    shared: Any
+    scenes: Any  # [M, ...]
+    arrays: Any  # list, the arrays among the lines' numbers
 
 
 @struct.dataclass
-class Work:
+class Usage:
+    """How much of the work was useful."""
+
+    turns: Array  # int32
+    advanced: Array  # int32, lanes that advanced in these turns
+    groups: Array  # int32, groups that decided
+    decided: Array  # int32, lanes in these groups
+
+
+@struct.dataclass
+class Lanes:
     """Lanes under way and what they have found."""
 
     at: Array  # [L] int32, place in the queue; -1: none
-    state: State  # [L]
-    next: Array  # int32, place in the queue of the next episode to be started
-    done: Array  # int32, episodes that have ended
-    results: Result  # [N]; outcome RUNNING where there is none yet
-    grids: Grid  # [J, H, W], the last map of episode 0 of each line
-    trails: Array  # [J, T + 1, 3] int32, its trail
+    state: Any  # [L, ...]
+    next: Array  # int32, place in the queue of the next run to be started
+    done: Array  # int32, runs that are done
+    ended: Array  # [N] bool, runs that have a result
+    results: Any  # [N, ...]
+    kept: Any  # [J, ...], what is kept of one run of each line
 
 
-def _blank(tree, n=None):
-    """Zeros like shapes, with a leading axis of n."""
-    lead = () if n is None else (n,)
-    return jax.tree.map(lambda x: jnp.zeros((*lead, *x.shape), x.dtype), tree)
+def split(numbers):
+    """The scalars and the arrays of a pytree, two lists, and what joins such lists: `(scalars, arrays, join)`."""
+    leaves, tree = jax.tree.flatten(numbers)
+    is_scalar = [jnp.ndim(leaf) == 0 for leaf in leaves]
+
+    def join(scalars, arrays):
+        scalars, arrays = iter(scalars), iter(arrays)
+        return jax.tree.unflatten(tree, [next(scalars) if own else next(arrays) for own in is_scalar])
+
+    return [a for a, own in zip(leaves, is_scalar) if own], [a for a, own in zip(leaves, is_scalar) if not own], join
 
 
-def empty(setup, queue, lines, truth, beams, n_lanes):
-    """`Work` that nothing has been done of.
+class Engine:
+    """The turns of the lanes of one program, all of it pure functions of arrays."""
 
-    Args:
-      setup: `episode.Setup`. Static.
-      queue, lines, truth, beams: `Queue`, `Lines`, `Truth`, `Beams`.
-      n_lanes: L. Static.
-    """
-    zero = jnp.int32(0)
+    def __init__(self, program, numbers):
+        """`numbers`: a line's, for what of them is an array."""
+        self.program, self.join = program, split(numbers)[2]
 
-    def one():
-        numbers = take(lines.numbers, zero)
-        state = episode.begin(jax.random.key(0), setup, truth, beams, numbers, zero, jnp.zeros(3, jnp.int32))
-        return state, episode.finish(truth, state)
+    def _given(self, common, queue, at, scalars, task):
+        """`Given` of one lane."""
+        line = queue.line[at]
+        key = jax.random.fold_in(jax.random.key(common.table.seed[line]), queue.draw[at])
+        numbers = self.join(scalars, common.arrays)
+        return Given(key, common.shared, common.scenes, common.table.scene[line], numbers, task)
 
-    state, result = jax.eval_shape(one)
-    n_lines = lines.world.shape[0]
-    return Work(
-        at=jnp.full((n_lanes,), -1, jnp.int32),
-        state=_blank(state, n_lanes),
-        next=zero,
-        done=zero,
-        results=_blank(result, queue.line.shape[0]),
-        grids=_blank(state.belief.grid, n_lines),
-        trails=_blank(state.trail, n_lines),
-    )
+    def _on_lanes(self, common, queue, at, function, *own):
+        """`function(given, *own)` of some lanes, at `at` in the queue; what they share is not copied."""
+        scalars, task = take(common.table.scalars, queue.line[at]), take(queue.task, at)
 
+        def one(at, scalars, task, *own):
+            return function(self._given(common, queue, at, scalars, task), *own)
 
-def lane_bytes(work, beams):
-    """An estimate of what one lane needs, with its share of what planning, starting and scanning need in between."""
-    n_lanes = work.at.shape[0]
-    own = sum(math.prod(a.shape) * a.dtype.itemsize for a in jax.tree.leaves(work.state)) // n_lanes
-    cells = math.prod(work.state.belief.driven.shape[1:])
-    planning = 2 * own // PLANNERS + 2 * own // STARTERS + 40 * cells // PLANNERS
-    return own + planning + 12 * math.prod(beams.offset.shape[1:]) + 16 * BLOCK
+        return jax.vmap(one)(at, scalars, task, *own)
 
+    def _begin(self, given):
+        return self.program.begin(self.program.setup, given)
 
-def _select(mask, new, old):
-    """Small leaves of lanes that do nothing are kept; large ones have been left as they were."""
-    return jax.tree.map(
-        lambda a, b: jnp.where(mask.reshape(-1, *[1] * (a.ndim - 1)), a, b) if a.ndim <= 2 else a, new, old
-    )
+    def _finish(self, given, state):
+        return self.program.finish(self.program.setup, given, state), self.program.keep(state)
 
+    def empty(self, queue, common, n_lanes):
+        """`Lanes` that have done nothing yet.
 
-def _keys(lines, queue, at):
-    line = queue.line[at]
+        Args:
+          queue, common: `Queue`, `Common`.
+          n_lanes: L. Static.
+        """
+        zero = jnp.int32(0)
 
-    def key(seed, number):
-        return jax.random.fold_in(jax.random.key(seed), number)
+        def one():
+            task = jax.tree.map(lambda a: a[0], queue.task)
+            given = self._given(common, queue, zero, [a[0] for a in common.table.scalars], task)
+            state = self._begin(given)
+            return state, *self._finish(given, state)
 
-    return jax.vmap(key)(lines.seed[line], queue.number[at])
+        def blank(tree, n):
+            return jax.tree.map(lambda x: jnp.zeros((n, *x.shape), x.dtype), tree)
 
+        state, result, kept = jax.eval_shape(one)
+        n = queue.line.shape[0]
+        return Lanes(
+            at=jnp.full((n_lanes,), -1, jnp.int32),
+            state=blank(state, n_lanes),
+            next=zero,
+            done=zero,
+            ended=jnp.zeros(n, bool),
+            results=blank(result, n),
+            kept=blank(kept, common.table.seed.shape[0]),
+        )
 
-def _measure(queue, truth, work, m):
-    """Writes the results of up to m lanes whose episode has ended, and frees the lanes."""
-    n = queue.line.shape[0]
-    ended = (work.at >= 0) & (work.state.outcome != Outcome.RUNNING)
-    lanes = first_lanes(ended, m)
-    real = lanes < work.at.shape[0]
-    at = jnp.where(real, take(work.at, lanes), n)
-    state = take(work.state, lanes)
-    result = jax.vmap(functools.partial(episode.finish, truth))(state)
-    line = jnp.where(real & (take(queue.number, at) == 0), take(queue.line, at), work.trails.shape[0])
-    return work.replace(
-        at=work.at.at[lanes].set(-1, mode="drop"),
-        done=work.done + jnp.sum(real, dtype=jnp.int32),
-        results=put(work.results, at, result),
-        grids=put(work.grids, line, state.belief.grid),
-        trails=put(work.trails, line, state.trail),
-    )
+    def lane_bytes(self, lanes, shared):
+        """An estimate of what one lane needs, with its share of what deciding, starting and advancing need in between.
 
+        Args:
+          lanes: `Lanes`, or their shapes.
+          shared: as in `Given`.
+        """
+        n_lanes = lanes.at.shape[0]
+        own = sum(math.prod(a.shape) * a.dtype.itemsize for a in jax.tree.leaves(lanes.state)) // n_lanes
+        one = jax.tree.map(lambda a: jax.ShapeDtypeStruct(a.shape[1:], a.dtype), lanes.state)
+        deciding, advancing = self.program.scratch(shared, one)
+        groups = (2 * own + deciding) // DECIDERS if self.program.decide is not None else 0
+        return own + groups + 2 * own // STARTERS + advancing
 
-def _start(setup, queue, lines, truth, beams, work, m):
-    """Starts up to m episodes in free lanes."""
-    lanes = first_lanes(work.at < 0, m)
-    at = work.next + lax.iota(jnp.int32, m)
-    real = (lanes < work.at.shape[0]) & (at < queue.count)
-    at = jnp.where(real, at, 0)
-    line = queue.line[at]
+    def _done(self, lanes):
+        return (lanes.at >= 0) & jax.vmap(self.program.is_done)(lanes.state)
 
-    def one(key, numbers, world, start):
-        return episode.begin(key, setup, truth, beams, numbers, world, start)
+    def _must_decide(self, lanes):
+        if self.program.must_decide is None:
+            return jnp.zeros(lanes.at.shape, bool)
+        waits = jax.vmap(self.program.must_decide)(lanes.state)
+        return (lanes.at >= 0) & waits & ~jax.vmap(self.program.is_done)(lanes.state)
 
-    state = jax.vmap(one)(_keys(lines, queue, at), take(lines.numbers, line), lines.world[line], queue.start[at])
-    lanes = jnp.where(real, lanes, work.at.shape[0])
-    return work.replace(
-        at=work.at.at[lanes].set(at, mode="drop"),
-        state=put(work.state, lanes, state),
-        next=work.next + jnp.sum(real, dtype=jnp.int32),
-    )
+    def _under_way(self, lanes):
+        return (lanes.at >= 0) & jax.vmap(self.program.is_under_way)(lanes.state)
 
+    def _measure(self, queue, common, lanes, m):
+        """Writes the results of up to m lanes whose run is done, and frees the lanes."""
+        n = queue.line.shape[0]
+        which = first_lanes(self._done(lanes), m)
+        real = which < lanes.at.shape[0]
+        at = jnp.maximum(take(lanes.at, which), 0)
+        result, kept = self._on_lanes(common, queue, at, self._finish, take(lanes.state, which))
+        line = queue.line[at]
+        line = jnp.where(real & (queue.number[at] == common.table.keeps[line]), line, common.table.seed.shape[0])
+        at = jnp.where(real, at, n)
+        return lanes.replace(
+            at=lanes.at.at[which].set(-1, mode="drop"),
+            done=lanes.done + _count(real),
+            ended=lanes.ended.at[at].set(True, mode="drop"),
+            results=put(lanes.results, at, result),
+            kept=put(lanes.kept, line, kept),
+        )
 
-def _plan(setup, queue, lines, truth, beams, work, m):
-    """Up to m lanes without a plan make one: `(work, how many)`."""
-    lanes = first_lanes(_waiting(work), m)
-    at = take(work.at, lanes)
-    numbers = take(lines.numbers, queue.line[at])
+    def _start(self, queue, common, lanes, m):
+        """Starts up to m runs in free lanes."""
+        which = first_lanes(lanes.at < 0, m)
+        at = lanes.next + lax.iota(jnp.int32, m)
+        real = (which < lanes.at.shape[0]) & (at < queue.count)
+        at = jnp.where(real, at, 0)
+        state = self._on_lanes(common, queue, at, self._begin)
+        which = jnp.where(real, which, lanes.at.shape[0])
+        return lanes.replace(
+            at=lanes.at.at[which].set(at, mode="drop"),
+            state=put(lanes.state, which, state),
+            next=lanes.next + _count(real),
+        )
 
-    def one(key, numbers, state):
-        return episode.limit_plans(numbers, episode.plan(key, setup, truth, beams, numbers, state))
+    def _decide(self, queue, common, lanes, m):
+        """Up to m lanes decide: `(lanes, how many)`. Arrays that deciding hands on are left where they are."""
+        which = first_lanes(self._must_decide(lanes), m)
+        real = which < lanes.at.shape[0]
+        leaves, tree = jax.tree.flatten(lanes.state)
+        changed = []
 
-    # Planning neither reads the trail and the goal, nor changes the map and the way driven.
-    old = work.state.replace(trail=None, goal=None)
-    new = jax.vmap(one)(_keys(lines, queue, at), numbers, take(old, lanes))
-    without = [s.replace(belief=s.belief.replace(grid=None, driven=None)) for s in (old, new)]
-    state = put(without[0], lanes, without[1])
-    state = state.replace(
-        trail=work.state.trail,
-        goal=work.state.goal,
-        belief=state.belief.replace(grid=work.state.belief.grid, driven=work.state.belief.driven),
-    )
-    return work.replace(state=state), jnp.sum(lanes < work.at.shape[0], dtype=jnp.int32)
+        def decide(given, *own):
+            new = jax.tree.leaves(self.program.decide(self.program.setup, given, jax.tree.unflatten(tree, own)))
+            changed[:] = [i for i, (a, b) in enumerate(zip(own, new)) if a is not b]
+            return [new[i] for i in changed]
 
+        at = jnp.maximum(take(lanes.at, which), 0)
+        new = self._on_lanes(common, queue, at, decide, *take(leaves, which))
+        for i, values in zip(changed, new):
+            leaves[i] = put(leaves[i], which, values)
+        return lanes.replace(state=jax.tree.unflatten(tree, leaves)), _count(real)
 
-def _advance(setup, queue, lines, truth, beams, work):
-    """One scan and motion of every lane that carries out a plan."""
-    at = jnp.maximum(work.at, 0)
-    numbers = take(lines.numbers, queue.line[at])
+    def _advance(self, queue, common, lanes, under_way):
+        """All lanes that are under way advance; small arrays of the others are kept, large ones are left alone."""
 
-    def one(key, numbers, state):
-        return episode.limit_plans(numbers, episode.advance(key, setup, truth, beams, numbers, state))
+        def advance(given, state):
+            return self.program.advance(self.program.setup, given, state)
 
-    new = jax.vmap(one)(_keys(lines, queue, at), numbers, work.state)
-    return work.replace(state=_select(work.state.walking, new, work.state))
+        new = self._on_lanes(common, queue, jnp.maximum(lanes.at, 0), advance, lanes.state)
 
+        def keep(new, old):
+            mask = under_way.reshape(-1, *[1] * (new.ndim - 1))
+            return jnp.where(mask, new, old) if math.prod(new.shape[1:]) <= SMALL else new
 
-def _waiting(work):
-    return (work.at >= 0) & (work.state.outcome == Outcome.RUNNING) & ~work.state.walking
+        return lanes.replace(state=jax.tree.map(keep, new, lanes.state))
+
+    def go_on(self, lanes, queue, turns, common):
+        """Some turns, or as many as it takes until the queue is done.
+
+        Args:
+          lanes, queue, common: `Lanes`, `Queue`, `Common`.
+          turns: int32.
+
+        Returns:
+          `(Lanes, Usage)`.
+        """
+        n_lanes = lanes.at.shape[0]
+        deciders, starters = -(-n_lanes // DECIDERS), -(-n_lanes // STARTERS)
+
+        def change(lanes):
+            """Whether lanes are to be measured or started now: enough for a group, or nothing else to do."""
+            free, left = _count(lanes.at < 0), queue.count - lanes.next
+            done = self._done(lanes)
+            ended, startable = _count(done), jnp.minimum(free, left)
+            idle = ~jnp.any((lanes.at >= 0) & ~done)
+            return (ended >= starters) | (startable >= starters) | (idle & ((ended > 0) | (startable > 0)))
+
+        def changed(lanes):
+            return self._start(queue, common, self._measure(queue, common, lanes, starters), starters)
+
+        def must_decide(state):
+            waiting = _count(self._must_decide(state[0]))
+            return (waiting >= deciders) | ((waiting > 0) & ~jnp.any(self._under_way(state[0])))
+
+        def decided(state):
+            lanes, usage = state
+            lanes, n = self._decide(queue, common, lanes, deciders)
+            return lanes, usage.replace(groups=usage.groups + 1, decided=usage.decided + n)
+
+        def turn(state):
+            lanes, usage = state
+            lanes = lax.while_loop(change, changed, lanes)
+            if self.program.decide is not None:
+                lanes, usage = lax.while_loop(must_decide, decided, (lanes, usage))
+            under_way = self._under_way(lanes)
+            lanes = self._advance(queue, common, lanes, under_way)
+            return lanes, usage.replace(turns=usage.turns + 1, advanced=usage.advanced + _count(under_way))
+
+        def goes_on(state):
+            lanes, usage = state
+            return (usage.turns < turns) & (lanes.done < queue.count)
+
+        zero = jnp.int32(0)
+        return lax.while_loop(goes_on, turn, (lanes, Usage(turns=zero, advanced=zero, groups=zero, decided=zero)))
 
 
 def _count(mask):
     return jnp.sum(mask, dtype=jnp.int32)
 
 
-def go_on(setup, work, queue, turns, lines, truth, beams):
-    """Some turns, or as many as it takes until the queue is done.
-
-    Args:
-      setup: `episode.Setup`. Static.
-      work: `Work`.
-      queue: `Queue`.
-      turns: int32.
-      lines, truth, beams: `Lines`, `Truth`, `Beams`.
-
-    Returns:
-      `(Work, Use)`.
-    """
-    n_lanes = work.at.shape[0]
-    planners, starters = -(-n_lanes // PLANNERS), -(-n_lanes // STARTERS)
-
-    def change(work):
-        """Whether lanes are to be measured or started now: enough for a group, or nothing else to do."""
-        free, left = _count(work.at < 0), queue.count - work.next
-        ended = _count((work.at >= 0) & (work.state.outcome != Outcome.RUNNING))
-        startable = jnp.minimum(free, left)
-        idle = ~jnp.any((work.at >= 0) & (work.state.outcome == Outcome.RUNNING))
-        return (ended >= starters) | (startable >= starters) | (idle & ((ended > 0) | (startable > 0)))
-
-    def changed(work):
-        work = _measure(queue, truth, work, starters)
-        return _start(setup, queue, lines, truth, beams, work, starters)
-
-    def must_plan(state):
-        work, _ = state
-        waiting = _count(_waiting(work))
-        return (waiting >= planners) | ((waiting > 0) & ~jnp.any(work.state.walking & (work.at >= 0)))
-
-    def planned(state):
-        work, use = state
-        work, n = _plan(setup, queue, lines, truth, beams, work, planners)
-        return work, use.replace(groups=use.groups + 1, planned=use.planned + n)
-
-    def turn(state):
-        work, use = state
-        work = lax.while_loop(change, changed, work)
-        work, use = lax.while_loop(must_plan, planned, (work, use))
-        walked = _count(work.state.walking)
-        work = _advance(setup, queue, lines, truth, beams, work)
-        return work, use.replace(turns=use.turns + 1, walked=use.walked + walked)
-
-    def under_way(state):
-        work, use = state
-        return (use.turns < turns) & (work.done < queue.count)
-
-    zero = jnp.int32(0)
-    return lax.while_loop(under_way, turn, (work, Use(turns=zero, walked=zero, groups=zero, planned=zero)))
+def turns_of(program, numbers):
+    """`Engine.go_on` as a function that is compiled once for a program."""
+    return functools.partial(Engine.go_on, Engine(program, numbers))

@@ -1,127 +1,137 @@
-"""The serial engine: a CPU core runs one episode after the other, with true control flow.
+"""The serial engine: a CPU core makes one run after the other, with true control flow.
 
 Threads share one compiled program; several devices each run a part of every call.
 """
 
-import dataclasses
 import functools
 import time
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 
-from jexplore.engine import threads
-from jexplore.engine.devices import on_devices, whole
-from jexplore.exploration import episode
-from jexplore.exploration.site import Line
+from jexplore.engine.devices import compiled, on_devices, whole
+from jexplore.engine.program import Given
+from jexplore.engine.threads import Pieces, share_out
 
-CHUNK = 64  # most episodes in one call of the compiled program on one device
+CHUNK = 64  # most runs in one call of the compiled program on one device
 
 
-def chunk(setup, which, starts, count, seed, truth, beams, numbers):
-    """Up to C episodes of one world and strategy, one after the other.
+def run_one(program, given):
+    """One run from its beginning to its end: the state at the end."""
+
+    def advance(state):
+        return program.advance(program.setup, given, state)
+
+    def turn(state):
+        return lax.while_loop(program.is_under_way, advance, program.decide(program.setup, given, state))
+
+    state = program.begin(program.setup, given)
+    return lax.while_loop(lambda s: ~program.is_done(s), advance if program.decide is None else turn, state)
+
+
+def chunk(program, draws, tasks, count, seed, scenes, shared, numbers):
+    """Up to C runs of one line, one after the other.
 
     Args:
-      setup: `Setup`. Static.
-      which: `[C]` int32, number of each episode; with the seed it makes the episode's key.
-      starts: `[C, 3]` int32, row, col, heading (units of 45 degrees).
-      count: int32, episodes to run; the rest of the C are left alone.
+      program: `Program`. Static.
+      draws: `[C]` int32, with the seed it makes the run's key.
+      tasks: pytree of `[C, ...]`.
+      count: int32, runs to make; the rest of the C are left alone.
       seed: uint32.
-      truth, beams, numbers: `Truth` of one world, `Beams`, `Numbers`.
+      scenes, shared, numbers: as in `Given`.
 
     Returns:
-      `Result` with a leading axis C, zeros from `count` on; and grid and trail of the last episode run.
+      results with a leading axis C, zeros from `count` on; and what is kept of the last run made.
     """
 
-    def episode_of(i):
-        key = jax.random.fold_in(jax.random.key(seed), which[i])
-        result, final = episode.run(key, setup, truth, beams, numbers, jnp.int32(0), starts[i])
-        return result, (final.belief.grid, final.trail)
+    def one(i):
+        key = jax.random.fold_in(jax.random.key(seed), draws[i])
+        given = Given(key, shared, scenes, jnp.int32(0), numbers, jax.tree.map(lambda a: a[i], tasks))
+        state = run_one(program, given)
+        return program.finish(program.setup, given, state), program.keep(state)
 
-    return threads.in_turn(episode_of, starts.shape[0], count)
+    def put(i, found):
+        result, last = one(i)
+        return jax.tree.map(lambda all_, new: all_.at[i].set(new), found[0], result), last
+
+    result, last = jax.eval_shape(one, 0)
+    room = jax.tree.map(lambda a: jnp.zeros((draws.shape[0], *a.shape), a.dtype), result)
+    return lax.fori_loop(0, count, put, (room, jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), last)))
 
 
-run_chunk = jax.jit(chunk, static_argnames=("setup",))
+def compile_chunk(line, devices):
+    """The program of a line's kind, compiled: `(call, shapes of a result)`.
+
+    `call(draws, tasks, count, seed, scenes, shared, numbers)`, the first three with a leading axis of the devices.
+    """
+    d, size = len(devices), CHUNK
+    task = jax.tree.map(lambda a: np.zeros((d, size, *a.shape[1:]), a.dtype), line.tasks)
+    function = on_devices(functools.partial(chunk, line.program), devices, 3)
+    blank = np.zeros((d, size), np.int32), task, np.zeros(d, np.int32)
+    place = whole((jax.tree.map(lambda a: a[None], line.scene), line.shared), devices)
+    call, shapes = compiled(function, (chunk, line.program), (*blank, np.uint32(0), *place, line.numbers), devices)
+    return call, jax.tree.map(lambda a: jax.ShapeDtypeStruct(a.shape[2:], a.dtype), shapes[0])
 
 
-@dataclasses.dataclass(kw_only=True)
-class _Line(threads.Work):
-    """One line on its way."""
+def _pieces(line, call, place, d):
+    """The runs of a line as `Pieces`: device i takes runs i, i + d, ..., so the first comes alone on device 0."""
+    arguments, size = (np.uint32(line.seed), *place, line.numbers), CHUNK
 
-    line: Line
-    program: Callable
-    arguments: tuple
+    def parts(first, n):
+        some = line.which[first : first + n]
+        return [some[i::d] for i in range(d)]
 
-    def call(self, first, n):
-        d, which = self.n_devices, self.line.which[first : first + n]
-        # Device i takes episodes i, i + d, ...: episode 0 comes alone on device 0 in the first call.
-        numbers, starts = np.zeros((d, CHUNK), np.int32), np.zeros((d, CHUNK, 3), np.int32)
-        count = np.array([len(which[i::d]) for i in range(d)], np.int32)
-        for i in range(d):
-            numbers[i, : count[i]], starts[i, : count[i]] = which[i::d], self.line.starts[which[i::d]]
+    def make(first, n):
+        mine = parts(first, n)
+        which = np.stack([np.pad(some, (0, size - len(some))) for some in mine])
+        tasks = jax.tree.map(lambda a: a[which], line.tasks)
+        count = np.array([len(some) for some in mine], np.int32)
         began = time.perf_counter()
-        results, last = jax.block_until_ready(self.program(numbers, starts, count, *self.arguments))
-        seconds = time.perf_counter() - began
-        return (results, last), seconds
+        found = jax.block_until_ready(call(line.draws[which], tasks, count, *arguments))
+        return found, time.perf_counter() - began
 
-    def keep(self, first, n, found):
-        d, which = self.n_devices, self.line.which[first : first + n]
-        results, last = found
-        if which[0] == 0:
-            grid, trail = jax.tree.map(lambda a: np.asarray(a)[0], last)
-            self.line.first = grid.hits, grid.misses, trail
+    def keep(first, n, found):
+        mine, (results, last) = parts(first, n), found
+        if mine[0][0] == line.keeps:
+            line.kept = jax.tree.map(lambda a: np.asarray(a)[0], last)
         results = jax.tree.map(np.asarray, results)
-        for i in range(d):
-            self.line.put(which[i::d], jax.tree.map(lambda a, i=i: a[i, : len(which[i::d])], results))
+        for i, some in enumerate(mine):
+            line.put(some, jax.tree.map(lambda a, i=i, some=some: a[i, : len(some)], results))
+
+    return Pieces(total=len(line.which), most=size, call=make, keep=keep, n_devices=d)
 
 
-def run(lines, devices, workers, tally, on_progress):
-    """Runs every episode of some lines.
+def run_lines(lines, devices, workers, costs, on_progress):
+    """Makes every run of some lines.
 
     Args:
       lines: list of `Line`; results are put there as they come.
       devices: list of JAX devices of one kind.
       workers: threads; 1 where there are several devices.
-      tally: object whose `compile_s` and `run_s` are added to.
-      on_progress: called with the number of episodes finished so far, from the calling thread.
+      costs: `Costs`, added to.
+      on_progress: called with the number of runs finished so far, from the calling thread.
 
     Raises:
       KeyboardInterrupt: after the calls under way have ended; what they found has been kept.
     """
     began = time.perf_counter()
-    works = _compile(lines, devices, workers)
-    tally.compile_s += time.perf_counter() - began
+    kinds, places = {line.kind: line for line in lines}, {}
+    with ThreadPoolExecutor(workers) as pool:
+        programs = dict(zip(kinds, pool.map(lambda line: compile_chunk(line, devices), kinds.values())))
+    work = []
+    for line in lines:
+        place = id(line.scene), id(line.shared)
+        if place not in places:
+            places[place] = whole((jax.tree.map(lambda a: a[None], line.scene), line.shared), devices)
+        call, shapes = programs[line.kind]
+        line.make_room(shapes)
+        work.append(_pieces(line, call, places[place], len(devices)))
+    costs.compile_s += time.perf_counter() - began
     began = time.perf_counter()
     try:
-        threads.run(works, workers, on_progress)
+        share_out(work, workers, on_progress)
     finally:
-        tally.run_s += time.perf_counter() - began
-
-
-def _compile(lines, devices, workers):
-    """A `Work` for every line. Lines that differ in numbers only share a program."""
-    placed, programs, tasks = {}, {}, []
-    for line in lines:
-        site = line.site
-        if id(site) not in placed:
-            placed[id(site)] = whole((site.truth, site.beams), devices)
-        arguments = np.uint32(line.seed), *placed[id(site)], line.numbers
-        programs.setdefault(line.kind, (line.setup, arguments))
-        tasks.append((line, line.kind, arguments))
-    d = len(devices)
-    blank = np.zeros((d, CHUNK), np.int32), np.zeros((d, CHUNK, 3), np.int32), np.zeros(d, np.int32)
-
-    def compile_one(kind):
-        setup, arguments = programs[kind]
-        function = on_devices(functools.partial(chunk, setup), devices, 3)
-        return kind, jax.jit(function).lower(*blank, *arguments).compile()
-
-    with ThreadPoolExecutor(workers) as pool:
-        compiled = dict(pool.map(compile_one, programs))
-    return [
-        _Line(pieces=len(line.which), most=CHUNK, n_devices=d, line=line, program=compiled[kind], arguments=arguments)
-        for line, kind, arguments in tasks
-    ]
+        costs.run_s += time.perf_counter() - began

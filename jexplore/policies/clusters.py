@@ -38,7 +38,7 @@ def targets(belief, known):
     found = frontier_clusters(known.candidates, known.cost, max_clusters=CLUSTERS)
     used = found.row >= 0
     cost = known.cost[jnp.maximum(found.row, 0), jnp.maximum(found.col, 0)]
-    path_m = jnp.where(used, cost.astype(jnp.float32) * (belief.cell_m / STRAIGHT), jnp.inf)
+    path_m = jnp.where(used, cost.astype(jnp.float32) * (belief.model.cell_m / STRAIGHT), jnp.inf)
     return Targets(found.row, found.col, used, path_m, found.overflow + found.left_out)
 
 
@@ -54,14 +54,14 @@ def seen_from(belief, at, beams):
       `unknown`: `[M]` int32, unknown cells that would be seen; 0 in an unused slot.
       `known`: `[M]` int32, known cells likewise.
     """
-    ahead, beams = prospect(belief.grid, belief.extent, belief.p_free), all_round(beams)
+    ahead, beams = prospect(belief.grid, belief.extent, belief.model.p_free), all_round(beams)
     n = jnp.sum(at.used, dtype=jnp.int32)  # used slots come first
 
     def evaluate(state):
         i, seen, scratch = state
         i_ = jnp.minimum(i, at.row.shape[0] - 1)
         where = jnp.maximum(at.row[i_], 0), jnp.maximum(at.col[i_], 0)
-        told, scratch = look(ahead, *where, beams, scratch, method=belief.scan)
+        told, scratch = look(ahead, *where, beams, scratch, method=belief.model.scan)
         new = jnp.stack([told.unknown, told.known])
         on = i < n
         return i + on, seen.at[:, jnp.where(on, i, seen.shape[1])].set(new, mode="drop"), scratch
@@ -90,9 +90,9 @@ def apart(belief, at):
     Returns:
       `[M, M]` float32, metres, symmetric; 0 on the diagonal of used slots; inf where a slot is unused or no path leads.
     """
-    side = blocks_of(belief.clearance_d2)
+    side = blocks_of(belief.model.clearance_d2)
     # Not what is traversable near the robot besides: beside a thin wall that would leave too little of it.
-    clear = clear_cells(belief.grid, p_free=belief.p_free, clearance_d2=belief.clearance_d2) | belief.driven
+    clear = clear_cells(belief.grid, p_free=belief.model.p_free, clearance_d2=belief.model.clearance_d2) | belief.driven
     height, width = clear.shape
     pad = ((0, -height % side), (0, -width % side))
     blocks = jnp.pad(clear, pad).reshape(-(-height // side), side, -(-width // side), side).any(axis=(1, 3))
@@ -103,14 +103,14 @@ def apart(belief, at):
     def spread(state):
         i, table = state
         i_ = jnp.minimum(i, row.shape[0] - 1)
-        cost = reach_packed(words, row[i_], col[i_], method=belief.reach)[row, col]
+        cost = reach_packed(words, row[i_], col[i_], method=belief.model.reach)[row, col]
         on = i < n
         return i + on, table.at[jnp.where(on, i, table.shape[0])].set(cost, mode="drop")
 
     table = jnp.full((row.shape[0], row.shape[0]), FAR, jnp.int32)
     _, table = repeat(lambda state: state[0] < n, spread, (jnp.int32(0), table))
     table = jnp.where(at.used[None] & at.used[:, None], table, FAR)
-    return jnp.where(table < FAR, table.astype(jnp.float32) * (side * belief.cell_m / STRAIGHT), jnp.inf)
+    return jnp.where(table < FAR, table.astype(jnp.float32) * (side * belief.model.cell_m / STRAIGHT), jnp.inf)
 
 
 def go_to(belief, route, known, at, which):

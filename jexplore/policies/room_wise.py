@@ -58,14 +58,16 @@ def own_segment(params, belief):
     Returns:
       `(mask, is_room, overflow)`: `[H, W]` bool; bool; int32.
     """
-    free = is_free(belief.grid, belief.p_free)
-    found = segment(free, _criteria(params, belief.cell_m), form=form_for(free.shape, reach=belief.reach))
+    free = is_free(belief.grid, belief.model.p_free)
+    found = segment(free, _criteria(params, belief.model.cell_m), form=form_for(free.shape, reach=belief.model.reach))
     own = found.label[belief.row, belief.col]
     mine = found.label == own
     # From the middle of one wall's cell to that of the other, a cell more than is free between them.
-    narrow = (found.split_d2 > 0) & (2 * jnp.sqrt(found.split_d2.astype(jnp.float32)) * belief.cell_m <= params.door_m)
+    narrow = (found.split_d2 > 0) & (
+        2 * jnp.sqrt(found.split_d2.astype(jnp.float32)) * belief.model.cell_m <= params.door_m
+    )
     has_door = jnp.any(jnp.repeat(narrow, 2) & (found.group == own))
-    small = count(mine) * belief.cell_m**2 <= params.room_m2
+    small = count(mine) * belief.model.cell_m**2 <= params.room_m2
     return mine, (own >= 0) & has_door & small, found.overflow
 
 

@@ -24,7 +24,7 @@ def _select(key, params, carry, belief, beams, route):
     known = field(belief)
     at = targets(belief, known)
     unknown, _ = seen_from(belief, at, beams)
-    worth = unknown * belief.cell_m**2 - params.beta * at.path_m
+    worth = unknown * belief.model.cell_m**2 - params.beta * at.path_m
     return carry, *go_to(belief, route, known, at, best_of(at, worth, unknown >= params.min_gain))
 
 

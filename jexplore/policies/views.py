@@ -73,7 +73,7 @@ def drawn(key, belief, known, params):
     cell = jnp.minimum(bits.nth_cells(bits.pack(known.candidates), which), height * width)
     row, col = cell // width, cell % width
     share, turn = jax.random.uniform(key_where, (2, SAMPLES))
-    distance = jnp.sqrt(share) * params.spread_m / belief.cell_m
+    distance = jnp.sqrt(share) * params.spread_m / belief.model.cell_m
     near_row = row + jnp.round(distance * jnp.sin(2 * math.pi * turn)).astype(jnp.int32)
     near_col = col + jnp.round(distance * jnp.cos(2 * math.pi * turn)).astype(jnp.int32)
     at = jnp.clip(near_row, 0, height - 1), jnp.clip(near_col, 0, width - 1)
@@ -100,9 +100,9 @@ def best_view(utility, key, params, belief, known, beams):
     row, col = drawn(key, belief, known, params)
     usable = (row < height) & (lax.iota(jnp.int32, SAMPLES) < params.samples)
     row = jnp.minimum(row, height - 1)
-    ahead = prospect(belief.grid, belief.extent, belief.p_free)
+    ahead = prospect(belief.grid, belief.extent, belief.model.p_free)
     beams = all_round(beams)
-    path_m = metres(known.cost[row, col], belief.cell_m)
+    path_m = metres(known.cost[row, col], belief.model.cell_m)
     # The most promising ones first, until the best that was found is better than what the next could be.
     hope = jnp.where(usable, utility(params, most(ahead, row, col, beams), path_m), -jnp.inf)
     order = jnp.argsort(-hope)
@@ -117,7 +117,7 @@ def best_view(utility, key, params, belief, known, beams):
     def evaluate(state):
         i, best, cell, scratch = state
         on, i_ = going(state), jnp.minimum(i, SAMPLES - 1)
-        told, scratch = look(ahead, row[i_], col[i_], beams, scratch, method=belief.scan)
+        told, scratch = look(ahead, row[i_], col[i_], beams, scratch, method=belief.model.scan)
         worth, here = utility(params, told.gain, path_m[i_]), row[i_] * width + col[i_]
         better = on & (told.unknown >= params.min_gain) & ((worth > best) | ((worth == best) & (here < cell)))
         return i + on, jnp.where(better, worth, best), jnp.where(better, here, cell), scratch
@@ -143,7 +143,9 @@ def select(utility, key, params, carry, belief, beams, route):
 
 def live(params, belief, beams, row, col):
     """The `live` of such a strategy: a look from the view point would still show enough."""
-    seen = unknown_seen(belief.grid, belief.extent, belief.p_free, row, col, all_round(beams), method=belief.scan)
+    seen = unknown_seen(
+        belief.grid, belief.extent, belief.model.p_free, row, col, all_round(beams), method=belief.model.scan
+    )
     return seen >= params.min_gain
 
 

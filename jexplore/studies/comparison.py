@@ -9,7 +9,8 @@ import os
 from typing import TYPE_CHECKING, NamedTuple
 
 from jexplore.config import InputError, require_whole
-from jexplore.exploration import batch
+from jexplore.engine.backend import use_compilation_cache
+from jexplore.exploration.batch import Job, run_jobs
 from jexplore.exploration.episode import Outcome
 from jexplore.exploration.results import columns, map_state
 from jexplore.studies import stats
@@ -179,7 +180,7 @@ def compare(
       start: "random", or "world" for every world's own start in every episode.
       lidar: `Lidar`.
       rules: `Rules`.
-      engine: one of `batch.ENGINES`; by default "serial" on a CPU, "lockstep" on an accelerator. Results are equal.
+      engine: one of `runner.ENGINES`; by default "serial" on a CPU, "lockstep" on an accelerator. Results are equal.
       lanes: episodes at a time on each device in lockstep; by default as many as its memory holds.
       workers: threads of the serial engine; by default one a core.
       on_progress: called now and then with the number of episodes finished.
@@ -193,13 +194,13 @@ def compare(
     jobs = prepare_jobs(
         worlds, strategies, episodes=episodes, seed=seed, cell_m=cell_m, start=start, lidar=lidar, rules=rules
     )
-    batch.use_compilation_cache()
-    report = batch.run(jobs, lidar, rules, engine=engine, lanes=lanes, workers=workers, on_progress=on_progress)
+    use_compilation_cache()
+    report = run_jobs(jobs, lidar, rules, engine=engine, lanes=lanes, workers=workers, on_progress=on_progress)
     return assemble(jobs, report, rules)
 
 
 def prepare_jobs(worlds, strategies, *, episodes, seed, cell_m, start, lidar, rules):
-    """Everything that `compare` refuses or loads before it runs: a list of `batch.Job`. Arguments as there."""
+    """Everything that `compare` refuses or loads before it runs: a list of `Job`. Arguments as there."""
     episodes = require_whole("episodes", episodes, 1, MAX_EPISODES)
     seed = require_whole("seed", seed, 0, MAX_SEED)
     if start not in ("random", "world"):
@@ -209,7 +210,7 @@ def prepare_jobs(worlds, strategies, *, episodes, seed, cell_m, start, lidar, ru
     for world in ready_worlds(worlds, cell_m):
         require_memory(world, lidar, rules)
         starts = ready_starts(world, start, episodes, seed=seed, rules=rules)
-        jobs += [batch.Job(world, strategy, starts, seed) for strategy in strategies]
+        jobs += [Job(world, strategy, starts, seed) for strategy in strategies]
     return jobs
 
 
@@ -245,4 +246,4 @@ def assemble(jobs, report, rules):
         raise KeyboardInterrupt
     table = pd.concat(tables, ignore_index=True).loc[:, list(COLUMNS)]
     missing = sum(len(job.starts) for job in jobs) - len(table)
-    return Comparison(table, tuple(worlds.values()), first, report.compile_s, report.run_s, missing)
+    return Comparison(table, tuple(worlds.values()), first, report.costs.compile_s, report.costs.run_s, missing)

@@ -1,34 +1,32 @@
-"""One episode to look at: run it, walk its way again scan by scan, and draw it.
-
-An episode's trail keeps cells and targets, not maps. `frames` makes the scans again on the host, one jitted call each,
-and so sees the map, the frontiers and the target at every step.
-"""
+"""One episode to look at: run it, play it again scan by scan, and draw it."""
 
 import dataclasses
-import functools
-import itertools
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
-from jexplore.config import Lidar, Rules, require_whole
-from jexplore.exploration import batch
-from jexplore.exploration.batch import Final
-from jexplore.exploration.episode import LOOK_AROUND, Stream
+from jexplore.config import InputError, Lidar, Rules, require_whole
+from jexplore.engine.backend import use_compilation_cache
+from jexplore.exploration import replay
+from jexplore.exploration.batch import Job, run_jobs
 from jexplore.exploration.results import columns, length_along_m, map_state
-from jexplore.exploration.site import prepare
-from jexplore.grid import Grid, empty_grid, is_known
-from jexplore.planning import Belief, field
-from jexplore.raycast import disturb, fold, scan
-from jexplore.reach import HEADING, MOTIONS
+from jexplore.exploration.site import Kernels, prepare_site
+from jexplore.exploration.trail import Final
+from jexplore.policies import parse_strategy
 from jexplore.report import animate, plot
-from jexplore.studies.checks import LIDAR, MAX_SEED, RULES, ready_starts, ready_strategies, ready_worlds, require_memory
+from jexplore.studies.checks import (
+    LIDAR,
+    MAX_EPISODES,
+    MAX_SEED,
+    RULES,
+    ready_starts,
+    ready_strategies,
+    ready_worlds,
+    require_memory,
+)
 from jexplore.worlds.world import World
 
 MAX_FRAMES = 300
-_HEADING_OF = dict(zip(MOTIONS, HEADING))
 
 
 class Frame(NamedTuple):
@@ -53,6 +51,8 @@ class Episode:
     start: tuple[int, int, int]
     """Row, col, heading in degrees."""
     seed: int
+    number: int
+    """Of the episode in a comparison with this seed."""
     lidar: Lidar
     rules: Rules
     final: Final
@@ -92,7 +92,7 @@ class Episode:
           on_progress: called with 1 for each frame drawn.
 
         Raises:
-          InputError: the file cannot be written.
+          InputError: the file cannot be written, or the episode made more plans than are kept.
         """
         animate.animate_gif(self._pictures(max_frames, on_progress), path, cell_m=self.world.cell_m, fps=fps)
 
@@ -116,15 +116,16 @@ class Episode:
                 on_progress(1)
 
 
-def explore(world, strategy, *, seed=0, cell_m=0.1, start="random", lidar=LIDAR, rules=RULES):
+def explore(world, strategy, *, seed=0, episode=0, cell_m=0.1, start="random", lidar=LIDAR, rules=RULES):
     """Runs one episode and keeps its map and way.
 
-    It is episode 0 of a comparison with the same world, strategy, seed, start, scanner and rules.
+    It is that episode of a comparison with the same world, strategy, seed, start, scanner and rules.
 
     Args:
       world: name (`worlds.load_world`) or `World`.
       strategy: name (`policies.parse_strategy`).
       seed: of the start and the draws.
+      episode: its number, from 0.
       cell_m: edge of a cell of a world that is loaded by name, metres.
       start: "random", "world" for the world's own, or `(row, col, heading_deg)`.
       lidar: `Lidar`.
@@ -136,69 +137,68 @@ def explore(world, strategy, *, seed=0, cell_m=0.1, start="random", lidar=LIDAR,
     Raises:
       InputError: a name, number, map or start that cannot be used. Raised before anything is compiled.
     """
-    job = prepare_job(world, strategy, seed=seed, cell_m=cell_m, start=start, lidar=lidar, rules=rules)
+    job = prepare_job(world, strategy, seed=seed, episode=episode, cell_m=cell_m, start=start, lidar=lidar, rules=rules)
     return run_job(job, lidar, rules)
 
 
-def prepare_job(world, strategy, *, seed, cell_m, start, lidar, rules):
-    """Everything that `explore` refuses or loads before it runs: a `batch.Job`. Arguments as there."""
+def prepare_job(world, strategy, *, seed, cell_m, start, lidar, rules, episode=0):
+    """Everything that `explore` refuses or loads before it runs: a `Job`, whose last start is the episode's."""
     seed = require_whole("seed", seed, 0, MAX_SEED)
+    episode = require_whole("episode", episode, 0, MAX_EPISODES - 1)
     (parsed,), (world,) = ready_strategies(strategy), ready_worlds(world, cell_m)
     require_memory(world, lidar, rules)
-    return batch.Job(world, parsed, ready_starts(world, start, 1, seed=seed, rules=rules), seed)
+    return Job(world, parsed, ready_starts(world, start, episode + 1, seed=seed, rules=rules), seed)
 
 
 def run_job(job, lidar, rules):
-    """The `Episode` of a job of one start."""
-    batch.use_compilation_cache()
-    report = batch.run([job], lidar, rules)
+    """The `Episode` of a job: its last one."""
+    use_compilation_cache()
+    number = len(job.starts) - 1
+    report = run_jobs([job], lidar, rules, only=number)
     ((result, final),) = report.outcomes
+    assert final is not None  # a run that was interrupted has raised
     has_rooms, cell_m = job.world.rooms is not None, job.world.cell_m
     found = columns(result, job.starts, seed=job.seed, cell_m=cell_m, has_rooms=has_rooms)
-    row, col, heading_deg = (int(value) for value in job.starts[0])
+    row, col, heading_deg = (int(value) for value in job.starts[number])
+
+    def plain(value):
+        return value.item() if hasattr(value, "item") else value
+
     return Episode(
         world=job.world,
         strategy=job.strategy.name,
         start=(row, col, heading_deg),
         seed=job.seed,
+        number=number,
         lidar=lidar,
         rules=rules,
         final=final,
-        measures={
-            name: values[0].item() if hasattr(values[0], "item") else values[0] for name, values in found.items()
-        },
-        compile_s=report.compile_s,
-        run_s=report.run_s,
+        measures={name: plain(values[number]) for name, values in found.items()},
+        compile_s=report.costs.compile_s,
+        run_s=report.costs.run_s,
     )
 
 
-@functools.partial(jax.jit, static_argnames=("noisy",))
-def _rescan(grid, row, col, heading, number, key, truth, beams, sigma_cells, dropout, *, noisy):
-    """The map after one more scan, the `number`-th of the episode, with the noise that this scan had."""
-    seen = scan(truth.occupied, row, col, heading, beams)
-    if noisy:
-        key = jax.random.fold_in(jax.random.fold_in(key, Stream.SENSOR), number)
-        noise = {"sigma_cells": sigma_cells, "dropout": dropout}
-        seen = disturb(key, seen, row, col, heading, beams, truth.extent[0], **noise)
-    return fold(grid, row, col, heading, seen, beams)
+def steps_of(episode):
+    """The episode again: its last `replay.Moment` at every step.
 
-
-_candidates = jax.jit(lambda belief: field(belief).candidates)
-
-
-def headings_of(final, first):
-    """Heading at the start and after each step, before any turn in place: `[n + 1]` ints, units of 45 degrees."""
-    steps = zip(np.diff(final.rows).tolist(), np.diff(final.cols).tolist())
-    return [first, *(_HEADING_OF[step] for step in steps)]
+    Raises:
+      InputError: the episode made more plans than are kept.
+    """
+    if episode.final.plans is None:
+        raise InputError(f"{episode.title}: an episode of {episode.measures['plans']} plans cannot be played again")
+    site = prepare_site(episode.world, episode.lidar, episode.rules, Kernels())
+    strategy = parse_strategy(episode.strategy)
+    last: Any = None
+    for moment in replay.moments(site, strategy, episode.start, episode.seed, episode.number, episode.final.plans):
+        if last is not None and last.step != moment.step:
+            yield last
+        last = moment
+    yield last
 
 
 def frames(episode, *, max_frames=MAX_FRAMES):
     """The episode again, step by step.
-
-    The scans are made again from the trail, so their maps are those of the episode, noise included. One kind of scan
-    leaves no trace there: the one after a refused step, which only a noisy scanner can bring about. Where there were
-    such (`measures["refused"]`), the maps in between lack them; the last map is always the episode's own. A view point
-    counts as exhausted here by the rule for frontier cells: a frontier cell may be missing until the end.
 
     Args:
       episode: `Episode`.
@@ -209,24 +209,26 @@ def frames(episode, *, max_frames=MAX_FRAMES):
     """
     final, n = episode.final, len(episode.final.rows) - 1
     chosen = set(np.unique(np.linspace(n, 0, min(max_frames, n + 1)).round().astype(int)).tolist())
-    for step, grid, belief, heading in _states(episode):
-        if step not in chosen:
-            continue
-        height, width = episode.world.shape
-        hits, misses = (np.asarray(a)[:height, :width] for a in (grid.hits, grid.misses))
-        if step == n:
-            hits, misses = final.hits, final.misses
-        more = step < n and final.target_rows[step + 1] >= 0
-        yield Frame(
-            step=step,
-            hits=hits,
-            misses=misses,
-            frontier=np.asarray(_candidates(belief))[:height, :width],
-            row=int(final.rows[step]),
-            col=int(final.cols[step]),
-            heading_deg=45 * heading,
-            target=(int(final.target_rows[step + 1]), int(final.target_cols[step + 1])) if more else None,
-        )
+    height, width = episode.world.shape
+    for moment in steps_of(episode):
+        if moment.step in chosen:
+            hits, misses = _map_of(episode, moment)
+            yield Frame(
+                step=moment.step,
+                hits=hits,
+                misses=misses,
+                frontier=replay.frontier(moment.belief)[:height, :width],
+                row=moment.row,
+                col=moment.col,
+                heading_deg=45 * moment.heading,
+                target=final.target_after(moment.step) if moment.step < n else None,
+            )
+
+
+def _map_of(episode, moment):
+    """Hits and misses after a scan, without padding."""
+    height, width = episode.world.shape
+    return (np.asarray(a)[:height, :width] for a in (moment.belief.grid.hits, moment.belief.grid.misses))
 
 
 def maps_at(episode, shares):
@@ -240,61 +242,13 @@ def maps_at(episode, shares):
       `(share, explored, state)`: the share that was reached, that which was known then, and `[H, W]` uint8, see
       `results.map_state`.
     """
-    height, width = episode.world.shape
     known = episode.final.known / episode.final.known[-1]
     left = [share for share in shares if share > known[0]]
-    for step, grid, _, _ in _states(episode):
-        reached = [share for share in left if share <= known[step]]
+    for moment in steps_of(episode):
+        reached = [share for share in left if share <= known[moment.step]]
         if reached:
             left = left[len(reached) :]
-            hits, misses = (np.asarray(a)[:height, :width] for a in (grid.hits, grid.misses))
-            yield reached[-1], float(known[step]), map_state(hits, misses, episode.rules.p_free)
+            state = map_state(*_map_of(episode, moment), episode.rules.p_free)
+            yield reached[-1], float(known[moment.step]), state
         if not left:
             return
-
-
-def _states(episode):
-    """After each step: `(step, grid, belief, heading)`."""
-    final, site = episode.final, prepare(episode.world, episode.lidar, episode.rules)
-    shape = site.truth.occupied.shape
-    rescan = functools.partial(
-        _rescan,
-        key=jax.random.fold_in(jax.random.key(np.uint32(episode.seed)), 0),
-        truth=site.truth,
-        beams=site.beams,
-        sigma_cells=np.float32(site.sigma_cells),
-        dropout=np.float32(site.dropout),
-        noisy=site.noisy,
-    )
-    grid, number = empty_grid(shape), itertools.count()
-    driven, exhausted = np.zeros(shape, bool), np.zeros(shape, bool)
-    headings = headings_of(final, episode.start[2] // 45)
-    for step, heading in enumerate(headings):
-        row, col = int(final.rows[step]), int(final.cols[step])
-        before_row, before_col = (int(a[max(step - 1, 0)]) for a in (final.rows, final.cols))
-        driven[[row, row, before_row], [col, before_col, col]] = True
-        if step == 0:
-            turns = [heading + 8 // site.first_scans * k for k in range(site.first_scans)] if final.known[0] else []
-        else:
-            turns = [heading]
-        looked = int(final.looked[step])
-        for turn in [*turns, *(heading + 2 * k for k in range(1, looked + 1))]:
-            grid = rescan(grid, np.int32(row), np.int32(col), np.int32(turn % 8), np.int32(next(number)))
-        arrived = (row, col) == (final.target_rows[step], final.target_cols[step])
-        if arrived and (looked == LOOK_AROUND or not site.look_around):
-            near = np.asarray(is_known(grid))[row - 1 : row + 2, col - 1 : col + 2]
-            exhausted[row, col] = not near.all()
-        belief = Belief(
-            grid=Grid(grid.hits, grid.misses),
-            driven=jnp.asarray(driven),
-            exhausted=jnp.asarray(exhausted),
-            row=jnp.int32(row),
-            col=jnp.int32(col),
-            heading=jnp.int32(heading),
-            extent=jnp.asarray(site.truth.extent[0]),
-            p_free=jnp.float32(site.p_free),
-            near_d2=jnp.int32(site.near_d2),
-            cell_m=jnp.float32(site.cell_m),
-            clearance_d2=site.clearance_d2,
-        )
-        yield step, grid, belief, (heading + 2 * looked) % 8

@@ -9,7 +9,8 @@ import math
 import os
 
 from jexplore.config import InputError, unknown
-from jexplore.exploration import batch
+from jexplore.engine.backend import use_compilation_cache
+from jexplore.exploration.batch import run_jobs
 from jexplore.report import tables
 from jexplore.studies import comparison, stats
 from jexplore.studies.checks import LIDAR, RULES
@@ -196,7 +197,7 @@ def _orderings_text(orderings):
 
 
 def prepare(name, *, maps, episodes, seed, cell_m, lidar, rules):
-    """Everything that `reproduce` refuses or loads before it runs: a list of `batch.Job`. Arguments as there."""
+    """Everything that `reproduce` refuses or loads before it runs: a list of `Job`. Arguments as there."""
     paper, jobs = find(name), []
     if maps is not None:
         require_maps(paper, maps)
@@ -244,6 +245,6 @@ def reproduce(
       InputError: a paper, folder, map or number that cannot be used. Raised before anything is compiled.
     """
     jobs = prepare(paper, maps=maps, episodes=episodes, seed=seed, cell_m=cell_m, lidar=lidar, rules=rules)
-    batch.use_compilation_cache()
-    report = batch.run(jobs, lidar, rules, engine=engine, lanes=lanes, workers=workers, on_progress=on_progress)
+    use_compilation_cache()
+    report = run_jobs(jobs, lidar, rules, engine=engine, lanes=lanes, workers=workers, on_progress=on_progress)
     return assemble(paper, maps, jobs, report, rules)

@@ -88,7 +88,7 @@ def record(plan, on_progress=lambda n: None):
     robot, tuning, noise = (numbers(s) for s in plan.first_settings())
     building = jax.device_put(plan.building)
     key = jax.random.fold_in(jax.random.key(np.uint32(plan.seed)), 0)
-    state = jax.tree.map(jnp.asarray, mission.begin(building, robot, max(plan.max_steps, MAX_STEPS)))
+    state = jax.tree.map(jnp.asarray, mission.at_start(building, robot, max(plan.max_steps, MAX_STEPS)))
     frames, steps = [], 0
     while int(state.outcome) == mission.Outcome.RUNNING and steps < plan.max_steps:
         state, seen = _frame(jax.random.fold_in(key, steps), building, robot, tuning, noise, state)

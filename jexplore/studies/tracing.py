@@ -3,15 +3,23 @@
 import dataclasses
 import itertools
 import math
-import os
 from typing import Any
 
 import numpy as np
 
 from jexplore import btm
 from jexplore.config import InputError, require_number, require_whole
-from jexplore.driving import batch, vehicle
-from jexplore.driving.batch import Report, Track, building_of, numbers_of, require_start
+from jexplore.driving import vehicle
+from jexplore.driving.batch import (
+    MAX_STEPS,
+    Driven,
+    Report,
+    building_of,
+    numbers_of,
+    outcome_names,
+    require_start,
+    run_missions,
+)
 from jexplore.driving.settings import ROBOTS, Noise, Tuning, require_noise, require_robot, require_tuning
 from jexplore.studies import checks
 from jexplore.tracemap.record import BtmMap
@@ -55,7 +63,7 @@ class Traced:
     """pandas DataFrame, a row a run."""
     first: BtmMap
     """Map of run 0."""
-    track: Track | None
+    driven: Driven | None
     """Way of run 0."""
     report: Report
 
@@ -158,7 +166,7 @@ def prepare(
     sweep=(),
     settings=100,
     cell_m=0.1,
-    max_steps=batch.MAX_STEPS,
+    max_steps=MAX_STEPS,
 ):
     """Checks everything before anything is compiled.
 
@@ -226,12 +234,12 @@ def _ends(world, start, seed):
     return (x_m + (col + 0.5) * world.cell_m, y_m + (row + 0.5) * world.cell_m, float(heading)), goal
 
 
-def execute(plan, *, workers=None, on_progress=lambda n: None):
+def execute(plan, *, engine=None, lanes=None, workers=None, on_progress=None):
     """Makes the runs of a plan.
 
     Args:
       plan: `Plan`.
-      workers: threads; by default one a core.
+      engine, lanes, workers: see `runner.find_resources`; results are equal.
       on_progress: called with the number of runs finished so far.
 
     Returns:
@@ -244,27 +252,29 @@ def execute(plan, *, workers=None, on_progress=lambda n: None):
     if "votes" in chosen:
         chosen["votes"] = chosen["votes"].astype(np.int32)
     tuning, noise = _with(plan.tuning, plan.noise, chosen)
-    report = batch.run(
+    report = run_missions(
         plan.building,
         numbers_of(plan.robot, n),
         numbers_of(tuning, n),
         numbers_of(noise, n),
         plan.seed,
         which,
-        workers=workers or os.cpu_count() or 1,
+        engine=engine,
+        lanes=lanes,
+        workers=workers,
         max_steps=plan.max_steps,
         on_progress=on_progress,
     )
     table, first = _table(plan, report.result, setting, which, chosen)
-    return Traced(plan, table, first, report.track, report)
+    return Traced(plan, table, first, report.driven, report)
 
 
-def trace(world="course", *, workers=None, on_progress=lambda n: None, **options):
+def trace(world="course", *, engine=None, lanes=None, workers=None, on_progress=None, **options):
     """Lets a robot drive through a building and write its Behavioral Trace Map, once or many times.
 
     Args:
       world: name or `World`.
-      workers: threads; by default one a core.
+      engine, lanes, workers: see `runner.find_resources`; results are equal.
       on_progress: called with the number of runs finished so far.
       **options: see `prepare`.
 
@@ -274,7 +284,8 @@ def trace(world="course", *, workers=None, on_progress=lambda n: None, **options
     Raises:
       InputError: what cannot be run, in one line.
     """
-    return execute(prepare(world, **options), workers=workers, on_progress=on_progress)
+    plan = prepare(world, **options)
+    return execute(plan, engine=engine, lanes=lanes, workers=workers, on_progress=on_progress)
 
 
 def map_of(plan, result, i):
@@ -302,7 +313,7 @@ def _table(plan, result, setting, which, chosen):
             "setting": setting,
             "run": which,
             **chosen,
-            "outcome": batch.outcome_names(result),
+            "outcome": outcome_names(result),
             "steps": result.steps,
             "time_s": result.steps * vehicle.DT_S,
             "path_m": result.path_m,

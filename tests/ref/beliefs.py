@@ -75,7 +75,7 @@ def but_for_spots(seed, shape, *, clearance_d2=0, **how):
 
 def table(lidar, belief):
     """`Beams` for the maps of a belief."""
-    return jax.device_put(beam_table(lidar, float(belief.cell_m), belief.driven.shape[1]))
+    return jax.device_put(beam_table(lidar, float(belief.model.cell_m), belief.driven.shape[1]))
 
 
 def choice_of(name, key, belief, lidar=LIDAR):

@@ -1,0 +1,105 @@
+"""The commands `jexplore worlds` and `jexplore strategies`."""
+
+import dataclasses
+from typing import Annotated
+
+import tyro
+
+from jexplore.cli.console import Out, note
+from jexplore.cli.options import (
+    OutFolder,
+)
+
+
+@dataclasses.dataclass(frozen=True)
+class Worlds:
+    """List the built-in worlds, or measure and picture some.
+
+    Without names and --out, lists the generators and what they take. Else prints a table of the worlds named (by
+    default every generator) and writes worlds.png.
+    """
+
+    worlds: Annotated[tyro.conf.Positional[tuple[str, ...]], tyro.conf.arg(metavar="[NAME ...]")] = ()
+    """Generators such as cave#3, or map files: map.yaml (ROS), map.png@16x16 (metres), map.png@0.05 (metres a pixel),
+    map.map (MovingAI), plan.json (HouseExpo)."""
+    cell_m: float = 0.1
+    """Edge of a cell, metres."""
+    out: OutFolder = None
+    """Folder to write."""
+    overwrite: bool = False
+    """Replace the run that the folder holds."""
+
+    def execute(self, arguments):
+        """Runs the command; returns the exit status, None for 0."""
+        from jexplore.worlds import GENERATORS, generator_parameters
+
+        if not self.worlds and self.out is None:
+            print("Built-in worlds. A name may carry a seed and parameters: hospital#3:width_m=60,height_m=25\n")
+            for name in GENERATORS:
+                defaults = " ".join(f"{key}={value}" for key, value in generator_parameters(name).items())
+                print(f"  {name:<10}{defaults}")
+            print(
+                "\nMap files: map.yaml (ROS), map.png@16x16 (metres), map.png@0.05 (metres a pixel), map.map, plan.json"
+            )
+            return
+        from jexplore.report import plot, store
+        from jexplore.report.tables import aligned_table
+        from jexplore.studies.checks import ready_worlds
+
+        out = Out(self, "worlds")
+        with note("jexplore: loading worlds"):
+            worlds = ready_worlds(self.worlds or tuple(GENERATORS), self.cell_m)
+        described = [describe(world) for world in worlds]
+        rows = []
+        for world, about in zip(worlds, described):
+            height, width = world.shape
+            start = "-" if world.start is None else "{},{},{}".format(*world.start)
+            size = f"{width * world.cell_m:.1f} x {height * world.cell_m:.1f}"
+            n_rooms = "-" if about["rooms"] is None else str(about["rooms"])
+            rows.append((world.name, f"{width} x {height}", size, f"{world.free_m2:.1f}", n_rooms, start))
+        record = out.record(arguments, self, worlds=described)
+        figure = plot.worlds_figure([(world.name, world) for world in worlds])
+        wrote = out.write(
+            {
+                "worlds.png": lambda path: plot.save_figure(figure, path),
+                "run.json": lambda path: store.write_json(record, path),
+            }
+        )
+        head = ["world", "cells", "metres", "free m²", "rooms", "start"]
+        print(aligned_table(head, rows, left=head))
+        print(wrote)
+
+
+@dataclasses.dataclass(frozen=True)
+class Strategies:
+    """List strategies, modifiers, their parameters and sources."""
+
+    def execute(self, arguments):
+        """Runs the command; returns the exit status, None for 0."""
+        from jexplore.policies import MODIFIERS, STRATEGIES, parameters_of
+        from jexplore.report.tables import aligned_table
+
+        rows = []
+        for name, entry in STRATEGIES.items():
+            given = ", ".join(f"{key}={value}" for key, value in parameters_of(name).items())
+            rows.append((name, entry.summary, given or "-", entry.source))
+        head = ["strategy", "goes to", "parameters", "source"]
+        print(aligned_table(head, rows, left=head))
+        head = ["modifier", "meaning"]
+        print(aligned_table(head, [(f"+{name}", text) for name, text in MODIFIERS.items()], left=head))
+        print("Names are put together as strategy+modifier:parameter=value,..., such as closest+recheck")
+
+
+def describe(world):
+    """What a table of worlds says about one."""
+    rows, cols = world.shape
+    rooms = None if world.rooms is None else int(world.rooms.max()) + 1
+    return {
+        "world": world.name,
+        "rows": rows,
+        "cols": cols,
+        "cell_m": world.cell_m,
+        "free_m2": world.free_m2,
+        "rooms": rooms,
+        "start": world.start,
+    }

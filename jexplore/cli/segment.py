@@ -1,0 +1,89 @@
+"""The command `jexplore segment`."""
+
+import dataclasses
+from typing import Annotated, Literal
+
+import tyro
+
+from jexplore.cli.console import Out, working
+from jexplore.cli.options import (
+    OutFolder,
+)
+from jexplore.config import InputError
+
+
+@dataclasses.dataclass(frozen=True)
+class Segment:
+    """Divide maps into rooms by their Voronoi graph, and score the rooms.
+
+    Prints a Markdown table of scores a variant and writes segments.png, scores.parquet and run.json.
+    """
+
+    maps: Annotated[tyro.conf.Positional[tuple[str, ...]], tyro.conf.arg(metavar="MAP [MAP ...]")] = ()
+    """Maps, as for `jexplore worlds`: map.png@0.05 (metres a pixel), map.yaml, or generators such as office#3."""
+    truth: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="GT [GT ...]", help_behavior_hint="")] = None
+    """Pictures of the maps with doorways closed by lines, in the same order and size; generators know their rooms."""
+    variant: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME [NAME ...]", help_behavior_hint="")] = (
+        *("thrun", "wurm", "holz"),
+    )
+    """Variants: thrun, wurm, holz (default: all)."""
+    partial: bool = False
+    """Also segment the maps that an exploring robot has when it first knows 25, 50 and 75 % of what it will know."""
+    cell_m: float = 0.05
+    """Edge of a cell, metres."""
+    prominence_m: float = 0.15
+    """How much the clearance must rise on both sides of a critical point, metres; 0: any local minimum."""
+    gamma: float = 3.0
+    """How far apart two obstacle cells must be to have a Voronoi edge between them, cells."""
+    metric: Literal["geodesic", "euclidean"] = "geodesic"
+    """What "closest segment" means: along paths, or as the crow flies (the paper's letter)."""
+    lines: bool = False
+    """Split along the line between the two nearest obstacles (Thrun 1998)."""
+    seed: int = 0
+    """Seed of the episodes that partial maps come from."""
+    out: OutFolder = None
+    """Folder to write."""
+    overwrite: bool = False
+    """Replace the run that the folder holds."""
+
+    def execute(self, arguments):
+        """Runs the command; returns the exit status, None for 0."""
+        from jexplore.config import require_whole
+        from jexplore.engine.backend import use_compilation_cache
+        from jexplore.report import plot, store
+        from jexplore.report.plot_rooms import figure
+        from jexplore.studies.segmentation import SHARES, segment_maps
+
+        out = Out(self, "segment")
+        if not self.maps:
+            raise InputError("expected a map: map.png@0.05 (metres a pixel), map.yaml, or a generator such as office#3")
+        require_whole("seed", self.seed, 0, 2**32 - 1)
+        use_compilation_cache()
+        with working(len(self.maps) * (1 + len(SHARES) * self.partial), "maps") as on_progress:
+            found = segment_maps(
+                self.maps,
+                truth=self.truth,
+                variants=self.variant,
+                partial=self.partial,
+                cell_m=self.cell_m,
+                prominence_m=self.prominence_m,
+                gamma=self.gamma,
+                metric=self.metric,
+                lines=self.lines,
+                seed=self.seed,
+                on_progress=on_progress,
+            )
+        record = out.record(arguments, self, scores=found.scores.to_dict("records"))
+        wrote = out.write(
+            {
+                "scores.parquet": lambda path: store.write_parquet(found.scores, path),
+                "segments.png": lambda path: plot.save_figure(figure(found.pictures, found.scores), path),
+                "run.json": lambda path: store.write_json(record, path),
+            }
+        )
+        print(found.to_markdown())
+        overflow = found.scores[found.scores["overflow"] > 0]
+        for _, row in overflow.iterrows():
+            what = f"{row['overflow']} Voronoi nodes or critical points did not fit"
+            print(f"warning: {row['map']}: {row['variant']}: {what}")
+        print(wrote)

@@ -1,0 +1,44 @@
+"""JAX made ready: threads for the workers, and a folder of compiled programs."""
+
+import contextlib
+import os
+from pathlib import Path
+
+import jax
+
+
+def start_backend(workers):
+    """Starts JAX with as many threads as there are to be workers.
+
+    XLA runs programs on a pool of its own, which must have a thread for every worker. It also splits operations of a
+    few thousand elements over the threads of that pool, which costs a lone worker more than it gains (measured: a tenth
+    of an episode's time on a quiet machine, a third beside other work): so one worker gets one thread. The size of the
+    pool is read from the variable NPROC when JAX starts; this must come before JAX is first used, and changes nothing
+    later, as in a notebook that has used JAX before: that costs speed, never results.
+
+    Args:
+      workers: threads that will call compiled programs at the same time.
+    """
+    before = os.environ.get("NPROC")
+    os.environ["NPROC"] = str(workers)
+    try:
+        jax.local_devices()
+    finally:
+        if before is None:
+            del os.environ["NPROC"]
+        else:
+            os.environ["NPROC"] = before
+
+
+def use_compilation_cache():
+    """Keeps compiled programs on disk, so that a later process need not compile them again.
+
+    In `$JAX_COMPILATION_CACHE_DIR` if that is set, else in `$XDG_CACHE_HOME/jexplore` (`~/.cache/jexplore`). A folder
+    that cannot be written means no cache.
+    """
+    if jax.config.values["jax_compilation_cache_dir"] is None:
+        folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "jexplore"
+        with contextlib.suppress(OSError):
+            folder.mkdir(parents=True, exist_ok=True)
+            jax.config.update("jax_compilation_cache_dir", str(folder))
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)

@@ -1,0 +1,133 @@
+"""What the engines run: a program of pure functions over one robot's state, and the runs that are wanted of it.
+
+A program is written for one robot and knows nothing of batches. The engines run many: one after the other on the cores
+of a CPU (`serial`), or together in the lanes of an accelerator (`lockstep`), with equal bits.
+"""
+
+import dataclasses
+import threading
+from collections.abc import Callable, Hashable
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+from flax import struct
+from jax import Array
+
+
+@struct.dataclass
+class Given:
+    """What a run has besides its state."""
+
+    key: Array  # of the run; its parts draw from streams of their own
+    shared: Any  # pytree that all lanes share: beams, tables
+    scenes: Any  # pytree with a leading axis of M scenes (worlds, buildings), shared as well
+    scene: Array  # int32, the run's own scene
+    numbers: Any  # pytree of the line: its scalars may differ between lanes; its arrays (weights) are shared
+    task: Any  # pytree of the run: its start, its settings
+
+    @property
+    def own_scene(self):
+        """The run's own scene. Where there is only one, all lanes share it."""
+        if jax.tree.leaves(self.scenes)[0].shape[0] == 1:
+            return jax.tree.map(lambda a: a[0], self.scenes)
+        return jax.tree.map(lambda a: a[self.scene], self.scenes)
+
+
+class Program(NamedTuple):
+    """The life of one robot as pure functions. Hashable: equal programs share what is compiled.
+
+    A run begins, and then decides and advances until it is done. Deciding is what few robots do at a time and costs
+    much: in lockstep those that must are gathered. Every function is called on runs that it does not concern as well:
+    `advance` must leave the large arrays of a state alone (`lanes.SMALL`) where the run is done or must decide; the
+    engine takes care of the small ones. Arrays that `decide` does not change it must hand on as they are: they are then
+    neither gathered nor copied.
+    """
+
+    setup: Hashable  # what is fixed before compiling; the first argument of the functions
+    begin: Callable  # (setup, given) -> state
+    advance: Callable  # (setup, given, state) -> state
+    is_done: Callable  # (state) -> bool
+    finish: Callable  # (setup, given, state) -> result, a pytree of arrays
+    keep: Callable  # (state) -> pytree of arrays: what is kept of one run besides its result
+    decide: Callable | None = None  # (setup, given, state) -> state
+    must_decide: Callable | None = None  # (state) -> bool, for runs that are not done
+    scratch: Callable = lambda shared, state: (0, 0)  # bytes that deciding and advancing need, a lane; for an estimate
+
+    def is_under_way(self, state):
+        """Whether a run is to advance: bool."""
+        waits = False if self.must_decide is None else self.must_decide(state)
+        return ~(self.is_done(state) | waits)
+
+
+@dataclasses.dataclass
+class Line:
+    """Runs of one program in one scene that are wanted here, and what has come back."""
+
+    program: Program
+    shared: Any
+    scene: Any
+    numbers: Any
+    seed: int
+    tasks: Any  # pytree of `[N, ...]` numpy arrays
+    which: np.ndarray  # [n] int32, numbers of the runs that are to be made here; ascending
+    draws: Any = None  # [N] int32, what makes a run's key, with the seed; by default its number
+    results: Any = dataclasses.field(default=None, init=False)  # pytree of `[N, ...]` numpy arrays; zeros where unknown
+    finished: np.ndarray = dataclasses.field(init=False)  # [N] bool
+    kept: Any = dataclasses.field(default=None, init=False)  # what is kept of run `keeps`, numpy; None before
+    lock: threading.Lock = dataclasses.field(default_factory=threading.Lock, init=False)
+
+    def __post_init__(self):
+        self.finished = np.zeros(len(jax.tree.leaves(self.tasks)[0]), bool)
+        self.which = np.asarray(self.which, np.int32)
+        self.draws = np.arange(len(self.finished), dtype=np.int32) if self.draws is None else self.draws
+
+    def make_room(self, shapes):
+        """Makes room for results like some shapes, if there is none yet."""
+        if self.results is None:
+            self.results = jax.tree.map(lambda a: np.zeros((len(self.finished), *a.shape), a.dtype), shapes)
+
+    def put(self, which, results):
+        """Keeps results: `[k]` numbers of runs, and a pytree of `[k, ...]`. Any thread may call it."""
+        with self.lock:
+            jax.tree.map(lambda all_, new: all_.__setitem__(which, new), self.results, results)
+            self.finished[which] = True
+
+    @property
+    def keeps(self):
+        """Number of the run of which more than the result is kept: 0, or that of the only one that is made."""
+        return int(self.which[0]) if len(self.which) == 1 else 0
+
+    @property
+    def left(self):
+        """`[m]` int32, numbers of the runs that have no result yet."""
+        return self.which[~self.finished[self.which]]
+
+    @property
+    def kind(self):
+        """What must be equal for two lines to share a compiled program. Hashable."""
+        task = jax.tree.map(lambda a: a[0], self.tasks)
+        leaves, tree = jax.tree.flatten((self.scene, self.shared, self.numbers, task))
+        return self.program, tree, tuple((np.shape(a), np.asarray(a).dtype) for a in leaves)
+
+    def shapes(self):
+        """What `finish` and `keep` return: `(result, kept)`, pytrees of shapes."""
+        given = given_of(self)
+
+        def one():
+            state = self.program.begin(self.program.setup, given)
+            return self.program.finish(self.program.setup, given, state), self.program.keep(state)
+
+        return jax.eval_shape(one)
+
+
+def given_of(line, number=0):
+    """The `Given` of one of a line's runs."""
+    return Given(
+        key=jax.random.fold_in(jax.random.key(np.uint32(line.seed)), line.draws[number]),
+        shared=line.shared,
+        scenes=jax.tree.map(lambda a: a[None], line.scene),
+        scene=np.int32(0),  # type: ignore[arg-type]
+        numbers=line.numbers,
+        task=jax.tree.map(lambda a: a[number], line.tasks),
+    )

@@ -1,0 +1,157 @@
+"""Many runs: on the cores of a CPU one after the other, on an accelerator in lockstep, with equal results.
+
+A run is serial and full of decisions. A CPU core makes runs one at a time with true control flow (engine "serial"):
+threads share one compiled program, and XLA releases the interpreter lock. An accelerator needs thousands of runs at
+once (engine "lockstep"). Several devices share the work through `shard_map`, each with its own part and no word between
+them; several processes (`jax.distributed`) do as well.
+"""
+
+import dataclasses
+import os
+from typing import NamedTuple
+
+import jax
+import numpy as np
+
+from jexplore.config import InputError
+from jexplore.engine import lockstep, serial
+from jexplore.engine.backend import start_backend
+
+ENGINES = ("serial", "lockstep")
+
+
+@dataclasses.dataclass
+class Costs:
+    """What runs cost, and how well their lanes were used."""
+
+    compile_s: float = 0.0  # seconds spent compiling, or loading compiled programs
+    run_s: float = 0.0  # seconds in which compiled programs ran
+    engine: str = "serial"
+    devices: int = 1
+    lanes: int = 1  # most runs at a time on one device; in the serial engine one a worker
+    interrupted: bool = False  # whether Ctrl-C ended it early; what was finished then is there
+    advanced: int = 0  # lanes that advanced, over all turns
+    room: int = 0  # lanes that could have
+    decided: int = 0  # lanes in deciding groups
+    group_room: int = 0  # places in these groups
+
+    def add(self, usage, n_lanes, deciders):
+        """Adds a `lanes.Usage`."""
+        self.advanced += int(np.sum(usage.advanced))
+        self.decided += int(np.sum(usage.decided))
+        self.room += int(np.sum(usage.turns)) * n_lanes
+        self.group_room += int(np.sum(usage.groups)) * deciders
+
+    @property
+    def useful(self):
+        """Share of the lanes that advanced, over all turns; None if none could, as in the serial engine."""
+        return self.advanced / self.room if self.room else None
+
+    @property
+    def useful_decisions(self):
+        """Share of the places in deciding groups that were taken; None if there was none."""
+        return self.decided / self.group_room if self.group_room else None
+
+
+class Resources(NamedTuple):
+    """What runs are made with."""
+
+    engine: str
+    devices: list
+    workers: int  # threads of the serial engine
+    lanes: int | None  # on each device in lockstep; None: as many as its memory holds
+    process: int
+    processes: int
+
+    def own(self, n):
+        """Numbers of the runs, of n, that this process makes: int array."""
+        return np.arange(self.process, n, self.processes)
+
+
+def find_resources(*, engine=None, lanes=None, workers=None):
+    """What there is to run with, and what is asked of it. Starts JAX.
+
+    Args:
+      engine: one of `ENGINES`; by default serial on a CPU, else lockstep.
+      lanes: lanes on each device in lockstep; by default as many as its memory holds, at most 4096.
+      workers: threads of the serial engine on one device; by default the CPU cores that this process may use.
+
+    Returns:
+      `Resources`.
+
+    Raises:
+      InputError: an engine that does not exist, lanes or workers below 1, lanes for the serial engine.
+    """
+    if engine is not None and engine not in ENGINES:
+        raise InputError(f"engine must be one of {', '.join(ENGINES)}, got {engine!r}")
+    for name, value in (("lanes", lanes), ("workers", workers)):
+        if value is not None and value < 1:
+            raise InputError(f"{name} must be at least 1, got {value}")
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    start_backend(workers or cores)  # before anything else asks JAX for its devices
+    devices = jax.local_devices()
+    engine = engine or ("serial" if devices[0].platform == "cpu" else "lockstep")
+    if lanes is not None and engine == "serial":
+        raise InputError(f"lanes are for the engine lockstep, got {lanes} for serial")
+    workers = (workers or cores) if len(devices) == 1 else 1
+    return Resources(engine, devices, workers, lanes, jax.process_index(), jax.process_count())
+
+
+def run_all(lines, resources, on_progress=None):
+    """Makes every run of every line.
+
+    A run's result depends on its scene, program, numbers, task and key, not on what else runs, nor on the engine, or
+    the number of lanes, cores, devices or processes.
+
+    Ctrl-C ends it early: the lines then hold what was finished. Where nothing was, it is raised.
+
+    Args:
+      lines: list of `Line`, each with at least one run. In every process the same, but for `which`.
+      resources: `Resources`.
+      on_progress: called with the number of runs finished so far, now and then, from the calling thread.
+
+    Returns:
+      `Costs`.
+
+    Raises:
+      MemoryError: a device's memory does not suffice, not even for half the lanes.
+    """
+    costs = Costs(engine=resources.engine, devices=len(resources.devices) * resources.processes)
+    on_progress = on_progress or (lambda done: None)
+    try:
+        if resources.engine == "serial":
+            costs.lanes = resources.workers
+            serial.run_lines(lines, resources.devices, resources.workers, costs, on_progress)
+        else:
+            lockstep.run_lines(lines, resources.devices, resources.lanes, costs, on_progress)
+    except KeyboardInterrupt:
+        if resources.processes > 1 or not any(line.finished.any() for line in lines):
+            raise
+        costs.interrupted = True
+    except jax.errors.JaxRuntimeError as error:
+        if "RESOURCE_EXHAUSTED" in str(error):
+            raise MemoryError(str(error)) from error
+        raise
+    for line in lines:
+        if line.results is None or (resources.processes > 1 and line.kept is None):
+            shapes = line.shapes()
+            line.make_room(shapes[0])
+            if resources.processes > 1:
+                line.kept = jax.tree.map(lambda a: np.zeros(a.shape, a.dtype), shapes[1])
+    if resources.processes > 1:
+        _across_processes(lines)
+    return costs
+
+
+def _across_processes(lines):
+    """What all processes found, in every process."""
+    from jax.experimental import multihost_utils
+
+    def total(parts):  # every run was made in one process, zeros elsewhere
+        return np.asarray(parts).sum(axis=0, dtype=parts.dtype)
+
+    for line in lines:
+        line.results, line.finished = jax.tree.map(
+            total, multihost_utils.process_allgather((line.results, line.finished))
+        )
+        line.kept = multihost_utils.broadcast_one_to_all(line.kept)  # from the first process, which makes the first run

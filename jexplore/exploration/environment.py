@@ -1,0 +1,298 @@
+"""The rules of exploration, one motion at a time: begin, decide, commit, advance.
+
+`decide` asks the strategy, `commit` makes its choice the plan and makes the first motion, `advance` makes the scan that
+belongs to a motion, judges what it means for the plan, and makes the next one. An episode, a replay and whoever steps
+by hand all call these.
+"""
+
+import jax
+import jax.numpy as jnp
+from jax import Array, lax
+
+from jexplore.arrays import bits
+from jexplore.arrays.loops import run_if, stored
+from jexplore.distance import within_packed
+from jexplore.exploration import trail
+from jexplore.exploration.motion import motion_step, turn_between
+from jexplore.exploration.state import Outcome, State, Stream, no_counts
+from jexplore.frontier import disc
+from jexplore.grid import count, empty_grid
+from jexplore.planning import Belief
+from jexplore.raycast import disturb, fold, scan
+from jexplore.reach import NO_MOTION, flood
+
+STRIDE = 16  # cells by which the square moves in which known cells are counted
+LOOK_AROUND = 3  # scans after a turn in place, 90 degrees apart
+
+
+def _square(row, col, shape, window):
+    """The corner of a square that holds every cell that a scan can change, and its shape: `((row, col), (h, w))`.
+
+    It moves by `STRIDE` cells at a time, so that its known cells need not be counted anew for every scan.
+    """
+    size = tuple(min(n, 2 * window + STRIDE) for n in shape)
+    corner = [jnp.clip((at - window) // STRIDE * STRIDE, 0, n - m) for at, n, m in zip((row, col), shape, size)]
+    return jnp.stack(corner), size
+
+
+def _known_in(grid, corner, size):
+    """Known cells in a square: int32."""
+    hits, misses = (lax.dynamic_slice(a, corner, size) for a in (grid.hits, grid.misses))
+    return count((hits | misses) != 0)
+
+
+def _sense(setup, given, state, when):
+    """One scan where the robot stands, counted into its map where it believes to be, or nothing."""
+    belief, beams, occupied, base = state.belief, given.shared, *_stacked(given, given.scenes.occupied)
+    seen = scan(occupied, base + state.row, state.col, state.heading, beams, method=belief.model.scan)
+    if setup.noisy:
+        key = jax.random.fold_in(jax.random.fold_in(given.key, Stream.SENSOR), state.scans)
+        noise = {"sigma_cells": given.numbers.sigma_cells, "dropout": given.numbers.dropout}
+        seen = disturb(key, seen, state.row, state.col, state.heading, beams, belief.extent, **noise)
+    corner, size = _square(belief.row, belief.col, state.shape, setup.window)
+    # Known cells outside the square, counted before the update. The number is added where it changes nothing (it is
+    # never negative), so that it is made first, and the update can then be made in place.
+    outside = run_if(
+        jnp.any(corner != state.corner), lambda _: state.known - _known_in(belief.grid, corner, size), state.outside
+    )
+    row = belief.row + jnp.minimum(outside, 0)
+    grid = fold(belief.grid, row, belief.col, belief.heading, seen, beams, when=when, method=belief.model.scan)
+    known = outside + _known_in(grid, corner, size)
+    state = state.replace(corner=corner, outside=outside, scans=state.scans + when, known=known)
+    return state.replace(belief=belief.replace(grid=grid))
+
+
+def _stacked(given, maps):
+    """Maps of all worlds as one, one above the other, and the row where the run's own begins: `([M * H, W], int32)`."""
+    return maps.reshape(-1, maps.shape[-1]), given.scene * maps.shape[-2]
+
+
+def _is_live(belief, row, col):
+    """Whether a cell is 8-adjacent to an unknown cell: bool."""
+    height, width = belief.driven.shape
+    r = row + jnp.asarray([-1, -1, -1, 0, 0, 1, 1, 1], jnp.int32)
+    c = col + jnp.asarray([-1, 0, 1, -1, 1, -1, 0, 1], jnp.int32)
+    inside = (r >= 0) & (r < belief.extent[0]) & (c >= 0) & (c < belief.extent[1])
+    r, c = jnp.clip(r, 0, height - 1), jnp.clip(c, 0, width - 1)
+    return jnp.any(inside & ((belief.grid.hits[r, c] | belief.grid.misses[r, c]) == 0))
+
+
+def _mark(mask, rows, cols, when: Array | bool = True):
+    """The mask with some cells set where `when`; a scatter, because it updates the mask in place."""
+    outside = mask.shape[0]  # a row that is not there: dropped
+    return mask.at[jnp.where(when, rows, outside), cols].set(True, mode="drop")
+
+
+def _move(given, state):
+    """The next motion of a plan under way, before its scan: a step along the route, or 90 degrees in place.
+
+    A step into a cell that is not free is refused: the robot only turns towards it. A plan whose next step would be one
+    too many ends the episode. Does nothing once the plan is done.
+    """
+    belief = state.belief
+    looking = state.walking & (state.looking > 0)
+    at_limit = state.walking & ~looking & (state.steps >= given.numbers.max_steps)
+    motion = state.route[belief.row, belief.col]
+    drow, dcol, heading = motion_step(motion)
+    hits, misses = (a[belief.row + drow, belief.col + dcol] for a in (belief.grid.hits, belief.grid.misses))
+    free = (hits + misses > 0) & (hits.astype(jnp.float32) <= belief.model.p_free * (hits + misses).astype(jnp.float32))
+    occupied, base = _stacked(given, given.scenes.occupied)
+    wall = occupied[base + state.row + drow, state.col + dcol]
+    blocked = wall | ~(free | belief.driven[belief.row + drow, belief.col + dcol])
+    ahead = state.walking & ~looking & ~at_limit
+    steps, refused = ahead & ~blocked, ahead & blocked
+    diagonal = steps & (drow != 0) & (dcol != 0)
+    drow, dcol = jnp.where(steps, drow, 0), jnp.where(steps, dcol, 0)
+
+    def turned(old):
+        return jnp.where(looking, (old + 2) % 8, jnp.where(ahead, heading, old))
+
+    row, col = state.row + drow, state.col + dcol
+    rooms, base = _stacked(given, given.scenes.rooms)
+    room = rooms[base + row, col]
+    entered = (room >= 0) & (room != state.room)
+    return state.replace(
+        row=row,
+        col=col,
+        heading=turned(state.heading),
+        belief=belief.replace(row=belief.row + drow, col=belief.col + dcol, heading=turned(belief.heading)),
+        came_from=jnp.stack([belief.row, belief.col]),
+        looking=state.looking - looking,
+        looked=jnp.where(steps, 0, state.looked + looking),
+        bumped=jnp.where(state.walking, jnp.where(refused, motion, NO_MOTION), state.bumped).astype(jnp.int32),
+        walking=state.walking & ~at_limit,
+        outcome=jnp.where(at_limit, Outcome.STEP_LIMIT, state.outcome),
+        turns=state.turns + turn_between(state.heading, turned(state.heading)),
+        straight=state.straight + (steps & ~diagonal),
+        diagonal=state.diagonal + diagonal,
+        room=jnp.where(entered, room, state.room),
+        room_entries=state.room_entries + entered,
+        refused=state.refused + refused,
+    )
+
+
+def _arrive(state, arrived, live, numbers):
+    """What follows on arrival: a look around if the target is live and the rules say so; else the plan is done.
+
+    A target that is live after that is exhausted.
+    """
+    looks = arrived & live & numbers.look_around & (state.looked < LOOK_AROUND)
+    spent = arrived & live & ~looks
+    return state.replace(
+        belief=state.belief.replace(exhausted=_mark(state.belief.exhausted, state.target[0], state.target[1], spent)),
+        looking=jnp.where(looks, LOOK_AROUND, state.looking),
+        exhausted=state.exhausted + spent,
+        walking=jnp.where(arrived, looks, state.walking),
+    )
+
+
+def _limit_plans(numbers, state):
+    """Ends an episode whose plan is done and that may make no other."""
+    spent = (state.outcome == Outcome.RUNNING) & ~state.walking & (state.plans >= numbers.max_plans)
+    return state.replace(outcome=jnp.where(spent, Outcome.PLAN_LIMIT, state.outcome))
+
+
+def advance(setup, given, state):
+    """One scan of a plan under way, what it means for the plan, and the next motion if it goes on.
+
+    Scan first, motion last: everything that is read from the map is then read after its update, which can so be made
+    in place. Does nothing to the maps, the trail and what is counted once the plan is done.
+
+    Args:
+      setup: `Setup`. Static.
+      given: as for `begin`.
+      state: `State`.
+
+    Returns:
+      `State`.
+    """
+    belief, walking, numbers = state.belief, state.walking, given.numbers
+    # Both cells beside a diagonal step belong to the way driven; for a straight step they are its ends.
+    beside = (
+        jnp.stack([belief.row, belief.row, state.came_from[0]]),
+        jnp.stack([belief.col, state.came_from[1], belief.col]),
+    )
+    state = state.replace(belief=belief.replace(driven=_mark(belief.driven, *beside, walking)))
+    state = trail.note_step(_sense(setup, given, state, walking), walking)
+    here = (belief.row == state.target[0]) & (belief.col == state.target[1])
+    live = _is_live(state.belief, *state.target)
+    if setup.policy.live is not None:
+        asked = state.is_view & state.walking & (numbers.recheck | here)
+
+        def look(_):
+            return setup.policy.live(numbers.params, state.belief, given.shared, *state.target)
+
+        live = run_if(asked, look, live)
+    bumped = state.bumped >= 0
+    given_up = bumped | (numbers.recheck & ~live & ~here)
+    state = state.replace(walking=walking & ~given_up)
+    state = _arrive(state, walking & here & ~bumped & (state.looking == 0), live, numbers)
+    return _limit_plans(numbers, _move(given, state))
+
+
+def decide(setup, given, state):
+    """Asks the strategy for a target.
+
+    Args:
+      setup, given, state: as for `advance`; a running episode that carries out no plan.
+
+    Returns:
+      `(carry, choice, route)`: what the strategy remembers; `planning.Choice`; `[H, W]` int8, the route to it.
+    """
+    key = jax.random.fold_in(jax.random.fold_in(given.key, Stream.POLICY), state.plans)
+    return setup.policy.select(key, given.numbers.params, state.carry, state.belief, given.shared, state.route)
+
+
+def commit(given, state, choice, route):
+    """Makes a choice the plan and makes its first motion; none ends the episode as complete, as far as is known here.
+
+    Args:
+      given, state: as for `decide`.
+      choice: `planning.Choice`.
+      route: `[H, W]` int8, motions from the robot's cell to the target (`reach.lay_route`).
+
+    Returns:
+      `State`.
+    """
+    none = choice.row < 0
+    state = trail.note_choice(state, choice).replace(
+        route=route,
+        target=jnp.stack([choice.row, choice.col]),
+        is_view=jnp.asarray(choice.is_view),
+        overflow=state.overflow + choice.overflow,
+        plans=state.plans + 1,
+        saturated=choice.saturated,
+        walking=~none,
+        bumped=jnp.int32(NO_MOTION),
+        outcome=jnp.where(none, Outcome.COMPLETE, state.outcome),
+    )
+    # A path of length 0 is an arrival, at a target that is live or would not have been chosen.
+    here = (state.belief.row == choice.row) & (state.belief.col == choice.col)
+    return _limit_plans(given.numbers, _move(given, _arrive(state, here, True, given.numbers)))
+
+
+def begin(setup, given):
+    """An episode that has made its first scans.
+
+    Args:
+      setup: `Setup`. Static.
+      given: `engine.Given`: key of the episode, consumed by all of its parts together, each drawing from streams of
+        its own; `Beams` with 8 headings shared; `Truth` of M worlds; `Numbers`; the task is the start, `[3]` int32,
+        row, col and heading (units of 45 degrees).
+
+    Returns:
+      `State`.
+    """
+    numbers, truth, (row, col, heading) = given.numbers, given.scenes, given.task
+    shape = truth.occupied.shape[1:]
+    maps, base = _stacked(given, truth.occupied)
+    occupied = lax.dynamic_slice(maps, (base, jnp.int32(0)), shape)
+    flags = jnp.zeros(shape, bool)
+    free, walls, near = stored(
+        row >= 0, lambda: [bits.pack(m) for m in (~occupied, occupied, disc(shape, row, col, numbers.model.near_d2))]
+    )
+    clear = free & ~within_packed(walls, numbers.model.clearance_d2)
+    goal = clear & flood(clear | (free & near), row, col)
+    rows, cols = (lax.broadcasted_iota(jnp.int32, shape, axis) for axis in (0, 1))
+    stuck = occupied[row, col] | ~jnp.any(goal & bits.pack((rows != row) | (cols != col)))
+    belief = Belief(
+        grid=empty_grid(shape),
+        driven=_mark(flags, row, col),
+        exhausted=flags,
+        row=row,
+        col=col,
+        heading=heading,
+        extent=truth.extent[given.scene],
+        model=numbers.model,
+    )
+    rooms, base = _stacked(given, truth.rooms)
+    room = rooms[base + row, col]
+    steps, choices = trail.blank(setup.capacity)
+    state = State(
+        row=row,
+        col=col,
+        heading=heading,
+        belief=belief,
+        goal=goal,
+        route=jnp.full(shape, NO_MOTION, jnp.int8),
+        trail=steps,
+        choices=choices,
+        carry=setup.policy.init(numbers.params, belief),
+        target=jnp.full((2,), -1, jnp.int32),
+        is_view=jnp.bool_(False),
+        walking=jnp.bool_(False),
+        bumped=jnp.int32(NO_MOTION),
+        came_from=jnp.stack([row, col]),
+        corner=_square(row, col, shape, setup.window)[0],
+        room=room,
+        outcome=jnp.where(stuck, Outcome.STUCK, Outcome.RUNNING).astype(jnp.int32),
+        room_entries=(room >= 0).astype(jnp.int32),
+        **no_counts(),
+    )
+
+    def look_round(_, state):
+        state, belief = _sense(setup, given, state, ~stuck), state.belief
+        turned = (belief.heading + 8 // setup.first_scans) % 8
+        return state.replace(heading=turned, belief=state.belief.replace(heading=turned))
+
+    return trail.note_step(lax.fori_loop(0, setup.first_scans, look_round, state))

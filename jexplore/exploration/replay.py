@@ -1,0 +1,87 @@
+"""An episode once more, scan by scan, by the environment's own rules with the choices that it recorded."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jexplore.engine.program import given_of
+from jexplore.exploration import environment
+from jexplore.exploration.site import line_of
+from jexplore.exploration.state import State
+from jexplore.planning import Belief, Choice, field
+from jexplore.reach import FAR, MOTIONS, NO_MOTION
+
+
+class Moment(NamedTuple):
+    """An episode just after a scan."""
+
+    step: int  # steps made before it
+    row: int  # where the scan was made
+    col: int
+    heading: int  # units of 45 degrees
+    belief: Belief  # after it, at that place; padded
+    state: State  # after it, and after the motion that follows
+
+
+_begin = jax.jit(environment.begin, static_argnums=0)
+_advance = jax.jit(environment.advance, static_argnums=0)
+
+
+@jax.jit
+def _commit(given, state, row, col, is_view, route):
+    nothing = jnp.int32(0)
+    return environment.commit(given, state, Choice(row, col, jnp.int32(FAR), nothing, is_view, nothing), route)
+
+
+_candidates = jax.jit(lambda belief: field(belief).candidates)
+
+
+def frontier(belief):
+    """Frontier cells that can be reached and are not exhausted: `[H, W]` bool, numpy."""
+    return np.asarray(_candidates(belief))
+
+
+def moments(site, strategy, start, seed, number, plans):
+    """Every scan of an episode after those at the start.
+
+    Args:
+      site: `Site`, with the kernels of one robot.
+      strategy: `Strategy`; asked only whether a view point is still worth going to.
+      start: row, col, heading in degrees.
+      seed: of the run.
+      number: of the episode.
+      plans: list of `trail.Plan`.
+
+    Yields:
+      `Moment`s, first that after the scans at the start.
+    """
+    line = line_of(site, strategy, np.tile(np.asarray(start, np.int32), (number + 1, 1)), seed, [number])
+    given, setup = jax.device_put(given_of(line, number)), line.program.setup
+    state = _begin(setup, given)
+    yield _moment(state, state)
+    for plan in plans:
+        row, col = (-1, -1) if plan.target is None else plan.target
+        route = _route(state, plan.motions)
+        state = _commit(given, state, np.int32(row), np.int32(col), np.bool_(plan.is_view), route)
+        while state.walking:
+            before, state = state, _advance(setup, given, state)
+            yield _moment(before, state)
+
+
+def _moment(before, state):
+    row, col, heading, step = (int(a) for a in (before.row, before.col, before.heading, before.steps))
+    belief = before.belief
+    here = state.belief.replace(row=belief.row, col=belief.col, heading=belief.heading)
+    return Moment(step, row, col, heading, here, state)
+
+
+def _route(state, motions):
+    """The map of motions of a way that begins at the robot: `[H, W]` int8."""
+    route = np.full(state.shape, NO_MOTION, np.int8)
+    row, col = int(state.belief.row), int(state.belief.col)
+    for motion in motions:
+        route[row, col] = motion
+        row, col = row + MOTIONS[motion][0], col + MOTIONS[motion][1]
+    return route

@@ -1,0 +1,142 @@
+"""What an exploration episode is made of: its setting, its state, its result."""
+
+import enum
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+from flax import struct
+from jax import Array
+
+from jexplore.planning import Belief, MapModel
+from jexplore.policies.policy import Policy
+
+PERCENTILES = (50, 90, 95, 99)
+
+
+class Outcome(enum.IntEnum):
+    """How an episode ended."""
+
+    RUNNING = 0
+    COMPLETE = 1  # no frontier left, and every cell that is clear and connected to the start is known
+    BLOCKED = 2  # no frontier left, but such a cell is unknown
+    STEP_LIMIT = 3
+    PLAN_LIMIT = 4
+    STUCK = 5  # the start is enclosed: no clear cell can be reached
+
+
+class Stream(enum.IntEnum):
+    """Independent streams of random numbers within one episode."""
+
+    SENSOR = 0
+    POLICY = 1
+
+
+@struct.dataclass
+class Truth:
+    """A world as it is, padded, with what results are measured against; or M of one size, with a leading axis."""
+
+    occupied: Array  # [H, W] bool; True in padding
+    rooms: Array  # [H, W] int32; -1 outside rooms and in padding
+    region: Array  # [H, W] int32, number of each 4-connected region of free cells
+    extent: Array  # [2] int32, height and width without padding
+
+
+class Setup(NamedTuple):
+    """What is fixed before an episode is compiled. Hashable."""
+
+    policy: Policy | None  # without its parameters; None: the site of no strategy yet
+    first_scans: int  # scans all round at the start: 1, 2, 4 or 8
+    window: int  # half width of the square that one scan can change, cells
+    noisy: bool  # whether the scanner's noise is simulated
+    capacity: int  # T, steps that the trail has room for; at least max_steps
+
+
+@struct.dataclass
+class Numbers:
+    """The numbers of an episode that may be swept without compiling anew."""
+
+    model: MapModel
+    look_around: Array  # bool
+    recheck: Array  # bool
+    max_steps: Array  # int32
+    max_plans: Array  # int32
+    sigma_cells: Array  # float32
+    dropout: Array  # float32
+    params: Any  # `Policy.params`
+
+
+@struct.dataclass
+class Result:
+    """What an episode measured: integers, so that equal results are equal bits. Metres and radians are made on
+    the host.
+    """
+
+    straight: Array  # int32, straight steps
+    diagonal: Array  # int32, diagonal steps
+    turns: Array  # int32, 45-degree turns, those in place included
+    scans: Array  # int32
+    plans: Array  # int32, the last one, that found nothing, included
+    exhausted: Array  # int32, targets that stayed live
+    outcome: Array  # int32, `Outcome`
+    known: Array  # int32, known cells
+    explored: Array  # int32, known cells among `explorable`
+    explorable: Array  # int32, free cells 4-connected to the start in the true world
+    room_entries: Array  # int32
+    straight_at: Array  # [4] int32, straight steps when 50, 90, 95, 99 % of `known` were known
+    diagonal_at: Array  # [4] int32, likewise
+    saturated: Array  # int32, cells out of reach at the end because their cost does not fit (see `reach.saturated`)
+    refused: Array  # int32, steps refused because the cell ahead was not free
+    overflow: Array  # int32, things that the strategy had no room for, all plans together
+
+
+@struct.dataclass
+class State:
+    """An episode under way. The robot's pose is where it is; where it believes to be is in its belief."""
+
+    row: Array  # int32, the robot's cell
+    col: Array  # int32
+    heading: Array  # int32, units of 45 degrees
+    belief: Belief
+    goal: Array  # [ceil(H / 32), W] uint32, packed: cells that are known when the episode is complete
+    route: Array  # [H, W] int8, see `reach.lay_route`
+    trail: Array  # [T + 1, 2] int32, see `trail.Trail`
+    choices: Array  # [P, 2] int32, see `trail.Choices`
+    carry: Any  # the policy's
+    target: Array  # [2] int32, row and col; -1 for none
+    is_view: Array  # bool, whether it is a view point
+    looking: Array  # int32, scans in place still to be made
+    looked: Array  # int32, scans in place made since the last step
+    walking: Array  # bool, whether the plan is still being carried out
+    bumped: Array  # int32, the motion that was refused just now, index into `reach.MOTIONS`; -1 for none
+    came_from: Array  # [2] int32, row and col of the belief before the last motion
+    known: Array  # int32, known cells
+    corner: Array  # [2] int32, row and col of the square in which known cells are counted, see `environment`
+    outside: Array  # int32, known cells outside it
+    room: Array  # int32, the last room stood in; -1 for none yet
+    straight: Array  # int32, and so on as in `Result`
+    diagonal: Array
+    turns: Array
+    scans: Array
+    plans: Array
+    exhausted: Array
+    outcome: Array
+    room_entries: Array
+    saturated: Array
+    refused: Array
+    overflow: Array
+
+    @property
+    def steps(self):
+        """Steps made: int32."""
+        return self.straight + self.diagonal
+
+    @property
+    def shape(self):
+        """`(H, W)` of the maps."""
+        return self.belief.driven.shape
+
+
+def no_counts() -> Any:
+    """The counts of a `State` in which nothing has been done: dict."""
+    names = "straight diagonal turns scans plans exhausted saturated refused overflow known looking looked outside"
+    return dict.fromkeys(names.split(), jnp.int32(0))

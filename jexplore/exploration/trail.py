@@ -1,0 +1,118 @@
+"""The record that an episode keeps of itself, written while it runs and decoded here only: where the robot was after
+every step, and what it chose in every plan.
+"""
+
+import enum
+import itertools
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+
+from jexplore.reach import HEADING, MOTIONS, NO_MOTION
+
+CHOICES = 4  # one plan is recorded for so many steps that there is room for
+_HEADING_OF = dict(zip(MOTIONS, HEADING))
+
+
+class Trail(enum.IntEnum):
+    """Columns of a trail: one row for the start and one for every step, after the last scan made there."""
+
+    SPOT = 0  # 4 * flat index (row * W + col) of the robot's cell + scans made in place there before going on, 0 to 3
+    KNOWN = 1  # known cells
+
+
+class Choices(enum.IntEnum):
+    """Columns of the record of plans: one row for every plan."""
+
+    TARGET = 0  # 2 * flat index of the target + whether it is a view point; -1 for none
+    WHEN = 1  # 16 * steps made before + motion that was refused just before + 1 (0 for none)
+
+
+def blank(capacity):
+    """A trail and a record of plans with room for so many steps: `[T + 1, 2]`, `[P, 2]` int32."""
+    return jnp.zeros((capacity + 1, len(Trail)), jnp.int32), jnp.zeros(
+        (-(-capacity // CHOICES), len(Choices)), jnp.int32
+    )
+
+
+def note_step(state, when=True):
+    """A `State` with the trail's entry for the present step, or as it is."""
+    cell = state.row * state.shape[1] + state.col
+    entry = jnp.stack([4 * cell + state.looked, state.known])
+    step = jnp.where(when, state.steps, state.trail.shape[0])
+    return state.replace(trail=state.trail.at[step].set(entry, mode="drop"))
+
+
+def note_choice(state, choice):
+    """A `State` with a choice on record; what there is no room for is left out."""
+    cell = 2 * (choice.row * state.shape[1] + choice.col) + choice.is_view
+    entry = jnp.stack([jnp.where(choice.row < 0, -1, cell), 16 * state.steps + state.bumped + 1])
+    return state.replace(choices=state.choices.at[state.plans].set(entry, mode="drop"))
+
+
+class Plan(NamedTuple):
+    """A recorded choice."""
+
+    step: int  # steps made before
+    target: tuple[int, int] | None  # row, col; None: there was none
+    is_view: bool
+    motions: list  # into the cells of the way that was driven, and the one that was refused
+
+
+class Final(NamedTuple):
+    """An episode's last map and its way there, on the host, without padding."""
+
+    hits: np.ndarray  # [H, W] int32
+    misses: np.ndarray  # [H, W] int32
+    rows: np.ndarray  # [n + 1] int32, the robot's cell at the start and after each of n steps
+    cols: np.ndarray  # [n + 1] int32
+    looked: np.ndarray  # [n + 1] int32, scans made in place there
+    known: np.ndarray  # [n + 1] int32, known cells then
+    plans: list[Plan] | None  # every choice; None where there was no room for all of them
+
+    def target_after(self, step):
+        """Row and column of what the robot went to next after some steps; None in the end."""
+        later = [plan for plan in self.plans or () if plan.step <= step]
+        return later[-1].target if later else None
+
+
+def kept(state):
+    """What is kept of an episode: map, trail, choices, and the motion that was refused last."""
+    return state.belief.grid.hits, state.belief.grid.misses, state.trail, state.choices, state.bumped
+
+
+def decode(found, result, shape):
+    """`Final` of what was kept of an episode.
+
+    Args:
+      found: what `kept` gave, numpy.
+      result: `Result` of that episode, scalars.
+      shape: of the world, without padding.
+    """
+    hits, misses, trail, choices, bumped = found
+    height, width = shape
+    steps, n_plans = int(result.straight + result.diagonal), int(result.plans)
+    trail = trail[: steps + 1]
+    rows, cols = np.divmod(trail[:, Trail.SPOT] // 4, hits.shape[1])
+    plans = None
+    if n_plans <= len(choices):
+        motions = [MOTIONS.index(step) for step in zip(np.diff(rows).tolist(), np.diff(cols).tolist())]
+        end = -1, 16 * steps + int(bumped) + 1
+        plans = list(_plans([*choices[:n_plans].tolist(), end], motions, hits.shape[1]))
+    return Final(
+        hits=hits[:height, :width],
+        misses=misses[:height, :width],
+        rows=rows,
+        cols=cols,
+        looked=trail[:, Trail.SPOT] % 4,
+        known=trail[:, Trail.KNOWN],
+        plans=plans,
+    )
+
+
+def _plans(choices, motions, padded):
+    for (code, when), (_, after) in itertools.pairwise(choices):
+        first, last, refused = when // 16, after // 16, after % 16 - 1
+        way = motions[first:last] + ([] if refused == NO_MOTION else [refused])
+        yield Plan(first, None if code < 0 else divmod(code // 2, padded), code >= 0 and code % 2 == 1, way)
