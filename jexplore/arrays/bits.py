@@ -22,10 +22,8 @@ def pack(mask):
     height, width = mask.shape
     n = -(-height // WORD)
     rows = jnp.pad(mask, ((0, n * WORD - height), (0, 0))).reshape(n, WORD, width)
-    words = rows[:, 0].astype(jnp.uint32)
-    for i in range(1, WORD):  # unrolled: a reduction over the rows does not vectorise on a CPU
-        words = words | (rows[:, i].astype(jnp.uint32) << i)
-    return words
+    # One bit a row: the sum is the union. A loop over rows, unrolled, was a third of an episode's equations.
+    return jnp.sum(rows.astype(jnp.uint32) << lax.broadcasted_iota(jnp.uint32, rows.shape, 1), axis=1, dtype=jnp.uint32)
 
 
 def unpack(words, height=None):
