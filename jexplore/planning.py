@@ -15,7 +15,7 @@ from flax import struct
 from jax import Array, lax
 
 from jexplore.arrays import bits
-from jexplore.arrays.loops import run_if, stored
+from jexplore.arrays.loops import one_kernel, run_if, stored
 from jexplore.frontier import plan_masks
 from jexplore.grid import Grid, count, lowest
 from jexplore.reach import DIAGONAL, FAR, STRAIGHT, STRIDES, lay_route, reach_packed, saturated
@@ -79,10 +79,14 @@ def _masks(belief, origin=(0, 0)):
     rows = lax.broadcasted_iota(jnp.int32, belief.driven.shape, 0) + origin[0]
     cols = lax.broadcasted_iota(jnp.int32, belief.driven.shape, 1) + origin[1]
     inside = (rows < belief.extent[0]) & (cols < belief.extent[1])
-    return plan_masks(
-        belief.grid, belief.driven, belief.exhausted, inside, belief.row - origin[0], belief.col - origin[1],
-        p_free=belief.model.p_free, near_d2=belief.model.near_d2, clearance_d2=belief.model.clearance_d2,
-    )  # fmt: skip
+    model, row, col = belief.model, belief.row - origin[0], belief.col - origin[1]
+
+    def judge(grid, driven, exhausted, inside, row, col, p_free, near_d2):
+        numbers = {"p_free": p_free, "near_d2": near_d2, "clearance_d2": model.clearance_d2}
+        return plan_masks(grid, driven, exhausted, inside, row, col, **numbers)
+
+    arguments = belief.grid, belief.driven, belief.exhausted, inside, row, col, model.p_free, model.near_d2
+    return one_kernel(judge, *arguments) if model.reach == "sweeps" else judge(*arguments)
 
 
 def field(belief, *, nearest_only=False):

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from jax import Array, lax
 
 from jexplore.arrays import bits
-from jexplore.arrays.loops import repeat, stored
+from jexplore.arrays.loops import one_kernel, repeat, stored
 from jexplore.grid import beside, bordered, count, lowest
 
 STRAIGHT = 2**16
@@ -237,7 +237,16 @@ def _sweeps(words, start, at, goals, limit, steps):
     return lax.while_loop(lambda s: s[2] & (s[3] < height * width), sweep, state)[0][1:-1, 1:-1]
 
 
-METHODS = {"sweeps": _sweeps, "wave": _wave}
+def _sweeps_as_one(words, start, at, goals, limit, steps):
+    """`_sweeps` as one piece of code: the rows are many small operations."""
+
+    def run(words, start, at, goals, limit):
+        return _sweeps(words, start, at, goals, limit, steps)
+
+    return one_kernel(run, words, start, at, goals, limit)
+
+
+METHODS = {"sweeps": _sweeps_as_one, "wave": _wave}
 STRIDES = {"sweeps": 1, "wave": 8}  # for `lay_route` beside each method: in lockstep a look costs more than a motion
 
 
@@ -349,7 +358,17 @@ def lay_route(route, cost, traversable, start, target, origin, *, stride=1):
     Returns:
       `route`: `[H, W]` int8. Following it from the start ends at the target, after at most h * w motions.
     """
-    cost, traversable = jnp.pad(cost, 1, constant_values=FAR), jnp.pad(traversable, 1)
+
+    def lay(route, cost, traversable, start, target, origin):
+        cost, traversable = jnp.pad(cost, 1, constant_values=FAR), jnp.pad(traversable, 1)
+        return _walk_back(route, cost, traversable, start, target, origin, stride)
+
+    arguments = route, cost, traversable, start, target, origin
+    return one_kernel(lay, *arguments) if stride == 1 else lay(*arguments)
+
+
+def _walk_back(route, cost, traversable, start, target, origin, stride):
+    """`lay_route` with cost and traversable cells in a border."""
     motions = jnp.asarray(MOTIONS, jnp.int32)
 
     def under_way(state):

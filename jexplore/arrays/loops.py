@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 from jax.custom_batching import custom_vmap
+from jax.experimental.xla_metadata import set_xla_metadata
 from jax.extend.core import jaxpr_as_fun
 
 SHARE = 8  # a condition under vmap is worked off by groups of one lane in so many
@@ -172,3 +173,41 @@ def stored(truth, function):
         return out, _all_batched(out)
 
     return call(jnp.asarray(truth), closed)
+
+
+def one_kernel(function, *args):
+    """`function(*args)`, compiled on a CPU as one piece of code, loops and all, instead of a call for every operation.
+
+    For kernels of many small operations. No scatter, sort or custom call may be in it. Under `vmap`, where an update
+    becomes a scatter, it is a plain call.
+
+    Args:
+      function: takes and returns pytrees of arrays.
+      *args: pytrees of arrays.
+
+    Returns:
+      what `function` returns.
+    """
+    if jax.config.values["jax_disable_jit"] or jax.default_backend() != "cpu":
+        return function(*args)
+    pure, closed = _hoisted(function, *args)
+    leaves, tree = jax.tree.flatten((closed, *args))
+    jaxpr, shapes = jax.make_jaxpr(lambda *leaves: pure(*jax.tree.unflatten(tree, leaves)), return_shape=True)(*leaves)
+    run = jaxpr_as_fun(jaxpr)
+
+    def used(*leaves):
+        # XLA's CPU compiler ends the process over an argument that such a piece of code does not use, or that it knows
+        # to be constant: all are used, and a barrier hides what they are.
+        return run(*leaves), sum((jnp.ravel(leaf)[0] != 0).astype(jnp.int32) for leaf in leaves)
+
+    @custom_vmap
+    def call(leaves):
+        leaves = lax.optimization_barrier(leaves)
+        return set_xla_metadata(jax.jit(used)(*leaves), inlineable="false", xla_cpu_small_call="true")[0]
+
+    @call.def_vmap
+    def in_lanes(n, batched, leaves):
+        out = jax.vmap(lambda leaves: run(*leaves), (_axes(batched[0]),), axis_size=n)(leaves)
+        return out, _all_batched(out)
+
+    return jax.tree.unflatten(jax.tree.structure(shapes), call([jnp.asarray(leaf) for leaf in leaves]))

@@ -31,9 +31,8 @@ class Choices(enum.IntEnum):
 
 def blank(capacity):
     """A trail and a record of plans with room for so many steps: `[T + 1, 2]`, `[P, 2]` int32."""
-    return jnp.zeros((capacity + 1, len(Trail)), jnp.int32), jnp.zeros(
-        (-(-capacity // CHOICES), len(Choices)), jnp.int32
-    )
+    steps, plans = (capacity + 1, len(Trail)), (-(-capacity // CHOICES), len(Choices))
+    return jnp.zeros(steps, jnp.int32), jnp.zeros(plans, jnp.int32)
 
 
 def note_step(state, when=True):
