@@ -288,6 +288,15 @@ def _padded(array, fill):
 
 
 @functools.partial(jax.jit, static_argnames=("form",))
+def _fill_lines(label, free):
+    """Labels with splitting lines given to the segments beside them."""
+    for _ in range(2):
+        b = bordered(label, -1)
+        around = [beside(b, *step) for step in sparse.NEIGHBOURS[:4]]
+        label = jnp.where((label < 0) & free, functools.reduce(jnp.maximum, around), label)
+    return label
+
+
 def segment(free, criteria, *, form):
     """Divides free space into segments, roughly rooms.
 
@@ -338,11 +347,7 @@ def segment(free, criteria, *, form):
     group = merged(borders(label, n), start, criteria.longest_first, keep_apart=not form.lines)
     label = jnp.where(label >= 0, group[jnp.maximum(label, 0)], -1)
     if form.lines:
-        # The lines themselves go to the segments beside them.
-        for _ in range(2):
-            b = bordered(label, -1)
-            around = [beside(b, *step) for step in sparse.NEIGHBOURS[:4]]
-            label = jnp.where((label < 0) & free, functools.reduce(jnp.maximum, around), label)
+        label = _fill_lines(label, free)
     count = jnp.sum(critical, dtype=jnp.int32)
     return Segments(
         label=label,

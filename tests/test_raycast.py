@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from ref import any_pose, maps
 from ref import beams as oracle
-from ref import maps
 from scipy import stats
 
 from jexplore import raycast
@@ -133,7 +133,7 @@ def test_directions_are_exact_on_the_lattice():
 @pytest.mark.parametrize("occupied", [np.ones((1, 1), bool), np.ones((3, 3), bool), np.ones((1, 5), bool)])
 def test_all_wall(occupied):
     row, col = occupied.shape[0] // 2, occupied.shape[1] // 2
-    range_m, hit = raycast.cast(jnp.asarray(occupied), ((col + 0.5), (row + 0.5), 0.0), np.radians([0, 90, 180, -90]),
+    range_m, hit = any_pose.cast(jnp.asarray(occupied), ((col + 0.5), (row + 0.5), 0.0), np.radians([0, 90, 180, -90]),
                                 max_range_m=4.0, cell_m=1.0)  # fmt: skip
     np.testing.assert_array_equal(range_m, [0.5] * 4)
     assert hit.all()
@@ -141,7 +141,7 @@ def test_all_wall(occupied):
 
 def test_outside_a_map_without_walls_everything_is_occupied():
     free = jnp.zeros((1, 3), bool)
-    range_m, hit = raycast.cast(free, (1.25, 0.5, 0.0), np.radians([0, 90, 180, -90]), max_range_m=1.5, cell_m=1.0)
+    range_m, hit = any_pose.cast(free, (1.25, 0.5, 0.0), np.radians([0, 90, 180, -90]), max_range_m=1.5, cell_m=1.0)
     np.testing.assert_array_equal(range_m, [1.5, 0.5, 1.25, 0.5])
     np.testing.assert_array_equal(hit, [False, True, True, True])
 
@@ -214,7 +214,7 @@ def test_the_general_form_agrees_with_the_table_on_the_lattice(heading):
     lidar = Lidar()
     table = raycast.beam_table(lidar, 0.1, 300)
     angles = np.radians(raycast.beam_angles_deg(lidar))
-    any_pose = raycast.trace((10.05, 3.45, heading * math.pi / 4), angles, max_range_m=8.0, cell_m=0.1, width=300)
+    any_pose = any_pose.beams_from((10.05, 3.45, heading * math.pi / 4), angles, max_range_m=8.0, cell_m=0.1, width=300)
     assert any_pose.offset.shape == (1, *table.offset.shape[1:])
     np.testing.assert_array_equal(any_pose.length[0], table.length[heading])
     np.testing.assert_array_equal(any_pose.drow[0], table.drow[heading])
@@ -232,7 +232,7 @@ unit = st.integers(1, 1023).map(lambda n: n / 1024)
 def test_a_beam_from_any_pose_is_the_oracles(x, y, heading):
     """Where float64 itself leaves no doubt which line is crossed first."""
     angles = np.arange(12, dtype=np.float32) * np.float32(0.5)
-    got = raycast.trace((x + 3, y + 5, heading), angles, max_range_m=6.0, cell_m=1.0, width=40)
+    got = any_pose.beams_from((x + 3, y + 5, heading), angles, max_range_m=6.0, cell_m=1.0, width=40)
     compared = 0
     for b, angle in enumerate(angles):
         theta = float(np.float32(heading) + angle)
@@ -256,7 +256,7 @@ def test_a_beam_from_any_pose_is_the_oracles(x, y, heading):
 def test_cast_gives_the_oracles_ranges(place, x, y, heading):
     occupied, row, col, _ = place
     angles = np.linspace(-1, 1, 9, dtype=np.float32)
-    range_m, hit = raycast.cast(jnp.asarray(occupied), (0.1 * (col + x), 0.1 * (row + y), heading), angles,
+    range_m, hit = any_pose.cast(jnp.asarray(occupied), (0.1 * (col + x), 0.1 * (row + y), heading), angles,
                                 max_range_m=0.6, cell_m=0.1)  # fmt: skip
     for b, angle in enumerate(angles):
         theta = float(np.float32(heading) + angle)
@@ -273,7 +273,7 @@ def test_a_pose_on_the_edge_of_a_cell_is_in_one_cell_only(k):
     """Whatever cell it is taken to be in, the walls must stand where they are."""
     x_m = k * 0.1
     pose = (x_m, 0.05, 0.0)
-    range_m, hit = raycast.cast(jnp.zeros((1, 10), bool), pose, np.radians([0, 180]), max_range_m=2.0, cell_m=0.1)
+    range_m, hit = any_pose.cast(jnp.zeros((1, 10), bool), pose, np.radians([0, 180]), max_range_m=2.0, cell_m=0.1)
     assert hit.all()
     np.testing.assert_allclose(range_m, [1.0 - x_m, x_m], atol=1e-5)
 
@@ -467,4 +467,4 @@ def test_different_keys_differ_and_equal_keys_agree():
 @pytest.mark.parametrize("wrong", [jnp.zeros((3, 3), jnp.int32), jnp.zeros(3, bool)])
 def test_what_is_no_occupancy_is_refused(wrong):
     with pytest.raises(ValueError, match="expected occupied"):
-        raycast.cast(wrong, (0.5, 0.5, 0.0), np.zeros(1), max_range_m=1.0, cell_m=1.0)
+        any_pose.cast(wrong, (0.5, 0.5, 0.0), np.zeros(1), max_range_m=1.0, cell_m=1.0)

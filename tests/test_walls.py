@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from ref import maps
 
-from jexplore import raycast
 from jexplore.driving.walls import FAR_M, SLACK_M, Walls, cast, meets, segments, walls_of
 
 QUARTERS = np.radians([0, 90, 180, -90]).astype(np.float32)
@@ -138,7 +137,7 @@ def by_segments(walls, pose):
 
 @jax.jit
 def by_cells(occupied, pose):
-    ranges, hit = raycast.cast(occupied, pose, FAN, max_range_m=RANGE_M, cell_m=CELL_M)
+    ranges, hit = any_pose.cast(occupied, pose, FAN, max_range_m=RANGE_M, cell_m=CELL_M)
     return jnp.where(hit, ranges, jnp.inf)
 
 

@@ -49,25 +49,9 @@ def delaunay(points, valid):
     n = points.shape[0]
     if not 2 <= n <= 256:
         raise ValueError(f"expected 2 to 256 points, got {n}")
-    codes = 1 << max(n - 1, 1).bit_length()
     first, second = np.triu_indices(n, 1)
     x, y = points[:, 0], points[:, 1]
-
-    # Point k's cotangent of the angle under which it sees the pair, and the side on which it lies: [n, E], so that the
-    # minimum over k runs along rows, which a CPU does many at a time.
-    x1, y1, x2, y2 = lax.optimization_barrier((x[first], y[first], x[second], y[second]))
-    ax, ay = x1 - x[:, None], y1 - y[:, None]
-    bx, by = x2 - x[:, None], y2 - y[:, None]
-    cross, dot = ax * by - ay * bx, ax * bx + ay * by
-    between = (cross == 0) & (dot < 0)  # on the straight line between both: the pair is no edge
-    here = valid[:, None] & ((cross != 0) | between)
-    cotangent = jnp.where(between, BETWEEN, dot / jnp.where(cross == 0, 1, jnp.abs(cross)))
-    # The last bits of a cotangent give way to the number of its point, so that one minimum finds both.
-    key = (_ordered(cotangent) & ~(codes - 1)) | jnp.arange(n, dtype=jnp.int32)[:, None]
-    sides = [jnp.min(jnp.where(here & on_side, key, NONE), axis=0) for on_side in (cross >= 0, cross < 0)]
-    apex = jnp.stack([key & (codes - 1) for key in sides])  # [2, E]
-    there = jnp.stack([key != NONE for key in sides])
-    broken = sides[0] < _ordered(jnp.float32(BETWEEN / 2))
+    apex, there, broken = _apexes(x, y, valid, first, second)
 
     def cot(k):
         px, py = x[jnp.minimum(k, n - 1)], y[jnp.minimum(k, n - 1)]
@@ -115,3 +99,29 @@ def circumcircles(points, corner):
     to_y = (u[:, 0] * side2[:, 1] - v[:, 0] * side2[:, 2]) * per
     radius = jnp.where(flat, jnp.inf, jnp.hypot(to_x, to_y))
     return a + jnp.stack([to_x, to_y], axis=1), radius, side2
+
+
+def _apexes(x, y, valid, first, second):
+    """The points that see every pair under the largest angle, on either side of it.
+
+    Returns:
+      `(apex, there, broken)`: `[2, E]` int32, number of the point; `[2, E]` bool, whether there is one; `[E]` bool,
+        whether one lies on the straight line between both.
+    """
+    n = x.shape[0]
+    codes = 1 << max(n - 1, 1).bit_length()
+    # Point k's cotangent of the angle under which it sees the pair, and the side on which it lies: [n, E], so that the
+    # minimum over k runs along rows, which a CPU does many at a time.
+    x1, y1, x2, y2 = lax.optimization_barrier((x[first], y[first], x[second], y[second]))
+    ax, ay = x1 - x[:, None], y1 - y[:, None]
+    bx, by = x2 - x[:, None], y2 - y[:, None]
+    cross, dot = ax * by - ay * bx, ax * bx + ay * by
+    between = (cross == 0) & (dot < 0)  # on the straight line between both: the pair is no edge
+    here = valid[:, None] & ((cross != 0) | between)
+    cotangent = jnp.where(between, BETWEEN, dot / jnp.where(cross == 0, 1, jnp.abs(cross)))
+    # The last bits of a cotangent give way to the number of its point, so that one minimum finds both.
+    key = (_ordered(cotangent) & ~(codes - 1)) | jnp.arange(n, dtype=jnp.int32)[:, None]
+    sides = [jnp.min(jnp.where(here & on_side, key, NONE), axis=0) for on_side in (cross >= 0, cross < 0)]
+    apex = jnp.stack([key & (codes - 1) for key in sides])  # [2, E]
+    there = jnp.stack([key != NONE for key in sides])
+    return apex, there, sides[0] < _ordered(jnp.float32(BETWEEN / 2))

@@ -203,7 +203,7 @@ def one_kernel(function, *args):
     @custom_vmap
     def call(leaves):
         leaves = lax.optimization_barrier(leaves)
-        return set_xla_metadata(jax.jit(used)(*leaves), inlineable="false", xla_cpu_small_call="true")[0]
+        return set_xla_metadata(jax.jit(used)(*leaves), inlineable="false", xla_cpu_small_call="true")[0]  # type: ignore[index]
 
     @call.def_vmap
     def in_lanes(n, batched, leaves):

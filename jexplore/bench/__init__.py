@@ -1,6 +1,7 @@
 """What everything costs: kernels, whole episodes by both engines, an episode's parts, memory, compiling.
 
-`prepare` refuses what cannot be measured, `run` measures, `tables.tables` and `plots.figure` show the report.
+`prepare_bench` refuses what cannot be measured, `run_bench` measures, `tables.tables` and `plots.figure` show what
+was found.
 """
 
 import contextlib
@@ -11,11 +12,13 @@ from typing import Any
 import jax
 from jax.experimental.compilation_cache import compilation_cache
 
-from jexplore.bench import beliefs, engines, kernels, rates, shares
+from jexplore.bench import beliefs, engines, kernels, plans, rates, shares
 from jexplore.bench.engines import LIDAR, RULES
 from jexplore.bench.timing import one_core, speed_clock, surroundings
 from jexplore.config import InputError, require_whole
-from jexplore.exploration import batch
+from jexplore.engine.backend import start_backend, use_compilation_cache
+from jexplore.engine.runner import ENGINES
+from jexplore.exploration.site import KERNELS
 from jexplore.policies import Strategy, parse_strategy
 from jexplore.studies.checks import MAX_EPISODES, ready_starts, ready_strategies, ready_worlds, require_memory
 from jexplore.worlds.world import World
@@ -35,7 +38,7 @@ GENERATOR, LEAST_M, CELL_M = "cave", 6.4, 0.1  # of the worlds of a given side
 
 
 @dataclasses.dataclass(frozen=True)
-class Plan:
+class Agenda:
     """What is to be measured."""
 
     worlds: list[World]
@@ -49,7 +52,7 @@ class Plan:
 
     @property
     def total(self):
-        """Measurements, of which `run` tells when one is done."""
+        """Measurements, of which `run_bench` tells when one is done."""
         n_kernels = 1 + len(self.sized)
         n_episodes = (len(self.worlds) + len(self.sized)) * len(self.strategies)
         return n_kernels + n_episodes + len(self.worlds) * len(self.strategies)
@@ -77,7 +80,7 @@ def _worlds_of(names, cell_m):
     return worlds
 
 
-def prepare(
+def prepare_bench(
     *, worlds=None, strategies=None, engine=None, batch_sizes=None, sides=None, episodes=None, repeat=None, quick=False
 ):
     """Checks and loads everything, and starts JAX with one thread. What is None has a default.
@@ -92,17 +95,17 @@ def prepare(
       quick: whether the defaults are small.
 
     Returns:
-      `Plan`.
+      `Agenda`.
 
     Raises:
       InputError: anything that cannot be measured.
     """
     default = DEFAULT | (QUICK if quick else {})
     if engine is not None and not engine:
-        raise InputError(f"engine must be one or more of {', '.join(batch.ENGINES)}, got none")
+        raise InputError(f"engine must be one or more of {', '.join(ENGINES)}, got none")
     for name in engine or ():
-        if name not in batch.ENGINES:
-            raise InputError(f"engine must be one of {', '.join(batch.ENGINES)}, got {name!r}")
+        if name not in ENGINES:
+            raise InputError(f"engine must be one of {', '.join(ENGINES)}, got {name!r}")
     given = None if batch_sizes is None else _numbers("batch-sizes", batch_sizes, 1, MAX_BATCH)
     sides = _numbers("sides", default["sides"] if sides is None else sides, LEAST_SIDE, MAX_SIDE)
     numbers = {"episodes": (episodes, MAX_EPISODES), "repeat": (repeat, MAX_REPEAT)}
@@ -113,21 +116,21 @@ def prepare(
     strategies = ready_strategies(default["strategies"] if strategies is None else strategies)
     worlds = _worlds_of(default["worlds"] if worlds is None else worlds, CELL_M)
     sized = [world for side in sides for world in _worlds_of(*sized_name(side))]
-    batch.start_backend(1)
+    start_backend(1)
     on_cpu = jax.default_backend() == "cpu"
     chosen = tuple(dict.fromkeys(engine or ("serial" if on_cpu else "lockstep",)))
     large = not on_cpu and not quick
     batches = {
         name: given or (BATCHES_ACCELERATOR if large and name == "lockstep" else default["batches"]) for name in chosen
     }
-    return Plan(worlds, strategies, chosen, batches, sized, sides, **counts)
+    return Agenda(worlds, strategies, chosen, batches, sized, sides, **counts)
 
 
 @contextlib.contextmanager
 def _compiling(cache):
     """Compiled programs are neither read from disk nor kept there, unless they may be."""
     if cache:
-        batch.use_compilation_cache()
+        use_compilation_cache()
         yield
         return
     before = jax.config.values["jax_enable_compilation_cache"]
@@ -140,11 +143,11 @@ def _compiling(cache):
         compilation_cache.reset_cache()
 
 
-def run(plan, *, cache=False, on_progress=lambda done: None):
+def run_bench(plan, *, cache=False, on_progress=lambda done: None):
     """Measures everything.
 
     Args:
-      plan: `Plan`.
+      plan: `Agenda`.
       cache: whether compiled programs may be read from disk, and are kept there: times of compiling are then those of
         loading.
       on_progress: called with the number of measurements done so far.
@@ -165,7 +168,7 @@ def run(plan, *, cache=False, on_progress=lambda done: None):
         _episodes(plan, compiler, report, one_more)
         _parts(plan, compiler, report, one_more)
         for side, world in zip(plan.sides, plan.sized):
-            made = (kernels.measure(kernel, plan.repeat) for kernel in kernels.whole_map(world))
+            made = (kernels.measure_kernel(kernel, plan.repeat) for kernel in kernels.whole_map(world))
             report["kernels"] += [{**row, "side": side} for row in made]
             one_more()
         report["rates"] = rates.rates()
@@ -194,26 +197,26 @@ def _episodes(plan, compiler, report, one_more):
     """Whole episodes by world and batch size, and by map size."""
     for world, strategy in itertools.product(plan.worlds, plan.strategies):
         wanted = [(engine, size) for engine in plan.engines for size in plan.batches[engine]]
-        report["batches"] += engines.measure(compiler, world, strategy, wanted, plan.episodes, plan.repeat)
+        report["batches"] += engines.measure_episodes(compiler, world, strategy, wanted, plan.episodes, plan.repeat)
         one_more()
     for (side, world), strategy in itertools.product(zip(plan.sides, plan.sized), plan.strategies):
         wanted = [
             (engine, plan.episodes if engine == "serial" else plan.batches[engine][-1]) for engine in plan.engines
         ]
-        rows = engines.measure(compiler, world, strategy, wanted, plan.episodes, plan.repeat)
+        rows = engines.measure_episodes(compiler, world, strategy, wanted, plan.episodes, plan.repeat)
         report["sides"] += [{**row, "side": side} for row in rows]
         one_more()
 
 
 def _parts(plan, compiler, report, one_more):
     """Kernels along the way of an episode of `closest` in the first world, and, on a CPU, shares of every episode."""
-    own = batch.ENGINES["serial" if speed_clock() == "cpu" else "lockstep"]
+    own = KERNELS["serial" if speed_clock() == "cpu" else "lockstep"]
     seen = beliefs.record(compiler, plan.worlds[0], parse_strategy("closest+recheck"), own.reach)
-    report["kernels"] += [kernels.measure(kernel, plan.repeat) for kernel in kernels.scans(seen)]
-    report["kernels"].append(kernels.measure_plans(seen, shares.cells_of(seen.beliefs), plan.repeat))
+    report["kernels"] += [kernels.measure_kernel(kernel, plan.repeat) for kernel in kernels.scans(seen)]
+    report["kernels"].append(plans.measure_nearest(seen, shares.cells_of(seen.beliefs), plan.repeat))
     one_more()
     for world, strategy in itertools.product(plan.worlds, plan.strategies):
         if jax.default_backend() == "cpu":
-            seen = beliefs.record(compiler, world, strategy, batch.ENGINES["serial"].reach)
-            report["shares"].append(shares.measure(compiler, seen, strategy, plan.repeat))
+            seen = beliefs.record(compiler, world, strategy, KERNELS["serial"].reach)
+            report["shares"].append(shares.measure_shares(compiler, seen, strategy, plan.repeat))
         one_more()

@@ -3,13 +3,13 @@
 import dataclasses
 from typing import NamedTuple
 
+import jax
 import numpy as np
 
 from jexplore.bench.engines import LIDAR, RULES, SEED
-from jexplore.exploration.batch import Final
-from jexplore.exploration.episode import Track
-from jexplore.exploration.site import Site, prepare
-from jexplore.studies import explore
+from jexplore.exploration import replay
+from jexplore.exploration.site import KERNELS, Site, prepare_site
+from jexplore.exploration.trail import decode
 from jexplore.worlds.world import World, draw_starts
 
 
@@ -26,21 +26,6 @@ class Recording(NamedTuple):
     targets: list  # (row, col) chosen there; None for the last
 
 
-def _episode(world, strategy, start, run):
-    """The first of some episodes as a `explore.Episode`."""
-    grid, trail = run.last
-    trail = np.asarray(trail)[: int(run.result.straight[0] + run.result.diagonal[0]) + 1]
-    height, width = world.shape
-    padded = grid.hits.shape[1]
-    spot, target = trail[:, Track.SPOT], trail[:, Track.TARGET]
-    rows, cols = np.divmod(spot // 4, padded)
-    target_rows, target_cols = np.where(target < 0, -1, np.divmod(target, padded))
-    hits, misses = (np.asarray(a)[:height, :width] for a in (grid.hits, grid.misses))
-    final = Final(hits, misses, rows, cols, target_rows, target_cols, spot % 4, trail[:, Track.KNOWN])
-    start = tuple(int(value) for value in start)
-    return explore.Episode(world, strategy.name, start, SEED, LIDAR, RULES, final, {}, 0.0, 0.0)  # type: ignore[arg-type]
-
-
 def record(compiler, world, strategy, reach):
     """Runs episode 0 of a strategy in a world and keeps its scans, and its belief at every plan: a `Recording`.
 
@@ -50,20 +35,19 @@ def record(compiler, world, strategy, reach):
       reach: one of `reach.METHODS`, for the beliefs.
     """
     starts = draw_starts(world, SEED, 1, RULES.clearance_m)
-    episode = _episode(world, strategy, starts[0], compiler.serial(world, strategy).run(starts))
-    site, final, first = prepare(world, LIDAR, RULES), episode.final, episode.start[2] // 45
-    poses, beliefs, targets = [], [], []
-    headings = explore.headings_of(final, first)
-    last = len(headings) - 1
-    for step, _, belief, _ in explore._states(episode):
-        row, col = int(final.rows[step]), int(final.cols[step])
-        all_round = [first + 8 // site.first_scans * k for k in range(site.first_scans)]
-        turns = all_round if step == 0 else [headings[step]]
-        turns = turns + [headings[step] + 2 * k for k in range(1, int(final.looked[step]) + 1)]
-        poses += [(row, col, turn % 8) for turn in turns]
-        now = int(final.target_rows[step]), int(final.target_cols[step])
-        following = None if step == last else (int(final.target_rows[step + 1]), int(final.target_cols[step + 1]))
-        if step == 0 or following != now:
-            beliefs.append(dataclasses.replace(belief, reach=reach))
-            targets.append(following)
+    run = compiler.serial(world, strategy).run(starts)
+    result = jax.tree.map(lambda a: a[0], run.result)
+    final = decode(jax.tree.map(np.asarray, run.last), result, world.shape)
+    site, first = prepare_site(world, LIDAR, RULES, KERNELS["serial"]), int(starts[0][2]) // 45
+    n = site.setup.first_scans
+    row, col = (int(a) for a in starts[0][:2])
+    poses = [(row, col, (first + 8 // n * k) % 8) for k in range(n)]
+    beliefs, targets = [], []
+    for turn in replay.turns(site, strategy, starts[0], SEED, 0, final.plans):
+        moments = [(moment.row, moment.col, moment.heading) for moment in turn.moments]
+        if turn.belief is not None:
+            poses += moments
+            model = dataclasses.replace(turn.belief.model, reach=reach)
+            beliefs.append(dataclasses.replace(turn.belief, model=model))
+            targets.append(turn.plan and turn.plan.target)
     return Recording(world, strategy.name, site, final.hits, final.misses, np.array(poses, np.int32), beliefs, targets)

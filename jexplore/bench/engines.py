@@ -13,10 +13,11 @@ import numpy as np
 from jexplore.bench.timing import compiled, interleaved, mean_and_se, speed_clock, spread
 from jexplore.config import Lidar, Rules
 from jexplore.engine import lanes, serial
-from jexplore.exploration.batch import ENGINES
-from jexplore.exploration.episode import Outcome
+from jexplore.engine.lockstep import Group
+from jexplore.engine.runner import Costs
 from jexplore.exploration.results import path_m
-from jexplore.exploration.site import numbers_of, prepare, setup_of
+from jexplore.exploration.site import KERNELS, line_of, prepare_site
+from jexplore.exploration.state import Outcome
 from jexplore.worlds.world import draw_starts
 
 LIDAR, RULES = Lidar(), Rules()
@@ -30,12 +31,12 @@ class Run(NamedTuple):
     """What a program returned."""
 
     result: object  # `Result`, numpy, `[N]`
-    last: object = None  # `(grid, trail)` of the last episode; serial engine only
-    useful: float | None = None  # as in `batch.Report`
+    last: object = None  # what `trail.kept` has of the last episode; serial engine only
+    useful: float | None = None  # as in `runner.Costs`
     useful_plans: float | None = None
 
 
-class Program(NamedTuple):
+class Compiled(NamedTuple):
     """A compiled program with its arguments."""
 
     run: Callable  # `[N, 3]` starts, heading in degrees, to `Run`
@@ -93,22 +94,22 @@ class Compiler:
         return self.made[key]
 
     def serial(self, world, strategy):
-        """The serial engine's `Program` of a world and a strategy."""
-        site = prepare(world, LIDAR, RULES)
-        setup = setup_of(site, strategy, ENGINES["serial"])
-        shared = jax.device_put((site.truth, site.beams, numbers_of(site, strategy)))
-        n = serial.CHUNK
+        """The serial engine's `Compiled` of a world and a strategy."""
+        site, line = _line(world, strategy, "serial", np.zeros((1, 3), np.int32))
+        n, scenes = serial.CHUNK, jax.tree.map(lambda a: a[None], line.scene)
+        shared = jax.device_put((scenes, line.shared, line.numbers))
         blank = np.zeros(n, np.int32), np.zeros((n, 3), np.int32), np.int32(0), np.uint32(SEED)
+        function = functools.partial(serial.chunk, line.program)
 
         def one_episode(memory):
             """An episode's buffers: without the room for the results of the rest of a chunk."""
-            results = jax.eval_shape(functools.partial(serial.run_chunk, setup), *blank, *shared)[0]
+            results = jax.eval_shape(function, *blank, *shared)[0]
             return memory["temp"] + memory["output"] - (n - 1) * size_of(results) // n
 
         call, about = self._program(
-            str(("serial", setup, jax.tree.map(np.shape, shared))),
+            str(("serial", line.program, jax.tree.map(np.shape, shared))),
             {**_about("serial", world, strategy, site), "lanes": None, "lane_bytes_estimate": None},
-            lambda: serial.run_chunk.lower(setup, *blank, *shared),
+            lambda: jax.jit(function).lower(*blank, *shared),
             one_episode,
         )
 
@@ -122,64 +123,60 @@ class Compiler:
                 parts.append(jax.tree.map(np.asarray, found))
             return Run(jax.tree.map(lambda *a: np.concatenate(a)[: len(starts)], *parts), last)
 
-        return Program(run, about)
+        return Compiled(run, about)
 
     def lockstep(self, world, strategy, n_lanes, episodes):
-        """The lockstep engine's `Program` for so many episodes in so many lanes, or as many as the memory holds."""
-        site = prepare(world, LIDAR, RULES)
-        setup = setup_of(site, strategy, ENGINES["lockstep"])
-        numbers = jax.tree.map(lambda a: np.asarray(a)[None], numbers_of(site, strategy))
-        lines = lanes.Lines(np.zeros(1, np.int32), np.full(1, SEED, np.uint32), numbers)  # type: ignore[arg-type]
-        shared = jax.device_put((lines, site.truth, site.beams))
+        """The lockstep engine's `Compiled` for so many episodes in so many lanes, or as many as the memory holds."""
+        site, line = _line(world, strategy, "lockstep", np.zeros((episodes, 3), np.int32))
+        group = Group([line], jax.local_devices()[:1])
+        engine, common = group.engine, group.common
 
         def queue_of(starts):
-            n = len(starts)
-            at = np.arange(n, dtype=np.int32)
-            return lanes.Queue(np.zeros(n, np.int32), at, _headings(starts), np.int32(n))  # type: ignore[arg-type]
+            line.tasks = _headings(starts)
+            return jax.tree.map(lambda a: a[0], group.queue())
 
         queue = queue_of(np.zeros((episodes, 3), np.int32))
-        one = jax.eval_shape(functools.partial(lanes.empty, setup, n_lanes=1), queue, *shared)
-        estimate, free = int(lanes.lane_bytes(one, site.beams)), free_bytes()
+        one = jax.eval_shape(functools.partial(engine.empty, n_lanes=1), queue, common)
+        estimate, free = int(engine.lane_bytes(one, line.shared)), free_bytes()
         if free is not None:
             n_lanes = max(1, min(n_lanes, int(MEMORY_SHARE * free / estimate)))
-        empty = functools.partial(lanes.empty, setup, n_lanes=n_lanes)
-        work = jax.eval_shape(empty, queue, *shared)
-        not_lanes = size_of((work.results, work.grids, work.trails))
-        step = jax.jit(functools.partial(lanes.go_on, setup), donate_argnums=0)
-        kind = str((setup, n_lanes, episodes, jax.tree.map(np.shape, shared)))
+        empty = functools.partial(engine.empty, n_lanes=n_lanes)
+        blank = jax.eval_shape(empty, queue, common)
+        not_lanes = size_of((blank.results, blank.kept))
+        step = jax.jit(engine.go_on, donate_argnums=0)
+        kind = str((line.program, n_lanes, episodes, jax.tree.map(np.shape, common)))
         about = {**_about("lockstep", world, strategy, site), "lanes": n_lanes, "lane_bytes_estimate": estimate}
-        begin, _ = self._untold(("begin", kind), lambda: jax.jit(empty).lower(queue, *shared))
+        begin, _ = self._untold(("begin", kind), lambda: jax.jit(empty).lower(queue, common))
         call, about = self._program(
             ("lockstep", kind),
             about,
-            lambda: step.lower(work, queue, np.int32(1), *shared),
+            lambda: step.lower(blank, queue, np.int32(1), common),
             lambda memory: (memory["temp"] + memory["output"] - not_lanes) / n_lanes,
         )
 
         def run(starts):
-            queue = jax.device_put(queue_of(starts))
-            work, done, uses = begin(queue, *shared), 0, []
+            queue, costs = jax.device_put(queue_of(starts)), Costs()
+            state, done = begin(queue, common), 0
             while done < len(starts):
-                work, use = call(work, queue, np.int32(TURNS), *shared)
-                done = int(work.done)
-                uses.append(jax.tree.map(int, use))
-            turns, walked, groups, planned = (
-                sum(getattr(use, name) for use in uses) for name in ("turns", "walked", "groups", "planned")
-            )
-            places = groups * -(-n_lanes // lanes.PLANNERS)
-            return Run(
-                jax.tree.map(np.asarray, work.results),
-                useful=walked / (turns * n_lanes) if turns else None,
-                useful_plans=planned / places if places else None,
-            )
+                state, usage = call(state, queue, np.int32(TURNS), common)
+                done = int(state.done)
+                costs.add(usage, n_lanes, -(-n_lanes // lanes.DECIDERS))
+            results = jax.tree.map(np.asarray, state.results)
+            return Run(results, useful=costs.useful, useful_plans=costs.useful_decisions)
 
-        return Program(run, about, n_lanes, episodes)
+        return Compiled(run, about, n_lanes, episodes)
 
     def _untold(self, key, lowering):
         """A program that is too small to be told of."""
         if key not in self.made:
             self.made[key] = compiled(lowering)
         return self.made[key]
+
+
+def _line(world, strategy, engine, starts):
+    """A world's `Site` and the `Line` of a strategy's episodes in it, with the engine's own kernels."""
+    site = prepare_site(world, LIDAR, RULES, KERNELS[engine])
+    return site, line_of(site, strategy, starts, SEED, np.arange(len(starts)))
 
 
 def _about(engine, world, strategy, site):
@@ -192,7 +189,7 @@ def _about(engine, world, strategy, site):
 
 
 def program_of(compiler, engine, world, strategy, batch, episodes):
-    """The `Program` for a batch: so many episodes of the serial engine, so many lanes in lockstep."""
+    """The `Compiled` for a batch: so many episodes of the serial engine, so many lanes in lockstep."""
     if engine == "serial":
         return compiler.serial(world, strategy)._replace(episodes=batch)
     return compiler.lockstep(world, strategy, batch, max(episodes, REFILLS * batch))
@@ -217,7 +214,7 @@ def quality(result, cell_m):
     }
 
 
-def measure(compiler, world, strategy, wanted, episodes, repeat):
+def measure_episodes(compiler, world, strategy, wanted, episodes, repeat):
     """Times whole episodes of a world and a strategy: a list of dicts, one for each of `wanted`.
 
     Args:

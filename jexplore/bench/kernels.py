@@ -11,25 +11,23 @@ import numpy as np
 from jax import lax
 from scipy import ndimage
 
-from jexplore import planning
 from jexplore.arrays import bits
 from jexplore.bench import oracles
 from jexplore.bench.engines import RULES, SEED
-from jexplore.bench.rates import Work, floor_s
+from jexplore.bench.rates import Effort, floor_s
 from jexplore.bench.timing import compiled, interleaved, ratio, speed_clock, spread, timed
 from jexplore.distance import nearest_site
 from jexplore.frontier import frontier_clusters, plan_masks
 from jexplore.grid import Grid, empty_grid, radius_d2
 from jexplore.raycast import METHODS as SCAN_METHODS
 from jexplore.raycast import fold, scan
-from jexplore.reach import FAR, METHODS, NO_MOTION, flood, reach
+from jexplore.reach import METHODS, flood, reach
 from jexplore.worlds.world import clear_cells, draw_start
 
 CALL_S = 0.02  # seconds that one timed call should last
-PLAN_PASSES = 10  # plans from the same belief in one timed call
 CLUSTERS = 256  # slots
-NEVER = 123_456_789  # a value that no result holds, which the compiler cannot know
 BELIEF_BYTES = 10  # of a cell of a belief: hits, misses, driven, exhausted
+NEVER = 123_456_789  # a value that no result holds, which the compiler cannot know
 
 
 class Reference(NamedTuple):
@@ -53,7 +51,7 @@ class Kernel(NamedTuple):
     arguments: Any  # pytree of arrays
     units: int  # calls in a row that make up one measured pass
     references: list[Reference]
-    work: Work
+    work: Effort
 
 
 def never(out):
@@ -96,7 +94,7 @@ def microseconds(runs, units):
     }
 
 
-def _row(name, on, shape, took, ours, references, work):
+def row_of(name, on, shape, took, ours, references, work):
     """A kernel's entry of the report."""
     median = statistics.median(ours[speed_clock()])
     floor_us = 1e6 * floor_s(work)
@@ -125,7 +123,7 @@ def _row(name, on, shape, took, ours, references, work):
     }
 
 
-def measure(kernel, repeat):
+def measure_kernel(kernel, repeat):
     """Times one kernel: a dict for the report."""
     start, arguments = jax.device_put((kernel.start, kernel.arguments))
     units = np.int32(kernel.units)
@@ -142,7 +140,7 @@ def measure(kernel, repeat):
     calls = dict.fromkeys(tasks, kernel.units) | {"": passes * kernel.units}
     found = microseconds(interleaved(tasks, repeat), calls)
     references = [(r.name, ok, found.get(r.name)) for r, ok in zip(kernel.references, equal)]
-    return _row(kernel.name, kernel.on, kernel.shape, took, found[""], references, kernel.work)
+    return row_of(kernel.name, kernel.on, kernel.shape, took, found[""], references, kernel.work)
 
 
 def scans(recording):
@@ -188,7 +186,7 @@ def scans(recording):
     }  # fmt: skip
     numba = "cell by cell, numba", oracles.NATIVE
     ends, grid = np.zeros((n, length.shape[1]), np.int32), jax.tree.map(np.asarray, empty_grid(shape))
-    only, both = Work(gathers=visited), Work(gathers=visited, scatters=visited)
+    only, both = Effort(gathers=visited), Effort(gathers=visited, scatters=visited)
     of_ranges = Reference(
         numba[0], lambda: answer(False), lambda ends, expected: np.array_equal(ends, expected[0]), numba[1]
     )
@@ -248,7 +246,7 @@ def _mask_kernel(world, shared):
         references.append(Reference("skimage", lambda: oracles.masks_skimage(hits, misses, *rest, **numbers), agree))
     start = blank(jax.eval_shape(lambda a: step(0, None, a), arguments))
     cells = world.occupied.size
-    work = Work(bytes=(BELIEF_BYTES + 1 + 1 / 4) * cells)
+    work = Effort(bytes=(BELIEF_BYTES + 1 + 1 / 4) * cells)
     return Kernel("masks", step=step, vary=vary_masks, start=start, arguments=arguments, references=references,
                   work=work, **shared)  # fmt: skip
 
@@ -270,7 +268,7 @@ def _cluster_kernel(world, shared):
         references.append(Reference("skimage", lambda: oracles.clusters_skimage(frontier), agree))
     start = blank(jax.eval_shape(lambda a: step(0, None, a), frontier))
     return Kernel("clusters", step=step, vary=_first_cell_never, start=start, arguments=frontier,
-                  references=references, work=Work(bytes=5 * frontier.size), **shared)  # fmt: skip
+                  references=references, work=Effort(bytes=5 * frontier.size), **shared)  # fmt: skip
 
 
 def _first_cell_never(never, mask):
@@ -299,7 +297,7 @@ def _reach_kernels(world, shared):
     return [
         Kernel(f"reach, {method}", step=by(method), vary=lambda never, a: (_first_cell_never(never, a[0]), *a[1:]),
                start=np.zeros(clear.shape, np.int32), arguments=(clear, np.int32(row), np.int32(col)),
-               references=references, work=Work(bytes=5 * clear.size, ops=reached), **shared)
+               references=references, work=Effort(bytes=5 * clear.size, ops=reached), **shared)
         for method in METHODS
     ]  # fmt: skip
 
@@ -318,7 +316,7 @@ def _flood_kernel(world, shared):
     return Kernel("flood", step=lambda _, out, arguments: flood(*arguments),
                   vary=lambda never, a: (a[0].at[0, 0].set(a[0][0, 0] ^ never), *a[1:]),
                   start=np.zeros_like(words), arguments=(words, np.int32(row), np.int32(col)),
-                  references=references, work=Work(bytes=2 * words.nbytes), **shared)  # fmt: skip
+                  references=references, work=Effort(bytes=2 * words.nbytes), **shared)  # fmt: skip
 
 
 def _site_kernel(world, shared):
@@ -335,7 +333,7 @@ def _site_kernel(world, shared):
     reference = Reference("scipy.ndimage", lambda: ndimage.distance_transform_edt(~walls, return_indices=True), agree)
     start = (np.zeros(walls.shape, np.int32), np.zeros(walls.shape, np.int32))
     return Kernel("nearest site", step=lambda _, out, walls: nearest_site(walls), vary=_first_cell_never,
-                  start=start, arguments=walls, references=[reference], work=Work(bytes=9 * walls.size),
+                  start=start, arguments=walls, references=[reference], work=Effort(bytes=9 * walls.size),
                   **shared)  # fmt: skip
 
 
@@ -347,78 +345,3 @@ def whole_map(world):
         _mask_kernel(world, shared), _cluster_kernel(world, shared), *_reach_kernels(world, shared),
         _flood_kernel(world, shared), _site_kernel(world, shared),
     ]  # fmt: skip
-
-
-@jax.jit
-def _plans(passes, belief, route):
-    """`passes` plans from the same belief."""
-
-    def body(_, state):
-        choice, route, grid = state
-        no = choice.cost == NEVER
-        grid = grid.replace(hits=grid.hits.at[0, 0].add(no))
-        return *planning.nearest_frontier(belief.replace(row=belief.row + no, grid=grid), route), grid
-
-    zero = jnp.int32(0)
-    state = planning.Choice(zero, zero, zero, zero), route, belief.grid
-    return lax.fori_loop(0, passes, body, state)[:2]
-
-
-def _judged(belief):
-    """Traversable and frontier cells of a belief by scipy."""
-    shape = belief.driven.shape
-    rows, cols = np.ogrid[: shape[0], : shape[1]]
-    inside = (rows < int(belief.extent[0])) & (cols < int(belief.extent[1]))
-    hits, misses, driven, exhausted = (
-        np.asarray(a) for a in (belief.grid.hits, belief.grid.misses, belief.driven, belief.exhausted)
-    )
-    numbers = {
-        "p_free": float(belief.model.p_free),
-        "near_d2": int(belief.model.near_d2),
-        "clearance_d2": belief.model.clearance_d2,
-    }
-    row, col = int(belief.row), int(belief.col)
-    return oracles.masks(hits, misses, driven, exhausted, inside, row, col, **numbers)
-
-
-def measure_plans(recording, cells, repeat):
-    """Times the nearest frontier and the route to it at every plan of an episode: a dict for the report.
-
-    Args:
-      recording: `Recording` of a strategy that goes there.
-      cells: cells that a plan looks at, on average.
-      repeat: turns.
-    """
-    beliefs = recording.beliefs
-    shape = beliefs[0].driven.shape
-    route = jnp.full(shape, NO_MOTION, jnp.int8)
-    program, took = compiled(lambda: _plans.lower(np.int32(1), beliefs[0], route))
-    found = [jax.tree.map(int, program(np.int32(1), belief, route)[0]) for belief in beliefs]
-    judged = [_judged(belief) for belief in beliefs]
-    places = [(int(belief.row), int(belief.col)) for belief in beliefs]
-
-    def other():
-        return [oracles.dijkstra(mask, *at, goals, True) for (mask, goals), at in zip(judged, places)]
-
-    def wanted(cost, target):
-        at = divmod(int(target), shape[1]) if target >= 0 else (-1, -1)
-        return (*at, int(cost[at]) if target >= 0 else FAR)
-
-    equal = all(
-        (choice.row, choice.col, choice.cost) == wanted(*theirs)
-        and (choice.row, choice.col) == (own if own is not None else (-1, -1))
-        for choice, theirs, own in zip(found, other(), recording.targets)
-    )
-    passes = np.int32(PLAN_PASSES)
-
-    def ours():
-        for belief in beliefs:
-            jax.block_until_ready(program(passes, belief, route))
-
-    tasks = {"": ours} | ({"other": other} if oracles.NATIVE else {})
-    units = {"": PLAN_PASSES * len(beliefs), "other": len(beliefs)}
-    times = microseconds(interleaved(tasks, repeat), units)
-    reference = "masks given, Dijkstra up to the first frontier, numba", equal, times.get("other")
-    on = f"{recording.world.name}, {len(beliefs)} plans"
-    return _row(f"plan, {beliefs[0].reach}", on, recording.world.shape, took, times[""], [reference],
-                Work(bytes=BELIEF_BYTES * cells))  # fmt: skip

@@ -7,20 +7,23 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
+from jexplore import planning
+from jexplore.bench import oracles
 from jexplore.bench.beliefs import record
 from jexplore.bench.engines import Compiler
-from jexplore.bench.kernels import NEVER
-from jexplore.bench.timing import interleaved, speed_clock
-from jexplore.exploration.batch import ENGINES
-from jexplore.exploration.site import numbers_of, setup_of
+from jexplore.bench.kernels import BELIEF_BYTES, NEVER, microseconds, row_of
+from jexplore.bench.rates import Effort
+from jexplore.bench.timing import compiled, interleaved, speed_clock
+from jexplore.exploration.site import KERNELS
 from jexplore.policies import parse_strategy
-from jexplore.reach import NO_MOTION
+from jexplore.reach import FAR, NO_MOTION
 
+PLAN_PASSES = 10  # plans from the same belief in one timed call
 BELIEFS = 24  # at most, evenly spaced over the episode
 RECORDED = "closest+recheck"
 
 
-def plan_program(strategy, setup, params, beams, shape, passes):
+def plan_program(policy, params, beams, shape, passes):
     """Function of a belief that plans so many times from it."""
     route = jnp.full(shape, NO_MOTION, jnp.int8)
 
@@ -31,14 +34,15 @@ def plan_program(strategy, setup, params, beams, shape, passes):
             no = choice.cost == NEVER
             grid = grid.replace(hits=grid.hits.at[0, 0].add(no))
             here = belief.replace(row=belief.row + no, grid=grid)
-            _, choice, route = setup.select(jax.random.fold_in(jax.random.key(0), i), params, carry, here, beams, route)
+            key = jax.random.fold_in(jax.random.key(0), i)
+            _, choice, route = policy.select(key, params, carry, here, beams, route)
             return choice, route, grid
 
-        first = jax.eval_shape(lambda b: setup.select(jax.random.key(0), params, carry, b, beams, route)[1], belief)
+        first = jax.eval_shape(lambda b: policy.select(jax.random.key(0), params, carry, b, beams, route)[1], belief)
         start = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), first)
         return lax.fori_loop(0, passes, body, (start, route, belief.grid))[:2]
 
-    return lambda belief: plans(belief, route, setup.init(params, belief))
+    return lambda belief: plans(belief, route, policy.init(params, belief))
 
 
 def plan_costs(world, names, *, others=None, repeat=3):
@@ -53,7 +57,7 @@ def plan_costs(world, names, *, others=None, repeat=3):
     Returns:
       `{name: milliseconds}`; the median over turns of the mean over beliefs.
     """
-    recording = record(Compiler(), world, parse_strategy(RECORDED), ENGINES["serial"].reach)
+    recording = record(Compiler(), world, parse_strategy(RECORDED), KERNELS["serial"].reach)
     site, n = recording.site, len(recording.beliefs)
     chosen = np.unique(np.linspace(0, n - 1, min(n, BELIEFS)).round().astype(int))
     beliefs = jax.device_put([recording.beliefs[i] for i in chosen])
@@ -63,8 +67,8 @@ def plan_costs(world, names, *, others=None, repeat=3):
 
     def task(name):
         strategy = parse_strategy(name)
-        setup, params = setup_of(site, strategy, ENGINES["serial"]), numbers_of(site, strategy).params
-        return each(plan_program(strategy, setup, params, site.beams, site.truth.occupied.shape, 1))
+        setup, numbers = site.with_strategy(strategy)
+        return each(plan_program(setup.policy, numbers.params, site.beams, site.truth.occupied.shape, 1))
 
     tasks = {name: task(name) for name in names}
     tasks |= {name: each(jax.jit(function)) for name, function in (others or {}).items()}
@@ -76,3 +80,78 @@ def plan_costs(world, names, *, others=None, repeat=3):
         name: 1e3 * statistics.median(getattr(took, clock) for _, took in runs) / len(beliefs)
         for name, runs in turns.items()
     }
+
+
+@jax.jit
+def _plans(passes, belief, route):
+    """`passes` plans from the same belief."""
+
+    def body(_, state):
+        choice, route, grid = state
+        no = choice.cost == NEVER
+        grid = grid.replace(hits=grid.hits.at[0, 0].add(no))
+        return *planning.nearest_frontier(belief.replace(row=belief.row + no, grid=grid), route), grid
+
+    zero = jnp.int32(0)
+    state = planning.Choice(zero, zero, zero, zero), route, belief.grid
+    return lax.fori_loop(0, passes, body, state)[:2]
+
+
+def _judged(belief):
+    """Traversable and frontier cells of a belief by scipy."""
+    shape = belief.driven.shape
+    rows, cols = np.ogrid[: shape[0], : shape[1]]
+    inside = (rows < int(belief.extent[0])) & (cols < int(belief.extent[1]))
+    hits, misses, driven, exhausted = (
+        np.asarray(a) for a in (belief.grid.hits, belief.grid.misses, belief.driven, belief.exhausted)
+    )
+    numbers = {
+        "p_free": float(belief.model.p_free),
+        "near_d2": int(belief.model.near_d2),
+        "clearance_d2": belief.model.clearance_d2,
+    }
+    row, col = int(belief.row), int(belief.col)
+    return oracles.masks(hits, misses, driven, exhausted, inside, row, col, **numbers)
+
+
+def measure_nearest(recording, cells, repeat):
+    """Times the nearest frontier and the route to it at every plan of an episode: a dict for the report.
+
+    Args:
+      recording: `Recording` of a strategy that goes there.
+      cells: cells that a plan looks at, on average.
+      repeat: turns.
+    """
+    beliefs = recording.beliefs
+    shape = beliefs[0].driven.shape
+    route = jnp.full(shape, NO_MOTION, jnp.int8)
+    program, took = compiled(lambda: _plans.lower(np.int32(1), beliefs[0], route))
+    found = [jax.tree.map(int, program(np.int32(1), belief, route)[0]) for belief in beliefs]
+    judged = [_judged(belief) for belief in beliefs]
+    places = [(int(belief.row), int(belief.col)) for belief in beliefs]
+
+    def other():
+        return [oracles.dijkstra(mask, *at, goals, True) for (mask, goals), at in zip(judged, places)]
+
+    def wanted(cost, target):
+        at = divmod(int(target), shape[1]) if target >= 0 else (-1, -1)
+        return (*at, int(cost[at]) if target >= 0 else FAR)
+
+    equal = all(
+        (choice.row, choice.col, choice.cost) == wanted(*theirs)
+        and (choice.row, choice.col) == (own if own is not None else (-1, -1))
+        for choice, theirs, own in zip(found, other(), recording.targets)
+    )
+    passes = np.int32(PLAN_PASSES)
+
+    def ours():
+        for belief in beliefs:
+            jax.block_until_ready(program(passes, belief, route))
+
+    tasks = {"": ours} | ({"other": other} if oracles.NATIVE else {})
+    units = {"": PLAN_PASSES * len(beliefs), "other": len(beliefs)}
+    times = microseconds(interleaved(tasks, repeat), units)
+    reference = "masks given, Dijkstra up to the first frontier, numba", equal, times.get("other")
+    on = f"{recording.world.name}, {len(beliefs)} plans"
+    return row_of(f"plan, {beliefs[0].reach}", on, recording.world.shape, took, times[""], [reference],
+                Effort(bytes=BELIEF_BYTES * cells))  # fmt: skip

@@ -14,7 +14,7 @@ CELLS = 2**12  # elements of the arrays that operations are timed on: they stay 
 TURNS = 5
 
 
-class Work(NamedTuple):
+class Effort(NamedTuple):
     """What a kernel cannot do without, a unit."""
 
     bytes: float = 0  # of its input and its output, each touched once
@@ -67,7 +67,7 @@ def scatter_s():
 
 
 def floor_s(work):
-    """The least time in which a unit of `Work` could be done: that of its bytes or that of its operations."""
+    """The least time in which a unit of `Effort` could be done: that of its bytes or that of its operations."""
     ops = ((work.ops, op_s), (work.gathers, gather_s), (work.scatters, scatter_s))
     return max(copy_s(work.bytes) if work.bytes else 0.0, sum(n * rate() for n, rate in ops if n))
 

@@ -15,8 +15,7 @@ from jexplore.bench.engines import RULES, SEED
 from jexplore.bench.kernels import NEVER, blank, never, vary_masks
 from jexplore.bench.plans import plan_program
 from jexplore.bench.timing import interleaved, speed_clock
-from jexplore.exploration.batch import ENGINES
-from jexplore.exploration.site import numbers_of, setup_of
+from jexplore.exploration.site import KERNELS
 from jexplore.frontier import plan_masks
 from jexplore.grid import Grid, empty_grid
 from jexplore.planning import WINDOWS
@@ -80,7 +79,7 @@ def _cut(belief, side):
 
 
 def _look(belief, side, nearest_only):
-    """A `Look` of a belief, as `navigate` takes it."""
+    """A `Look` of a belief, as `planning` takes it."""
     cut = _cut(belief, side)
     shape, row, col = cut[1].shape, cut[4], cut[5]
     found = _masks(np.int32(1), cut, belief.model.p_free, belief.model.near_d2, clearance_d2=belief.model.clearance_d2)
@@ -110,7 +109,7 @@ def looks(belief, nearest_only):
 
 
 def wants_nearest(strategy):
-    """Whether a strategy goes to the nearest frontier, which `navigate` finds in windows."""
+    """Whether a strategy goes to the nearest frontier, which `planning` finds in windows."""
     return strategy.name.partition(":")[0].partition("+")[0] == "closest"
 
 
@@ -127,7 +126,7 @@ def _scan_programs(recording):
     @jax.jit
     def ranges(truth, beams, poses):
         def step(i, ended):
-            seen = scan(truth, *poses[i], beams, method=ENGINES["serial"].scan)
+            seen = scan(truth, *poses[i], beams, method=KERNELS["serial"].scan)
             return Scan(ended.end.at[i].set(seen.end), ended.hit.at[i].set(seen.hit))
 
         blank = jnp.zeros((n, beams.length.shape[1]), jnp.int32)
@@ -136,7 +135,7 @@ def _scan_programs(recording):
     @jax.jit
     def update(beams, poses, seen):
         def step(i, grid):
-            return fold(grid, *poses[i], jax.tree.map(lambda a: a[i], seen), beams, method=ENGINES["serial"].scan)
+            return fold(grid, *poses[i], jax.tree.map(lambda a: a[i], seen), beams, method=KERNELS["serial"].scan)
 
         return lax.fori_loop(0, n, step, empty_grid(shape))
 
@@ -144,7 +143,7 @@ def _scan_programs(recording):
     return lambda: ranges(truth, beams, poses), lambda: update(beams, poses, seen)
 
 
-def measure(compiler, recording, strategy, repeat):
+def measure_shares(compiler, recording, strategy, repeat):
     """Shares of an episode's time: a dict for the report.
 
     Args:
@@ -154,7 +153,7 @@ def measure(compiler, recording, strategy, repeat):
       repeat: turns.
     """
     world, site = recording.world, recording.site
-    setup, params = setup_of(site, strategy, ENGINES["serial"]), numbers_of(site, strategy).params
+    setup, numbers = site.with_strategy(strategy)
     program, starts = compiler.serial(world, strategy), draw_starts(world, SEED, 1, RULES.clearance_m)
     n = len(recording.beliefs)
     chosen = np.unique(np.linspace(0, n - 1, min(n, MOST_PLANS)).round().astype(int))
@@ -162,20 +161,20 @@ def measure(compiler, recording, strategy, repeat):
     seen = [look for belief in beliefs for look in looks(belief, wants_nearest(strategy))]
     seen = jax.device_put([look._asdict() for look in seen])
     ranges, update = _scan_programs(recording)
-    plan = plan_program(strategy, setup, params, site.beams, site.truth.occupied.shape, PASSES)
+    plan = plan_program(setup.policy, numbers.params, site.beams, site.truth.occupied.shape, PASSES)
     first, passes = beliefs[0], np.int32(PASSES)
-    numbers = first.p_free, first.near_d2
+    model, thresholds = first.model, (first.model.p_free, first.model.near_d2)
 
     def each(function, items):
         for item in items:
             jax.block_until_ready(function(item))
 
     def judge(look):
-        return _masks(passes, look["masks"], *numbers, clearance_d2=first.clearance_d2)
+        return _masks(passes, look["masks"], *thresholds, clearance_d2=model.clearance_d2)
 
     def spread_costs(look):
         at = look["masks"][4:]
-        return _costs(passes, look["words"], *at, look["goals"], jnp.int32(look["limit"]), method=setup.reach)
+        return _costs(passes, look["words"], *at, look["goals"], jnp.int32(look["limit"]), method=model.reach)
 
     tasks = {
         "episode": lambda: program.run(starts),
@@ -190,11 +189,22 @@ def measure(compiler, recording, strategy, repeat):
     runs = interleaved(tasks, repeat)
     result = runs["episode"][0][0].result
     scans, plans = int(result.scans[0]), int(result.plans[0])
+    return _shares(recording, runs, len(beliefs), scans, plans)
+
+
+def _shares(recording, runs, timed, scans, plans):
+    """What timed parts say of an episode: a dict for the report.
+
+    Args:
+      recording: `Recording`.
+      runs: from `interleaved`.
+      timed: plans that were timed.
+      scans, plans: of the episode.
+    """
     units = {"episode": 1, "ranges": len(recording.poses), "map update": len(recording.poses)}
     calls = {"episode": 1, "ranges": scans, "map update": scans}
     call_s = {
-        name: statistics.median(getattr(took, speed_clock()) for _, took in turns)
-        / units.get(name, PASSES * len(beliefs))
+        name: statistics.median(getattr(took, speed_clock()) for _, took in turns) / units.get(name, PASSES * timed)
         for name, turns in runs.items()
     }
     total = {name: seconds * calls.get(name, plans) for name, seconds in call_s.items()}
@@ -202,12 +212,12 @@ def measure(compiler, recording, strategy, repeat):
     parts["selection and route"] = total["plan"] - total["masks and distance"] - total["reachability"]
     parts["rest"] = total["episode"] - total["ranges"] - total["map update"] - total["plan"]
     return {
-        "world": world.name,
-        "strategy": strategy.name,
+        "world": recording.world.name,
+        "strategy": recording.strategy,
         "episode_s": total["episode"],
         "scans": scans,
         "plans": plans,
-        "plans_timed": len(beliefs),
+        "plans_timed": timed,
         "call_us": {name: 1e6 * seconds for name, seconds in call_s.items() if name != "episode"},
         "shares": {name: seconds / total["episode"] for name, seconds in parts.items()},
     }

@@ -50,7 +50,7 @@ class Bench:
         from jexplore.report import plot, store
 
         out = Out(self, "bench")
-        plan = bench.prepare(
+        plan = bench.prepare_bench(
             worlds=self.worlds,
             strategies=self.strategies,
             engine=self.engine,
@@ -62,7 +62,7 @@ class Bench:
         )
         with progress_of(plan.total, "measurements") as progress:
             progress.update(0)
-            report = bench.run(plan, cache=self.cache, on_progress=progress.update)
+            report = bench.run_bench(plan, cache=self.cache, on_progress=progress.update)
         figure = plots.figure(report)
         record = out.record(arguments, self, measured=report["settings"])
         wrote = out.write(

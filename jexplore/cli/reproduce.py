@@ -55,7 +55,7 @@ class Reproduce:
         from jexplore.studies import reproduction
 
         out = Out(self, "reproduce")
-        jobs = reproduction.prepare(
+        jobs = reproduction.prepare_paper(
             self.paper,
             maps=self.maps,
             episodes=self.episodes,

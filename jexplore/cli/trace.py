@@ -76,7 +76,7 @@ class Trace:
             return _trace_episode(out, self, arguments)
         if self.strategy != type(self)().strategy:
             raise InputError("--strategy goes with --from-episode")
-        plan = tracing.prepare(
+        plan = tracing.prepare_trace(
             self.world,
             robot=self.robot,
             runs=self.runs,

@@ -106,7 +106,7 @@ def follow(track, found, to_odometry, same_m, may_begin):
 
 
 @struct.dataclass
-class Hall:
+class FreeSpace:
     """Free space, seen with hysteresis."""
 
     inside: Array  # bool
@@ -114,32 +114,32 @@ class Hall:
     since_m: Array  # float32, odometer at the first of them
 
 
-def no_hall():
+def no_free_space():
     """Not in free space."""
-    return Hall(inside=jnp.bool_(False), streak=jnp.int32(0), since_m=jnp.float32(0))
+    return FreeSpace(inside=jnp.bool_(False), streak=jnp.int32(0), since_m=jnp.float32(0))
 
 
-def watch_hall(hall, left_m, right_m, odometer_m, open_m, looking):
+def watch_free_space(space, left_m, right_m, odometer_m, open_m, looking):
     """Takes one more look at the walls on both sides.
 
     Args:
-      hall: `Hall`.
+      space: `FreeSpace`.
       left_m, right_m: from `perception.sides`.
       odometer_m: float32.
       open_m: a side without a wall within this is free [C1].
       looking: bool scalar; False: nothing changes.
 
     Returns:
-      `(hall, enters, leaves)`: bools, true in the step in which it is believed.
+      `(space, enters, leaves)`: bools, true in the step in which it is believed.
     """
-    limit = jnp.where(hall.inside, open_m - HYSTERESIS_M, open_m)
+    limit = jnp.where(space.inside, open_m - HYSTERESIS_M, open_m)
     free = (left_m > limit) | (right_m > limit)
-    other = looking & (free != hall.inside)
-    since = jnp.where(other & (hall.streak > 0), hall.since_m, odometer_m)
-    streak = jnp.where(other, hall.streak + 1, 0)
+    other = looking & (free != space.inside)
+    since = jnp.where(other & (space.streak > 0), space.since_m, odometer_m)
+    streak = jnp.where(other, space.streak + 1, 0)
     turns = streak >= DEBOUNCE
-    after = Hall(inside=hall.inside ^ turns, streak=jnp.where(turns, 0, streak), since_m=since)
-    return after, turns & ~hall.inside, turns & hall.inside
+    after = FreeSpace(inside=space.inside ^ turns, streak=jnp.where(turns, 0, streak), since_m=since)
+    return after, turns & ~space.inside, turns & space.inside
 
 
 @struct.dataclass
@@ -164,13 +164,13 @@ def at_rest():
     )
 
 
-def choose_mode(drive, hall, hall_sides, left_m, right_m, closed, fronts_m, tuning, robot):
+def choose_mode(drive, space, region_sides, left_m, right_m, closed, fronts_m, tuning, robot):
     """The run mode of this step.
 
     Args:
       drive: `Drive`.
-      hall: `Hall`.
-      hall_sides: distances of both walls in the region in which free space is looked for.
+      space: `FreeSpace`.
+      region_sides: distances of both walls in the region in which free space is looked for.
       left_m, right_m: of the walls beside the stretch that is driven next.
       fronts_m: of what is before the robot's left half and before its right.
       closed: bool, both walls together leave no more than C2 in the stretch before the robot: a dead end.
@@ -183,7 +183,7 @@ def choose_mode(drive, hall, hall_sides, left_m, right_m, closed, fronts_m, tuni
     guarded = jnp.minimum(*fronts_m) < robot.length_m / 2 + GUARD_M
     latched = drive.latch != Latch.FREE
     # One scan suffices to drive by, several in a row make a node.
-    free = hall.inside | (hall_sides[0] > tuning.open_m) | (hall_sides[1] > tuning.open_m)
+    free = space.inside | (region_sides[0] > tuning.open_m) | (region_sides[1] > tuning.open_m)
     mode = jnp.where(free, RunMode.WALL_FOLLOWING, RunMode.CENTRAL)
     mode = jnp.where(closed, RunMode.DEAD_END, mode)
     mode = jnp.where(latched, RunMode.BRANCH_SELECTION, mode)

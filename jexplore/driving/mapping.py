@@ -6,7 +6,6 @@ and leaves it, an obstacle where the ground's inclination changes, known once th
 
 import math
 
-import jax
 import jax.numpy as jnp
 from flax import struct
 from jax import Array
@@ -14,15 +13,11 @@ from jax import Array
 from jexplore import btm
 from jexplore.arrays.loops import run_if
 from jexplore.btm import Btm
-from jexplore.driving import ground_profile, perception
-from jexplore.driving.behaviour import Latch
 
 SNAPSHOTS = 16  # of scan points that are kept on the way, for the openings of the next divergence
 SNAPSHOT_M = 0.2  # way between two
-OPENINGS = 8  # of a divergence
 EVEN_DEG = 1.0  # the robot stands evenly once its pitch has varied by less than this
 EVEN_LENGTHS = 0.25  # over this way, in lengths of the robot: on a long robot a gentle slope comes slowly
-SAME_NODE_M = 1.0  # free space and obstacles nearer than this to one that is known are that one
 MEANT_STEPS = 5  # of which the width of a passage is the mean
 MEANT_M = 0.1  # as far as they are this near
 STEP_M = 0.04  # a rise of the profile by more than this within a cell's length is a step
@@ -169,22 +164,6 @@ def keep_snapshot(writer, points_of, odometer_m):
     return writer.replace(snapshot=snapshot, snapshot_there=there, n_snapshots=n, snapshot_m=last_m)
 
 
-@struct.dataclass
-class Event:
-    """A node that is due in this step."""
-
-    kind: Array  # int32, place in `NODE_TYPES`; `NONE`: no node is due
-    odometer_m: Array  # float32, where
-    pose: Array  # [3] float32, odometry there
-    centre: Array  # [2] float32, of the node
-    radius: Array  # float32, of a divergence's circle
-    posture: Array  # float32, radians, inclination of the body
-    steepest: Array  # float32, radians, of an obstacle
-    step_m: Array  # float32, height of a step that the robot cannot climb; 0
-    blocked: Array  # bool, an obstacle that the robot cannot pass
-    returns: Array  # bool, to the node where it started
-
-
 def pose_at(way, odometer_m):
     """The pose when the odometer had a value: `[3]` float32."""
     return way.pose[jnp.argmax(way.odometer_m >= odometer_m)]
@@ -207,206 +186,7 @@ def along(way, from_m, to_m):
     return width, jnp.degrees(jnp.max(jnp.where(within, way.posture, 0)))
 
 
-def write(writer, event, tuning, robot):
-    """Makes the node that is due, ends the link that led to it, and chooses where to go on.
-
-    Args:
-      writer: `Writer`.
-      event: `Event`, of any kind but `NONE`.
-      tuning, robot: `Tuning`, `Robot`.
-
-    Returns:
-      `(writer, latch, target, shift)`: `Latch` and target point of branch selection; `[2]`, correction of the odometry,
-        metres, where a node was met again.
-    """
-    is_divergence, is_obstacle = event.kind == btm.DIVERGENCE, event.kind == btm.OBSTACLE
-    is_terminal = (event.kind == btm.TERMINAL) & ~event.returns
-    size = writer.map.start.shape[0]
-
-    # The node: one that is known, or a new one.
-    near, distance = btm.nearest_node(writer.map, event.centre[0], event.centre[1], event.kind)
-    reach = jnp.where(is_divergence, jnp.maximum(0.5, event.radius), SAME_NODE_M)
-    may_be_last = is_divergence & _has_left(writer, event.odometer_m, tuning.leave_m)
-    again = (distance < reach) & ((near != writer.node) | may_be_last) & ~is_terminal | event.returns
-    near = jnp.where(event.returns, 0, near)
-    width, posture = along(writer.way, writer.node_m, event.odometer_m)
-    added, new = btm.add_node(
-        writer.map,
-        event.kind,
-        event.centre[0],
-        event.centre[1],
-        radius_m=event.radius,
-        posture_deg=jnp.where(is_obstacle, posture, jnp.degrees(event.posture)),
-        inclination_deg=jnp.where(is_obstacle & (event.step_m == 0), jnp.degrees(event.steepest), jnp.nan),
-        obstacle=jnp.where(is_obstacle, jnp.where(event.step_m > 0, btm.STAIRS, btm.SLOPE), btm.NONE),
-        step_m=jnp.where(event.step_m > 0, event.step_m, jnp.nan),
-    )
-    map_ = _either(again, writer.map, added)
-    node = jnp.where(again, near, new)
-    fits = again | (writer.map.n_nodes < map_.kind.shape[0])
-    shift = jnp.where(again & is_divergence, jnp.stack([map_.x_m[near], map_.y_m[near]]) - event.centre, 0.0)
-
-    # The obstacle that the way here led over.
-    map_ = _judge_profile(map_, writer, event, tuning, robot, posture, node)
-
-    # Openings of a divergence; the way in is the one nearest to where the robot came from.
-    came = jnp.where(is_divergence, writer.entry - event.centre, -_heading(event.pose[2]))
-    came = jnp.arctan2(came[1], came[0])
-    points = writer.snapshot.reshape(-1, 2), writer.snapshot_there.reshape(-1)
-    found = perception.openings(
-        *points, event.centre, event.radius, tuning.width_m, circle=tuning.circle, size=OPENINGS
-    )
-    off = jnp.where(found.valid, jnp.abs(btm.wrapped(found.bearing - came)), jnp.inf)
-    entry = jnp.argmin(off)
-    entry_seen = off[entry] < math.pi / 3
-    back = jnp.where(is_divergence & entry_seen, found.bearing[entry], came)
-    others = found.valid & ~((jnp.arange(OPENINGS) == entry) & entry_seen)
-
-    # The link that led here. On a known link to a known node nothing is new; a new node on it shows that the robot has
-    # left it unawares: it came by a way of its own. On a new link to a known node, the node's own record of it goes.
-    # A new link that leads back to its own opening is none that could be followed.
-    on_known = map_.status[jnp.minimum(writer.link, size - 1)] == btm.SEARCHED
-    astray = on_known & ~again
-    map_, own = btm.add_link(map_, writer.node, writer.left_bearing, when=astray)
-    link = jnp.where(astray, own, writer.link)
-    off = jnp.abs(btm.wrapped(back - map_.start_bearing[jnp.minimum(link, size - 1)]))
-    turned_back = again & (near == writer.node) & ~on_known & (off < math.pi / 4)  # it comes back as it left
-    map_ = map_.replace(blocked=map_.blocked.at[jnp.where(turned_back, link, size)].set(True, mode="drop"))
-    is_new = (~on_known | astray) & ~turned_back
-    map_ = _end_link(map_, writer, node, event, back, width, posture, link, is_new)
-    map_ = _withdraw_double(map_, node, back, again & is_new)
-
-    # Its new links.
-    for i in range(OPENINGS):
-        map_, _ = btm.add_link(
-            map_,
-            node,
-            found.bearing[i],
-            when=is_divergence & ~again & others[i],
-            opening_m=found.width_m[i],
-        )
-    goes_on = ~is_divergence & ~is_terminal & ~again
-    map_, onward = btm.add_link(map_, node, event.pose[2], when=goes_on, blocked=event.blocked)
-    map_ = map_.replace(overflow=map_.overflow + jnp.where(is_divergence & ~again, found.overflow, 0))
-
-    # Where to.
-    open_link = btm.first_open(map_, node, back)
-    hop, hop_bearing, _ = btm.next_hop(map_, node)
-    other = _other_link(map_, node, link)
-    through = ~is_divergence & ~event.blocked
-    use_open = open_link != btm.NONE
-    onto = jnp.where(use_open, open_link, hop)
-    bearing = jnp.where(use_open, map_.start_bearing[jnp.minimum(open_link, size - 1)], hop_bearing)
-    onto = jnp.where(through, jnp.where(goes_on, onward, other), onto)
-    leaves = ~through & (onto != btm.NONE)
-    out = jnp.where(is_divergence, event.radius, 0) + tuning.leave_m
-    target = event.centre + shift + out * _heading(bearing)
-    written = writer.replace(
-        map=map_,
-        node=node,
-        node_m=event.odometer_m,
-        link=jnp.where(onto == btm.NONE, size, onto),
-        left_bearing=jnp.where(through, event.pose[2], bearing),
-        border_m=_border_left(writer, event),
-        snapshot_there=writer.snapshot_there & ~is_divergence,
-        exhausted=~is_terminal & (onto == btm.NONE),
-    )
-    refused = writer.replace(map=writer.map.replace(overflow=writer.map.overflow + 1), full=jnp.bool_(True))
-    return (
-        jax.tree.map(lambda new, old: jnp.where(fits, new, old), written, refused),
-        jnp.where(leaves, Latch.LEAVE, Latch.FREE).astype(jnp.int32),
-        target,
-        shift,
-    )
-
-
-def _border_left(writer, event):
-    """The border of a free space that is still ahead once a node has been made."""
-    reached = (event.kind == btm.FREE_SPACE) & (event.odometer_m >= writer.border_m)
-    return jnp.where(reached | (event.kind == btm.DIVERGENCE), jnp.inf, writer.border_m)
-
-
-def _heading(angle):
-    return jnp.stack([jnp.cos(angle), jnp.sin(angle)])
-
-
-def _either(condition, yes, no):
-    return btm.Btm(**{name: jnp.where(condition, getattr(yes, name), getattr(no, name)) for name in yes.__dict__})
-
-
-def _end_link(map_, writer, node, event, back, width, posture, link, when):
-    """Ends a link at a node."""
-    at = jnp.where(when, link, map_.start.shape[0])
-    values = {
-        "end": node,
-        "status": btm.SEARCHED,
-        "length_m": event.odometer_m - writer.node_m,
-        "min_width_m": width,
-        "link_posture_deg": posture,
-        "end_bearing": btm.wrapped(back),
-    }
-    return map_.replace(**{name: getattr(map_, name).at[at].set(v, mode="drop") for name, v in values.items()})
-
-
-def _withdraw_double(map_, node, back, when):
-    """Takes away the un-searched link of a node by which the robot has just come in from its other end."""
-    off = jnp.abs(btm.wrapped(map_.start_bearing - back))
-    off = jnp.where((map_.start == node) & (map_.status == btm.UNSEARCHED), off, jnp.inf)
-    at = jnp.argmin(off)
-    at = jnp.where(when & (off[at] < math.pi / 4), at, map_.start.shape[0])
-    return map_.replace(
-        status=map_.status.at[at].set(btm.NONE, mode="drop"), start=map_.start.at[at].set(btm.NONE, mode="drop")
-    )
-
-
-def _other_link(map_, node, link):
-    """The link of a node that is not the one given; the same where it is the only one."""
-    touches = ((map_.start == node) | (map_.end == node)) & (map_.status != btm.NONE)
-    others = touches & (jnp.arange(touches.shape[0]) != link)
-    return jnp.where(jnp.any(others), jnp.argmax(others).astype(jnp.int32), link)
-
-
-def _judge_profile(map_, writer, event, tuning, robot, posture, here):
-    """Says of the obstacle that lies behind what it is, once the robot has passed it."""
-    before = jnp.minimum(writer.node, map_.kind.shape[0] - 1)
-    over = map_.kind[before] == btm.OBSTACLE
-    margin = 0.1
-    way = writer.way
-    within = (way.ground_x_m > writer.node_m + margin) & (way.ground_x_m < event.odometer_m - margin)
-    found = ground_profile.profile(way.ground_x_m, way.ground_z_m, within & jnp.isfinite(way.ground_x_m))
-    is_steep = jnp.abs(jnp.arctan(found.slope)) > jnp.radians(tuning.inclination_deg)
-    judged = over & is_steep & (found.count >= 3) & (event.odometer_m > writer.node_m)
-    stairs = judged & (found.variance_m2 > tuning.variance_max_m2)
-
-    def mark(array, at, value, when):
-        return array.at[jnp.where(when, at, array.shape[0])].set(value, mode="drop")
-
-    obstacle, step, variance = map_.obstacle, map_.step_m, map_.variance_m2
-    for at, is_one in ((before, stairs), (here, stairs & (event.kind == btm.OBSTACLE))):
-        obstacle = mark(obstacle, at, btm.STAIRS, is_one)
-        step = mark(step, at, jnp.fmax(found.step_m, step[at]), is_one)
-    for at, is_one in ((before, judged), (here, judged & (event.kind == btm.OBSTACLE))):
-        variance = mark(variance, at, jnp.fmax(found.variance_m2, variance[at]), is_one)
-    known = map_.posture_deg[before]
-    # On the ground between, without the ramps of the robot's own length at both ends.
-    margin = robot.length_m / 2 + 0.05
-    on_it = (way.odometer_m > writer.node_m + margin) & (way.odometer_m < event.odometer_m - margin)
-    n = jnp.sum(on_it)
-    even = jnp.degrees(jnp.sum(jnp.where(on_it, jnp.abs(way.pitch), 0)) / jnp.maximum(n, 1))
-    even = jnp.where(over & (n > 0) & (even > tuning.inclination_deg), even, jnp.nan)
-    inclination = map_.inclination_deg
-    for at, is_one in ((before, over), (here, over & (event.kind == btm.OBSTACLE))):
-        inclination = mark(inclination, at, jnp.fmax(inclination[at], even), is_one)
-    return map_.replace(
-        obstacle=obstacle,
-        step_m=step,
-        variance_m2=variance,
-        inclination_deg=inclination,
-        posture_deg=mark(map_.posture_deg, before, jnp.fmax(known, posture), over),
-    )
-
-
-def _has_left(writer, odometer_m, leave_m):
+def has_left(writer, odometer_m, leave_m):
     """Whether the robot has gone twice as far as it takes to leave the last node: it may come back to it."""
     last = jnp.minimum(writer.node, writer.map.kind.shape[0] - 1)
     return odometer_m - writer.node_m >= 2 * (writer.map.radius_m[last] + leave_m)
@@ -423,5 +203,5 @@ def is_near_known(writer, centres, odometer_m, leave_m):
     place = jnp.stack([writer.map.x_m[last], writer.map.y_m[last]])
     reach = jnp.maximum(0.5, writer.map.radius_m[last])
     return (
-        is_divergence & ~_has_left(writer, odometer_m, leave_m) & (jnp.sum((centres - place) ** 2, axis=-1) < reach**2)
+        is_divergence & ~has_left(writer, odometer_m, leave_m) & (jnp.sum((centres - place) ** 2, axis=-1) < reach**2)
     )

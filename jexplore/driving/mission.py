@@ -11,17 +11,17 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 from flax import struct
-from jax import Array, lax
+from jax import Array
 
 from jexplore import btm
 from jexplore.arrays.loops import run_if
 from jexplore.btm import Btm
-from jexplore.driving import behaviour, ground_profile, mapping, perception
-from jexplore.driving.behaviour import Drive, Hall, Latch, RunMode, Track
-from jexplore.driving.mapping import Event, Writer
+from jexplore.driving import behaviour, ground_profile, mapping, nodes
+from jexplore.driving.behaviour import Drive, FreeSpace, Latch, RunMode, Track
+from jexplore.driving.events import GOAL_M, KEPT_POINTS, due, kept_points, look_ahead, walls_of_scan
+from jexplore.driving.mapping import Writer
 from jexplore.driving.vehicle import (
     ANGLES_RAD,
-    BEAM_SPACING_RAD,
     BEAMS,
     RANGE_M,
     Body,
@@ -36,22 +36,13 @@ from jexplore.driving.vehicle import (
 )
 from jexplore.engine.program import Program
 
-DRIVE = 1.5  # length of the stretch in which walls are steered by, in look-aheads
-CROSSING_M = 0.1  # but no nearer than this to a wall across the way
 BLOCK = 16  # steps whose random numbers are drawn at once
-EVERY = 2  # steps between two looks for triangles
-SCAN_POINTS = 48  # of a scan that are made into triangles
-KEPT_POINTS = 96  # of a scan that are kept for the openings of the next divergence
 NODES, LINKS = 32, 64  # most of a map
-GOAL_M = 0.5  # a run ends within this of its goal
 STUCK_STEPS = 150  # without going on or finding a node: the operator helps
 STUCK_M = 0.3
 HELPS = 3  # of the operator; then the run ends
 BLIND_STEPS = 20  # scans in a row, most of whose beams give no number, that end a run
 LOST_M = 0.5  # a divergence farther ahead than this and its radius, and no longer seen, is none
-LOOK_M = 0.30  # of the profile ahead, in which a robot finds that it cannot climb
-RECENT = 64  # steps whose profile is looked at for that
-SURE = 3  # steps in a row that it finds so
 
 
 class Outcome(enum.IntEnum):
@@ -80,7 +71,7 @@ class State:
     odometer_m: Array  # float32
     climbed_m: Array  # float32, height above the start as the attitude has it
     track: Track
-    hall: Hall
+    space: FreeSpace
     drive: Drive
     writer: Writer
     scan_overflow: Array  # int32, ends of walls that a scan had more than there is room for
@@ -134,7 +125,7 @@ def at_start(building, robot, room):
         odometer_m=zero,
         climbed_m=zero,
         track=behaviour.no_track(),
-        hall=behaviour.no_hall(),
+        space=behaviour.no_free_space(),
         drive=behaviour.at_rest(),
         writer=mapping.begin(room, KEPT_POINTS, NODES, LINKS, start, _is_open(building)),
         scan_overflow=none,
@@ -153,21 +144,6 @@ def at_start(building, robot, room):
     )
 
 
-def look(xy, valid, wall_m, tuning):
-    """The triangles of a scan, `wall_m` from the nearer wall: `perception.Divergence`."""
-    far_m = perception.far_bound(tuning.far_m, tuning.width_m, BEAM_SPACING_RAD, wall_m)
-    return perception.divergences(
-        xy,
-        valid,
-        near_m=tuning.near_m,
-        far_m=far_m,
-        width_m=tuning.width_m,
-        obtuse_tol_deg=tuning.obtuse_tol_deg,
-        open_m=tuning.open_m,
-        size=SCAN_POINTS,
-    )
-
-
 def step(draws, building, robot, tuning, noise, state):
     """One step of a run: sense, perceive, write, decide, move.
 
@@ -179,97 +155,40 @@ def step(draws, building, robot, tuning, noise, state):
     Returns:
       `State`.
     """
-    body, drive = state.body, state.drive
-    senses = sense(draws, building, robot, noise, body)
-    xy, valid = perception.points(senses.ranges_m, ANGLES_RAD)
-    region = tuning.ahead_m / 2, tuning.ahead_m / 2 + tuning.region_m
-    hall_sides = perception.sides(xy, valid, *region)
-    closed = sum(perception.sides(xy, valid, 0, tuning.ahead_m)) <= tuning.dead_end_m
-    fronts_m = perception.front(xy, valid, robot.width_m)
-    # Walls are steered by as far as the way is free: one that crosses it lies on both sides.
-    until_m = jnp.clip(jnp.maximum(*fronts_m) - CROSSING_M, robot.length_m / 2, DRIVE * tuning.ahead_m)
-    left_m, right_m = perception.sides(xy, valid, 0, until_m)
-    beside = jnp.stack(perception.clearances(xy, valid, robot.length_m / 2))
+    senses = sense(draws, building, robot, noise, state.body)
+    walls = walls_of_scan(senses.ranges_m, tuning, robot)
     blind = jnp.where(jnp.sum(jnp.isnan(senses.ranges_m)) > BEAMS / 2, state.blind + 1, 0)
     placed = to_odometry(state.estimate)
+    writer = _note(state, senses, walls.beside.sum(), robot)
+    ahead = look_ahead(state, writer, walls, senses.pitch, placed, tuning, robot, blind != 0)
+    writer = mapping.keep_snapshot(writer, lambda: kept_points(walls.xy, walls.valid, placed, tuning), state.odometer_m)
+    drive, begins, arrives = _latched(state, ahead, tuning)
+    writer = writer.replace(level=ahead.level, entry=jnp.where(begins, state.estimate[:2], writer.entry))
+    early = arrives & jnp.isfinite(ahead.border_m)
+    writer = writer.replace(border_m=jnp.where(early, state.odometer_m, ahead.border_m))
+    at_goal = jnp.sum((state.body.pose[:2] - building.goal) ** 2) < GOAL_M**2
+    event = due(state, writer, ahead, at_goal, _is_open(building), arrives)
+    writer, drive, track, estimate = _write(state, writer, drive, ahead.track, event, tuning, robot)
 
-    # The way so far.
-    ground_x, ground_z, ground_seen = ground_profile.ground_point(
-        senses.down_m,
-        down_directions(robot),
-        senses.pitch,
-        senses.roll,
-        (robot.scanner_x_m, robot.scanner_height_m),
-        robot.width_m / 2,
+    mode, drive = behaviour.choose_mode(
+        drive, ahead.space, walls.region_sides, walls.left_m, walls.right_m, walls.closed, walls.fronts_m, tuning, robot
     )
-    ground_x, ground_z = state.odometer_m + ground_x, state.climbed_m + ground_z
-    writer = _note(state, senses, beside.sum(), jnp.where(ground_seen, ground_x, jnp.inf), ground_z)
-
-    # What lies ahead.
-    track, overflow = _watch(state, writer, xy, valid, beside.min(), placed, tuning)
-    writer = mapping.keep_snapshot(writer, lambda: _kept_points(xy, valid, placed, tuning), state.odometer_m)
-    hall, enters, leaves = behaviour.watch_hall(
-        state.hall, *hall_sides, state.odometer_m, tuning.open_m, (drive.latch == Latch.FREE) & (blind == 0)
-    )
-    border_m = jnp.where(enters, hall.since_m + region[0], writer.border_m)
-    border_m = jnp.where(leaves, hall.since_m + region[1], border_m)
-    missed = jnp.isfinite(writer.border_m) & (enters | leaves)  # the last border was not reached before the next
-    level, changed, crease_m, steepest = mapping.watch_level(
-        writer.level,
-        senses.pitch,
-        state.odometer_m,
-        jnp.radians(tuning.inclination_deg),
-        mapping.EVEN_LENGTHS * robot.length_m,
-    )
-    stops, ahead_step_m, ahead_slope = _cannot_climb(writer.way, robot, state)
-    blocked = jnp.where(stops & ((drive.latch == Latch.FREE) | state.halts), state.blocked + 1, 0)
-
-    # A latch begins and ends.
-    believed = behaviour.is_believed(track, tuning.votes)
-    begins = believed & (drive.latch == Latch.FREE) & ~hall.inside
-    following = (drive.latch == Latch.APPROACH) | begins
-    target = jnp.where(following, track.centre, drive.target)
-    distance = jnp.hypot(*(target - state.estimate[:2]))
-    near = distance < tuning.arrive_m
-    lost = (drive.latch == Latch.APPROACH) & (track.age == 0) & (distance > track.radius + LOST_M)
-    arrives = following & near
-    latch = jnp.where(begins, Latch.APPROACH, drive.latch)
-    latch = jnp.where(((drive.latch == Latch.LEAVE) & near) | lost, Latch.FREE, latch)
-    drive = drive.replace(latch=latch.astype(jnp.int32), target=target)
-    writer = writer.replace(level=level, entry=jnp.where(begins, state.estimate[:2], writer.entry))
-
-    # A node that is due.
-    at_goal = jnp.sum((body.pose[:2] - building.goal) ** 2) < GOAL_M**2
-    early = arrives & jnp.isfinite(border_m)
-    writer = writer.replace(border_m=jnp.where(early, state.odometer_m, border_m))
-    crosses = missed | (state.odometer_m >= writer.border_m)
-    stops = blocked >= SURE
-    beyond = ahead_step_m, ahead_slope
-    returns = _is_open(building) & _passes_start(state)
-    event = _event(state, writer, track, at_goal, returns, changed, crease_m, steepest, crosses, arrives, stops, beyond)
-    writer, drive, track, estimate = _write(state, writer, drive, track, event, tuning, robot)
-    blocked = jnp.where(event.blocked, 0, blocked)
-
-    # Where to.
-    mode, drive = behaviour.choose_mode(drive, hall, hall_sides, left_m, right_m, closed, fronts_m, tuning, robot)
-    target = behaviour.target_of(mode, drive, left_m, right_m, to_robot(estimate), tuning)
-    v, omega = behaviour.steer(mode, drive, target, tuning, robot)
-    writer = writer.replace(way=writer.way.replace(mode=writer.way.mode.at[state.step].set(mode, mode="drop")))
-    body, estimate, gone_m = move(draws, building, robot, noise, body, estimate, senses, v, omega)
-    odometer_m = state.odometer_m + gone_m
+    target = behaviour.target_of(mode, drive, walls.left_m, walls.right_m, to_robot(estimate), tuning)
+    speed = behaviour.steer(mode, drive, target, tuning, robot)
+    body, estimate, gone_m = move(draws, building, robot, noise, state.body, estimate, senses, *speed)
     after = state.replace(
         body=body,
         estimate=estimate,
-        odometer_m=odometer_m,
+        odometer_m=state.odometer_m + gone_m,
         climbed_m=state.climbed_m - gone_m * jnp.tan(senses.pitch),
         track=track,
-        hall=hall,
+        space=ahead.space,
         drive=drive,
-        writer=writer,
-        scan_overflow=state.scan_overflow + overflow,
+        writer=writer.replace(way=writer.way.replace(mode=writer.way.mode.at[state.step].set(mode, mode="drop"))),
+        scan_overflow=state.scan_overflow + ahead.scan_overflow,
         mode=mode,
         target=target,
-        blocked=blocked,
+        blocked=jnp.where(event.blocked, 0, ahead.blocked),
         halts=body.refused > state.body.refused,
         blind=blind,
         truth=state.truth.at[state.step].set(state.body.pose, mode="drop"),
@@ -278,9 +197,37 @@ def step(draws, building, robot, tuning, noise, state):
     return _end(_helped(after, senses, event, building, robot), at_goal & (event.kind == btm.TERMINAL))
 
 
-def _note(state, senses, width_m, ground_x, ground_z):
+def _latched(state, ahead, tuning):
+    """A latch begins and ends.
+
+    Returns:
+      `(drive, begins, arrives)`: `Drive`; bool, whether it begins to approach a divergence; bool, whether it has
+        reached its middle.
+    """
+    drive, track = state.drive, ahead.track
+    believed = behaviour.is_believed(track, tuning.votes)
+    begins = believed & (drive.latch == Latch.FREE) & ~ahead.space.inside
+    following = (drive.latch == Latch.APPROACH) | begins
+    target = jnp.where(following, track.centre, drive.target)
+    distance = jnp.hypot(*(target - state.estimate[:2]))
+    near = distance < tuning.arrive_m
+    lost = (drive.latch == Latch.APPROACH) & (track.age == 0) & (distance > track.radius + LOST_M)
+    latch = jnp.where(begins, Latch.APPROACH, drive.latch)
+    latch = jnp.where(((drive.latch == Latch.LEAVE) & near) | lost, Latch.FREE, latch)
+    return drive.replace(latch=latch.astype(jnp.int32), target=target), begins, following & near
+
+
+def _note(state, senses, width_m, robot):
     """Keeps what this step measured; no width where the robot turns in place before a wall."""
     way, at = state.writer.way, state.step
+    ground_x, ground_z, ground_seen = ground_profile.ground_point(
+        senses.down_m,
+        down_directions(robot),
+        senses.pitch,
+        senses.roll,
+        (robot.scanner_x_m, robot.scanner_height_m),
+        robot.width_m / 2,
+    )
     turns = (state.mode == RunMode.DEAD_END) | (state.mode == RunMode.CONTACT_GUARD)
     new = {
         "odometer_m": state.odometer_m,
@@ -288,104 +235,11 @@ def _note(state, senses, width_m, ground_x, ground_z):
         "pitch": senses.pitch,
         "posture": jnp.arccos(jnp.cos(senses.pitch) * jnp.cos(senses.roll)),
         "width_m": jnp.where(turns, jnp.inf, width_m),
-        "ground_x_m": ground_x,
-        "ground_z_m": ground_z,
+        "ground_x_m": jnp.where(ground_seen, state.odometer_m + ground_x, jnp.inf),
+        "ground_z_m": state.climbed_m + ground_z,
     }
     way = way.replace(**{name: getattr(way, name).at[at].set(value, mode="drop") for name, value in new.items()})
     return state.writer.replace(way=way)
-
-
-def _watch(state, writer, xy, valid, wall_m, placed, tuning):
-    """Looks for triangles, in every `EVERY`-th step: `(track, overflow)`."""
-    approaches = state.drive.latch == Latch.APPROACH
-    # Once the robot is in the circle that it approaches, a wall that the circle touches lies beside or behind it.
-    is_in = approaches & (jnp.hypot(*(state.track.centre - state.estimate[:2])) < state.track.radius)
-
-    def looked(carry):
-        found = look(xy, valid, wall_m, tuning)
-        known = mapping.is_near_known(writer, placed(found.centre), state.odometer_m, tuning.leave_m)
-        found = dataclasses.replace(found, valid=found.valid & ~known)
-        return behaviour.follow(carry[0], found, placed, tuning.same_m, ~approaches), found.overflow
-
-    forgets = state.hall.inside  # there are no divergences in free space
-    track = jax.tree.map(lambda none, old: jnp.where(forgets, none, old), behaviour.no_track(), state.track)
-    looks = (state.step % EVERY == 0) & ~is_in & ~state.hall.inside
-    return run_if(looks, looked, (track, jnp.int32(0)))
-
-
-def _kept_points(xy, valid, placed, tuning):
-    """Points of a scan for the openings of the next divergence: `(points, there)`, in the odometry's frame."""
-    even = perception.smoothed(xy, valid, tuning.width_m / 4)
-    bounds = tuning.near_m, tuning.far_m, tuning.open_m
-    points, there, *_ = perception.resampled(even, valid, *bounds, tuning.width_m / 4, size=KEPT_POINTS)
-    return placed(points), there
-
-
-def _cannot_climb(way, robot, state):
-    """Whether the ground ahead is more than the robot can climb, as it looks or as the robot has just found.
-
-    Returns:
-      `(stops, step_m, slope)`: bool; height of the step that stops it, 0 for none; inclination of the slope that does,
-        radians, 0 for none, NaN where it was not seen.
-    """
-    first = jnp.clip(state.step + 1 - RECENT, 0, way.ground_x_m.shape[0] - RECENT)
-    x, z = (lax.dynamic_slice(array, (first,), (RECENT,)) for array in (way.ground_x_m, way.ground_z_m))
-    x = jnp.where(first + jnp.arange(RECENT) <= state.step, x, jnp.inf)
-    nose = state.odometer_m + robot.length_m / 2
-    ahead = (x > nose) & (x < nose + LOOK_M)
-    behind = (x <= nose) & (x > nose - LOOK_M)
-    foot = jnp.max(jnp.where(behind, z, -jnp.inf))
-    rise = jnp.where(jnp.isfinite(foot), jnp.max(jnp.where(ahead, z, -jnp.inf)) - foot, 0)
-    slope_m = LOOK_M * jnp.tan(jnp.radians(robot.max_slope_deg)) + 0.02
-
-    def judged(_):
-        step_m, beyond = ground_profile.profile(x, z, ahead | behind).step_m, ground_profile.profile(x, z, ahead)
-        is_step = ((step_m > robot.max_step_m) | state.halts) & (step_m > mapping.STEP_M)
-        stops = is_step | (rise > slope_m) | state.halts
-        slope = jnp.where(beyond.count < 3, jnp.nan, jnp.abs(jnp.arctan(beyond.slope)))
-        return stops, jnp.where(is_step, step_m, 0.0), jnp.where(stops & ~is_step, slope, 0.0)
-
-    high = (rise > jnp.minimum(slope_m, robot.max_step_m)) | state.halts
-    return run_if(high, judged, (jnp.bool_(False), jnp.float32(0), jnp.float32(0)))
-
-
-def _passes_start(state):
-    """Whether the robot has come by the node where it started since it was at another one."""
-    map_ = state.writer.map
-    place = to_robot(state.estimate)(jnp.stack([map_.x_m[0], map_.y_m[0]]))
-    return (state.writer.node != 0) & (place[0] <= 0) & (jnp.hypot(*place) < mapping.SAME_NODE_M)
-
-
-def _event(state, writer, track, at_goal, returns, changed, crease_m, steepest, crosses, arrives, stops, beyond):
-    """The node that is due; of several the one that lies first on the way."""
-    here = state.estimate
-    crease = run_if(changed, lambda _: mapping.pose_at(writer.way, crease_m), here)
-    crease_m = jnp.maximum(crease_m, writer.node_m)
-    order = [
-        (at_goal | returns, btm.TERMINAL, state.odometer_m, here, here[:2]),
-        (arrives & ~crosses, btm.DIVERGENCE, state.odometer_m, here, track.centre),
-        (stops, btm.OBSTACLE, state.odometer_m, here, here[:2]),
-        (crosses, btm.FREE_SPACE, state.odometer_m, here, here[:2]),
-        (changed, btm.OBSTACLE, crease_m, crease, crease[:2]),
-    ]
-    kind, odometer_m, pose, centre = jnp.int32(btm.NONE), state.odometer_m, here, here[:2]
-    for due, *values in order:  # the last that is due wins
-        kind, odometer_m, pose, centre = (
-            jnp.where(due, new, old) for new, old in zip(values, (kind, odometer_m, pose, centre))
-        )
-    is_blocked = stops & (kind == btm.OBSTACLE) & ~changed
-    return Event(
-        kind=kind.astype(jnp.int32),
-        odometer_m=odometer_m,
-        pose=pose,
-        centre=centre,
-        radius=jnp.where(kind == btm.DIVERGENCE, track.radius, 0.0),
-        posture=writer.way.posture[jnp.minimum(state.step, writer.way.posture.shape[0] - 1)],
-        steepest=jnp.where(is_blocked, beyond[1], steepest),
-        step_m=jnp.where(is_blocked, beyond[0], 0.0),
-        blocked=is_blocked,
-        returns=returns & ~at_goal & (kind == btm.TERMINAL),
-    )
 
 
 def _write(state, writer, drive, track, event, tuning, robot):
@@ -394,7 +248,7 @@ def _write(state, writer, drive, track, event, tuning, robot):
     def made(carry):
         map_part, rest, drive, track, estimate = carry
         whole = writer.replace(map=map_part, **rest)
-        whole, latch, target, shift = mapping.write(whole, event, tuning, robot)
+        whole, latch, target, shift = nodes.write(whole, event, tuning, robot)
         estimate = estimate.at[:2].add(shift)
         is_divergence = event.kind == btm.DIVERGENCE
         latches = is_divergence | event.blocked
@@ -472,7 +326,7 @@ def begin(setup, given):
     """
     block = jax.eval_shape(_draws_from, given.key, 0)
     state = at_start(given.own_scene, given.task[0], setup.room)
-    return state.replace(draws=jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), block))
+    return dataclasses.replace(state, draws=jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), block))
 
 
 def advance(setup, given, state):

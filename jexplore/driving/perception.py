@@ -256,6 +256,29 @@ class Openings:
     overflow: Array  # int32, openings that did not fit
 
 
+def _gaps(point, last, here, width_m):
+    """Gaps from every direction to the next, counter-clockwise and round the circle, that has a point.
+
+    Args:
+      point, last: `[BEARINGS, 2]` float32, the nearest and the farthest point in every direction.
+      here: `[BEARINGS]` bool, whether there is any.
+      width_m: least width of an opening.
+
+    Returns:
+      `(after, width, is_gap)`: `[BEARINGS, 2]`, the point where it ends; `[BEARINGS]`, how wide it is, and whether that
+        is an opening.
+    """
+    order = jnp.arange(BEARINGS)
+    later = jnp.where(here, order, 2 * BEARINGS)
+    twice = jnp.concatenate([later, later + BEARINGS])
+    later = jnp.where(twice[:, None] > order, twice[:, None], 4 * BEARINGS)
+    following = jnp.min(later, axis=0) % BEARINGS
+    after, last_after = point[following], last[following]
+    pairs = (point, after), (last, after), (point, last_after), (last, last_after)
+    width = functools.reduce(jnp.minimum, [jnp.hypot(*(b - a).T) for a, b in pairs])
+    return after, width, here & ((width > width_m) | (jnp.sum(here) == 1))
+
+
 def openings(xy, valid, centre, radius_m, width_m, *, circle, size):
     """Gaps between neighbouring points in a circle, as seen from its centre, that a robot fits through.
 
@@ -292,24 +315,13 @@ def openings(xy, valid, centre, radius_m, width_m, *, circle, size):
     here = most >= 0
     point, last = (offset[jnp.where(here, code, 0) & (2**bits - 1)] for code in (least, most))
 
-    def gaps(here):  # from every direction to the next, counter-clockwise and round the circle, that has a point
-        order = jnp.arange(BEARINGS)
-        later = jnp.where(here, order, 2 * BEARINGS)
-        twice = jnp.concatenate([later, later + BEARINGS])
-        later = jnp.where(twice[:, None] > order, twice[:, None], 4 * BEARINGS)
-        following = jnp.min(later, axis=0) % BEARINGS
-        after, last_after = point[following], last[following]
-        pairs = (point, after), (last, after), (point, last_after), (last, last_after)
-        width = functools.reduce(jnp.minimum, [jnp.hypot(*(b - a).T) for a, b in pairs])
-        return after, width, here & ((width > width_m) | (jnp.sum(here) == 1))
-
     # A wall is what lies between two gaps.
-    gap_here = gaps(here)[2]
+    gap_here = _gaps(point, last, here, width_m)[2]
     wall = (running_sum(gap_here.astype(jnp.float32)) - gap_here) % jnp.maximum(jnp.sum(gap_here), 1)
     distance = jnp.where(here, jnp.hypot(*point.T), jnp.inf)
     nearest_m = jnp.min(jnp.where(wall[:, None] == wall, distance[:, None], jnp.inf), axis=0)
     here &= nearest_m <= NEAR * jnp.maximum(radius_m, jnp.min(distance))
-    after, width, gap_here = gaps(here)
+    after, width, gap_here = _gaps(point, last, here, width_m)
     only = jnp.sum(here) == 1
     middle = (point + after) / 2
     bearing = jnp.arctan2(middle[:, 1], middle[:, 0])

@@ -2,7 +2,7 @@
 
 The walls of an occupancy array all run along the axes. A beam meets such a segment in a few operations, and a building
 of passages has some dozens of them: a scan is one small dense computation, on a CPU as on a GPU. Its ranges are those
-of `raycast.cast`, which traces every cell of every beam.
+of a traversal of every cell of every beam.
 """
 
 import jax.numpy as jnp

@@ -1,7 +1,6 @@
 """Several devices, each of which works on its own part without a word to the others; programs compiled for them."""
 
 import functools
-from typing import Any
 
 import jax
 import numpy as np
@@ -9,8 +8,6 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 AXIS = "device"
 PROGRAMS = 32  # compiled programs that are kept in a process
-# A tenth of the time of compiling, and nothing gained by it: loops here store what they would compute anew.
-OPTIONS: dict[str, Any] = {"cpu": {"xla_disable_hlo_passes": "while-loop-invariant-code-motion"}}
 CONFIGURATION = ("jax_default_device", "jax_enable_x64", "jax_default_prng_impl", "jax_threefry_partitionable")
 
 
@@ -71,7 +68,7 @@ class _Function:
         return hash(self.name)
 
 
-def compiled(function, name, arguments, devices, *, donate=()):
+def compiled(function, name, arguments, devices, *, donate=(), cpu_options=()):
     """A compiled function and the shapes of what it returns. Compiled once in a process for equal names and shapes.
 
     Args:
@@ -80,21 +77,23 @@ def compiled(function, name, arguments, devices, *, donate=()):
       arguments: pytrees of arrays, or of their shapes.
       devices: list of JAX devices.
       donate: numbers of the arguments whose memory may be used again.
+      cpu_options: pairs of name and value, options of XLA on a CPU.
 
     Returns:
       `(call, shapes)`.
     """
     leaves, tree = jax.tree.flatten(arguments)
     leaves = tuple(jax.ShapeDtypeStruct(np.shape(a), a.dtype, sharding=getattr(a, "sharding", None)) for a in leaves)
+    options = cpu_options if devices[0].platform == "cpu" else ()
     configuration = tuple(str(jax.config.values[option]) for option in CONFIGURATION)
-    return _compiled(_Function(function, name), tree, leaves, tuple(devices), donate, configuration)
+    return _compiled(_Function(function, name), tree, leaves, tuple(devices), donate, options, configuration)
 
 
 @functools.lru_cache(maxsize=PROGRAMS)
-def _compiled(made, tree, leaves, devices, donate, configuration):
-    del configuration  # it only tells programs apart
+def _compiled(made, tree, leaves, devices, donate, options, configuration):
+    del devices, configuration  # they only tell programs apart
     lowered = jax.jit(made.function, donate_argnums=donate).lower(*jax.tree.unflatten(tree, leaves))
-    return lowered.compile(compiler_options=OPTIONS.get(devices[0].platform)), lowered.out_info
+    return lowered.compile(compiler_options=dict(options)), lowered.out_info
 
 
 def forget_compiled():

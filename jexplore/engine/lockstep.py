@@ -132,7 +132,8 @@ class Group:
         lanes, turns = begin(queue, self.common), jnp.full(len(devices), FIRST_TURNS, jnp.int32)
         function = on_devices(self.engine.go_on, devices, 3)
         arguments = lanes, queue, parted(turns, devices), self.common
-        step, _ = compiled(function, ("go on", program), arguments, devices, donate=(0,))
+        options = program.cpu_options
+        step, _ = compiled(function, ("go on", program), arguments, devices, donate=(0,), cpu_options=options)
         for line in self.lines:
             line.make_room(jax.tree.map(lambda a: jax.ShapeDtypeStruct(a.shape[2:], a.dtype), shapes.results))
         costs.compile_s += time.perf_counter() - began

@@ -52,6 +52,7 @@ class Program(NamedTuple):
     keep: Callable  # (state) -> pytree of arrays: what is kept of one run besides its result
     decide: Callable | None = None  # (setup, given, state) -> state
     must_decide: Callable | None = None  # (state) -> bool, for runs that are not done
+    cpu_options: tuple = ()  # pairs of name and value: options of XLA's compiler on a CPU
     scratch: Callable = lambda shared, state: (0, 0)  # bytes that deciding and advancing need, a lane; for an estimate
 
     def is_under_way(self, state):

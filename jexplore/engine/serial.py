@@ -72,7 +72,8 @@ def compile_chunk(line, devices):
     function = on_devices(functools.partial(chunk, line.program), devices, 3)
     blank = np.zeros((d, size), np.int32), task, np.zeros(d, np.int32)
     place = whole((jax.tree.map(lambda a: a[None], line.scene), line.shared), devices)
-    call, shapes = compiled(function, (chunk, line.program), (*blank, np.uint32(0), *place, line.numbers), devices)
+    arguments, options = (*blank, np.uint32(0), *place, line.numbers), line.program.cpu_options
+    call, shapes = compiled(function, (chunk, line.program), arguments, devices, cpu_options=options)
     return call, jax.tree.map(lambda a: jax.ShapeDtypeStruct(a.shape[2:], a.dtype), shapes[0])
 
 

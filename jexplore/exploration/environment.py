@@ -231,6 +231,25 @@ def commit(given, state, choice, route):
     return _limit_plans(given.numbers, _move(given, _arrive(state, here, True, given.numbers)))
 
 
+def _find_goal(given, row, col):
+    """What is to be known in the end, and whether the start is enclosed.
+
+    Returns:
+      `(goal, stuck)`: `[ceil(H / 32), W]` uint32, packed cells that are clear in the true world and connected to the
+        start; bool.
+    """
+    model, shape = given.numbers.model, given.scenes.occupied.shape[1:]
+    maps, base = _stacked(given, given.scenes.occupied)
+    occupied = lax.dynamic_slice(maps, (base, jnp.int32(0)), shape)
+    free, walls, near = stored(
+        row >= 0, lambda: [bits.pack(m) for m in (~occupied, occupied, disc(shape, row, col, model.near_d2))]
+    )
+    clear = free & ~within_packed(walls, model.clearance_d2)
+    goal = clear & flood(clear | (free & near), row, col)
+    rows, cols = (lax.broadcasted_iota(jnp.int32, shape, axis) for axis in (0, 1))
+    return goal, occupied[row, col] | ~jnp.any(goal & bits.pack((rows != row) | (cols != col)))
+
+
 def begin(setup, given):
     """An episode that has made its first scans.
 
@@ -245,16 +264,8 @@ def begin(setup, given):
     """
     numbers, truth, (row, col, heading) = given.numbers, given.scenes, given.task
     shape = truth.occupied.shape[1:]
-    maps, base = _stacked(given, truth.occupied)
-    occupied = lax.dynamic_slice(maps, (base, jnp.int32(0)), shape)
+    goal, stuck = _find_goal(given, row, col)
     flags = jnp.zeros(shape, bool)
-    free, walls, near = stored(
-        row >= 0, lambda: [bits.pack(m) for m in (~occupied, occupied, disc(shape, row, col, numbers.model.near_d2))]
-    )
-    clear = free & ~within_packed(walls, numbers.model.clearance_d2)
-    goal = clear & flood(clear | (free & near), row, col)
-    rows, cols = (lax.broadcasted_iota(jnp.int32, shape, axis) for axis in (0, 1))
-    stuck = occupied[row, col] | ~jnp.any(goal & bits.pack((rows != row) | (cols != col)))
     belief = Belief(
         grid=empty_grid(shape),
         driven=_mark(flags, row, col),

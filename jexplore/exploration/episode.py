@@ -14,6 +14,10 @@ from jexplore.raycast import BLOCK
 PLANNING_BYTES = 40  # a cell, that a plan needs besides the state; an estimate
 
 
+# A tenth of the time of compiling, and nothing gained by it: loops here store what they would compute anew.
+CPU_OPTIONS = (("xla_disable_hlo_passes", "while-loop-invariant-code-motion"),)
+
+
 def plan(setup, given, state):
     """`environment.decide` and `commit`: a `State` with the next plan under way, or the episode's end."""
     carry, choice, route = environment.decide(setup, given, state)
@@ -95,5 +99,6 @@ def program_of(setup):
         keep=kept,
         decide=plan,
         must_decide=_must_plan,
+        cpu_options=CPU_OPTIONS,
         scratch=_scratch,
     )

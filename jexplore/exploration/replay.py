@@ -1,5 +1,6 @@
 """An episode once more, scan by scan, by the environment's own rules with the choices that it recorded."""
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import jax
@@ -10,6 +11,7 @@ from jexplore.engine.program import given_of
 from jexplore.exploration import environment
 from jexplore.exploration.site import line_of
 from jexplore.exploration.state import State
+from jexplore.exploration.trail import Plan
 from jexplore.planning import Belief, Choice, field
 from jexplore.reach import FAR, MOTIONS, NO_MOTION
 
@@ -57,17 +59,40 @@ def moments(site, strategy, start, seed, number, plans):
     Yields:
       `Moment`s, first that after the scans at the start.
     """
+    for turn in turns(site, strategy, start, seed, number, plans):
+        yield from turn.moments
+
+
+class Turn(NamedTuple):
+    """A plan: the belief in which it was made, and the scans that it led to."""
+
+    belief: Belief | None  # None: before the first plan
+    plan: Plan | None
+    moments: Iterator[Moment]
+
+
+def turns(site, strategy, start, seed, number, plans):
+    """The plans of an episode, that which ended it included; arguments as for `moments`.
+
+    Yields:
+      `Turn`s, whose moments must be taken before the next turn is.
+    """
     line = line_of(site, strategy, np.tile(np.asarray(start, np.int32), (number + 1, 1)), seed, [number])
     given, setup = jax.device_put(given_of(line, number)), line.program.setup
     state = _begin(setup, given)
-    yield _moment(state, state)
-    for plan in plans:
-        row, col = (-1, -1) if plan.target is None else plan.target
-        route = _route(state, plan.motions)
-        state = _commit(given, state, np.int32(row), np.int32(col), np.bool_(plan.is_view), route)
+    yield Turn(None, None, iter([_moment(state, state)]))
+
+    def carried_out():
+        nonlocal state
         while state.walking:
             before, state = state, _advance(setup, given, state)
             yield _moment(before, state)
+
+    for plan in plans:
+        belief, route = state.belief, _route(state, plan.motions)
+        row, col = (-1, -1) if plan.target is None else plan.target
+        state = _commit(given, state, np.int32(row), np.int32(col), np.bool_(plan.is_view), route)
+        yield Turn(belief, plan, carried_out())
 
 
 def _moment(before, state):

@@ -15,7 +15,7 @@ import matplotlib
 import numpy as np
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection
-from matplotlib.colors import ListedColormap, hsv_to_rgb, to_rgb
+from matplotlib.colors import ListedColormap, hsv_to_rgb
 from matplotlib.figure import Figure
 from matplotlib.markers import MarkerStyle
 from matplotlib.path import Path as Outline
@@ -218,22 +218,6 @@ def draw_path(ax, rows, cols, cell_m, *, width=1.4):
     (start,) = ax.plot(*xy[0], "o", ms=7, mfc="white", mec="black", mew=1.6, zorder=5, label="start")
     (end,) = ax.plot(*xy[-1], "X", ms=8, mfc="black", mec="white", mew=0.9, zorder=6, label="end")
     return line, start, end
-
-
-def draw_frontiers(ax, mask, cell_m):
-    """Frontier cells in red over a map, `mask` `[H, W]` bool. Returns the image, transparent elsewhere."""
-    colours = np.zeros((*np.shape(mask), 4))
-    colours[..., :3] = to_rgb(FRONTIER)
-    colours[..., 3] = mask
-    return _image(ax, colours, cell_m, interpolation="nearest", zorder=2)
-
-
-def draw_target(ax, row, col, cell_m):
-    """The target cell as a blue ring with a dot. Returns the two `Line2D`."""
-    x, y = _centres_m(col, cell_m), _centres_m(row, cell_m)
-    (ring,) = ax.plot(x, y, "o", ms=13, mfc="none", mec=TARGET, mew=2, zorder=5, label="target")
-    (dot,) = ax.plot(x, y, "o", ms=4, color=TARGET, zorder=5)
-    return ring, dot
 
 
 def draw_robot(ax, row, col, heading_deg, cell_m, *, size=12):

@@ -152,6 +152,18 @@ def draw_pitch(ax, btm, trail, pitch_deg):
     return line
 
 
+def _draw_building(ax, walls, points):
+    """Walls and scan points; returns entries of a legend."""
+    handles, dot = [], {"color": POINT, "marker": ".", "linestyle": "none", "markeredgewidth": 0}
+    if len(walls):
+        ax.add_collection(LineCollection(list(walls.reshape(-1, 2, 2)), colors=WALL, linewidths=3, zorder=1))
+        handles.append(Line2D([], [], color=WALL, linewidth=3, label="building"))
+    if len(points):
+        ax.plot(points[:, 0], points[:, 1], markersize=1.4, zorder=2, rasterized=True, **dot)
+        handles.append(Line2D([], [], markersize=3, label="scan point", **dot))
+    return handles
+
+
 def figure(btm, walls, trail, points, modes, mode_names, title="", *, pitch_deg=None):
     """A page with the building, the run through it and the map that came of it.
 
@@ -185,19 +197,7 @@ def figure(btm, walls, trail, points, modes, mode_names, title="", *, pitch_deg=
     page = Figure(figsize=(width + LEGEND_IN + 0.7, height + lower + 0.9), layout="constrained")
     axes = page.subplots(1 + pitched, 1, squeeze=False, height_ratios=[height, lower][: 1 + pitched])[:, 0]
     ax = axes[0]
-    handles = []
-    if len(walls):
-        ax.add_collection(LineCollection(list(walls.reshape(-1, 2, 2)), colors=WALL, linewidths=3, zorder=1))
-        handles.append(Line2D([], [], color=WALL, linewidth=3, label="building"))
-    if len(points):
-        ax.plot(
-            points[:, 0], points[:, 1], ".", color=POINT, markersize=1.4, markeredgewidth=0, zorder=2, rasterized=True
-        )
-        handles.append(
-            Line2D(
-                [], [], color=POINT, linestyle="none", marker=".", markersize=3, markeredgewidth=0, label="scan point"
-            )
-        )
+    handles = _draw_building(ax, walls, points)
     handles += draw_trail(ax, trail, modes, mode_names)
     handles = draw_btm(ax, btm, legend=False) + handles
     ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")

@@ -227,8 +227,8 @@ def frames(episode, *, max_frames=MAX_FRAMES):
 
 def _map_of(episode, moment):
     """Hits and misses after a scan, without padding."""
-    height, width = episode.world.shape
-    return (np.asarray(a)[:height, :width] for a in (moment.belief.grid.hits, moment.belief.grid.misses))
+    (height, width), grid = episode.world.shape, moment.belief.grid
+    return np.asarray(grid.hits)[:height, :width], np.asarray(grid.misses)[:height, :width]
 
 
 def maps_at(episode, shares):

@@ -196,7 +196,7 @@ def _orderings_text(orderings):
     return tables.aligned_table(head, lines, left=head[:3])
 
 
-def prepare(name, *, maps, episodes, seed, cell_m, lidar, rules):
+def prepare_paper(name, *, maps, episodes, seed, cell_m, lidar, rules):
     """Everything that `reproduce` refuses or loads before it runs: a list of `Job`. Arguments as there."""
     paper, jobs = find(name), []
     if maps is not None:
@@ -244,7 +244,7 @@ def reproduce(
     Raises:
       InputError: a paper, folder, map or number that cannot be used. Raised before anything is compiled.
     """
-    jobs = prepare(paper, maps=maps, episodes=episodes, seed=seed, cell_m=cell_m, lidar=lidar, rules=rules)
+    jobs = prepare_paper(paper, maps=maps, episodes=episodes, seed=seed, cell_m=cell_m, lidar=lidar, rules=rules)
     use_compilation_cache()
     report = run_jobs(jobs, lidar, rules, engine=engine, lanes=lanes, workers=workers, on_progress=on_progress)
     return assemble(paper, maps, jobs, report, rules)

@@ -99,6 +99,21 @@ def _variation_of_information(overlap):
     return (both * bits).sum() / max(both.sum(), 1)
 
 
+def _agreement(overlap, size, size_truth):
+    """The scores of regions and rooms, of which there are some: dict."""
+    iou = overlap / (size[:, None] + size_truth[None, :] - overlap)
+    best, best_truth = overlap.max(axis=1), overlap.max(axis=0)
+    return {
+        "mcc": _matched(overlap, _matthews(overlap, size, size_truth)) / max(overlap.shape),
+        "precision_room": (best / size).mean(),
+        "recall_room": (best_truth / size_truth).mean(),
+        "precision_pixel": best.sum() / size.sum(),
+        "recall_pixel": best_truth.sum() / size_truth.sum(),
+        "iou_predicted": iou.max(axis=1).mean(),
+        "iou_truth": iou.max(axis=0).mean(),
+    }
+
+
 def score(truth, predicted):
     """Agreement of a predicted segmentation with the ground truth, of the same map.
 
@@ -142,20 +157,8 @@ def score(truth, predicted):
     both = (truth >= 0) & (predicted >= 0)
     pairs = predicted[both].astype(np.int64) * n_truth + truth[both]
     overlap = np.bincount(pairs, minlength=n * n_truth).reshape(n, n_truth)
-    if n and n_truth:
-        iou = overlap / (size[:, None] + size_truth[None, :] - overlap)
-        best, best_truth = overlap.max(axis=1), overlap.max(axis=0)
-        agreement = {
-            "mcc": _matched(overlap, _matthews(overlap, size, size_truth)) / max(n, n_truth),
-            "precision_room": (best / size).mean(),
-            "recall_room": (best_truth / size_truth).mean(),
-            "precision_pixel": best.sum() / size.sum(),
-            "recall_pixel": best_truth.sum() / size_truth.sum(),
-            "iou_predicted": iou.max(axis=1).mean(),
-            "iou_truth": iou.max(axis=0).mean(),
-        }
-    else:
-        agreement = dict.fromkeys(AGREEMENT, float(n == n_truth))
+    none = dict.fromkeys(AGREEMENT, float(n == n_truth))
+    agreement = _agreement(overlap, size, size_truth) if n and n_truth else none
     return {
         **{name: float(value) for name, value in agreement.items()},
         "rooms": n,

@@ -122,8 +122,8 @@ def segment_maps(
     Raises:
       InputError: a name, number or picture that cannot be used. Raised before anything is compiled.
     """
-    variants = listed("variants", variants)
-    tasks = prepare(maps, truth, variants, cell_m, prominence_m, gamma, metric)
+    chosen: Any = listed("variants", variants)
+    tasks = prepare_maps(maps, truth, chosen, cell_m, prominence_m, gamma, metric)
     jobs = [
         prepare_job(task.world, EXPLORER, seed=seed, cell_m=cell_m, start="random", lidar=LIDAR, rules=RULES)
         for task in tasks
@@ -131,16 +131,12 @@ def segment_maps(
     ]
     rows, pictures, done = [], [], 0
     for i, task in enumerate(tasks):
-        known = [(1.0, 1.0, ~task.world.occupied)]
-        if partial:
-            found = run_job(jobs[i], LIDAR, RULES)
-            known = [(*shares, state == FREE) for *shares, state in maps_at(found, SHARES)] + known
-        for stage, explored, free in known:
+        for stage, explored, free in _stages(task.world, jobs[i] if partial else None):
             settings = [
                 segment.criteria(variant, prominence=prominence_m / task.world.cell_m, gamma=gamma)
-                for variant in variants
+                for variant in chosen
             ]
-            for variant, made in zip(variants, segmentations(free, settings, metric=metric, lines=lines)):
+            for variant, made in zip(chosen, segmentations(free, settings, metric=metric, lines=lines)):
                 row, picture = _judged(task, variant, stage, explored, free, made)
                 rows.append(row)
                 pictures.append(picture)
@@ -152,7 +148,13 @@ def segment_maps(
     return Segmentation(pd.DataFrame(rows, columns=list(COLUMNS)), pictures)
 
 
-def prepare(maps, truth, variants, cell_m, prominence_m, gamma, metric):
+def _stages(world, job):
+    """The maps of a world to be segmented: `(stage, explored, free)`; the whole one last, only that without a job."""
+    partial = () if job is None else maps_at(run_job(job, LIDAR, RULES), SHARES)
+    return [*((*shares, state == FREE) for *shares, state in partial), (1.0, 1.0, ~world.occupied)]
+
+
+def prepare_maps(maps, truth, variants, cell_m, prominence_m, gamma, metric):
     """Everything that `segment_maps` refuses or loads before it runs: a list of `Task`. Arguments as there."""
     variants = listed("variants", variants)
     require_different("variants", variants)

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jexplore import btm
-from jexplore.driving import behaviour, mission, perception, vehicle
+from jexplore.driving import behaviour, events, mission, perception, vehicle
 from jexplore.driving.batch import MAX_STEPS
 from jexplore.driving.behaviour import RunMode
 from jexplore.driving.walls import cast, segments
@@ -45,7 +45,7 @@ def _frame(key, building, robot, tuning, noise, state):
     senses = vehicle.sense(draws, building, robot, noise, state.body)
     xy, valid = perception.points(senses.ranges_m, vehicle.ANGLES_RAD)
     wall_m = jnp.minimum(*perception.clearances(xy, valid, robot.length_m / 2))
-    found = mission.look(xy, valid, wall_m, tuning)
+    found = events.triangles(xy, valid, wall_m, tuning)
     best = jnp.argsort(jnp.where(found.valid, jnp.hypot(*found.centre.T), jnp.inf))[:TRIANGLES]
     there = found.valid[best]
     after = mission.step(draws, building, robot, tuning, noise, state)

@@ -154,7 +154,7 @@ def swept_values(sweep, settings, seed):
     return {name: np.round(value) if name == "votes" else value for name, value in values.items()}
 
 
-def prepare(
+def prepare_trace(
     world="course",
     *,
     robot="kamui",
@@ -276,7 +276,7 @@ def trace(world="course", *, engine=None, lanes=None, workers=None, on_progress=
       world: name or `World`.
       engine, lanes, workers: see `runner.find_resources`; results are equal.
       on_progress: called with the number of runs finished so far.
-      **options: see `prepare`.
+      **options: see `prepare_trace`.
 
     Returns:
       `Traced`.
@@ -284,7 +284,7 @@ def trace(world="course", *, engine=None, lanes=None, workers=None, on_progress=
     Raises:
       InputError: what cannot be run, in one line.
     """
-    plan = prepare(world, **options)
+    plan = prepare_trace(world, **options)
     return execute(plan, engine=engine, lanes=lanes, workers=workers, on_progress=on_progress)
 
 

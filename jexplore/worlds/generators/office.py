@@ -47,12 +47,7 @@ def office(
         end -= rng.uniform(0.22, 0.3) * width_m
     crossings = {k: _crossings(rng, end, corridor_m) for k in range(2, len(stack) - 1, 2)}
     corridors = _corridors(rng, plan, stack, crossings, end)
-    kinds = [
-        (0.40, 0.8 * room_m, 1.0 * room_m),
-        (0.28, 1.0 * room_m, 1.4 * room_m),
-        (0.18, 1.5 * room_m, 2.1 * room_m),
-        (0.14, max(1.9, 0.55 * room_m), max(2.2, 0.7 * room_m)),
-    ]
+    kinds = _kinds(room_m)
     bottom, top = ((0.0, y0, end, y1) for y0, y1 in (stack[0], stack[-1]))
     if end < width_m:
         _head(rng, plan, end, stack, corridors)
@@ -73,6 +68,16 @@ def office(
             kinds,
         )
     return plan.render(cell_m, flip_x=rng.random() < 0.5, flip_y=rng.random() < 0.5)
+
+
+def _kinds(room_m):
+    """Kinds of rooms: how common, least and greatest width, metres."""
+    return [
+        (0.40, 0.8 * room_m, 1.0 * room_m),
+        (0.28, 1.0 * room_m, 1.4 * room_m),
+        (0.18, 1.5 * room_m, 2.1 * room_m),
+        (0.14, max(1.9, 0.55 * room_m), max(2.2, 0.7 * room_m)),
+    ]
 
 
 def _crossings(rng, end, corridor_m):

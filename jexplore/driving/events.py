@@ -1,0 +1,229 @@
+"""What lies ahead of the robot, and which node of the map is due."""
+
+import dataclasses
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import Array, lax
+
+from jexplore import btm
+from jexplore.arrays.loops import run_if
+from jexplore.driving import behaviour, ground_profile, mapping, perception
+from jexplore.driving.behaviour import FreeSpace, Latch, Track
+from jexplore.driving.nodes import SAME_NODE_M, Event
+from jexplore.driving.vehicle import ANGLES_RAD, BEAM_SPACING_RAD, to_robot
+
+DRIVE = 1.5  # length of the stretch in which walls are steered by, in look-aheads
+CROSSING_M = 0.1  # but no nearer than this to a wall across the way
+EVERY = 2  # steps between two looks for triangles
+SCAN_POINTS = 48  # of a scan that are made into triangles
+KEPT_POINTS = 96  # of a scan that are kept for the openings of the next divergence
+GOAL_M = 0.5  # a run ends within this of its goal
+LOOK_M = 0.30  # of the profile ahead, in which a robot finds that it cannot climb
+RECENT = 64  # steps whose profile is looked at for that
+SURE = 3  # steps in a row that it finds so
+
+
+class Walls(NamedTuple):
+    """What a scan tells of the walls."""
+
+    xy: Array  # [B, 2] float32, points in the robot's frame, metres
+    valid: Array  # [B] bool
+    region: Any  # pair: where the stretch begins and ends that is watched for free space, metres ahead
+    region_sides: Any  # pair: clearance to the left and right there, metres
+    closed: Array  # bool, whether the way ahead is closed
+    fronts_m: Any  # pair: how far the way is free ahead, in the left and right half of the robot's width
+    left_m: Array  # float32, clearance by which it steers
+    right_m: Array  # float32, likewise
+    beside: Array  # [2] float32, clearance beside the robot
+
+
+def walls_of_scan(ranges_m, tuning, robot):
+    """`Walls` of a scan: `[B]` float32 ranges, NaN for none."""
+    xy, valid = perception.points(ranges_m, ANGLES_RAD)
+    region = tuning.ahead_m / 2, tuning.ahead_m / 2 + tuning.region_m
+    region_sides = perception.sides(xy, valid, *region)
+    closed = sum(perception.sides(xy, valid, 0, tuning.ahead_m)) <= tuning.dead_end_m
+    fronts_m = perception.front(xy, valid, robot.width_m)
+    # Walls are steered by as far as the way is free: one that crosses it lies on both sides.
+    until_m = jnp.clip(jnp.maximum(*fronts_m) - CROSSING_M, robot.length_m / 2, DRIVE * tuning.ahead_m)
+    left_m, right_m = perception.sides(xy, valid, 0, until_m)
+    beside = jnp.stack(perception.clearances(xy, valid, robot.length_m / 2))
+    return Walls(xy, valid, region, region_sides, closed, fronts_m, left_m, right_m, beside)
+
+
+class Ahead(NamedTuple):
+    """What lies ahead, and what has just been passed."""
+
+    track: Track
+    scan_overflow: Array  # int32, ends of walls that did not fit into the scan's points
+    space: FreeSpace
+    border_m: Array  # float32, odometer at which the free space will have been entered or left; inf: none
+    missed: Array  # bool, the last border was not reached before the next
+    level: mapping.Level
+    changed: Array  # bool, whether the robot stands on ground of another inclination now
+    crease_m: Array  # float32, odometer where it changed
+    steepest: Array  # float32, the larger inclination, radians
+    blocked: Array  # int32, steps in a row with ground ahead that the robot cannot climb
+    beyond: Any  # pair: height of the step and inclination of the slope that stop it, see `_cannot_climb`
+
+
+def look_ahead(state, writer, walls, pitch, placed, tuning, robot, is_blind):
+    """`Ahead` of one step.
+
+    Args:
+      state: `mission.State` before it.
+      writer: `Writer` with this step's measurements.
+      walls: `Walls`.
+      pitch: measured, radians.
+      placed: function from the robot's frame into the odometry's.
+      tuning, robot: `Tuning`, `Robot`.
+      is_blind: bool, whether the scan gave hardly any numbers.
+    """
+    is_free = state.drive.latch == Latch.FREE
+    track, overflow = _watch(state, writer, walls.xy, walls.valid, walls.beside.min(), placed, tuning)
+    space, enters, leaves = behaviour.watch_free_space(
+        state.space, *walls.region_sides, state.odometer_m, tuning.open_m, is_free & ~is_blind
+    )
+    border_m = jnp.where(enters, space.since_m + walls.region[0], writer.border_m)
+    border_m = jnp.where(leaves, space.since_m + walls.region[1], border_m)
+    level, changed, crease_m, steepest = mapping.watch_level(
+        writer.level,
+        pitch,
+        state.odometer_m,
+        jnp.radians(tuning.inclination_deg),
+        mapping.EVEN_LENGTHS * robot.length_m,
+    )
+    stops, step_m, slope = _cannot_climb(writer.way, robot, state)
+    return Ahead(
+        track=track,
+        scan_overflow=overflow,
+        space=space,
+        border_m=border_m,
+        missed=jnp.isfinite(writer.border_m) & (enters | leaves),
+        level=level,
+        changed=changed,
+        crease_m=crease_m,
+        steepest=steepest,
+        blocked=jnp.where(stops & (is_free | state.halts), state.blocked + 1, 0),
+        beyond=(step_m, slope),
+    )
+
+
+def triangles(xy, valid, wall_m, tuning):
+    """The triangles of a scan, `wall_m` from the nearer wall: `perception.Divergence`."""
+    far_m = perception.far_bound(tuning.far_m, tuning.width_m, BEAM_SPACING_RAD, wall_m)
+    return perception.divergences(
+        xy,
+        valid,
+        near_m=tuning.near_m,
+        far_m=far_m,
+        width_m=tuning.width_m,
+        obtuse_tol_deg=tuning.obtuse_tol_deg,
+        open_m=tuning.open_m,
+        size=SCAN_POINTS,
+    )
+
+
+def _watch(state, writer, xy, valid, wall_m, placed, tuning):
+    """Looks for triangles, in every `EVERY`-th step: `(track, overflow)`."""
+    approaches = state.drive.latch == Latch.APPROACH
+    # Once the robot is in the circle that it approaches, a wall that the circle touches lies beside or behind it.
+    is_in = approaches & (jnp.hypot(*(state.track.centre - state.estimate[:2])) < state.track.radius)
+
+    def looked(carry):
+        found = triangles(xy, valid, wall_m, tuning)
+        known = mapping.is_near_known(writer, placed(found.centre), state.odometer_m, tuning.leave_m)
+        found = dataclasses.replace(found, valid=found.valid & ~known)
+        return behaviour.follow(carry[0], found, placed, tuning.same_m, ~approaches), found.overflow
+
+    forgets = state.space.inside  # there are no divergences in free space
+    track = jax.tree.map(lambda none, old: jnp.where(forgets, none, old), behaviour.no_track(), state.track)
+    looks = (state.step % EVERY == 0) & ~is_in & ~state.space.inside
+    return run_if(looks, looked, (track, jnp.int32(0)))
+
+
+def kept_points(xy, valid, placed, tuning):
+    """Points of a scan for the openings of the next divergence: `(points, there)`, in the odometry's frame."""
+    even = perception.smoothed(xy, valid, tuning.width_m / 4)
+    bounds = tuning.near_m, tuning.far_m, tuning.open_m
+    points, there, *_ = perception.resampled(even, valid, *bounds, tuning.width_m / 4, size=KEPT_POINTS)
+    return placed(points), there
+
+
+def _cannot_climb(way, robot, state):
+    """Whether the ground ahead is more than the robot can climb, as it looks or as the robot has just found.
+
+    Returns:
+      `(stops, step_m, slope)`: bool; height of the step that stops it, 0 for none; inclination of the slope that does,
+        radians, 0 for none, NaN where it was not seen.
+    """
+    first = jnp.clip(state.step + 1 - RECENT, 0, way.ground_x_m.shape[0] - RECENT)
+    x, z = (lax.dynamic_slice(array, (first,), (RECENT,)) for array in (way.ground_x_m, way.ground_z_m))
+    x = jnp.where(first + jnp.arange(RECENT) <= state.step, x, jnp.inf)
+    nose = state.odometer_m + robot.length_m / 2
+    ahead = (x > nose) & (x < nose + LOOK_M)
+    behind = (x <= nose) & (x > nose - LOOK_M)
+    foot = jnp.max(jnp.where(behind, z, -jnp.inf))
+    rise = jnp.where(jnp.isfinite(foot), jnp.max(jnp.where(ahead, z, -jnp.inf)) - foot, 0)
+    slope_m = LOOK_M * jnp.tan(jnp.radians(robot.max_slope_deg)) + 0.02
+
+    def judged(_):
+        step_m, beyond = ground_profile.profile(x, z, ahead | behind).step_m, ground_profile.profile(x, z, ahead)
+        is_step = ((step_m > robot.max_step_m) | state.halts) & (step_m > mapping.STEP_M)
+        stops = is_step | (rise > slope_m) | state.halts
+        slope = jnp.where(beyond.count < 3, jnp.nan, jnp.abs(jnp.arctan(beyond.slope)))
+        return stops, jnp.where(is_step, step_m, 0.0), jnp.where(stops & ~is_step, slope, 0.0)
+
+    high = (rise > jnp.minimum(slope_m, robot.max_step_m)) | state.halts
+    return run_if(high, judged, (jnp.bool_(False), jnp.float32(0), jnp.float32(0)))
+
+
+def _passes_start(state):
+    """Whether the robot has come by the node where it started since it was at another one."""
+    map_ = state.writer.map
+    place = to_robot(state.estimate)(jnp.stack([map_.x_m[0], map_.y_m[0]]))
+    return (state.writer.node != 0) & (place[0] <= 0) & (jnp.hypot(*place) < SAME_NODE_M)
+
+
+def due(state, writer, ahead, at_goal, is_open, arrives):
+    """The node that is due, an `Event`; of several the one that lies first on the way.
+
+    Args:
+      state, writer, ahead: `mission.State`, `Writer`, `Ahead`.
+      at_goal: bool, whether the robot is at its goal.
+      is_open: bool, whether the run has no goal.
+      arrives: bool, whether the robot is at the middle of a divergence.
+    """
+    returns = is_open & _passes_start(state)
+    changed, crosses = ahead.changed, ahead.missed | (state.odometer_m >= writer.border_m)
+    stops = ahead.blocked >= SURE
+    here = state.estimate
+    crease = run_if(changed, lambda _: mapping.pose_at(writer.way, ahead.crease_m), here)
+    crease_m = jnp.maximum(ahead.crease_m, writer.node_m)
+    order = [
+        (at_goal | returns, btm.TERMINAL, state.odometer_m, here, here[:2]),
+        (arrives & ~crosses, btm.DIVERGENCE, state.odometer_m, here, ahead.track.centre),
+        (stops, btm.OBSTACLE, state.odometer_m, here, here[:2]),
+        (crosses, btm.FREE_SPACE, state.odometer_m, here, here[:2]),
+        (changed, btm.OBSTACLE, crease_m, crease, crease[:2]),
+    ]
+    kind, odometer_m, pose, centre = jnp.int32(btm.NONE), state.odometer_m, here, here[:2]
+    for due, *values in order:  # the last that is due wins
+        kind, odometer_m, pose, centre = (
+            jnp.where(due, new, old) for new, old in zip(values, (kind, odometer_m, pose, centre))
+        )
+    is_blocked = stops & (kind == btm.OBSTACLE) & ~changed
+    return Event(
+        kind=kind.astype(jnp.int32),
+        odometer_m=odometer_m,
+        pose=pose,
+        centre=centre,
+        radius=jnp.where(kind == btm.DIVERGENCE, ahead.track.radius, 0.0),
+        posture=writer.way.posture[jnp.minimum(state.step, writer.way.posture.shape[0] - 1)],
+        steepest=jnp.where(is_blocked, ahead.beyond[1], ahead.steepest),
+        step_m=jnp.where(is_blocked, ahead.beyond[0], 0.0),
+        blocked=is_blocked,
+        returns=returns & ~at_goal & (kind == btm.TERMINAL),
+    )
