@@ -287,7 +287,13 @@ def _padded(array, fill):
     return jnp.pad(array, ((0, -array.shape[0] % bits.WORD), (0, 0)), constant_values=fill)
 
 
-@functools.partial(jax.jit, static_argnames=("form",))
+def _check(free, form):
+    if free.ndim != 2 or free.dtype != bool:
+        raise ValueError(f"expected free: [H, W] bool, got {free.shape} {free.dtype}")
+    if form.metric not in METRICS:
+        raise ValueError(f"expected metric: one of {', '.join(METRICS)}, got {form.metric!r}")
+
+
 def _fill_lines(label, free):
     """Labels with splitting lines given to the segments beside them."""
     for _ in range(2):
@@ -297,6 +303,7 @@ def _fill_lines(label, free):
     return label
 
 
+@functools.partial(jax.jit, static_argnames=("form",))
 def segment(free, criteria, *, form):
     """Divides free space into segments, roughly rooms.
 
@@ -318,12 +325,9 @@ def segment(free, criteria, *, form):
       Holz et al. 2010, Figure 7. Changed: closest along paths, so that segments do not leak through walls
         (`metric="euclidean"` is the literal form); the order of merging is fixed; see `skeleton.voronoi_graph`.
     """
-    if free.ndim != 2 or free.dtype != bool:
-        raise ValueError(f"expected free: [H, W] bool, got {free.shape} {free.dtype}")
-    if form.metric not in METRICS:
-        raise ValueError(f"expected metric: one of {', '.join(METRICS)}, got {form.metric!r}")
-    height, width = free.shape
-    none, n = height * width, 2 * form.splits
+    _check(free, form)
+    (height, width), n = free.shape, 2 * form.splits
+    none = height * width
     graph, drow, dcol = voronoi_graph(~free, criteria.gamma**2, size=form.nodes)
     critical = critical_points(graph, criteria)
     node = jnp.nonzero(critical, size=form.splits, fill_value=form.nodes)[0]

@@ -152,10 +152,10 @@ def test_one_that_may_not_begin_does_not():
 
 def watched(looks, *, open_m=2.5):
     """`(events, halls)` of looks `(left_m, right_m)`, the odometer in steps of 0.1 m; None: nobody looks."""
-    hall, events, halls = behaviour.no_hall(), "", []
+    hall, events, halls = behaviour.no_free_space(), "", []
     for i, look in enumerate(looks):
         sides = (1.0, 1.0) if look is None else look
-        hall, enters, leaves = behaviour.watch_hall(
+        hall, enters, leaves = behaviour.watch_free_space(
             hall, *sides, jnp.float32(i / 10), open_m, jnp.bool_(look is not None)
         )
         events += "E" if enters else "L" if leaves else "."
@@ -212,7 +212,7 @@ def driving(*, latch=Latch.FREE, target=(0.0, 0.0), turning=0, left_m=1.0, right
 
 
 def in_hall(inside):
-    return behaviour.no_hall().replace(inside=jnp.bool_(inside))
+    return behaviour.no_free_space().replace(inside=jnp.bool_(inside))
 
 
 def _fronts(front_m):

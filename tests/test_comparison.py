@@ -6,7 +6,8 @@ import math
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
-from test_results import result
+from ref.results import result
+from ref.worlds import two_rooms
 
 from jexplore.config import InputError, Lidar, Rules
 from jexplore.exploration import batch
@@ -15,14 +16,6 @@ from jexplore.studies.comparison import COLUMNS, assemble, compare, prepare_jobs
 from jexplore.worlds.world import occupancy_to_world
 
 LIDAR = Lidar(n_beams=37, range_m=1.0)
-
-
-def two_rooms(name="two rooms", rows=22, cols=34, door=8):
-    """A wall in the middle with a door; the robot does not see one room from the other."""
-    occupied = np.zeros((rows, cols), bool)
-    occupied[:, cols // 2] = True
-    occupied[door : door + 8, cols // 2] = False
-    return occupancy_to_world(occupied, name=name)
 
 
 def room_world(**fields):

@@ -11,9 +11,13 @@ from ref import maps, plans, simulator
 from scipy import ndimage
 
 from jexplore.config import Lidar, Rules
-from jexplore.exploration import episode
-from jexplore.exploration.episode import Numbers, Outcome, Setup, Stream, Track, Truth
+from jexplore.engine.program import Given
+from jexplore.engine.serial import run_one
+from jexplore.exploration.episode import program_of
+from jexplore.exploration.state import Numbers, Outcome, Setup, Stream, Truth
+from jexplore.exploration.trail import decode, kept
 from jexplore.grid import in_cells, radius_d2
+from jexplore.planning import MapModel
 from jexplore.policies import parse_strategy
 from jexplore.raycast import Beams, beam_table, by_beam, disturb, scan, scans_all_round
 
@@ -21,22 +25,25 @@ CAPACITY = 20_000
 
 
 def truth_of(occupied, rooms, shape):
-    """A world as an episode takes it, padded to `shape`."""
+    """One world as an episode takes it, padded to `shape`."""
     grow = [(0, full - n) for full, n in zip(shape, occupied.shape)]
     rooms = np.full(occupied.shape, -1, np.int32) if rooms is None else rooms
     return Truth(
-        occupied=np.pad(occupied, grow, constant_values=True),
-        rooms=np.pad(rooms, grow, constant_values=-1),
-        region=np.pad(ndimage.label(~occupied)[0].astype(np.int32), grow),
+        occupied=np.pad(occupied, grow, constant_values=True)[None],
+        rooms=np.pad(rooms, grow, constant_values=-1)[None],
+        region=np.pad(ndimage.label(~occupied)[0].astype(np.int32), grow)[None],
         extent=np.asarray([occupied.shape], np.int32),
     )
 
 
 def numbers_of(strategy, lidar, rules, cell_m):
     return Numbers(
-        p_free=np.float32(rules.p_free),
-        near_d2=np.int32(radius_d2(rules.near_m, cell_m)),
-        cell_m=np.float32(cell_m),
+        model=MapModel(
+            p_free=np.float32(rules.p_free),
+            near_d2=np.int32(radius_d2(rules.near_m, cell_m)),
+            cell_m=np.float32(cell_m),
+            clearance_d2=radius_d2(rules.clearance_m, cell_m),
+        ),
         look_around=np.bool_(rules.look_around),
         recheck=np.bool_(strategy.recheck),
         max_steps=np.int32(rules.max_steps or CAPACITY),
@@ -55,7 +62,10 @@ def window_of(lidar, cell_m):
 @functools.partial(jax.jit, static_argnames="static")
 def compiled(static, key, first_scans, truth, beams, numbers, start):
     """`static` is a `Setup` but for the scans all round at the start, which may vary: fewer programs to compile."""
-    return episode.run(key, static._replace(first_scans=first_scans), truth, beams, numbers, jnp.int32(0), start)
+    program = program_of(static._replace(first_scans=first_scans))
+    given = Given(key, beams, truth, jnp.int32(0), numbers, start)
+    state = run_one(program, given)
+    return program.finish(program.setup, given, state), state
 
 
 def with_idle_beams(beams, n_steps, n_beams):
@@ -82,10 +92,7 @@ def play(
     shape = shape or occupied.shape
     beams = beam_table(lidar, cell_m, shape[1])
     static = Setup(
-        strategy.policy.init,
-        strategy.policy.select,
-        strategy.policy.live,
-        radius_d2(rules.clearance_m, cell_m),
+        strategy.policy._replace(params=()),
         0,
         window_of(lidar, cell_m) if window is None else window,
         lidar.sigma_m > 0 or lidar.dropout > 0,
@@ -134,8 +141,8 @@ def assert_equal_episodes(result, state, want, *, cell_m, rooms=None):
     assert Outcome(int(result.outcome)).name == want.outcome
     height, width = want.hits.shape
     n = want.steps + 1
-    trail, full_width = state.trail[:n], state.belief.grid.hits.shape[1]
-    assert [divmod(int(cell), full_width) for cell in trail[:, Track.SPOT] // 4] == want.visited
+    final = decode(kept(state), result, want.hits.shape)
+    assert list(zip(final.rows.tolist(), final.cols.tolist())) == want.visited
     for got, expected in ((state.belief.grid.hits, want.hits), (state.belief.grid.misses, want.misses)):
         np.testing.assert_array_equal(got[:height, :width], expected)
         assert not got[height:].any()
@@ -144,9 +151,10 @@ def assert_equal_episodes(result, state, want, *, cell_m, rooms=None):
     known = (want.hits + want.misses) > 0
     assert int(result.known) == known.sum()
     last_known = dict(want.known_after_scan)  # by the number of steps made: the last scan made there counts
-    assert trail[:, Track.KNOWN].tolist() == [last_known.get(i, 0) for i in range(n)]
-    headed_for = [dict(want.target_after_scan).get(i) for i in range(n)]
-    assert [None if t < 0 else divmod(int(t), full_width) for t in trail[:, Track.TARGET]] == headed_for
+    assert final.known.tolist() == [last_known.get(i, 0) for i in range(n)]
+    assert [plan.target for plan in final.plans] == [plan.target for plan in want.log]
+    assert sum(len(plan.motions) for plan in final.plans) == want.steps + want.refused
+    assert (state.row, state.col, state.heading) == (state.belief.row, state.belief.col, state.belief.heading)
 
     assert float(result.explored) == pytest.approx(want.explored_fraction * max(int(result.explorable), 1))
     lengths = (result.straight_at + math.sqrt(2) * result.diagonal_at) * cell_m
@@ -337,8 +345,6 @@ def test_random_targets_replay(seed, strategy):
 
     want = replay(occupied, start, strategy, lidar, rules, cell_m=0.1, rooms=rooms, choose=choose)
     assert_equal_episodes(result, state, want, cell_m=0.1, rooms=rooms)
-    chosen = {divmod(int(t), SHAPE[1]) for t in state.trail[1 : want.steps + 1, Track.TARGET]}
-    assert chosen <= {plan.target for plan in want.log}
 
 
 # ---------------------------------------------------------------- view points
@@ -359,9 +365,9 @@ def test_a_view_point_is_given_up_when_it_shows_too_little_only_with_rechecking(
     for modifier in ("", "+recheck"):
         result, state = play(occupied, (1, 1, 0), VIEWS.format(modifier), **how)
         assert Outcome(int(result.outcome)) == Outcome.COMPLETE
-        trail = state.trail[1 : 1 + int(result.straight + result.diagonal)]
-        spots, heads = trail[:, Track.SPOT] // 4 % 14, trail[:, Track.TARGET] % 14
-        targets[modifier] = list(zip(spots.tolist(), heads.tolist()))
+        final = decode(kept(state), result, occupied.shape)
+        heads = [plan.target[1] for plan in final.plans if plan.target for _ in plan.motions]
+        targets[modifier] = list(zip(final.cols[1:].tolist(), heads))
     # The first plan, to the cell; and then on.
     assert targets[""][:3] == [(2, 4), (3, 4), (4, 4)]
     assert targets["+recheck"][:2] == [(2, 4), (3, 4)]

@@ -9,9 +9,9 @@ import pytest
 
 from jexplore import btm
 from jexplore.btm import DIVERGENCE, FREE_SPACE, NONE, OBSTACLE, SEARCHED, TERMINAL, UNSEARCHED
-from jexplore.driving import mapping
+from jexplore.driving import mapping, nodes
 from jexplore.driving.behaviour import Latch
-from jexplore.driving.mapping import Event
+from jexplore.driving.nodes import Event
 from jexplore.driving.settings import ROBOTS, Tuning
 from jexplore.tracemap import record
 from jexplore.tracemap.similarity import code
@@ -249,7 +249,7 @@ def event(
     )
 
 
-WRITE = jax.jit(lambda writer, due: mapping.write(writer, due, TUNING, KAMUI))
+WRITE = jax.jit(lambda writer, due: nodes.write(writer, due, TUNING, KAMUI))
 
 
 def write_node(writer, due):

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from jexplore.driving import ground_profile, perception, terrain, vehicle, walls
-from jexplore.driving.mission import KEPT_POINTS, SCAN_POINTS, look
+from jexplore.driving.events import KEPT_POINTS, SCAN_POINTS
+from jexplore.driving.events import triangles as look
 from jexplore.driving.settings import ROBOTS, Tuning
 from jexplore.driving.vehicle import ANGLES_RAD, BEAM_SPACING_RAD, BEAMS, RANGE_M
 

@@ -10,7 +10,7 @@ from ref import maps, plans
 
 from jexplore import planning
 from jexplore.grid import Grid
-from jexplore.planning import Belief, choose, field, nearest_frontier
+from jexplore.planning import Belief, MapModel, choose, field, nearest_frontier
 from jexplore.reach import DIAGONAL, FAR, MOTIONS, STRAIGHT
 
 S, D = STRAIGHT, DIAGONAL
@@ -28,10 +28,7 @@ def believe(hits, misses, row, col, *, driven=None, exhausted=None, extent=None,
         col=jnp.int32(col),
         heading=jnp.int32(0),
         extent=jnp.asarray(shape if extent is None else extent, jnp.int32),
-        p_free=jnp.float32(0.25),
-        near_d2=jnp.int32(near_d2),
-        cell_m=jnp.float32(0.1),
-        clearance_d2=clearance_d2,
+        model=MapModel(jnp.float32(0.25), jnp.int32(near_d2), jnp.float32(0.1), clearance_d2),
     )
 
 

@@ -1,18 +1,15 @@
 """Pictures: what the artists hold, which pixels come out, and that no two texts collide."""
 
-import itertools
 import math
 
 import matplotlib
 import numpy as np
 import pandas as pd
 import pytest
-from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
-from matplotlib.text import Text
 from PIL import Image
+from ref.figures import check_texts, pixels
 
 from jexplore.config import InputError
 from jexplore.report import plot
@@ -27,47 +24,6 @@ def ax():
     figure = Figure(figsize=(4, 3))
     yield figure.add_axes((0, 0, 1, 1))
     figure.clear()
-
-
-def pixels(figure, dpi=100):
-    """The figure as RGB, `[H, W, 3]` uint8, row 0 at the top."""
-    figure.set_dpi(dpi)
-    canvas = FigureCanvasAgg(figure)
-    canvas.draw()
-    return np.asarray(canvas.buffer_rgba())[..., :3]
-
-
-def shown_texts(figure):
-    """The texts that are drawn; tick labels beyond the limits of their axis are not."""
-    ticks = [
-        (tick, axis.get_view_interval())
-        for axes in figure.findobj(Axes)
-        for axis in (axes.xaxis, axes.yaxis)
-        for tick in axis.get_major_ticks()
-    ]
-    beyond = {
-        label
-        for tick, limits in ticks
-        for label in (tick.label1, tick.label2)
-        if not min(limits) <= tick.get_loc() <= max(limits)
-    }
-    for text in figure.findobj(Text):
-        hidden = text.axes is not None and not text.axes.get_visible()
-        if text.get_visible() and text.get_text().strip() and not hidden and text not in beyond:
-            yield text
-
-
-def check_texts(figure):
-    """No text that is shown leaves the figure or touches another one."""
-    pixels(figure)
-    renderer, page = figure.canvas.get_renderer(), figure.bbox.padded(2)
-    boxes = [(text.get_text(), text.get_window_extent(renderer).padded(-1.5)) for text in shown_texts(figure)]
-    assert len(boxes) > 0
-    outside = [text for text, box in boxes if not page.containsx(box.x0) or not page.containsx(box.x1)]
-    outside += [text for text, box in boxes if not page.containsy(box.y0) or not page.containsy(box.y1)]
-    assert outside == []
-    clashes = [(a, b) for (a, box_a), (b, box_b) in itertools.combinations(boxes, 2) if box_a.overlaps(box_b)]
-    assert clashes == []
 
 
 def summary(worlds, strategies):
@@ -199,23 +155,6 @@ def test_path_of_one_cell_and_of_none(ax):
 def test_path_that_stays(ax):
     line, _, _ = plot.draw_path(ax, [1, 1], [2, 2], 0.5)
     assert line.get_array().tolist() == [0.0]
-
-
-def test_frontiers_by_pixels(ax):
-    plot.draw_map(ax, STATE, 0.5)
-    mask = np.zeros(STATE.shape, dtype=bool)
-    mask[1, 2] = True
-    plot.draw_frontiers(ax, mask, 0.5)
-    got = pixels(ax.figure)[50::100, 50::100]
-    assert got[1, 2].tolist() == [224, 16, 16]
-    red = (got == [224, 16, 16]).all(axis=-1)
-    np.testing.assert_array_equal(red, mask[::-1])
-
-
-def test_target_place(ax):
-    ring, dot = plot.draw_target(ax, 1, 3, 0.5)
-    for artist in (ring, dot):
-        np.testing.assert_allclose(artist.get_xydata(), [[1.75, 0.75]])
 
 
 @pytest.mark.parametrize(

@@ -1,18 +1,21 @@
 """One episode again: the maps of the way, its headings, its pictures."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from PIL import Image
-from test_comparison import two_rooms
+from ref.worlds import two_rooms
 
 from jexplore.config import InputError, Lidar, Rules
-from jexplore.exploration.batch import Final
+from jexplore.exploration import replay
+from jexplore.exploration.site import Kernels, prepare_site
+from jexplore.policies import parse_strategy
 from jexplore.raycast import scans_all_round
 from jexplore.studies import explore
 from jexplore.studies.comparison import compare
 
 LIDAR = Lidar(n_beams=37, range_m=1.0)
-NOISY = Lidar(n_beams=37, range_m=1.0, sigma_m=0.03, dropout=0.2)
 
 
 @pytest.fixture(scope="module")
@@ -21,40 +24,61 @@ def made(jit_on):
         return explore.explore(two_rooms(), "closest+recheck", seed=3, lidar=LIDAR)
 
 
-def final_of(rows, cols):
-    zero = np.zeros(len(rows), np.int32)
-    return Final(zero, zero, np.array(rows), np.array(cols), zero, zero, zero, zero)
-
-
-def test_headings_by_hand():
-    rows, cols = [5, 5, 6, 7, 7, 6, 5, 5, 4, 3], [5, 6, 7, 7, 6, 5, 5, 6, 7, 7]
-    assert explore.headings_of(final_of(rows, cols), 3) == [3, 0, 1, 2, 4, 5, 6, 0, 7, 6]
-    assert explore.headings_of(final_of([5], [5]), 7) == [7]
+ROUGH = Lidar(n_beams=37, range_m=1.0, sigma_m=0.3, dropout=0.1)
+VIEWS = "decision-theoretic+recheck:samples=20,min_gain=3"
 
 
 @pytest.mark.jit
 @pytest.mark.parametrize(
-    ("strategy", "lidar", "rules"),
+    ("strategy", "lidar", "rules", "number"),
     [
-        ("closest", LIDAR, Rules()),
-        ("random", LIDAR, Rules(look_around=False)),
-        ("closest", Lidar(n_beams=91, fov_deg=90, range_m=1.0), Rules()),
-        ("closest+recheck", NOISY, Rules()),
+        ("closest+recheck", LIDAR, Rules(), 0),
+        ("random", LIDAR, Rules(look_around=False), 3),
+        ("closest", Lidar(n_beams=91, fov_deg=90, range_m=1.0), Rules(), 1),
+        ("closest+recheck", ROUGH, Rules(clearance_m=0.0, near_m=0.0, p_free=0.5, max_plans=40), 2),
+        (VIEWS, LIDAR, Rules(), 1),
     ],
 )
-def test_the_replay_ends_in_the_maps_of_the_episode(strategy, lidar, rules):
-    episode = explore.explore(two_rooms(), strategy, seed=3, lidar=lidar, rules=rules)
-    assert episode.measures["refused"] == 0
+def test_the_replay_is_the_episode(strategy, lidar, rules, number):
+    """Every scan, every map on the way, every count, refused steps and exhausted targets included."""
+    episode = explore.explore(two_rooms(), strategy, seed=3, episode=number, lidar=lidar, rules=rules)
+    site = prepare_site(episode.world, lidar, rules, Kernels())
+    plans = episode.final.plans
+    moments = list(replay.moments(site, parse_strategy(strategy), episode.start, 3, number, plans))
+    last, measures = moments[-1], episode.measures
     height, width = episode.world.shape
-    known, scans = [], 0
-    for step, grid, _, _ in explore._states(episode):
-        hits, misses = (np.asarray(a)[:height, :width] for a in (grid.hits, grid.misses))
-        known.append(int(((hits + misses) > 0).sum()))
-        scans += episode.final.looked[step] + (1 if step else scans_all_round(lidar.fov_deg))
-    np.testing.assert_array_equal(hits, episode.final.hits)
-    np.testing.assert_array_equal(misses, episode.final.misses)
-    assert known == episode.final.known.tolist()
-    assert scans == episode.measures["scans"]
+    np.testing.assert_array_equal(np.asarray(last.belief.grid.hits)[:height, :width], episode.final.hits)
+    np.testing.assert_array_equal(np.asarray(last.belief.grid.misses)[:height, :width], episode.final.misses)
+    after = {moment.step: moment for moment in moments}
+    assert [int(after[step].state.known) for step in sorted(after)] == episode.final.known.tolist()
+    assert [(m.row, m.col) for m in (after[step] for step in sorted(after))] == list(
+        zip(episode.final.rows.tolist(), episode.final.cols.tolist())
+    )
+    assert len(moments) + scans_all_round(lidar.fov_deg) - 1 == measures["scans"]
+    for name in ("scans", "exhausted", "refused"):
+        assert int(getattr(last.state, name)) == measures[name]
+    assert int(last.belief.exhausted.sum()) == measures["exhausted"]
+    assert (measures["refused"] > 0) == (lidar is ROUGH)
+    assert len(plans) == measures["plans"]
+    if strategy == VIEWS:
+        assert any(plan.is_view for plan in plans)
+
+
+@pytest.mark.jit
+def test_exhausted_targets_are_marked_in_the_replay():
+    """A robot with one short beam sees nothing new from where it stands, however it turns."""
+    lidar = Lidar(n_beams=1, range_m=0.25)
+    episode = explore.explore(two_rooms(), "closest", seed=3, lidar=lidar, rules=Rules(max_plans=30))
+    assert episode.measures["exhausted"] > 0
+    *_, last = explore.steps_of(episode)
+    assert int(last.belief.exhausted.sum()) == episode.measures["exhausted"]
+
+
+@pytest.mark.jit
+def test_an_episode_of_more_plans_than_are_kept_is_refused(made):
+    lost = dataclasses.replace(made, final=made.final._replace(plans=None))
+    with pytest.raises(InputError, match=r"an episode of \d+ plans cannot be played again"):
+        list(explore.frames(lost))
 
 
 @pytest.mark.jit
@@ -78,11 +102,14 @@ def test_frames(made):
 
 
 @pytest.mark.jit
-def test_an_episode_is_number_0_of_a_comparison(made):
-    row = compare(two_rooms(), "closest+recheck", episodes=1, seed=3, lidar=LIDAR).to_pandas().iloc[0]
-    for name, value in made.measures.items():
-        assert value is None if name == "room_entries" else row[name] == value
-    assert made.start == (row["start_row"], row["start_col"], row["start_heading_deg"])
+def test_an_episode_is_that_number_of_a_comparison(made):
+    rows = compare(two_rooms(), "closest+recheck", episodes=3, seed=3, lidar=LIDAR).to_pandas()
+    third = explore.explore(two_rooms(), "closest+recheck", seed=3, episode=2, lidar=LIDAR)
+    for found, row in ((made, rows.iloc[0]), (third, rows.iloc[2])):
+        for name, value in found.measures.items():
+            assert value is None if name == "room_entries" else row[name] == value
+        assert found.start == (row["start_row"], row["start_col"], row["start_heading_deg"])
+    assert made.start != third.start
 
 
 @pytest.mark.jit
@@ -103,5 +130,7 @@ def test_a_start_given_by_hand_and_what_is_refused():
     for start, message in [((0, 3, 0), "lies in a wall"), ((99, 3, 0), "outside"), ((10, 10, 7), "45"), ("w", "start")]:
         with pytest.raises(InputError, match=message):
             explore.explore(two_rooms(), "closest", start=start)
+    with pytest.raises(InputError, match="episode must be"):
+        explore.explore(two_rooms(), "closest", episode=-1)
     with pytest.raises(InputError, match="seed must be"):
         explore.explore(two_rooms(), "closest", seed=0.5)

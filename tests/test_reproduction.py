@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from PIL import Image
-from test_plot import check_texts
+from ref.figures import check_texts
 
 import jexplore
 from jexplore.cli import main, options

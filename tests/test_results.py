@@ -4,18 +4,10 @@ import math
 
 import numpy as np
 import pytest
+from ref.results import result
 
 from jexplore.exploration import results
-from jexplore.exploration.episode import Result
 from jexplore.grid import Grid, is_free, is_known
-
-
-def result(n=1, **fields):
-    zero = np.zeros(n, np.int32)
-    values = dict.fromkeys(Result.__dataclass_fields__, zero)
-    values |= {"outcome": zero + 1, "explorable": zero + 1, "straight_at": np.zeros((n, 4), np.int32)}
-    values |= {"diagonal_at": np.zeros((n, 4), np.int32)}
-    return Result(**{**values, **{name: np.asarray(value, np.int32) for name, value in fields.items()}})
 
 
 def test_path_by_hand():

@@ -288,5 +288,5 @@ def test_real_ground_truth(maps):
 
 
 def test_import_loads_no_jax():
-    code = "import sys, jexplore.scores; sys.exit('jax' in sys.modules)"
+    code = "import sys, jexplore.studies.room_scores; sys.exit('jax' in sys.modules)"
     subprocess.run([sys.executable, "-c", code], check=True)

@@ -346,6 +346,6 @@ def test_unequal_coverage_without_a_comparable_pair():
 def test_import_is_light():
     import subprocess
 
-    code = "import sys, jexplore.stats; print(sorted({'pandas', 'scipy.stats', 'jax'} & set(sys.modules)))"
+    code = "import sys, jexplore.studies.stats; print(sorted({'pandas', 'scipy.stats', 'jax'} & set(sys.modules)))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from ref import maps
+from ref import any_pose, maps
 
 from jexplore.driving.walls import FAR_M, SLACK_M, Walls, cast, meets, segments, walls_of
 

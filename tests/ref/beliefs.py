@@ -8,7 +8,7 @@ import numpy as np
 
 from jexplore.config import Lidar
 from jexplore.grid import Grid
-from jexplore.planning import Belief
+from jexplore.planning import Belief, MapModel
 from jexplore.policies import parse_strategy
 from jexplore.raycast import beam_table
 
@@ -28,10 +28,12 @@ def belief_from(hits, misses, robot, *, extent=None, cell_m=0.1, **kernels):
         col=jnp.int32(robot[1]),
         heading=jnp.int32(0),
         extent=jnp.asarray(extent or shape, jnp.int32),
-        p_free=jnp.float32(0.25),
-        near_d2=jnp.int32(0),
-        cell_m=jnp.float32(cell_m),
-        **({"clearance_d2": 0} | kernels),
+        model=MapModel(
+            p_free=jnp.float32(0.25),
+            near_d2=jnp.int32(0),
+            cell_m=jnp.float32(cell_m),
+            **({"clearance_d2": 0} | kernels),
+        ),
     )
 
 

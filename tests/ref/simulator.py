@@ -46,7 +46,6 @@ class Result:
         default_factory=list
     )  # known cells: initial scans, then each step's scan
     known_after_scan: list = dataclasses.field(default_factory=list)  # (steps so far, known cells), one a scan
-    target_after_scan: list = dataclasses.field(default_factory=list)  # (steps so far, target then or None), one a scan
     explored_fraction: float = 0.0
     path_m: float = 0.0
     turning_rad: float = 0.0
@@ -134,7 +133,6 @@ class Robot:
         self.result.headings.append(heading_deg)
         self.result.scans += 1
         self.result.known_after_scan.append((self.result.steps, self.known_count()))
-        self.result.target_after_scan.append((self.result.steps, self.target))
 
     def turn_to(self, heading_deg):
         """Turn in place by the smaller way."""

@@ -1,0 +1,14 @@
+"""Results of episodes for tests."""
+
+import numpy as np
+
+from jexplore.exploration.state import Result
+
+
+def result(n=1, **fields):
+    """A `Result` of n episodes, COMPLETE, all else 0 but for what is given."""
+    zero = np.zeros(n, np.int32)
+    values = dict.fromkeys(Result.__dataclass_fields__, zero)
+    values |= {"outcome": zero + 1, "explorable": zero + 1, "straight_at": np.zeros((n, 4), np.int32)}
+    values |= {"diagonal_at": np.zeros((n, 4), np.int32)}
+    return Result(**{**values, **{name: np.asarray(value, np.int32) for name, value in fields.items()}})
