@@ -12,7 +12,7 @@ import os
 import numpy as np
 
 from jexplore.driving.settings import Noise, Tuning
-from jexplore.exploration import batch
+from jexplore.engine.backend import start_backend, use_compilation_cache
 from jexplore.report.trace_tables import share
 from jexplore.studies import tracing
 from jexplore.tracemap import record
@@ -25,7 +25,7 @@ WORKERS = os.cpu_count() or 1
 
 
 def traced(world, **options):
-    return tracing.execute(tracing.prepare(world, **options), workers=WORKERS)
+    return tracing.execute(tracing.prepare_trace(world, **options), workers=WORKERS)
 
 
 def row(*cells):
@@ -163,7 +163,7 @@ def robots(runs):
 def speed(runs):
     head("runs", "noise m", "runs/s", "steps a run", "us a step and core", "compiling s")
     found = traced("course", runs=runs, noise=Noise(range_m=0.01))
-    steps, rate = found.table["steps"].mean(), runs / found.report.run_s
+    steps, rate = found.table["steps"].mean(), runs / found.report.costs.run_s
     each = f"{1e6 * WORKERS / rate / steps:.0f}"
     row(runs, 0.01, f"{rate:.1f}", f"{steps:.0f}", each, f"{found.report.compile_s:.1f}")
 
@@ -173,8 +173,8 @@ def main():
     parser.add_argument("--runs", type=int, default=1000)
     parser.add_argument("--parts", nargs="*", default=PARTS, choices=PARTS)
     options = parser.parse_args()
-    batch.start_backend(WORKERS)
-    batch.use_compilation_cache()
+    start_backend(WORKERS)
+    use_compilation_cache()
     for part in options.parts:
         print(f"\n## {part}")
         globals()[part](options.runs)

@@ -10,7 +10,7 @@ import sys
 
 from jexplore.bench.plans import plan_costs
 from jexplore.bench.tables import markdown
-from jexplore.exploration.batch import start_backend, use_compilation_cache
+from jexplore.engine.backend import start_backend, use_compilation_cache
 from jexplore.policies import parse_strategy
 from jexplore.policies.room_wise import own_segment
 from jexplore.worlds import load_world

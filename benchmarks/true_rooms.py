@@ -14,6 +14,7 @@ from jexplore import Lidar, Rules
 from jexplore.arrays.loops import run_if
 from jexplore.arrays.padding import bucket
 from jexplore.bench.tables import markdown
+from jexplore.engine.backend import use_compilation_cache
 from jexplore.exploration import batch
 from jexplore.exploration.results import columns
 from jexplore.policies import Strategy, parse_strategy
@@ -46,7 +47,7 @@ def with_rooms(name, world, rooms):
 
 def main(arguments):
     episodes, rows = int(arguments[0]) if arguments else 20, []
-    batch.use_compilation_cache()
+    use_compilation_cache()
     for name in WORLDS:
         world = load_world(name)
         sizes = np.bincount(world.rooms[world.rooms >= 0])
@@ -57,7 +58,8 @@ def main(arguments):
             with_rooms("all", world, world.rooms),
             with_rooms("small", world, np.where(small, world.rooms, -1)),
         ]
-        report = batch.run([batch.Job(world, strategy, starts, 0) for strategy in strategies], Lidar(), Rules())
+        jobs = [batch.Job(world, strategy, starts, 0) for strategy in strategies]
+        report = batch.run_jobs(jobs, Lidar(), Rules())
         paths, entries = [], []
         for result, _ in report.outcomes:
             table = columns(result, starts, seed=0, cell_m=world.cell_m, has_rooms=True)

@@ -18,9 +18,9 @@ from jexplore.bench.engines import LIDAR, RULES, Compiler, same
 from jexplore.bench.tables import markdown, plus_minus
 from jexplore.bench.timing import interleaved, mean_and_se, one_core, ratio, spread, surroundings
 from jexplore.config import InputError, require_whole
-from jexplore.exploration import batch
-from jexplore.exploration.episode import Outcome
+from jexplore.engine.backend import start_backend
 from jexplore.exploration.results import path_m
+from jexplore.exploration.state import Outcome
 from jexplore.report import store
 from jexplore.studies.checks import ready_strategies, ready_worlds
 
@@ -32,9 +32,9 @@ WALL_M = 0.4  # distance of the yardstick's starts from walls
 
 
 def load_yardstick(path):
-    """The yardstick's module."""
+    """The yardstick's module, by its file's own name: what numba keeps beside it serves its command line as well."""
     try:
-        spec = importlib.util.spec_from_file_location("yardstick", path)
+        spec = importlib.util.spec_from_file_location(Path(path).stem, path)
         if spec is None or spec.loader is None:
             raise InputError(f"--yardstick {path}: must be a Python file")
         module = importlib.util.module_from_spec(spec)
@@ -140,7 +140,7 @@ def main():
         raise InputError(f"--yardstick {args.yardstick}: needs numba, which the extra bench installs")
     yardstick = load_yardstick(args.yardstick)
     worlds = ready_worlds(args.worlds or [str(SHARED / "maps" / "stage" / name) for name in MAPS], 0.1)
-    batch.start_backend(1)
+    start_backend(1)
     jax.config.update("jax_enable_compilation_cache", False)
     compilation_cache.reset_cache()
     report = {"environment": surroundings(), "episodes": args.episodes, "repeat": args.repeat}

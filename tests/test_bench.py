@@ -12,12 +12,12 @@ import jax
 import numpy as np
 import pytest
 from PIL import Image
+from ref.results import result
 
 from jexplore import bench
 from jexplore.bench import engines, kernels, oracles, plots, rates, tables, timing
 from jexplore.cli import main
 from jexplore.config import InputError
-from jexplore.exploration.episode import no_results
 from jexplore.report import store
 from jexplore.worlds.world import World
 
@@ -124,7 +124,7 @@ def test_shares_are_of_one_whole(report):
 )
 def test_wrong_input_is_one_line_before_anything_runs(options, says, capsys, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(bench, "run", lambda *_, **__: pytest.fail("it ran"))
+    monkeypatch.setattr(bench, "run_bench", lambda *_, **__: pytest.fail("it ran"))
     assert main.main(["bench", *options]) == 2
     said = capsys.readouterr()
     assert said.out == ""
@@ -134,7 +134,7 @@ def test_wrong_input_is_one_line_before_anything_runs(options, says, capsys, mon
 
 
 def test_a_taken_folder_is_refused(capsys, monkeypatch, tmp_path):
-    monkeypatch.setattr(bench, "prepare", lambda **_: pytest.fail("it began"))
+    monkeypatch.setattr(bench, "prepare_bench", lambda **_: pytest.fail("it began"))
     store.write_json({}, tmp_path / "bench.json")
     assert main.main(["bench", "--out", str(tmp_path)]) == 2
     assert "holds a run (bench.json)" in capsys.readouterr().err
@@ -153,12 +153,12 @@ def test_ctrl_c(tmp_path):
 
 
 def test_defaults_suit_the_machine():
-    plan = bench.prepare(worlds=[SMALL], sides=[32])
+    plan = bench.prepare_bench(worlds=[SMALL], sides=[32])
     assert plan.engines == ("serial",)
     assert plan.batches == {"serial": (1, 4, 16, 64)}
     assert plan.episodes == 16
     assert plan.sized[0].shape == (32, 32)
-    quick = bench.prepare(quick=True, batch_sizes=[8, 2])
+    quick = bench.prepare_bench(quick=True, batch_sizes=[8, 2])
     assert [world.name for world in quick.worlds] == ["cave"]
     assert quick.sides == (64, 128)
     assert quick.batches == {"serial": (2, 8)}
@@ -180,7 +180,7 @@ def test_a_wrong_kernel_is_told():
 
 
 def test_same_sees_one_bit():
-    first, second = no_results(3), no_results(2)
+    first, second = result(3), result(2)
     assert engines.same([first, second])
     second.known[1] += 1
     assert not engines.same([first, second])
@@ -264,4 +264,4 @@ def test_yardstick_refuses_wrong_input(options, says):
 
 def test_errors_are_the_packages_own():
     with pytest.raises(InputError, match="repeat must be an integer"):
-        bench.prepare(repeat=1001)
+        bench.prepare_bench(repeat=1001)

@@ -122,7 +122,7 @@ def test_compare_again_is_the_same_and_prints_the_table(ran, world, tmp_path, ca
 
 
 def test_a_run_is_not_overwritten(ran, world, capsys, monkeypatch):
-    monkeypatch.setattr(batch, "run", lambda *_, **__: pytest.fail("ran"))
+    monkeypatch.setattr(batch, "run_jobs", lambda *_, **__: pytest.fail("ran"))
     before = (ran / "run.json").read_bytes()
     refused(capsys, ["compare", "--worlds", world, "--out", ran], "holds a run")
     refused(capsys, ["explore", "--world", world, "--out", ran], "holds a run")
@@ -190,18 +190,18 @@ def test_version_and_help(capsys):
     assert capsys.readouterr().out == f"jexplore {jexplore.__version__}\n"
     assert main.main(["--help"]) == 0
     said = capsys.readouterr().out
-    assert all(f"\n  {name} " in said for name in options.COMMANDS)
+    assert all(f"\n  {name} " in said for name in main.COMMANDS)
     assert main.main(["explore", "--help"]) == 0
     assert "--lidar.range-m" in capsys.readouterr().out
 
 
 def test_the_defaults_are_smaller_on_request(monkeypatch):
-    large = options.parse(["compare"])
+    large = options.parse(["compare"], main.COMMANDS)
     monkeypatch.setenv(options.SMALL, "1")
-    small = options.parse(["compare"])
+    small = options.parse(["compare"], main.COMMANDS)
     assert small.episodes < large.episodes / 3
     monkeypatch.setenv(options.SMALL, "0")
-    assert options.parse(["compare"]) == large
+    assert options.parse(["compare"], main.COMMANDS) == large
 
 
 @pytest.mark.parametrize(
@@ -262,13 +262,13 @@ def test_the_defaults_are_smaller_on_request(monkeypatch):
 )
 def test_bad_input_is_one_line(command, message, capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(batch, "run", lambda *_, **__: pytest.fail("ran"))
+    monkeypatch.setattr(batch, "run_jobs", lambda *_, **__: pytest.fail("ran"))
     refused(capsys, command.split(" ") if command else [], message)
     assert files(tmp_path) == []
 
 
 def test_places_that_cannot_be_written(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(batch, "run", lambda *_, **__: pytest.fail("ran"))
+    monkeypatch.setattr(batch, "run_jobs", lambda *_, **__: pytest.fail("ran"))
     file = tmp_path / "file"
     file.write_text("")
     refused(capsys, ["compare", "--out", file], "must be a folder, got a file")
@@ -347,7 +347,7 @@ def test_control_c_ends_a_run_and_keeps_what_is_finished(world, tmp_path):
 def test_an_interruption_that_falls_into_a_callback_of_the_garbage_collector_is_not_lost():
     program = """
 import gc, os, signal, time
-from jexplore import cli
+from jexplore.cli import main
 gc.disable()
 def interrupted(phase, _):
     if phase == "start":
@@ -358,8 +358,8 @@ def command(*_):
     gc.callbacks.clear()
     print("went on", flush=True)
     time.sleep(30)
-cli._dispatch = command
-raise SystemExit(cli.main())
+main._dispatch = command
+raise SystemExit(main.main())
 """
     found = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=25, check=False)
     assert found.stdout == "went on\n"  # the first was dropped

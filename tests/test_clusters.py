@@ -62,7 +62,11 @@ def test_much_to_see_far_off_or_little_near_by(name, numbers):
         assert beliefs.target_of(f"{name}:{text}".rstrip(":"), belief, CROSS) == want
     if name == "utility":
         # Area in square metres: with cells of half a metre 1/4 - beta / 2 beside 3/4 - 3 beta, the same at beta = 0.2.
-        belief, lidar = belief.replace(cell_m=jnp.float32(0.5)), Lidar(n_beams=4, fov_deg=360, range_m=2.0)
+        metres = belief.model.replace(cell_m=jnp.float32(0.5))
+        belief, lidar = belief.replace(model=metres), Lidar(n_beams=4, fov_deg=360, range_m=2.0)
+            belief.replace(model=belief.model.replace(cell_m=jnp.float32(0.5))),
+            Lidar(n_beams=4, fov_deg=360, range_m=2.0),
+        )
         for text, want in {"beta=0.19": FAR_OFF, "beta=0.21": NEAR}.items():
             assert beliefs.target_of(f"{name}:{text}", belief, lidar) == want
 
@@ -171,7 +175,7 @@ def test_no_way_leads_through_a_thin_wall_beside_the_robot(wall):
     cells[15:18, 9:12] = cells[39:42, 9:12] = "?"
     cells[wall - 4, 10] = "R"
     belief = beliefs.belief_from(cells == "#", (cells == ".") | (cells == "R"), (wall - 4, 10), clearance_d2=9)
-    belief = belief.replace(near_d2=jnp.int32(25))
+    belief = belief.replace(model=belief.model.replace(near_d2=jnp.int32(25)))
     known = field(belief)
     at = clusters.targets(belief, known)
     cost = reach(known.traversable, at.row[0], at.col[0])[at.row[1], at.col[1]]

@@ -10,7 +10,9 @@ from ref.results import result
 from ref.worlds import two_rooms
 
 from jexplore.config import InputError, Lidar, Rules
+from jexplore.engine.runner import Costs
 from jexplore.exploration import batch
+from jexplore.exploration.trail import Final
 from jexplore.studies import checks, stats
 from jexplore.studies.comparison import COLUMNS, assemble, compare, prepare_jobs
 from jexplore.worlds.world import occupancy_to_world
@@ -136,11 +138,9 @@ def stub(outcomes, **fields):
         lidar=LIDAR,
         rules=Rules(clearance_m=0),
     )
-    final = batch.Final(
-        *(np.zeros(world.shape, np.int32) for _ in range(2)), *(np.zeros(1, np.int32) for _ in range(6))
-    )
+    final = Final(*(np.zeros(world.shape, np.int32) for _ in range(2)), *(np.zeros(1, np.int32) for _ in range(4)), [])
     made = [batch.Outcomes(result(2, outcome=outcome, **fields), final) for outcome in outcomes]
-    return assemble(jobs, batch.Report(made, 1.0, 2.0), Rules())
+    return assemble(jobs, batch.Report(made, Costs(compile_s=1.0, run_s=2.0)), Rules())
 
 
 def test_a_comparison_by_hand():
@@ -199,7 +199,7 @@ def test_warnings_are_told():
     ],
 )
 def test_what_is_refused(worlds, strategies, options, message, monkeypatch):
-    monkeypatch.setattr(batch, "run", lambda *_, **__: pytest.fail("ran"))
+    monkeypatch.setattr(batch, "run_jobs", lambda *_, **__: pytest.fail("ran"))
     with pytest.raises(InputError, match=message) as error:
         compare(worlds, strategies, **options)
     assert "\n" not in str(error.value)

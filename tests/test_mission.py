@@ -35,14 +35,14 @@ def ran(plan):
 def course(jit_on):
     """`kamui` on `course` without noise."""
     with jit_on():
-        return ran(tracing.prepare("course", noise=STILL))
+        return ran(tracing.prepare_trace("course", noise=STILL))
 
 
 @pytest.fixture(scope="module")
 def noisy(jit_on):
     """Eight runs at 1 cm, of two settings."""
     with jit_on():
-        return ran(tracing.prepare("course", noise=Noise(range_m=0.01), runs=4, sweep=["votes=5,3"], seed=5))
+        return ran(tracing.prepare_trace("course", noise=Noise(range_m=0.01), runs=4, sweep=["votes=5,3"], seed=5))
 
 
 def kinds(found):
@@ -96,21 +96,21 @@ def test_every_field_of_the_tables_is_set(course):
 
 
 def test_pose_and_estimate_are_of_one_moment(course):
-    np.testing.assert_allclose(course.track.truth[:, :2], course.track.estimate[:, :2], atol=0.02)
-    np.testing.assert_allclose(course.track.truth[:, 2], course.track.estimate[:, 2], atol=1e-3)
+    np.testing.assert_allclose(course.driven.truth[:, :2], course.driven.estimate[:, :2], atol=0.02)
+    np.testing.assert_allclose(course.driven.truth[:, 2], course.driven.estimate[:, 2], atol=1e-3)
 
 
 def test_both_divergences_are_turned_right_and_modes_come_in_the_order_of_the_text(course):
-    heading = np.unwrap(course.track.truth[:, 2])
+    heading = np.unwrap(course.driven.truth[:, 2])
     assert abs(heading[-1] - (-math.pi)) < 0.1
-    mode = course.track.mode
+    mode = course.driven.mode
     order = [RunMode(m) for m in mode[np.flatnonzero(np.diff(mode, prepend=-1))]]
     central, branch, wall = RunMode.CENTRAL, RunMode.BRANCH_SELECTION, RunMode.WALL_FOLLOWING
     assert order == [central, branch, central, wall, central, branch, central]
 
 
 def test_the_middle_of_passages_is_kept_within_five_centimetres(course):
-    truth, mode = course.track.truth, course.track.mode
+    truth, mode = course.driven.truth, course.driven.mode
     first = (truth[:, 0] < 15) & (np.abs(truth[:, 1] - 27) < 2) & (mode == RunMode.CENTRAL)
     assert first.sum() > 200
     assert np.abs(truth[first, 1] - 27).max() < 0.05
@@ -120,14 +120,14 @@ def test_the_middle_of_passages_is_kept_within_five_centimetres(course):
 
 @pytest.mark.jit
 def test_the_wheeled_robot_without_the_slope():
-    found = ran(tracing.prepare("course:obstacle=none", robot="wheeled", noise=STILL))
+    found = ran(tracing.prepare_trace("course:obstacle=none", robot="wheeled", noise=STILL))
     assert kinds(found.first) == "TDFFDT"
     assert code(found.first) == code(found.truth)
 
 
 @pytest.mark.jit
 def test_the_wheeled_robot_cannot_pass_the_slope():
-    found = ran(tracing.prepare("course", robot="wheeled", noise=STILL))
+    found = ran(tracing.prepare_trace("course", robot="wheeled", noise=STILL))
     assert kinds(found.first) == "TO"
     assert found.table["outcome"].tolist() == ["EXHAUSTED"]
     assert found.table["refused"].tolist() == [0]  # it has seen it
@@ -139,7 +139,7 @@ def test_the_wheeled_robot_cannot_pass_the_slope():
 
 @pytest.mark.jit
 def test_the_wheeled_robot_cannot_pass_stairs():
-    found = ran(tracing.prepare("course:obstacle=stairs", robot="wheeled", noise=Noise(range_m=0.01)))
+    found = ran(tracing.prepare_trace("course:obstacle=stairs", robot="wheeled", noise=Noise(range_m=0.01)))
     assert kinds(found.first) == "TO"
     assert found.first.nodes[1].obstacle == "stairs"
     assert abs(found.first.nodes[1].step_m - 0.10) < 0.02
@@ -148,7 +148,7 @@ def test_the_wheeled_robot_cannot_pass_stairs():
 
 @pytest.mark.jit
 def test_a_riser_that_the_ground_refuses_is_an_obstacle():
-    found = ran(tracing.prepare("course:obstacle=stairs,riser_m=0.25", noise=Noise(range_m=0.01)))
+    found = ran(tracing.prepare_trace("course:obstacle=stairs,riser_m=0.25", noise=Noise(range_m=0.01)))
     assert kinds(found.first) == "TO"
     assert found.table["outcome"].tolist() == ["EXHAUSTED"]
     (onward,) = (link for link in found.first.links if link.status == "un-searched")
@@ -159,7 +159,7 @@ def test_a_riser_that_the_ground_refuses_is_an_obstacle():
 
 def test_ends_by_name(course):
     plan = course.plan
-    state = mission.begin(plan.building, KAMUI, 10)
+    state = mission.at_start(plan.building, KAMUI, 10)
     full = state.replace(writer=state.writer.replace(full=True))
     done = state.replace(writer=state.writer.replace(exhausted=True))
     for at, at_end, outcome in [
@@ -176,7 +176,7 @@ def test_ends_by_name(course):
 
 @pytest.mark.jit
 def test_stairs_are_stairs():
-    found = ran(tracing.prepare("course:obstacle=stairs", noise=Noise(range_m=0.01)))
+    found = ran(tracing.prepare_trace("course:obstacle=stairs", noise=Noise(range_m=0.01)))
     (world,) = {found.plan.world.name}
     stairs = [node for node in found.first.nodes if node.type == "obstacle"]
     assert [node.obstacle for node in stairs] == ["stairs"] * len(stairs), world
@@ -185,13 +185,13 @@ def test_stairs_are_stairs():
 
 @pytest.mark.jit
 def test_a_wider_robot_makes_the_same_map(course):
-    found = ran(tracing.prepare("course", robot="kamui:width_m=0.6", noise=STILL))
+    found = ran(tracing.prepare_trace("course", robot="kamui:width_m=0.6", noise=STILL))
     assert code(found.first) == code(course.first)
 
 
 def test_a_run_depends_on_its_number_and_settings_alone(noisy, jit_on):
     with jit_on():
-        lone = tracing.prepare("course", noise=Noise(range_m=0.01), runs=3, tuning=Tuning(votes=3), seed=5)
+        lone = tracing.prepare_trace("course", noise=Noise(range_m=0.01), runs=3, tuning=Tuning(votes=3), seed=5)
         again = ran(lone)
     ours = noisy.table[(noisy.table["setting"] == 1) & (noisy.table["run"] < 3)].reset_index(drop=True)
     for name in ("outcome", "steps", "path_m", "drift_m", "code", "inclination_deg"):
@@ -206,19 +206,26 @@ def test_threads_change_nothing(noisy, jit_on):
 
 
 @pytest.mark.jit
-def test_lanes_in_lockstep_give_the_same_maps(noisy):
-    """As on an accelerator; two runs of few steps."""
-    plan = noisy.plan
-    settings, which = plan.first_settings(), np.arange(2, dtype=np.int32)
-    numbers = tuple(numbers_of(s, 2) for s in settings)
-    alone = batch.run(plan.building, *numbers, 5, which, workers=1, max_steps=500).result
-    program = jax.jit(batch._all_at_once, static_argnames="room")
-    arguments = plan.building, numbers, np.uint32(5), which, np.int32(2), np.int32(500)
-    lanes, _ = program(*arguments, room=500)
-    assert lanes.steps.tolist() == alone.steps.tolist() == [500, 500]
-    assert lanes.map.kind.tolist() == alone.map.kind.tolist()
-    assert lanes.map.n_nodes.tolist() == [5, 5]
+def test_lanes_in_lockstep_give_the_same_maps_and_are_filled_again(noisy):
+    """As on an accelerator; five short runs in two lanes."""
+    plan, draws, done = noisy.plan, np.array([0, 1, 2, 1, 3], np.int32), []
+    numbers = tuple(numbers_of(s, 5) for s in plan.first_settings())
+    how = {"max_steps": 300}
+    alone = batch.run_missions(plan.building, *numbers, 5, draws, workers=1, **how).result
+    report = batch.run_missions(
+        plan.building, *numbers, 5, draws, engine="lockstep", lanes=2, on_progress=done.append, **how
+    )
+    lanes = report.result
+    assert lanes.steps.tolist() == alone.steps.tolist() == [300] * 5
+    np.testing.assert_array_equal(lanes.map.kind, alone.map.kind)
     np.testing.assert_allclose(lanes.path_m, alone.path_m, rtol=1e-4)
+    assert lanes.path_m[1] == lanes.path_m[3]  # they draw alike
+    assert len(set(lanes.path_m.tolist())) == 4
+    assert len(report.driven.truth) == 300
+    assert report.costs.lanes == 2
+    assert report.costs.useful >= 0.8
+    assert report.costs.useful_decisions is None
+    assert done[-1] == 5
 
 
 def box(height_m=1.6, width_m=1.6):
@@ -234,21 +241,21 @@ def box(height_m=1.6, width_m=1.6):
     ("change", "outcome"), [({"noise": Noise(invalid=1.0)}, "BLIND"), ({"max_steps": 100}, "STEP_LIMIT")]
 )
 def test_how_runs_may_end(change, outcome):
-    found = ran(tracing.prepare("course", **{"noise": STILL, **change}))
+    found = ran(tracing.prepare_trace("course", **{"noise": STILL, **change}))
     assert found.table["outcome"].tolist() == [outcome]
     assert found.table["steps"][0] == {"BLIND": mission.BLIND_STEPS, "STEP_LIMIT": 100}[outcome]
 
 
 @pytest.mark.jit
 def test_a_room_without_a_passage():
-    found = ran(tracing.prepare(box(), start=(1.0, 1.0, 0), noise=STILL))
+    found = ran(tracing.prepare_trace(box(), start=(1.0, 1.0, 0), noise=STILL))
     assert found.table["outcome"].tolist()[0] in ("STUCK", "EXHAUSTED")
     assert found.table["steps"][0] < 1000
 
 
 @pytest.mark.jit
 def test_without_a_goal_what_lies_behind_the_start_is_searched_as_well():
-    found = ran(tracing.prepare(box(2.0, 14.0), start=(6.0, 1.2, 0), noise=STILL))
+    found = ran(tracing.prepare_trace(box(2.0, 14.0), start=(6.0, 1.2, 0), noise=STILL))
     assert kinds(found.first) == "TDD"
     assert found.table["outcome"].tolist() == ["EXHAUSTED"]
     links = [(link.start, link.end, link.status) for link in found.first.links]
@@ -287,7 +294,7 @@ def test_without_a_goal_what_lies_behind_the_start_is_searched_as_well():
 )
 def test_what_is_refused(arguments, says):
     with pytest.raises(InputError, match=says.replace("(", r"\(").replace("[", r"\[")):
-        tracing.prepare("course", **arguments)
+        tracing.prepare_trace("course", **arguments)
 
 
 def test_sweeps():
@@ -307,37 +314,16 @@ def test_a_step_without_jit_is_the_step_with_and_uses_no_key_twice(noisy, jit_on
     building = jax.tree.map(jnp.asarray, plan.building)
     key = jax.random.fold_in(jax.random.key(np.uint32(plan.seed)), 0)
     with jit_on(), jax.debug_key_reuse(True):
-        states = [jax.tree.map(jnp.asarray, mission.begin(building, robot, 200))]
+        states = [jax.tree.map(jnp.asarray, mission.at_start(building, robot, 200))]
         one = jax.jit(lambda key, *rest: mission.step(vehicle.draw(key), *rest))
         for i in range(2 * mission.BLOCK + 2):
             states.append(one(jax.random.fold_in(key, i), building, robot, tuning, noise, states[-1]))
-    for ours, theirs in ((states[-1].truth, noisy.track.truth), (states[-1].writer.way.pose, noisy.track.estimate)):
+    for ours, theirs in ((states[-1].truth, noisy.driven.truth), (states[-1].writer.way.pose, noisy.driven.estimate)):
         np.testing.assert_allclose(ours[: len(states) - 1], theirs[: len(states) - 1], atol=1e-4)
-    assert np.abs(noisy.track.estimate[: len(states)] - noisy.track.truth[: len(states)]).max() > 1e-3
+    assert np.abs(noisy.driven.estimate[: len(states)] - noisy.driven.truth[: len(states)]).max() > 1e-3
     slow = mission.step(vehicle.draw(jax.random.fold_in(key, 1)), building, robot, tuning, noise, states[1])
     for ours, theirs in zip(jax.tree.leaves(slow), jax.tree.leaves(states[2])):
         np.testing.assert_allclose(np.asarray(ours), np.asarray(theirs), atol=2e-4)
-
-
-@pytest.mark.jit
-@pytest.mark.parametrize(("n", "lanes", "calls"), [(5, 2, [2, 2, 1]), (3, 8, [3]), (4, 2, [2, 2])])
-def test_an_accelerator_takes_runs_in_groups(course, monkeypatch, n, lanes, calls):
-    plan, done, counts = course.plan, [], []
-    settings = tuple(numbers_of(s, n) for s in plan.first_settings())
-    result = jax.tree.map(lambda a: np.zeros((min(n, lanes), *a.shape[1:]), a.dtype), course.report.result)
-    track = [np.zeros((200, k)) for k in (3, 3)] + [np.zeros(200, np.int32), np.zeros(200)]
-
-    def program(building, settings, seed, which, count, limit):
-        assert len(which) == len(settings[0].width_m) == min(n, lanes)
-        counts.append(int(count))
-        return result.replace(steps=which + 100, outcome=np.ones_like(which)), track
-
-    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
-    monkeypatch.setattr(batch, "LANES", lanes)
-    monkeypatch.setattr(batch, "_compiled", lambda *args: (program, (result, track)))
-    report = batch.run(plan.building, *settings, 0, np.arange(n)[::-1], workers=2, on_progress=done.append)
-    assert report.result.steps.tolist() == [100 + n - 1 - i for i in range(n)]
-    assert (counts, done[-1], len(report.track.truth)) == (calls, n, 100 + n - 1)
 
 
 def test_a_building_keeps_the_worlds_measures():
@@ -350,7 +336,7 @@ def test_a_building_keeps_the_worlds_measures():
 
 def test_time_is_counted_in_steps(course):
     assert course.table["time_s"][0] == course.table["steps"][0] * DT_S
-    assert len(course.track.truth) == course.table["steps"][0]
+    assert len(course.driven.truth) == course.table["steps"][0]
     assert Outcome[course.table["outcome"][0]] is Outcome.GOAL
 
 

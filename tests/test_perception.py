@@ -709,7 +709,7 @@ GROUND_CELL_M = 0.05
 
 def ground_of(heights):
     """Ground whose height depends on x alone."""
-    rows = np.tile(np.asarray(ground_profile, np.float32), (60, 1))
+    rows = np.tile(np.asarray(heights, np.float32), (60, 1))
     return terrain.terrain_of(np.pad(rows, ((0, 0), (0, 130 - rows.shape[1])), mode="edge"), GROUND_CELL_M)
 
 

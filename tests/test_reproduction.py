@@ -18,7 +18,7 @@ from jexplore.policies import parse_strategy
 from jexplore.report import plot
 from jexplore.studies import papers, stats
 from jexplore.studies.comparison import COLUMNS, Comparison
-from jexplore.studies.reproduction import Reproduction, prepare, reproduce, verdict, world_names
+from jexplore.studies.reproduction import Reproduction, prepare_paper, reproduce, verdict, world_names
 
 LIDAR, CLI_LIDAR = Lidar(n_beams=37, range_m=2.0), ("--lidar.n-beams", "37", "--lidar.range-m", "2")
 HERE = ("random", "closest", "closest+recheck")
@@ -213,7 +213,7 @@ def test_figure_shows_both_in_the_papers_order():
 
 @pytest.fixture
 def no_run(monkeypatch):
-    monkeypatch.setattr(batch, "run", lambda *_, **__: pytest.fail("ran"))
+    monkeypatch.setattr(batch, "run_jobs", lambda *_, **__: pytest.fail("ran"))
 
 
 def folder_of_maps(path, but=None):
@@ -247,7 +247,7 @@ def test_maps_are_loaded_at_their_scale(tmp_path, monkeypatch):
     }
     monkeypatch.setitem(papers.PAPERS, "tiny", PAPER._replace(environments=short))
     folder_of_maps(tmp_path)
-    jobs = prepare("tiny", maps=tmp_path, episodes=2, seed=0, cell_m=0.1, lidar=LIDAR, rules=jexplore.Rules())
+    jobs = prepare_paper("tiny", maps=tmp_path, episodes=2, seed=0, cell_m=0.1, lidar=LIDAR, rules=jexplore.Rules())
     assert [job.strategy.name for job in jobs] == ["closest", "random"] * 3
     names = [f"{tmp_path}/{name}" for name in ("stage/cave_filled.png@16x16", "avz/avz5floor_open.yaml")]
     assert [job.world.name for job in jobs[::2]] == [*names, f"{tmp_path}/stage/hospital_section.png@49.3x20.1"]
@@ -260,7 +260,7 @@ def test_the_maps_of_the_paper_can_be_loaded(maps):
     shorter = {name: found._replace(paths={"closest": (1, 1)}) for name, found in PAPER.environments.items()}
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(papers.PAPERS, "tiny", PAPER._replace(environments=shorter))
-        jobs = prepare("tiny", maps=maps, episodes=1, seed=0, cell_m=0.1, lidar=Lidar(), rules=jexplore.Rules())
+        jobs = prepare_paper("tiny", maps=maps, episodes=1, seed=0, cell_m=0.1, lidar=Lidar(), rules=jexplore.Rules())
     assert [round(job.world.free_m2) for job in jobs] == [192, 314, 887]
 
 
@@ -316,16 +316,17 @@ def test_the_command_writes_a_whole_run(ran, small, tmp_path, capsys):
 
 @pytest.mark.jit
 def test_an_interruption_keeps_pairs(small, tmp_path, capsys, monkeypatch):
-    run = batch.run
+    run = batch.run_jobs
 
     def interrupted(jobs, *rest, **options):
         report = run(jobs, *rest, **options)
         for found in report.outcomes[3:]:  # of the second world nothing has finished
             found.result.outcome[:] = 0
         report.outcomes[2].result.outcome[1] = 0
-        return report._replace(interrupted=True)
+        report.costs.interrupted = True
+        return report
 
-    monkeypatch.setattr(batch, "run", interrupted)
+    monkeypatch.setattr(batch, "run_jobs", interrupted)
     assert main.main(["reproduce", small, "--episodes", "3", "--out", str(tmp_path), *CLI_LIDAR]) == 130
     said = capsys.readouterr()
     assert "Nothing has run here." in said.out
@@ -355,9 +356,9 @@ def test_bad_input_is_one_line(command, message, small, no_run, capsys, tmp_path
 
 
 def test_the_default_is_smaller_on_request(monkeypatch):
-    assert options.parse(["reproduce"]).episodes == 100
+    assert options.parse(["reproduce"], main.COMMANDS).episodes == 100
     monkeypatch.setenv(options.SMALL, "1")
-    assert options.parse(["reproduce", "holz2010"]).episodes == 5
+    assert options.parse(["reproduce", "holz2010"], main.COMMANDS).episodes == 5
 
 
 def test_bars_at_places():

@@ -96,7 +96,7 @@ def test_a_map_from_an_episode(tmp_path, capsys):
     ],
 )
 def test_what_is_refused(options, says, capsys, tmp_path, monkeypatch):
-    monkeypatch.setattr(batch, "run", lambda *_, **__: pytest.fail("it began"))
+    monkeypatch.setattr(batch, "run_missions", lambda *_, **__: pytest.fail("it began"))
     assert main.main(["trace", *options, "--out", str(tmp_path / "new")]) == 2
     said = capsys.readouterr()
     assert says in said.err
@@ -114,9 +114,9 @@ def test_an_interruption_keeps_what_is_finished(tmp_path, capsys):
         if len(calls) == 2:
             raise KeyboardInterrupt
 
-    plan = tracing.prepare("course", runs=40, seed=3)
+    plan = tracing.prepare_trace("course", runs=40, seed=3)
     found = tracing.execute(plan, workers=1, on_progress=interrupt)
-    assert found.report.interrupted
+    assert found.report.costs.interrupted
     assert 1 <= len(found.table) < 40
     assert found.table["run"].tolist() == list(range(len(found.table)))
     assert set(found.table["outcome"]) == {"GOAL"}

@@ -1,6 +1,7 @@
 """A benchmark's report as Markdown."""
 
 from jexplore.bench.shares import PARTS
+from jexplore.report.tables import aligned_table
 
 MIB = 2**20
 
@@ -19,11 +20,10 @@ def markdown(header, rows):
         if isinstance(value, bool):
             return "yes" if value else "NO"
         if not isinstance(value, float):
-            return str(value).replace("|", "\\|")
+            return str(value)
         return f"{value:.0f}" if abs(value) >= 100 else f"{value:#.3g}".rstrip(".")
 
-    lines = [header, ["---"] * len(header), *([text(value) for value in row] for row in rows)]
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+    return aligned_table(header, [[text(value) for value in row] for row in rows], left=header[:1]).rstrip("\n")
 
 
 def plus_minus(value):

@@ -121,12 +121,12 @@ def _finish_league(out, found, report, record):
 def run_with_bar(options, jobs):
     """Compiles and runs, with a note and a bar: a `batch.Report`."""
     from jexplore.engine.backend import use_compilation_cache
-    from jexplore.exploration.batch import run_jobs
+    from jexplore.exploration import batch
 
     use_compilation_cache()
     engine = None if options.engine == "auto" else options.engine
     with working(sum(len(job.starts) for job in jobs), "episodes") as on_progress:
-        return run_jobs(
+        return batch.run_jobs(
             jobs, options.lidar, options.episode, engine=engine, lanes=options.lanes, on_progress=on_progress
         )
 

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from jexplore.config import InputError, require_whole
 from jexplore.engine.backend import use_compilation_cache
-from jexplore.exploration.batch import Job, run_jobs
+from jexplore.exploration import batch
+from jexplore.exploration.batch import Job
 from jexplore.exploration.episode import Outcome
 from jexplore.exploration.results import columns, map_state
 from jexplore.studies import stats
@@ -195,7 +196,7 @@ def compare(
         worlds, strategies, episodes=episodes, seed=seed, cell_m=cell_m, start=start, lidar=lidar, rules=rules
     )
     use_compilation_cache()
-    report = run_jobs(jobs, lidar, rules, engine=engine, lanes=lanes, workers=workers, on_progress=on_progress)
+    report = batch.run_jobs(jobs, lidar, rules, engine=engine, lanes=lanes, workers=workers, on_progress=on_progress)
     return assemble(jobs, report, rules)
 
 

@@ -7,8 +7,8 @@ import numpy as np
 
 from jexplore.config import InputError, Lidar, Rules, require_whole
 from jexplore.engine.backend import use_compilation_cache
-from jexplore.exploration import replay
-from jexplore.exploration.batch import Job, run_jobs
+from jexplore.exploration import batch, replay
+from jexplore.exploration.batch import Job
 from jexplore.exploration.results import columns, length_along_m, map_state
 from jexplore.exploration.site import Kernels, prepare_site
 from jexplore.exploration.trail import Final
@@ -154,7 +154,7 @@ def run_job(job, lidar, rules):
     """The `Episode` of a job: its last one."""
     use_compilation_cache()
     number = len(job.starts) - 1
-    report = run_jobs([job], lidar, rules, only=number)
+    report = batch.run_jobs([job], lidar, rules, only=number)
     ((result, final),) = report.outcomes
     assert final is not None  # a run that was interrupted has raised
     has_rooms, cell_m = job.world.rooms is not None, job.world.cell_m

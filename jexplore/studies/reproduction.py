@@ -10,7 +10,7 @@ import os
 
 from jexplore.config import InputError, unknown
 from jexplore.engine.backend import use_compilation_cache
-from jexplore.exploration.batch import run_jobs
+from jexplore.exploration import batch
 from jexplore.report import tables
 from jexplore.studies import comparison, stats
 from jexplore.studies.checks import LIDAR, RULES
@@ -246,5 +246,5 @@ def reproduce(
     """
     jobs = prepare_paper(paper, maps=maps, episodes=episodes, seed=seed, cell_m=cell_m, lidar=lidar, rules=rules)
     use_compilation_cache()
-    report = run_jobs(jobs, lidar, rules, engine=engine, lanes=lanes, workers=workers, on_progress=on_progress)
+    report = batch.run_jobs(jobs, lidar, rules, engine=engine, lanes=lanes, workers=workers, on_progress=on_progress)
     return assemble(paper, maps, jobs, report, rules)

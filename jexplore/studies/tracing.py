@@ -9,7 +9,7 @@ import numpy as np
 
 from jexplore import btm
 from jexplore.config import InputError, require_number, require_whole
-from jexplore.driving import vehicle
+from jexplore.driving import batch, vehicle
 from jexplore.driving.batch import (
     MAX_STEPS,
     Driven,
@@ -18,7 +18,6 @@ from jexplore.driving.batch import (
     numbers_of,
     outcome_names,
     require_start,
-    run_missions,
 )
 from jexplore.driving.settings import ROBOTS, Noise, Tuning, require_noise, require_robot, require_tuning
 from jexplore.studies import checks
@@ -252,7 +251,7 @@ def execute(plan, *, engine=None, lanes=None, workers=None, on_progress=None):
     if "votes" in chosen:
         chosen["votes"] = chosen["votes"].astype(np.int32)
     tuning, noise = _with(plan.tuning, plan.noise, chosen)
-    report = run_missions(
+    report = batch.run_missions(
         plan.building,
         numbers_of(plan.robot, n),
         numbers_of(tuning, n),
