@@ -64,9 +64,6 @@ def test_much_to_see_far_off_or_little_near_by(name, numbers):
         # Area in square metres: with cells of half a metre 1/4 - beta / 2 beside 3/4 - 3 beta, the same at beta = 0.2.
         metres = belief.model.replace(cell_m=jnp.float32(0.5))
         belief, lidar = belief.replace(model=metres), Lidar(n_beams=4, fov_deg=360, range_m=2.0)
-            belief.replace(model=belief.model.replace(cell_m=jnp.float32(0.5))),
-            Lidar(n_beams=4, fov_deg=360, range_m=2.0),
-        )
         for text, want in {"beta=0.19": FAR_OFF, "beta=0.21": NEAR}.items():
             assert beliefs.target_of(f"{name}:{text}", belief, lidar) == want
 

@@ -12,7 +12,8 @@ from hypothesis.extra import numpy as hnp
 from ref import maps, plans
 from scipy import ndimage
 
-from jexplore.frontier import clear_cells, frontier_cells, frontier_clusters, traversable_cells
+from jexplore.arrays import bits
+from jexplore.frontier import clear_cells, frontier_cells, frontier_clusters, plan_masks, traversable_cells
 from jexplore.grid import Grid
 
 SHAPES = ((1, 1), (1, 7), (7, 8))
@@ -254,3 +255,24 @@ def test_rows_of_a_batch_are_independent_and_jit_changes_nothing():
         with jax.disable_jit():
             alone = frontier_clusters(mask[i], max_clusters=3)
         jax.tree.map(lambda many, single, i=i: np.testing.assert_array_equal(many[i], single), batch, alone)
+
+
+@pytest.mark.parametrize("clearance_d2", [0, 1, 9])
+def test_masks_of_a_plan_are_those_of_their_definitions(clearance_d2):
+    """Packed, with exhausted targets left out, on maps of mixed cells, some rows and columns of them padding."""
+    for seed, shape in ((0, (9, 40)), (1, (33, 7))):
+        draw = np.random.default_rng(seed)
+        hits, misses = draw.integers(0, 3, shape), draw.integers(0, 6, shape) * (draw.random(shape) < 0.8)
+        driven, exhausted = (draw.random(shape) < share for share in (0.05, 0.2))
+        inside = np.indices(shape)[0] < shape[0] - 2
+        row, col = shape[0] // 2, shape[1] // 2
+        numbers = {"p_free": 0.25, "near_d2": 5, "clearance_d2": clearance_d2}
+        grid = Grid(jnp.asarray(hits, jnp.int32), jnp.asarray(misses, jnp.int32))
+        found = plan_masks(grid, *map(jnp.asarray, (driven, exhausted, inside)), row, col, **numbers)
+        known, free, occupied = plans.classify(hits, misses)
+        clear = plans.clear(free, occupied, clearance_d2)
+        passable = plans.traversable(free, occupied, driven, row, col, clearance_d2, 5)
+        unknown = np.pad(~known & inside, 1)
+        beside = np.any([unknown[r : r + shape[0], c : c + shape[1]] for r in range(3) for c in range(3)], axis=0)
+        np.testing.assert_array_equal(bits.unpack(found.traversable, shape[0]), passable)
+        np.testing.assert_array_equal(bits.unpack(found.frontier, shape[0]), clear & beside & ~exhausted)

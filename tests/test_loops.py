@@ -1,11 +1,13 @@
 """Conditions and loops, for one and for many at a time."""
 
+import math
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jexplore.arrays.loops import SHARE, first_lanes, put, repeat, run_if, stored, take
+from jexplore.arrays.loops import SHARE, first_lanes, one_kernel, put, repeat, run_if, stored, take
 
 
 def bumped(x, table):
@@ -74,3 +76,49 @@ def test_lanes_are_taken_and_put_back():
     new = put(tree, at, jax.tree.map(lambda a: -a, take(tree, at)))
     assert new["a"].tolist() == [0, -1, -2, 3, -4]
     assert new["b"][:, 1].tolist() == [1, -3, -5, 7, -9]
+
+
+def small_steps(grid, at, by, unused):
+    """A loop of small operations that writes in place, with an argument that says nothing."""
+
+    def body(i, grid):
+        row = jax.lax.dynamic_slice(grid, (i, 0), (1, grid.shape[1]))
+        return jax.lax.dynamic_update_slice(grid, row * 2 + by, (i + 1, 0))
+
+    return jax.lax.fori_loop(at, grid.shape[0] - 1, body, grid), grid[0, 0]
+
+
+GRIDS = {(5, 7): 1, (1, 1): 0, (64, 64): 3}
+
+
+@pytest.mark.jit
+@pytest.mark.parametrize("shape", GRIDS)
+def test_one_kernel_is_the_function_wherever_it_stands(shape):
+    """Alone, of constants, in loops, under a condition, twice, for many: XLA ends the process over some of these."""
+    grid, by, closed = jnp.arange(math.prod(shape)).reshape(shape), jnp.int32(2), jnp.int32(5)
+    want = small_steps(grid, GRIDS[shape], by, by)[0] + 5
+
+    def kernel(grid, at, by):
+        return one_kernel(lambda *args: (small_steps(*args)[0] + closed, grid[0, 0]), grid, at, by, by * 0)[0]
+
+    def again(grid, at, by):
+        return jax.lax.fori_loop(0, 3, lambda _, out: kernel(grid + 0 * out, at, by), grid)
+
+    def carried(grid, at, by):
+        step = lambda s: (s[0] + 1, kernel(s[2], s[3], s[4]), *s[2:])  # noqa: E731
+        return jax.lax.while_loop(lambda s: s[0] < 2, step, (0, grid, grid, at, by))[1]
+
+    def twice(grid, at, by):
+        return kernel(kernel(grid, at, by) * 0 + grid, at, by)
+
+    def perhaps(grid, at, by):
+        return jax.lax.cond(by > 0, lambda: kernel(grid, at, by), lambda: grid)
+
+    at = jnp.int32(GRIDS[shape])
+    for function in (kernel, again, carried, twice, perhaps):
+        np.testing.assert_array_equal(jax.jit(function)(grid, at, by), want)
+        np.testing.assert_array_equal(jax.jit(lambda f=function: f(grid, GRIDS[shape], 2))(), want)
+        many = jax.jit(jax.vmap(function, (0, None, 0)))(jnp.stack([grid, grid + 1]), at, jnp.stack([by, by]))
+        np.testing.assert_array_equal(many[0], want)
+    with jax.disable_jit():
+        np.testing.assert_array_equal(kernel(grid, at, by), want)

@@ -469,3 +469,16 @@ def test_a_method_that_does_not_exist_is_refused():
 def test_a_method_that_does_not_exist_is_refused_for_sources():
     with pytest.raises(ValueError, match="one of sweeps, wave, got 'dijkstra'"):
         nearest_source(jnp.zeros((1, 3), jnp.uint32), jnp.full((32, 3), -1), 2, method="dijkstra")
+
+
+def test_cells_that_cost_too_much_by_hand():
+    """Cells one motion beyond those with a cost: straight ones, diagonal ones only past two that are traversable."""
+    f, far = FAR - 1, FAR
+    alone = jnp.asarray([[far, far, far], [far, f, far], [far, far, far]], jnp.int32)
+    everywhere = jnp.ones((3, 3), bool)
+    assert saturated(alone, everywhere) == 8
+    assert saturated(alone, everywhere.at[0, 1].set(False)) == 5  # nor the two corners beside it
+    assert saturated(alone, ~everywhere) == 0
+    assert saturated(jnp.full((3, 3), far), everywhere) == 0
+    assert saturated(jnp.asarray([[f, far, far]], jnp.int32), jnp.ones((1, 3), bool)) == 1
+    assert saturated(jnp.zeros((3, 3), jnp.int32), everywhere) == 0

@@ -153,5 +153,5 @@ def measure_nearest(recording, cells, repeat):
     times = microseconds(interleaved(tasks, repeat), units)
     reference = "masks given, Dijkstra up to the first frontier, numba", equal, times.get("other")
     on = f"{recording.world.name}, {len(beliefs)} plans"
-    return row_of(f"plan, {beliefs[0].reach}", on, recording.world.shape, took, times[""], [reference],
+    return row_of(f"plan, {beliefs[0].model.reach}", on, recording.world.shape, took, times[""], [reference],
                 Effort(bytes=BELIEF_BYTES * cells))  # fmt: skip

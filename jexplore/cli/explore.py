@@ -11,15 +11,15 @@ from jexplore.cli.options import (
     OneWorld,
     OutFolder,
 )
-from jexplore.config import InputError, Lidar, Rules
+from jexplore.config import InputError, Lidar, Rules, require_whole
 
 
 @dataclasses.dataclass(frozen=True)
 class Explore:
     """Run one episode and draw it.
 
-    Writes episode.png, episode.gif (known map, frontiers, target, path) and run.json. It is episode 0 of a comparison
-    with the same options.
+    Writes episode.png, episode.gif (known map, frontiers, target, path) and run.json. It is one of the episodes of a
+    comparison with the same options.
     """
 
     world: OneWorld = "cave"
@@ -28,6 +28,8 @@ class Explore:
     """Strategy; see `jexplore strategies`."""
     seed: int = 0
     """Seed of the start and the draws."""
+    number: int = 0
+    """Number of the episode in a comparison with the same options, from 0."""
     cell_m: float = 0.1
     """Edge of a cell, metres."""
     start: Annotated[str, tyro.conf.arg(metavar="{random,world,ROW,COL,HEADING_DEG}")] = "random"
@@ -43,7 +45,6 @@ class Explore:
 
     def execute(self, arguments):
         """Runs the command; returns the exit status, None for 0."""
-        from jexplore.config import require_whole
         from jexplore.report import plot, store
         from jexplore.studies.explore import prepare_job, run_job
 
@@ -53,6 +54,7 @@ class Explore:
             self.world,
             self.strategy,
             seed=self.seed,
+            episode=self.number,
             cell_m=self.cell_m,
             start=_start(self.start),
             lidar=self.lidar,
@@ -63,18 +65,17 @@ class Explore:
         measures = {"world": found.world.name, "strategy": found.strategy, **found.measures}
         record = out.record(arguments, self, result=measures, compile_s=found.compile_s, run_s=found.run_s)
         with progress_of(min(len(found.final.rows), self.frames), "frames") as progress:
-            wrote = out.write(
-                {
-                    "episode.png": lambda path: plot.save_figure(found.figure(), path),
-                    "episode.gif": lambda path: found.save_gif(path, max_frames=self.frames, on_progress=progress.step),
-                    "run.json": lambda path: store.write_json(record, path),
-                }
-            )
+            files = {"episode.png": lambda path: plot.save_figure(found.figure(), path)}
+            if found.final.plans is not None:
+                files["episode.gif"] = lambda path: found.save_gif(
+                    path, max_frames=self.frames, on_progress=progress.step
+                )
+            wrote = out.write({**files, "run.json": lambda path: store.write_json(record, path)})
         for name, value in measures.items():
             text = "-" if value is None else f"{value:.3f}" if isinstance(value, float) else str(value)
             print(f"{name:<18} {text}")
-        if found.measures["refused"]:
-            print("warning: refused steps leave no trace: the animation lacks their scans until its last frame")
+        if found.final.plans is None:
+            print(f"warning: an episode of {found.measures['plans']} plans cannot be played again: no animation")
         print(wrote)
 
 

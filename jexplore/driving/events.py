@@ -83,8 +83,9 @@ def look_ahead(state, writer, walls, pitch, placed, tuning, robot, is_blind):
     """
     is_free = state.drive.latch == Latch.FREE
     track, overflow = _watch(state, writer, walls.xy, walls.valid, walls.beside.min(), placed, tuning)
+    left_m, right_m = walls.region_sides
     space, enters, leaves = behaviour.watch_free_space(
-        state.space, *walls.region_sides, state.odometer_m, tuning.open_m, is_free & ~is_blind
+        state.space, left_m, right_m, state.odometer_m, tuning.open_m, is_free & ~is_blind
     )
     border_m = jnp.where(enters, space.since_m + walls.region[0], writer.border_m)
     border_m = jnp.where(leaves, space.since_m + walls.region[1], border_m)

@@ -10,7 +10,7 @@ from jexplore.extraction.lines import bearing_deg, components, distance
 CLOSING = 0.9  # free space, once entered, ends where the clearance falls below this share of `open_cells`
 
 
-def halls_of(lines, near, special, open_cells):
+def free_spaces(lines, near, special, open_cells):
     """Parts of the graph in free space, up to the mouths of the passages.
 
     Args:
@@ -20,14 +20,14 @@ def halls_of(lines, near, special, open_cells):
       open_cells: clearance above which a place is free space, cells.
 
     Returns:
-      `(halls, mouths)`: list of sets of cells, and the set of the cells next to them.
+      `(spaces, mouths)`: list of sets of cells, and the set of the cells next to them.
     """
     radius = lines.radius - 0.5
     wide = {cell for cell in near if radius[cell] > CLOSING * open_cells and lines.known[cell]}
     parts = components({cell: near[cell] & wide for cell in wide}, sorted(wide))
     inside = set().union(*(part for part in parts if radius[list(part)].max() > open_cells))
     while True:
-        # A junction whose disc reaches a hall belongs to it, and so does one without a passage in between.
+        # A junction whose disc reaches a space belongs to it, and so does one without a passage in between.
         reached = set()
         for path in _leading_out(near, inside, special):
             last = path[-1]
@@ -42,7 +42,7 @@ def halls_of(lines, near, special, open_cells):
         low = radius[passage[: max(int(open_cells), 1)]].min() + 0.5
         i = next(i for i, cell in enumerate(passage) if radius[cell] <= low)
         if path[-1] in inside:
-            # Of a neck between two halls only one half belongs to either.
+            # Of a neck between two spaces only one half belongs to either.
             i = min(i, int(np.argmin(radius[passage])))
         grown |= set(passage[:i])
         mouths.add(passage[i])
@@ -61,17 +61,17 @@ def _leading_out(near, inside, special):
             yield path
 
 
-def through(lines, near, hall, ports):
-    """Paths through one hall, from each of its ports to the next one counter-clockwise and to what is not known.
+def through(lines, near, space, ports):
+    """Paths through one space, from each of its ports to the next one counter-clockwise and to what is not known.
 
     Args:
       lines: `Lines`.
       near: neighbours by cell.
-      hall: set of cells.
+      space: set of cells.
       ports: mouths, wherever, and terminals, wherever.
     """
-    cells = hall | {other for cell in hall for other in near[cell] if other in ports}
-    inner = {cell: near[cell] & (cells if cell in hall else hall) for cell in cells}
+    cells = space | {other for cell in space for other in near[cell] if other in ports}
+    inner = {cell: near[cell] & (cells if cell in space else space) for cell in cells}
     ports = {cell for cell in cells & ports if lines.known[cell]}
     edge = {cell for cell in cells if not lines.known[cell] and any(lines.known[other] for other in near[cell])}
     if not ports:

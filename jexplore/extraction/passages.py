@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jexplore.extraction.free_space import halls_of, through
+from jexplore.extraction.free_space import free_spaces, through
 from jexplore.extraction.lines import chains, components, distance
 
 SEARCH = 1.5  # radius of the circle on which the ways out of a place are looked for, in clearances
@@ -47,8 +47,8 @@ def places_and_ways(lines, corners, alive, terminals, *, open_cells):
     fixed = corners.keys() | terminals.keys()
     _close_gaps(lines, near, corners, fixed, open_cells)
     special = {cell for cell in alive if cell in fixed or len(near[cell]) != 2}
-    halls, mouths = halls_of(lines, near, special, open_cells)
-    inside = set().union(*halls)
+    spaces, mouths = free_spaces(lines, near, special, open_cells)
+    inside = set().union(*spaces)
     outside = {cell: near[cell] - inside for cell in sorted(alive - inside)}
     keys = (special | mouths) - inside
     paths = list(chains(outside, outside, keys))
@@ -58,8 +58,8 @@ def places_and_ways(lines, corners, alive, terminals, *, open_cells):
         name |= dict.fromkeys(part, part[0])
         if lines.known[part].any():
             places[part[0]] = _place(lines, part, "divergence", sum(corners.get(cell, 0) for cell in part))
-    for hall in halls:
-        paths += through(lines, near, hall, mouths | terminals.keys())
+    for space in spaces:
+        paths += through(lines, near, space, mouths | terminals.keys())
     ways = []
     for path in paths:
         start, end = name[path[0]], name.get(path[-1])

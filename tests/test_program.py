@@ -1,0 +1,167 @@
+"""Any program in either engine: walks of random steps that stop to decide, in scenes, with weights that lanes share."""
+
+import re
+from pathlib import Path
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from flax import struct
+from jax import Array
+
+from jexplore.engine.lanes import Engine, split
+from jexplore.engine.lockstep import Group
+from jexplore.engine.program import Line, Program, given_of
+from jexplore.engine.runner import find_resources, run_all
+
+ROOM = 2000  # a large array: more than the engine restores
+
+
+class Setup(NamedTuple):
+    stride: int
+
+
+@struct.dataclass
+class Walk:
+    at: Array
+    n: Array
+    left: Array  # steps until it must decide
+    decisions: Array
+    way: Array  # [ROOM], the place after every step
+
+
+def begin(setup, given):
+    zero = jnp.int32(0)
+    return Walk(given.task, zero, zero, zero, jnp.zeros(ROOM, jnp.int32))
+
+
+def advance(setup, given, state):
+    key = jax.random.fold_in(given.key, state.n)
+    walls = given.own_scene
+    at = jnp.clip(state.at + setup.stride * jax.random.rademacher(key, (), jnp.int32), walls[0], walls[1])
+    done = is_done(state) | must_decide(state)
+    way = state.way.at[jnp.where(done, ROOM, state.n)].set(at, mode="drop")
+    return state.replace(at=at, n=state.n + 1, left=state.left - 1, way=way)
+
+
+def decide(setup, given, state):
+    drawn = jax.random.randint(jax.random.fold_in(given.key, 10_000 + state.n), (), 1, 9)
+    more = given.numbers["weights"][state.at % 4] + given.numbers["bonus"]
+    return state.replace(left=drawn + more, decisions=state.decisions + 1)
+
+
+def is_done(state):
+    return state.n >= 40 + state.decisions
+
+
+def must_decide(state):
+    return state.left <= 0
+
+
+def finish(setup, given, state):
+    return {"at": state.at, "n": state.n, "decisions": state.decisions}
+
+
+WALKS = Program(Setup(2), begin, advance, is_done, finish, lambda state: state.way, decide, must_decide)
+
+
+def some_lines():
+    """Two scenes, two bonuses, and one line with other weights."""
+    shared, lines = {"unused": np.zeros(3, np.float32)}, []
+    scenes = [np.array([-50, 50], np.int32), np.array([-4, 4], np.int32)]
+    for i, (scene, bonus, weights) in enumerate([(0, 0, [1, 2, 3, 4]), (1, 5, [1, 2, 3, 4]), (0, 0, [7, 7, 7, 7])]):
+        numbers = {"weights": np.array(weights, np.int32), "bonus": np.int32(bonus)}
+        tasks = np.arange(10, dtype=np.int32)
+        lines.append(Line(WALKS, shared, scenes[scene], numbers, 3 + i, tasks, np.arange(10)))
+    return lines
+
+
+def run(**how):
+    lines = some_lines()
+    return lines, run_all(lines, find_resources(**how))
+
+
+def by_hand(line, number):
+    """A run in plain Python."""
+    given = given_of(line, number)
+    state = begin(WALKS.setup, given)
+    while not is_done(state):
+        state = decide(WALKS.setup, given, state) if must_decide(state) else advance(WALKS.setup, given, state)
+    return state
+
+
+@pytest.mark.jit
+@pytest.mark.parametrize(
+    "how",
+    [
+        {"engine": "serial", "workers": 1},
+        {"engine": "serial", "workers": 2},
+        {"engine": "lockstep", "lanes": 4},
+        {"engine": "lockstep", "lanes": 64},
+    ],
+)
+def test_engines_make_the_runs_that_a_loop_makes(how):
+    lines, costs = run(**how)
+    for line in lines:
+        assert line.finished.all()
+        for number in (0, 7):
+            state = by_hand(line, number)
+            assert {name: int(a[number]) for name, a in line.results.items()} == {
+                name: int(a) for name, a in finish(WALKS.setup, None, state).items()
+            }
+            if number == 0:
+                n = int(state.n)
+                np.testing.assert_array_equal(line.kept[:n], state.way[:n])
+    assert len({tuple(line.results["at"].tolist()) for line in lines}) == 3
+    assert (costs.useful is None) == (how["engine"] == "serial")
+
+
+@pytest.mark.jit
+def test_one_run_of_many_can_be_made_alone():
+    whole, _ = run(engine="serial", workers=1)
+    for engine in ("serial", "lockstep"):
+        (line, *_) = some_lines()
+        line.which = np.array([7], np.int32)
+        run_all([line], find_resources(engine=engine))
+        assert line.finished.tolist() == [i == 7 for i in range(10)]
+        assert line.results["at"][7] == whole[0].results["at"][7]
+        n = int(line.results["n"][7])
+        np.testing.assert_array_equal(line.kept[:n], by_hand(line, 7).way[:n])
+
+
+def test_what_lanes_share_is_not_gathered_and_what_deciding_hands_on_is_not_copied():
+    lines = some_lines()[:2]
+    with jax.disable_jit(False):
+        group = Group(lines, jax.local_devices()[:1])
+        queue = jax.tree.map(lambda a: a[0], group.queue())
+        engine = Engine(WALKS, lines[0].numbers)
+        lanes = jax.eval_shape(lambda q, c: engine.empty(q, c, n_lanes=8), queue, group.common)
+        blank = jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), lanes)
+        text = str(jax.make_jaxpr(lambda n: engine._decide(queue, group.common, n, 2))(blank))
+    assert not re.search(r"i32\[[28],4\]", text)  # the weights of some lanes, or of all
+    assert not re.search(rf"i32\[8,{ROOM}\] = scatter", text)
+    assert re.search(r"i32\[8\] = scatter", text)
+
+
+def test_scalars_and_arrays_are_told_apart():
+    numbers = {"a": np.float32(1), "b": np.zeros((2, 2)), "c": (np.int32(3), np.ones(1))}
+    scalars, arrays, join = split(numbers)
+    assert [float(s) for s in scalars] == [1, 3]
+    assert [a.shape for a in arrays] == [(2, 2), (1,)]
+    jax.tree.map(np.testing.assert_array_equal, join(scalars, arrays), numbers)
+
+
+@pytest.mark.jit
+def test_the_program_that_is_shown_to_contributors_runs(capsys):
+    text = (Path(__file__).resolve().parents[1] / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    (code,) = re.findall(r"```python\n(.*?)```", text, re.S)
+    exec(code, found := {})
+    assert capsys.readouterr().out.startswith("[")
+    results = found["line"].results
+    found["line"].results = None
+    found["line"].finished[:] = False
+    run_all([found["line"]], find_resources(engine="lockstep", lanes=7))
+    np.testing.assert_array_equal(found["line"].results, results)
+    assert len(set(results.tolist())) > 5
