@@ -12,7 +12,7 @@ from jax import Array, lax
 from jexplore.arrays import bits, sparse
 from jexplore.arrays.loops import repeat, stored
 from jexplore.distance import within, within_packed
-from jexplore.grid import any_within_one, any_within_one_packed, is_free, is_known, is_occupied
+from jexplore.grid import any_within_one_packed, is_free, is_known, is_occupied
 
 
 def clear_cells(grid, *, p_free, clearance_d2):
@@ -48,39 +48,6 @@ def disc(shape, row, col, d2):
     return (rows - row) ** 2 + (cols - col) ** 2 <= d2
 
 
-def traversable_cells(clear, free, driven, row, col, near_d2):
-    """Cells that a path may use: clear ones, free ones near the robot, and the way that the robot has driven.
-
-    Without the last two, walls that are seen late close the way behind the robot.
-
-    Args:
-      clear, free, driven: `[H, W]` bool.
-      row, col: int32, the robot's cell; may lie outside the arrays when these are a window.
-      near_d2: squared distance, cells^2; scalar.
-
-    Returns:
-      `[H, W]` bool.
-    """
-    return clear | (free & disc(clear.shape, row, col, near_d2)) | driven
-
-
-def frontier_cells(clear, grid, inside):
-    """Clear cells that are 8-adjacent to an unknown cell; whether a path leads there is not asked here.
-
-    Args:
-      clear: `[H, W]` bool.
-      grid: `Grid`, `[H, W]`.
-      inside: `[H, W]` bool, False in padding: what lies outside the map is never unknown.
-
-    Returns:
-      `[H, W]` bool.
-
-    Source:
-      Holz et al. 2010, equation 2. Changed: unknown is "never observed", not p = 0.5.
-    """
-    return clear & any_within_one(~is_known(grid) & inside)
-
-
 class Masks(NamedTuple):
     """What a plan needs to know of every cell, packed (see bits.py)."""
 
@@ -89,7 +56,11 @@ class Masks(NamedTuple):
 
 
 def plan_masks(grid, driven, exhausted, inside, row, col, *, p_free, near_d2, clearance_d2):
-    """Traversable and frontier cells at once, as `clear_cells`, `traversable_cells` and `frontier_cells` define them.
+    """Traversable and frontier cells at once, packed.
+
+    Traversable: clear cells, free ones near the robot, and the way that it has driven; without the last two, walls
+    that are seen late close the way behind the robot. Frontier: clear cells that are 8-adjacent to an unknown cell
+    inside; whether a path leads there is not asked here.
 
     Args:
       grid: `Grid`, `[H, W]`.
@@ -100,6 +71,9 @@ def plan_masks(grid, driven, exhausted, inside, row, col, *, p_free, near_d2, cl
 
     Returns:
       `Masks`.
+
+    Source:
+      Holz et al. 2010, section 2.2 and equation 2. Changed: unknown is "never observed", not p = 0.5.
     """
     shape = driven.shape
 

@@ -28,7 +28,7 @@ class Prospect:
     overflow: Array  # int32, such cells that did not fit: their change of entropy is not counted
 
 
-class Told(NamedTuple):
+class ViewGain(NamedTuple):
     """What a look all round from a cell would tell."""
 
     gain: Array  # float32, bits: entropy of the map before less that after the simulated scan
@@ -111,7 +111,7 @@ def look(prospect, row, col, beams, scratch, *, method="blocks"):
       method: one of `raycast.METHODS`. Static.
 
     Returns:
-      `(Told, scratch)`; the scratch is zeros again.
+      `(ViewGain, scratch)`; the scratch is zeros again.
 
     Source:
       Holz et al. 2010, section 3.2, where the sign of the difference is a misprint.
@@ -135,7 +135,7 @@ def look(prospect, row, col, beams, scratch, *, method="blocks"):
     change = jnp.sum(jnp.where(prospect.before > 0, prospect.before - entropy_after, 0.0))
     blank = jnp.zeros(size, jnp.int32)
     scratch = Grid(*(lax.dynamic_update_slice(a, blank, corner) for a in (scratch.hits, scratch.misses)))
-    return Told(seen.astype(jnp.float32) + change, seen, known), scratch
+    return ViewGain(seen.astype(jnp.float32) + change, seen, known), scratch
 
 
 def unknown_seen(grid, extent, p_free, row, col, beams, *, method="blocks"):

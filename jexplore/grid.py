@@ -148,24 +148,8 @@ def radius_d2(radius_m, cell_m):
     return math.floor((radius_m / cell_m) ** 2 + TOLERANCE)
 
 
-def cell_of(x_m, y_m, *, cell_m, origin_m=(0.0, 0.0)):
-    """The cell that holds a point.
-
-    Args:
-      x_m, y_m: point, metres; numbers or arrays of one shape.
-      cell_m: edge of a cell, metres.
-      origin_m: x and y of the lower left corner of cell (0, 0), metres.
-
-    Returns:
-      `(row, col)`, int32, of the shape of the arguments. Not checked against the size of a map.
-    """
-    row = jnp.floor((jnp.asarray(y_m) - origin_m[1]) / cell_m).astype(jnp.int32)
-    col = jnp.floor((jnp.asarray(x_m) - origin_m[0]) / cell_m).astype(jnp.int32)
-    return row, col
-
-
 def centre_of(row, col, *, cell_m, origin_m=(0.0, 0.0)):
-    """The centre of a cell: `(x_m, y_m)`, metres. The inverse of `cell_of` up to half a cell."""
+    """The centre of a cell: `(x_m, y_m)`, metres."""
     return (col + 0.5) * cell_m + origin_m[0], (row + 0.5) * cell_m + origin_m[1]
 
 

@@ -322,27 +322,6 @@ def _last_motion(cost, traversable):
     return jnp.where(jnp.any(jnp.stack(matches), axis=0), motion, jnp.int8(NO_MOTION))
 
 
-@jax.jit
-def predecessors(cost, traversable):
-    """The last motion of the shortest path to every cell.
-
-    Among several that cost the same, the first in the order of `MOTIONS`: E, N, W, S, NE, NW, SW, SE.
-
-    Args:
-      cost: `[H, W]` int32, from `reach`.
-      traversable: `[H, W]` bool, what `cost` was made from.
-
-    Returns:
-      `[H, W]` int8, index into `MOTIONS`; -1 at the start and where no path leads.
-
-    Source:
-      Holz et al. 2010, section 2.2.
-    """
-    b, t = bordered(cost, FAR), bordered(traversable, False)
-    around = [[beside(a, drow, dcol) for drow in (-1, 0, 1) for dcol in (-1, 0, 1)] for a in (b, t)]
-    return _last_motion(*(jnp.stack(a).reshape(3, 3, *cost.shape) for a in around))
-
-
 def lay_route(route, cost, traversable, start, target, origin, *, stride=1):
     """Writes the way from the start to a target into a map of motions: the path read-out.
 

@@ -7,10 +7,15 @@ from pathlib import Path
 
 os.environ["MPLBACKEND"] = "Agg"
 os.environ.pop("JEXPLORE_SMALL", None)
+# Compiling is what tests wait for, and their worlds are tiny: the cheapest code will do. It gives the same integers.
+os.environ.setdefault("XLA_FLAGS", "--xla_backend_optimization_level=0")
 
 import hypothesis
 import jax
 import pytest
+
+from jexplore.driving import batch, mission
+from jexplore.engine import devices
 
 hypothesis.settings.register_profile("jexplore", deadline=None, print_blob=True)
 hypothesis.settings.load_profile("jexplore")
@@ -45,10 +50,20 @@ def _jit_as_marked(request):
 
 @pytest.fixture(autouse=True, scope="module")
 def _garbage():
-    """What a module has traced is not looked at again by every later collection: there are millions of objects."""
+    """What a module has compiled goes with it; what it has traced is not looked at again by every later collection."""
     yield
+    devices._compiled.cache_clear()
     gc.collect()
     gc.freeze()
+
+
+@pytest.fixture(scope="module")
+def whole_runs():
+    """For modules whose robots drive whole buildings: their steps take longer than compiling, and are optimised."""
+    with pytest.MonkeyPatch.context() as patch:
+        options = (("xla_backend_optimization_level", "1"),)
+        patch.setattr(batch, "program_of", lambda room: mission.program_of(room)._replace(cpu_options=options))
+        yield
 
 
 @pytest.fixture(scope="session")

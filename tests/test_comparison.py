@@ -140,7 +140,7 @@ def stub(outcomes, **fields):
     )
     final = Final(*(np.zeros(world.shape, np.int32) for _ in range(2)), *(np.zeros(1, np.int32) for _ in range(4)), [])
     made = [batch.Outcomes(result(2, outcome=outcome, **fields), final) for outcome in outcomes]
-    return assemble(jobs, batch.Report(made, Costs(compile_s=1.0, run_s=2.0)), Rules())
+    return assemble(jobs, batch.Finished(made, Costs(compile_s=1.0, run_s=2.0)), Rules())
 
 
 def test_a_comparison_by_hand():

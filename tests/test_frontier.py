@@ -10,10 +10,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from ref import maps, plans
+from ref.definitions import frontier_cells, traversable_cells
 from scipy import ndimage
 
 from jexplore.arrays import bits
-from jexplore.frontier import clear_cells, frontier_cells, frontier_clusters, plan_masks, traversable_cells
+from jexplore.frontier import clear_cells, frontier_clusters, plan_masks
 from jexplore.grid import Grid
 
 SHAPES = ((1, 1), (1, 7), (7, 8))

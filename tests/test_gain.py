@@ -30,7 +30,7 @@ def grid_of(text, grow=(0, 0)):
 
 
 def told_of(grid, extent, row, col, lidar, cell_m=1.0, method="blocks"):
-    """`(Told, scratch)` of a look."""
+    """`(ViewGain, scratch)` of a look."""
     shape = grid.hits.shape
     beams = all_round(jax.device_put(beam_table(lidar, cell_m, shape[1])))
     where = jnp.int32(row), jnp.int32(col)

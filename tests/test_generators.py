@@ -11,7 +11,7 @@ from scipy import ndimage
 
 from jexplore.config import InputError
 from jexplore.worlds.generators.cave import _widen, cave
-from jexplore.worlds.generators.draft import Plan, bands, columns, cut, passable_cells, wall_span
+from jexplore.worlds.generators.draft import FloorPlan, bands, columns, cut, passable_cells, wall_span
 from jexplore.worlds.generators.hospital import hospital
 from jexplore.worlds.generators.maze import maze, passages
 from jexplore.worlds.generators.office import office
@@ -78,7 +78,7 @@ def assert_sound(world):
 
 
 def test_two_rooms_and_a_door():
-    plan = Plan(4.0, 3.0)
+    plan = FloorPlan(4.0, 3.0)
     left, right = plan.room((0.0, 0.0, 2.0, 3.0)), plan.room((2.0, 0.0, 4.0, 3.0))
     plan.door(left, right, 1.0)
     plan.blocks.append((1.0, 0.5, 1.5, 1.0))
@@ -98,11 +98,11 @@ def test_two_rooms_and_a_door():
 
 
 def test_a_room_of_two_rectangles_has_one_stretch_of_wall_to_each_neighbour():
-    plan = Plan(6.0, 4.0)
+    plan = FloorPlan(6.0, 4.0)
     bent = plan.room((0.0, 0.0, 6.0, 2.0), (2.0, 0.0, 4.0, 4.0))
     corner = plan.room((0.0, 2.0, 2.0, 4.0))
     assert plan.shared_walls(bent, corner) == [(False, 2.0, 0.0, 2.0), (True, 2.0, 2.0, 4.0)]
-    plan = Plan(6.0, 4.0)
+    plan = FloorPlan(6.0, 4.0)
     bent = plan.room((0.0, 0.0, 6.0, 2.0), (2.0, 0.0, 4.0, 2.0))
     above = plan.room((1.0, 2.0, 6.0, 4.0))
     assert plan.shared_walls(bent, above) == [(False, 2.0, 1.0, 6.0)]
@@ -111,7 +111,7 @@ def test_a_room_of_two_rectangles_has_one_stretch_of_wall_to_each_neighbour():
 def test_a_door_keeps_jambs_and_lets_a_robot_pass():
     for cell_m, n in ((0.1, 7), (0.05, 13), (0.2, 3), (0.3, 3)):
         assert passable_cells(cell_m) == n
-        plan = Plan(4.0, 2.0)
+        plan = FloorPlan(4.0, 2.0)
         left, right = plan.room((0.0, 0.0, 2.0, 2.0)), plan.room((2.0, 0.0, 4.0, 2.0))
         plan.door(left, right, 0.1, at=1.0)  # too narrow for any robot: widened to what passes
         world = plan.render(cell_m)
@@ -160,7 +160,7 @@ def test_bands_alternate_rooms_and_corridors():
 
 
 def test_columns_stand_clear_of_the_walls():
-    plan = Plan(10.0, 10.0)
+    plan = FloorPlan(10.0, 10.0)
     columns(plan, (0.0, 0.0, 10.0, 5.0), spacing_m=3.0, margin_m=2.0)
     middles = sorted(((x0 + x1) / 2, (y0 + y1) / 2) for x0, y0, x1, y1 in plan.blocks)
     np.testing.assert_allclose(middles, [(2, 2.5), (5, 2.5), (8, 2.5)])

@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from ref import maps, plans, rooms
+from ref.definitions import predecessors
 
 from jexplore.arrays import bits
 from jexplore.reach import (
@@ -22,7 +23,6 @@ from jexplore.reach import (
     flood,
     lay_route,
     nearest_source,
-    predecessors,
     reach,
     reach_packed,
     saturated,

@@ -14,6 +14,8 @@ from jexplore.tracemap import json_form
 from jexplore.tracemap.record import BtmMap, Link, Node
 from jexplore.tracemap.similarity import code
 
+pytestmark = pytest.mark.usefixtures("whole_runs")
+
 
 @pytest.fixture(scope="module")
 def ran(tmp_path_factory, jit_on):

@@ -82,10 +82,10 @@ class Compiler:
         self.made = {}
         self.programs = []  # what every compiled program took
 
-    def _program(self, key, about, lowering, lane_bytes):
+    def _program(self, key, about, lowering, lane_bytes, options):
         """The compiled program of a key, and what it took; `lane_bytes` makes a lane's from the compiler's account."""
         if key not in self.made:
-            program, took = compiled(lowering)
+            program, took = compiled(lowering, options)
             memory = _memory(program)
             lane = None if memory is None else int(lane_bytes(memory))
             about = {**about, **took, "memory": memory, "lane_bytes": lane}
@@ -111,6 +111,7 @@ class Compiler:
             {**_about("serial", world, strategy, site), "lanes": None, "lane_bytes_estimate": None},
             lambda: jax.jit(function).lower(*blank, *shared),
             one_episode,
+            line.program.cpu_options,
         )
 
         def run(starts):
@@ -152,6 +153,7 @@ class Compiler:
             about,
             lambda: step.lower(blank, queue, np.int32(1), common),
             lambda memory: (memory["temp"] + memory["output"] - not_lanes) / n_lanes,
+            line.program.cpu_options,
         )
 
         def run(starts):

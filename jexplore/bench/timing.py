@@ -29,17 +29,19 @@ def timed(function):
     return out, Seconds(time.perf_counter() - wall, time.process_time() - cpu)
 
 
-def compiled(lowering):
+def compiled(lowering, options=()):
     """Traces and compiles a program.
 
     Args:
       lowering: function of no arguments that returns what `jax.jit(...).lower(...)` does.
+      options: pairs of name and value, options of XLA; on a CPU only.
 
     Returns:
       The program, and what it took: a dict.
     """
     lowered, tracing = timed(lowering)
-    program, compiling = timed(lowered.compile)
+    options = dict(options) if jax.default_backend() == "cpu" else None
+    program, compiling = timed(lambda: lowered.compile(compiler_options=options))
     return program, {"trace_s": tracing.wall, "compile_s": compiling.wall, "cpu_s": tracing.cpu + compiling.cpu}
 
 

@@ -119,7 +119,7 @@ def _finish_league(out, found, report, record):
 
 
 def run_with_bar(options, jobs):
-    """Compiles and runs, with a note and a bar: a `batch.Report`."""
+    """Compiles and runs, with a note and a bar: a `batch.Finished`."""
     from jexplore.engine.backend import use_compilation_cache
     from jexplore.exploration import batch
 
@@ -137,7 +137,7 @@ def finish(out, found, report, text, figures, record):
     Args:
       out: `Out`.
       found: `Comparison`.
-      report: `batch.Report`.
+      report: `batch.Finished`.
       text: the tables.
       figures: `{name: Figure}`.
       record: called with more entries of run.json, returns all.

@@ -34,7 +34,7 @@ class Driven(NamedTuple):
     pitch: np.ndarray  # [n] float32, measured, radians
 
 
-class Report(NamedTuple):
+class Finished(NamedTuple):
     """What `run_missions` returns."""
 
     result: Result  # numpy, with a leading axis; outcome RUNNING where it was interrupted before
@@ -114,7 +114,7 @@ def run_missions(
       on_progress: called with the number of runs finished so far.
 
     Returns:
-      `Report`. After Ctrl-C it holds what was finished.
+      `Finished`. After Ctrl-C it holds what was finished.
 
     Raises:
       InputError: an engine that does not exist, lanes or workers below 1, lanes for the serial engine.
@@ -129,7 +129,7 @@ def run_missions(
     costs = run_all([line], resources, on_progress)
     kept = line.kept
     driven = None if kept is None else Driven(*(np.asarray(a)[: int(line.results.steps[0])] for a in kept))
-    return Report(line.results, driven, costs)
+    return Finished(line.results, driven, costs)
 
 
 def outcome_names(result):

@@ -94,8 +94,3 @@ def _compiled(made, tree, leaves, devices, donate, options, configuration):
     del devices, configuration  # they only tell programs apart
     lowered = jax.jit(made.function, donate_argnums=donate).lower(*jax.tree.unflatten(tree, leaves))
     return lowered.compile(compiler_options=dict(options)), lowered.out_info
-
-
-def forget_compiled():
-    """Drops what is compiled."""
-    _compiled.cache_clear()

@@ -5,7 +5,6 @@ them to fill a group, which is gathered and decides on its own; those whose run 
 from the queue, in groups as well. Results are written by their place in the queue.
 """
 
-import functools
 import math
 from typing import Any
 
@@ -289,8 +288,3 @@ class Engine:
 
 def _count(mask):
     return jnp.sum(mask, dtype=jnp.int32)
-
-
-def turns_of(program, numbers):
-    """`Engine.go_on` as a function that is compiled once for a program."""
-    return functools.partial(Engine.go_on, Engine(program, numbers))

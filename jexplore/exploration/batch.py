@@ -29,7 +29,7 @@ class Outcomes(NamedTuple):
     first: Final | None  # the map and the way of episode 0, or of the only one; None where it was interrupted before
 
 
-class Report(NamedTuple):
+class Finished(NamedTuple):
     """What `run_jobs` returns."""
 
     outcomes: list[Outcomes]  # in the order of the jobs
@@ -58,7 +58,7 @@ def run_jobs(jobs, lidar, rules, *, engine=None, kernels=None, lanes=None, worke
       only: number of the one episode of every job that is run; None: all are.
 
     Returns:
-      `Report`.
+      `Finished`.
 
     Raises:
       InputError: an engine that does not exist, lanes or workers below 1, lanes for the serial engine.
@@ -75,7 +75,7 @@ def run_jobs(jobs, lidar, rules, *, engine=None, kernels=None, lanes=None, worke
         which = resources.own(len(job.starts)) if only is None else [only]
         lines.append(line_of(sites[id(job.world)], job.strategy, job.starts, job.seed, which))
     costs = run_all(lines, resources, on_progress)
-    return Report([_outcomes(job, line) for job, line in zip(jobs, lines)], costs)
+    return Finished([_outcomes(job, line) for job, line in zip(jobs, lines)], costs)
 
 
 def _outcomes(job, line):

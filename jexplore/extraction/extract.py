@@ -11,7 +11,7 @@ import numpy as np
 
 from jexplore.config import InputError, require_number
 from jexplore.extraction.lines import components, lines_of, take_corners
-from jexplore.extraction.passages import SEARCH, Place, places_and_ways
+from jexplore.extraction.passages import SEARCH, Place, places_and_passages
 from jexplore.grid import centre_of, in_cells
 from jexplore.tracemap.record import NOWHERE, STATUS, BtmMap, Link, Node
 from jexplore.worlds.world import label_components
@@ -64,7 +64,7 @@ def extract(free, known, cell_m, *, start_rc=None, trail=None, width_m=0.39, ope
         for which, cell in cells.items()
         if cell in alive
     }
-    places, ways = places_and_ways(lines, corners, alive, terminals, open_cells=in_cells(open_m, cell_m))
+    places, ways = places_and_passages(lines, corners, alive, terminals, open_cells=in_cells(open_m, cell_m))
     first = cells.get("start", min(places, key=lambda key: places[key][:2], default=None))
     return _numbered(places, ways, first, lines, cell_m, origin_m)
 

@@ -22,7 +22,7 @@ class Place(NamedTuple):
     corners: int = 0
 
 
-class Way(NamedTuple):
+class Passage(NamedTuple):
     """A link in the making: cells from one place to another."""
 
     start: Any  # key of a place
@@ -30,7 +30,7 @@ class Way(NamedTuple):
     path: list[int]
 
 
-def places_and_ways(lines, corners, alive, terminals, *, open_cells):
+def places_and_passages(lines, corners, alive, terminals, *, open_cells):
     """The places of a graph and the ways between them.
 
     Args:
@@ -41,7 +41,7 @@ def places_and_ways(lines, corners, alive, terminals, *, open_cells):
       open_cells: clearance of free space, cells.
 
     Returns:
-      `(places, ways)`: `Place` by key, and a list of `Way`.
+      `(places, ways)`: `Place` by key, and a list of `Passage`.
     """
     near = {cell: set(lines.near[cell]) for cell in alive}
     fixed = corners.keys() | terminals.keys()
@@ -66,9 +66,9 @@ def places_and_ways(lines, corners, alive, terminals, *, open_cells):
         if start == end and len(path) <= 2 * lines.radius[path[0]]:
             continue
         if lines.known[path].all():
-            ways.append(Way(start, end, path))
+            ways.append(Passage(start, end, path))
         else:
-            ways += [Way(name[p[0]], None, p) for p in (path, path[::-1]) if lines.known[p[0]]]
+            ways += [Passage(name[p[0]], None, p) for p in (path, path[::-1]) if lines.known[p[0]]]
     return _tidied(places, ways)
 
 
@@ -123,7 +123,7 @@ def _tidied(places, ways):
             into, on = sorted((_away(way, key) for way in own), key=lambda way: way.end is None)
             if into.end is not None:
                 ways = [way for way in ways if way not in own]
-                ways.append(Way(into.end, on.end, into.path[::-1] + on.path[1:]))
+                ways.append(Passage(into.end, on.end, into.path[::-1] + on.path[1:]))
                 del places[key]
         elif len(others := {_away(way, key).end for way in own} - {key}) == 1:
             other = places.get(others.pop())
@@ -135,4 +135,4 @@ def _tidied(places, ways):
 
 def _away(way, key):
     """The way as one that starts at `key`."""
-    return way if way.start == key else Way(way.end, way.start, way.path[::-1])
+    return way if way.start == key else Passage(way.end, way.start, way.path[::-1])

@@ -74,7 +74,7 @@ def record(plan, on_progress=lambda n: None):
     """What the operator would have seen of run 0.
 
     Args:
-      plan: `tracing.Plan`.
+      plan: `tracing.TraceJob`.
       on_progress: called with the number of steps so far.
 
     Returns:

@@ -13,7 +13,7 @@ from jexplore.driving import batch, vehicle
 from jexplore.driving.batch import (
     MAX_STEPS,
     Driven,
-    Report,
+    Finished,
     building_of,
     numbers_of,
     outcome_names,
@@ -30,7 +30,7 @@ NOISE = "noise."  # names of noise begin so in a sweep
 
 
 @dataclasses.dataclass(frozen=True)
-class Plan:
+class TraceJob:
     """Runs that are to be made."""
 
     world: World
@@ -57,14 +57,14 @@ class Plan:
 class Traced:
     """What `trace` found."""
 
-    plan: Plan
+    plan: TraceJob
     table: Any
     """pandas DataFrame, a row a run."""
     first: BtmMap
     """Map of run 0."""
     driven: Driven | None
     """Way of run 0."""
-    report: Report
+    report: Finished
 
     @property
     def truth(self):
@@ -182,7 +182,7 @@ def prepare_trace(
       max_steps: steps after which a run ends as STEP_LIMIT.
 
     Returns:
-      `Plan`.
+      `TraceJob`.
 
     Raises:
       InputError: what cannot be run, in one line.
@@ -209,7 +209,7 @@ def prepare_trace(
     pose, goal = _ends(world, start, seed)
     building = building_of(world, pose, goal)
     require_start(world, building, robot)
-    return Plan(world, building, robot, tuning, noise, runs, seed, swept, count, max_steps)
+    return TraceJob(world, building, robot, tuning, noise, runs, seed, swept, count, max_steps)
 
 
 def _with(tuning, noise, values):
@@ -237,7 +237,7 @@ def execute(plan, *, engine=None, lanes=None, workers=None, on_progress=None):
     """Makes the runs of a plan.
 
     Args:
-      plan: `Plan`.
+      plan: `TraceJob`.
       engine, lanes, workers: see `runner.find_resources`; results are equal.
       on_progress: called with the number of runs finished so far.
 

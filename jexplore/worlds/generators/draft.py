@@ -116,7 +116,7 @@ class Door:
 
 
 @dataclasses.dataclass
-class Plan:
+class FloorPlan:
     """A floor plan under construction. What no room covers is solid."""
 
     width_m: float
@@ -257,7 +257,7 @@ def columns(plan, rect, *, spacing_m, side_m=0.4, margin_m=1.6):
     """Stand columns in a room on a square lattice, away from its walls.
 
     Args:
-      plan: a `Plan`.
+      plan: a `FloorPlan`.
       rect: the room.
       spacing_m: at least this far apart, metres.
       side_m: edge of a column, metres.

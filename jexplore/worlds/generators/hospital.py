@@ -1,7 +1,7 @@
 """A hospital wing: a ward round a core with the nurses' station, a hall, and a treatment wing."""
 
 from jexplore.config import require_number
-from jexplore.worlds.generators.draft import Plan, bands, columns, cut, random_stream, require_size
+from jexplore.worlds.generators.draft import FloorPlan, bands, columns, cut, random_stream, require_size
 from jexplore.worlds.world import World
 
 _KIND = 3
@@ -40,7 +40,7 @@ def hospital(
     require_number("hospital: room_m", room_m, low=3.4, high=7)
     require_size("hospital", cell_m, width_m, height_m, (32.0, 11.0))
     rng = random_stream(seed, _KIND)
-    plan = Plan(width_m, height_m)
+    plan = FloorPlan(width_m, height_m)
     stack = bands(rng, height_m, corridor_m, (1.25, 1.4))
     hall_m = rng.uniform(6.0, 8.5) if width_m > 40 else 6.0
     x0 = width_m * rng.uniform(0.45, 0.58) - hall_m / 2

@@ -3,7 +3,7 @@
 import itertools
 
 from jexplore.config import require_number
-from jexplore.worlds.generators.draft import Plan, bands, columns, cut, random_stream, require_size
+from jexplore.worlds.generators.draft import FloorPlan, bands, columns, cut, random_stream, require_size
 from jexplore.worlds.world import World
 
 _KIND = 2
@@ -40,7 +40,7 @@ def office(
     require_number("office: room_m", room_m, low=2.6, high=6)
     require_size("office", cell_m, width_m, height_m, (14.0, 9.0))
     rng = random_stream(seed, _KIND)
-    plan = Plan(width_m, height_m)
+    plan = FloorPlan(width_m, height_m)
     stack = bands(rng, height_m, corridor_m, (1.05, 1.25))
     end = width_m
     if len(stack) > 3 and width_m >= 22 and rng.random() < 0.5:
@@ -180,7 +180,7 @@ def _core(rng, plan, ends, band, corridors, kinds):
 
     Args:
       rng: numpy `Generator`.
-      plan: the `Plan`.
+      plan: the `FloorPlan`.
       ends: where the parts begin and end, alternately, metres.
       band: `(y0, y1)`.
       corridors: numbers of the corridors below and above.

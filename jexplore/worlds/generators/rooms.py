@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from jexplore.config import require_number
-from jexplore.worlds.generators.draft import Plan, random_stream, require_size
+from jexplore.worlds.generators.draft import FloorPlan, random_stream, require_size
 from jexplore.worlds.world import World
 
 _KIND = 5
@@ -42,7 +42,7 @@ def rooms(
     require_number("rooms: extra_doors", extra_doors, high=1)
     require_size("rooms", cell_m, width_m, height_m, (2 * room_m, 2 * room_m))
     rng = random_stream(seed, _KIND)
-    plan = Plan(width_m, height_m)
+    plan = FloorPlan(width_m, height_m)
     todo = [(0.0, 0.0, width_m, height_m)]
     while todo:
         rect = todo.pop()
