@@ -58,7 +58,7 @@ def test_free_space_once_entered_lasts_until_it_is_a_tenth_narrower(middle, n):
     """Clearances are to the centre of an obstacle's cell, half a cell more than is free: the bound is 30 cells."""
     spaces, mouths = spaces_of([*WIDE, *middle, *WIDE[::-1]], 30.0)
     assert len(spaces) == n
-    assert len(mouths) == n + 1  # two spaces share the neck between them
+    assert len(mouths) == 2 * n
     assert mouths[0] < 10
     assert mouths[-1] >= 10 + len(middle) + 10
 
@@ -67,28 +67,29 @@ def test_what_dips_below_the_bound_is_no_free_space_by_itself():
     assert spaces_of([5.0] * 8 + DIP + [5.0] * 8, 30.0) == ([], [])
 
 
-def branch_of(spread_deg, length=12, tip=2.0, here=20.0):
-    """Corners that are counted where a branch leaves a passage, the walls beside it at some angle."""
-    cells = [(0, k) for k in range(-20, 21)] + [(k, 0) for k in range(1, length + 1)]
+LONG, MIDDLE = 201, 100  # cells of the passage, and the one from which the branch leads
+
+
+def branch_of(spread_deg, length=12, tip=12.0, here=60.0):
+    """Corners that are counted where a branch leaves a passage, the walls beside it at some angle; and what is left."""
+    cells = [(0, k - MIDDLE) for k in range(LONG)] + [(k, 0) for k in range(1, length + 1)]
     n = len(cells)
-    middle = 20
-    near = [{i for i in (k - 1, k + 1) if 0 <= i <= 40} for k in range(41)]
-    near += [{k - 1 if k > 41 else middle, *([k + 1] if k + 1 < n else [])} for k in range(41, n)]
-    near[middle].add(41)
-    radius = [here] * 41 + np.linspace(here - 1, tip, length).tolist()
-    spread = [180.0] * 41 + [spread_deg] * length
-    lines = drawn(cells, near, radius, spread)
-    return take_corners(lines), len(lines.near[middle])
+    near = [{i for i in (k - 1, k + 1) if 0 <= i < LONG} for k in range(LONG)]
+    near += [{k - 1 if k > LONG else MIDDLE, *([k + 1] if k + 1 < n else [])} for k in range(LONG, n)]
+    near[MIDDLE].add(LONG)
+    radius = [here] * LONG + np.linspace(here - 1, tip, length).tolist()
+    lines = drawn(cells, near, radius, [180.0] * LONG + [spread_deg] * length)
+    return take_corners(lines), len(lines.near[MIDDLE])
 
 
-@pytest.mark.parametrize(("spread_deg", "corners"), [(90, {20: 1}), (40.5, {20: 1}), (39.5, {}), (10, {})])
+@pytest.mark.parametrize(("spread_deg", "corners"), [(90, {100: 1}), (40.5, {100: 1}), (39.5, {}), (10, {})])
 def test_a_branch_to_a_wall_is_a_corner_from_forty_degrees_on(spread_deg, corners):
-    found, left = branch_of(spread_deg, tip=12.0, here=60.0)
+    found, left = branch_of(spread_deg)
     assert found == corners
     assert left == 2  # either way it is taken off
 
 
 def test_a_branch_between_walls_that_face_each_other_is_a_passage():
-    found, left = branch_of(178, length=40, tip=18.0)
+    found, left = branch_of(178, length=80)
     assert (found, left) == ({}, 3)
     assert math.isclose(180, bearing_deg(drawn([(0, 1), (0, 0)], [{1}, {0}], 1), 0, 1))

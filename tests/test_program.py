@@ -135,7 +135,7 @@ def test_what_lanes_share_is_not_gathered_and_what_deciding_hands_on_is_not_copi
     lines = some_lines()[:2]
     with jax.disable_jit(False):
         group = Group(lines, jax.local_devices()[:1])
-        queue = jax.tree.map(lambda a: a[0], group.queue())
+        queue = jax.tree.map(lambda a: jnp.asarray(a[0]), group.queue())
         engine = Engine(WALKS, lines[0].numbers)
         lanes = jax.eval_shape(lambda q, c: engine.empty(q, c, n_lanes=8), queue, group.common)
         blank = jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), lanes)
