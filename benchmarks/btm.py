@@ -165,7 +165,7 @@ def speed(runs):
     found = traced("course", runs=runs, noise=Noise(range_m=0.01))
     steps, rate = found.table["steps"].mean(), runs / found.report.costs.run_s
     each = f"{1e6 * WORKERS / rate / steps:.0f}"
-    row(runs, 0.01, f"{rate:.1f}", f"{steps:.0f}", each, f"{found.report.compile_s:.1f}")
+    row(runs, 0.01, f"{rate:.1f}", f"{steps:.0f}", each, f"{found.report.costs.compile_s:.1f}")
 
 
 def main():

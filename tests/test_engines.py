@@ -11,9 +11,9 @@ import jax
 import numpy as np
 import pytest
 from ref import maps
-from ref.jobs import LIDAR, RULES, digest, some_jobs
+from ref.jobs import LIDAR, RULES, digest, few, some_jobs
 
-from jexplore.config import InputError
+from jexplore.config import InputError, Rules
 from jexplore.engine import lockstep, serial
 from jexplore.exploration.batch import Job, run_jobs
 from jexplore.exploration.site import KERNELS, Kernels, line_of, prepare_site
@@ -104,6 +104,8 @@ for engine in sys.argv[3:]:
     lanes = 3 if engine == "lockstep" else None
     report = run_jobs(t.some_jobs(), t.LIDAR, t.RULES, engine=engine, lanes=lanes)
     found.append([engine, report.costs.devices, t.digest(report)])
+    if not setting.startswith("devices"):
+        found.append(t.few(run_jobs, engine))
 print(json.dumps(found))
 """
 
@@ -134,7 +136,22 @@ def test_processes_share_the_work_and_all_have_all_of_it(want):
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
     both = [child(f"{port},{i}", "serial") for i in range(2)]
-    assert [answer(process) for process in both] == [[["serial", 2, digest(want)]]] * 2
+    alone = few(run_jobs, "serial")
+    assert len(set(alone)) == 4
+    assert [answer(process) for process in both] == [[["serial", 2, digest(want)], alone]] * 2
+
+
+@pytest.mark.jit
+def test_programs_that_differ_in_what_is_fixed_are_told_apart_in_one_process():
+    """Clearance is no array: in one process, lockstep must compile anew for each."""
+    job, paths = some_jobs()[0], []
+    job = job._replace(starts=job.starts[:2])
+    for clearance_m in (0.1, 0.3):
+        rules = Rules(max_plans=6, clearance_m=clearance_m)
+        both = [run_jobs([job], LIDAR, rules, engine=engine) for engine in ("serial", "lockstep")]
+        assert_equal(*both)
+        paths.append(both[0].outcomes[0].result.known.tolist())
+    assert paths[0] != paths[1]
 
 
 # ---------------------------------------------------------------- runs that end early

@@ -123,7 +123,7 @@ def test_one_run_of_many_can_be_made_alone():
     whole, _ = run(engine="serial", workers=1)
     for engine in ("serial", "lockstep"):
         (line, *_) = some_lines()
-        line.which = np.array([7], np.int32)
+        line.which, line.keeps = np.array([7], np.int32), 7
         run_all([line], find_resources(engine=engine))
         assert line.finished.tolist() == [i == 7 for i in range(10)]
         assert line.results["at"][7] == whole[0].results["at"][7]

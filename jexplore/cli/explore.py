@@ -46,10 +46,12 @@ class Explore:
     def execute(self, arguments):
         """Runs the command; returns the exit status, None for 0."""
         from jexplore.report import plot, store
+        from jexplore.studies.checks import MAX_EPISODES
         from jexplore.studies.explore import prepare_job, run_job
 
         out = Out(self, "explore")
         require_whole("frames", self.frames, 1, 10_000)
+        require_whole("number", self.number, 0, MAX_EPISODES - 1)
         job = prepare_job(
             self.world,
             self.strategy,

@@ -125,7 +125,7 @@ def run_missions(
     draws = np.asarray(draws, np.int32)
     settings = dataclasses.replace(robots, name=""), tunings, noises  # a name would make another program
     program = program_of(max(max_steps, MAX_STEPS))
-    line = Line(program, (), building, np.int32(max_steps), seed, settings, resources.own(len(draws)), draws)
+    line = Line(program, (), building, np.int32(max_steps), seed, settings, resources.own(len(draws)), draws=draws)
     costs = run_all([line], resources, on_progress)
     kept = line.kept
     driven = None if kept is None else Driven(*(np.asarray(a)[: int(line.results.steps[0])] for a in kept))

@@ -1,7 +1,7 @@
 """One autonomous run: a robot drives through a building with height and writes its Behavioral Trace Map.
 
 The building is walls and ground; the robot is a unicycle on two rigid tracks with a scanner that looks ahead, one that
-looks down, an attitude sensor and encoders. One jitted function of building, robot, thresholds, noise and key.
+looks down, an attitude sensor and encoders. A run is a program of the engine.
 """
 
 import dataclasses
@@ -317,8 +317,8 @@ def begin(setup, given):
 
     Args:
       setup: `Setup`. Static.
-      given: `engine.Given`: key of the run, step i takes `draw(fold_in(key, i))`; the scenes are `Building`s; the
-        number is the step after which it ends as `STEP_LIMIT`, int32; the task is `(Robot, Tuning, Noise)`, whose
+      given: `engine.program.Given`: key of the run, step i takes `draw(fold_in(key, i))`; the scenes are `Building`s;
+        the number is the step after which it ends as `STEP_LIMIT`, int32; the task is `(Robot, Tuning, Noise)`, whose
         numbers are arrays.
 
     Returns:
@@ -330,7 +330,10 @@ def begin(setup, given):
 
 
 def advance(setup, given, state):
-    """One step of a run: a `State`. Arguments as for `begin`."""
+    """One step of a run: a `State`. Arguments as for `begin`.
+
+    A run that is done writes on beyond its last step, where nobody looks.
+    """
     del setup
     building, (robot, tuning, noise) = given.own_scene, given.task
     block = run_if(state.step % BLOCK == 0, lambda _: _draws_from(given.key, state.step), state.draws)

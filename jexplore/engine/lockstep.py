@@ -127,13 +127,13 @@ class Group:
     def run(self, n_lanes, costs, on_progress):
         """Makes what is left in so many lanes."""
         began = time.perf_counter()
-        queue, program, devices = parted(self.queue(), self.devices), self.engine.program, self.devices
-        begin, shapes = compiled(self._empty(n_lanes), ("empty", program, n_lanes), (queue, self.common), devices)
+        queue, kind, devices = parted(self.queue(), self.devices), self.lines[0].kind, self.devices
+        begin, shapes = compiled(self._empty(n_lanes), ("empty", kind, n_lanes), (queue, self.common), devices)
         lanes, turns = begin(queue, self.common), jnp.full(len(devices), FIRST_TURNS, jnp.int32)
         function = on_devices(self.engine.go_on, devices, 3)
         arguments = lanes, queue, parted(turns, devices), self.common
-        options = program.cpu_options
-        step, _ = compiled(function, ("go on", program), arguments, devices, donate=(0,), cpu_options=options)
+        options = self.engine.program.cpu_options
+        step, _ = compiled(function, ("go on", kind), arguments, devices, donate=(0,), cpu_options=options)
         for line in self.lines:
             line.make_room(jax.tree.map(lambda a: jax.ShapeDtypeStruct(a.shape[2:], a.dtype), shapes.results))
         costs.compile_s += time.perf_counter() - began

@@ -72,6 +72,7 @@ class Line:
     seed: int
     tasks: Any  # pytree of `[N, ...]` numpy arrays
     which: np.ndarray  # [n] int32, numbers of the runs that are to be made here; ascending
+    keeps: int = 0  # number of the run of which more than the result is kept; where it is made, it is the first
     draws: Any = None  # [N] int32, what makes a run's key, with the seed; by default its number
     results: Any = dataclasses.field(default=None, init=False)  # pytree of `[N, ...]` numpy arrays; zeros where unknown
     finished: np.ndarray = dataclasses.field(init=False)  # [N] bool
@@ -93,11 +94,6 @@ class Line:
         with self.lock:
             jax.tree.map(lambda all_, new: all_.__setitem__(which, new), self.results, results)
             self.finished[which] = True
-
-    @property
-    def keeps(self):
-        """Number of the run of which more than the result is kept: 0, or that of the only one that is made."""
-        return int(self.which[0]) if len(self.which) == 1 else 0
 
     @property
     def left(self):

@@ -72,8 +72,8 @@ def run_jobs(jobs, lidar, rules, *, engine=None, kernels=None, lanes=None, worke
             sites[id(job.world)] = prepare_site(job.world, lidar, rules, kernels)
     lines = []
     for job in jobs:
-        which = resources.own(len(job.starts)) if only is None else [only]
-        lines.append(line_of(sites[id(job.world)], job.strategy, job.starts, job.seed, which))
+        which = resources.own(len(job.starts)) if only is None else [only] * (resources.process == 0)
+        lines.append(line_of(sites[id(job.world)], job.strategy, job.starts, job.seed, which, keeps=only or 0))
     costs = run_all(lines, resources, on_progress)
     return Finished([_outcomes(job, line) for job, line in zip(jobs, lines)], costs)
 

@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 
-from jexplore.exploration.episode import PERCENTILES, Outcome
 from jexplore.exploration.motion import EIGHTH_TURN_RAD
+from jexplore.exploration.state import PERCENTILES, Outcome
 
 UNKNOWN, FREE, OCCUPIED = 0, 1, 2
 
@@ -48,7 +48,7 @@ def columns(result, starts, *, seed, cell_m, has_rooms):
     """The columns of a table of episodes: one entry an episode.
 
     Args:
-      result: `episode.Result` of numpy arrays with a leading axis N.
+      result: `state.Result` of numpy arrays with a leading axis N.
       starts: `[N, 3]` int, row, col, heading in degrees.
       seed: of the run.
       cell_m: edge of a cell, metres.

@@ -111,7 +111,7 @@ def prepare_site(world, lidar, rules, kernels):
     return Site(truth, beam_table(lidar, world.cell_m, shape[1]), setup, numbers)
 
 
-def line_of(site, strategy, starts, seed, which):
+def line_of(site, strategy, starts, seed, which, *, keeps=0):
     """The `Line` of a strategy's episodes.
 
     Args:
@@ -120,8 +120,9 @@ def line_of(site, strategy, starts, seed, which):
       starts: `[N, 3]` int, row, col, heading_deg (multiples of 45).
       seed: int.
       which: `[n]` int, numbers of the episodes to be run here.
+      keeps: number of the episode whose map and way are kept.
     """
     starts = np.array(starts, np.int32)
     starts[:, 2] //= 45
     setup, numbers = site.with_strategy(strategy)
-    return Line(program_of(setup), site.beams, site.truth, numbers, seed, starts, which)
+    return Line(program_of(setup), site.beams, site.truth, numbers, seed, starts, which, keeps)

@@ -28,7 +28,7 @@ class Stop:
     """A place that becomes a node of the topology."""
 
     type: str
-    """As `btm_map.Node.type`."""
+    """As `tracemap.record.Node.type`."""
     heading: int
     """In which the robot comes."""
     lane: tuple[float, float]
