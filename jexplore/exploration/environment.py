@@ -256,8 +256,8 @@ def begin(setup, given):
     Args:
       setup: `Setup`. Static.
       given: `engine.program.Given`: key of the episode, consumed by all of its parts together, each drawing from
-        streams of its own; `Beams` with 8 headings shared; `Truth` of M worlds; `Numbers`; the task is the start, `[3]` int32,
-        row, col and heading (units of 45 degrees).
+        streams of its own; `Beams` with 8 headings shared; `Truth` of M worlds; `Numbers`; the task is the start,
+        `[3]` int32, row, col and heading (units of 45 degrees).
 
     Returns:
       `State`.
