@@ -107,9 +107,10 @@ class Trace:
             except KeyboardInterrupt:
                 print("warning: interrupted, btm.html was left out", file=sys.stderr)
         text = trace_tables.tables(found.first) + "\n" + "\n".join(trace_tables.summary(found))
-        rate = len(found.table) / found.report.costs.run_s
-        entries = {"runs_per_s": rate, "compile_s": found.report.costs.compile_s, "run_s": found.report.costs.run_s}
-        return _finish_trace(out, out.record(arguments, self, **entries), files, text, found.report.costs.interrupted)
+        costs = found.report.costs
+        names = ("compile_s", "run_s", "engine", "devices", "lanes", "useful")
+        entries = {"runs_per_s": len(found.table) / costs.run_s, **{name: getattr(costs, name) for name in names}}
+        return _finish_trace(out, out.record(arguments, self, **entries), files, text, costs.interrupted)
 
 
 def _drawn(found):
