@@ -3,12 +3,7 @@
 import dataclasses
 
 from jexplore.cli.console import Out, progress_of
-from jexplore.cli.options import (
-    Number,
-    Numbers,
-    OutFolder,
-    OwnNames,
-)
+from jexplore.cli.options import Number, Numbers, OutFolder, OwnNames
 
 
 @dataclasses.dataclass(frozen=True)

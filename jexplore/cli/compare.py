@@ -7,14 +7,7 @@ from typing import Literal
 
 from jexplore.cli.console import Out, note, say, working
 from jexplore.cli.listings import describe
-from jexplore.cli.options import (
-    STRATEGIES,
-    EngineName,
-    OutFolder,
-    OwnNames,
-    default_worlds,
-    is_small,
-)
+from jexplore.cli.options import STRATEGIES, EngineName, OutFolder, OwnNames, default_worlds, is_small
 from jexplore.config import InputError, Lidar, Rules
 
 FINISHING = "jexplore: computing statistics and drawing"

@@ -6,11 +6,7 @@ from typing import Annotated
 import tyro
 
 from jexplore.cli.console import COMPILING, Out, note, progress_of
-from jexplore.cli.options import (
-    OneStrategy,
-    OneWorld,
-    OutFolder,
-)
+from jexplore.cli.options import OneStrategy, OneWorld, OutFolder
 from jexplore.config import InputError, Lidar, Rules, require_whole
 
 

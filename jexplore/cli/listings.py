@@ -6,9 +6,7 @@ from typing import Annotated
 import tyro
 
 from jexplore.cli.console import Out, note
-from jexplore.cli.options import (
-    OutFolder,
-)
+from jexplore.cli.options import OutFolder
 
 
 @dataclasses.dataclass(frozen=True)

@@ -8,11 +8,7 @@ import tyro
 
 from jexplore.cli.compare import FINISHING, finish, run_with_bar
 from jexplore.cli.console import Out, note
-from jexplore.cli.options import (
-    EngineName,
-    OutFolder,
-    is_small,
-)
+from jexplore.cli.options import EngineName, OutFolder, is_small
 from jexplore.config import Lidar, Rules
 
 

@@ -6,9 +6,7 @@ from typing import Annotated, Literal
 import tyro
 
 from jexplore.cli.console import Out, working
-from jexplore.cli.options import (
-    OutFolder,
-)
+from jexplore.cli.options import OutFolder
 from jexplore.config import InputError
 
 

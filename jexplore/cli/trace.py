@@ -8,12 +8,7 @@ from typing import Annotated
 import tyro
 
 from jexplore.cli.console import COMPILING, Out, note, say, working
-from jexplore.cli.options import (
-    EngineName,
-    OneStrategy,
-    OneWorld,
-    OutFolder,
-)
+from jexplore.cli.options import EngineName, OneStrategy, OneWorld, OutFolder
 from jexplore.config import InputError
 from jexplore.driving.settings import Noise, Tuning
 
