@@ -1,6 +1,7 @@
 """Settings of all tests: no jit unless marked `jit`, one folder of compiled programs, no display."""
 
 import contextlib
+import ctypes
 import gc
 import os
 from pathlib import Path
@@ -8,7 +9,7 @@ from pathlib import Path
 os.environ["MPLBACKEND"] = "Agg"
 os.environ.pop("JEXPLORE_SMALL", None)
 # Compiling is what tests wait for, and their worlds are tiny: the cheapest code will do. It gives the same integers.
-os.environ.setdefault("XLA_FLAGS", "--xla_backend_optimization_level=0")
+os.environ.setdefault("XLA_FLAGS", "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false")
 
 import hypothesis
 import jax
@@ -19,6 +20,12 @@ from jexplore.engine import devices
 
 hypothesis.settings.register_profile("jexplore", deadline=None, print_blob=True)
 hypothesis.settings.load_profile("jexplore")
+
+
+try:  # the C library keeps what is freed, in pieces; this gives it back
+    _trim = ctypes.CDLL(None).malloc_trim
+except AttributeError:  # another C library
+    _trim = int
 
 
 def pytest_configure(config):
@@ -53,15 +60,16 @@ def _garbage():
     """What a module has compiled goes with it; what it has traced is not looked at again by every later collection."""
     yield
     devices._compiled.cache_clear()
+    jax.clear_caches()
     gc.collect()
-    gc.freeze()
+    _trim(0)
 
 
 @pytest.fixture(scope="module")
 def whole_runs():
     """For modules whose robots drive whole buildings: their steps take longer than compiling, and are optimised."""
     with pytest.MonkeyPatch.context() as patch:
-        options = (("xla_backend_optimization_level", "1"),)
+        options = (("xla_backend_optimization_level", "1"), ("xla_cpu_use_fusion_emitters", True))
         patch.setattr(batch, "program_of", lambda room: mission.program_of(room)._replace(cpu_options=options))
         yield
 

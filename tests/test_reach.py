@@ -381,7 +381,10 @@ def test_a_flood_reaches_what_has_a_cost(place):
 
 @pytest.mark.jit
 def test_a_flood_has_no_limit_of_cost_and_keeps_its_start():
-    assert FLOOD(jnp.ones((1, 16390), bool), 0, 0).all()
+    winding = np.ones((183, 183), bool)  # one corridor that turns back and forth
+    winding[1::4, :-1], winding[3::4, 1:] = False, False
+    assert winding.sum() > FAR // STRAIGHT  # longer than any cost
+    np.testing.assert_array_equal(FLOOD(jnp.asarray(winding), 0, 0), winding)
     assert np.argwhere(FLOOD(jnp.zeros((3, 3), bool), 1, 2)).tolist() == [[1, 2]]
 
 

@@ -89,13 +89,17 @@ def require_start(world, building, robot):
 
 
 def numbers_of(record, n):
-    """A record of settings as arrays with a leading axis of n: whole numbers int32, others float32."""
+    """A record of settings as arrays with a leading axis of n: what is declared as an int int32, others float32, so
+    that 0 and 0.0 share a program.
+    """
 
-    def wide(value):
-        value = number(value)
+    def wide(field):
+        value = number(getattr(record, field.name))
+        value = value if field.type is int else value.astype(np.float32)
         return np.broadcast_to(value, (n,)) if value.ndim == 0 else value
 
-    return jax.tree.map(wide, record)
+    fields = [field for field in dataclasses.fields(record) if field.type is not str]
+    return dataclasses.replace(record, **{field.name: wide(field) for field in fields})
 
 
 def run_missions(
