@@ -14,6 +14,10 @@ from typing import Any
 class InputError(ValueError):
     """Wrong input from outside: a file, a name, a number. The message is one line that says what would be right."""
 
+    def _render_traceback_(self):
+        """What a notebook shows instead of a traceback: the one line."""
+        return [f"{type(self).__name__}: {self}"]
+
 
 def require_whole(name, value, low, high):
     """`value` as an int within the bounds, both inclusive.

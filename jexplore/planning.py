@@ -45,20 +45,19 @@ class Belief:
     row: Array  # int32, the robot's cell, as estimated
     col: Array  # int32
     heading: Array  # int32, units of 45 degrees, likewise
+    start: Array  # [3] int32, row, col and heading at the beginning
     extent: Array  # [2] int32, height and width of the world without padding
     model: MapModel
 
 
 @struct.dataclass
 class Choice:
-    """A target and what it costs to get there."""
+    """A target and what it costs to get there. One of a cost of FAR is refused."""
 
     row: Array  # int32; -1: there is no target
     col: Array  # int32; -1: there is no target
-    cost: Array  # int32, see reach.py; FAR: there is no target
-    saturated: (
-        Array  # int32, if there is no target: cells out of reach because their cost does not fit (`reach.saturated`)
-    )
+    cost: Array  # int32, see reach.py; FAR: there is no target, or no path leads to it
+    saturated: Any = np.int32(0)  # int32, without a target: cells whose cost does not fit (`reach.saturated`)
     is_view: Any = np.bool_(False)  # bool, whether it is a view point: live while `Policy.live` says so
     overflow: Any = np.int32(
         0
@@ -72,6 +71,49 @@ class Field:
     traversable: Array  # [H, W] bool
     cost: Array  # [H, W] int32
     candidates: Array  # [H, W] bool, reachable frontier cells that are not exhausted
+
+
+@struct.dataclass
+class View:
+    """What a strategy sees of a belief."""
+
+    cost: Array  # [H, W] int32, of the shortest path to every cell (see reach.py); FAR where none leads
+    path_m: Array  # [H, W] float32, the same in metres; inf where none leads
+    frontier: Array  # [H, W] bool, frontier cells that can be reached and are not exhausted
+    belief: Belief
+
+
+def metres(cost, cell_m):
+    """A path's cost (see reach.py) as a length, metres: float32."""
+    return cost.astype(jnp.float32) * (cell_m / STRAIGHT)
+
+
+def view_of(belief, known):
+    """The `View` of a belief, from its `Field`."""
+    path_m = jnp.where(known.cost < FAR, metres(known.cost, belief.model.cell_m), jnp.inf)
+    return View(known.cost, path_m, known.candidates, belief)
+
+
+def is_open(belief, row, col):
+    """Whether a robot would step into a cell: it is free as far as is known, or was driven on: bool.
+
+    Args:
+      belief: `Belief`.
+      row, col: int32, inside the map.
+    """
+    hits, misses = (a[row, col] for a in (belief.grid.hits, belief.grid.misses))
+    free = (hits + misses > 0) & (hits.astype(jnp.float32) <= belief.model.p_free * (hits + misses).astype(jnp.float32))
+    return free | belief.driven[row, col]
+
+
+def is_live(belief, row, col):
+    """Whether a cell is 8-adjacent to an unknown cell: bool."""
+    height, width = belief.driven.shape
+    r = row + jnp.asarray([-1, -1, -1, 0, 0, 1, 1, 1], jnp.int32)
+    c = col + jnp.asarray([-1, 0, 1, -1, 1, -1, 0, 1], jnp.int32)
+    inside = (r >= 0) & (r < belief.extent[0]) & (c >= 0) & (c < belief.extent[1])
+    r, c = jnp.clip(r, 0, height - 1), jnp.clip(c, 0, width - 1)
+    return jnp.any(inside & ((belief.grid.hits[r, c] | belief.grid.misses[r, c]) == 0))
 
 
 def _masks(belief, origin=(0, 0)):

@@ -27,6 +27,7 @@ def believe(hits, misses, row, col, *, driven=None, exhausted=None, extent=None,
         row=jnp.int32(row),
         col=jnp.int32(col),
         heading=jnp.int32(0),
+        start=jnp.asarray([row, col, 0], jnp.int32),
         extent=jnp.asarray(shape if extent is None else extent, jnp.int32),
         model=MapModel(jnp.float32(0.25), jnp.int32(near_d2), jnp.float32(0.1), clearance_d2),
     )

@@ -16,12 +16,13 @@ from jexplore.exploration import trail
 from jexplore.exploration.motion import motion_step, turn_between
 from jexplore.exploration.state import Outcome, State, Stream, no_counts
 from jexplore.frontier import disc
-from jexplore.grid import count, empty_grid
-from jexplore.planning import Belief
+from jexplore.grid import count, empty_grid, is_known
+from jexplore.planning import Belief, is_live, is_open
 from jexplore.raycast import disturb, fold, scan
-from jexplore.reach import NO_MOTION, flood
+from jexplore.reach import FAR, NO_MOTION, flood
 
 STRIDE = 16  # cells by which the square moves in which known cells are counted
+BAD_TARGETS = 3  # targets in a row that no path leads to, and an episode ends
 LOOK_AROUND = 3  # scans after a turn in place, 90 degrees apart
 
 
@@ -67,16 +68,6 @@ def _stacked(given, maps):
     return maps.reshape(-1, maps.shape[-1]), given.scene * maps.shape[-2]
 
 
-def _is_live(belief, row, col):
-    """Whether a cell is 8-adjacent to an unknown cell: bool."""
-    height, width = belief.driven.shape
-    r = row + jnp.asarray([-1, -1, -1, 0, 0, 1, 1, 1], jnp.int32)
-    c = col + jnp.asarray([-1, 0, 1, -1, 1, -1, 0, 1], jnp.int32)
-    inside = (r >= 0) & (r < belief.extent[0]) & (c >= 0) & (c < belief.extent[1])
-    r, c = jnp.clip(r, 0, height - 1), jnp.clip(c, 0, width - 1)
-    return jnp.any(inside & ((belief.grid.hits[r, c] | belief.grid.misses[r, c]) == 0))
-
-
 def _mark(mask, rows, cols, when: Array | bool = True):
     """The mask with some cells set where `when`; a scatter, because it updates the mask in place."""
     outside = mask.shape[0]  # a row that is not there: dropped
@@ -94,11 +85,9 @@ def _move(given, state):
     at_limit = state.walking & ~looking & (state.steps >= given.numbers.max_steps)
     motion = state.route[belief.row, belief.col]
     drow, dcol, heading = motion_step(motion)
-    hits, misses = (a[belief.row + drow, belief.col + dcol] for a in (belief.grid.hits, belief.grid.misses))
-    free = (hits + misses > 0) & (hits.astype(jnp.float32) <= belief.model.p_free * (hits + misses).astype(jnp.float32))
     occupied, base = _stacked(given, given.scenes.occupied)
     wall = occupied[base + state.row + drow, state.col + dcol]
-    blocked = wall | ~(free | belief.driven[belief.row + drow, belief.col + dcol])
+    blocked = wall | ~is_open(belief, belief.row + drow, belief.col + dcol)
     ahead = state.walking & ~looking & ~at_limit
     steps, refused = ahead & ~blocked, ahead & blocked
     diagonal = steps & (drow != 0) & (dcol != 0)
@@ -175,7 +164,7 @@ def advance(setup, given, state):
     state = state.replace(belief=belief.replace(driven=_mark(belief.driven, *beside, walking)))
     state = trail.note_step(_sense(setup, given, state, walking), walking)
     here = (belief.row == state.target[0]) & (belief.col == state.target[1])
-    live = _is_live(state.belief, *state.target)
+    live = is_live(state.belief, *state.target)
     if setup.policy.live is not None:
         asked = state.is_view & state.walking & (numbers.recheck | here)
 
@@ -203,32 +192,40 @@ def decide(setup, given, state):
     return setup.policy.select(key, given.numbers.params, state.carry, state.belief, given.shared, state.route)
 
 
-def commit(given, state, choice, route):
+def commit(given, state, choice, route, live: Array | bool = True):
     """Makes a choice the plan and makes its first motion; none ends the episode as complete, as far as is known here.
+
+    A target that no path leads to is refused: the strategy is asked again, and the third in a row ends the episode.
 
     Args:
       given, state: as for `decide`.
       choice: `planning.Choice`.
       route: `[H, W]` int8, motions from the robot's cell to the target (`reach.lay_route`).
+      live: bool, whether a look from the target is worth while: of a strategy's target it always is.
 
     Returns:
       `State`.
     """
     none = choice.row < 0
-    state = trail.note_choice(state, choice).replace(
+    bad = ~none & (choice.cost >= FAR)
+    bad_targets = jnp.where(bad, state.bad_targets + 1, 0)
+    state = trail.note_choice(state, choice, bad).replace(
         route=route,
         target=jnp.stack([choice.row, choice.col]),
         is_view=jnp.asarray(choice.is_view),
         overflow=state.overflow + choice.overflow,
         plans=state.plans + 1,
         saturated=choice.saturated,
-        walking=~none,
+        bad_targets=bad_targets,
+        walking=~none & ~bad,
         bumped=jnp.int32(NO_MOTION),
-        outcome=jnp.where(none, Outcome.COMPLETE, state.outcome),
+        outcome=jnp.where(
+            none, Outcome.COMPLETE, jnp.where(bad_targets >= BAD_TARGETS, Outcome.BAD_TARGET, state.outcome)
+        ),
     )
-    # A path of length 0 is an arrival, at a target that is live or would not have been chosen.
-    here = (state.belief.row == choice.row) & (state.belief.col == choice.col)
-    return _limit_plans(given.numbers, _move(given, _arrive(state, here, True, given.numbers)))
+    # A path of length 0 is an arrival.
+    here = (state.belief.row == choice.row) & (state.belief.col == choice.col) & ~bad
+    return _limit_plans(given.numbers, _move(given, _arrive(state, here, live, given.numbers)))
 
 
 def _find_goal(given, row, col):
@@ -250,6 +247,29 @@ def _find_goal(given, row, col):
     return goal, occupied[row, col] | ~jnp.any(goal & bits.pack((rows != row) | (cols != col)))
 
 
+def blank_belief(given):
+    """The `Belief` of a robot that has seen nothing yet; `given` as for `begin`."""
+    truth, (row, col, heading) = given.scenes, given.task
+    flags = jnp.zeros(truth.occupied.shape[1:], bool)
+    return Belief(
+        grid=empty_grid(flags.shape),
+        driven=_mark(flags, row, col),
+        exhausted=flags,
+        row=row,
+        col=col,
+        heading=heading,
+        start=jnp.stack([row, col, heading]),
+        extent=truth.extent[given.scene],
+        model=given.numbers.model,
+    )
+
+
+def outcome_of(state):
+    """How an episode has ended: `COMPLETE` becomes `BLOCKED` where something that should be known is not. int32."""
+    missed = (state.outcome == Outcome.COMPLETE) & jnp.any(state.goal & ~bits.pack(is_known(state.belief.grid)))
+    return jnp.where(missed, Outcome.BLOCKED, state.outcome)
+
+
 def begin(setup, given):
     """An episode that has made its first scans.
 
@@ -262,33 +282,23 @@ def begin(setup, given):
     Returns:
       `State`.
     """
-    numbers, truth, (row, col, heading) = given.numbers, given.scenes, given.task
+    truth, (row, col, _) = given.scenes, given.task
     shape = truth.occupied.shape[1:]
     goal, stuck = _find_goal(given, row, col)
-    flags = jnp.zeros(shape, bool)
-    belief = Belief(
-        grid=empty_grid(shape),
-        driven=_mark(flags, row, col),
-        exhausted=flags,
-        row=row,
-        col=col,
-        heading=heading,
-        extent=truth.extent[given.scene],
-        model=numbers.model,
-    )
+    belief = blank_belief(given)
     rooms, base = _stacked(given, truth.rooms)
     room = rooms[base + row, col]
     steps, choices = trail.blank(setup.capacity)
     state = State(
         row=row,
         col=col,
-        heading=heading,
+        heading=belief.heading,
         belief=belief,
         goal=goal,
         route=jnp.full(shape, NO_MOTION, jnp.int8),
         trail=steps,
         choices=choices,
-        carry=setup.policy.init(numbers.params, belief),
+        carry=setup.policy.init(given.numbers.params, belief),
         target=jnp.full((2,), -1, jnp.int32),
         is_view=jnp.bool_(False),
         walking=jnp.bool_(False),

@@ -3,7 +3,6 @@
 import jax.numpy as jnp
 from jax import lax
 
-from jexplore.arrays import bits
 from jexplore.engine.program import Program
 from jexplore.exploration import environment
 from jexplore.exploration.state import PERCENTILES, Outcome, Result
@@ -40,7 +39,6 @@ def finish(setup, given, state):
 
     occupied, region = own(truth.occupied), own(truth.region)
     known = is_known(state.belief.grid)
-    missed = (state.outcome == Outcome.COMPLETE) & jnp.any(state.goal & ~bits.pack(known))
     cell = state.trail[:, Trail.SPOT] // 4
     explorable = (region == region[cell[0] // shape[1], cell[0] % shape[1]]) & ~occupied
     steps = state.steps
@@ -59,7 +57,7 @@ def finish(setup, given, state):
         scans=state.scans,
         plans=state.plans,
         exhausted=state.exhausted,
-        outcome=jnp.where(missed, Outcome.BLOCKED, state.outcome),
+        outcome=environment.outcome_of(state),
         known=state.known,
         explored=jnp.sum(explorable & known, dtype=jnp.int32),
         explorable=jnp.sum(explorable, dtype=jnp.int32),

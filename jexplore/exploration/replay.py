@@ -32,9 +32,9 @@ _advance = jax.jit(environment.advance, static_argnums=0)
 
 
 @jax.jit
-def _commit(given, state, row, col, is_view, route):
-    nothing = jnp.int32(0)
-    return environment.commit(given, state, Choice(row, col, jnp.int32(FAR), nothing, is_view, nothing), route)
+def _commit(given, state, row, col, is_view, is_bad, route):
+    cost = jnp.where(is_bad, FAR, 0)  # what it cost is on no record; only whether a path led there matters
+    return environment.commit(given, state, Choice(row, col, cost, is_view=is_view), route)
 
 
 _candidates = jax.jit(lambda belief: field(belief).candidates)
@@ -90,8 +90,8 @@ def turns(site, strategy, start, seed, number, plans):
 
     for plan in plans:
         belief, route = state.belief, _route(state, plan.motions)
-        row, col = (-1, -1) if plan.target is None else plan.target
-        state = _commit(given, state, np.int32(row), np.int32(col), np.bool_(plan.is_view), route)
+        row, col = plan.target or ((0, 0) if plan.is_bad else (-1, -1))
+        state = _commit(given, state, *np.array([row, col], np.int32), np.bool_(plan.is_view), plan.is_bad, route)
         yield Turn(belief, plan, carried_out())
 
 

@@ -10,11 +10,13 @@ import numpy as np
 from jexplore import raycast, reach
 from jexplore.arrays.padding import bucket, number
 from jexplore.config import InputError
-from jexplore.engine.program import Line
+from jexplore.engine.program import Given, Line
+from jexplore.exploration import environment
 from jexplore.exploration.episode import program_of
 from jexplore.exploration.state import Numbers, Setup, Truth
 from jexplore.grid import in_cells, radius_d2
 from jexplore.planning import MapModel
+from jexplore.policies.catalogue import own
 from jexplore.raycast import Beams, beam_table, scans_all_round
 
 LEAST_LIMIT = 20_000  # default bound of steps and plans on small maps
@@ -49,11 +51,30 @@ class Site(NamedTuple):
 
     def with_strategy(self, strategy):
         """The `Setup` and the `Numbers` of a strategy here: `(setup, numbers)`."""
-        params = jax.tree.map(number, strategy.policy.params)
-        return (
-            self.setup._replace(policy=strategy.policy._replace(params=())),
-            self.numbers.replace(recheck=np.bool_(strategy.recheck), params=params),  # type: ignore[attr-defined]
-        )
+        params = _numbers(strategy)
+        numbers = self.numbers.replace(recheck=np.bool_(strategy.recheck), params=params)  # type: ignore[attr-defined]
+        _check(self, strategy, numbers)
+        return self.setup._replace(policy=strategy.policy._replace(params=())), numbers
+
+
+def _numbers(strategy):
+    """A strategy's parameters as arrays."""
+    try:
+        return jax.tree.map(number, strategy.policy.params)
+    except (TypeError, ValueError):
+        raise InputError(f"{strategy.name}: params of a Policy must be numbers and arrays") from None
+
+
+def _check(site, strategy, numbers):
+    """Refuses a strategy whose functions return what they should not. Those of this package do not."""
+    if not own.is_theirs(strategy.policy):
+        return
+    truth = jax.tree.map(lambda a: a[None], site.truth)
+    task = np.zeros(3, np.int32)
+    given = Given(np.zeros((), np.int32), site.beams, truth, np.int32(0), numbers, task)  # type: ignore[arg-type]
+    belief = jax.eval_shape(environment.blank_belief, given)
+    route = jax.ShapeDtypeStruct(site.truth.occupied.shape, np.int8)
+    own.check(strategy.policy, numbers.params, belief, site.beams, route)
 
 
 def prepare_site(world, lidar, rules, kernels):

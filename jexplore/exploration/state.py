@@ -22,6 +22,7 @@ class Outcome(enum.IntEnum):
     STEP_LIMIT = 3
     PLAN_LIMIT = 4
     STUCK = 5  # the start is enclosed: no clear cell can be reached
+    BAD_TARGET = 6  # the strategy chose, three times in a row, a target that no path leads to
 
 
 class Stream(enum.IntEnum):
@@ -124,6 +125,7 @@ class State:
     saturated: Array
     refused: Array
     overflow: Array
+    bad_targets: Array  # int32, targets in a row that no path leads to
 
     @property
     def steps(self):
@@ -138,5 +140,5 @@ class State:
 
 def no_counts() -> Any:
     """The counts of a `State` in which nothing has been done: dict."""
-    names = "straight diagonal turns scans plans exhausted saturated refused overflow known looking looked outside"
+    names = "straight diagonal turns scans plans exhausted saturated refused overflow bad_targets known looking looked outside"
     return dict.fromkeys(names.split(), jnp.int32(0))

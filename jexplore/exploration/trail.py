@@ -25,7 +25,7 @@ class Trail(enum.IntEnum):
 class Choices(enum.IntEnum):
     """Columns of the record of plans: one row for every plan."""
 
-    TARGET = 0  # 2 * flat index of the target + whether it is a view point; -1 for none
+    TARGET = 0  # 2 * flat index of the target + whether it is a view point; -1 for none; -2 for one that was refused
     WHEN = 1  # 16 * steps made before + motion that was refused just before + 1 (0 for none)
 
 
@@ -43,10 +43,10 @@ def note_step(state, when=True):
     return state.replace(trail=state.trail.at[step].set(entry, mode="drop"))
 
 
-def note_choice(state, choice):
-    """A `State` with a choice on record; what there is no room for is left out."""
+def note_choice(state, choice, bad):
+    """A `State` with a choice on record, `bad` if it was refused; what there is no room for is left out."""
     cell = 2 * (choice.row * state.shape[1] + choice.col) + choice.is_view
-    entry = jnp.stack([jnp.where(choice.row < 0, -1, cell), 16 * state.steps + state.bumped + 1])
+    entry = jnp.stack([jnp.where(choice.row < 0, -1, jnp.where(bad, -2, cell)), 16 * state.steps + state.bumped + 1])
     return state.replace(choices=state.choices.at[state.plans].set(entry, mode="drop"))
 
 
@@ -54,8 +54,9 @@ class Plan(NamedTuple):
     """A recorded choice."""
 
     step: int  # steps made before
-    target: tuple[int, int] | None  # row, col; None: there was none
+    target: tuple[int, int] | None  # row, col; None: there was none, or it was refused
     is_view: bool
+    is_bad: bool  # whether it was refused, because no path leads there
     motions: list  # into the cells of the way that was driven, and the one that was refused
 
 
@@ -114,4 +115,4 @@ def _plans(choices, motions, padded):
     for (code, when), (_, after) in itertools.pairwise(choices):
         first, last, refused = when // 16, after // 16, after % 16 - 1
         way = motions[first:last] + ([] if refused == NO_MOTION else [refused])
-        yield Plan(first, None if code < 0 else divmod(code // 2, padded), code >= 0 and code % 2 == 1, way)
+        yield Plan(first, None if code < 0 else divmod(code // 2, padded), code >= 0 and code % 2 == 1, code == -2, way)

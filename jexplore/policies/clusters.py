@@ -14,9 +14,9 @@ from jexplore.arrays.loops import repeat
 from jexplore.frontier import clear_cells, frontier_clusters
 from jexplore.gain import look, prospect
 from jexplore.grid import empty_grid
-from jexplore.planning import choose
+from jexplore.planning import choose, metres
 from jexplore.raycast import all_round
-from jexplore.reach import FAR, STRAIGHT, reach_packed
+from jexplore.reach import FAR, reach_packed
 
 CLUSTERS = 64  # most clusters that are told apart
 COARSEST = 4  # cells a side, of the blocks that paths between clusters are measured in
@@ -38,7 +38,7 @@ def targets(belief, known):
     found = frontier_clusters(known.candidates, known.cost, max_clusters=CLUSTERS)
     used = found.row >= 0
     cost = known.cost[jnp.maximum(found.row, 0), jnp.maximum(found.col, 0)]
-    path_m = jnp.where(used, cost.astype(jnp.float32) * (belief.model.cell_m / STRAIGHT), jnp.inf)
+    path_m = jnp.where(used, metres(cost, belief.model.cell_m), jnp.inf)
     return Targets(found.row, found.col, used, path_m, found.overflow + found.left_out)
 
 
@@ -110,7 +110,7 @@ def apart(belief, at):
     table = jnp.full((row.shape[0], row.shape[0]), FAR, jnp.int32)
     _, table = repeat(lambda state: state[0] < n, spread, (jnp.int32(0), table))
     table = jnp.where(at.used[None] & at.used[:, None], table, FAR)
-    return jnp.where(table < FAR, table.astype(jnp.float32) * (side * belief.model.cell_m / STRAIGHT), jnp.inf)
+    return jnp.where(table < FAR, metres(table, side * belief.model.cell_m), jnp.inf)
 
 
 def go_to(belief, route, known, at, which):

@@ -4,21 +4,10 @@ Gonzalez-Banos and Latombe, "Navigation Strategies for Exploring Indoor Environm
 of Holz et al. 2010, section 3.2.
 """
 
-import functools
-
-import jax.numpy as jnp
-
 from jexplore.policies import views
 from jexplore.policies.policy import Policy
 
 
-def _utility(params, gain, path_m):
-    return gain * jnp.exp(-params.weight * path_m)
-
-
-_select = functools.partial(views.select, _utility)
-
-
 def decision_theoretic(samples=500, lam=0.2, spread_m=1.0, min_gain=10):
     """The policy. Carry: `()`. Parameters: `Views`, with lam (1/m) as the weight."""
-    return Policy(views.init, _select, views.views(("lam", lam), samples, spread_m, min_gain), views.live)
+    return Policy(views.init, views.SELECT, views.views(("lam", lam), samples, spread_m, min_gain), views.live)

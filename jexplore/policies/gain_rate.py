@@ -5,19 +5,11 @@ Planning in Unknown Environments", RA-L 5(2), 2020, maximise along a tree. Here 
 to the path, so that the nearest ones are not preferred without bound.
 """
 
-import functools
-
 from jexplore.policies import views
 from jexplore.policies.policy import Policy
 
 
-def _utility(params, gain, path_m):
-    return gain / (params.weight + path_m)
-
-
-_select = functools.partial(views.select, _utility)
-
-
 def gain_rate(samples=500, plus_m=1.0, spread_m=1.0, min_gain=10):
     """The policy. Carry: `()`. Parameters: `Views`, with plus_m, added to the path, as the weight."""
-    return Policy(views.init, _select, views.views(("plus_m", plus_m), samples, spread_m, min_gain), views.live)
+    params = views.views(("plus_m", plus_m), samples, spread_m, min_gain, by_rate=True)
+    return Policy(views.init, views.SELECT, params, views.live)

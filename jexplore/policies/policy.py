@@ -3,22 +3,47 @@
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+from jax import Array
+
+from jexplore.planning import Belief, Choice
+from jexplore.raycast import Beams
+
 
 class Policy(NamedTuple):
-    """A strategy as a pair of pure functions and what it needs besides.
+    """A strategy as a pair of pure functions of one robot's belief, and what it needs besides.
 
-    Compiled once per `init` and `select`; `params` are leaves, so a sweep over them never recompiles.
+    `init(params, belief)` returns the carry, what the strategy remembers from plan to plan: a pytree of arrays, whose
+    shapes and dtypes never change. `select(key, params, carry, belief, beams, route)` returns the next carry, a
+    `Choice`, and the map of motions in which the way there is laid: `planning.choose` makes the last two, of a cell of
+    a `planning.Field`, as `planning.nearest_frontier` does of the nearest frontier cell.
+
+    Compiled once for each `init` and `select`: a function that is made anew is compiled anew. `params` are leaves, so
+    that a sweep over numbers never recompiles; arrays among them (weights) are shared by all robots.
     """
 
-    init: Callable  # (params, belief) -> carry, before the first plan
-    select: Callable  # (key, params, carry, belief, beams, route) -> (carry, Choice, route); the key is consumed
-    params: Any = ()  # pytree of numbers
-    live: Callable | None = None  # (params, belief, beams, row, col) -> bool: whether a view point is worth going to
+    init: Callable[[Any, Belief], Any]
+    """`(params, belief) -> carry`, before the first plan."""
+    select: Callable[[Array, Any, Any, Belief, Beams, Array], tuple[Any, Choice, Array]]
+    """`(key, params, carry, belief, beams, route) -> (carry, choice, route)`; the key is consumed."""
+    params: Any = ()
+    """Pytree of numbers and arrays."""
+    live: Callable[[Any, Belief, Beams, Array, Array], Array] | None = None
+    """`(params, belief, beams, row, col) -> bool`: whether a view point, a target that is no frontier cell
+    (`Choice.is_view`), is worth going to. Without it the robot goes there whatever it sees on its way."""
+
+
+class Strategy(NamedTuple):
+    """A strategy as asked for."""
+
+    name: str  # what tables call it
+    policy: Policy
+    recheck: bool = False  # whether a target is given up as soon as it is no longer live
 
 
 class Entry(NamedTuple):
     """What the list of strategies says about one of them."""
 
-    make: Callable[..., Policy]  # keyword parameters -> Policy
-    summary: str
-    source: str
+    make: Any  # constructor (keyword parameters -> `Policy`), score (a function of the view), or `Policy`
+    summary: str = ""
+    source: str = ""
+    is_own: bool = False  # whether it comes from outside this package

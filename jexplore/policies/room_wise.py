@@ -91,6 +91,7 @@ def _select(inner):
         carry, choice, route = lax.fori_loop(0, 2, attempt, (carry, nothing, route))
         return carry, dataclasses.replace(choice, overflow=choice.overflow + overflow), route
 
+    select.inner = inner
     return select
 
 

@@ -1,6 +1,7 @@
 """What strategies that go to view points share: samples near frontiers, and the best of them by gain and path."""
 
 import dataclasses
+import functools
 import math
 from typing import NamedTuple
 
@@ -13,9 +14,9 @@ from jexplore.arrays.loops import repeat
 from jexplore.config import require_number, require_whole
 from jexplore.gain import look, most, prospect, unknown_seen
 from jexplore.grid import empty_grid, lowest
-from jexplore.planning import choose, field, first_at
+from jexplore.planning import choose, field, first_at, metres
 from jexplore.raycast import all_round
-from jexplore.reach import FAR, STRAIGHT
+from jexplore.reach import FAR
 
 SAMPLES = 1024  # most samples a plan
 
@@ -27,9 +28,10 @@ class Views(NamedTuple):
     samples: int  # view points that are drawn for a plan, at most `SAMPLES`
     spread_m: float  # how far they may lie from a frontier cell
     min_gain: int  # unknown cells that a view point must show to be worth going to
+    by_rate: bool = False  # whether `gain_for_path` divides by the path, instead of discounting
 
 
-def views(weight, samples, spread_m, min_gain):
+def views(weight, samples, spread_m, min_gain, *, by_rate=False):
     """`Views`, checked. `weight` is `(name, value)`.
 
     Raises:
@@ -40,12 +42,15 @@ def views(weight, samples, spread_m, min_gain):
         require_whole("samples", samples, low=1, high=SAMPLES),
         require_number("spread_m", spread_m, high=100),
         require_whole("min_gain", min_gain, low=1, high=2**20),
+        by_rate,
     )
 
 
-def metres(cost, cell_m):
-    """A path's cost (see reach.py) as a length, metres: float32."""
-    return cost.astype(jnp.float32) * (cell_m / STRAIGHT)
+def gain_for_path(params, gain, path_m):
+    """What a gain is worth after a path, float32: discounted by it, `gain exp(-weight path)`, or its share of it,
+    `gain / (weight + path)`. Both in one, so that strategies that differ in this only share a program.
+    """
+    return jnp.where(params.by_rate, gain / (params.weight + path_m), gain * jnp.exp(-params.weight * path_m))
 
 
 def drawn(key, belief, known, params):
@@ -139,6 +144,10 @@ def select(utility, key, params, carry, belief, beams, route):
     col = jnp.where(none, -1, jnp.where(is_view, cell % width, col))
     choice, route = choose(belief, route, known, row, col)
     return carry, dataclasses.replace(choice, is_view=is_view & ~none, overflow=overflow), route
+
+
+SELECT = functools.partial(select, gain_for_path)
+"""The `select` of strategies that weigh gain and path by `gain_for_path`."""
 
 
 def live(params, belief, beams, row, col):

@@ -9,7 +9,7 @@ from jexplore.arrays.padding import bucket
 from jexplore.config import InputError, Lidar, Rules
 from jexplore.exploration.site import LEAST_LIMIT
 from jexplore.grid import in_cells, radius_d2
-from jexplore.policies import parse_strategy
+from jexplore.policies import Policy, Strategy, strategy
 from jexplore.raycast import HEADINGS, n_steps
 from jexplore.worlds import load_world
 from jexplore.worlds.world import World, check_start, checked, draw_start, draw_starts
@@ -66,20 +66,24 @@ def ready_worlds(worlds, cell_m):
 
 
 def ready_strategies(strategies):
-    """Strategies from their names, in order.
+    """Strategies from what stands for them, in order.
+
+    Args:
+      strategies: what `policies.strategy` takes, one or more; a single one may stand for itself.
 
     Returns:
-      A list of `Strategy`.
+      A list of `Strategy`, with different names.
 
     Raises:
-      InputError: none, one twice, or a name that says nothing.
+      InputError: none, one twice, or something that is no strategy.
     """
+    if callable(strategies) or isinstance(strategies, (Policy, Strategy)):
+        strategies = [strategies]
     strategies = listed("strategies", strategies)
-    for name in strategies:
-        if not isinstance(name, str):
-            raise InputError(f"a strategy must be a name, got {name!r}")
-    require_different("strategies", strategies)
-    return [parse_strategy(name) for name in strategies]
+    require_different("strategies", [given for given in strategies if isinstance(given, str)])
+    ready = [strategy(given) for given in strategies]
+    require_different("strategies", [one.name for one in ready])
+    return ready
 
 
 def ready_starts(world, start, n, *, seed, rules):

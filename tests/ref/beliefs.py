@@ -27,6 +27,7 @@ def belief_from(hits, misses, robot, *, extent=None, cell_m=0.1, **kernels):
         row=jnp.int32(robot[0]),
         col=jnp.int32(robot[1]),
         heading=jnp.int32(0),
+        start=jnp.asarray([*robot, 0], jnp.int32),
         extent=jnp.asarray(extent or shape, jnp.int32),
         model=MapModel(
             p_free=jnp.float32(0.25),

@@ -1,0 +1,131 @@
+"""The list of strategies: those of this package, those of packages that offer some, those that a user has registered."""
+
+import functools
+import importlib.metadata
+import inspect
+import re
+from collections.abc import Callable
+from typing import Any
+
+from jexplore.config import InputError
+from jexplore.policies.catalogue.own import place_of
+from jexplore.policies.closest import closest
+from jexplore.policies.decision_theoretic import decision_theoretic
+from jexplore.policies.distance_advantage import distance_advantage
+from jexplore.policies.gain_rate import gain_rate
+from jexplore.policies.mcdm import mcdm
+from jexplore.policies.policy import Entry, Policy
+from jexplore.policies.tour import tour
+from jexplore.policies.uniform import uniform
+from jexplore.policies.utility import utility
+
+GROUP = "jexplore.strategies"
+"""Entry points of this group, `name = "module:object"`, are strategies that a package offers."""
+NAME = r"[A-Za-z_][\w.-]*"
+
+STRATEGIES: dict[str, Entry] = {
+    "closest": Entry(closest, "the frontier cell with the shortest path", "Yamauchi 1997; Holz et al. 2010, Figure 3"),
+    "random": Entry(
+        uniform, "a frontier cell drawn uniformly from the reachable ones", "Holz et al. 2010, section 3.2"
+    ),
+    "decision-theoretic": Entry(
+        decision_theoretic,
+        "the sampled view point with the most information, discounted by the path",
+        "Gonzalez-Banos and Latombe 2002; Holz et al. 2010, section 3.2",
+    ),
+    "gain-rate": Entry(
+        gain_rate, "the sampled view point with the most information for a metre of path", "Schmid et al. 2020"
+    ),
+    "utility": Entry(
+        utility,
+        "the frontier cluster with the most unknown area in sight less beta times the path",
+        "Burgard et al. 2005",
+    ),
+    "distance-advantage": Entry(
+        distance_advantage, "the frontier cluster near to the robot and far from the others", "Ericson et al. 2025"
+    ),
+    "tour": Entry(
+        tour, "the first stop of a short route through all frontier clusters", "Osswald et al. 2016; Croes 1958"
+    ),
+    "mcdm": Entry(
+        mcdm,
+        "the frontier cluster with the best Choquet integral of unknown area, path and known area",
+        "Basilico and Amigoni 2011",
+    ),
+}
+"""Name -> what is known of it. `register` adds to it."""
+MODIFIERS: dict[str, str] = {
+    "recheck": "give up a target as soon as it is no longer live, and choose anew (Holz et al. 2010, section 2.3)",
+    "segment": "frontier cells in the robot's own room first; =thrun, =wurm, =holz (default) say how rooms are found, "
+    "=auto only in rooms, not in corridors and halls (Holz et al. 2010, section 2.4)",
+}
+
+
+def register(name: str, make: Any = None, *, summary: str = "", source: str = "", replace: bool = False) -> Callable:
+    """Give a strategy a name of its own, under which modifiers, tables and the command line know it.
+
+    Args:
+      name: letters, digits, `_`, `.` and `-`, the first no digit.
+      make: a function of the view that returns a score for every cell; a constructor, which returns a `Policy` from
+        keyword parameters; or a `Policy`. Without it, a decorator: `@jx.register("mine")`.
+      summary: where it goes, for `jexplore strategies`; by default the first line of its docstring.
+      source: of the idea; by default where it is defined.
+      replace: whether the name may stand for something else already, as it does when a notebook's cell runs again.
+
+    Returns:
+      `make`.
+
+    Raises:
+      InputError: a name that is taken or that the grammar could not read; something that is no strategy.
+    """
+    if make is None:
+        return functools.partial(register, name, summary=summary, source=source, replace=replace)
+    if not isinstance(name, str) or not re.fullmatch(NAME, name):
+        raise InputError(f"a strategy's name must be letters, digits, _, . and -, got {name!r}")
+    if not replace and (name in STRATEGIES or name in offered()):
+        raise InputError(f"strategy {name!r} is registered already; replace=True puts another in its place")
+    if name in STRATEGIES and not STRATEGIES[name].is_own:
+        raise InputError(f"strategy {name!r} is one of jexplore's own; choose another name")
+    if not (isinstance(make, Policy) or callable(make)):
+        raise InputError(f"strategy {name!r} must be a function of the view, a constructor or a Policy, got {make!r}")
+    doc = (inspect.getdoc(make) or "") if inspect.isroutine(make) else ""
+    STRATEGIES[name] = Entry(make, summary or doc.partition("\n")[0], source, is_own=True)
+    return make
+
+
+@functools.cache
+def offered() -> dict[str, importlib.metadata.EntryPoint]:
+    """Strategies that installed packages offer: name -> entry point."""
+    return {point.name: point for point in importlib.metadata.entry_points(group=GROUP)}
+
+
+def entry_of(name: str) -> Entry | None:
+    """What is known of a strategy; None if nothing is.
+
+    Raises:
+      InputError: a package offers it, and it does not load.
+    """
+    if name not in STRATEGIES and name in offered():
+        point = offered()[name]
+        try:
+            made = point.load()
+        except Exception as error:
+            raise InputError(
+                f"strategy {name!r} of {_package(point)} does not load: {type(error).__name__}: {error}"
+            ) from error
+        register(name, made, source=_package(point), replace=True)
+    return STRATEGIES.get(name)
+
+
+def _package(point):
+    return point.dist.name if point.dist is not None else point.value
+
+
+def known_names() -> list[str]:
+    """All names, those of packages included."""
+    return [*STRATEGIES, *(name for name in offered() if name not in STRATEGIES)]
+
+
+def source_of(entry: Entry) -> str:
+    """Where a strategy comes from: its paper, its package, or its file."""
+    return entry.source or place_of(entry.make)

@@ -1,0 +1,177 @@
+"""The grammar of strategies: `name+modifier+...:key=value,...` and `module:name+modifier+...:key=value,...`."""
+
+import math
+import os
+import re
+from pathlib import Path
+from typing import Any
+
+from jexplore.config import InputError, require_number, unknown
+from jexplore.policies.catalogue.entries import MODIFIERS, NAME, Entry, entry_of, known_names
+from jexplore.policies.catalogue.own import described, import_object, name_of, parameters, policy_from
+from jexplore.policies.policy import Policy, Strategy
+from jexplore.policies.room_wise import KINDS, segmented
+
+_FOREIGN = re.compile(rf"(?P<module>[A-Za-z_][\w.]*):(?P<name>{NAME})(?=$|[+:])")
+
+
+def _defaults(make):
+    """Keyword parameters with their defaults: dict; `inspect.Parameter.empty` where there is none."""
+    return {key: p.default for key, p in parameters(make).items()}
+
+
+def parameters_of(name: str) -> dict[str, Any]:
+    """Parameters of a strategy and their defaults, from its constructor's signature: dict.
+
+    Raises:
+      InputError: no such strategy.
+    """
+    entry = entry_of(name)
+    if entry is None:
+        raise unknown("strategy", name, known_names())
+    return _defaults(entry.make)
+
+
+def _modifier_parameters(modifiers):
+    """Parameters that modifiers add to those of the strategy, with their defaults: dict."""
+    if "segment" not in modifiers:
+        return {}
+    found = {key: value for key, value in _defaults(segmented).items() if isinstance(value, float)}
+    return found if modifiers["segment"] == "auto" else {key: found[key] for key in ("prominence_m", "gamma")}
+
+
+def _modifiers(words, text):
+    """Modifiers and what stands behind their `=`: dict; None for nothing."""
+    given = {}
+    for word in words:
+        name, equals, kind = word.partition("=")
+        if name not in MODIFIERS:
+            raise unknown(f"modifier in {text!r}:", name, MODIFIERS)
+        if name in given:
+            raise InputError(f"modifier {name!r} is given twice in {text!r}")
+        if equals and name != "segment":
+            raise InputError(f"modifier {name!r} takes no value, got {word!r}")
+        if equals and kind not in KINDS:
+            raise unknown(f"kind of {name!r}:", kind, KINDS)
+        given[name] = kind if equals else None
+    return given
+
+
+def _value(key, value, default, text):
+    """A parameter from text, of the kind of its default: number, bool, text or path."""
+    if isinstance(default, bool):
+        if value.lower() not in ("true", "false"):
+            raise InputError(f"expected true or false for {key} in {text!r}, got {value!r}")
+        return value.lower() == "true"
+    if isinstance(default, (str, os.PathLike)):
+        return Path(value) if isinstance(default, os.PathLike) else value
+    try:
+        number = float(value)
+    except ValueError:
+        if not isinstance(default, int | float):  # no default to go by
+            return value
+        raise InputError(f"expected a number for {key} in {text!r}, got {value!r}") from None
+    whole = not isinstance(default, float) and number.is_integer()
+    return require_number(key, int(number) if whole else number, low=-math.inf)
+
+
+def _given(tail, allowed, head, text):
+    """Parameters from `key=value,...`: dict."""
+    given = {}
+    for item in tail.split(",") if tail else ():
+        key, equals, value = item.partition("=")
+        if key not in allowed:
+            raise unknown(f"parameter of {head!r}:", key, allowed)
+        if not equals or key in given:
+            kind = "NUMBER" if isinstance(allowed[key], int | float) else "VALUE"
+            raise InputError(f"expected {key}={kind} once in {text!r}, got {item!r}")
+        given[key] = _value(key, value, allowed[key], text)
+    return given
+
+
+def _modified(policy, modifiers, more):
+    return segmented(policy, modifiers["segment"] or "holz", **more) if "segment" in modifiers else policy
+
+
+def _policy(entry, given):
+    return policy_from(entry.make, given) if entry.is_own else entry.make(**given)
+
+
+def parse_strategy(text: str) -> Strategy:
+    """A strategy from its name.
+
+    Args:
+      text: `name+modifier+...:key=value,...`, such as `closest+recheck`, or `module:name+...` for one in a module that
+        can be imported or lies in the current folder.
+
+    Returns:
+      `Strategy`.
+
+    Raises:
+      InputError: unknown name, modifier or parameter, a modifier given twice, a value of the wrong kind, a module that
+        does not import, something in it that is no strategy.
+    """
+    foreign = _FOREIGN.match(text)
+    if foreign and entry_of(foreign["module"]) is None:
+        entry: Entry | None = Entry(import_object(foreign["module"], foreign["name"]), is_own=True)
+        name, rest = foreign[0], text[foreign.end() :]
+    else:
+        match = re.match(r"[^+:]*", text)
+        name = match[0] if match else ""
+        entry, rest = entry_of(name), text[len(name) :]
+    if entry is None:
+        raise unknown("strategy", name, known_names())
+    words, colon, tail = rest.partition(":")
+    modifiers = _modifiers(words.split("+")[1:], text)
+    own = _defaults(entry.make)
+    more = _modifier_parameters(modifiers)
+    if colon and not tail:
+        raise InputError(f"expected key=value after the colon in {text!r}")
+    given = _given(tail, own | more, name + words, text)
+    policy = _policy(entry, {key: value for key, value in given.items() if key in own})
+    policy = _modified(policy, modifiers, {key: value for key, value in given.items() if key not in own})
+    return Strategy(text, policy, "recheck" in modifiers)
+
+
+def strategy(
+    what: Any, *, name: str | None = None, recheck: bool = False, segment: str | bool = False, **given: Any
+) -> Strategy:
+    """A strategy from whatever stands for one.
+
+    Args:
+      what: a name as `parse_strategy` reads it; a function of the view that returns a score for every cell; a
+        constructor, which returns a `Policy`; a `Policy`; or a `Strategy`, which is returned as it is.
+      name: what tables call it; by default the function's own name, with modifiers and parameters as in a name.
+      recheck: whether a target is given up as soon as it is no longer live. Not for names, which say so themselves.
+      segment: one of `KINDS`, or True for "holz": frontier cells in the robot's own room first. Not for names.
+      **given: parameters of the function or constructor.
+
+    Returns:
+      `Strategy`.
+
+    Raises:
+      InputError: something that is no strategy or has no name; a parameter that it does not take.
+    """
+    if isinstance(what, (Strategy, str)):
+        if name is not None or recheck or segment or given:
+            raise InputError(f"{getattr(what, 'name', what)!r} says itself how it is modified: give nothing else")
+        return parse_strategy(what) if isinstance(what, str) else what
+    kind = {True: "holz", False: None}.get(segment, segment) if isinstance(segment, bool) else segment
+    if kind is not None and kind not in KINDS:
+        raise unknown("kind of segment:", kind, KINDS)
+    if not (isinstance(what, Policy) or callable(what)):
+        raise InputError(f"a strategy must be a name, a function of the view, a constructor or a Policy, got {what!r}")
+    base = name_of(what.select if isinstance(what, Policy) else what)
+    if name is None and base is None:
+        raise InputError(f"{described(what)} has no name: jx.strategy(..., name=...)")
+    words = ("+recheck" if recheck else "") + (f"+segment={kind}" if kind else "")
+    own = _defaults(what)
+    policy = _modified(
+        policy_from(what, {key: value for key, value in given.items() if key in own or not kind}),
+        {"segment": kind} if kind else {},
+        {key: value for key, value in given.items() if key not in own},
+    )
+    tail = ",".join(
+        f"{key}={value}" for key, value in given.items() if isinstance(value, (int, float, str, os.PathLike))
+    )
+    return Strategy(name or f"{base}{words}" + (f":{tail}" if tail else ""), policy, recheck)
