@@ -16,7 +16,7 @@ from jexplore.exploration.episode import program_of
 from jexplore.exploration.state import Numbers, Setup, Truth
 from jexplore.grid import in_cells, radius_d2
 from jexplore.planning import MapModel
-from jexplore.policies.catalogue import own
+from jexplore.policies.catalogue import adapt
 from jexplore.raycast import Beams, beam_table, scans_all_round
 
 LEAST_LIMIT = 20_000  # default bound of steps and plans on small maps
@@ -67,14 +67,14 @@ def _numbers(strategy):
 
 def _check(site, strategy, numbers):
     """Refuses a strategy whose functions return what they should not. Those of this package do not."""
-    if not own.is_theirs(strategy.policy):
+    if not adapt.is_theirs(strategy.policy):
         return
     truth = jax.tree.map(lambda a: a[None], site.truth)
     task = np.zeros(3, np.int32)
     given = Given(np.zeros((), np.int32), site.beams, truth, np.int32(0), numbers, task)  # type: ignore[arg-type]
     belief = jax.eval_shape(environment.blank_belief, given)
     route = jax.ShapeDtypeStruct(site.truth.occupied.shape, np.int8)
-    own.check(strategy.policy, numbers.params, belief, site.beams, route)
+    adapt.check(strategy.policy, numbers.params, belief, site.beams, route)
 
 
 def prepare_site(world, lidar, rules, kernels):

@@ -140,5 +140,6 @@ class State:
 
 def no_counts() -> Any:
     """The counts of a `State` in which nothing has been done: dict."""
-    names = "straight diagonal turns scans plans exhausted saturated refused overflow bad_targets known looking looked outside"
+    names = "straight diagonal turns scans plans exhausted saturated refused overflow bad_targets"
+    names += " known looking looked outside"
     return dict.fromkeys(names.split(), jnp.int32(0))

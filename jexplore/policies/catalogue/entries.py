@@ -1,4 +1,4 @@
-"""The list of strategies: those of this package, those of packages that offer some, those that a user has registered."""
+"""The list of strategies: this package's, those that other packages offer, those that a user has registered."""
 
 import functools
 import importlib.metadata

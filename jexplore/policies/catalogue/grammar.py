@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from jexplore.config import InputError, require_number, unknown
+from jexplore.policies.catalogue.adapt import policy_from
 from jexplore.policies.catalogue.entries import MODIFIERS, NAME, Entry, entry_of, known_names
-from jexplore.policies.catalogue.own import described, import_object, name_of, parameters, policy_from
+from jexplore.policies.catalogue.own import described, import_object, name_of, parameters
 from jexplore.policies.policy import Policy, Strategy
 from jexplore.policies.room_wise import KINDS, segmented
 

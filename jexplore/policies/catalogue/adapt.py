@@ -1,0 +1,258 @@
+"""A user's strategy made a `Policy` whose functions return what the rules expect, or say in one line what they do not."""
+
+import contextlib
+import os
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+
+from jexplore.config import InputError
+from jexplore.grid import lowest
+from jexplore.planning import Choice, choose, field, first_at, is_open, view_of
+from jexplore.policies.catalogue.own import call, described, is_score, parameters
+from jexplore.policies.policy import Policy
+from jexplore.reach import FAR, MOTIONS, NO_MOTION
+
+
+def policy_from(make, given):
+    """The `Policy` of a score, a constructor or a `Policy`.
+
+    Args:
+      make: one of these.
+      given: dict, parameters.
+
+    Raises:
+      InputError: something else; a constructor that raises or returns something else; a parameter that it needs.
+    """
+    if not isinstance(make, Policy) and not callable(make):
+        raise InputError(f"a strategy must be a name, a function of the view, a constructor or a Policy, got {make!r}")
+    known = parameters(make)
+    for key in given:
+        if key not in known:
+            raise InputError(f"{described(make)} has no parameter {key!r} (there are: {', '.join(known) or 'none'})")
+    missing = [key for key, p in known.items() if p.default is p.empty and key not in given]
+    if missing:
+        raise InputError(f"{described(make)} needs the parameter {missing[0]}")
+    if is_score(make):
+        return _score_policy(make, {key: given.get(key, p.default) for key, p in known.items()})
+    policy = make if isinstance(make, Policy) else call(make, described(make), **given)
+    if not isinstance(policy, Policy):
+        raise InputError(f"{described(make)} must return a Policy, got {type(policy).__name__}")
+    for role in ("init", "select", *(("live",) if policy.live is not None else ())):
+        if not callable(getattr(policy, role)):
+            raise InputError(f"{described(make)}: {role} must be a function, got {getattr(policy, role)!r}")
+    live = None if policy.live is None else Live(policy.live)
+    return Policy(Init(policy.init), Select(policy.select), policy.params, live)
+
+
+class _Theirs:
+    """A function of a user's, told from others by what it is: two of the same are equal, so compiled once."""
+
+    def __init__(self, function, fixed=()):
+        self.function, self.fixed, self.what = function, fixed, described(function)
+
+    def _key(self):
+        try:
+            hash(self.function)
+        except TypeError:
+            return type(self), id(self.function), self.fixed
+        return type(self), self.function, self.fixed
+
+    def __eq__(self, other):
+        return isinstance(other, _Theirs) and self._key() == other._key()
+
+    def __hash__(self):
+        return hash(self._key())
+
+
+def _blank(params, belief):
+    return ()
+
+
+def _score_policy(function, given):
+    """A score as a `Policy`. Numbers and arrays among its parameters may be swept without compiling anew."""
+    fixed = {key: value for key, value in given.items() if isinstance(value, (str, os.PathLike, bool, type(None)))}
+    params = {key: value for key, value in given.items() if key not in fixed}
+    return Policy(_blank, Score(function, tuple(sorted(fixed.items()))), params)
+
+
+class Score(_Theirs):
+    """The `select` of a strategy that is a score: the reachable frontier cell with the highest one.
+
+    Equal scores go to the lowest flat index; NaN is never chosen; without a finite score the nearest cell is.
+    """
+
+    def __call__(self, key, params, carry, belief, beams, route):
+        del key, beams
+        known = field(belief)
+        found = call(self.function, self.what, view_of(belief, known), **dict(self.fixed), **params)
+        with _expected(self.what, f"a score for every cell, {_shape(known.cost.shape)} integer or float", found):
+            score = jnp.asarray(found)
+            if score.shape != known.cost.shape or not _is_number(score.dtype):
+                raise TypeError
+        row, col = _highest(score, known)
+        return carry, *choose(belief, route, known, row, col)
+
+
+def _is_number(dtype):
+    return jnp.issubdtype(dtype, jnp.integer) or jnp.issubdtype(dtype, jnp.floating)
+
+
+def _highest(score, known):
+    """Row and column of the candidate with the highest score; -1 for none."""
+    real = jnp.issubdtype(score.dtype, jnp.floating)
+    least = -jnp.inf if real else jnp.iinfo(score.dtype).min
+    usable = known.candidates & ~jnp.isnan(score)
+    best = usable & (score == jnp.max(jnp.where(usable, score, jnp.asarray(least, score.dtype))))
+    nearest = known.candidates & (known.cost == lowest(jnp.where(known.candidates, known.cost, FAR)))
+    row, col = first_at(jnp.where(jnp.any(usable & jnp.isfinite(score)), best, nearest))
+    none = ~jnp.any(known.candidates)
+    return jnp.where(none, -1, row), jnp.where(none, -1, col)
+
+
+class Init(_Theirs):
+    """The `init` of a user's strategy: its carry as arrays."""
+
+    def __call__(self, params, belief):
+        return _as_arrays(call(self.function, self.what, params, belief), self.what)
+
+
+class Live(_Theirs):
+    """The `live` of a user's strategy."""
+
+    def __call__(self, params, belief, beams, row, col):
+        found = call(self.function, self.what, params, belief, beams, row, col)
+        with _expected(self.what, "one bool", found):
+            answer = jnp.asarray(found)
+            if answer.shape != () or answer.dtype != bool:
+                raise TypeError
+        return answer
+
+
+class Select(_Theirs):
+    """The `select` of a user's strategy: what it returns has the right shapes, and its way leads to its target."""
+
+    def __call__(self, key, params, carry, belief, beams, route):
+        found = call(self.function, self.what, key, params, carry, belief, beams, route)
+        if not isinstance(found, tuple) or len(found) != 3 or not isinstance(found[1], Choice):
+            raise InputError(f"{self.what} must return (carry, Choice, route), got {_told(found)}")
+        new = _as_arrays(found[0], self.what)
+        if _kind(new) != _kind(carry):
+            raise InputError(f"{self.what} must return a carry like that of init, {_told(carry)}, got {_told(new)}")
+        with _expected(self.what, f"a route {_shape(route.shape)} int8", found[2]):
+            if found[2].shape != route.shape or found[2].dtype != route.dtype:
+                raise TypeError
+        choice = self._choice(found[1])
+        reached = _leads_there(belief, found[2], choice)
+        return new, choice.replace(cost=jnp.where(reached, choice.cost, FAR)), found[2]
+
+    def _choice(self, choice):
+        def one(name, dtype):
+            value = getattr(choice, name)
+            with _expected(self.what, f"a Choice whose {name} is one {dtype.__name__}", value):
+                array = jnp.asarray(value)
+                loose = array.weak_type and jnp.issubdtype(array.dtype, jnp.integer)
+                if array.shape != () or (array.dtype != dtype and not (loose and dtype == jnp.int32)):
+                    raise TypeError
+            return jnp.asarray(array, dtype)
+
+        numbers = {name: one(name, jnp.int32) for name in ("row", "col", "cost", "saturated", "overflow")}
+        return Choice(is_view=one("is_view", jnp.bool_), **numbers)
+
+
+def _leads_there(belief, route, choice):
+    """Whether a way leads from the robot to its target over cells that it would step into: bool."""
+    height, width = route.shape
+    moves = jnp.asarray(MOTIONS, jnp.int32)
+
+    def there(row, col):
+        return (row == choice.row) & (col == choice.col)
+
+    def going(state):
+        n, row, col, good = state
+        return good & ~there(row, col) & (n < height * width)
+
+    def walk(state):
+        n, row, col, _ = state
+        motion = route[row, col].astype(jnp.int32)
+        move = moves[jnp.clip(motion, 0, len(MOTIONS) - 1)]
+        inside = (row + move[0] >= 0) & (row + move[0] < height) & (col + move[1] >= 0) & (col + move[1] < width)
+        row, col = jnp.clip(row + move[0], 0, height - 1), jnp.clip(col + move[1], 0, width - 1)
+        good = (motion > NO_MOTION) & (motion < len(MOTIONS)) & inside & is_open(belief, row, col)
+        return n + 1, row, col, good
+
+    _, row, col, good = lax.while_loop(going, walk, (jnp.int32(0), belief.row, belief.col, choice.row >= 0))
+    return good & there(row, col)
+
+
+def _as_arrays(carry, what):
+    """A carry whose leaves are arrays of a dtype of their own, not Python's numbers."""
+
+    def one(leaf):
+        if isinstance(leaf, jax.Array) and not getattr(leaf, "weak_type", False):
+            return leaf
+        with _expected(what, "a carry of numbers and arrays", leaf):
+            array = jnp.asarray(leaf)
+            return lax.convert_element_type(array, array.dtype)
+
+    return jax.tree.map(one, carry)
+
+
+@contextlib.contextmanager
+def _expected(what, expected, got):
+    try:
+        yield
+    except (TypeError, ValueError, AttributeError, OverflowError):
+        raise InputError(f"{what} must return {expected}, got {_told(got)}") from None
+
+
+def _kind(tree):
+    leaves, structure = jax.tree.flatten(tree)
+    return structure, [(leaf.shape, leaf.dtype) for leaf in leaves]
+
+
+def _shape(shape):
+    return f"[{', '.join(map(str, shape))}]"
+
+
+def _told(tree):
+    """A pytree in words, shapes and dtypes."""
+
+    def one(leaf):
+        return f"{_shape(leaf.shape)} {leaf.dtype}" if hasattr(leaf, "dtype") else repr(leaf)
+
+    leaves = jax.tree.leaves(tree)
+    if len(leaves) == 1 and leaves[0] is tree:
+        return one(tree) if hasattr(tree, "dtype") else f"{type(tree).__name__} {tree!r}"[:80]
+    if tree is None or tree == ():
+        return repr(tree)
+    return str(jax.tree.map(one, tree)).replace("'", "")[:300]
+
+
+def is_theirs(policy: Policy) -> bool:
+    """Whether a policy, or the one that it modifies, comes from outside this package."""
+    inner = getattr(policy.select, "inner", policy.select)
+    return isinstance(inner, _Theirs)
+
+
+def check(policy, params: Any, belief, beams, route):
+    """Calls every function of a strategy on shapes alone, which costs no compiling.
+
+    Args:
+      policy: `Policy`.
+      params, belief, beams, route: what it will be called with; arrays or their shapes.
+
+    Raises:
+      InputError: it raises, or returns the wrong thing; one line that names the function.
+    """
+
+    def all_of_it(key, params, belief, beams, route):
+        carry = policy.init(params, belief)
+        carry, choice, route = policy.select(key, params, carry, belief, beams, route)
+        live = policy.live(params, belief, beams, choice.row, choice.col) if policy.live is not None else True
+        return carry, choice, route, live
+
+    with jax.disable_jit(False):
+        jax.eval_shape(all_of_it, jax.random.key(0), params, belief, beams, route)
