@@ -106,12 +106,12 @@ class Rules:
     """Plans after which an episode ends as PLAN_LIMIT. Default: the larger of 20000 and the number of cells."""
 
     def __post_init__(self):
-        require_number("episode.clearance_m", self.clearance_m, high=10)
-        require_number("episode.near_m", self.near_m, high=10)
-        require_number("episode.p_free", self.p_free, high=1, high_open=True)
+        require_number("rules.clearance_m", self.clearance_m, high=10)
+        require_number("rules.near_m", self.near_m, high=10)
+        require_number("rules.p_free", self.p_free, high=1, high_open=True)
         if not isinstance(self.look_around, bool):
-            raise InputError(f"episode.look_around must be True or False, got {self.look_around!r}")
+            raise InputError(f"rules.look_around must be True or False, got {self.look_around!r}")
         for name in ("max_steps", "max_plans"):
             value = getattr(self, name)
             if value is not None:
-                require_whole(f"episode.{name}", value, low=1, high=2**24)
+                require_whole(f"rules.{name}", value, low=1, high=2**24)

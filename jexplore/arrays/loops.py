@@ -106,6 +106,26 @@ def run_if(predicate, function, otherwise):
     return call(jnp.asarray(predicate), closed, otherwise)
 
 
+def alone_on_cpu(function):
+    """A function of pytrees that under `vmap` on a CPU works on one lane after the other.
+
+    Conditions and loops are then true control flow, as for one robot; on other devices lanes go together.
+    """
+
+    @custom_vmap
+    def call(*args):
+        return function(*args)
+
+    @call.def_vmap
+    def in_lanes(n, batched, *args):
+        args = _wide(n, args, tuple(batched))
+        together = jax.default_backend() != "cpu"
+        out = jax.vmap(function)(*args) if together else lax.map(lambda one: call(*one), args)
+        return out, _all_batched(out)
+
+    return call
+
+
 def repeat(going, body, state):
     """`body` applied to a state for as long as `going(state)` holds.
 

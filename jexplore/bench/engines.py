@@ -120,7 +120,8 @@ class Compiler:
                 some = starts[first : first + n]
                 which, padded = np.zeros(n, np.int32), np.zeros((n, 3), np.int32)
                 which[: len(some)], padded[: len(some)] = np.arange(first, first + len(some)), some
-                found, last = jax.block_until_ready(call(which, padded, np.int32(len(some)), np.uint32(SEED), *shared))
+                called = call(which, padded, np.int32(len(some)), np.uint32(SEED), *shared)
+                (found, _), last = jax.block_until_ready(called)
                 parts.append(jax.tree.map(np.asarray, found))
             return Run(jax.tree.map(lambda *a: np.concatenate(a)[: len(starts)], *parts), last)
 
@@ -163,7 +164,7 @@ class Compiler:
                 state, usage = call(state, queue, np.int32(TURNS), common)
                 done = int(state.done)
                 costs.add(usage, n_lanes, -(-n_lanes // lanes.DECIDERS))
-            results = jax.tree.map(np.asarray, state.results)
+            results, _ = jax.tree.map(np.asarray, state.results)
             return Run(results, useful=costs.useful, useful_plans=costs.useful_decisions)
 
         return Compiled(run, about, n_lanes, episodes)

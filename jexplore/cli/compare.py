@@ -51,7 +51,7 @@ class Compare:
     overwrite: bool = False
     """Replace the run that the folder holds."""
     lidar: Lidar = dataclasses.field(default_factory=Lidar)
-    episode: Rules = dataclasses.field(default_factory=Rules)
+    rules: Rules = dataclasses.field(default_factory=Rules)
 
     def execute(self, arguments):
         """Runs the command; returns the exit status, None for 0."""
@@ -73,11 +73,11 @@ class Compare:
             cell_m=self.cell_m,
             start=self.start,
             lidar=self.lidar,
-            rules=self.episode,
+            rules=self.rules,
         )
         report = run_with_bar(self, jobs)
         with note(FINISHING):
-            found = assemble(jobs, report, self.episode)
+            found = assemble(jobs, report, self.rules)
             if self.league:
                 return _finish_league(out, found, report, functools.partial(out.record, arguments, self))
             # Without any episode 0, as after an early interruption, there is no path to draw.
@@ -120,7 +120,7 @@ def run_with_bar(options, jobs):
     engine = None if options.engine == "auto" else options.engine
     with working(sum(len(job.starts) for job in jobs), "episodes") as on_progress:
         return batch.run_jobs(
-            jobs, options.lidar, options.episode, engine=engine, lanes=options.lanes, on_progress=on_progress
+            jobs, options.lidar, options.rules, engine=engine, lanes=options.lanes, on_progress=on_progress
         )
 
 

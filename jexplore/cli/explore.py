@@ -24,7 +24,7 @@ class Explore:
     """Strategy; see `jexplore strategies`."""
     seed: int = 0
     """Seed of the start and the draws."""
-    number: int = 0
+    episode: int = 0
     """Number of the episode in a comparison with the same options, from 0."""
     cell_m: float = 0.1
     """Edge of a cell, metres."""
@@ -37,7 +37,7 @@ class Explore:
     overwrite: bool = False
     """Replace the run that the folder holds."""
     lidar: Lidar = dataclasses.field(default_factory=Lidar)
-    episode: Rules = dataclasses.field(default_factory=Rules)
+    rules: Rules = dataclasses.field(default_factory=Rules)
 
     def execute(self, arguments):
         """Runs the command; returns the exit status, None for 0."""
@@ -47,19 +47,19 @@ class Explore:
 
         out = Out(self, "explore")
         require_whole("frames", self.frames, 1, 10_000)
-        require_whole("number", self.number, 0, MAX_EPISODES - 1)
+        require_whole("episode", self.episode, 0, MAX_EPISODES - 1)
         job = prepare_job(
             self.world,
             self.strategy,
             seed=self.seed,
-            episode=self.number,
+            episode=self.episode,
             cell_m=self.cell_m,
             start=_start(self.start),
             lidar=self.lidar,
-            rules=self.episode,
+            rules=self.rules,
         )
         with note(COMPILING):
-            found = run_job(job, self.lidar, self.episode)
+            found = run_job(job, self.lidar, self.rules)
         measures = {"world": found.world.name, "strategy": found.strategy, **found.measures}
         record = out.record(arguments, self, result=measures, compile_s=found.compile_s, run_s=found.run_s)
         with progress_of(min(len(found.final.rows), self.frames), "frames") as progress:

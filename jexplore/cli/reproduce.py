@@ -44,7 +44,7 @@ class Reproduce:
     overwrite: bool = False
     """Replace the run that the folder holds."""
     lidar: Lidar = dataclasses.field(default_factory=Lidar)
-    episode: Rules = dataclasses.field(default_factory=Rules)
+    rules: Rules = dataclasses.field(default_factory=Rules)
 
     def execute(self, arguments):
         """Runs the command; returns the exit status, None for 0."""
@@ -58,11 +58,11 @@ class Reproduce:
             seed=self.seed,
             cell_m=self.cell_m,
             lidar=self.lidar,
-            rules=self.episode,
+            rules=self.rules,
         )
         report = run_with_bar(self, jobs)
         with note(FINISHING):
-            found = reproduction.assemble(self.paper, self.maps, jobs, report, self.episode)
+            found = reproduction.assemble(self.paper, self.maps, jobs, report, self.rules)
             tables, orderings = (table.to_dict("records") for table in (found.tables, found.orderings))
             entries = {"notes": found.notes, "tables": tables, "orderings": orderings}
             record = functools.partial(out.record, arguments, self, **entries)

@@ -114,7 +114,7 @@ class Engine:
         return self.program.begin(self.program.setup, given)
 
     def _finish(self, given, state):
-        return self.program.finish(self.program.setup, given, state), self.program.keep(state)
+        return self.program.measure(given, state), self.program.keep(state)
 
     def empty(self, queue, common, n_lanes):
         """`Lanes` that have done nothing yet.

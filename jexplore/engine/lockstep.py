@@ -1,6 +1,7 @@
 """The lockstep engine: lines that share a compiled program run together, in as many lanes as the memory holds."""
 
 import functools
+import math
 import time
 import warnings
 
@@ -121,6 +122,7 @@ class Group:
         if all(memory):
             free = min(m["bytes_limit"] - m["bytes_in_use"] for m in memory if m)
             lanes = jax.tree.map(lambda a: a.update(shape=a.shape[1:]), lanes)
+            free -= sum(math.prod(a.shape) * a.dtype.itemsize for a in jax.tree.leaves((lanes.results, lanes.kept)))
             most = min(most, int(MEMORY_SHARE * free / self.engine.lane_bytes(lanes, self.common.shared)))
         return min(2 ** max(0, most.bit_length() - 1), queue.line.shape[1])
 

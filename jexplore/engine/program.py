@@ -52,8 +52,13 @@ class Program(NamedTuple):
     keep: Callable  # (state) -> pytree of arrays: what is kept of one run besides its result
     decide: Callable | None = None  # (setup, given, state) -> state
     must_decide: Callable | None = None  # (state) -> bool, for runs that are not done
+    record: Callable | None = None  # (state) -> pytree of arrays: what is kept of every run besides its result
     cpu_options: tuple = ()  # pairs of name and value: options of XLA's compiler on a CPU
     scratch: Callable = lambda shared, state: (0, 0)  # bytes that deciding and advancing need, a lane; for an estimate
+
+    def measure(self, given, state):
+        """What a run that is done found, and what is kept of every run: `(result, record)`."""
+        return self.finish(self.setup, given, state), () if self.record is None else self.record(state)
 
     def is_under_way(self, state):
         """Whether a run is to advance: bool."""
@@ -74,6 +79,8 @@ class Line:
     which: np.ndarray  # [n] int32, numbers of the runs that are to be made here; ascending
     keeps: int = 0  # number of the run of which more than the result is kept; where it is made, it is the first
     draws: Any = None  # [N] int32, what makes a run's key, with the seed; by default its number
+    trim: Callable | None = None  # (result, record) -> what is kept of a run on the host; of numpy arrays
+    records: dict = dataclasses.field(default_factory=dict, init=False)  # number of a run -> what `trim` made of it
     results: Any = dataclasses.field(default=None, init=False)  # pytree of `[N, ...]` numpy arrays; zeros where unknown
     finished: np.ndarray = dataclasses.field(init=False)  # [N] bool
     kept: Any = dataclasses.field(default=None, init=False)  # what is kept of run `keeps`, numpy; None before
@@ -85,14 +92,20 @@ class Line:
         self.draws = np.arange(len(self.finished), dtype=np.int32) if self.draws is None else self.draws
 
     def make_room(self, shapes):
-        """Makes room for results like some shapes, if there is none yet."""
+        """Makes room for results like those of `Program.measure`, of which these are the shapes, if there is none."""
         if self.results is None:
-            self.results = jax.tree.map(lambda a: np.zeros((len(self.finished), *a.shape), a.dtype), shapes)
+            self.results = jax.tree.map(lambda a: np.zeros((len(self.finished), *a.shape), a.dtype), shapes[0])
 
-    def put(self, which, results):
-        """Keeps results: `[k]` numbers of runs, and a pytree of `[k, ...]`. Any thread may call it."""
+    def put(self, which, found):
+        """Keeps what `Program.measure` found: `[k]` numbers of runs, a pytree of `[k, ...]`. Any thread may call it."""
+        results, records = found
+        new = {}
+        if self.trim is not None:
+            for i, number in enumerate(which):
+                new[int(number)] = self.trim(*jax.tree.map(lambda a, i=i: a[i], (results, records)))
         with self.lock:
             jax.tree.map(lambda all_, new: all_.__setitem__(which, new), self.results, results)
+            self.records |= new
             self.finished[which] = True
 
     @property
@@ -108,12 +121,12 @@ class Line:
         return self.program, tree, tuple((np.shape(a), np.asarray(a).dtype) for a in leaves)
 
     def shapes(self):
-        """What `finish` and `keep` return: `(result, kept)`, pytrees of shapes."""
+        """What `measure` and `keep` return: `((result, record), kept)`, pytrees of shapes."""
         given = given_of(self)
 
         def one():
             state = self.program.begin(self.program.setup, given)
-            return self.program.finish(self.program.setup, given, state), self.program.keep(state)
+            return self.program.measure(given, state), self.program.keep(state)
 
         return jax.eval_shape(one)
 

@@ -51,7 +51,7 @@ def chunk(program, draws, tasks, count, seed, scenes, shared, numbers):
         key = jax.random.fold_in(jax.random.key(seed), draws[i])
         given = Given(key, shared, scenes, jnp.int32(0), numbers, jax.tree.map(lambda a: a[i], tasks))
         state = run_one(program, given)
-        return program.finish(program.setup, given, state), program.keep(state)
+        return program.measure(given, state), program.keep(state)
 
     def put(i, found):
         result, last = one(i)

@@ -5,10 +5,11 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
+from jexplore.config import InputError
 from jexplore.engine.runner import Costs, find_resources, run_all
 from jexplore.exploration.site import KERNELS, line_of, prepare_site
 from jexplore.exploration.state import Result
-from jexplore.exploration.trail import Final, decode
+from jexplore.exploration.trail import Final, Record, decode
 from jexplore.policies import Strategy
 from jexplore.worlds.world import World
 
@@ -27,6 +28,7 @@ class Outcomes(NamedTuple):
 
     result: Result  # numpy, with a leading axis N; outcome RUNNING where the run was interrupted before
     first: Final | None  # the map and the way of episode 0, or of the only one; None where it was interrupted before
+    records: dict[int, Record]  # of every episode that has ended, if they were to be kept
 
 
 class Finished(NamedTuple):
@@ -36,7 +38,10 @@ class Finished(NamedTuple):
     costs: Costs
 
 
-def run_jobs(jobs, lidar, rules, *, engine=None, kernels=None, lanes=None, workers=None, on_progress=None, only=None):
+def run_jobs(
+    jobs, lidar, rules, *, engine=None, kernels=None, lanes=None, workers=None, on_progress=None, only=None,
+    keep=None,
+):  # fmt: skip
     """Runs every episode of every job.
 
     An episode's result depends on its world, start, strategy, seed and number, not on what else runs, nor on the
@@ -56,15 +61,19 @@ def run_jobs(jobs, lidar, rules, *, engine=None, kernels=None, lanes=None, worke
       workers: threads of the serial engine on one device; by default the CPU cores that this process may use.
       on_progress: called with the number of episodes finished so far, now and then, from the calling thread.
       only: number of the one episode of every job that is run; None: all are.
+      keep: one of `trail.RECORDS`, what is kept of every episode; None: nothing but results.
 
     Returns:
       `Finished`.
 
     Raises:
-      InputError: an engine that does not exist, lanes or workers below 1, lanes for the serial engine.
+      InputError: an engine that does not exist, lanes or workers below 1, lanes for the serial engine; a strategy of a
+        user's that does not return what it should; `keep` where several processes share the work.
       MemoryError: a device's memory does not suffice, not even for half the lanes.
     """
     resources = find_resources(engine=engine, lanes=lanes, workers=workers)
+    if keep is not None and resources.processes > 1:
+        raise InputError(f"keep={keep!r} is for one process, and {resources.processes} share the work")
     kernels = kernels or KERNELS[resources.engine]
     sites = {}
     for job in jobs:
@@ -73,13 +82,15 @@ def run_jobs(jobs, lidar, rules, *, engine=None, kernels=None, lanes=None, worke
     lines = []
     for job in jobs:
         which = resources.own(len(job.starts)) if only is None else [only] * (resources.process == 0)
-        lines.append(line_of(sites[id(job.world)], job.strategy, job.starts, job.seed, which, keeps=only or 0))
+        lines.append(
+            line_of(sites[id(job.world)], job.strategy, job.starts, job.seed, which, keeps=only or 0, keep=keep)
+        )
     costs = run_all(lines, resources, on_progress)
     return Finished([_outcomes(job, line) for job, line in zip(jobs, lines)], costs)
 
 
 def _outcomes(job, line):
     if line.kept is None:  # interrupted before
-        return Outcomes(line.results, None)
+        return Outcomes(line.results, None, line.records)
     one = jax.tree.map(lambda a: a[line.keeps], line.results)
-    return Outcomes(line.results, decode(jax.tree.map(np.asarray, line.kept), one, job.world.shape))
+    return Outcomes(line.results, decode(jax.tree.map(np.asarray, line.kept), one, job.world.shape), line.records)

@@ -6,7 +6,7 @@ from jax import lax
 from jexplore.engine.program import Program
 from jexplore.exploration import environment
 from jexplore.exploration.state import PERCENTILES, Outcome, Result
-from jexplore.exploration.trail import Trail, kept
+from jexplore.exploration.trail import RECORDS, Trail, kept
 from jexplore.grid import is_known
 from jexplore.raycast import BLOCK
 
@@ -82,8 +82,12 @@ def _scratch(beams, state):
     return PLANNING_BYTES * state.route.size, 12 * beams.offset[0].size + 16 * BLOCK
 
 
-def program_of(setup):
+def program_of(setup, keep=None):
     """Exploration as a `Program`; its `Setup` has a policy.
+
+    Args:
+      setup: `Setup`.
+      keep: what is kept of every episode, one of `trail.RECORDS`; None: nothing but its result.
 
     Source:
       Holz et al. 2010, Figure 3 and section 2.3.
@@ -97,6 +101,7 @@ def program_of(setup):
         keep=kept,
         decide=plan,
         must_decide=_must_plan,
+        record=RECORDS.get(keep),
         cpu_options=CPU_OPTIONS,
         scratch=_scratch,
     )

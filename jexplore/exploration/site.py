@@ -1,6 +1,7 @@
 """A world made ready for episodes: padded, with the scanner's beams traced, and all numbers of the rules, once."""
 
 import dataclasses
+import functools
 import math
 from typing import NamedTuple
 
@@ -14,6 +15,7 @@ from jexplore.engine.program import Given, Line
 from jexplore.exploration import environment
 from jexplore.exploration.episode import program_of
 from jexplore.exploration.state import Numbers, Setup, Truth
+from jexplore.exploration.trail import record_of
 from jexplore.grid import in_cells, radius_d2
 from jexplore.planning import MapModel
 from jexplore.policies.catalogue import adapt
@@ -77,7 +79,7 @@ def _check(site, strategy, numbers):
     adapt.check(strategy.policy, numbers.params, belief, site.beams, route)
 
 
-def prepare_site(world, lidar, rules, kernels):
+def prepare_site(world, lidar, rules, kernels, shape=None):
     """Pads a world and traces the scanner's beams.
 
     Args:
@@ -85,6 +87,7 @@ def prepare_site(world, lidar, rules, kernels):
       lidar: `Lidar`.
       rules: `Rules`.
       kernels: `Kernels`.
+      shape: `(H, W)` to which the world is padded; by default the next that many worlds share.
 
     Returns:
       `Site` of numpy arrays.
@@ -92,7 +95,7 @@ def prepare_site(world, lidar, rules, kernels):
     from scipy import ndimage
 
     height, width = world.shape
-    shape = bucket(height), bucket(width)
+    shape = shape or (bucket(height), bucket(width))
     pad = [(0, full - n) for full, n in zip(shape, world.shape)]
     rooms = world.rooms if world.rooms is not None else np.full(world.shape, -1, np.int32)
     region = ndimage.label(~world.occupied)[0].astype(np.int32)  # type: ignore[index]
@@ -132,7 +135,7 @@ def prepare_site(world, lidar, rules, kernels):
     return Site(truth, beam_table(lidar, world.cell_m, shape[1]), setup, numbers)
 
 
-def line_of(site, strategy, starts, seed, which, *, keeps=0):
+def line_of(site, strategy, starts, seed, which, *, keeps=0, keep=None):
     """The `Line` of a strategy's episodes.
 
     Args:
@@ -141,9 +144,14 @@ def line_of(site, strategy, starts, seed, which, *, keeps=0):
       starts: `[N, 3]` int, row, col, heading_deg (multiples of 45).
       seed: int.
       which: `[n]` int, numbers of the episodes to be run here.
-      keeps: number of the episode whose map and way are kept.
+      keeps: number of the episode whose map and way are kept whole.
+      keep: what is kept of every episode, see `episode.program_of`.
     """
     starts = np.array(starts, np.int32)
     starts[:, 2] //= 45
     setup, numbers = site.with_strategy(strategy)
-    return Line(program_of(setup), site.beams, site.truth, numbers, seed, starts, which, keeps)
+    trim = None
+    if keep is not None:
+        shape, width = tuple(int(n) for n in site.truth.extent), site.truth.occupied.shape[1]
+        trim = functools.partial(record_of, shape=shape, width=width)
+    return Line(program_of(setup, keep), site.beams, site.truth, numbers, seed, starts, which, keeps, trim=trim)

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
+from jexplore.grid import is_free, is_occupied
 from jexplore.reach import HEADING, MOTIONS, NO_MOTION
 
 CHOICES = 4  # one plan is recorded for so many steps that there is room for
@@ -80,6 +81,41 @@ class Final(NamedTuple):
 def kept(state):
     """What is kept of an episode: map, trail, choices, and the motion that was refused last."""
     return state.belief.grid.hits, state.belief.grid.misses, state.trail, state.choices, state.bumped
+
+
+def _steps(state):
+    return (state.trail,)
+
+
+def _steps_and_map(state):
+    grid, p_free = state.belief.grid, state.belief.model.p_free
+    return state.trail, (is_free(grid, p_free) + 2 * is_occupied(grid, p_free)).astype(jnp.uint8)
+
+
+RECORDS = {"paths": _steps, "maps": _steps_and_map}
+"""What can be kept of every episode: its way; its way and its last map."""
+
+
+class Record(NamedTuple):
+    """What is kept of every episode, on the host."""
+
+    path: np.ndarray  # [n + 1, 3] int32, row, col and known cells, at the start and after each of n steps
+    state: np.ndarray | None  # [H, W] uint8, the last map: 0 unknown, 1 free, 2 occupied; without padding
+
+
+def record_of(result, found, shape, width):
+    """The `Record` of an episode.
+
+    Args:
+      result: `Result` of scalars.
+      found: what one of `RECORDS` gave, numpy.
+      shape: `(H, W)` of the world.
+      width: of the padded maps.
+    """
+    trail, *state = found
+    trail = trail[: int(result.straight + result.diagonal) + 1]
+    path = np.stack([*np.divmod(trail[:, Trail.SPOT] // 4, width), trail[:, Trail.KNOWN]], axis=1)
+    return Record(path, state[0][: shape[0], : shape[1]].copy() if state else None)
 
 
 def decode(found, result, shape):

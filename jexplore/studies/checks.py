@@ -142,7 +142,7 @@ def require_clearance(world, rules):
     if radius_d2(rules.clearance_m, world.cell_m) >= WORD**2:
         most = (WORD - 0.5) * world.cell_m
         raise InputError(
-            f"episode.clearance_m must be below {WORD} cells: at most {most:g} m in {world.name!r} with cells of "
+            f"rules.clearance_m must be below {WORD} cells: at most {most:g} m in {world.name!r} with cells of "
             f"{world.cell_m:g} m, got {rules.clearance_m:g}"
         )
 
@@ -159,5 +159,5 @@ def require_memory(world, lidar, rules):
         raise InputError(
             f"{world.name!r}: {rows} x {cols} cells and {lidar.n_beams} beams of {lidar.range_m:g} m need about "
             f"{need / 2**30:.1f} GiB, and the machine has {have / 2**30:.1f}; use a larger cell_m, fewer beams, "
-            "a shorter lidar.range_m or a smaller episode.max_steps"
+            "a shorter lidar.range_m or a smaller rules.max_steps"
         )

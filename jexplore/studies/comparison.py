@@ -8,12 +8,15 @@ import functools
 import os
 from typing import TYPE_CHECKING, NamedTuple
 
+import numpy as np
+
 from jexplore.config import InputError, require_whole
 from jexplore.engine.backend import use_compilation_cache
 from jexplore.exploration import batch
 from jexplore.exploration.batch import Job
 from jexplore.exploration.episode import Outcome
 from jexplore.exploration.results import columns, map_state
+from jexplore.exploration.trail import RECORDS
 from jexplore.studies import stats
 from jexplore.studies.checks import (
     LIDAR,
@@ -67,6 +70,12 @@ class Comparison:
     """Seconds in which compiled programs ran."""
     interrupted: int = 0
     """Episodes that are missing because the run was interrupted; of the others, those that every strategy finished."""
+    paths: dict = dataclasses.field(default_factory=dict)
+    """With `keep`: (world, strategy) -> a list with an array for each episode in the table, `[n + 1, 3]` int32: row,
+    col and known cells, at the start and after each of n steps."""
+    maps: dict = dataclasses.field(default_factory=dict)
+    """With `keep="maps"`: (world, strategy) -> `[N, H, W]` uint8, the last map of each episode in the table: 0 unknown,
+    1 free, 2 occupied."""
 
     @functools.cached_property
     def summary(self):
@@ -169,12 +178,14 @@ def compare(
     lanes=None,
     workers=None,
     on_progress=None,
+    keep=None,
 ):
     """Runs every strategy in every world, from the same starts. An interruption keeps what is finished.
 
     Args:
       worlds: names (`worlds.load_world`) or `World`s; one may stand for itself.
-      strategies: names (`policies.parse_strategy`); the others are compared with the first.
+      strategies: names, functions of the view, constructors, `Policy`s (`policies.strategy`); the others are compared
+        with the first.
       episodes: of each strategy in each world. More episodes leave the earlier ones as they were.
       seed: of starts and draws.
       cell_m: edge of a cell of the worlds that are loaded by name, metres.
@@ -185,6 +196,7 @@ def compare(
       lanes: episodes at a time on each device in lockstep; by default as many as its memory holds.
       workers: threads of the serial engine; by default one a core.
       on_progress: called now and then with the number of episodes finished.
+      keep: "paths" for the way of every episode, "maps" for its last map as well; see `Comparison`.
 
     Returns:
       `Comparison`.
@@ -195,8 +207,11 @@ def compare(
     jobs = prepare_jobs(
         worlds, strategies, episodes=episodes, seed=seed, cell_m=cell_m, start=start, lidar=lidar, rules=rules
     )
+    if keep is not None and keep not in RECORDS:
+        raise InputError(f"keep must be None, {' or '.join(RECORDS)}, got {keep!r}")
     use_compilation_cache()
-    report = batch.run_jobs(jobs, lidar, rules, engine=engine, lanes=lanes, workers=workers, on_progress=on_progress)
+    how = {"engine": engine, "lanes": lanes, "workers": workers, "on_progress": on_progress}
+    report = batch.run_jobs(jobs, lidar, rules, **how, keep=keep)
     return assemble(jobs, report, rules)
 
 
@@ -226,11 +241,11 @@ def assemble(jobs, report, rules):
     import pandas as pd
 
     finished = {}
-    for job, (result, _) in zip(jobs, report.outcomes):
+    for job, (result, *_) in zip(jobs, report.outcomes):
         ended = result.outcome != Outcome.RUNNING
         finished[job.world.name] = finished.get(job.world.name, True) & ended
-    tables, worlds, first = [], {}, {}
-    for job, (result, final) in zip(jobs, report.outcomes):
+    tables, worlds, first, paths, maps = [], {}, {}, {}, {}
+    for job, (result, final, records) in zip(jobs, report.outcomes):
         world, strategy, kept = job.world, job.strategy.name, finished[job.world.name]
         if not kept.any():
             continue
@@ -239,6 +254,11 @@ def assemble(jobs, report, rules):
         table["room_entries"] = table["room_entries"].astype("Int64")
         tables.append(table[kept])
         worlds[world.name] = world
+        if records:
+            own = [records[i] for i in np.flatnonzero(kept).tolist()]
+            paths[world.name, strategy] = [record.path for record in own]
+            if own[0].state is not None:
+                maps[world.name, strategy] = np.stack([record.state for record in own])
         if kept[0]:
             state = map_state(final.hits, final.misses, rules.p_free)
             seen = Seen(strategy, state, final.rows, final.cols, world.cell_m, float(found["path_m"][0]))
@@ -247,4 +267,7 @@ def assemble(jobs, report, rules):
         raise KeyboardInterrupt
     table = pd.concat(tables, ignore_index=True).loc[:, list(COLUMNS)]
     missing = sum(len(job.starts) for job in jobs) - len(table)
-    return Comparison(table, tuple(worlds.values()), first, report.costs.compile_s, report.costs.run_s, missing)
+    costs = report.costs
+    return Comparison(
+        table, tuple(worlds.values()), first, costs.compile_s, costs.run_s, missing, paths=paths, maps=maps
+    )

@@ -12,7 +12,7 @@ from jexplore.exploration.batch import Job
 from jexplore.exploration.results import columns, length_along_m, map_state
 from jexplore.exploration.site import Kernels, prepare_site
 from jexplore.exploration.trail import Final
-from jexplore.policies import parse_strategy
+from jexplore.policies import Strategy
 from jexplore.report import animate, plot
 from jexplore.studies.checks import (
     LIDAR,
@@ -59,6 +59,8 @@ class Episode:
     """The last map and the way there."""
     measures: dict
     """Name -> number or text: the columns of a comparison's table of episodes."""
+    asked: Strategy
+    """The strategy as it was run."""
     compile_s: float
     """Seconds spent compiling, or loading the compiled program."""
     run_s: float
@@ -123,7 +125,7 @@ def explore(world, strategy, *, seed=0, episode=0, cell_m=0.1, start="random", l
 
     Args:
       world: name (`worlds.load_world`) or `World`.
-      strategy: name (`policies.parse_strategy`).
+      strategy: name, function of the view, constructor or `Policy` (`policies.strategy`).
       seed: of the start and the draws.
       episode: its number, from 0.
       cell_m: edge of a cell of a world that is loaded by name, metres.
@@ -155,7 +157,7 @@ def run_job(job, lidar, rules):
     use_compilation_cache()
     number = len(job.starts) - 1
     report = batch.run_jobs([job], lidar, rules, only=number)
-    ((result, final),) = report.outcomes
+    ((result, final, _),) = report.outcomes
     assert final is not None  # a run that was interrupted has raised
     has_rooms, cell_m = job.world.rooms is not None, job.world.cell_m
     found = columns(result, job.starts, seed=job.seed, cell_m=cell_m, has_rooms=has_rooms)
@@ -174,6 +176,7 @@ def run_job(job, lidar, rules):
         rules=rules,
         final=final,
         measures={name: plain(values[number]) for name, values in found.items()},
+        asked=job.strategy,
         compile_s=report.costs.compile_s,
         run_s=report.costs.run_s,
     )
@@ -188,9 +191,8 @@ def steps_of(episode):
     if episode.final.plans is None:
         raise InputError(f"{episode.title}: an episode of {episode.measures['plans']} plans cannot be played again")
     site = prepare_site(episode.world, episode.lidar, episode.rules, Kernels())
-    strategy = parse_strategy(episode.strategy)
     last: Any = None
-    for moment in replay.moments(site, strategy, episode.start, episode.seed, episode.number, episode.final.plans):
+    for moment in replay.moments(site, episode.asked, episode.start, episode.seed, episode.number, episode.final.plans):
         if last is not None and last.step != moment.step:
             yield last
         last = moment

@@ -285,7 +285,7 @@ def draw_starts(world, seed, n, clearance_m):
     Raises:
       InputError: as `draw_start`.
     """
-    cells = _start_cells(world, clearance_m)
+    cells = start_cells(world, clearance_m)
     starts = [_draw(cells, seed, i) for i in range(n)]
     return np.array(starts, np.int32).reshape(n, 3)
 
@@ -307,15 +307,15 @@ def draw_start(world, seed, i, clearance_m):
     Raises:
       InputError: no cell has that much clearance, or `seed` or `i` is negative.
     """
-    return _draw(_start_cells(world, clearance_m), seed, i)
+    return _draw(start_cells(world, clearance_m), seed, i)
 
 
-def _start_cells(world, clearance_m):
+def start_cells(world, clearance_m):
     cells = np.argwhere(start_region(world, clearance_m))
     if not len(cells):
         raise InputError(
             f"{world.name or 'world'!r}: no cell has more than {clearance_m:g} m of clearance; "
-            "use a smaller episode.clearance_m or a roomier map"
+            "use a smaller rules.clearance_m or a roomier map"
         )
     return cells
 

@@ -1,4 +1,4 @@
-"""A user's strategy made a `Policy` whose functions return what the rules expect, or say in one line what they do not."""
+"""A user's strategy as a `Policy` whose functions return what the rules expect, or say in one line what they do not."""
 
 import contextlib
 import os

@@ -1,0 +1,283 @@
+"""Exploration step by step, as learners want it: an action is a target, a step is the drive there.
+
+The rules are those of an episode: `exploration.environment`, one decision at a time.
+"""
+
+import math
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from flax import struct
+from jax import Array, lax
+
+from jexplore.arrays.loops import alone_on_cpu, run_if
+from jexplore.arrays.padding import bucket
+from jexplore.config import InputError, Lidar, Rules
+from jexplore.engine.backend import use_compilation_cache
+from jexplore.engine.program import Given
+from jexplore.engine.runner import find_resources
+from jexplore.exploration import environment
+from jexplore.exploration.site import KERNELS, prepare_site
+from jexplore.exploration.state import Outcome, State
+from jexplore.exploration.trail import Trail
+from jexplore.planning import Field, View, choose, field, is_live, view_of
+from jexplore.policies.policy import Policy
+from jexplore.reach import FAR
+from jexplore.studies.checks import LIDAR, RULES, ready_worlds, require_clearance, require_memory
+from jexplore.worlds.world import World, check_start, start_cells
+
+WORLD, START = 2, 3  # streams of random numbers besides those of an episode (`state.Stream`)
+
+
+@struct.dataclass
+class EnvState:
+    """An episode under way, between two decisions."""
+
+    episode: State
+    known: Field  # of its belief
+    world: Array  # int32, which of the environment's worlds it is in
+
+
+def _no_carry(params, belief):
+    return ()
+
+
+def _no_select(key, params, carry, belief, beams, route):
+    raise NotImplementedError("whoever steps chooses")
+
+
+_STEPPED = Policy(_no_carry, _no_select)
+
+
+class Environment:
+    """Worlds to be explored by decisions: `reset`, then `step` until done. For one robot; under `vmap` for many.
+
+    Both functions are pure and compiled when first called; `jax.jit`, `jax.vmap` and `jax.lax.scan` go over them. On a
+    CPU the lanes of a `vmap` run one after the other, which is faster there than together.
+
+        env = jx.Environment("rooms#1")
+        state, view = env.reset(jax.random.key(0))
+        state, view, reward, done, info = env.step(key, state, action)
+    """
+
+    worlds: tuple[World, ...]
+    """What may be explored, in order."""
+    shape: tuple[int, int]
+    """`(H, W)` of all maps: that of the largest world, padded."""
+    cell_m: float
+    """Edge of a cell, metres."""
+
+    def __init__(
+        self,
+        worlds: Any,
+        *,
+        cell_m: float = 0.1,
+        lidar: Lidar = LIDAR,
+        rules: Rules = RULES,
+        recheck: bool = False,
+        paths: bool = False,
+    ) -> None:
+        """Loads the worlds.
+
+        Args:
+          worlds: names (`load_world`) or `World`s, one or several with cells of one size.
+          cell_m: edge of a cell of the worlds that are loaded by name, metres.
+          lidar: `Lidar`.
+          rules: `Rules`.
+          recheck: whether a frontier cell that is driven to is given up as soon as it is no longer live.
+          paths: whether a state keeps the whole way, for `path`; that takes 8 bytes for every cell of the map.
+
+        Raises:
+          InputError: no world, one that cannot be loaded, or one without a clear cell; cells of different sizes.
+        """
+        if not isinstance(recheck, bool):
+            raise InputError(f"recheck must be True or False, got {recheck!r}")
+        use_compilation_cache()
+        self.worlds = tuple(ready_worlds(worlds, cell_m))
+        sizes = sorted({world.cell_m for world in self.worlds})
+        if len(sizes) > 1:
+            raise InputError(
+                f"worlds of one environment must have cells of one size, got {sizes[0]:g} and {sizes[1]:g} m"
+            )
+        self.cell_m, self._rules, self._recheck = sizes[0], rules, recheck
+        rows, cols = (max(bucket(side) for side in sides) for sides in zip(*(world.shape for world in self.worlds)))
+        self.shape = rows, cols
+        kernels, sites, cells = KERNELS[find_resources().engine], [], []
+        for world in self.worlds:
+            require_clearance(world, rules)
+            require_memory(world, lidar, rules)
+            cells.append(start_cells(world, rules.clearance_m))
+            sites.append(prepare_site(world, lidar, rules, kernels, self.shape))
+        capacity = max(site.setup.capacity for site in sites) if paths else 1
+        self._setup = sites[0].setup._replace(policy=_STEPPED, capacity=capacity)
+        self._beams = jax.tree.map(jnp.asarray, sites[0].beams)
+        self._scenes, self._numbers = (
+            jax.tree.map(lambda *a: jnp.stack(a), *(getattr(site, name) for site in sites))
+            for name in ("truth", "numbers")
+        )
+        self._n_cells = jnp.asarray([len(own) for own in cells], jnp.int32)
+        most = max(len(own) for own in cells)
+        self._cells = jnp.asarray(np.stack([np.resize(own, (most, 2)) for own in cells]), jnp.int32)
+        self._jitted_reset = jax.jit(alone_on_cpu(self._reset))
+        self._jitted_step = jax.jit(alone_on_cpu(self._step))
+
+    def reset(self, key: Array, start: Any = None, world: Any = None) -> tuple[EnvState, View]:
+        """An episode that has made its first scans.
+
+        Args:
+          key: of the episode; draws the world, the start and the scanner's noise, each from a stream of its own. That
+            of episode n of a comparison is `jax.random.fold_in(jax.random.key(seed), n)`.
+          start: int32 `[3]`, row, col, heading_deg (a multiple of 45); may be traced. Without it, drawn uniformly from
+            the cells that are clear. From an enclosed one the episode is over at once, as STUCK.
+          world: int32, which of `worlds`; may be traced. Without it, drawn.
+
+        Returns:
+          `(state, view)`.
+
+        Raises:
+          InputError: a key, start or world that cannot be one.
+        """
+        _require_key(key)
+        if world is not None:
+            world = _whole("world", world, ())
+            known = _concrete(world)
+            if known is not None and not 0 <= known < len(self.worlds):
+                raise InputError(f"world must be from 0 to {len(self.worlds) - 1}, got {known}")
+        else:
+            world = jax.random.randint(jax.random.fold_in(key, WORLD), (), 0, len(self.worlds))
+        if start is not None:
+            start = _whole("start", start, (3,), "row, col, heading_deg")
+            given, where = _concrete(start), _concrete(world)
+            if given is not None and where is not None:
+                check_start(self.worlds[int(where)], given, self._rules.clearance_m, self._rules.near_m)
+        else:
+            which, turn = jax.random.split(jax.random.fold_in(key, START))
+            cell = self._cells[world, jax.random.randint(which, (), 0, self._n_cells[world])]
+            start = jnp.append(cell, 45 * jax.random.randint(turn, (), 0, 8))
+        return self._jitted_reset(key, start.astype(jnp.int32), world)
+
+    def step(self, key: Array, state: EnvState, action: Any) -> tuple[EnvState, View, Array, Array, dict[str, Array]]:
+        """Drives to a target, until it is reached, found to be out of reach, or given up.
+
+        Args:
+          key: draws the scanner's noise, from a stream that depends on the scans made so far: the episode's own key, the
+            same at every step, gives the noise of a comparison. Not consumed.
+          state: `EnvState`.
+          action: int32 `[2]`, row and col of a cell of finite `view.cost`. Any other moves nothing, and
+            `info["valid"]` is False.
+
+        Returns:
+          state: `EnvState`; as it was once the episode is over.
+          view: `View`.
+          reward: float32, minus the metres driven.
+          done: bool, whether the episode is over: with the step that leaves no frontier, or at a limit of the rules.
+          info: dict of `valid`, bool; `outcome`, int32, an `Outcome`; `path_m`, float32, metres driven since the start;
+            `known_m2`, float32, known area.
+
+        Raises:
+          InputError: a key, state or action of a wrong shape or dtype.
+        """
+        _require_key(key)
+        if not isinstance(state, EnvState):
+            raise InputError(f"state must be what reset or step returned, got {type(state).__name__}")
+        if jnp.ndim(state.world):
+            raise InputError(f"step takes one state, got {jnp.shape(state.world)[0]} or more; use jax.vmap(env.step)")
+        return self._jitted_step(key, state, _whole("action", action, (2,), "row, col"))
+
+    def path(self, state: EnvState) -> np.ndarray:
+        """The way driven so far, of an environment with `paths=True`: `[n + 1, 2]` int32, row and col; on the host.
+
+        Raises:
+          InputError: an environment that does not keep it.
+        """
+        if self._setup.capacity == 1:
+            raise InputError("this environment keeps no paths: jx.Environment(..., paths=True)")
+        spots = np.asarray(state.episode.trail)[: int(state.episode.steps) + 1, Trail.SPOT]
+        return np.stack(np.divmod(spots // 4, self.shape[1]), axis=1)
+
+    def __repr__(self) -> str:
+        names = ", ".join(str(world.name) for world in self.worlds)
+        return f"<Environment of {names}; {self.shape[0]} x {self.shape[1]} cells of {self.cell_m:g} m>"
+
+    def _given(self, key, world, start):
+        numbers = jax.tree.map(lambda a: a[world], self._numbers)
+        return Given(key, self._beams, self._scenes, world, numbers, start)
+
+    def _reset(self, key, start, world):
+        row, col, heading_deg = start
+        inside = (row >= 0) & (row < self.shape[0]) & (col >= 0) & (col < self.shape[1])
+        row, col = jnp.where(inside, row, 0), jnp.where(inside, col, 0)  # a wall: enclosed
+        given = self._given(key, world, jnp.stack([row, col, heading_deg // 45 % 8]))
+        return self._seen(given, environment.begin(self._setup, given))
+
+    def _seen(self, given, episode):
+        """State and view after the last scan; without a frontier the episode is over."""
+        known = field(episode.belief)
+        none = ~jnp.any(known.candidates) & (episode.outcome == Outcome.RUNNING)
+
+        def end(episode):
+            nothing, route = choose(episode.belief, episode.route, known, jnp.int32(-1), jnp.int32(-1))
+            return environment.commit(given, episode, nothing, route)
+
+        episode = run_if(none, end, episode)
+        return EnvState(episode, known, given.scene), view_of(episode.belief, known)
+
+    def _step(self, key, state, action):
+        episode, known, (row, col) = state.episode, state.known, action
+        inside = (row >= 0) & (row < self.shape[0]) & (col >= 0) & (col < self.shape[1])
+        row, col = jnp.where(inside, row, 0), jnp.where(inside, col, 0)
+        valid = inside & (known.cost[row, col] < FAR) & (episode.outcome == Outcome.RUNNING)
+
+        def drive(state):
+            episode = state.episode
+            given = self._given(key, state.world, episode.belief.start)
+            # What was no frontier cell when it was chosen is not given up for being none.
+            given = given.replace(numbers=given.numbers.replace(recheck=self._recheck & known.candidates[row, col]))
+            choice, route = choose(episode.belief, episode.route, known, row, col)
+            episode = environment.commit(given, episode, choice, route, is_live(episode.belief, row, col))
+
+            def advance(episode):
+                return environment.advance(self._setup, given, episode)
+
+            return self._seen(given, lax.while_loop(lambda episode: episode.walking, advance, episode))[0]
+
+        state = run_if(valid, drive, state)
+        now = state.episode
+        info = {
+            "valid": valid,
+            "outcome": environment.outcome_of(now),
+            "path_m": self._metres(now.straight, now.diagonal),
+            "known_m2": now.known * jnp.float32(self.cell_m**2),
+        }
+        reward = -self._metres(now.straight - episode.straight, now.diagonal - episode.diagonal)
+        return state, view_of(now.belief, state.known), reward, now.outcome != Outcome.RUNNING, info
+
+    def _metres(self, straight, diagonal):
+        return (straight + jnp.float32(math.sqrt(2)) * diagonal) * jnp.float32(self.cell_m)
+
+
+def _require_key(key):
+    dtype, shape = getattr(key, "dtype", None), getattr(key, "shape", None)
+    typed = dtype is not None and jnp.issubdtype(dtype, jax.dtypes.prng_key) and shape == ()
+    if not (typed or (dtype == np.uint32 and shape == (2,))):
+        got = type(key).__name__ if dtype is None else f"{list(shape or ())} {dtype}"
+        raise InputError(f"key must be one jax.random.key(...), got {got}")
+
+
+def _whole(name, value, shape, meaning=""):
+    """A value as int32 of a shape, which may be traced."""
+    expected = f"{name} must be int32 {list(shape)}" + (f", {meaning}" if meaning else "")
+    try:
+        array = jnp.asarray(value)
+    except (TypeError, ValueError):
+        raise InputError(f"{expected}, got {value!r}") from None
+    if array.shape != shape or not jnp.issubdtype(array.dtype, jnp.integer):
+        raise InputError(f"{expected}, got {list(array.shape)} {array.dtype}")
+    return array.astype(jnp.int32)
+
+
+def _concrete(array):
+    """An array's value on the host; None while it is traced."""
+    return None if isinstance(array, jax.core.Tracer) else np.asarray(array)
