@@ -18,6 +18,24 @@ _MODULE_OF = {
     "InputError": "config",
     "Lidar": "config",
     "Rules": "config",
+    "Policy": "policies",
+    "Strategy": "policies",
+    "register": "policies",
+    "strategy": "policies",
+    "Belief": "planning",
+    "Choice": "planning",
+    "Field": "planning",
+    "View": "planning",
+    "field": "planning",
+    "choose": "planning",
+    "nearest_frontier": "planning",
+    "metres": "planning",
+    "frontier_clusters": "frontier",
+    "clusters": "policies",
+    "views": "policies",
+    "Outcome": "exploration.state",
+    "Environment": "studies.environment",
+    "EnvState": "studies.environment",
     "World": "worlds.world",
     "occupancy_to_world": "worlds.world",
     "load_world": "worlds",
@@ -45,35 +63,57 @@ __all__ = [
     "GENERATORS",
     "MODIFIERS",
     "STRATEGIES",
+    "Belief",
     "BtmMap",
+    "Choice",
     "Comparison",
+    "EnvState",
+    "Environment",
     "Episode",
+    "Field",
     "InputError",
     "Lidar",
     "Noise",
+    "Outcome",
+    "Policy",
     "Reproduction",
     "Robot",
     "Rules",
     "Segmentation",
+    "Strategy",
     "Traced",
     "Tuning",
+    "View",
     "World",
     "__version__",
+    "choose",
+    "clusters",
     "compare",
     "explore",
+    "field",
+    "frontier_clusters",
     "load_world",
+    "metres",
+    "nearest_frontier",
     "occupancy_to_world",
     "read_btm",
+    "register",
     "reproduce",
     "segment_maps",
+    "strategy",
     "trace",
+    "views",
 ]
 
 if TYPE_CHECKING:
     from jexplore.config import InputError, Lidar, Rules
     from jexplore.driving.settings import Noise, Robot, Tuning
-    from jexplore.policies import MODIFIERS, STRATEGIES
+    from jexplore.exploration.state import Outcome
+    from jexplore.frontier import frontier_clusters
+    from jexplore.planning import Belief, Choice, Field, View, choose, field, metres, nearest_frontier
+    from jexplore.policies import MODIFIERS, STRATEGIES, Policy, Strategy, clusters, register, strategy, views
     from jexplore.studies.comparison import Comparison, compare
+    from jexplore.studies.environment import Environment, EnvState
     from jexplore.studies.explore import Episode, explore
     from jexplore.studies.reproduction import Reproduction, reproduce
     from jexplore.studies.segmentation import Segmentation, segment_maps
@@ -84,13 +124,15 @@ if TYPE_CHECKING:
     from jexplore.worlds.world import World, occupancy_to_world
 
 
-def __getattr__(name):
-    if name not in _MODULE_OF:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    value = getattr(importlib.import_module(f"{__name__}.{_MODULE_OF[name]}"), name)
-    globals()[name] = value
-    return value
+if not TYPE_CHECKING:  # a type checker would take this for a promise that every name exists
+
+    def __getattr__(name):
+        if name not in _MODULE_OF:
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        value = getattr(importlib.import_module(f"{__name__}.{_MODULE_OF[name]}"), name)
+        globals()[name] = value
+        return value
 
 
-def __dir__():
+def __dir__() -> list[str]:
     return sorted({*globals(), *_MODULE_OF})

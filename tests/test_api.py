@@ -54,6 +54,6 @@ def test_no_name_hides_a_module():
 
 def test_type_checkers_see_the_same_names():
     tree = ast.parse(Path(jexplore.__file__).read_text(encoding="utf-8"))
-    (block,) = [node for node in tree.body if isinstance(node, ast.If)]
+    (block,) = [node for node in tree.body if isinstance(node, ast.If) and isinstance(node.test, ast.Name)]
     seen = {alias.name: node.module.removeprefix("jexplore.") for node in block.body for alias in node.names}
     assert seen == jexplore._MODULE_OF

@@ -74,18 +74,17 @@ class Strategies:
 
     def execute(self, arguments):
         """Runs the command; returns the exit status, None for 0."""
-        from jexplore.policies import MODIFIERS, STRATEGIES, parameters_of
+        from jexplore.policies import MODIFIERS
+        from jexplore.policies.catalogue.grammar import listing
         from jexplore.report.tables import aligned_table
 
-        rows = []
-        for name, entry in STRATEGIES.items():
-            given = ", ".join(f"{key}={value}" for key, value in parameters_of(name).items())
-            rows.append((name, entry.summary, given or "-", entry.source))
+        rows = [(one.name, one.summary, one.parameters or "-", one.source) for one in listing()]
         head = ["strategy", "goes to", "parameters", "source"]
         print(aligned_table(head, rows, left=head))
         head = ["modifier", "meaning"]
         print(aligned_table(head, [(f"+{name}", text) for name, text in MODIFIERS.items()], left=head))
         print("Names are put together as strategy+modifier:parameter=value,..., such as closest+recheck")
+        print("One's own: module:function+modifier:parameter=value,..., of a module here or installed")
 
 
 def describe(world):

@@ -5,6 +5,7 @@ To add one to this package: write the file, add a line to `STRATEGIES` in `catal
 the changelog.
 """
 
+from jexplore.policies import clusters, views
 from jexplore.policies.catalogue.entries import MODIFIERS, STRATEGIES, register
 from jexplore.policies.catalogue.grammar import parameters_of, parse_strategy, strategy
 from jexplore.policies.policy import Entry, Policy, Strategy
@@ -15,8 +16,10 @@ __all__ = [
     "Entry",
     "Policy",
     "Strategy",
+    "clusters",
     "parameters_of",
     "parse_strategy",
     "register",
     "strategy",
+    "views",
 ]

@@ -14,8 +14,8 @@ from jexplore.config import InputError, require_whole
 from jexplore.engine.backend import use_compilation_cache
 from jexplore.exploration import batch
 from jexplore.exploration.batch import Job
-from jexplore.exploration.episode import Outcome
 from jexplore.exploration.results import columns, map_state
+from jexplore.exploration.state import Outcome
 from jexplore.exploration.trail import RECORDS
 from jexplore.studies import stats
 from jexplore.studies.checks import (
@@ -161,6 +161,10 @@ def _bounds_met(episodes):
             count = int((rows[column] > 0).sum())
             if count:
                 lines.append(f"{world}: {strategy}: in {count} of {len(rows)} episodes {what}")
+        refused = int((rows["outcome"] == Outcome.BAD_TARGET.name).sum())
+        if refused:
+            what = "ended because the strategy chose a target that no path leads to, three times in a row"
+            lines.append(f"{world}: {strategy}: {refused} of {len(rows)} episodes {what}")
     return lines
 
 

@@ -162,8 +162,8 @@ class Environment:
         """Drives to a target, until it is reached, found to be out of reach, or given up.
 
         Args:
-          key: draws the scanner's noise, from a stream that depends on the scans made so far: the episode's own key, the
-            same at every step, gives the noise of a comparison. Not consumed.
+          key: draws the scanner's noise, from a stream that depends on the scans made so far: the episode's own key,
+            the same at every step, gives the noise of a comparison. Not consumed.
           state: `EnvState`.
           action: int32 `[2]`, row and col of a cell of finite `view.cost`. Any other moves nothing, and
             `info["valid"]` is False.

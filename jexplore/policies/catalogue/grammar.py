@@ -1,18 +1,20 @@
 """The grammar of strategies: `name+modifier+...:key=value,...` and `module:name+modifier+...:key=value,...`."""
 
+import inspect
 import math
 import os
 import re
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from jexplore.config import InputError, require_number, unknown
 from jexplore.policies.catalogue.adapt import policy_from
-from jexplore.policies.catalogue.entries import MODIFIERS, NAME, Entry, entry_of, known_names
+from jexplore.policies.catalogue.entries import MODIFIERS, NAME, Entry, entry_of, known_names, source_of
 from jexplore.policies.catalogue.own import described, import_object, name_of, parameters
 from jexplore.policies.policy import Policy, Strategy
 from jexplore.policies.room_wise import KINDS, segmented
 
+REQUIRED = inspect.Parameter.empty
 _FOREIGN = re.compile(rf"(?P<module>[A-Za-z_][\w.]*):(?P<name>{NAME})(?=$|[+:])")
 
 
@@ -31,6 +33,31 @@ def parameters_of(name: str) -> dict[str, Any]:
     if entry is None:
         raise unknown("strategy", name, known_names())
     return _defaults(entry.make)
+
+
+class Listed(NamedTuple):
+    """A line of the list of strategies."""
+
+    name: str
+    summary: str
+    parameters: str
+    source: str
+
+
+def listing() -> list[Listed]:
+    """All strategies that have a name, those of packages included; one that does not load says why."""
+    lines = []
+    for name in known_names():
+        try:
+            entry = entry_of(name)
+            assert entry is not None
+            own = _defaults(entry.make)
+        except InputError as error:
+            lines.append(Listed(name, str(error), "", ""))
+        else:
+            told = ", ".join(key if value is REQUIRED else f"{key}={value}" for key, value in own.items())
+            lines.append(Listed(name, entry.summary, told, source_of(entry)))
+    return lines
 
 
 def _modifier_parameters(modifiers):

@@ -1,0 +1,409 @@
+"""Strategies that a user brings: scores, constructors, policies, names, modules; what is wrong with one in a line."""
+
+import importlib.metadata
+import re
+import sys
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from ref import beliefs
+from ref.worlds import two_rooms
+
+import jexplore as jx
+from jexplore.config import InputError, Lidar
+from jexplore.engine import serial
+from jexplore.exploration.state import Outcome
+from jexplore.policies import STRATEGIES, parse_strategy, strategy
+from jexplore.policies.catalogue import adapt, entries, own
+from jexplore.policies.catalogue.grammar import listing
+from jexplore.studies.explore import frames
+
+LIDAR = Lidar(n_beams=37, range_m=1.0)
+NOISY = Lidar(n_beams=37, range_m=1.0, sigma_m=0.03, dropout=0.02)
+MODULE = """
+import jexplore as jx
+
+def nearest(view):
+    return -view.cost
+
+def near(view, weight=1.0, mode="plain", way=None):
+    return -view.path_m * weight
+
+def closest(steps=2):
+    "Like closest."
+    def select(key, params, carry, belief, beams, route):
+        choice, route = jx.nearest_frontier(belief, route)
+        return carry + params, choice, route
+    return jx.Policy(lambda params, belief: 0, select, steps)
+"""
+
+
+def nearest(view):
+    return -view.cost
+
+
+def equal(table, one, other):
+    """Whether two strategies have the same rows but for their names."""
+    rows = [table[table["strategy"] == name].drop(columns="strategy").reset_index(drop=True) for name in (one, other)]
+    assert len(rows[0]) > 0
+    return rows[0].equals(rows[1])
+
+
+def compare(strategies, *, lidar=LIDAR, **how):
+    return jx.compare(two_rooms(), strategies, **{"episodes": 3, "seed": 2, "lidar": lidar, **how}).to_pandas()
+
+
+# ---------------------------------------------------------------- scores
+
+
+def chosen(score, text="...?\n.R..\n...?", **how):
+    """Row and column that a score chooses in a drawn belief; the frontier cells of it."""
+    belief = beliefs.belief_of(text, **how)
+    policy = strategy(score, name="score").policy
+    route = jnp.full(belief.driven.shape, -1, jnp.int8)
+    _, choice, _ = policy.select(jax.random.key(0), policy.params, (), belief, None, route)
+    return (int(choice.row), int(choice.col)), np.argwhere(jx.field(belief).candidates).tolist()
+
+
+def test_the_highest_score_is_the_target_and_ties_go_to_the_lowest_index():
+    target, candidates = chosen(nearest)
+    assert candidates == [[0, 2], [1, 2], [1, 3], [2, 2]]
+    assert target == (1, 2)  # one straight step away
+    assert chosen(lambda view: view.cost)[0] == (1, 3)
+    assert chosen(lambda view: jnp.zeros_like(view.path_m))[0] == (0, 2)
+    assert chosen(lambda view: np.arange(12, dtype=np.uint8).reshape(3, 4))[0] == (2, 2)
+    assert chosen(lambda view: -jnp.arange(12, dtype=jnp.int8).reshape(3, 4))[0] == (0, 2)
+
+
+def test_what_is_not_finite():
+    nan, inf = jnp.nan, jnp.inf
+
+    def scored(at):
+        return lambda view: jnp.full(view.cost.shape, nan).at[tuple(zip(*at))].set(jnp.array(list(at.values())))
+
+    assert chosen(scored({(0, 2): -5.0}))[0] == (0, 2)  # NaN elsewhere
+    assert chosen(scored({(0, 2): -5.0, (2, 2): inf}))[0] == (2, 2)
+    assert chosen(scored({(0, 2): -5.0, (2, 2): -inf}))[0] == (0, 2)
+    assert chosen(scored({(0, 0): 7.0}))[0] == (1, 2)  # only a cell that is no frontier: the nearest
+    for value in (nan, inf, -inf):
+        assert chosen(lambda view, value=value: jnp.full(view.cost.shape, value))[0] == (1, 2)
+
+
+def test_without_a_frontier_there_is_no_target():
+    assert chosen(nearest, "R..") == ((-1, -1), [])
+
+
+def test_the_view():
+    seen = []
+    chosen(lambda view: seen.append(view) or view.cost, "R.#.\n..#?")
+    (view,) = seen
+    assert view.cost[:, :2].tolist() == [[2**16, 92682], [0, 2**16]]  # the picture's upper row is the last
+    np.testing.assert_allclose(view.path_m[:, :2], [[0.1, 0.1 * 2**0.5], [0, 0.1]], atol=1e-6)
+    assert np.isinf(view.path_m[:, 2:]).all()
+    assert view.path_m.dtype == np.float32
+    assert not view.frontier.any()  # the only frontier cell lies behind the wall
+    assert view.belief.start.tolist() == [1, 0, 0]
+
+
+@pytest.mark.jit
+def test_the_plainest_strategy_is_closest_to_the_bit():
+    table = compare(["closest", nearest, "closest+recheck", strategy(nearest, recheck=True)], lidar=NOISY)
+    assert equal(table, "closest", "nearest")
+    assert equal(table, "closest+recheck", "nearest+recheck")
+    assert not equal(table, "closest", "closest+recheck")
+
+
+@pytest.mark.jit
+def test_ones_own_in_both_engines_modified_too(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "engines_mine.py").write_text(MODULE)
+    names = ["closest+recheck+segment", "engines_mine:nearest+recheck+segment", "engines_mine:closest+recheck+segment"]
+    tables = [compare(names, lidar=NOISY, engine=engine) for engine in ("serial", "lockstep")]
+    assert tables[0].equals(tables[1])
+    for name in names[1:]:
+        assert equal(tables[0], names[0], name)
+    sys.modules.pop("engines_mine")
+
+
+@pytest.mark.jit
+def test_parameters_are_swept_without_compiling_anew():
+    traced = []
+
+    def weighed(view, weight=1.0, power=2, table=None):
+        traced.append(weight)
+        return -view.path_m * weight**power if table is None else table
+
+    def names(*weights):
+        return [strategy(weighed, weight=w, name=f"w{w}") for w in weights]
+
+    assert equal(compare(names(1.0, 3.0)), "w1.0", "w3.0")
+    n = len(traced)
+    compare(names(5.0))
+    assert len(traced) - n <= 1  # once more to be checked, never to be compiled
+    assert strategy(weighed, weight=3, recheck=True).name == "weighed+recheck:weight=3"
+    table = np.zeros((64, 64), np.float32)
+    table[12, 20] = 1
+    compare([strategy(weighed, table=table)])  # an array is a parameter like any other
+
+
+# ---------------------------------------------------------------- names
+
+
+@pytest.fixture
+def module(tmp_path, monkeypatch):
+    """A folder with a module of strategies, in which we are."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    (tmp_path / "mine_of_tests.py").write_text(MODULE)
+    yield tmp_path
+    sys.modules.pop("mine_of_tests", None)
+
+
+def test_a_module_of_the_current_folder(module):
+    plain = parse_strategy("mine_of_tests:nearest")
+    assert plain.policy == parse_strategy("mine_of_tests:nearest").policy  # equal, so compiled once
+    assert parse_strategy("mine_of_tests:nearest+recheck").recheck
+    near = parse_strategy("mine_of_tests:near:weight=2,mode=odd,way=data/w.npz").policy
+    assert near.params == {"weight": 2}
+    assert dict(near.select.fixed) == {"mode": "odd", "way": "data/w.npz"}
+    made = parse_strategy("mine_of_tests:closest+segment=auto:steps=5,door_m=2").policy
+    assert (made.params.inner, made.params.door_m) == (5, 2.0)
+
+
+def test_a_module_elsewhere_is_found_before_a_builtin_name_is_asked(module):
+    (module / "broken_of_tests.py").write_text("import notthere_of_tests")
+    (module / "wrong_of_tests.py").write_text("1 / 0")
+    for text, says in (
+        ("broken_of_tests:x", "'broken_of_tests' does not import: ModuleNotFoundError: No module named 'notthere_of"),
+        ("wrong_of_tests:x", "'wrong_of_tests' does not import: ZeroDivisionError: division by zero"),
+        ("absent_of_tests:x", "no module 'absent_of_tests', neither installed nor in "),
+        ("mine_of_tests:nearset", "'mine_of_tests' has no 'nearset' (there are: nearest, near, closest)"),
+        ("mine_of_tests:MODULE", "has no 'MODULE'"),
+        ("mine_of_tests:jx", "is no strategy"),
+        ("mine_of_tests:near:weight=heavy", "expected a number for weight"),
+        ("mine_of_tests:near:weight=1,weight=2", "expected weight=NUMBER once"),
+        ("mine_of_tests:near:wait=1", "unknown parameter of 'mine_of_tests:near': 'wait'; did you mean 'weight'?"),
+        ("mine_of_tests:near+rechek", "unknown modifier"),
+    ):
+        with pytest.raises(InputError, match=re.escape(says)) as caught:
+            strategy(text)
+        assert "\n" not in str(caught.value)
+
+
+def test_registered(monkeypatch):
+    monkeypatch.setattr(entries, "STRATEGIES", dict(STRATEGIES))
+    assert jx.register("mine-1", nearest, source="us, 2026") is nearest
+
+    @jx.register("decorated")
+    def other(view, beta=0.5):
+        """Goes elsewhere.
+
+        And more.
+        """
+        return view.cost * beta
+
+    found = {line.name: line for line in listing()}
+    assert found["mine-1"].source == "us, 2026"
+    assert found["decorated"].summary == "Goes elsewhere."
+    assert found["decorated"].parameters == "beta=0.5"
+    assert re.search(r"test_own_strategies\.py:\d+$", found["decorated"].source)
+    assert parse_strategy("mine-1+recheck").recheck
+    assert parse_strategy("decorated:beta=2").policy.params == {"beta": 2}
+    with pytest.raises(InputError, match="'mine-1' is registered already"):
+        jx.register("mine-1", nearest)
+    jx.register("mine-1", other, replace=True)
+    assert entries.STRATEGIES["mine-1"].make is other
+    for name, thing, says in (
+        ("closest", nearest, "registered already"),
+        ("my own", nearest, "must be letters"),
+        ("3rd", nearest, "must be letters"),
+        (None, nearest, "must be letters"),
+        ("number", 3, "must be a function of the view"),
+    ):
+        with pytest.raises(InputError, match=says):
+            jx.register(name, thing)
+    with pytest.raises(InputError, match="one of jexplore's own"):
+        jx.register("closest", nearest, replace=True)
+
+
+def test_packages_offer_strategies(module, monkeypatch):
+    monkeypatch.setattr(entries, "STRATEGIES", dict(STRATEGIES))
+    points = [
+        importlib.metadata.EntryPoint(name, value, entries.GROUP)
+        for name, value in (("offered", "mine_of_tests:near"), ("spoilt", "mine_of_tests:absent"))
+    ]
+    monkeypatch.setattr(sys, "path", [str(module), *sys.path])
+    monkeypatch.setattr(importlib.metadata, "entry_points", lambda group: points if group == entries.GROUP else [])
+    entries.offered.cache_clear()
+    try:
+        assert parse_strategy("offered+recheck:weight=2").policy.params == {"weight": 2}
+        found = {line.name: line for line in listing()}
+        assert found["offered"].parameters == "weight=1.0, mode=plain, way=None"
+        assert "'spoilt' of mine_of_tests:absent does not load: AttributeError" in found["spoilt"].summary
+        with pytest.raises(InputError, match="does not load"):
+            parse_strategy("spoilt")
+        with pytest.raises(InputError, match="registered already"):
+            jx.register("spoilt", nearest)
+    finally:
+        entries.offered.cache_clear()
+
+
+def test_what_stands_for_a_strategy():
+    assert strategy("closest+recheck") == parse_strategy("closest+recheck")
+    given = strategy(nearest)
+    assert strategy(given) is given
+    assert strategy(STRATEGIES["closest"].make).name == "closest"
+    assert strategy(nearest, segment=True, recheck=True).name == "nearest+recheck+segment=holz"
+    assert strategy(nearest, segment="auto", door_m=2.0).policy.params.door_m == 2.0
+    for what, how, says in (
+        (3, {}, "a strategy must be a name, a function of the view, a constructor or a Policy, got 3"),
+        (max, {}, "is no strategy"),
+        (lambda view, other: 0, {}, "a score takes one argument, the view.* got view, other"),
+        (lambda: 3, {}, "must return a Policy, got int"),
+        (lambda **_: 1 / 0, {}, r"raised ZeroDivisionError at .*test_own_strategies.py:\d+: division by zero"),
+        (nearest, {"weight": 2}, "has no parameter 'weight'"),
+        (lambda *, weights: 0, {}, "needs the parameter weights"),
+        (nearest, {"segment": "holtz"}, "unknown kind of segment: 'holtz'; did you mean 'holz'"),
+        ("closest", {"recheck": True}, "'closest' says itself"),
+        (jx.Policy(3, 4), {"name": "x"}, "init must be a function, got 3"),
+        (type("Thing", (), {"__call__": lambda self, view: view.cost})(), {}, "has no name"),
+    ):
+        with pytest.raises(InputError, match=says):
+            strategy(what, **how)
+
+
+def test_two_of_one_name_are_refused():
+    def twice(function):
+        function.__name__ = "same"
+        return function
+
+    with pytest.raises(InputError, match="strategies must differ, got 'same' more than once"):
+        compare([twice(lambda view: view.cost), twice(lambda view: -view.cost)])
+    with pytest.raises(InputError, match="strategies must differ"):
+        compare(["closest", STRATEGIES["closest"].make])
+
+
+# ---------------------------------------------------------------- what is wrong with one
+
+
+def policy(select, init=lambda params, belief: (), **more):
+    return lambda: jx.Policy(init, select, **more)
+
+
+def chooses(change=lambda choice: choice, carry=(), route=lambda route: route):
+    def select(key, params, old, belief, beams, way):
+        choice, way = jx.nearest_frontier(belief, way)
+        return carry, change(choice), route(way)
+
+    return select
+
+
+@pytest.mark.jit
+@pytest.mark.parametrize(
+    ("wrong", "says"),
+    [
+        (lambda view: view.cost[0], r"a score for every cell, \[64, 64\] integer or float, got \[64\] int32"),
+        (lambda view: view.frontier, r"integer or float, got \[64, 64\] bool"),
+        (lambda view: view.cost + 1j, "got .* complex64"),
+        (lambda view: None, "got None"),
+        (lambda view: "far", "got str 'far'"),
+        (lambda view: 1 if view.cost > 3 else 0, r"raised \w+ at .*test_own_strategies.py:\d+: .*truth value|boolean"),
+        (lambda view: view.coast, r"raised AttributeError at .*: 'View' object has no attribute 'coast'"),
+        (policy(lambda *_: 3), r"must return \(carry, Choice, route\), got int 3"),
+        (policy(lambda key, params, carry, belief, beams, route: ((), (0, 0), route)), "must return .carry, Choice"),
+        (policy(lambda: 3), r"raised TypeError: .* takes 0 positional arguments"),
+        (policy(chooses(carry=jnp.float32(0)), lambda *_: 0), r"like that of init, \[\] int32, got \[\] float32"),
+        (policy(chooses(carry=(1, 2)), lambda *_: (1,)), "a carry like that of init"),
+        (policy(chooses(), lambda *_: "none"), "a carry of numbers and arrays, got str 'none'"),
+        (policy(chooses(lambda choice: choice.replace(row=1.5))), r"whose row is one int32, got float 1.5"),
+        (policy(chooses(lambda choice: choice.replace(col=jnp.zeros(2, jnp.int32)))), r"whose col .* \[2\] int32"),
+        (policy(chooses(lambda choice: choice.replace(is_view=3))), "whose is_view is one bool"),
+        (policy(chooses(route=lambda route: route[1:])), r"a route \[64, 64\] int8, got \[63, 64\] int8"),
+        (policy(chooses(route=lambda route: None)), r"a route \[64, 64\] int8, got None"),
+        (policy(chooses(), live=lambda *_: 3), "one bool, got int 3"),
+        (policy(chooses(), params="a word"), "params of a Policy must be numbers and arrays"),
+    ],
+)
+def test_what_is_wrong_is_said_in_one_line_before_anything_compiles(wrong, says, monkeypatch):
+    monkeypatch.setattr(serial, "compile_chunk", lambda *_: pytest.fail("compiled"))
+    with pytest.raises(InputError, match=says) as caught:
+        compare(["closest", strategy(wrong, name="wrong")])
+    assert "\n" not in str(caught.value)
+    assert caught.value._render_traceback_() == [f"InputError: {caught.value}"]
+
+
+@pytest.mark.jit
+def test_a_target_that_no_path_leads_to_ends_the_episode_at_the_third():
+    def wall(key, params, n, belief, beams, route):
+        known = jx.field(belief)
+        good, route = jx.nearest_frontier(belief, route)
+        bad, _ = jx.choose(belief, route, known, jnp.int32(0), jnp.int32(0))
+        # bad, bad, good, bad, bad, good, bad, bad, bad
+        take = (n % 3 == 2) & (n < 6)
+        return n + 1, jax.tree.map(lambda a, b: jnp.where(take, a, b), good, bad), route
+
+    table = compare([strategy(policy(wall, lambda *_: 0), name="wall")])
+    assert table["outcome"].tolist() == ["BAD_TARGET"] * 3
+    assert table["plans"].tolist() == [9] * 3
+    assert (table["steps"] > 0).all()
+    found = jx.explore(two_rooms(), strategy(policy(wall, lambda *_: 0), name="wall"), seed=2, lidar=LIDAR)
+    assert [plan.is_bad for plan in found.final.plans] == [True, True, False] * 2 + [True] * 3
+    *_, last = frames(found)
+    np.testing.assert_array_equal(last.hits, found.final.hits)  # played again as it was
+
+
+@pytest.mark.jit
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda choice, belief: choice.replace(row=jnp.int32(63), col=jnp.int32(63)),  # the way leads elsewhere
+        lambda choice, belief: choice.replace(row=jnp.int32(900)),  # not on the map
+        lambda choice, belief: choice.replace(cost=jnp.int32(2**30)),
+    ],
+)
+def test_a_way_must_lead_to_its_target(change):
+    def select(key, params, carry, belief, beams, route):
+        choice, route = jx.nearest_frontier(belief, route)
+        return carry, change(choice, belief), route
+
+    table = compare([strategy(policy(select), name="astray")], episodes=2)
+    assert table["outcome"].tolist() == ["BAD_TARGET"] * 2
+    assert table["plans"].tolist() == [3] * 2
+    assert jx.compare(two_rooms(), strategy(policy(select), name="astray"), episodes=1, lidar=LIDAR).warnings[-1] == (
+        "two rooms: astray: 1 of 1 episodes ended because the strategy chose a target that no path leads to, "
+        "three times in a row"
+    )
+
+
+def test_a_way_is_followed_cell_by_cell():
+    belief = beliefs.belief_of("R..#")
+    way = jnp.array([[0, 0, 0, -1]], jnp.int8)
+
+    def leads(col, row=0, way=way):
+        return bool(adapt._leads_there(belief, way, jx.Choice(jnp.int32(row), jnp.int32(col), jnp.int32(0))))
+
+    assert [leads(col) for col in range(4)] == [True, True, True, False]  # a wall is not stepped into
+    assert not leads(-1, -1)
+    assert not leads(2, way=jnp.array([[0, -1, 0, 0]], jnp.int8))
+    assert not leads(2, way=jnp.array([[0, 2, 0, 0]], jnp.int8))  # to and fro
+    assert not leads(2, way=jnp.array([[2, 0, 0, 0]], jnp.int8))  # over the edge
+
+
+@pytest.mark.jit
+def test_every_strategy_of_the_package_would_pass_the_check():
+    belief = beliefs.belief_of("...?\n.R..\n...?", grow=(61, 60))
+    route = jnp.full(belief.driven.shape, -1, jnp.int8)
+    for name in STRATEGIES:
+        one = parse_strategy(name).policy
+        wrapped = jx.Policy(
+            adapt.Init(one.init), adapt.Select(one.select), one.params, one.live and adapt.Live(one.live)
+        )
+        adapt.check(wrapped, jax.tree.map(jnp.asarray, one.params), belief, beliefs.table(beliefs.LIDAR, belief), route)
+
+
+def test_outcomes_have_names():
+    assert Outcome.BAD_TARGET.name == "BAD_TARGET"
+    assert jx.Outcome is Outcome
+    assert own.place_of(nearest).startswith(own._short(__file__))
