@@ -156,7 +156,7 @@ class Environment:
             which, turn = jax.random.split(jax.random.fold_in(key, START))
             cell = self._cells[world, jax.random.randint(which, (), 0, self._n_cells[world])]
             start = jnp.append(cell, 45 * jax.random.randint(turn, (), 0, 8))
-        return self._jitted_reset(key, start.astype(jnp.int32), world)
+        return self._jitted_reset(jax.random.clone(key), start.astype(jnp.int32), world)
 
     def step(self, key: Array, state: EnvState, action: Any) -> tuple[EnvState, View, Array, Array, dict[str, Array]]:
         """Drives to a target, until it is reached, found to be out of reach, or given up.
@@ -184,7 +184,7 @@ class Environment:
             raise InputError(f"state must be what reset or step returned, got {type(state).__name__}")
         if jnp.ndim(state.world):
             raise InputError(f"step takes one state, got {jnp.shape(state.world)[0]} or more; use jax.vmap(env.step)")
-        return self._jitted_step(key, state, _whole("action", action, (2,), "row, col"))
+        return self._jitted_step(jax.random.clone(key), state, _whole("action", action, (2,), "row, col"))
 
     def path(self, state: EnvState) -> np.ndarray:
         """The way driven so far, of an environment with `paths=True`: `[n + 1, 2]` int32, row and col; on the host.
