@@ -14,7 +14,7 @@ import numpy as np
 from jexplore.driving.settings import Noise, Tuning
 from jexplore.engine.backend import start_backend, use_compilation_cache
 from jexplore.report.trace_tables import share
-from jexplore.studies import tracing
+from jexplore.studies.traces import tracing
 from jexplore.tracemap import record
 from jexplore.tracemap.record import BtmMap
 from jexplore.tracemap.similarity import code

@@ -50,8 +50,8 @@ _MODULE_OF = {
     "Reproduction": "studies.reproduction",
     "segment_maps": "studies.segmentation",
     "Segmentation": "studies.segmentation",
-    "trace": "studies.tracing",
-    "Traced": "studies.tracing",
+    "trace": "studies.traces.tracing",
+    "Traced": "studies.traces.tracing",
     "Robot": "driving.settings",
     "Tuning": "driving.settings",
     "Noise": "driving.settings",
@@ -117,7 +117,7 @@ if TYPE_CHECKING:
     from jexplore.studies.explore import Episode, explore
     from jexplore.studies.reproduction import Reproduction, reproduce
     from jexplore.studies.segmentation import Segmentation, segment_maps
-    from jexplore.studies.tracing import Traced, trace
+    from jexplore.studies.traces.tracing import Traced, trace
     from jexplore.tracemap.json_form import read_btm
     from jexplore.tracemap.record import BtmMap
     from jexplore.worlds import GENERATORS, load_world

@@ -5,6 +5,8 @@ has no other end. What does not fit is counted, never written over.
 """
 
 import math
+from collections.abc import Callable
+from typing import Any, ClassVar, Self
 
 import jax.numpy as jnp
 import numpy as np
@@ -47,9 +49,10 @@ class Btm:
     n_nodes: Array  # int32, nodes in use
     n_links: Array  # int32, links in use
     overflow: Array  # int32, nodes and links that did not fit
+    replace: ClassVar[Callable[..., Self]]
 
 
-def empty(n_nodes, n_links):
+def empty(n_nodes: int, n_links: int) -> Btm:
     """A map without nodes, for at most so many nodes and links. Both static."""
 
     def full(n, value, dtype):
@@ -78,7 +81,7 @@ def _put(array, at, value):
     return array.at[at].set(value, mode="drop", wrap_negative_indices=False)
 
 
-def add_node(btm, kind, x_m, y_m, **fields):
+def add_node(btm: Btm, kind: Array | int, x_m: Array | float, y_m: Array | float, **fields: Any) -> tuple[Btm, Array]:
     """Adds a node.
 
     Args:
@@ -99,7 +102,9 @@ def add_node(btm, kind, x_m, y_m, **fields):
     ), at
 
 
-def add_link(btm, start, bearing, *, when=True, **fields):
+def add_link(
+    btm: Btm, start: Array | int, bearing: Array | float, *, when: Array | bool = True, **fields: Any
+) -> tuple[Btm, Array]:
     """Adds a link that has not been followed.
 
     Args:
@@ -123,18 +128,18 @@ def add_link(btm, start, bearing, *, when=True, **fields):
     ), at
 
 
-def wrapped(angle):
+def wrapped(angle: Any) -> Any:
     """An angle in [-pi, pi), radians."""
     return (angle + math.pi) % (2 * math.pi) - math.pi
 
 
-def turned_left(bearing, reference):
+def turned_left(bearing: Array | float, reference: Array | float) -> Array:
     """How far counter-clockwise a bearing lies from another: in (0, 2 pi], radians; 2 pi where they are equal."""
     angle = (bearing - reference) % (2 * math.pi)
     return jnp.where(angle <= 1e-6, 2 * math.pi, angle)
 
 
-def nearest_node(btm, x_m, y_m, kind):
+def nearest_node(btm: Btm, x_m: Array | float, y_m: Array | float, kind: Array | int) -> tuple[Array, Array]:
     """The nearest node of a kind: `(id, distance_m)`; `NONE` and `FAR_M` where there is none."""
     d2 = (btm.x_m - x_m) ** 2 + (btm.y_m - y_m) ** 2
     d2 = jnp.where(btm.kind == kind, d2, FAR_M)
@@ -143,12 +148,12 @@ def nearest_node(btm, x_m, y_m, kind):
     return jnp.where(found, at, NONE), jnp.where(found, jnp.sqrt(d2[at]), FAR_M)
 
 
-def open_links(btm):
+def open_links(btm: Btm) -> Array:
     """Links that nobody has followed though one could: `[M] bool`."""
     return (btm.status == UNSEARCHED) & ~btm.blocked
 
 
-def first_open(btm, node, entry):
+def first_open(btm: Btm, node: Array | int, entry: Array | float) -> Array:
     """The first un-searched link of a node, counter-clockwise from the bearing of the way in (Mano et al., V.A).
 
     Returns:
@@ -159,7 +164,7 @@ def first_open(btm, node, entry):
     return jnp.where(angle[at] < jnp.inf, at, NONE)
 
 
-def hops_to_open(btm):
+def hops_to_open(btm: Btm) -> Array:
     """Length of the shortest way along followed links from every node to one with an un-searched link.
 
     Returns:
@@ -181,7 +186,7 @@ def hops_to_open(btm):
     return distance
 
 
-def next_hop(btm, node):
+def next_hop(btm: Btm, node: Array | int) -> tuple[Array, Array, Array]:
     """The link by which the shortest way to an un-searched link leaves a node.
 
     Returns:
@@ -203,7 +208,7 @@ def next_hop(btm, node):
     return jnp.where(there, link, NONE), jnp.where(there, bearing, 0.0), jnp.where(there, to, NONE)
 
 
-def to_map(btm, *, origin_m=(0.0, 0.0), **attributes):
+def to_map(btm: Btm, *, origin_m: tuple[float, float] = (0.0, 0.0), **attributes: Any) -> BtmMap:
     """The map as a record on the host.
 
     Args:

@@ -8,6 +8,7 @@ import difflib
 import math
 import numbers
 import operator
+from collections.abc import Collection
 from typing import Any
 
 
@@ -19,7 +20,7 @@ class InputError(ValueError):
         return [f"{type(self).__name__}: {self}"]
 
 
-def require_whole(name, value, low, high):
+def require_whole(name: str, value: Any, low: int, high: int) -> int:
     """`value` as an int within the bounds, both inclusive.
 
     Raises:
@@ -34,7 +35,9 @@ def require_whole(name, value, low, high):
     return number
 
 
-def require_number(name, value, *, low=0.0, high=math.inf, low_open=False, high_open=False) -> Any:
+def require_number(
+    name: str, value: Any, *, low: float = 0.0, high: float = math.inf, low_open: bool = False, high_open: bool = False
+) -> Any:
     """Refuse `value` unless it is a finite number within the bounds.
 
     Args:
@@ -57,7 +60,7 @@ def require_number(name, value, *, low=0.0, high=math.inf, low_open=False, high_
     return value
 
 
-def unknown(kind, word, known):
+def unknown(kind: str, word: str, known: Collection[str]) -> InputError:
     """The error for a word that is not among those known: says which exist and which was probably meant."""
     near = difflib.get_close_matches(word, list(known), n=1, cutoff=0.5)
     hint = f"; did you mean {near[0]!r}?" if near else ""
@@ -80,7 +83,7 @@ class Lidar:
     dropout: float = 0.0
     """Probability that a beam returns nothing at all, and leaves the map as it is."""
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         require_whole("lidar.n_beams", self.n_beams, low=1, high=4096)
         require_number("lidar.fov_deg", self.fov_deg, low=0, high=360, low_open=self.n_beams > 1)
         require_number("lidar.range_m", self.range_m, low_open=True, high=1000)
@@ -105,7 +108,7 @@ class Rules:
     max_plans: int | None = None
     """Plans after which an episode ends as PLAN_LIMIT. Default: the larger of 20000 and the number of cells."""
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         require_number("rules.clearance_m", self.clearance_m, high=10)
         require_number("rules.near_m", self.near_m, high=10)
         require_number("rules.p_free", self.p_free, high=1, high_open=True)

@@ -4,7 +4,7 @@ import math
 
 import jax
 import jax.numpy as jnp
-from jax import lax
+from jax import Array, lax
 
 from jexplore.arrays import bits
 
@@ -13,7 +13,7 @@ REACH = 1023  # cells; a site further away is not found
 CODES = 2 * (REACH + 1)  # a candidate in one number: its squared distance times this, plus its column's offset
 
 
-def nearest_offset(sites):
+def nearest_offset(sites: Array) -> tuple[Array, Array, Array]:
     """Squared distance to the nearest site of every cell, and how far away that is in rows and columns.
 
     Ties go to the lowest column, then to the lowest row. Exact: integers throughout.
@@ -58,7 +58,7 @@ def nearest_offset(sites):
 
 
 @jax.jit
-def nearest_site(sites):
+def nearest_site(sites: Array) -> tuple[Array, Array]:
     """Squared distance to the nearest site of every cell, and which site it is.
 
     Args:
@@ -78,7 +78,7 @@ def nearest_site(sites):
     return d2, jnp.where(d2 < FAR, (rows + drow) * sites.shape[1] + cols + dcol, -1)
 
 
-def within(mask, d2):
+def within(mask: Array, d2: int) -> Array:
     """Cells that have a True cell within a distance: the test behind clearance.
 
     Args:
@@ -91,7 +91,7 @@ def within(mask, d2):
     return bits.unpack(within_packed(bits.pack(mask), d2), mask.shape[0])
 
 
-def within_packed(words, d2):
+def within_packed(words: Array, d2: int) -> Array:
     """`within` for packed masks: `[K, W]` uint32 to the same."""
     radius = math.isqrt(d2)
     # spread[w]: True within w columns of a True cell; a disc is one such row for every row offset.

@@ -12,10 +12,10 @@ from jax import Array, lax
 from jexplore.arrays import bits, sparse
 from jexplore.arrays.loops import repeat, stored
 from jexplore.distance import within, within_packed
-from jexplore.grid import any_within_one_packed, is_free, is_known, is_occupied
+from jexplore.grid import Grid, any_within_one_packed, is_free, is_known, is_occupied
 
 
-def clear_cells(grid, *, p_free, clearance_d2):
+def clear_cells(grid: Grid, *, p_free: Array | float, clearance_d2: int) -> Array:
     """Free cells with no occupied cell within the clearance.
 
     Args:
@@ -32,7 +32,7 @@ def clear_cells(grid, *, p_free, clearance_d2):
     return is_free(grid, p_free) & ~within(is_occupied(grid, p_free), clearance_d2)
 
 
-def disc(shape, row, col, d2):
+def disc(shape: tuple[int, ...], row: Array | int, col: Array | int, d2: Array | float) -> Array:
     """Cells within a distance of a cell.
 
     Args:
@@ -55,7 +55,18 @@ class Masks(NamedTuple):
     frontier: Array  # [ceil(H / 32), W] uint32, exhausted targets left out
 
 
-def plan_masks(grid, driven, exhausted, inside, row, col, *, p_free, near_d2, clearance_d2):
+def plan_masks(
+    grid: Grid,
+    driven: Array,
+    exhausted: Array,
+    inside: Array,
+    row: Array | int,
+    col: Array | int,
+    *,
+    p_free: Array | float,
+    near_d2: Array | float,
+    clearance_d2: int,
+) -> Masks:
     """Traversable and frontier cells at once, packed.
 
     Traversable: clear cells, free ones near the robot, and the way that it has driven; without the last two, walls
@@ -105,7 +116,7 @@ class Clusters:
     left_out: Array  # int32, frontier cells that were not looked at, because there were too many
 
 
-def label_clusters(cells):
+def label_clusters(cells: sparse.Cells) -> Array:
     """For every cell of a list the lowest slot of its 8-connected group: `[K]` int32; K in an unused slot.
 
     Args:
@@ -127,7 +138,9 @@ def label_clusters(cells):
     return label
 
 
-def frontier_clusters(frontier, cost=None, *, max_clusters, max_cells=None):
+def frontier_clusters(
+    frontier: Array, cost: Array | None = None, *, max_clusters: int, max_cells: int | None = None
+) -> Clusters:
     """Groups of frontier cells that touch each other along edges or corners.
 
     Args:

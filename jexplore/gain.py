@@ -12,7 +12,7 @@ from jax import Array, lax
 
 from jexplore.arrays import bits
 from jexplore.grid import Grid, count, empty_grid, entropy, is_known, is_occupied
-from jexplore.raycast import fold, scan
+from jexplore.raycast import Beams, fold, scan
 
 
 @struct.dataclass
@@ -36,7 +36,9 @@ class ViewGain(NamedTuple):
     known: Array  # int32, known cells likewise
 
 
-def stops_and_unknown(grid, extent, p_free):
+def stops_and_unknown(
+    grid: Grid, extent: Array | tuple[Array | int, Array | int], p_free: Array | float
+) -> tuple[Array, Array]:
     """Cells that stop a simulated beam, and cells of which it would tell something new.
 
     Beams end at the world's outermost cells, known or not.
@@ -54,7 +56,7 @@ def stops_and_unknown(grid, extent, p_free):
     return is_occupied(grid, p_free) | ~inner, ~is_known(grid) & inner
 
 
-def prospect(grid, extent, p_free):
+def prospect(grid: Grid, extent: Array | tuple[Array | int, Array | int], p_free: Array | float) -> Prospect:
     """`Prospect` of a map. Arguments as for `stops_and_unknown`. One cell in 16 may be mixed."""
     stops, unknown = stops_and_unknown(grid, extent, p_free)
     mixed = (grid.hits > 0) & (grid.misses > 0)
@@ -67,7 +69,7 @@ def prospect(grid, extent, p_free):
     return Prospect(stops, unknown, at, hits.astype(jnp.float32), misses.astype(jnp.float32), before, overflow)
 
 
-def window_of(beams, shape):
+def window_of(beams: Beams, shape: tuple[int, ...]) -> tuple[int, ...]:
     """Sides of the square, at most the map, that holds all that a look from its middle can reach: `(h, w)`, static."""
     radius = math.ceil(beams.offset.shape[1] / math.sqrt(2)) + 1
     return tuple(min(2 * radius + 1, n) for n in shape)
@@ -78,7 +80,7 @@ def _corner(row, col, size, shape):
     return [jnp.clip(at - m // 2, 0, n - m) for at, n, m in zip((row, col), shape, size)]
 
 
-def most(prospect, row, col, beams):
+def most(prospect: Prospect, row: Array, col: Array, beams: Beams) -> Array:
     """What looks from some cells can tell at most: the entropy of all that lies in reach, walls or not.
 
     Args:
@@ -100,7 +102,9 @@ def most(prospect, row, col, beams):
     return inside * (1 + 1e-4) + 1  # more than what float32 loses
 
 
-def look(prospect, row, col, beams, scratch, *, method="blocks"):
+def look(
+    prospect: Prospect, row: Array | int, col: Array | int, beams: Beams, scratch: Grid, *, method: str = "blocks"
+) -> tuple[ViewGain, Grid]:
     """What a look all round from a cell would tell.
 
     Args:
@@ -138,7 +142,16 @@ def look(prospect, row, col, beams, scratch, *, method="blocks"):
     return ViewGain(seen.astype(jnp.float32) + change, seen, known), scratch
 
 
-def unknown_seen(grid, extent, p_free, row, col, beams, *, method="blocks"):
+def unknown_seen(
+    grid: Grid,
+    extent: Array | tuple[Array | int, Array | int],
+    p_free: Array | float,
+    row: Array | int,
+    col: Array | int,
+    beams: Beams,
+    *,
+    method: str = "blocks",
+) -> Array:
     """How many unknown cells a look all round from a cell would show: int32, the `unknown` of a `look`.
 
     Args:

@@ -5,6 +5,7 @@ Also the only place that converts between metres and cells. Cells are `(row, col
 """
 
 import math
+from typing import Any
 
 import jax.numpy as jnp
 from flax import struct
@@ -23,7 +24,7 @@ class Grid:
     misses: Array  # [H, W] int32, beams that passed through the cell; one more a scan in the robot's own cell
 
 
-def empty_grid(shape):
+def empty_grid(shape: tuple[int, ...]) -> Grid:
     """A map in which nothing has been seen.
 
     Args:
@@ -35,7 +36,7 @@ def empty_grid(shape):
     return Grid(hits=jnp.zeros(shape, jnp.int32), misses=jnp.zeros(shape, jnp.int32))
 
 
-def probability(grid):
+def probability(grid: Grid) -> Array:
     """Reflection probability of every cell.
 
     Args:
@@ -48,24 +49,24 @@ def probability(grid):
     return jnp.where(n > 0, grid.hits.astype(jnp.float32) / jnp.maximum(n, 1).astype(jnp.float32), jnp.float32(0.5))
 
 
-def is_known(grid):
+def is_known(grid: Grid) -> Array:
     """Cells with at least one observation: `[H, W]` bool. A cell at p = 0.5 with observations is known."""
     return (grid.hits | grid.misses) != 0
 
 
-def is_free(grid, p_free):
+def is_free(grid: Grid, p_free: Array | float) -> Array:
     """Known cells whose reflection probability is at most `p_free` (a number or a scalar): `[H, W]` bool."""
     n = grid.hits + grid.misses
     return (n > 0) & (grid.hits.astype(jnp.float32) <= p_free * n.astype(jnp.float32))
 
 
-def is_occupied(grid, p_free):
+def is_occupied(grid: Grid, p_free: Array | float) -> Array:
     """Known cells whose reflection probability is above `p_free`: `[H, W]` bool."""
     n = grid.hits + grid.misses
     return (n > 0) & (grid.hits.astype(jnp.float32) > p_free * n.astype(jnp.float32))
 
 
-def entropy(grid):
+def entropy(grid: Grid) -> Array:
     """Entropy of every cell, bits.
 
     Args:
@@ -85,12 +86,12 @@ def entropy(grid):
     return -(plogp(p) + plogp(1 - p))
 
 
-def bordered(array, fill):
+def bordered(array: Array, fill: float) -> Array:
     """The array with a border of `fill`, one cell wide: `[H + 2, W + 2]`. Neighbours are taken from it by `beside`."""
     return jnp.pad(array, 1, constant_values=fill)
 
 
-def beside(bordered_array, drow, dcol):
+def beside(bordered_array: Array, drow: int, dcol: int) -> Array:
     """What lies at `(row + drow, col + dcol)` of every cell.
 
     Args:
@@ -104,7 +105,7 @@ def beside(bordered_array, drow, dcol):
     return bordered_array[1 + drow : 1 + drow + height, 1 + dcol : 1 + dcol + width]
 
 
-def any_within_one(mask):
+def any_within_one(mask: Array) -> Array:
     """Cells that are True or have a True cell among their 8 neighbours; outside the map counts as False.
 
     Args:
@@ -116,13 +117,13 @@ def any_within_one(mask):
     return bits.unpack(any_within_one_packed(bits.pack(mask)), mask.shape[0])
 
 
-def any_within_one_packed(words):
+def any_within_one_packed(words: Array) -> Array:
     """`any_within_one` for packed masks: `[K, W]` uint32 to the same."""
     words = words | bits.shifted(words, 0, 1) | bits.shifted(words, 0, -1)
     return words | bits.shifted(words, 1, 0) | bits.shifted(words, -1, 0)
 
 
-def count(mask):
+def count(mask: Array) -> Array:
     """How many cells of a matrix are True: int32.
 
     Row onto row first, then across: on a CPU that vectorises, both at once does not (measured: a quarter of the time).
@@ -130,12 +131,12 @@ def count(mask):
     return jnp.sum(lax.optimization_barrier(jnp.sum(mask, axis=0, dtype=jnp.int32)), dtype=jnp.int32)
 
 
-def lowest(values):
+def lowest(values: Array) -> Array:
     """The smallest value of a matrix, in the same two steps as `count`."""
     return jnp.min(lax.optimization_barrier(jnp.min(values, axis=0)))
 
 
-def radius_d2(radius_m, cell_m):
+def radius_d2(radius_m: float, cell_m: float) -> int:
     """The largest squared distance in cells that counts as within `radius_m`.
 
     Args:
@@ -148,11 +149,11 @@ def radius_d2(radius_m, cell_m):
     return math.floor((radius_m / cell_m) ** 2 + TOLERANCE)
 
 
-def centre_of(row, col, *, cell_m, origin_m=(0.0, 0.0)):
+def centre_of(row: Any, col: Any, *, cell_m: float, origin_m: tuple[float, float] = (0.0, 0.0)) -> tuple[Any, Any]:
     """The centre of a cell: `(x_m, y_m)`, metres."""
     return (col + 0.5) * cell_m + origin_m[0], (row + 0.5) * cell_m + origin_m[1]
 
 
-def in_cells(length_m, cell_m):
+def in_cells(length_m: float, cell_m: float) -> float:
     """A length in cells: a Python float, rounded to 1e-9 so that 0.3 m / 0.1 m is 3."""
     return round(length_m / cell_m, 9)

@@ -7,7 +7,8 @@ candidates.
 """
 
 import math
-from typing import Any
+from collections.abc import Callable
+from typing import Any, ClassVar, Self
 
 import jax.numpy as jnp
 import numpy as np
@@ -48,6 +49,7 @@ class Belief:
     start: Array  # [3] int32, row, col and heading at the beginning
     extent: Array  # [2] int32, height and width of the world without padding
     model: MapModel
+    replace: ClassVar[Callable[..., Self]]
 
 
 @struct.dataclass
@@ -62,6 +64,7 @@ class Choice:
     overflow: Any = np.int32(
         0
     )  # int32, things that the strategy had no room for (frontier clusters, Voronoi nodes, ...)
+    replace: ClassVar[Callable[..., Self]]
 
 
 @struct.dataclass
@@ -83,18 +86,18 @@ class View:
     belief: Belief
 
 
-def metres(cost, cell_m):
+def metres(cost: Array, cell_m: Array | float) -> Array:
     """A path's cost (see reach.py) as a length, metres: float32."""
     return cost.astype(jnp.float32) * (cell_m / STRAIGHT)
 
 
-def view_of(belief, known):
+def view_of(belief: Belief, known: Field) -> View:
     """The `View` of a belief, from its `Field`."""
     path_m = jnp.where(known.cost < FAR, metres(known.cost, belief.model.cell_m), jnp.inf)
     return View(known.cost, path_m, known.candidates, belief)
 
 
-def is_open(belief, row, col):
+def is_open(belief: Belief, row: Array | int, col: Array | int) -> Array:
     """Whether a robot would step into a cell: it is free as far as is known, or was driven on: bool.
 
     Args:
@@ -106,7 +109,7 @@ def is_open(belief, row, col):
     return free | belief.driven[row, col]
 
 
-def is_live(belief, row, col):
+def is_live(belief: Belief, row: Array | int, col: Array | int) -> Array:
     """Whether a cell is 8-adjacent to an unknown cell: bool."""
     height, width = belief.driven.shape
     r = row + jnp.asarray([-1, -1, -1, 0, 0, 1, 1, 1], jnp.int32)
@@ -131,7 +134,7 @@ def _masks(belief, origin=(0, 0)):
     return one_kernel(judge, *arguments) if model.reach == "sweeps" else judge(*arguments)
 
 
-def field(belief, *, nearest_only=False):
+def field(belief: Belief, *, nearest_only: bool = False) -> Field:
     """Costs of the whole map and the frontier cells that can be reached.
 
     Args:
@@ -153,7 +156,7 @@ def field(belief, *, nearest_only=False):
     return Field(traversable[:height], cost[:height], (frontier & (cost < FAR))[:height])
 
 
-def first_at(mask):
+def first_at(mask: Array) -> tuple[Array, Array]:
     """Row and column of the first True cell in (row, col) order; arbitrary if there is none."""
     height, width = mask.shape
     index = lax.broadcasted_iota(jnp.int32, mask.shape, 0) * width + lax.broadcasted_iota(jnp.int32, mask.shape, 1)
@@ -161,7 +164,7 @@ def first_at(mask):
     return at // width, at % width
 
 
-def choose(belief, route, known, row, col):
+def choose(belief: Belief, route: Array, known: Field, row: Array, col: Array) -> tuple[Choice, Array]:
     """Makes a cell of a `Field` the target and lays the route to it.
 
     Args:
@@ -235,7 +238,7 @@ def _nearest_in_window(belief, route, side):
     return ~decided, Choice(target[0], target[1], best, jnp.int32(0)), route
 
 
-def nearest_frontier(belief, route):
+def nearest_frontier(belief: Belief, route: Array) -> tuple[Choice, Array]:
     """The frontier cell with the shortest path, and the route to it.
 
     Args:

@@ -13,6 +13,7 @@ import numpy as np
 from flax import struct
 from jax import Array, lax
 
+from jexplore.config import Lidar
 from jexplore.grid import Grid, in_cells
 
 BLOCK = 8  # steps of a beam looked at together, before asking whether all beams have ended
@@ -46,7 +47,7 @@ class Scan:
     hit: Array  # [B] bool, stopped by an occupied cell (else the range ended it)
 
 
-def exact_direction(deg):
+def exact_direction(deg: float | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Unit vector of an angle, free of rounding where the sine or cosine is 0, 1/2, 1 or sqrt(1/2).
 
     Args:
@@ -64,7 +65,7 @@ def exact_direction(deg):
     return dx, dy
 
 
-def beam_angles_deg(lidar):
+def beam_angles_deg(lidar: Lidar) -> np.ndarray:
     """Angles of a scanner's beams relative to its heading.
 
     Args:
@@ -103,12 +104,12 @@ def _geometry(xp, dx, dy, x, y, far):
     return sign_x, sign_y, xp.where(dx == 0, 1, to_x), xp.where(dy == 0, 1, to_y), per_x, per_y
 
 
-def n_steps(range_cells):
+def n_steps(range_cells: float) -> int:
     """Steps that a beam can need from anywhere in a cell, and one more that ends it, in whole blocks. A Python int."""
     return -(-(math.floor(range_cells * math.sqrt(2)) + 3) // BLOCK) * BLOCK
 
 
-def by_beam(offset):
+def by_beam(offset: np.ndarray) -> np.ndarray:
     """Cell numbers block by block, beam after beam: `[K, S, B]` as `[K, S / BLOCK, B, BLOCK]`.
 
     Counted in this order, two beams side by side, which enter the same cells near the robot, add to a cell one long
@@ -119,7 +120,7 @@ def by_beam(offset):
     return offset.reshape(n_headings, n // BLOCK, BLOCK, n_beams).swapaxes(2, 3)
 
 
-def scans_all_round(fov_deg):
+def scans_all_round(fov_deg: float) -> int:
     """How many scans, evenly turned, see all round: the next of 1, 2, 4, 8, so that every heading is on the lattice.
 
     Args:
@@ -131,7 +132,7 @@ def scans_all_round(fov_deg):
     return next((n for n in (1, 2, 4) if n * fov_deg >= 360), HEADINGS)
 
 
-def all_round(beams):
+def all_round(beams: Beams) -> Beams:
     """The beams of a look all round, from scans at evenly turned headings, as those of one scan.
 
     Args:
@@ -156,7 +157,7 @@ def all_round(beams):
 
 
 @functools.lru_cache(maxsize=8)
-def beam_table(lidar, cell_m, width):
+def beam_table(lidar: Lidar, cell_m: float, width: int) -> Beams:
     """The beams of a robot that stands on a cell's centre with a heading that is a multiple of 45 degrees.
 
     Args:
@@ -201,7 +202,9 @@ def _known_method(method):
 
 
 @functools.partial(jax.jit, static_argnames=("method",))
-def scan(occupied, row, col, heading, beams, *, method="blocks"):
+def scan(
+    occupied: Array, row: Array | int, col: Array | int, heading: Array | int, beams: Beams, *, method: str = "blocks"
+) -> Scan:
     """Where beams end in a true map.
 
     Args:
@@ -248,7 +251,17 @@ def scan(occupied, row, col, heading, beams, *, method="blocks"):
 
 
 @functools.partial(jax.jit, static_argnames=("method",))
-def fold(grid, row, col, heading, seen, beams, *, when=True, method="blocks"):
+def fold(
+    grid: Grid,
+    row: Array | int,
+    col: Array | int,
+    heading: Array | int,
+    seen: Scan,
+    beams: Beams,
+    *,
+    when: Array | bool = True,
+    method: str = "blocks",
+) -> Grid:
     """Counts one scan into the map: a miss for every cell passed, a hit where a beam was stopped.
 
     Args:
@@ -299,7 +312,13 @@ def fold(grid, row, col, heading, seen, beams, *, when=True, method="blocks"):
     return Grid(hits=hits.reshape(height, width), misses=misses.reshape(height, width))
 
 
-def steps_inside(beams, row, col, heading, extent):
+def steps_inside(
+    beams: Beams,
+    row: Array | int,
+    col: Array | int,
+    heading: Array | int,
+    extent: Array | tuple[Array | int, Array | int],
+) -> Array:
     """How many steps each beam can make before it leaves the map.
 
     Args:
@@ -317,7 +336,18 @@ def steps_inside(beams, row, col, heading, extent):
     return jnp.min(jnp.where(within, within.shape[0], step), axis=0)
 
 
-def disturb(key, seen, row, col, heading, beams, extent, *, sigma_cells, dropout):
+def disturb(
+    key: Array,
+    seen: Scan,
+    row: Array | int,
+    col: Array | int,
+    heading: Array | int,
+    beams: Beams,
+    extent: Array | tuple[Array | int, Array | int],
+    *,
+    sigma_cells: Array | float,
+    dropout: Array | float,
+) -> Scan:
     """A scan as a noisy scanner reports it.
 
     A beam that was stopped reports its distance plus Gaussian noise; it is read as a hit in the cell at that distance,

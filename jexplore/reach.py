@@ -5,6 +5,7 @@ round(sqrt(2) * 2**16) a diagonal one. A diagonal step needs both cells beside i
 """
 
 import functools
+from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
@@ -89,7 +90,9 @@ def _sweep(cost, possible, rows, steps, reverse):
 
 
 @functools.partial(jax.jit, static_argnames=("method",))
-def reach(traversable, row, col, goals=None, *, method="sweeps"):
+def reach(
+    traversable: Array, row: Array | int, col: Array | int, goals: Array | None = None, *, method: str = "sweeps"
+) -> Array:
     """Cost of the shortest path from a cell to every cell: the reachability map.
 
     Args:
@@ -118,7 +121,15 @@ def reach(traversable, row, col, goals=None, *, method="sweeps"):
     return reach_packed(words, row, col, goals, method=method)[: traversable.shape[0]]
 
 
-def reach_packed(words, row, col, goals=None, *, limit: Array | int = FAR, method="sweeps"):
+def reach_packed(
+    words: Array,
+    row: Array | int,
+    col: Array | int,
+    goals: Array | None = None,
+    *,
+    limit: Array | int = FAR,
+    method: str = "sweeps",
+) -> Array:
     """`reach` with packed traversable cells.
 
     Args:
@@ -136,7 +147,7 @@ def reach_packed(words, row, col, goals=None, *, limit: Array | int = FAR, metho
     return METHODS[method](words, None, (row, col), goals, jnp.int32(limit), STEPS)
 
 
-def nearest_source(words, sources, n, *, method="sweeps"):
+def nearest_source(words: Array, sources: Array, n: int, *, method: str = "sweeps") -> Array:
     """Which of many sources is the nearest, along paths.
 
     Args:
@@ -246,11 +257,11 @@ def _sweeps_as_one(words, start, at, goals, limit, steps):
     return one_kernel(run, words, start, at, goals, limit)
 
 
-METHODS = {"sweeps": _sweeps_as_one, "wave": _wave}
+METHODS: dict[str, Callable[..., Array]] = {"sweeps": _sweeps_as_one, "wave": _wave}
 STRIDES = {"sweeps": 1, "wave": 8}  # for `lay_route` beside each method: in lockstep a look costs more than a motion
 
 
-def flood(words, row, col):
+def flood(words: Array, row: Array | int, col: Array | int) -> Array:
     """The cells to which a path leads, however long.
 
     Args:
@@ -285,7 +296,7 @@ def _extent(words):
     return jnp.min(jnp.where(used, at, width)), jnp.max(jnp.where(used, at, -1))
 
 
-def saturated(cost, traversable):
+def saturated(cost: Array, traversable: Array) -> Array:
     """Cells one motion beyond those with a cost that hold FAR, because their cost would not fit.
 
     Args:
@@ -322,7 +333,16 @@ def _last_motion(cost, traversable):
     return jnp.where(jnp.any(jnp.stack(matches), axis=0), motion, jnp.int8(NO_MOTION))
 
 
-def lay_route(route, cost, traversable, start, target, origin, *, stride=1):
+def lay_route(
+    route: Array,
+    cost: Array,
+    traversable: Array,
+    start: tuple[Array | int, ...],
+    target: tuple[Array | int, ...],
+    origin: tuple[Array | int, ...],
+    *,
+    stride: int = 1,
+) -> Array:
     """Writes the way from the start to a target into a map of motions: the path read-out.
 
     Args:

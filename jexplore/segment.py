@@ -1,7 +1,7 @@
 """Rooms: free space cut at the narrow places of its Voronoi graph (Holz et al. 2010, section 2.4 and Figure 7)."""
 
 import functools
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -57,7 +57,7 @@ class Segments:
     overflow: Array  # int32, cells of the graph and critical points that did not fit
 
 
-def form_for(shape, **changes):
+def form_for(shape: tuple[int, ...], **changes: Any) -> Form:
     """The `Form` that suits a map of a shape: one cell in 16 may lie on the Voronoi graph, one in 1024 be critical.
 
     Args:
@@ -68,7 +68,14 @@ def form_for(shape, **changes):
     return Form(nodes, min(max(32, nodes // 64), 1024))._replace(**changes)
 
 
-def criteria(variant="holz", *, prominence=1.0, gamma=3.0, max_clearance=float("inf"), longest_first=True):
+def criteria(
+    variant: str = "holz",
+    *,
+    prominence: float = 1.0,
+    gamma: float = 3.0,
+    max_clearance: float = float("inf"),
+    longest_first: bool = True,
+) -> Criteria:
     """`Criteria` of a variant. Lengths in cells."""
     return Criteria(
         max_hops=jnp.int32(VARIANTS[variant]),
@@ -154,7 +161,7 @@ def _barrier(walks, keys, upwards):
     return lax.fori_loop(0, walks.levels, descend, start)[1]
 
 
-def critical_points(graph, criteria):
+def critical_points(graph: Graph, criteria: Criteria) -> Array:
     """Nodes at which free space is narrow.
 
     A node of degree 2 whose clearance is a local minimum along its chain: on either side the clearance rises by the
@@ -207,7 +214,7 @@ def critical_points(graph, criteria):
     return minimum & near & (graph.d2 <= criteria.max_clearance**2)
 
 
-def borders(label, n):
+def borders(label: Array, n: int) -> Array:
     """How many pairs of cells side by side belong to each pair of labels: `[n, n]` int32, at (lower, higher)."""
     b = bordered(label, -1)
     total = jnp.zeros((n * n,), jnp.int32)
@@ -219,7 +226,7 @@ def borders(label, n):
     return total.reshape(n, n)
 
 
-def merged(shared, start, longest_first, keep_apart=True):
+def merged(shared: Array, start: Array, longest_first: Array | bool, keep_apart: bool = True) -> Array:
     """Joins segments that touch and do not come from the same split, the longest shared border first.
 
     Segments 2 k and 2 k + 1 come from split k: no two groups that hold opposite sides of one split are joined.
@@ -304,7 +311,7 @@ def _fill_lines(label, free):
 
 
 @functools.partial(jax.jit, static_argnames=("form",))
-def segment(free, criteria, *, form):
+def segment(free: Array, criteria: Criteria, *, form: Form) -> Segments:
     """Divides free space into segments, roughly rooms.
 
     Args:

@@ -26,7 +26,7 @@ class Graph:
     overflow: Array  # int32, cells that did not fit into K slots
 
 
-def medial_axis(d2, drow, dcol, gamma2):
+def medial_axis(d2: Array, drow: Array, dcol: Array, gamma2: Array | float) -> Array:
     """Cells on a boundary between the regions of two obstacles: up to two cells wide.
 
     Args:
@@ -51,7 +51,7 @@ def medial_axis(d2, drow, dcol, gamma2):
     return marked & beside(open_, 0, 0)
 
 
-def thin(words):
+def thin(words: Array) -> Array:
     """Lines one cell wide with the same connections: cells are taken from both sides until none can go.
 
     Args:
@@ -97,7 +97,7 @@ def _two_and_four(masks):
     return (a & b) | (c & d) | ((a | b) & (c | d)), a & b & c & d
 
 
-def graph(skeleton, d2, *, size):
+def graph(skeleton: Array, d2: Array, *, size: int) -> Graph:
     """Links the cells of a thin skeleton.
 
     Args:
@@ -122,7 +122,7 @@ def graph(skeleton, d2, *, size):
     )
 
 
-def voronoi_graph(obstacle, gamma2, *, size):
+def voronoi_graph(obstacle: Array, gamma2: Array | float, *, size: int) -> tuple[Graph, Array, Array]:
     """The Voronoi graph of the space between obstacles.
 
     Args:

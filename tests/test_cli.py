@@ -85,7 +85,7 @@ def test_run_json(ran, world):
     assert record["episodes_per_s"] == pytest.approx(9 / record["run_s"])
     assert record["wall_s"] >= record["run_s"] + record["compile_s"]
     assert record["configuration"]["lidar"]["range_m"] == 1.0
-    assert record["configuration"]["episode"]["clearance_m"] == 0.3
+    assert record["configuration"]["rules"]["clearance_m"] == 0.3
     assert record["configuration"]["worlds"] == [world]
     assert record["environment"]["jexplore"] == jexplore.__version__
     assert record["environment"]["device"]

@@ -17,8 +17,8 @@ from jexplore.driving.mission import Outcome
 from jexplore.driving.settings import ROBOTS, Noise, Tuning
 from jexplore.driving.vehicle import DT_S
 from jexplore.extraction.extract import extract
-from jexplore.studies import tracing
-from jexplore.studies.trace_extraction import matched
+from jexplore.studies.traces import tracing
+from jexplore.studies.traces.extraction import matched
 from jexplore.tracemap.similarity import code
 from jexplore.worlds import load_world
 from jexplore.worlds.world import World

@@ -9,7 +9,7 @@ from PIL import Image
 from jexplore.cli import main
 from jexplore.driving import batch
 from jexplore.report import trace_tables
-from jexplore.studies import trace_extraction, tracing
+from jexplore.studies.traces import extraction, tracing
 from jexplore.tracemap import json_form
 from jexplore.tracemap.record import BtmMap, Link, Node
 from jexplore.tracemap.similarity import code
@@ -134,6 +134,6 @@ def test_divergences_are_matched_by_place_and_degree():
                                                               for i, k in enumerate(links)))  # fmt: skip
 
     true = whole(at(0, 0.0, 3), at(1, 5.0, 2))
-    assert trace_extraction.matched(whole(at(0, 0.15, 3), at(1, 5.0, 3)), true, 0.1) == (1, 2, 2)
-    assert trace_extraction.matched(whole(at(0, 0.25, 3)), true, 0.1) == (0, 1, 2)
-    assert trace_extraction.matched(true, true, 0.1) == (2, 2, 2)
+    assert extraction.matched(whole(at(0, 0.15, 3), at(1, 5.0, 3)), true, 0.1) == (1, 2, 2)
+    assert extraction.matched(whole(at(0, 0.25, 3)), true, 0.1) == (0, 1, 2)
+    assert extraction.matched(true, true, 0.1) == (2, 2, 2)

@@ -5,12 +5,12 @@ packed.
 """
 
 import jax.numpy as jnp
-from jax import lax
+from jax import Array, lax
 
 WORD = 32  # rows a word
 
 
-def pack(mask):
+def pack(mask: Array) -> Array:
     """A mask as words: bit i of word (k, c) is the cell at row 32 k + i, column c.
 
     Args:
@@ -26,21 +26,21 @@ def pack(mask):
     return jnp.sum(rows.astype(jnp.uint32) << lax.broadcasted_iota(jnp.uint32, rows.shape, 1), axis=1, dtype=jnp.uint32)
 
 
-def unpack(words, height=None):
+def unpack(words: Array, height: int | None = None) -> Array:
     """The mask that `pack` packed: `[height, W]` bool; by default with all 32 rows of every word."""
     n, width = words.shape
     shift = lax.broadcasted_iota(jnp.uint32, (n, WORD, width), 1)
     return ((words[:, None, :] >> shift) & 1 != 0).reshape(n * WORD, width)[:height]
 
 
-def transposed(words):
+def transposed(words: Array) -> Array:
     """The packed mask with rows and columns exchanged: `[K, W]` to `[ceil(W / 32), 32 K]` uint32."""
     n, width = words.shape
     shift = lax.broadcasted_iota(jnp.uint32, (width, n, WORD), 2)
     return pack(((words.T[:, :, None] >> shift) & 1 != 0).reshape(width, n * WORD))
 
 
-def shifted(words, drow, dcol):
+def shifted(words: Array, drow: int, dcol: int) -> Array:
     """What lies at `(row + drow, col + dcol)` of every cell; False outside the map.
 
     Args:
@@ -72,7 +72,7 @@ def _nth_bit(word, n):
     return at
 
 
-def nth_cells(words, n):
+def nth_cells(words: Array, n: Array) -> Array:
     """True cells of a mask by their number in (row, col) order.
 
     Args:
@@ -92,6 +92,6 @@ def nth_cells(words, n):
     return jnp.where(n < until[-1], cell, height * width)
 
 
-def first_cells(words, size):
+def first_cells(words: Array, size: int) -> Array:
     """The first True cells of a mask in (row, col) order: `nth_cells` of 0 to `size` - 1 (static)."""
     return nth_cells(words, lax.iota(jnp.int32, size))

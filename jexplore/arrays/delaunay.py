@@ -27,7 +27,7 @@ def _ordered(values):
     return jnp.where(bits < 0, bits ^ 0x7FFFFFFF, bits)
 
 
-def delaunay(points, valid):
+def delaunay(points: Array, valid: Array) -> Triangles:
     """The Delaunay triangulation.
 
     On each side of a pair of points the apex is the point that sees them under the largest angle; the pair is an edge
@@ -78,7 +78,7 @@ def delaunay(points, valid):
     )
 
 
-def circumcircles(points, corner):
+def circumcircles(points: Array, corner: Array) -> tuple[Array, Array, Array]:
     """Circles through three points each.
 
     Args:

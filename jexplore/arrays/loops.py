@@ -8,9 +8,12 @@ with a copy of its state, they are written by hand: `run_if` works on the lanes 
 time; `repeat` lets finished lanes run on idly.
 """
 
+from collections.abc import Callable
+from typing import Any
+
 import jax
 import jax.numpy as jnp
-from jax import lax
+from jax import Array, lax
 from jax.custom_batching import custom_vmap
 from jax.experimental.xla_metadata import set_xla_metadata
 from jax.extend.core import jaxpr_as_fun
@@ -45,22 +48,22 @@ def _all_batched(tree):
     return jax.tree.map(lambda _: True, tree)
 
 
-def take(tree, at):
+def take(tree: Any, at: Array) -> Any:
     """Lanes `at` (`[m]` int32) of a pytree; a lane beyond the last gives the last."""
     return jax.tree.map(lambda a: a.at[at].get(mode="clip", wrap_negative_indices=False), tree)
 
 
-def put(tree, at, values):
+def put(tree: Any, at: Array, values: Any) -> Any:
     """A pytree with its lanes `at` (`[m]` int32) replaced; what lies beyond the last lane is dropped."""
     return jax.tree.map(lambda a, new: a.at[at].set(new, mode="drop"), tree, values)
 
 
-def first_lanes(mask, m):
+def first_lanes(mask: Array, m: int) -> Array:
     """The first m lanes of a mask: `[m]` int32; the number of lanes where there are fewer."""
     return jnp.nonzero(mask, size=m, fill_value=mask.shape[0])[0].astype(jnp.int32)
 
 
-def run_if(predicate, function, otherwise):
+def run_if(predicate: Array | bool, function: Callable[[Any], Any], otherwise: Any) -> Any:
     """`function(otherwise)` if a condition holds, else `otherwise`.
 
     Under `vmap` the lanes for which it holds are gathered, an eighth of all at a time, until none is left.
@@ -106,7 +109,7 @@ def run_if(predicate, function, otherwise):
     return call(jnp.asarray(predicate), closed, otherwise)
 
 
-def alone_on_cpu(function):
+def alone_on_cpu(function: Callable[..., Any]) -> Callable[..., Any]:
     """A function of pytrees that under `vmap` on a CPU works on one lane after the other.
 
     Conditions and loops are then true control flow, as for one robot; on other devices lanes go together.
@@ -126,7 +129,7 @@ def alone_on_cpu(function):
     return call
 
 
-def repeat(going, body, state):
+def repeat(going: Callable[[Any], Array | bool], body: Callable[[Any], Any], state: Any) -> Any:
     """`body` applied to a state for as long as `going(state)` holds.
 
     Args:
@@ -161,7 +164,7 @@ def repeat(going, body, state):
     return call((closed_going, closed_body), state)
 
 
-def stored(truth, function):
+def stored(truth: Array | bool, function: Callable[[], Any]) -> Any:
     """The value of `function()`, computed once and kept.
 
     Args:
@@ -195,7 +198,7 @@ def stored(truth, function):
     return call(jnp.asarray(truth), closed)
 
 
-def one_kernel(function, *args):
+def one_kernel(function: Callable[..., Any], *args: Any) -> Any:
     """`function(*args)`, compiled on a CPU as one piece of code, loops and all, instead of a call for every operation.
 
     For kernels of many small operations. No scatter, sort or custom call may be in it. Under `vmap`, where an update

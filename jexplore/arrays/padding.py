@@ -1,13 +1,14 @@
 """Sizes to which arrays are padded, and the types of numbers, so that similar work shares a compiled program."""
 
 import math
+from typing import Any
 
 import numpy as np
 
 from jexplore.arrays.bits import WORD
 
 
-def bucket(n):
+def bucket(n: int) -> int:
     """The size to which a side of n cells is padded: of 4, 5, 6 or 7 times a power of two the next, in multiples of 32.
 
     So that maps of similar size share a compiled program, at the price of at most a quarter more rows and columns.
@@ -16,7 +17,7 @@ def bucket(n):
     return max(2 * WORD, math.ceil(n / step) * step)
 
 
-def number(value):
+def number(value: Any) -> np.ndarray:
     """A parameter as an array: integers as int32, others as float32, so that it is the same in every program."""
     value = np.asarray(value)
     return value.astype(

@@ -20,7 +20,7 @@ class Cells:
     overflow: Array  # int32, cells that did not fit
 
 
-def listed(mask, size):
+def listed(mask: Array, size: int) -> Cells:
     """`Cells` of a mask.
 
     Args:
@@ -42,6 +42,6 @@ def listed(mask, size):
     return Cells(cell, jnp.stack(near, axis=1), jnp.maximum(count - size, 0))
 
 
-def at(array, cell, fill):
+def at(array: Array, cell: Array, fill: float) -> Array:
     """Values of a map, or of a list, at listed places: of their shape; `fill` beyond the last."""
     return array.reshape(-1).at[cell].get(mode="fill", fill_value=fill)

@@ -7,6 +7,8 @@ was found.
 import contextlib
 import dataclasses
 import itertools
+import os
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import jax
@@ -23,7 +25,7 @@ from jexplore.policies import Strategy, parse_strategy
 from jexplore.studies.checks import MAX_EPISODES, ready_starts, ready_strategies, ready_worlds, require_memory
 from jexplore.worlds.world import World
 
-DEFAULT = {
+DEFAULT: dict[str, Any] = {
     "worlds": ("cave", "office", "hospital"),
     "strategies": ("closest+recheck",),
     "batches": (1, 4, 16, 64),
@@ -32,7 +34,7 @@ DEFAULT = {
     "repeat": 5,
 }
 BATCHES_ACCELERATOR = (1, 4, 16, 64, 256, 1024, 4096)  # lanes
-QUICK = {"worlds": ("cave",), "batches": (1, 4), "sides": (64, 128), "episodes": 4, "repeat": 2}
+QUICK: dict[str, Any] = {"worlds": ("cave",), "batches": (1, 4), "sides": (64, 128), "episodes": 4, "repeat": 2}
 MAX_BATCH, LEAST_SIDE, MAX_SIDE, MAX_REPEAT = 2**16, 32, 2048, 1000
 GENERATOR, LEAST_M, CELL_M = "cave", 6.4, 0.1  # of the worlds of a given side
 
@@ -51,14 +53,14 @@ class Agenda:
     repeat: int
 
     @property
-    def total(self):
+    def total(self) -> int:
         """Measurements, of which `run_bench` tells when one is done."""
         n_kernels = 1 + len(self.sized)
         n_episodes = (len(self.worlds) + len(self.sized)) * len(self.strategies)
         return n_kernels + n_episodes + len(self.worlds) * len(self.strategies)
 
 
-def sized_name(side):
+def sized_name(side: int) -> tuple[str, float]:
     """The name of a world of so many cells a side, and the edge of its cells in metres."""
     cell_m = max(CELL_M, LEAST_M / side)
     return f"{GENERATOR}:width_m={side * cell_m:g},height_m={side * cell_m:g}", cell_m
@@ -81,8 +83,16 @@ def _worlds_of(names, cell_m):
 
 
 def prepare_bench(
-    *, worlds=None, strategies=None, engine=None, batch_sizes=None, sides=None, episodes=None, repeat=None, quick=False
-):
+    *,
+    worlds: str | os.PathLike[str] | World | Iterable[str | os.PathLike[str] | World] | None = None,
+    strategies: str | Iterable[Any] | None = None,
+    engine: Sequence[str] | None = None,
+    batch_sizes: Iterable[int] | None = None,
+    sides: Iterable[int] | None = None,
+    episodes: int | None = None,
+    repeat: int | None = None,
+    quick: bool = False,
+) -> Agenda:
     """Checks and loads everything, and starts JAX with one thread. What is None has a default.
 
     Args:
@@ -143,7 +153,9 @@ def _compiling(cache):
         compilation_cache.reset_cache()
 
 
-def run_bench(plan, *, cache=False, on_progress=lambda done: None):
+def run_bench(
+    plan: Agenda, *, cache: bool = False, on_progress: Callable[[int], Any] = lambda done: None
+) -> dict[str, Any]:
     """Measures everything.
 
     Args:
@@ -193,7 +205,7 @@ def _settings(plan, cache):
         }
 
 
-def _episodes(plan, compiler, report, one_more):
+def _episodes(plan: Agenda, compiler, report, one_more):
     """Whole episodes by world and batch size, and by map size."""
     for world, strategy in itertools.product(plan.worlds, plan.strategies):
         wanted = [(engine, size) for engine in plan.engines for size in plan.batches[engine]]

@@ -6,10 +6,12 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
-from jexplore.bench.engines import LIDAR, RULES, SEED
+from jexplore.bench.engines import LIDAR, RULES, SEED, Compiler
 from jexplore.exploration import replay
 from jexplore.exploration.site import KERNELS, Site, prepare_site
 from jexplore.exploration.trail import decode
+from jexplore.planning import Belief
+from jexplore.policies import Strategy
 from jexplore.worlds.world import World, draw_starts
 
 
@@ -22,11 +24,11 @@ class Recording(NamedTuple):
     hits: np.ndarray  # [H, W] int32, the last map, without padding
     misses: np.ndarray  # [H, W] int32
     poses: np.ndarray  # [n, 3] int32, row, col, heading (units of 45 degrees) of every scan
-    beliefs: list  # `planning.Belief` at every plan, the last one, that found nothing, included
-    targets: list  # (row, col) chosen there; None for the last
+    beliefs: list[Belief]  # `planning.Belief` at every plan, the last one, that found nothing, included
+    targets: list[tuple[int, int] | None]  # (row, col) chosen there; None for the last
 
 
-def record(compiler, world, strategy, reach):
+def record(compiler: Compiler, world: World, strategy: Strategy, reach: str) -> Recording:
     """Runs episode 0 of a strategy in a world and keeps its scans, and its belief at every plan: a `Recording`.
 
     Args:

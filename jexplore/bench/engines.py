@@ -4,8 +4,8 @@ import functools
 import math
 import os
 import statistics
-from collections.abc import Callable
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -17,8 +17,9 @@ from jexplore.engine.lockstep import Group
 from jexplore.engine.runner import Costs
 from jexplore.exploration.results import path_m
 from jexplore.exploration.site import KERNELS, line_of, prepare_site
-from jexplore.exploration.state import Outcome
-from jexplore.worlds.world import draw_starts
+from jexplore.exploration.state import Outcome, Result
+from jexplore.policies import Strategy
+from jexplore.worlds.world import World, draw_starts
 
 LIDAR, RULES = Lidar(), Rules()
 SEED = 0
@@ -39,13 +40,13 @@ class Run(NamedTuple):
 class Compiled(NamedTuple):
     """A compiled program with its arguments."""
 
-    run: Callable  # `[N, 3]` starts, heading in degrees, to `Run`
-    about: dict  # for the report
+    run: Callable[[np.ndarray], Run]  # `[N, 3]` starts, heading in degrees, to `Run`
+    about: dict[str, Any]  # for the report
     lanes: int | None = None  # None in the serial engine
     episodes: int | None = None  # N that it is for; None for any
 
 
-def size_of(tree):
+def size_of(tree: Any) -> int:
     """Bytes of a pytree of arrays, or of their shapes."""
     return sum(math.prod(leaf.shape) * np.dtype(leaf.dtype).itemsize for leaf in jax.tree.leaves(tree))
 
@@ -57,7 +58,7 @@ def _headings(starts):
     return starts
 
 
-def free_bytes():
+def free_bytes() -> int | None:
     """Free memory of the first device; of the machine where the device does not tell; None where neither does."""
     stats = jax.local_devices()[0].memory_stats()
     if stats:
@@ -78,7 +79,10 @@ def _memory(program):
 class Compiler:
     """Compiles programs one after the other; cases that differ in numbers only share one."""
 
-    def __init__(self):
+    made: dict[Any, Any]
+    programs: list[dict[str, Any]]
+
+    def __init__(self) -> None:
         self.made = {}
         self.programs = []  # what every compiled program took
 
@@ -93,7 +97,7 @@ class Compiler:
             self.made[key] = program, about
         return self.made[key]
 
-    def serial(self, world, strategy):
+    def serial(self, world: World, strategy: Strategy) -> Compiled:
         """The serial engine's `Compiled` of a world and a strategy."""
         site, line = _line(world, strategy, "serial", np.zeros((1, 3), np.int32))
         n, scenes = serial.CHUNK, jax.tree.map(lambda a: a[None], line.scene)
@@ -127,7 +131,7 @@ class Compiler:
 
         return Compiled(run, about)
 
-    def lockstep(self, world, strategy, n_lanes, episodes):
+    def lockstep(self, world: World, strategy: Strategy, n_lanes: int, episodes: int) -> Compiled:
         """The lockstep engine's `Compiled` for so many episodes in so many lanes, or as many as the memory holds."""
         site, line = _line(world, strategy, "lockstep", np.zeros((episodes, 3), np.int32))
         group = Group([line], jax.local_devices()[:1])
@@ -191,21 +195,23 @@ def _about(engine, world, strategy, site):
     }
 
 
-def program_of(compiler, engine, world, strategy, batch, episodes):
+def program_of(
+    compiler: Compiler, engine: str, world: World, strategy: Strategy, batch: int, episodes: int
+) -> Compiled:
     """The `Compiled` for a batch: so many episodes of the serial engine, so many lanes in lockstep."""
     if engine == "serial":
         return compiler.serial(world, strategy)._replace(episodes=batch)
     return compiler.lockstep(world, strategy, batch, max(episodes, REFILLS * batch))
 
 
-def same(results):
+def same(results: Sequence[Result]) -> bool:
     """Whether `Result`s are equal to the last bit, as far as the shortest goes."""
     n = min(len(result.outcome) for result in results)
     first, *others = ([np.asarray(a)[:n] for a in jax.tree.leaves(result)] for result in results)
     return all(all(np.array_equal(a, b) for a, b in zip(first, other)) for other in others)
 
 
-def quality(result, cell_m):
+def quality(result: Result, cell_m: float) -> dict[str, Any]:
     """What the episodes found: a dict."""
     return {
         "path_m": mean_and_se(path_m(result.straight, result.diagonal, cell_m)),
@@ -217,7 +223,9 @@ def quality(result, cell_m):
     }
 
 
-def measure_episodes(compiler, world, strategy, wanted, episodes, repeat):
+def measure_episodes(
+    compiler: Compiler, world: World, strategy: Strategy, wanted: Sequence[tuple[str, int]], episodes: int, repeat: int
+) -> list[dict[str, Any]]:
     """Times whole episodes of a world and a strategy: a list of dicts, one for each of `wanted`.
 
     Args:
@@ -227,7 +235,7 @@ def measure_episodes(compiler, world, strategy, wanted, episodes, repeat):
       episodes: least number of episodes in lockstep.
       repeat: turns.
     """
-    programs = [program_of(compiler, *kind, batch, episodes) for kind, batch in
+    programs: list[Any] = [program_of(compiler, *kind, batch, episodes) for kind, batch in
                 (((engine, world, strategy), batch) for engine, batch in wanted)]  # fmt: skip
     starts = draw_starts(world, SEED, max(program.episodes for program in programs), RULES.clearance_m)
     tasks = {i: functools.partial(p.run, starts[: p.episodes]) for i, p in enumerate(programs)}

@@ -2,27 +2,28 @@
 
 import math
 import statistics
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import lax
+from jax import Array, lax
 from scipy import ndimage
 
 from jexplore.arrays import bits
 from jexplore.bench import oracles
+from jexplore.bench.beliefs import Recording
 from jexplore.bench.engines import RULES, SEED
 from jexplore.bench.rates import Effort, floor_s
-from jexplore.bench.timing import compiled, interleaved, ratio, speed_clock, spread, timed
+from jexplore.bench.timing import Seconds, compiled, interleaved, ratio, speed_clock, spread, timed
 from jexplore.distance import nearest_site
 from jexplore.frontier import frontier_clusters, plan_masks
 from jexplore.grid import Grid, empty_grid, radius_d2
 from jexplore.raycast import METHODS as SCAN_METHODS
 from jexplore.raycast import fold, scan
 from jexplore.reach import METHODS, flood, reach
-from jexplore.worlds.world import clear_cells, draw_start
+from jexplore.worlds.world import World, clear_cells, draw_start
 
 CALL_S = 0.02  # seconds that one timed call should last
 CLUSTERS = 256  # slots
@@ -45,8 +46,8 @@ class Kernel(NamedTuple):
     name: str
     on: str  # what it works on
     shape: tuple[int, int]
-    step: Callable  # (i, last output, arguments) -> output
-    vary: Callable  # (never, arguments) -> arguments; `never` is False, in a way the compiler cannot tell
+    step: Callable[..., Any]  # (i, last output, arguments) -> output
+    vary: Callable[..., Any]  # (never, arguments) -> arguments; `never` is False, in a way the compiler cannot tell
     start: Any  # pytree like the output
     arguments: Any  # pytree of arrays
     units: int  # calls in a row that make up one measured pass
@@ -54,7 +55,7 @@ class Kernel(NamedTuple):
     work: Effort
 
 
-def never(out):
+def never(out: Any) -> Array:
     """False, but only known when the output is."""
     return jax.tree.leaves(out)[0].reshape(-1)[-1] == NEVER
 
@@ -81,12 +82,14 @@ def _as_it_is(_, arguments):
     return arguments
 
 
-def blank(tree):
+def blank(tree: Any) -> Any:
     """Zeros like shapes, numpy."""
     return jax.tree.map(lambda x: np.zeros(x.shape, x.dtype), tree)
 
 
-def microseconds(runs, units):
+def microseconds(
+    runs: Mapping[str, Sequence[tuple[Any, Seconds]]], units: Mapping[str, int]
+) -> dict[str, dict[str, list[float]]]:
     """Times of `interleaved` runs by name, and by clock: `{name: {"wall": [...], "cpu": [...]}}` a unit."""
     return {
         name: {clock: [1e6 * getattr(took, clock) / units[name] for _, took in turns] for clock in ("wall", "cpu")}
@@ -94,7 +97,15 @@ def microseconds(runs, units):
     }
 
 
-def row_of(name, on, shape, took, ours, references, work):
+def row_of(
+    name: str,
+    on: str,
+    shape: Sequence[int],
+    took: Mapping[str, float],
+    ours: Mapping[str, Sequence[float]],
+    references: Sequence[tuple[str, Any, Mapping[str, Sequence[float]] | None]],
+    work: Effort,
+) -> dict[str, Any]:
     """A kernel's entry of the report."""
     median = statistics.median(ours[speed_clock()])
     floor_us = 1e6 * floor_s(work)
@@ -123,7 +134,7 @@ def row_of(name, on, shape, took, ours, references, work):
     }
 
 
-def measure_kernel(kernel, repeat):
+def measure_kernel(kernel: Kernel, repeat: int) -> dict[str, Any]:
     """Times one kernel: a dict for the report."""
     start, arguments = jax.device_put((kernel.start, kernel.arguments))
     units = np.int32(kernel.units)
@@ -143,7 +154,7 @@ def measure_kernel(kernel, repeat):
     return row_of(kernel.name, kernel.on, kernel.shape, took, found[""], references, kernel.work)
 
 
-def scans(recording):
+def scans(recording: Recording) -> list[Kernel]:
     """Ranges, and scans counted into the map, along an episode's whole way: list of `Kernel`."""
     truth, beams = recording.site.truth.occupied, recording.site.beams
     offset, length, occupied = (np.asarray(a) for a in (beams.offset, beams.length, truth))
@@ -202,7 +213,7 @@ def scans(recording):
     return made
 
 
-def half_known(world):
+def half_known(world: World) -> tuple[Any, ...]:
     """What a robot knows of a world within half its longer side round a drawn start: arguments of `plan_masks`."""
     row, col, _ = draw_start(world, SEED, 0, RULES.clearance_m)
     rows, cols = np.indices(world.shape)
@@ -222,7 +233,7 @@ def _mask_numbers(world):
     }
 
 
-def vary_masks(never, arguments):
+def vary_masks(never: Any, arguments: Any) -> tuple[Any, ...]:
     """Arguments of `plan_masks`, varied by nothing."""
     grid, driven, exhausted, inside, row, col = arguments
     grid = grid.replace(hits=grid.hits.at[0, 0].add(never))
@@ -337,7 +348,7 @@ def _site_kernel(world, shared):
                   **shared)  # fmt: skip
 
 
-def whole_map(world):
+def whole_map(world: World) -> list[Kernel]:
     """The kernels that work on a whole map, on a world: list of `Kernel`."""
     height, width = world.shape
     shared = {"on": f"{world.name.partition(':')[0]}, {height} x {width}", "shape": world.shape, "units": 1}

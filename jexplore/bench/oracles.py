@@ -17,7 +17,7 @@ try:
 except ImportError:
     NATIVE = False
 
-    def njit(function):
+    def njit(function: Any) -> Any:
         """Without numba the loops run as they are: the same answers, but not worth timing."""
         return function
 
@@ -65,7 +65,7 @@ def _pop(heap, size):
 
 
 @njit
-def dijkstra(traversable, row, col, goals, stop):
+def dijkstra(traversable: np.ndarray, row: int, col: int, goals: np.ndarray, stop: bool) -> tuple[np.ndarray, int]:
     """Dijkstra's algorithm with a binary heap; a diagonal step needs both cells beside it traversable.
 
     Args:
@@ -107,7 +107,16 @@ def dijkstra(traversable, row, col, goals, stop):
 
 
 @njit
-def walk(occupied, offset, length, cells, headings, hits, misses, update):
+def walk(
+    occupied: np.ndarray,
+    offset: np.ndarray,
+    length: np.ndarray,
+    cells: np.ndarray,
+    headings: np.ndarray,
+    hits: np.ndarray,
+    misses: np.ndarray,
+    update: bool,
+) -> tuple[np.ndarray, int]:
     """Scans, beam by beam and cell by cell along the beam table; counted into a map if `update`.
 
     Args:
@@ -143,7 +152,19 @@ def walk(occupied, offset, length, cells, headings, hits, misses, update):
     return end, visited
 
 
-def masks(hits, misses, driven, exhausted, inside, row, col, *, p_free, near_d2, clearance_d2):
+def masks(
+    hits: np.ndarray,
+    misses: np.ndarray,
+    driven: np.ndarray,
+    exhausted: np.ndarray,
+    inside: np.ndarray,
+    row: int | np.int32,
+    col: int | np.int32,
+    *,
+    p_free: float,
+    near_d2: int,
+    clearance_d2: int,
+) -> tuple[np.ndarray, np.ndarray]:
     """Traversable and frontier cells by scipy, arguments as for `frontier.plan_masks`: two `[H, W]` bool."""
 
     def near_walls(occupied):
@@ -158,7 +179,19 @@ def masks(hits, misses, driven, exhausted, inside, row, col, *, p_free, near_d2,
     return _masks(hits, misses, driven, exhausted, inside, row, col, p_free, near_d2, near_walls, beside)
 
 
-def masks_skimage(hits, misses, driven, exhausted, inside, row, col, *, p_free, near_d2, clearance_d2):
+def masks_skimage(
+    hits: np.ndarray,
+    misses: np.ndarray,
+    driven: np.ndarray,
+    exhausted: np.ndarray,
+    inside: np.ndarray,
+    row: int | np.int32,
+    col: int | np.int32,
+    *,
+    p_free: float,
+    near_d2: int,
+    clearance_d2: int,
+) -> tuple[np.ndarray, np.ndarray]:
     """The same by scikit-image: clearance as a dilation by a disc."""
     radius = math.isqrt(clearance_d2)
     rows, cols = np.ogrid[-radius : radius + 1, -radius : radius + 1]
@@ -183,19 +216,19 @@ def _masks(hits, misses, driven, exhausted, inside, row, col, p_free, near_d2, n
     return clear | (free & near) | driven, clear & beside(inside & (seen == 0)) & ~exhausted
 
 
-def clusters(frontier):
+def clusters(frontier: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """8-connected groups by scipy, as `in_order`."""
     labels, count = ndimage.label(frontier, np.ones((3, 3), int))  # type: ignore[misc]
     return in_order(labels, count)
 
 
-def clusters_skimage(frontier):
+def clusters_skimage(frontier: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The same by scikit-image."""
     labels, count = skimage.measure.label(frontier, connectivity=2, return_num=True)  # type: ignore[misc]
     return in_order(labels, count)
 
 
-def in_order(labels, count):
+def in_order(labels: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
     """Labels from 1 to count (0: none) as numbers in the order of their lowest flat index (-1: none), and sizes."""
     first = np.full(count + 1, labels.size)
     np.minimum.at(first, labels.reshape(-1), np.arange(labels.size))
@@ -205,7 +238,7 @@ def in_order(labels, count):
     return labels, np.bincount(labels[labels >= 0], minlength=count)
 
 
-def motion_graph(traversable):
+def motion_graph(traversable: np.ndarray) -> Any:
     """Cells as nodes, motions as edges with their cost: a scipy sparse matrix `[H * W, H * W]`, float64."""
     height, width = traversable.shape
     index = np.arange(height * width).reshape(height, width)
@@ -223,13 +256,13 @@ def motion_graph(traversable):
     return sparse.csr_matrix((np.concatenate(costs), (a, b)), shape=(index.size, index.size))
 
 
-def graph_costs(graph, shape, row, col):
+def graph_costs(graph: Any, shape: tuple[int, int], row: int, col: int) -> np.ndarray:
     """Dijkstra's algorithm of scipy on a `motion_graph`, from a traversable cell: `[H, W]` int32, FAR as above."""
     cost = csgraph.dijkstra(graph, indices=row * shape[1] + col)
     return np.where(np.isinf(cost), FAR, cost).astype(np.int32).reshape(shape)
 
 
-def flooded(clear, row, col):
+def flooded(clear: np.ndarray, row: int, col: int) -> np.ndarray:
     """The 4-connected component of a True cell, by scipy: `[H, W]` bool.
 
     A diagonal step needs both cells beside it, so that steps in 8 directions lead no further.
@@ -238,6 +271,6 @@ def flooded(clear, row, col):
     return labels == labels[row, col]
 
 
-def flooded_skimage(clear, row, col):
+def flooded_skimage(clear: np.ndarray, row: int, col: int) -> np.ndarray:
     """The same by scikit-image."""
     return skimage.segmentation.flood(clear, (row, col), connectivity=1)

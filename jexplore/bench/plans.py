@@ -1,6 +1,8 @@
 """What a plan of each strategy costs, on one core: all on the same beliefs, those of one episode."""
 
 import statistics
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -9,21 +11,25 @@ from jax import lax
 
 from jexplore import planning
 from jexplore.bench import oracles
-from jexplore.bench.beliefs import record
+from jexplore.bench.beliefs import Recording, record
 from jexplore.bench.engines import Compiler
 from jexplore.bench.kernels import BELIEF_BYTES, NEVER, microseconds, row_of
 from jexplore.bench.rates import Effort
 from jexplore.bench.timing import compiled, interleaved, speed_clock
 from jexplore.exploration.site import KERNELS
 from jexplore.policies import parse_strategy
+from jexplore.raycast import Beams
 from jexplore.reach import FAR, NO_MOTION
+from jexplore.worlds.world import World
 
 PLAN_PASSES = 10  # plans from the same belief in one timed call
 BELIEFS = 24  # at most, evenly spaced over the episode
 RECORDED = "closest+recheck"
 
 
-def plan_program(policy, params, beams, shape, passes):
+def plan_program(
+    policy: Any, params: Any, beams: Beams, shape: tuple[int, ...], passes: int
+) -> Callable[[planning.Belief], Any]:
     """Function of a belief that plans so many times from it."""
     route = jnp.full(shape, NO_MOTION, jnp.int8)
 
@@ -45,7 +51,13 @@ def plan_program(policy, params, beams, shape, passes):
     return lambda belief: plans(belief, route, policy.init(params, belief))
 
 
-def plan_costs(world, names, *, others=None, repeat=3):
+def plan_costs(
+    world: World,
+    names: Iterable[str],
+    *,
+    others: Mapping[str, Callable[[planning.Belief], Any]] | None = None,
+    repeat: int = 3,
+) -> dict[str, float]:
     """Milliseconds a plan, each strategy on the same beliefs: those at the plans of an episode of `closest+recheck`.
 
     Args:
@@ -114,7 +126,7 @@ def _judged(belief):
     return oracles.masks(hits, misses, driven, exhausted, inside, row, col, **numbers)
 
 
-def measure_nearest(recording, cells, repeat):
+def measure_nearest(recording: Recording, cells: float, repeat: int) -> dict[str, Any]:
     """Times the nearest frontier and the route to it at every plan of an episode: a dict for the report.
 
     Args:

@@ -1,6 +1,8 @@
 """A benchmark's report as pictures: how cost grows with batch size and with map size."""
 
 import itertools
+from collections.abc import Mapping
+from typing import Any
 
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, NullFormatter
@@ -57,7 +59,7 @@ def _stack(ax, rows):
     ax.legend(fontsize=7, frameon=False, loc="upper left", bbox_to_anchor=(1.0, 1.0))
 
 
-def figure(report):
+def figure(report: Mapping[str, Any]) -> Figure:
     """The report as a matplotlib `Figure`."""
     figure = Figure(figsize=(13, 8), layout="constrained")
     ((by_batch, by_side), (by_kernel, by_part)) = figure.subplots(2, 2)

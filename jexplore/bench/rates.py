@@ -1,7 +1,7 @@
 """What the machine does at best: the rates from which a kernel's floor is computed."""
 
 import functools
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -40,39 +40,39 @@ def _copy_s(exponent):
     return _seconds(lambda x: x + 1, np.zeros(max(1, 2**exponent // 8), np.int32))
 
 
-def copy_s(n_bytes):
+def copy_s(n_bytes: float) -> float:
     """Seconds to touch so many bytes, by the speed of a copy that touches as many (up to a factor of 2)."""
     exponent = min(30, max(10, round(np.log2(max(n_bytes, 1)))))
     return _copy_s(exponent) * n_bytes / 2**exponent
 
 
 @functools.cache
-def op_s():
+def op_s() -> float:
     """Seconds of one minimum and one addition on an element of a small array."""
     return _seconds(lambda x: lax.min(x + 1, np.int32(2**30)), np.zeros(CELLS, np.int32)) / CELLS
 
 
 @functools.cache
-def gather_s():
+def gather_s() -> float:
     """Seconds to read one element of a small array at a place that no other reading depends on."""
     table = np.random.default_rng(0).permutation(CELLS).astype(np.int32)
     return _seconds(lambda s: (s[0], s[0].at[s[1]].get(mode="clip")), (table, table)) / CELLS
 
 
 @functools.cache
-def scatter_s():
+def scatter_s() -> float:
     """Seconds to count up one element of a small array."""
     at = np.random.default_rng(0).permutation(CELLS).astype(np.int32)
     return _seconds(lambda s: (s[0].at[s[1]].add(1, mode="drop"), s[1]), (np.zeros(CELLS, np.int32), at)) / CELLS
 
 
-def floor_s(work):
+def floor_s(work: Effort) -> float:
     """The least time in which a unit of `Effort` could be done: that of its bytes or that of its operations."""
     ops = ((work.ops, op_s), (work.gathers, gather_s), (work.scatters, scatter_s))
     return max(copy_s(work.bytes) if work.bytes else 0.0, sum(n * rate() for n, rate in ops if n))
 
 
-def rates():
+def rates() -> dict[str, Any]:
     """The rates, as a dict."""
     return {
         "copy_bytes_per_s": {str(2**e): 2**e / _copy_s(e) for e in (14, 18, 22, 26)},

@@ -3,7 +3,8 @@
 import functools
 import math
 import statistics
-from typing import NamedTuple
+from collections.abc import Iterable
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -11,14 +12,16 @@ import numpy as np
 from jax import lax
 
 from jexplore.arrays import bits
-from jexplore.bench.engines import RULES, SEED
+from jexplore.bench.beliefs import Recording
+from jexplore.bench.engines import RULES, SEED, Compiler
 from jexplore.bench.kernels import NEVER, blank, never, vary_masks
 from jexplore.bench.plans import plan_program
 from jexplore.bench.timing import interleaved, speed_clock
 from jexplore.exploration.site import KERNELS
 from jexplore.frontier import plan_masks
 from jexplore.grid import Grid, empty_grid
-from jexplore.planning import WINDOWS
+from jexplore.planning import WINDOWS, Belief
+from jexplore.policies import Strategy
 from jexplore.raycast import Scan, fold, scan
 from jexplore.reach import FAR, STRAIGHT, reach_packed
 from jexplore.worlds.world import draw_starts
@@ -31,7 +34,7 @@ PARTS = ("ranges", "map update", "masks and distance", "reachability", "selectio
 class Look(NamedTuple):
     """What one plan works on at a time: a window round the robot, or the whole map."""
 
-    masks: tuple  # arguments of `plan_masks`
+    masks: tuple[Any, ...]  # arguments of `plan_masks`
     words: np.ndarray  # [K, W] uint32, packed traversable cells
     goals: np.ndarray | None  # [32 K, W] bool; None where all costs are wanted
     limit: int
@@ -97,7 +100,7 @@ def _look(belief, side, nearest_only):
     return Look(cut, words, goals if nearest_only else None, limit, decided)
 
 
-def looks(belief, nearest_only):
+def looks(belief: Belief, nearest_only: bool) -> list[Look]:
     """What a plan from a belief works on: list of `Look`; windows first where only the nearest frontier is wanted."""
     found, shape = [], belief.driven.shape
     for side in WINDOWS if nearest_only else ():
@@ -108,12 +111,12 @@ def looks(belief, nearest_only):
     return [*found, _look(belief, None, nearest_only)]
 
 
-def wants_nearest(strategy):
+def wants_nearest(strategy: Strategy) -> bool:
     """Whether a strategy goes to the nearest frontier, which `planning` finds in windows."""
     return strategy.name.partition(":")[0].partition("+")[0] == "closest"
 
 
-def cells_of(beliefs):
+def cells_of(beliefs: Iterable[Belief]) -> float:
     """Cells that the nearest frontier's plans from some beliefs look at, on average."""
     return statistics.fmean(sum(look.masks[1].size for look in looks(belief, True)) for belief in beliefs)
 
@@ -143,7 +146,7 @@ def _scan_programs(recording):
     return lambda: ranges(truth, beams, poses), lambda: update(beams, poses, seen)
 
 
-def measure_shares(compiler, recording, strategy, repeat):
+def measure_shares(compiler: Compiler, recording: Recording, strategy: Strategy, repeat: int) -> dict[str, Any]:
     """Shares of an episode's time: a dict for the report.
 
     Args:

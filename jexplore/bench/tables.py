@@ -1,12 +1,15 @@
 """A benchmark's report as Markdown."""
 
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
 from jexplore.bench.shares import PARTS
 from jexplore.report.tables import aligned_table
 
 MIB = 2**20
 
 
-def markdown(header, rows):
+def markdown(header: Sequence[str], rows: Iterable[Iterable[Any]]) -> str:
     """A Markdown table.
 
     Args:
@@ -26,12 +29,12 @@ def markdown(header, rows):
     return aligned_table(header, [[text(value) for value in row] for row in rows], left=header[:1]).rstrip("\n")
 
 
-def plus_minus(value):
+def plus_minus(value: Mapping[str, Any]) -> str:
     """Mean and standard error, as text."""
     return f"{value['mean']:.1f}" + ("" if value["se"] is None else f" ± {value['se']:.1f}")
 
 
-def percent(value):
+def percent(value: float | None) -> str | None:
     """A share, as text."""
     return None if value is None else f"{100 * value:.0f} %"
 
@@ -40,7 +43,7 @@ def _mib(n_bytes):
     return None if n_bytes is None else n_bytes / MIB
 
 
-def kernels(rows):
+def kernels(rows: Iterable[Mapping[str, Any]]) -> str:
     """The kernels beside their references: a row each."""
     header = [
         "kernel", "on", "compile s", "CPU µs", "least", "µs by the clock", "floor µs", "k", "reference",
@@ -59,7 +62,7 @@ def kernels(rows):
     return markdown(header, lines)
 
 
-def episodes(rows):
+def episodes(rows: Iterable[Mapping[str, Any]]) -> str:
     """Whole episodes: a row each."""
     header = [
         "world", "cells", "strategy", "engine", "batch", "lanes", "episodes", "ms/episode", "CPU ms", "episodes/s",
@@ -78,7 +81,7 @@ def episodes(rows):
     ])  # fmt: skip
 
 
-def shares(rows):
+def shares(rows: Iterable[Mapping[str, Any]]) -> str:
     """Where an episode's time goes: a row each."""
     header = ["world", "strategy", "ms", "scans", "plans", *PARTS]
     return markdown(header, [
@@ -88,7 +91,7 @@ def shares(rows):
     ])  # fmt: skip
 
 
-def programs(rows):
+def programs(rows: Iterable[Mapping[str, Any]]) -> str:
     """What compiling took: a row for each program."""
     header = ["engine", "first for", "strategy", "padded", "lanes", "trace s", "compile s", "CPU s", "temporary MiB"]
     return markdown(header, [
@@ -99,7 +102,7 @@ def programs(rows):
     ])  # fmt: skip
 
 
-def tables(report):
+def tables(report: Mapping[str, Any]) -> str:
     """The whole report."""
     parts = [
         ("Kernels", kernels(report["kernels"])),

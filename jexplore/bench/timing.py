@@ -6,13 +6,17 @@ import os
 import platform
 import statistics
 import time
+from collections.abc import Callable, Collection, Iterable, Iterator
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import jax
 
 from jexplore.report import store
+
+_T = TypeVar("_T")
+_K = TypeVar("_K")
 
 
 class Seconds(NamedTuple):
@@ -22,14 +26,14 @@ class Seconds(NamedTuple):
     cpu: float  # of processor time, all threads of this process together
 
 
-def timed(function):
+def timed(function: Callable[[], _T]) -> tuple[_T, Seconds]:
     """Calls a function: `(what it returned, Seconds)`."""
     wall, cpu = time.perf_counter(), time.process_time()
     out = function()
     return out, Seconds(time.perf_counter() - wall, time.process_time() - cpu)
 
 
-def compiled(lowering, options=()):
+def compiled(lowering: Callable[[], Any], options: Any = ()) -> tuple[Any, dict[str, float]]:
     """Traces and compiles a program.
 
     Args:
@@ -45,7 +49,7 @@ def compiled(lowering, options=()):
     return program, {"trace_s": tracing.wall, "compile_s": compiling.wall, "cpu_s": tracing.cpu + compiling.cpu}
 
 
-def interleaved(functions, repeat):
+def interleaved(functions: dict[_K, Any], repeat: int) -> dict[_K, list[tuple[Any, Seconds]]]:
     """Times functions in turn, so that a slow spell of the machine meets all of them; every other turn backwards.
 
     On one core, where there is a CPU only.
@@ -66,29 +70,29 @@ def interleaved(functions, repeat):
     return found
 
 
-def spread(values):
+def spread(values: Collection[float]) -> dict[str, float]:
     """Median and least of some numbers, as a dict."""
     return {"median": statistics.median(values), "min": min(values)}
 
 
-def ratio(numerators, denominators):
+def ratio(numerators: Iterable[float], denominators: Iterable[float]) -> float:
     """Median of the turn-by-turn ratios."""
     return statistics.median(a / b for a, b in zip(numerators, denominators))
 
 
-def mean_and_se(values):
+def mean_and_se(values: Iterable[float]) -> dict[str, float | None]:
     """Mean and its standard error (None for one value), as a dict."""
     values = [float(v) for v in values]
     se = statistics.stdev(values) / math.sqrt(len(values)) if len(values) > 1 else None
     return {"mean": statistics.fmean(values), "se": se}
 
 
-def speed_clock():
+def speed_clock() -> str:
     """Which of `Seconds` tells the speed: processor time on a CPU, which others may use as well; else the clock."""
     return "cpu" if jax.default_backend() == "cpu" else "wall"
 
 
-def cores():
+def cores() -> int:
     """Cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
@@ -101,7 +105,7 @@ def _threads():
 
 
 @contextlib.contextmanager
-def one_core():
+def one_core() -> Iterator[bool]:
     """Keeps every thread that this process has on one core, where JAX computes on a CPU and the system can do that.
 
     Yields whether it does.
@@ -137,7 +141,7 @@ def _version(package):
     return None
 
 
-def surroundings():
+def surroundings() -> dict[str, Any]:
     """Versions, device, processor, and how busy the machine is: a dict."""
     load = os.getloadavg()[0] if hasattr(os, "getloadavg") else None
     return {

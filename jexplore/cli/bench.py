@@ -1,6 +1,7 @@
 """The command `jexplore bench`."""
 
 import dataclasses
+from collections.abc import Sequence
 
 from jexplore.cli.console import Out, progress_of
 from jexplore.cli.options import Number, Numbers, OutFolder, OwnNames
@@ -38,7 +39,7 @@ class Bench:
     overwrite: bool = False
     """Replace the run that the folder holds."""
 
-    def execute(self, arguments):
+    def execute(self, arguments: Sequence[str]) -> int | None:
         """Runs the command; returns the exit status, None for 0."""
         from jexplore import bench
         from jexplore.bench import plots, tables

@@ -3,17 +3,24 @@
 import dataclasses
 import functools
 import sys
-from typing import Literal
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Literal
 
 from jexplore.cli.console import Out, note, say, working
 from jexplore.cli.listings import describe
 from jexplore.cli.options import STRATEGIES, EngineName, OutFolder, OwnNames, default_worlds, is_small
 from jexplore.config import InputError, Lidar, Rules
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from jexplore.exploration.batch import Finished, Job
+    from jexplore.studies.comparison import Comparison
+
 FINISHING = "jexplore: computing statistics and drawing"
 
 
-def default_episodes():
+def default_episodes() -> int:
     return 5 if is_small() else 20
 
 
@@ -53,21 +60,19 @@ class Compare:
     lidar: Lidar = dataclasses.field(default_factory=Lidar)
     rules: Rules = dataclasses.field(default_factory=Rules)
 
-    def execute(self, arguments):
+    def execute(self, arguments: Sequence[str]) -> int | None:
         """Runs the command; returns the exit status, None for 0."""
         from jexplore.studies.comparison import assemble, prepare_jobs
         from jexplore.studies.league import LEAGUE_STRATEGIES, league_worlds
 
         out = Out(self, "compare")
         worlds, strategies = (league_worlds(), LEAGUE_STRATEGIES) if self.league else (default_worlds(), STRATEGIES)
-        self = dataclasses.replace(
-            self,
-            worlds=worlds if self.worlds is None else self.worlds,
-            strategies=strategies if self.strategies is None else self.strategies,
-        )
+        worlds = worlds if self.worlds is None else self.worlds
+        strategies = strategies if self.strategies is None else self.strategies
+        self = dataclasses.replace(self, worlds=worlds, strategies=strategies)
         jobs = prepare_jobs(
-            self.worlds,
-            self.strategies,
+            worlds,
+            strategies,
             episodes=self.episodes,
             seed=self.seed,
             cell_m=self.cell_m,
@@ -111,7 +116,7 @@ def _finish_league(out, found, report, record):
     return finish(out, found, report, text, {"league.png": plot_league.figure(found.standings)}, record)
 
 
-def run_with_bar(options, jobs):
+def run_with_bar(options: Any, jobs: "Sequence[Job]") -> "Finished":
     """Compiles and runs, with a note and a bar: a `batch.Finished`."""
     from jexplore.engine.backend import use_compilation_cache
     from jexplore.exploration import batch
@@ -124,7 +129,14 @@ def run_with_bar(options, jobs):
         )
 
 
-def finish(out, found, report, text, figures, record):
+def finish(
+    out: Out,
+    found: "Comparison",
+    report: "Finished",
+    text: str,
+    figures: "Mapping[str, Figure]",
+    record: Callable[..., Any],
+) -> int:
     """Writes and prints what comparisons and reproductions have in common. Returns the exit status.
 
     Args:

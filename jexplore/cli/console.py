@@ -6,13 +6,16 @@ import os
 import sys
 import threading
 import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
 
 COMPILING = "jexplore: compiling (kept for later runs)"
 LONGEST = 400  # characters of a message; a name or a file may be quoted in it
 PATIENCE_S = 2.0  # work that lasts longer shows how far it is
 
 
-def say(line, status):
+def say(line: str, status: int) -> int:
     print(line if len(line) <= LONGEST else line[: LONGEST - 3] + "...", file=sys.stderr, flush=True)
     return status
 
@@ -20,10 +23,14 @@ def say(line, status):
 class Progress:
     """A bar on stderr once work has lasted two seconds: how much is done, how fast it goes, how long it will take."""
 
-    def __init__(self, total, unit):
+    total: int
+    unit: str
+    bar: Any
+
+    def __init__(self, total: int, unit: str) -> None:
         self.total, self.unit, self.bar = total, unit, None
 
-    def update(self, done):
+    def update(self, done: int) -> None:
         from tqdm import tqdm
 
         if self.bar is None:  # the clock starts when work does, not when compiling does
@@ -39,16 +46,16 @@ class Progress:
             )
         self.bar.update(done - self.bar.n)
 
-    def step(self, n=1):
+    def step(self, n: int = 1) -> None:
         self.update(n + (0 if self.bar is None else self.bar.n))
 
-    def close(self):
+    def close(self) -> None:
         if self.bar is not None:
             self.bar.close()
 
 
 @contextlib.contextmanager
-def progress_of(total, unit):
+def progress_of(total: int, unit: str) -> Iterator[Progress]:
     progress = Progress(total, unit)
     try:
         yield progress
@@ -57,7 +64,7 @@ def progress_of(total, unit):
 
 
 @contextlib.contextmanager
-def note(text):
+def note(text: str) -> Iterator[Callable[[], None]]:
     """Says on stderr what takes so long, once, if it takes long; the block gets a function that calls it off."""
     timer = threading.Timer(PATIENCE_S, lambda: print(text, file=sys.stderr, flush=True))
     timer.daemon = True
@@ -69,7 +76,7 @@ def note(text):
 
 
 @contextlib.contextmanager
-def working(total, unit):
+def working(total: int, unit: str) -> Iterator[Callable[[int], None]]:
     """Progress of compiled work: a note while it compiles, then a bar. The block gets the function to call."""
     with progress_of(total, unit) as progress, note(COMPILING) as call_off:
 
@@ -83,7 +90,13 @@ def working(total, unit):
 class Out:
     """Where a command writes. Refused before anything is computed, written when everything is."""
 
-    def __init__(self, options, command):
+    given: str | None
+    overwrite: bool
+    command: str
+    began: float
+    now: datetime.datetime
+
+    def __init__(self, options: Any, command: str) -> None:
         from jexplore.report import store
 
         self.given = None if options.out is None else os.path.expanduser(options.out)
@@ -98,7 +111,7 @@ class Out:
         # A default name is looked for again when writing: another run may have taken it since.
         return store.default_out(self.command, self.now) if self.given is None else self.given
 
-    def record(self, arguments, options, **found):
+    def record(self, arguments: Sequence[str], options: Any, **found: Any) -> dict[str, Any]:
         """What run.json holds."""
         from jexplore.report import store
 
@@ -112,7 +125,7 @@ class Out:
             "environment": store.environment(),
         }
 
-    def write(self, writers):
+    def write(self, writers: Mapping[str, Callable[[Path], Any]]) -> str:
         """Writes the files, all or none. Returns a line that says where; said last, so that a reader of the output who
         goes away costs no results.
         """

@@ -1,6 +1,7 @@
 """The command `jexplore explore`."""
 
 import dataclasses
+from collections.abc import Sequence
 from typing import Annotated
 
 import tyro
@@ -39,7 +40,7 @@ class Explore:
     lidar: Lidar = dataclasses.field(default_factory=Lidar)
     rules: Rules = dataclasses.field(default_factory=Rules)
 
-    def execute(self, arguments):
+    def execute(self, arguments: Sequence[str]) -> int | None:
         """Runs the command; returns the exit status, None for 0."""
         from jexplore.report import plot, store
         from jexplore.studies.checks import MAX_EPISODES

@@ -1,12 +1,16 @@
 """The commands `jexplore worlds` and `jexplore strategies`."""
 
 import dataclasses
-from typing import Annotated
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
 from jexplore.cli.console import Out, note
 from jexplore.cli.options import OutFolder
+
+if TYPE_CHECKING:
+    from jexplore.worlds.world import World
 
 
 @dataclasses.dataclass(frozen=True)
@@ -27,7 +31,7 @@ class Worlds:
     overwrite: bool = False
     """Replace the run that the folder holds."""
 
-    def execute(self, arguments):
+    def execute(self, arguments: Sequence[str]) -> int | None:
         """Runs the command; returns the exit status, None for 0."""
         from jexplore.worlds import GENERATORS, generator_parameters
 
@@ -72,7 +76,7 @@ class Worlds:
 class Strategies:
     """List strategies, modifiers, their parameters and sources."""
 
-    def execute(self, arguments):
+    def execute(self, arguments: Sequence[str]) -> int | None:
         """Runs the command; returns the exit status, None for 0."""
         from jexplore.policies import MODIFIERS
         from jexplore.policies.catalogue.grammar import listing
@@ -87,7 +91,7 @@ class Strategies:
         print("One's own: module:function+modifier:parameter=value,..., of a module here or installed")
 
 
-def describe(world):
+def describe(world: "World") -> dict[str, Any]:
     """What a table of worlds says about one."""
     rows, cols = world.shape
     rooms = None if world.rooms is None else int(world.rooms.max()) + 1

@@ -11,6 +11,7 @@ import os
 import signal
 import sys
 import threading
+from collections.abc import Sequence
 
 from jexplore.cli.bench import Bench
 from jexplore.cli.compare import Compare
@@ -24,7 +25,7 @@ from jexplore.cli.trace import Trace
 from jexplore.config import InputError
 from jexplore.version import __version__
 
-COMMANDS = {
+COMMANDS: dict[str, type] = {
     "compare": Compare,
     "explore": Explore,
     "reproduce": Reproduce,
@@ -37,7 +38,7 @@ COMMANDS = {
 """Name -> its options: a frozen record whose `execute(arguments)` runs the command. Docstrings are help texts."""
 
 
-def main(argv=None):
+def main(argv: Sequence[str] | None = None) -> int:
     """Runs a command.
 
     Args:

@@ -5,7 +5,8 @@ import difflib
 import io
 import os
 import re
-from typing import Annotated, Literal
+from collections.abc import Mapping, Sequence
+from typing import Annotated, Any, Literal
 
 import tyro
 
@@ -15,7 +16,7 @@ SMALL = "JEXPLORE_SMALL"
 """Environment variable: set to anything but 0, the default comparison is a small one."""
 
 
-def is_small():
+def is_small() -> bool:
     return os.environ.get(SMALL, "0") not in ("", "0")
 
 
@@ -23,7 +24,7 @@ STRATEGIES = ("closest", "closest+recheck", "random")
 """What `jexplore compare` compares by default."""
 
 
-def default_worlds():
+def default_worlds() -> tuple[str, ...]:
     return ("cave", "maze") if is_small() else ("cave", "office", "hospital")
 
 
@@ -38,7 +39,7 @@ OutFolder = Annotated[
 EngineName = Literal["auto", "serial", "lockstep"]
 
 
-def help_text(commands):
+def help_text(commands: Mapping[str, type]) -> str:
     """What `jexplore --help` prints. `commands`: name -> class of its options."""
     lines = ["usage: jexplore {" + ",".join(commands) + "} [options]", ""]
     lines += ["A laboratory for mobile-robot exploration.", "", "commands:"]
@@ -47,7 +48,7 @@ def help_text(commands):
     return "\n".join([*lines, "  --version   show the version", ""])
 
 
-def parse(arguments, commands):
+def parse(arguments: Sequence[str], commands: Mapping[str, type]) -> Any:
     """The record of a command and its options.
 
     Args:
@@ -111,7 +112,7 @@ _REWORDED = (
 """tyro's words, and ours where they are plainer."""
 
 
-def one_line(box):
+def one_line(box: str) -> str:
     """What tyro's box of several lines says, as one line."""
     rows = [row.strip("│ ").strip() for row in box.splitlines() if row.strip() and row.strip()[0] not in "╭╰"]
     parts = [[]]

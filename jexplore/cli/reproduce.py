@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+from collections.abc import Sequence
 from typing import Annotated
 
 import tyro
@@ -12,7 +13,7 @@ from jexplore.cli.options import EngineName, OutFolder, is_small
 from jexplore.config import Lidar, Rules
 
 
-def default_paper_episodes():
+def default_paper_episodes() -> int:
     return 5 if is_small() else 100
 
 
@@ -46,7 +47,7 @@ class Reproduce:
     lidar: Lidar = dataclasses.field(default_factory=Lidar)
     rules: Rules = dataclasses.field(default_factory=Rules)
 
-    def execute(self, arguments):
+    def execute(self, arguments: Sequence[str]) -> int | None:
         """Runs the command; returns the exit status, None for 0."""
         from jexplore.studies import reproduction
 

@@ -1,6 +1,7 @@
 """The command `jexplore segment`."""
 
 import dataclasses
+from collections.abc import Sequence
 from typing import Annotated, Literal
 
 import tyro
@@ -44,7 +45,7 @@ class Segment:
     overwrite: bool = False
     """Replace the run that the folder holds."""
 
-    def execute(self, arguments):
+    def execute(self, arguments: Sequence[str]) -> int | None:
         """Runs the command; returns the exit status, None for 0."""
         from jexplore.config import require_whole
         from jexplore.engine.backend import use_compilation_cache

@@ -3,6 +3,7 @@
 import dataclasses
 import math
 import sys
+from collections.abc import Sequence
 from typing import Annotated
 
 import tyro
@@ -59,11 +60,11 @@ class Trace:
     tuning: Tuning = dataclasses.field(default_factory=Tuning)
     noise: Noise = dataclasses.field(default_factory=Noise)
 
-    def execute(self, arguments):
+    def execute(self, arguments: Sequence[str]) -> int | None:
         """Runs the command; returns the exit status, None for 0."""
         from jexplore.engine.backend import use_compilation_cache
         from jexplore.report import trace_tables
-        from jexplore.studies import tracing
+        from jexplore.studies.traces import tracing
 
         out = Out(self, "trace")
         noise = self.noise if self.noise_m is None else dataclasses.replace(self.noise, range_m=self.noise_m)
@@ -93,11 +94,11 @@ class Trace:
         files = _drawn(found)
         if self.animate and not found.report.costs.interrupted:
             from jexplore.report import operator_view
-            from jexplore.studies import trace_recording
+            from jexplore.studies.traces import recording
 
             try:
                 with working(len(found.driven.truth), "steps") as on_progress:
-                    page = operator_view.page(trace_recording.record(plan, on_progress))
+                    page = operator_view.page(recording.record(plan, on_progress))
                 files["btm.html"] = lambda path: path.write_text(page, encoding="utf-8")
             except KeyboardInterrupt:
                 print("warning: interrupted, btm.html was left out", file=sys.stderr)
@@ -111,16 +112,16 @@ class Trace:
 def _drawn(found):
     """The pictures and tables of a `Traced`: `{name: writer}`."""
     from jexplore.report import plot, plot_traces, store
-    from jexplore.studies import trace_recording
+    from jexplore.studies.traces import recording
 
     plan, track = found.plan, found.driven
     figure = plot_traces.figure(
         found.first,
-        trace_recording.wall_lines(plan),
-        trace_recording.moved(track.estimate, plan.world.origin_m),
-        trace_recording.scan_points(plan, track),
+        recording.wall_lines(plan),
+        recording.moved(track.estimate, plan.world.origin_m),
+        recording.scan_points(plan, track),
         track.mode,
-        trace_recording.MODE_NAMES,
+        recording.MODE_NAMES,
         f"{plan.robot.name} in {plan.world.name}",
         pitch_deg=track.pitch * (180 / math.pi),
     )
@@ -158,7 +159,7 @@ def _finish_trace(out, record, files, text, interrupted=False):
 def _trace_episode(out, options, arguments):
     """A map from what an exploration episode has seen."""
     from jexplore.report import plot, trace_tables
-    from jexplore.studies import trace_extraction
+    from jexplore.studies.traces import extraction
 
     plain, own = type(options)(), ("world", "strategy", "seed", "cell_m", "tuning", "out", "overwrite", "from_episode")
     for field in dataclasses.fields(options):
@@ -166,7 +167,7 @@ def _trace_episode(out, options, arguments):
             option = field.name.replace("_", "-")
             raise InputError(f"--from-episode takes no --{option}: an episode's robot is that of `jexplore explore`")
     with note(COMPILING):
-        found = trace_extraction.extracted(
+        found = extraction.extracted(
             options.world,
             options.strategy,
             seed=options.seed,

@@ -5,7 +5,8 @@ them is one program.
 """
 
 import dataclasses
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -15,14 +16,18 @@ from jexplore.arrays.padding import number
 from jexplore.config import InputError
 from jexplore.driving import vehicle
 from jexplore.driving.mission import Outcome, Result, program_of
+from jexplore.driving.settings import Noise, Robot, Tuning
 from jexplore.driving.terrain import terrain_of
 from jexplore.driving.vehicle import Building
 from jexplore.driving.walls import walls_of
 from jexplore.engine.program import Line
 from jexplore.engine.runner import Costs, find_resources, run_all
+from jexplore.worlds.world import World
 
 MAX_STEPS = 6000
 MULTIPLE = 64  # sides of the ground are padded to multiples of this, so that similar buildings share a program
+
+_Settings = TypeVar("_Settings", Robot, Tuning, Noise)
 
 
 class Driven(NamedTuple):
@@ -42,7 +47,7 @@ class Finished(NamedTuple):
     costs: Costs
 
 
-def building_of(world, start_pose, goal_m):
+def building_of(world: World, start_pose: tuple[float, float, float], goal_m: tuple[float, float] | None) -> Building:
     """A world made ready for runs.
 
     Args:
@@ -66,7 +71,7 @@ def building_of(world, start_pose, goal_m):
     )
 
 
-def require_start(world, building, robot):
+def require_start(world: World, building: Building, robot: Robot) -> None:
     """Refuse a start in a wall, or where the robot does not fit.
 
     Raises:
@@ -88,7 +93,7 @@ def require_start(world, building, robot):
         )
 
 
-def numbers_of(record, n):
+def numbers_of(record: _Settings, n: int) -> _Settings:
     """A record of settings as arrays with a leading axis of n: what is declared as an int int32, others float32, so
     that 0 and 0.0 share a program.
     """
@@ -103,9 +108,19 @@ def numbers_of(record, n):
 
 
 def run_missions(
-    building, robots, tunings, noises, seed, draws, *, engine=None, lanes=None, workers=None, max_steps=MAX_STEPS,
-    on_progress=None,
-):  # fmt: skip
+    building: Building,
+    robots: Robot,
+    tunings: Tuning,
+    noises: Noise,
+    seed: int,
+    draws: np.ndarray,
+    *,
+    engine: str | None = None,
+    lanes: int | None = None,
+    workers: int | None = None,
+    max_steps: int = MAX_STEPS,
+    on_progress: Callable[[int], Any] | None = None,
+) -> Finished:
     """Makes runs, each with its own robot, thresholds and noise.
 
     Args:
@@ -136,6 +151,6 @@ def run_missions(
     return Finished(line.results, driven, costs)
 
 
-def outcome_names(result):
+def outcome_names(result: Result) -> list[str]:
     """Names of the outcomes of a `Result` of many runs: list of text."""
     return [Outcome(int(value)).name for value in result.outcome]

@@ -5,12 +5,15 @@ branch selection, dead end run, wall following, central run. All states have a f
 """
 
 import enum
+from collections.abc import Callable
+from typing import ClassVar, Self
 
 import jax.numpy as jnp
 from flax import struct
 from jax import Array, lax
 
 from jexplore.driving import perception
+from jexplore.driving.settings import Robot, Tuning
 
 WINDOW = 9  # scans that vote
 DOUBT = 2  # votes up to which another triangle takes the place of one that a scan does not show
@@ -47,22 +50,28 @@ class Track:
     age: Array  # int32, scans since it was first seen; 0: there is none
 
 
-def no_track():
+def no_track() -> Track:
     """Nothing ahead."""
     return Track(centre=jnp.zeros(2), radius=jnp.float32(0), seen=jnp.uint32(0), age=jnp.int32(0))
 
 
-def votes(track):
+def votes(track: Track) -> Array:
     """Of the last `WINDOW` scans, how many showed it: int32."""
     return lax.population_count(track.seen).astype(jnp.int32)
 
 
-def is_believed(track, needed):
+def is_believed(track: Track, needed: Array | int) -> Array:
     """Whether enough scans have shown it."""
     return (track.age > 0) & (votes(track) >= needed)
 
 
-def follow(track, found, to_odometry, same_m, may_begin):
+def follow(
+    track: Track,
+    found: perception.Divergence,
+    to_odometry: Callable[[Array], Array],
+    same_m: Array | float,
+    may_begin: Array | bool,
+) -> Track:
     """Takes one more scan into account.
 
     The largest triangle that is near enough to the one followed goes on with it; else the triangle nearest to the
@@ -114,12 +123,19 @@ class FreeSpace:
     since_m: Array  # float32, odometer at the first of them
 
 
-def no_free_space():
+def no_free_space() -> FreeSpace:
     """Not in free space."""
     return FreeSpace(inside=jnp.bool_(False), streak=jnp.int32(0), since_m=jnp.float32(0))
 
 
-def watch_free_space(space, left_m, right_m, odometer_m, open_m, looking):
+def watch_free_space(
+    space: FreeSpace,
+    left_m: Array | float,
+    right_m: Array | float,
+    odometer_m: Array | float,
+    open_m: Array | float,
+    looking: Array | bool,
+) -> tuple[FreeSpace, Array, Array]:
     """Takes one more look at the walls on both sides.
 
     Args:
@@ -151,9 +167,10 @@ class Drive:
     turning: Array  # int32, side to which a dead end turns the robot: 1 left, -1 right, 0 none
     left_m: Array  # float32, last distance of a wall on the left within C1
     right_m: Array  # float32, likewise on the right
+    replace: ClassVar[Callable[..., Self]]
 
 
-def at_rest():
+def at_rest() -> Drive:
     """Nothing remembered; a passage two metres wide is assumed until a wall is seen."""
     return Drive(
         latch=jnp.int32(Latch.FREE),
@@ -164,7 +181,17 @@ def at_rest():
     )
 
 
-def choose_mode(drive, space, region_sides, left_m, right_m, closed, fronts_m, tuning, robot):
+def choose_mode(
+    drive: Drive,
+    space: FreeSpace,
+    region_sides: tuple[Array, Array],
+    left_m: Array,
+    right_m: Array,
+    closed: Array,
+    fronts_m: tuple[Array, Array],
+    tuning: Tuning,
+    robot: Robot,
+) -> tuple[Array, Drive]:
     """The run mode of this step.
 
     Args:
@@ -201,7 +228,9 @@ def choose_mode(drive, space, region_sides, left_m, right_m, closed, fronts_m, t
     )
 
 
-def target_of(mode, drive, left_m, right_m, to_robot, tuning):
+def target_of(
+    mode: Array, drive: Drive, left_m: Array, right_m: Array, to_robot: Callable[[Array], Array], tuning: Tuning
+) -> Array:
     """The target point in the robot's frame: `[2]` float32, metres.
 
     In a passage it lies on the middle between the walls, in free space at the distance from the followed wall that the
@@ -220,7 +249,7 @@ def target_of(mode, drive, left_m, right_m, to_robot, tuning):
     return jnp.where(mode == RunMode.BRANCH_SELECTION, to_robot(drive.target), ahead)
 
 
-def steer(mode, drive, target, tuning, robot):
+def steer(mode: Array, drive: Drive, target: Array, tuning: Tuning, robot: Robot) -> tuple[Array, Array]:
     """Speed and turn rate towards a target point.
 
     Returns:

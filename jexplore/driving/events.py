@@ -1,6 +1,7 @@
 """What lies ahead of the robot, and which node of the map is due."""
 
 import dataclasses
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -11,7 +12,9 @@ from jexplore import btm
 from jexplore.arrays.loops import run_if
 from jexplore.driving import behaviour, ground_profile, mapping, perception
 from jexplore.driving.behaviour import FreeSpace, Latch, Track
+from jexplore.driving.mapping import Writer
 from jexplore.driving.nodes import SAME_NODE_M, Event
+from jexplore.driving.settings import Robot, Tuning
 from jexplore.driving.vehicle import ANGLES_RAD, BEAM_SPACING_RAD, to_robot
 
 DRIVE = 1.5  # length of the stretch in which walls are steered by, in look-aheads
@@ -32,14 +35,14 @@ class Walls(NamedTuple):
     valid: Array  # [B] bool
     region: Any  # pair: where the stretch begins and ends that is watched for free space, metres ahead
     region_sides: Any  # pair: clearance to the left and right there, metres
-    closed: Array  # bool, whether the way ahead is closed
+    closed: Any  # bool, whether the way ahead is closed
     fronts_m: Any  # pair: how far the way is free ahead, in the left and right half of the robot's width
     left_m: Array  # float32, clearance by which it steers
     right_m: Array  # float32, likewise
     beside: Array  # [2] float32, clearance beside the robot
 
 
-def walls_of_scan(ranges_m, tuning, robot):
+def walls_of_scan(ranges_m: Array, tuning: Tuning, robot: Robot) -> Walls:
     """`Walls` of a scan: `[B]` float32 ranges, NaN for none."""
     xy, valid = perception.points(ranges_m, ANGLES_RAD)
     region = tuning.ahead_m / 2, tuning.ahead_m / 2 + tuning.region_m
@@ -69,7 +72,16 @@ class Ahead(NamedTuple):
     beyond: Any  # pair: height of the step and inclination of the slope that stop it, see `_cannot_climb`
 
 
-def look_ahead(state, writer, walls, pitch, placed, tuning, robot, is_blind):
+def look_ahead(
+    state: Any,
+    writer: Writer,
+    walls: Walls,
+    pitch: Array,
+    placed: Callable[[Array], Array],
+    tuning: Tuning,
+    robot: Robot,
+    is_blind: Array | bool,
+) -> Ahead:
     """`Ahead` of one step.
 
     Args:
@@ -112,7 +124,7 @@ def look_ahead(state, writer, walls, pitch, placed, tuning, robot, is_blind):
     )
 
 
-def triangles(xy, valid, wall_m, tuning):
+def triangles(xy: Array, valid: Array, wall_m: Array | float, tuning: Tuning) -> perception.Divergence:
     """The triangles of a scan, `wall_m` from the nearer wall: `perception.Divergence`."""
     far_m = perception.far_bound(tuning.far_m, tuning.width_m, BEAM_SPACING_RAD, wall_m)
     return perception.divergences(
@@ -145,7 +157,7 @@ def _watch(state, writer, xy, valid, wall_m, placed, tuning):
     return run_if(looks, looked, (track, jnp.int32(0)))
 
 
-def kept_points(xy, valid, placed, tuning):
+def kept_points(xy: Array, valid: Array, placed: Callable[[Array], Array], tuning: Tuning) -> tuple[Array, Array]:
     """Points of a scan for the openings of the next divergence: `(points, there)`, in the odometry's frame."""
     even = perception.smoothed(xy, valid, tuning.width_m / 4)
     bounds = tuning.near_m, tuning.far_m, tuning.open_m
@@ -188,7 +200,7 @@ def _passes_start(state):
     return (state.writer.node != 0) & (place[0] <= 0) & (jnp.hypot(*place) < SAME_NODE_M)
 
 
-def due(state, writer, ahead, at_goal, is_open, arrives):
+def due(state: Any, writer: Writer, ahead: Ahead, at_goal: Array, is_open: Array, arrives: Array) -> Event:
     """The node that is due, an `Event`; of several the one that lies first on the way.
 
     Args:

@@ -11,7 +11,14 @@ from jexplore.driving.perception import running_sum
 CELLS = 512  # of a profile, each as long as the gap of a step
 
 
-def ground_point(ranges_m, direction, pitch_rad, roll_rad, mount, half_width_m):
+def ground_point(
+    ranges_m: Array,
+    direction: Array,
+    pitch_rad: Array | float,
+    roll_rad: Array | float,
+    mount: tuple[Array | float, Array | float],
+    half_width_m: Array | float,
+) -> tuple[Array, Array, Array]:
     """Where beams that look down meet the ground: one point, the mean of those before the robot's width.
 
     Args:
@@ -48,7 +55,7 @@ class Profile:
     count: Array  # int32, points
 
 
-def profile(x_m, z_m, valid, *, flank_m=0.10, gap_m=0.02):
+def profile(x_m: Array, z_m: Array, valid: Array, *, flank_m: float = 0.10, gap_m: float = 0.02) -> Profile:
     """Fits a line to heights along the way.
 
     Args:

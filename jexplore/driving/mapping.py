@@ -5,6 +5,8 @@ and leaves it, an obstacle where the ground's inclination changes, known once th
 """
 
 import math
+from collections.abc import Callable
+from typing import ClassVar, Self
 
 import jax.numpy as jnp
 from flax import struct
@@ -35,9 +37,10 @@ class Way:
     ground_x_m: Array  # [T] float32, odometer at the point that the downward scanner saw; inf for none
     ground_z_m: Array  # [T] float32, its height above the start
     mode: Array  # [T] int32, `RunMode`
+    replace: ClassVar[Callable[..., Self]]
 
 
-def no_way(size):
+def no_way(size: int) -> Way:
     """A way of no steps; `size` static."""
     return Way(
         odometer_m=jnp.full(size, jnp.inf),
@@ -80,9 +83,10 @@ class Writer:
     n_snapshots: Array  # int32
     exhausted: Array  # bool, nothing is left to follow
     full: Array  # bool, a node did not fit
+    replace: ClassVar[Callable[..., Self]]
 
 
-def begin(n_steps, n_points, n_nodes, n_links, pose, behind):
+def begin(n_steps: int, n_points: int, n_nodes: int, n_links: int, pose: Array, behind: Array | bool) -> Writer:
     """A map of the node where the robot starts, the link on which it sets off and, if there is one, the one behind.
 
     Sizes static.
@@ -110,7 +114,9 @@ def begin(n_steps, n_points, n_nodes, n_links, pose, behind):
     )
 
 
-def watch_level(level, pitch, odometer_m, threshold, even_m):
+def watch_level(
+    level: Level, pitch: Array | float, odometer_m: Array | float, threshold: Array | float, even_m: Array | float
+) -> tuple[Level, Array, Array, Array]:
     """Takes one more pitch into account.
 
     Args:
@@ -142,7 +148,7 @@ def watch_level(level, pitch, odometer_m, threshold, even_m):
     return after, changed, crease, steepest
 
 
-def keep_snapshot(writer, points_of, odometer_m):
+def keep_snapshot(writer: Writer, points_of: Callable[[], tuple[Array, Array]], odometer_m: Array) -> Writer:
     """Keeps the scan points of this step, if the robot has moved on since the last ones.
 
     Args:
@@ -164,12 +170,12 @@ def keep_snapshot(writer, points_of, odometer_m):
     return writer.replace(snapshot=snapshot, snapshot_there=there, n_snapshots=n, snapshot_m=last_m)
 
 
-def pose_at(way, odometer_m):
+def pose_at(way: Way, odometer_m: Array | float) -> Array:
     """The pose when the odometer had a value: `[3]` float32."""
     return way.pose[jnp.argmax(way.odometer_m >= odometer_m)]
 
 
-def along(way, from_m, to_m):
+def along(way: Way, from_m: Array | float, to_m: Array | float) -> tuple[Array, Array]:
     """Narrowest passage and largest inclination of the body between two places: `(metres, degrees)`; inf and 0 for no
     step.
     """
@@ -186,13 +192,13 @@ def along(way, from_m, to_m):
     return width, jnp.degrees(jnp.max(jnp.where(within, way.posture, 0)))
 
 
-def has_left(writer, odometer_m, leave_m):
+def has_left(writer: Writer, odometer_m: Array | float, leave_m: Array | float) -> Array:
     """Whether the robot has gone twice as far as it takes to leave the last node: it may come back to it."""
     last = jnp.minimum(writer.node, writer.map.kind.shape[0] - 1)
     return odometer_m - writer.node_m >= 2 * (writer.map.radius_m[last] + leave_m)
 
 
-def is_near_known(writer, centres, odometer_m, leave_m):
+def is_near_known(writer: Writer, centres: Array, odometer_m: Array | float, leave_m: Array | float) -> Array:
     """Which places are the divergence that the robot has just left: `[T]` bool.
 
     No second node is made within half a metre, or the circle's radius, of the last one, until the robot has gone so far

@@ -6,7 +6,8 @@ looks down, an attitude sensor and encoders. A run is a program of the engine.
 
 import dataclasses
 import enum
-from typing import Any, NamedTuple
+from collections.abc import Callable
+from typing import Any, ClassVar, NamedTuple, Self
 
 import jax
 import jax.numpy as jnp
@@ -20,11 +21,14 @@ from jexplore.driving import behaviour, ground_profile, mapping, nodes
 from jexplore.driving.behaviour import Drive, FreeSpace, Latch, RunMode, Track
 from jexplore.driving.events import GOAL_M, KEPT_POINTS, due, kept_points, look_ahead, walls_of_scan
 from jexplore.driving.mapping import Writer
+from jexplore.driving.settings import Noise, Robot, Tuning
 from jexplore.driving.vehicle import (
     ANGLES_RAD,
     BEAMS,
     RANGE_M,
     Body,
+    Building,
+    Draws,
     at_rest,
     down_directions,
     draw,
@@ -34,7 +38,7 @@ from jexplore.driving.vehicle import (
     to_robot,
     touches,
 )
-from jexplore.engine.program import Program
+from jexplore.engine.program import Given, Program
 
 BLOCK = 16  # steps whose random numbers are drawn at once
 NODES, LINKS = 32, 64  # most of a map
@@ -87,6 +91,7 @@ class State:
     step: Array  # int32
     outcome: Array  # int32
     draws: Any  # `vehicle.Draws` of `BLOCK` steps
+    replace: ClassVar[Callable[..., Self]]
 
 
 class Setup(NamedTuple):
@@ -115,7 +120,7 @@ def _is_open(building):
     return jnp.isnan(building.goal[0])
 
 
-def at_start(building, robot, room):
+def at_start(building: Building, robot: Robot, room: int) -> State:
     """The state before the first step, with no random numbers; `room` for so many steps, static."""
     zero, none = jnp.float32(0), jnp.int32(0)
     start = jnp.asarray(building.start, jnp.float32)
@@ -144,7 +149,7 @@ def at_start(building, robot, room):
     )
 
 
-def step(draws, building, robot, tuning, noise, state):
+def step(draws: Draws, building: Building, robot: Robot, tuning: Tuning, noise: Noise, state: State) -> State:
     """One step of a run: sense, perceive, write, decide, move.
 
     Args:
@@ -312,7 +317,7 @@ def _draws_from(key, first):
     return jax.vmap(lambda i: draw(jax.random.fold_in(key, i)))(first + jnp.arange(BLOCK))
 
 
-def begin(setup, given):
+def begin(setup: Setup, given: Given) -> State:
     """A run before its first step.
 
     Args:
@@ -329,7 +334,7 @@ def begin(setup, given):
     return dataclasses.replace(state, draws=jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), block))
 
 
-def advance(setup, given, state):
+def advance(setup: Setup, given: Given, state: State) -> State:
     """One step of a run: a `State`. Arguments as for `begin`.
 
     A run that is done writes on beyond its last step, where nobody looks.
@@ -343,7 +348,7 @@ def advance(setup, given, state):
     return after.replace(outcome=jnp.where(late, jnp.int32(Outcome.STEP_LIMIT), after.outcome))
 
 
-def finish(setup, given, state):
+def finish(setup: Setup, given: Given, state: State) -> Result:
     """The `Result` of a run that has ended. Arguments as for `begin`."""
     del setup, given
     body = state.body
@@ -369,7 +374,7 @@ def _is_done(state):
     return state.outcome != Outcome.RUNNING
 
 
-def program_of(room):
+def program_of(room: int) -> Program:
     """A run as a `Program`, with room for so many steps.
 
     Source:

@@ -12,7 +12,8 @@ from jexplore import btm
 from jexplore.btm import Btm
 from jexplore.driving import ground_profile, perception
 from jexplore.driving.behaviour import Latch
-from jexplore.driving.mapping import along, has_left
+from jexplore.driving.mapping import Writer, along, has_left
+from jexplore.driving.settings import Robot, Tuning
 
 OPENINGS = 8  # of a divergence
 SAME_NODE_M = 1.0  # free space and obstacles nearer than this to one that is known are that one
@@ -112,7 +113,7 @@ def _end_way_here(map_, writer, event, at, back):
     return _withdraw_double(map_, at.node, back, at.again & is_new), link
 
 
-def write(writer, event, tuning, robot):
+def write(writer: Writer, event: Event, tuning: Tuning, robot: Robot) -> tuple[Writer, Array, Array, Array]:
     """Makes the node that is due, ends the link that led to it, and chooses where to go on.
 
     Args:

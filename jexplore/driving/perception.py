@@ -5,10 +5,13 @@ Scans are in the robot's frame: x forward, y left, metres. A beam without a read
 
 import functools
 import math
+from collections.abc import Callable
+from typing import ClassVar, Self
 
 import jax.numpy as jnp
 from flax import struct
 from jax import Array
+from jax.typing import ArrayLike
 
 from jexplore.arrays.delaunay import circumcircles, delaunay
 
@@ -34,9 +37,10 @@ class Divergence:
     radius: Array  # [T] float32, metres
     valid: Array  # [T] bool
     overflow: Array  # int32, ends of walls and triangles that did not fit
+    replace: ClassVar[Callable[..., Self]]
 
 
-def points(ranges_m, angles_rad):
+def points(ranges_m: Array, angles_rad: ArrayLike) -> tuple[Array, Array]:
     """Scan points.
 
     Args:
@@ -60,7 +64,7 @@ def points(ranges_m, angles_rad):
     return jnp.stack([r * jnp.cos(angles_rad), r * jnp.sin(angles_rad)], axis=1), valid
 
 
-def smoothed(xy, valid, reach_m):
+def smoothed(xy: Array, valid: Array, reach_m: Array | float) -> Array:
     """Every point moved to the mean of its wall's points near it: many close by, few far away.
 
     Args:
@@ -84,7 +88,7 @@ def smoothed(xy, valid, reach_m):
     return jnp.where(valid[:, None], jnp.stack([sums[0] / count, sums[1] / count], axis=1), xy)
 
 
-def sides(xy, valid, from_m, to_m):
+def sides(xy: Array, valid: Array, from_m: Array | float, to_m: Array | float) -> tuple[Array, Array]:
     """Least distance to the walls on both sides, in a region of fixed length before the robot.
 
     Args:
@@ -104,7 +108,7 @@ def sides(xy, valid, from_m, to_m):
     return left, right
 
 
-def clearances(xy, valid, to_m):
+def clearances(xy: Array, valid: Array, to_m: Array | float) -> tuple[Array, Array]:
     """Distances of the walls beside the robot: the least mean of neighbouring beams, which noise makes hardly smaller.
 
     Points more ahead than aside are none of them.
@@ -130,7 +134,7 @@ def clearances(xy, valid, to_m):
     return left, right
 
 
-def front(xy, valid, width_m):
+def front(xy: Array, valid: Array, width_m: Array | float) -> tuple[Array, Array]:
     """Distances to the nearest points before the robot's left half and its right: float32, metres; inf for none."""
     ahead = valid & (jnp.abs(xy[:, 1]) <= width_m / 2 + GUARD_M / 2) & (xy[:, 0] > 0)
     left = jnp.min(jnp.where(ahead & (xy[:, 1] >= 0), xy[:, 0], jnp.inf))
@@ -138,7 +142,16 @@ def front(xy, valid, width_m):
     return left, right
 
 
-def resampled(xy, valid, near_m, far_m, aside_m, spacing_m, *, size):
+def resampled(
+    xy: Array,
+    valid: Array,
+    near_m: Array | float,
+    far_m: Array | float,
+    aside_m: Array | float,
+    spacing_m: Array | float,
+    *,
+    size: int,
+) -> tuple[Array, Array, Array, Array]:
     """Points at even distances along the walls that a scan shows, and both ends of every wall.
 
     Args:
@@ -175,7 +188,7 @@ def resampled(xy, valid, near_m, far_m, aside_m, spacing_m, *, size):
     return jnp.concatenate([ticks, ended]), there, spacing, overflow
 
 
-def running_sum(values):
+def running_sum(values: Array) -> Array:
     """Sums of the first 1, 2, ... values, by doubling."""
     n, step = values.shape[0], 1
     while step < n:
@@ -184,7 +197,9 @@ def running_sum(values):
     return values
 
 
-def far_bound(far_m, width_m, beam_spacing_rad, wall_m):
+def far_bound(
+    far_m: Array | float, width_m: Array | float, beam_spacing_rad: Array | float, wall_m: Array | float
+) -> Array:
     """How far ahead neighbouring beams lie closer on a wall than the least opening: float32, metres.
 
     Args:
@@ -196,7 +211,17 @@ def far_bound(far_m, width_m, beam_spacing_rad, wall_m):
     return jnp.minimum(far_m, 0.95 * jnp.sqrt(width_m * jnp.minimum(wall_m, far_m) / beam_spacing_rad))
 
 
-def divergences(xy, valid, *, near_m, far_m, width_m, obtuse_tol_deg, open_m, size):
+def divergences(
+    xy: Array,
+    valid: Array,
+    *,
+    near_m: Array | float,
+    far_m: Array | float,
+    width_m: Array | float,
+    obtuse_tol_deg: Array | float,
+    open_m: Array | float,
+    size: int,
+) -> Divergence:
     """Triangles that touch three walls: between them the way divides, bends or ends.
 
     Args:
@@ -231,7 +256,7 @@ def divergences(xy, valid, *, near_m, far_m, width_m, obtuse_tol_deg, open_m, si
     return Divergence(corners=corners, centre=centre, radius=radius, valid=keep, overflow=overflow + triangles.overflow)
 
 
-def nearest(found, place):
+def nearest(found: Divergence, place: Array) -> tuple[Array, Array]:
     """The triangle whose centre is nearest to a place.
 
     Args:
@@ -279,7 +304,8 @@ def _gaps(point, last, here, width_m):
     return after, width, here & ((width > width_m) | (jnp.sum(here) == 1))
 
 
-def openings(xy, valid, centre, radius_m, width_m, *, circle, size):
+def openings(xy: Array, valid: Array, centre: Array, radius_m: Array | float, width_m: Array | float, *,
+             circle: Array | float, size: int) -> Openings:  # fmt: skip
     """Gaps between neighbouring points in a circle, as seen from its centre, that a robot fits through.
 
     Args:
@@ -314,7 +340,6 @@ def openings(xy, valid, centre, radius_m, width_m, *, circle, size):
     most = jnp.full(BEARINGS, -1, jnp.int32).at[sector].max(code, mode="drop")
     here = most >= 0
     point, last = (offset[jnp.where(here, code, 0) & (2**bits - 1)] for code in (least, most))
-
     # A wall is what lies between two gaps.
     gap_here = _gaps(point, last, here, width_m)[2]
     wall = (running_sum(gap_here.astype(jnp.float32)) - gap_here) % jnp.maximum(jnp.sum(gap_here), 1)

@@ -98,7 +98,7 @@ class Tuning:
     """Turn rate a radian of bearing of the target point [kw], 1 / s."""
 
 
-def require_tuning(tuning):
+def require_tuning(tuning: Tuning) -> None:
     """Refuse thresholds that are out of range or contradict each other.
 
     Args:
@@ -123,7 +123,7 @@ def require_tuning(tuning):
     require_number("tuning.inclination_deg", tuning.inclination_deg, low=1, high=45)
 
 
-def require_noise(noise):
+def require_noise(noise: Noise) -> None:
     """Refuse noise that is out of range.
 
     Raises:
@@ -134,7 +134,7 @@ def require_noise(noise):
     require_number("noise.heading_deg_sqrt_m", noise.heading_deg_sqrt_m, high=45)
 
 
-def require_robot(robot):
+def require_robot(robot: Robot) -> None:
     """Refuse a robot that cannot be.
 
     Raises:

@@ -20,7 +20,7 @@ class Terrain:
     spacing_m: Array  # float32, of the grid; its first point lies at half a spacing from the map's corner
 
 
-def terrain_of(elevation, cell_m):
+def terrain_of(elevation: np.ndarray | None, cell_m: float) -> Terrain:
     """Makes heights of cells finer: slopes stay even, steps stay steep.
 
     Args:
@@ -56,7 +56,7 @@ def _finer(height):
     return out.reshape(rows, cols * FINER)
 
 
-def height_at(terrain, x_m, y_m):
+def height_at(terrain: Terrain, x_m: Array | float, y_m: Array | float) -> Array:
     """Height of the ground at points, metres: `[...]` float32; beyond the edge that of the edge."""
     rows, cols = terrain.height_m.shape
     u = jnp.clip(x_m / terrain.spacing_m - 0.5, 0, cols - 1)
@@ -73,7 +73,12 @@ def height_at(terrain, x_m, y_m):
     return low + v * (high - low)
 
 
-def attitude(terrain, pose, length_m, width_m):
+def attitude(
+    terrain: Terrain,
+    pose: Array | tuple[Array | float, Array | float, Array | float],
+    length_m: Array | float,
+    width_m: Array | float,
+) -> tuple[Array, Array, Array, Array]:
     """How a robot on two rigid tracks stands.
 
     Each track rests on the two points of the ground, one before and one behind its middle, that carry it highest.
@@ -104,7 +109,7 @@ def attitude(terrain, pose, length_m, width_m):
     return -jnp.arctan(slope.mean()), jnp.arctan2(height[0] - height[1], width_m), height.mean(), rise
 
 
-def look_down(terrain, origin, direction):
+def look_down(terrain: Terrain, origin: tuple[Array | float, Array | float, Array | float], direction: Array) -> Array:
     """Ranges of beams to the ground.
 
     Args:
@@ -132,7 +137,7 @@ def look_down(terrain, origin, direction):
     return jnp.where(jnp.any(below, axis=0), (low + high) / 2, jnp.inf)
 
 
-def turned(direction, pitch_rad, roll_rad, heading_rad):
+def turned(direction: Array, pitch_rad: Array | float, roll_rad: Array | float, heading_rad: Array | float) -> Array:
     """Directions in the robot's frame (x forward, y left, z up) in that of the world: `[D, 3]` to `[D, 3]`."""
     cos_p, sin_p = jnp.cos(pitch_rad), jnp.sin(pitch_rad)
     cos_r, sin_r = jnp.cos(roll_rad), jnp.sin(roll_rad)

@@ -4,6 +4,8 @@ A unicycle on two rigid tracks, with a scanner that looks ahead, one that looks 
 """
 
 import math
+from collections.abc import Callable
+from typing import ClassVar, Self
 
 import jax
 import jax.numpy as jnp
@@ -51,6 +53,7 @@ class Body:
     path_m: Array  # float32, way in the plane
     contacts: Array  # int32, steps refused because of a wall
     refused: Array  # int32, steps refused because of the ground
+    replace: ClassVar[Callable[..., Self]]
 
 
 @struct.dataclass
@@ -74,7 +77,7 @@ class Draws:
     missing: Array  # [B] float32, uniform from 0 to 1
 
 
-def draw(key):
+def draw(key: Array) -> Draws:
     """`Draws` of one step; the key is consumed."""
     key, missing_key = jax.random.split(key)
     ranges, down, attitude, encoders = jnp.split(
@@ -84,21 +87,21 @@ def draw(key):
     return Draws(ranges=ranges, down=down, attitude=attitude, encoders=encoders, missing=missing)
 
 
-def down_directions(robot):
+def down_directions(robot: Robot) -> Array:
     """Unit vectors of the downward scanner's beams in the robot's frame: `[D, 3]` float32."""
     tilt = jnp.radians(robot.scanner_angle_deg)
     ahead = jnp.cos(DOWN_RAD)
     return jnp.stack([jnp.sin(tilt) * ahead, jnp.sin(DOWN_RAD), -jnp.cos(tilt) * ahead], axis=1)
 
 
-def at_rest(building, robot, pose):
+def at_rest(building: Building, robot: Robot, pose: Array) -> Body:
     """`Body` of a robot that has not moved yet."""
     pitch, roll, height, rise = attitude(building.terrain, pose, robot.length_m, robot.width_m)
     zero, none = jnp.float32(0), jnp.int32(0)
     return Body(pose, pitch, roll, height, rise, path_m=zero, contacts=none, refused=none)
 
 
-def sense(draws, building, robot, noise, body):
+def sense(draws: Draws, building: Building, robot: Robot, noise: Noise, body: Body) -> Senses:
     """What the sensors say.
 
     Args:
@@ -125,12 +128,22 @@ def sense(draws, building, robot, noise, body):
     )
 
 
-def touches(building, robot, pose):
+def touches(building: Building, robot: Robot, pose: Array) -> Array:
     """Whether a robot at a pose touches a wall: bool."""
     return meets(building.walls, pose, robot.length_m, robot.width_m)
 
 
-def move(draws, building, robot, noise, body, estimate, senses, v, omega):
+def move(
+    draws: Draws,
+    building: Building,
+    robot: Robot,
+    noise: Noise,
+    body: Body,
+    estimate: Array,
+    senses: Senses,
+    v: Array | float,
+    omega: Array | float,
+) -> tuple[Body, Array, Array]:
     """One step of the unicycle, and what the encoders make of it.
 
     A step into a wall is refused, and one onto a slope that is too steep, if not less steep than where the robot
@@ -175,7 +188,7 @@ def move(draws, building, robot, noise, body, estimate, senses, v, omega):
     return moved, jnp.where(goes, odometry, estimate), jnp.where(goes, measured, 0)
 
 
-def to_odometry(estimate):
+def to_odometry(estimate: Array) -> Callable[[Array], Array]:
     """A function from points `[..., 2]` in the robot's frame to the odometry's."""
     cos, sin = jnp.cos(estimate[2]), jnp.sin(estimate[2])
 
@@ -186,7 +199,7 @@ def to_odometry(estimate):
     return placed
 
 
-def to_robot(estimate):
+def to_robot(estimate: Array) -> Callable[[Array], Array]:
     """A function from points `[..., 2]` in the odometry's frame to the robot's."""
     cos, sin = jnp.cos(estimate[2]), jnp.sin(estimate[2])
 

@@ -32,7 +32,7 @@ def _faces(occupied):
     return np.stack([col + 1, first, last + 1], axis=1)
 
 
-def walls_of(occupied, cell_m, *, multiple=16):
+def walls_of(occupied: np.ndarray, cell_m: float, *, multiple: int = 16) -> Walls:
     """The walls of an occupancy array.
 
     Args:
@@ -53,14 +53,19 @@ def walls_of(occupied, cell_m, *, multiple=16):
     return Walls(x=padded(_faces(occupied)), y=padded(_faces(occupied.T)))  # type: ignore[arg-type]
 
 
-def segments(walls):
+def segments(walls: Walls) -> np.ndarray:
     """The segments as `[S, 4]` float32, x0, y0, x1, y1, metres; unused slots left out. Host."""
     x, y = (np.asarray(a) for a in (walls.x, walls.y))
     x, y = x[x[:, 0] < FAR_M], y[y[:, 0] < FAR_M]
     return np.concatenate([x[:, [0, 1, 0, 2]], y[:, [1, 0, 2, 0]]])
 
 
-def cast(walls, pose, angles_rad, max_range_m):
+def cast(
+    walls: Walls,
+    pose: Array | tuple[Array | float, Array | float, Array | float],
+    angles_rad: Array | np.ndarray,
+    max_range_m: Array | float,
+) -> Array:
     """Ranges of beams to the nearest wall.
 
     Args:
@@ -92,7 +97,12 @@ def _nearest(lines, a, b, da, db):
     return jnp.min(bits, axis=1)
 
 
-def meets(walls, pose, length_m, width_m):
+def meets(
+    walls: Walls,
+    pose: Array | tuple[Array | float, Array | float, Array | float],
+    length_m: Array | float,
+    width_m: Array | float,
+) -> Array:
     """Whether a rectangle meets a wall.
 
     Args:

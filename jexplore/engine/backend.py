@@ -7,7 +7,7 @@ from pathlib import Path
 import jax
 
 
-def start_backend(workers):
+def start_backend(workers: int) -> None:
     """Starts JAX with as many threads as there are to be workers.
 
     XLA runs programs on a pool of its own, which must have a thread for every worker. It also splits operations of a
@@ -30,7 +30,7 @@ def start_backend(workers):
             os.environ["NPROC"] = before
 
 
-def use_compilation_cache():
+def use_compilation_cache() -> None:
     """Keeps compiled programs on disk, so that a later process need not compile them again.
 
     In `$JAX_COMPILATION_CACHE_DIR` if that is set, else in `$XDG_CACHE_HOME/jexplore` (`~/.cache/jexplore`). A folder

@@ -1,6 +1,8 @@
 """Several devices, each of which works on its own part without a word to the others; programs compiled for them."""
 
 import functools
+from collections.abc import Callable, Hashable, Sequence
+from typing import Any
 
 import jax
 import numpy as np
@@ -15,7 +17,7 @@ def _mesh(devices):
     return Mesh(np.array(devices), (AXIS,))
 
 
-def on_devices(function, devices, n_own):
+def on_devices(function: Callable[..., Any], devices: Sequence[Any], n_own: int) -> Callable[..., Any]:
     """A function of arrays as one of arrays with a leading axis of D devices, one part for each.
 
     Nothing is exchanged: automatically split loops would put an exchange into every iteration.
@@ -45,12 +47,12 @@ def on_devices(function, devices, n_own):
     return call
 
 
-def whole(tree, devices):
+def whole(tree: Any, devices: Sequence[Any]) -> Any:
     """A pytree of arrays, all of it on every device."""
     return jax.device_put(tree, devices[0] if len(devices) == 1 else NamedSharding(_mesh(devices), PartitionSpec()))
 
 
-def parted(tree, devices):
+def parted(tree: Any, devices: Sequence[Any]) -> Any:
     """A pytree of arrays with a leading axis of the devices, each part on its device."""
     return jax.device_put(tree, devices[0] if len(devices) == 1 else NamedSharding(_mesh(devices), PartitionSpec(AXIS)))
 
@@ -68,7 +70,15 @@ class _Function:
         return hash(self.name)
 
 
-def compiled(function, name, arguments, devices, *, donate=(), cpu_options=()):
+def compiled(
+    function: Callable[..., Any],
+    name: Hashable,
+    arguments: tuple[Any, ...],
+    devices: Sequence[Any],
+    *,
+    donate: tuple[int, ...] = (),
+    cpu_options: tuple[tuple[str, Any], ...] = (),
+) -> tuple[Callable[..., Any], Any]:
     """A compiled function and the shapes of what it returns. Compiled once in a process for equal names and shapes.
 
     Args:

@@ -6,7 +6,8 @@ from the queue, in groups as well. Results are written by their place in the que
 """
 
 import math
-from typing import Any
+from collections.abc import Callable, Iterable
+from typing import Any, ClassVar, Self
 
 import jax
 import jax.numpy as jnp
@@ -14,7 +15,7 @@ from flax import struct
 from jax import Array, lax
 
 from jexplore.arrays.loops import first_lanes, put, take
-from jexplore.engine.program import Given
+from jexplore.engine.program import Given, Program
 
 DECIDERS = 8  # one lane in so many decides at a time: at most so large a share of the lanes waits
 STARTERS = 16  # one lane in so many is measured and started at a time
@@ -60,6 +61,7 @@ class Usage:
     advanced: Array  # int32, lanes that advanced in these turns
     groups: Array  # int32, groups that decided
     decided: Array  # int32, lanes in these groups
+    replace: ClassVar[Callable[..., Self]]
 
 
 @struct.dataclass
@@ -73,9 +75,10 @@ class Lanes:
     ended: Array  # [N] bool, runs that have a result
     results: Any  # [N, ...]
     kept: Any  # [J, ...], what is kept of one run of each line
+    replace: ClassVar[Callable[..., Self]]
 
 
-def split(numbers):
+def split(numbers: Any) -> tuple[list[Any], list[Any], Callable[[Iterable[Any], Iterable[Any]], Any]]:
     """The scalars and the arrays of a pytree, two lists, and what joins such lists: `(scalars, arrays, join)`."""
     leaves, tree = jax.tree.flatten(numbers)
     is_scalar = [jnp.ndim(leaf) == 0 for leaf in leaves]
@@ -90,9 +93,10 @@ def split(numbers):
 class Engine:
     """The turns of the lanes of one program, all of it pure functions of arrays."""
 
-    def __init__(self, program, numbers):
+    def __init__(self, program: Program, numbers: Any) -> None:
         """`numbers`: a line's, for what of them is an array."""
-        self.program, self.join = program, split(numbers)[2]
+        self.program = program
+        self.join: Callable[[Iterable[Any], Iterable[Any]], Any] = split(numbers)[2]
 
     def _given(self, common, queue, at, scalars, task):
         """`Given` of one lane."""
@@ -116,7 +120,7 @@ class Engine:
     def _finish(self, given, state):
         return self.program.measure(given, state), self.program.keep(state)
 
-    def empty(self, queue, common, n_lanes):
+    def empty(self, queue: Queue, common: Common, n_lanes: int) -> Lanes:
         """`Lanes` that have done nothing yet.
 
         Args:
@@ -146,7 +150,7 @@ class Engine:
             kept=blank(kept, common.table.seed.shape[0]),
         )
 
-    def lane_bytes(self, lanes, shared):
+    def lane_bytes(self, lanes: Lanes, shared: Any) -> int:
         """An estimate of what one lane needs, with its share of what deciding, starting and advancing need in between.
 
         Args:
@@ -236,7 +240,7 @@ class Engine:
 
         return lanes.replace(state=jax.tree.map(keep, new, lanes.state))
 
-    def go_on(self, lanes, queue, turns, common):
+    def go_on(self, lanes: Lanes, queue: Queue, turns: Array, common: Common) -> tuple[Lanes, Usage]:
         """Some turns, or as many as it takes until the queue is done.
 
         Args:

@@ -4,6 +4,8 @@ import functools
 import math
 import time
 import warnings
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -11,6 +13,7 @@ import numpy as np
 
 from jexplore.engine.devices import compiled, on_devices, parted, whole
 from jexplore.engine.lanes import DECIDERS, Common, Engine, Queue, Table, split
+from jexplore.engine.program import Line
 
 LANES = 4096  # most lanes on a device
 CPU_LANES = 64  # on a CPU, which lockstep is not made for
@@ -20,7 +23,13 @@ FIRST_TURNS = 16  # turns of the first call; later ones follow the clock
 GROWTH = 4  # by how much longer a call may be than the one before
 
 
-def run_lines(lines, devices, n_lanes, costs, on_progress):
+def run_lines(
+    lines: Sequence[Line],
+    devices: Sequence[Any],
+    n_lanes: int | None,
+    costs: Any,
+    on_progress: Callable[[int], object],
+) -> None:
     """Makes every run of some lines.
 
     Args:
@@ -70,9 +79,10 @@ def _run_group(lines, devices, n_lanes, costs, on_progress):
 class Group:
     """Lines of one kind on some devices: of one program, with equal `shared` and arrays."""
 
-    def __init__(self, lines, devices):
-        self.lines, self.devices = lines, devices
-        self.engine = Engine(lines[0].program, lines[0].numbers)
+    def __init__(self, lines: Sequence[Line], devices: Sequence[Any]) -> None:
+        self.lines = lines
+        self.devices = devices
+        self.engine: Engine = Engine(lines[0].program, lines[0].numbers)
         scenes = {id(line.scene): line.scene for line in lines}
         place = {key: i for i, key in enumerate(scenes)}
         scalars = [split(line.numbers)[0] for line in lines]
@@ -84,9 +94,9 @@ class Group:
         )
         stacked = jax.tree.map(lambda *a: np.stack(a), *scenes.values())
         arrays = split(lines[0].numbers)[1]
-        self.common = whole(Common(table, lines[0].shared, stacked, arrays), devices)
+        self.common: Common = whole(Common(table, lines[0].shared, stacked, arrays), devices)
 
-    def queue(self):
+    def queue(self) -> Queue:
         """What is left as a `Queue` with a leading axis of the devices, dealt out in turn."""
         left, d = [line.left for line in self.lines], len(self.devices)
         number = np.concatenate(left)
@@ -113,7 +123,7 @@ class Group:
     def _empty(self, n_lanes):
         return on_devices(functools.partial(self.engine.empty, n_lanes=n_lanes), self.devices, 1)
 
-    def fitting_lanes(self):
+    def fitting_lanes(self) -> int:
         """Lanes that a device's memory holds: a power of two; fewer if there are not so many runs."""
         queue = self.queue()
         lanes = jax.eval_shape(self._empty(1), queue, self.common)
@@ -126,7 +136,7 @@ class Group:
             most = min(most, int(MEMORY_SHARE * free / self.engine.lane_bytes(lanes, self.common.shared)))
         return min(2 ** max(0, most.bit_length() - 1), queue.line.shape[1])
 
-    def run(self, n_lanes, costs, on_progress):
+    def run(self, n_lanes: int, costs: Any, on_progress: Callable[[int], object]) -> None:
         """Makes what is left in so many lanes."""
         began = time.perf_counter()
         queue, kind, devices = parted(self.queue(), self.devices), self.lines[0].kind, self.devices

@@ -7,7 +7,7 @@ of a CPU (`serial`), or together in the lanes of an accelerator (`lockstep`), wi
 import dataclasses
 import threading
 from collections.abc import Callable, Hashable
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple, Self
 
 import jax
 import numpy as np
@@ -25,9 +25,10 @@ class Given:
     scene: Array  # int32, the run's own scene
     numbers: Any  # pytree of the line: its scalars may differ between lanes; its arrays (weights) are shared
     task: Any  # pytree of the run: its start, its settings
+    replace: ClassVar[Callable[..., Self]]
 
     @property
-    def own_scene(self):
+    def own_scene(self) -> Any:
         """The run's own scene. Where there is only one, all lanes share it."""
         if jax.tree.leaves(self.scenes)[0].shape[0] == 1:
             return jax.tree.map(lambda a: a[0], self.scenes)
@@ -45,22 +46,24 @@ class Program(NamedTuple):
     """
 
     setup: Hashable  # what is fixed before compiling; the first argument of the functions
-    begin: Callable  # (setup, given) -> state
-    advance: Callable  # (setup, given, state) -> state
-    is_done: Callable  # (state) -> bool
-    finish: Callable  # (setup, given, state) -> result, a pytree of arrays
-    keep: Callable  # (state) -> pytree of arrays: what is kept of one run besides its result
-    decide: Callable | None = None  # (setup, given, state) -> state
-    must_decide: Callable | None = None  # (state) -> bool, for runs that are not done
-    record: Callable | None = None  # (state) -> pytree of arrays: what is kept of every run besides its result
-    cpu_options: tuple = ()  # pairs of name and value: options of XLA's compiler on a CPU
-    scratch: Callable = lambda shared, state: (0, 0)  # bytes that deciding and advancing need, a lane; for an estimate
+    begin: Callable[[Any, Given], Any]  # (setup, given) -> state
+    advance: Callable[[Any, Given, Any], Any]  # (setup, given, state) -> state
+    is_done: Callable[[Any], Any]  # (state) -> bool
+    finish: Callable[[Any, Given, Any], Any]  # (setup, given, state) -> result, a pytree of arrays
+    keep: Callable[[Any], Any]  # (state) -> pytree of arrays: what is kept of one run besides its result
+    decide: Callable[[Any, Given, Any], Any] | Any = None  # (setup, given, state) -> state; or None
+    must_decide: Callable[[Any], Any] | None = None  # (state) -> bool, for runs that are not done
+    # (state) -> pytree of arrays: what is kept of every run besides its result
+    record: Callable[[Any], Any] | None = None
+    cpu_options: tuple[tuple[str, Any], ...] = ()  # pairs of name and value: options of XLA's compiler on a CPU
+    # bytes that deciding and advancing need, a lane; for an estimate
+    scratch: Callable[[Any, Any], tuple[int, int]] = lambda shared, state: (0, 0)
 
-    def measure(self, given, state):
+    def measure(self, given: Given, state: Any) -> tuple[Any, Any]:
         """What a run that is done found, and what is kept of every run: `(result, record)`."""
         return self.finish(self.setup, given, state), () if self.record is None else self.record(state)
 
-    def is_under_way(self, state):
+    def is_under_way(self, state: Any) -> Array:
         """Whether a run is to advance: bool."""
         waits = False if self.must_decide is None else self.must_decide(state)
         return ~(self.is_done(state) | waits)
@@ -79,24 +82,26 @@ class Line:
     which: np.ndarray  # [n] int32, numbers of the runs that are to be made here; ascending
     keeps: int = 0  # number of the run of which more than the result is kept; where it is made, it is the first
     draws: Any = None  # [N] int32, what makes a run's key, with the seed; by default its number
-    trim: Callable | None = None  # (result, record) -> what is kept of a run on the host; of numpy arrays
-    records: dict = dataclasses.field(default_factory=dict, init=False)  # number of a run -> what `trim` made of it
+    # (result, record) -> what is kept of a run on the host; of numpy arrays
+    trim: Callable[[Any, Any], Any] | None = None
+    # number of a run -> what `trim` made of it
+    records: dict[int, Any] = dataclasses.field(default_factory=dict, init=False)
     results: Any = dataclasses.field(default=None, init=False)  # pytree of `[N, ...]` numpy arrays; zeros where unknown
     finished: np.ndarray = dataclasses.field(init=False)  # [N] bool
     kept: Any = dataclasses.field(default=None, init=False)  # what is kept of run `keeps`, numpy; None before
     lock: threading.Lock = dataclasses.field(default_factory=threading.Lock, init=False)
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         self.finished = np.zeros(len(jax.tree.leaves(self.tasks)[0]), bool)
         self.which = np.asarray(self.which, np.int32)
         self.draws = np.arange(len(self.finished), dtype=np.int32) if self.draws is None else self.draws
 
-    def make_room(self, shapes):
+    def make_room(self, shapes: Any) -> None:
         """Makes room for results like those of `Program.measure`, of which these are the shapes, if there is none."""
         if self.results is None:
             self.results = jax.tree.map(lambda a: np.zeros((len(self.finished), *a.shape), a.dtype), shapes[0])
 
-    def put(self, which, found):
+    def put(self, which: np.ndarray, found: tuple[Any, Any]) -> None:
         """Keeps what `Program.measure` found: `[k]` numbers of runs, a pytree of `[k, ...]`. Any thread may call it."""
         results, records = found
         new = {}
@@ -109,18 +114,18 @@ class Line:
             self.finished[which] = True
 
     @property
-    def left(self):
+    def left(self) -> np.ndarray:
         """`[m]` int32, numbers of the runs that have no result yet."""
         return self.which[~self.finished[self.which]]
 
     @property
-    def kind(self):
+    def kind(self) -> Hashable:
         """What must be equal for two lines to share a compiled program. Hashable."""
         task = jax.tree.map(lambda a: a[0], self.tasks)
         leaves, tree = jax.tree.flatten((self.scene, self.shared, self.numbers, task))
         return self.program, tree, tuple((np.shape(a), np.asarray(a).dtype) for a in leaves)
 
-    def shapes(self):
+    def shapes(self) -> tuple[tuple[Any, Any], Any]:
         """What `measure` and `keep` return: `((result, record), kept)`, pytrees of shapes."""
         given = given_of(self)
 
@@ -131,7 +136,7 @@ class Line:
         return jax.eval_shape(one)
 
 
-def given_of(line, number=0):
+def given_of(line: Line, number: int = 0) -> Given:
     """The `Given` of one of a line's runs."""
     return Given(
         key=jax.random.fold_in(jax.random.key(np.uint32(line.seed)), line.draws[number]),

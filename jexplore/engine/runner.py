@@ -8,7 +8,8 @@ them; several processes (`jax.distributed`) do as well.
 
 import dataclasses
 import os
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -16,6 +17,8 @@ import numpy as np
 from jexplore.config import InputError
 from jexplore.engine import lockstep, serial
 from jexplore.engine.backend import start_backend
+from jexplore.engine.lanes import Usage
+from jexplore.engine.program import Line
 
 ENGINES = ("serial", "lockstep")
 
@@ -35,7 +38,7 @@ class Costs:
     decided: int = 0  # lanes in deciding groups
     group_room: int = 0  # places in these groups
 
-    def add(self, usage, n_lanes, deciders):
+    def add(self, usage: Usage, n_lanes: int, deciders: int) -> None:
         """Adds a `lanes.Usage`."""
         self.advanced += int(np.sum(usage.advanced))
         self.decided += int(np.sum(usage.decided))
@@ -43,12 +46,12 @@ class Costs:
         self.group_room += int(np.sum(usage.groups)) * deciders
 
     @property
-    def useful(self):
+    def useful(self) -> float | None:
         """Share of the lanes that advanced, over all turns; None if none could, as in the serial engine."""
         return self.advanced / self.room if self.room else None
 
     @property
-    def useful_decisions(self):
+    def useful_decisions(self) -> float | None:
         """Share of the places in deciding groups that were taken; None if there was none."""
         return self.decided / self.group_room if self.group_room else None
 
@@ -57,18 +60,18 @@ class Resources(NamedTuple):
     """What runs are made with."""
 
     engine: str
-    devices: list
+    devices: list[Any]  # `jax.Device`
     workers: int  # threads of the serial engine
     lanes: int | None  # on each device in lockstep; None: as many as its memory holds
     process: int
     processes: int
 
-    def own(self, n):
+    def own(self, n: int) -> np.ndarray:
         """Numbers of the runs, of n, that this process makes: int array."""
         return np.arange(self.process, n, self.processes)
 
 
-def find_resources(*, engine=None, lanes=None, workers=None):
+def find_resources(*, engine: str | None = None, lanes: int | None = None, workers: int | None = None) -> Resources:
     """What there is to run with, and what is asked of it. Starts JAX.
 
     Args:
@@ -97,7 +100,7 @@ def find_resources(*, engine=None, lanes=None, workers=None):
     return Resources(engine, devices, workers, lanes, jax.process_index(), jax.process_count())
 
 
-def run_all(lines, resources, on_progress=None):
+def run_all(lines: Sequence[Line], resources: Resources, on_progress: Callable[[int], object] | None = None) -> Costs:
     """Makes every run of every line.
 
     A run's result depends on its scene, program, numbers, task and key, not on what else runs, nor on the engine, or

@@ -5,21 +5,23 @@ Threads share one compiled program; several devices each run a part of every cal
 
 import functools
 import time
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import lax
+from jax import Array, lax
 
 from jexplore.engine.devices import compiled, on_devices, whole
-from jexplore.engine.program import Given
+from jexplore.engine.program import Given, Line, Program
 from jexplore.engine.threads import Pieces, share_out
 
 CHUNK = 64  # most runs in one call of the compiled program on one device
 
 
-def run_one(program, given):
+def run_one(program: Program, given: Given) -> Any:
     """One run from its beginning to its end: the state at the end."""
 
     def advance(state):
@@ -32,7 +34,9 @@ def run_one(program, given):
     return lax.while_loop(lambda s: ~program.is_done(s), advance if program.decide is None else turn, state)
 
 
-def chunk(program, draws, tasks, count, seed, scenes, shared, numbers):
+def chunk(
+    program: Program, draws: Array, tasks: Any, count: Array, seed: Array, scenes: Any, shared: Any, numbers: Any
+) -> tuple[Any, Any]:
     """Up to C runs of one line, one after the other.
 
     Args:
@@ -62,7 +66,7 @@ def chunk(program, draws, tasks, count, seed, scenes, shared, numbers):
     return lax.fori_loop(0, count, put, (room, jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), last)))
 
 
-def compile_chunk(line, devices):
+def compile_chunk(line: Line, devices: Sequence[Any]) -> tuple[Callable[..., Any], Any]:
     """The program of a line's kind, compiled: `(call, shapes of a result)`.
 
     `call(draws, tasks, count, seed, scenes, shared, numbers)`, the first three with a leading axis of the devices.
@@ -105,7 +109,13 @@ def _pieces(line, call, place, d):
     return Pieces(total=len(line.which), most=size, call=make, keep=keep, n_devices=d)
 
 
-def run_lines(lines, devices, workers, costs, on_progress):
+def run_lines(
+    lines: Sequence[Line],
+    devices: Sequence[Any],
+    workers: int,
+    costs: Any,
+    on_progress: Callable[[int], object],
+) -> None:
     """Makes every run of some lines.
 
     Args:

@@ -4,8 +4,9 @@ XLA lets go of the interpreter lock while a program runs.
 """
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
+from typing import Any
 
 CALL_S = 1.0  # seconds that a call should take: how often progress moves, and how long Ctrl-C waits
 
@@ -16,13 +17,14 @@ class Pieces:
 
     total: int
     most: int  # in one call on one device
-    call: Callable  # (first, n) -> (found, seconds): does n pieces; threads call it
-    keep: Callable  # (first, n, found): keeps what a call has found; the thread that calls `share_out` calls it
+    call: Callable[[int, int], tuple[Any, float]]  # (first, n) -> (found, seconds): does n pieces; threads call it
+    # (first, n, found): keeps what a call has found; the thread that calls `share_out` calls it
+    keep: Callable[[int, int, Any], object]
     n_devices: int = 1
     next: int = dataclasses.field(default=0, init=False)
     piece_s: float | None = dataclasses.field(default=None, init=False)  # seconds a piece and device, once known
 
-    def take(self, workers):
+    def take(self, workers: int) -> tuple[int, int]:
         """The next pieces, `(first, number)`: one a device at first, then as many as take about a second."""
         left, d = self.total - self.next, self.n_devices
         n = 1 if self.piece_s is None else int(CALL_S / max(self.piece_s, 1e-6))
@@ -32,7 +34,7 @@ class Pieces:
         return first, n
 
 
-def share_out(kinds, workers, on_progress):
+def share_out(kinds: Iterable[Pieces], workers: int, on_progress: Callable[[int], object]) -> None:
     """Does all pieces of some kinds, all kinds in turn, so that what is interrupted has done a part of each.
 
     Args:

@@ -1,13 +1,14 @@
 """Many exploration episodes: strategies in worlds, by either engine, with equal results."""
 
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import jax
 import numpy as np
 
-from jexplore.config import InputError
+from jexplore.config import InputError, Lidar, Rules
 from jexplore.engine.runner import Costs, find_resources, run_all
-from jexplore.exploration.site import KERNELS, line_of, prepare_site
+from jexplore.exploration.site import KERNELS, Kernels, line_of, prepare_site
 from jexplore.exploration.state import Result
 from jexplore.exploration.trail import Final, Record, decode
 from jexplore.policies import Strategy
@@ -28,7 +29,7 @@ class Outcomes(NamedTuple):
 
     result: Result  # numpy, with a leading axis N; outcome RUNNING where the run was interrupted before
     first: Final | None  # the map and the way of episode 0, or of the only one; None where it was interrupted before
-    records: dict[int, Record]  # of every episode that has ended, if they were to be kept
+    records: dict[int, Record] | None = None  # of every episode that has ended, if they were to be kept
 
 
 class Finished(NamedTuple):
@@ -39,9 +40,10 @@ class Finished(NamedTuple):
 
 
 def run_jobs(
-    jobs, lidar, rules, *, engine=None, kernels=None, lanes=None, workers=None, on_progress=None, only=None,
-    keep=None,
-):  # fmt: skip
+    jobs: Sequence[Job], lidar: Lidar, rules: Rules, *, engine: str | None = None, kernels: Kernels | None = None,
+    lanes: int | None = None, workers: int | None = None, on_progress: Callable[[int], object] | None = None,
+    only: int | None = None, keep: str | None = None,
+) -> Finished:  # fmt: skip
     """Runs every episode of every job.
 
     An episode's result depends on its world, start, strategy, seed and number, not on what else runs, nor on the

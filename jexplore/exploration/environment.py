@@ -5,6 +5,8 @@ belongs to a motion, judges what it means for the plan, and makes the next one. 
 by hand all call these.
 """
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 from jax import Array, lax
@@ -12,12 +14,13 @@ from jax import Array, lax
 from jexplore.arrays import bits
 from jexplore.arrays.loops import run_if, stored
 from jexplore.distance import within_packed
+from jexplore.engine.program import Given
 from jexplore.exploration import trail
 from jexplore.exploration.motion import motion_step, turn_between
-from jexplore.exploration.state import Outcome, State, Stream, no_counts
+from jexplore.exploration.state import Outcome, Setup, State, Stream, no_counts
 from jexplore.frontier import disc
 from jexplore.grid import count, empty_grid, is_known
-from jexplore.planning import Belief, is_live, is_open
+from jexplore.planning import Belief, Choice, is_live, is_open
 from jexplore.raycast import disturb, fold, scan
 from jexplore.reach import FAR, NO_MOTION, flood
 
@@ -141,7 +144,7 @@ def _limit_plans(numbers, state):
     return state.replace(outcome=jnp.where(spent, Outcome.PLAN_LIMIT, state.outcome))
 
 
-def advance(setup, given, state):
+def advance(setup: Setup, given: Given, state: State) -> State:
     """One scan of a plan under way, what it means for the plan, and the next motion if it goes on.
 
     Scan first, motion last: everything that is read from the map is then read after its update, which can so be made
@@ -179,7 +182,7 @@ def advance(setup, given, state):
     return _limit_plans(numbers, _move(given, state))
 
 
-def decide(setup, given, state):
+def decide(setup: Setup, given: Given, state: State) -> tuple[Any, Choice, Array]:
     """Asks the strategy for a target.
 
     Args:
@@ -192,7 +195,7 @@ def decide(setup, given, state):
     return setup.policy.select(key, given.numbers.params, state.carry, state.belief, given.shared, state.route)
 
 
-def commit(given, state, choice, route, live: Array | bool = True):
+def commit(given: Given, state: State, choice: Choice, route: Array, live: Array | bool = True) -> State:
     """Makes a choice the plan and makes its first motion; none ends the episode as complete, as far as is known here.
 
     A target that no path leads to is refused: the strategy is asked again, and the third in a row ends the episode.
@@ -247,7 +250,7 @@ def _find_goal(given, row, col):
     return goal, occupied[row, col] | ~jnp.any(goal & bits.pack((rows != row) | (cols != col)))
 
 
-def blank_belief(given):
+def blank_belief(given: Given) -> Belief:
     """The `Belief` of a robot that has seen nothing yet; `given` as for `begin`."""
     truth, (row, col, heading) = given.scenes, given.task
     flags = jnp.zeros(truth.occupied.shape[1:], bool)
@@ -264,13 +267,13 @@ def blank_belief(given):
     )
 
 
-def outcome_of(state):
+def outcome_of(state: State) -> Array:
     """How an episode has ended: `COMPLETE` becomes `BLOCKED` where something that should be known is not. int32."""
     missed = (state.outcome == Outcome.COMPLETE) & jnp.any(state.goal & ~bits.pack(is_known(state.belief.grid)))
     return jnp.where(missed, Outcome.BLOCKED, state.outcome)
 
 
-def begin(setup, given):
+def begin(setup: Setup, given: Given) -> State:
     """An episode that has made its first scans.
 
     Args:

@@ -3,9 +3,9 @@
 import jax.numpy as jnp
 from jax import lax
 
-from jexplore.engine.program import Program
+from jexplore.engine.program import Given, Program
 from jexplore.exploration import environment
-from jexplore.exploration.state import PERCENTILES, Outcome, Result
+from jexplore.exploration.state import PERCENTILES, Outcome, Result, Setup, State
 from jexplore.exploration.trail import RECORDS, Trail, kept
 from jexplore.grid import is_known
 from jexplore.raycast import BLOCK
@@ -17,13 +17,13 @@ PLANNING_BYTES = 40  # a cell, that a plan needs besides the state; an estimate
 CPU_OPTIONS = (("xla_disable_hlo_passes", "while-loop-invariant-code-motion"),)
 
 
-def plan(setup, given, state):
+def plan(setup: Setup, given: Given, state: State) -> State:
     """`environment.decide` and `commit`: a `State` with the next plan under way, or the episode's end."""
     carry, choice, route = environment.decide(setup, given, state)
     return environment.commit(given, state.replace(carry=carry), choice, route)
 
 
-def finish(setup, given, state):
+def finish(setup: Setup, given: Given, state: State) -> Result:
     """The `Result` of an episode that has ended.
 
     Args:
@@ -82,7 +82,7 @@ def _scratch(beams, state):
     return PLANNING_BYTES * state.route.size, 12 * beams.offset[0].size + 16 * BLOCK
 
 
-def program_of(setup, keep=None):
+def program_of(setup: Setup, keep: str | None = None) -> Program:
     """Exploration as a `Program`; its `Setup` has a policy.
 
     Args:
@@ -101,7 +101,7 @@ def program_of(setup, keep=None):
         keep=kept,
         decide=plan,
         must_decide=_must_plan,
-        record=RECORDS.get(keep),
+        record=None if keep is None else RECORDS[keep],
         cpu_options=CPU_OPTIONS,
         scratch=_scratch,
     )

@@ -1,18 +1,20 @@
 """An episode once more, scan by scan, by the environment's own rules with the choices that it recorded."""
 
 from collections.abc import Iterator
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from numpy.typing import ArrayLike
 
 from jexplore.engine.program import given_of
 from jexplore.exploration import environment
-from jexplore.exploration.site import line_of
+from jexplore.exploration.site import Site, line_of
 from jexplore.exploration.state import State
 from jexplore.exploration.trail import Plan
 from jexplore.planning import Belief, Choice, field
+from jexplore.policies.policy import Strategy
 from jexplore.reach import FAR, MOTIONS, NO_MOTION
 
 
@@ -40,12 +42,12 @@ def _commit(given, state, row, col, is_view, is_bad, route):
 _candidates = jax.jit(lambda belief: field(belief).candidates)
 
 
-def frontier(belief):
+def frontier(belief: Belief) -> np.ndarray:
     """Frontier cells that can be reached and are not exhausted: `[H, W]` bool, numpy."""
     return np.asarray(_candidates(belief))
 
 
-def moments(site, strategy, start, seed, number, plans):
+def moments(site: Site, strategy: Strategy, start: ArrayLike, seed: int, number: int, plans: Any) -> Iterator[Moment]:
     """Every scan of an episode after those at the start.
 
     Args:
@@ -71,7 +73,7 @@ class Turn(NamedTuple):
     moments: Iterator[Moment]
 
 
-def turns(site, strategy, start, seed, number, plans):
+def turns(site: Site, strategy: Strategy, start: ArrayLike, seed: int, number: int, plans: Any) -> Iterator[Turn]:
     """The plans of an episode, that which ended it included; arguments as for `moments`.
 
     Yields:

@@ -1,21 +1,23 @@
 """What an episode measured, in metres, radians and words. The only place where the device's integers become those."""
 
 import math
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from jexplore.exploration.motion import EIGHTH_TURN_RAD
-from jexplore.exploration.state import PERCENTILES, Outcome
+from jexplore.exploration.state import PERCENTILES, Outcome, Result
 
 UNKNOWN, FREE, OCCUPIED = 0, 1, 2
 
 
-def path_m(straight, diagonal, cell_m):
+def path_m(straight: ArrayLike, diagonal: ArrayLike, cell_m: float) -> Any:
     """Length of a path of so many straight and diagonal steps, metres: float64, of the shape of the arguments."""
     return (np.asarray(straight, np.float64) + np.asarray(diagonal, np.float64) * math.sqrt(2)) * cell_m
 
 
-def length_along_m(rows, cols, cell_m):
+def length_along_m(rows: np.ndarray, cols: np.ndarray, cell_m: float) -> np.ndarray:
     """Length of a walk from its first cell to each of its cells, metres.
 
     Args:
@@ -29,7 +31,7 @@ def length_along_m(rows, cols, cell_m):
     return path_m(np.arange(len(rows)) - diagonal, diagonal, cell_m)
 
 
-def map_state(hits, misses, p_free):
+def map_state(hits: np.ndarray, misses: np.ndarray, p_free: float) -> np.ndarray:
     """A reflection map as unknown, free and occupied cells.
 
     Args:
@@ -44,7 +46,7 @@ def map_state(hits, misses, p_free):
     return np.where(seen == 0, UNKNOWN, np.where(free, FREE, OCCUPIED)).astype(np.uint8)
 
 
-def columns(result, starts, *, seed, cell_m, has_rooms):
+def columns(result: Result, starts: np.ndarray, *, seed: int, cell_m: float, has_rooms: bool) -> dict[str, Any]:
     """The columns of a table of episodes: one entry an episode.
 
     Args:

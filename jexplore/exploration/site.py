@@ -3,14 +3,15 @@
 import dataclasses
 import functools
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
+from numpy.typing import ArrayLike
 
 from jexplore import raycast, reach
 from jexplore.arrays.padding import bucket, number
-from jexplore.config import InputError
+from jexplore.config import InputError, Lidar, Rules
 from jexplore.engine.program import Given, Line
 from jexplore.exploration import environment
 from jexplore.exploration.episode import program_of
@@ -19,7 +20,9 @@ from jexplore.exploration.trail import record_of
 from jexplore.grid import in_cells, radius_d2
 from jexplore.planning import MapModel
 from jexplore.policies.catalogue import adapt
+from jexplore.policies.policy import Strategy
 from jexplore.raycast import Beams, beam_table, scans_all_round
+from jexplore.worlds.world import World
 
 LEAST_LIMIT = 20_000  # default bound of steps and plans on small maps
 
@@ -33,7 +36,7 @@ class Kernels:
     scan: str = "blocks"
     """One of `raycast.METHODS`."""
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         for name, known in (("reach", reach.METHODS), ("scan", raycast.METHODS)):
             if getattr(self, name) not in known:
                 raise InputError(f"kernel {name} must be one of {', '.join(known)}, got {getattr(self, name)!r}")
@@ -51,10 +54,10 @@ class Site(NamedTuple):
     setup: Setup  # of no policy yet
     numbers: Numbers  # of no policy yet
 
-    def with_strategy(self, strategy):
+    def with_strategy(self, strategy: Strategy) -> tuple[Setup, Numbers]:
         """The `Setup` and the `Numbers` of a strategy here: `(setup, numbers)`."""
         params = _numbers(strategy)
-        numbers = self.numbers.replace(recheck=np.bool_(strategy.recheck), params=params)  # type: ignore[attr-defined]
+        numbers = self.numbers.replace(recheck=np.bool_(strategy.recheck), params=params)
         _check(self, strategy, numbers)
         return self.setup._replace(policy=strategy.policy._replace(params=())), numbers
 
@@ -79,7 +82,9 @@ def _check(site, strategy, numbers):
     adapt.check(strategy.policy, numbers.params, belief, site.beams, route)
 
 
-def prepare_site(world, lidar, rules, kernels, shape=None):
+def prepare_site(
+    world: World, lidar: Lidar, rules: Rules, kernels: Kernels, shape: tuple[int, int] | None = None
+) -> Site:
     """Pads a world and traces the scanner's beams.
 
     Args:
@@ -135,7 +140,9 @@ def prepare_site(world, lidar, rules, kernels, shape=None):
     return Site(truth, beam_table(lidar, world.cell_m, shape[1]), setup, numbers)
 
 
-def line_of(site, strategy, starts, seed, which, *, keeps=0, keep=None):
+def line_of(
+    site: Site, strategy: Strategy, starts: ArrayLike, seed: int, which: Any, *, keeps: int = 0, keep: str | None = None
+) -> Line:
     """The `Line` of a strategy's episodes.
 
     Args:

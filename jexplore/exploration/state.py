@@ -1,14 +1,14 @@
 """What an exploration episode is made of: its setting, its state, its result."""
 
 import enum
-from typing import Any, NamedTuple
+from collections.abc import Callable
+from typing import Any, ClassVar, NamedTuple, Self
 
 import jax.numpy as jnp
 from flax import struct
 from jax import Array
 
 from jexplore.planning import Belief, MapModel
-from jexplore.policies.policy import Policy
 
 PERCENTILES = (50, 90, 95, 99)
 
@@ -45,7 +45,7 @@ class Truth:
 class Setup(NamedTuple):
     """What is fixed before an episode is compiled. Hashable."""
 
-    policy: Policy | None  # without its parameters; None: the site of no strategy yet
+    policy: Any  # `Policy` without its parameters; None: the site of no strategy yet
     first_scans: int  # scans all round at the start: 1, 2, 4 or 8
     window: int  # half width of the square that one scan can change, cells
     noisy: bool  # whether the scanner's noise is simulated
@@ -64,6 +64,7 @@ class Numbers:
     sigma_cells: Array  # float32
     dropout: Array  # float32
     params: Any  # `Policy.params`
+    replace: ClassVar[Callable[..., Self]]
 
 
 @struct.dataclass
@@ -126,14 +127,15 @@ class State:
     refused: Array
     overflow: Array
     bad_targets: Array  # int32, targets in a row that no path leads to
+    replace: ClassVar[Callable[..., Self]]
 
     @property
-    def steps(self):
+    def steps(self) -> Array:
         """Steps made: int32."""
         return self.straight + self.diagonal
 
     @property
-    def shape(self):
+    def shape(self) -> tuple[int, ...]:
         """`(H, W)` of the maps."""
         return self.belief.driven.shape
 

@@ -4,12 +4,16 @@ every step, and what it chose in every plan.
 
 import enum
 import itertools
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 
+from jexplore.exploration.state import Result, State
 from jexplore.grid import is_free, is_occupied
+from jexplore.planning import Choice
 from jexplore.reach import HEADING, MOTIONS, NO_MOTION
 
 CHOICES = 4  # one plan is recorded for so many steps that there is room for
@@ -30,13 +34,13 @@ class Choices(enum.IntEnum):
     WHEN = 1  # 16 * steps made before + motion that was refused just before + 1 (0 for none)
 
 
-def blank(capacity):
+def blank(capacity: int) -> tuple[Array, Array]:
     """A trail and a record of plans with room for so many steps: `[T + 1, 2]`, `[P, 2]` int32."""
     steps, plans = (capacity + 1, len(Trail)), (-(-capacity // CHOICES), len(Choices))
     return jnp.zeros(steps, jnp.int32), jnp.zeros(plans, jnp.int32)
 
 
-def note_step(state, when=True):
+def note_step(state: State, when: Array | bool = True) -> State:
     """A `State` with the trail's entry for the present step, or as it is."""
     cell = state.row * state.shape[1] + state.col
     entry = jnp.stack([4 * cell + state.looked, state.known])
@@ -44,7 +48,7 @@ def note_step(state, when=True):
     return state.replace(trail=state.trail.at[step].set(entry, mode="drop"))
 
 
-def note_choice(state, choice, bad):
+def note_choice(state: State, choice: Choice, bad: Array) -> State:
     """A `State` with a choice on record, `bad` if it was refused; what there is no room for is left out."""
     cell = 2 * (choice.row * state.shape[1] + choice.col) + choice.is_view
     entry = jnp.stack([jnp.where(choice.row < 0, -1, jnp.where(bad, -2, cell)), 16 * state.steps + state.bumped + 1])
@@ -58,7 +62,7 @@ class Plan(NamedTuple):
     target: tuple[int, int] | None  # row, col; None: there was none, or it was refused
     is_view: bool
     is_bad: bool  # whether it was refused, because no path leads there
-    motions: list  # into the cells of the way that was driven, and the one that was refused
+    motions: list[int]  # into the cells of the way that was driven, and the one that was refused
 
 
 class Final(NamedTuple):
@@ -72,13 +76,13 @@ class Final(NamedTuple):
     known: np.ndarray  # [n + 1] int32, known cells then
     plans: list[Plan] | None  # every choice; None where there was no room for all of them
 
-    def target_after(self, step):
+    def target_after(self, step: int) -> tuple[int, int] | None:
         """Row and column of what the robot went to next after some steps; None in the end."""
         later = [plan for plan in self.plans or () if plan.step <= step]
         return later[-1].target if later else None
 
 
-def kept(state):
+def kept(state: State) -> tuple[Array, Array, Array, Array, Array]:
     """What is kept of an episode: map, trail, choices, and the motion that was refused last."""
     return state.belief.grid.hits, state.belief.grid.misses, state.trail, state.choices, state.bumped
 
@@ -92,7 +96,7 @@ def _steps_and_map(state):
     return state.trail, (is_free(grid, p_free) + 2 * is_occupied(grid, p_free)).astype(jnp.uint8)
 
 
-RECORDS = {"paths": _steps, "maps": _steps_and_map}
+RECORDS: dict[str, Callable[[State], tuple[Array, ...]]] = {"paths": _steps, "maps": _steps_and_map}
 """What can be kept of every episode: its way; its way and its last map."""
 
 
@@ -103,7 +107,7 @@ class Record(NamedTuple):
     state: np.ndarray | None  # [H, W] uint8, the last map: 0 unknown, 1 free, 2 occupied; without padding
 
 
-def record_of(result, found, shape, width):
+def record_of(result: Result, found: tuple[np.ndarray, ...], shape: tuple[int, ...], width: int) -> Record:
     """The `Record` of an episode.
 
     Args:
@@ -118,7 +122,7 @@ def record_of(result, found, shape, width):
     return Record(path, state[0][: shape[0], : shape[1]].copy() if state else None)
 
 
-def decode(found, result, shape):
+def decode(found: tuple[np.ndarray, ...], result: Result, shape: tuple[int, int]) -> Final:
     """`Final` of what was kept of an episode.
 
     Args:

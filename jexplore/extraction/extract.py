@@ -19,7 +19,17 @@ from jexplore.worlds.world import label_components
 _UNSEARCHED, _SEARCHED = STATUS
 
 
-def extract(free, known, cell_m, *, start_rc=None, trail=None, width_m=0.39, open_m=2.5, origin_m=(0.0, 0.0)):
+def extract(
+    free: np.ndarray,
+    known: np.ndarray,
+    cell_m: float,
+    *,
+    start_rc: tuple[int, int] | None = None,
+    trail: np.ndarray | None = None,
+    width_m: float = 0.39,
+    open_m: float = 2.5,
+    origin_m: tuple[float, float] = (0.0, 0.0),
+) -> BtmMap:
     """The Behavioral Trace Map of a grid map, on the host.
 
     Divergence nodes are junctions of the Voronoi graph with a dead end, a corner or three and more passages; those

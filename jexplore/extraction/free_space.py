@@ -5,12 +5,14 @@ import itertools
 
 import numpy as np
 
-from jexplore.extraction.lines import bearing_deg, components, distance
+from jexplore.extraction.lines import Lines, bearing_deg, components, distance
 
 CLOSING = 0.9  # free space, once entered, ends where the clearance falls below this share of `open_cells`
 
 
-def free_spaces(lines, near, special, open_cells):
+def free_spaces(
+    lines: Lines, near: dict[int, set[int]], special: set[int], open_cells: float
+) -> tuple[list[set[int]], set[int]]:
     """Parts of the graph in free space, up to the mouths of the passages.
 
     Args:
@@ -61,7 +63,7 @@ def _leading_out(near, inside, special):
             yield path
 
 
-def through(lines, near, space, ports):
+def through(lines: Lines, near: dict[int, set[int]], space: set[int], ports: set[int]) -> list[list[int]]:
     """Paths through one space, from each of its ports to the next one counter-clockwise and to what is not known.
 
     Args:

@@ -2,6 +2,7 @@
 
 import itertools
 import math
+from collections.abc import Collection, Container, Iterable, Iterator
 from typing import NamedTuple
 
 import jax
@@ -36,7 +37,7 @@ class Lines(NamedTuple):
     near: list[set[int]]  # neighbours of each cell; `take_corners` changes them
 
 
-def lines_of(obstacle, free, *, width):
+def lines_of(obstacle: np.ndarray, free: np.ndarray, *, width: float) -> Lines:
     """`Lines` of the space that is not known to be occupied.
 
     Args:
@@ -92,16 +93,18 @@ def _axis(off, row, col):
 # Paths
 
 
-def distance(lines, a, b):
+def distance(lines: Lines, a: int, b: int) -> float:
     """From one cell to another, cells."""
     return float(math.dist(lines.at[a], lines.at[b]))
 
 
-def bearing_deg(lines, a, b):
+def bearing_deg(lines: Lines, a: int, b: int) -> float:
     return math.degrees(math.atan2(*(lines.at[b] - lines.at[a]))) % 360
 
 
-def chains(near, cells, keys):
+def chains(
+    near: list[set[int]] | dict[int, set[int]], cells: Iterable[int], keys: Container[int]
+) -> Iterator[list[int]]:
     """Paths between cells that are in `keys` or have not two neighbours, each once, in the order of `cells`."""
     seen = set()
     for a in cells:
@@ -117,7 +120,7 @@ def chains(near, cells, keys):
                 yield path
 
 
-def components(near, cells):
+def components(near: list[set[int]] | dict[int, set[int]], cells: Collection[int]) -> list[set[int]]:
     """Sets of connected cells that hold any of `cells`, in their order."""
     left, found = set(cells), []
     for cell in cells:
@@ -135,7 +138,7 @@ def components(near, cells):
 # Corners
 
 
-def take_corners(lines):
+def take_corners(lines: Lines) -> dict[int, int]:
     """Takes the branches that end at a wall off `lines.near`, and says how many corners each junction had.
 
     A branch whose far end has lost its own branches is looked at in turn: a corner may be cut off.

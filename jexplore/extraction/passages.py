@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jexplore.extraction.free_space import free_spaces, through
-from jexplore.extraction.lines import chains, components, distance
+from jexplore.extraction.lines import Lines, chains, components, distance
 
 SEARCH = 1.5  # radius of the circle on which the ways out of a place are looked for, in clearances
 
@@ -30,7 +30,9 @@ class Passage(NamedTuple):
     path: list[int]
 
 
-def places_and_passages(lines, corners, alive, terminals, *, open_cells):
+def places_and_passages(
+    lines: Lines, corners: dict[int, int], alive: set[int], terminals: dict[int, Place], *, open_cells: float
+) -> tuple[dict[int, Place], list[Passage]]:
     """The places of a graph and the ways between them.
 
     Args:

@@ -16,6 +16,6 @@ def _select(key, params, carry, belief, beams, route):
     return carry, choice, route
 
 
-def closest():
+def closest() -> Policy:
     """The policy. Carry: `()`. Parameters: none."""
     return Policy(_init, _select)

@@ -4,6 +4,7 @@ far they lie apart.
 
 import dataclasses
 import math
+from typing import Any
 
 import jax.numpy as jnp
 from flax import struct
@@ -14,8 +15,8 @@ from jexplore.arrays.loops import repeat
 from jexplore.frontier import clear_cells, frontier_clusters
 from jexplore.gain import look, prospect
 from jexplore.grid import empty_grid
-from jexplore.planning import choose, metres
-from jexplore.raycast import all_round
+from jexplore.planning import Belief, Choice, Field, choose, metres
+from jexplore.raycast import Beams, all_round
 from jexplore.reach import FAR, reach_packed
 
 CLUSTERS = 64  # most clusters that are told apart
@@ -33,7 +34,7 @@ class Targets:
     overflow: Array  # int32, clusters and frontier cells that did not fit
 
 
-def targets(belief, known):
+def targets(belief: Belief, known: Field) -> Targets:
     """`Targets` of a belief and its `Field`."""
     found = frontier_clusters(known.candidates, known.cost, max_clusters=CLUSTERS)
     used = found.row >= 0
@@ -42,7 +43,7 @@ def targets(belief, known):
     return Targets(found.row, found.col, used, path_m, found.overflow + found.left_out)
 
 
-def seen_from(belief, at, beams):
+def seen_from(belief: Belief, at: Targets, beams: Beams) -> tuple[Array, Array]:
     """What looks all round from every target would tell.
 
     Args:
@@ -71,14 +72,14 @@ def seen_from(belief, at, beams):
     return seen[0], seen[1]
 
 
-def blocks_of(clearance_d2):
+def blocks_of(clearance_d2: int) -> int:
     """Side of the largest blocks, cells, of which one that holds a clear cell may count as passable without a way
     through a straight wall: what is not clear round it is at least 2 r + 1 cells thick. Static.
     """
     return min(COARSEST, math.isqrt(clearance_d2) + 1)
 
 
-def apart(belief, at):
+def apart(belief: Belief, at: Targets) -> Array:
     """Path lengths between all targets, roughly: on a map of blocks of up to 4 x 4 cells, of which every one that holds
     a clear cell, or one that was driven on, can be passed. Slanting walls and slivers of unknown cells thinner than a
     block may be crossed.
@@ -113,7 +114,7 @@ def apart(belief, at):
     return jnp.where(table < FAR, metres(table, side * belief.model.cell_m), jnp.inf)
 
 
-def go_to(belief, route, known, at, which):
+def go_to(belief: Belief, route: Array, known: Field, at: Targets, which: Array) -> tuple[Choice, Array]:
     """Makes a target the choice: `(choice, route)`. `which`: int32 slot; -1 for none."""
     none = which < 0
     slot = jnp.maximum(which, 0)
@@ -121,7 +122,7 @@ def go_to(belief, route, known, at, which):
     return dataclasses.replace(choice, overflow=at.overflow), route
 
 
-def best_of(at, worth, usable):
+def best_of(at: Targets, worth: Array, usable: Array) -> Array:
     """The slot of the greatest worth among some; among none of them the one with the shortest path; -1 without targets.
 
     Args:
@@ -136,6 +137,6 @@ def best_of(at, worth, usable):
     return jnp.where(jnp.any(at.used), which, -1)
 
 
-def init(params, belief):
+def init(params: Any, belief: Belief) -> tuple[()]:
     """The `init` of these strategies. Carry: `()`."""
     return ()

@@ -7,6 +7,7 @@ clusters are considered at all: what is left behind alone costs a detour later.
 from typing import NamedTuple
 
 import jax.numpy as jnp
+from jax import Array
 
 from jexplore.config import require_number, require_whole
 from jexplore.planning import field
@@ -21,7 +22,7 @@ class Params(NamedTuple):
     min_gain: int  # unknown cells that a look must show for a cluster to be considered
 
 
-def advantage(path_m, apart_m, used, weight):
+def advantage(path_m: Array, apart_m: Array, used: Array, weight: Array | float) -> Array:
     """Mean distance from the other targets, weighted, less the robot's path: `[M]` float32, metres.
 
     Args:
@@ -45,7 +46,7 @@ def _select(key, params, carry, belief, beams, route):
     return carry, *go_to(belief, route, known, at, best_of(at, worth, usable))
 
 
-def distance_advantage(weight=1.0, min_gain=1):
+def distance_advantage(weight: float = 1.0, min_gain: int = 1) -> Policy:
     """The policy. Carry: `()`. Parameters: `Params`."""
     params = Params(require_number("weight", weight, high=100), require_whole("min_gain", min_gain, low=0, high=2**20))
     return Policy(init, _select, params)

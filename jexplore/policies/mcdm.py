@@ -10,6 +10,7 @@ numbers were not checked against the paper's table.
 from typing import NamedTuple
 
 import jax.numpy as jnp
+from jax import Array
 
 from jexplore.config import InputError, require_number
 from jexplore.planning import field
@@ -28,14 +29,14 @@ class Params(NamedTuple):
     do: float
 
 
-def relative(value, used):
+def relative(value: Array, used: Array) -> Array:
     """Values between those of the worst and of the best used slot, as 0 to 1; 1 where all are equal. `[M]` float32."""
     low = jnp.min(jnp.where(used, value, jnp.inf))
     span = jnp.max(jnp.where(used, value, -jnp.inf)) - low
     return jnp.where(used, jnp.where(span > 0, (value - low) / jnp.where(span > 0, span, 1.0), 1.0), 0.0)
 
 
-def choquet(utilities, measure):
+def choquet(utilities: Array, measure: Array) -> Array:
     """Choquet integral of each column.
 
     Args:
@@ -64,7 +65,7 @@ def _select(key, params, carry, belief, beams, route):
     return carry, *go_to(belief, route, known, at, best_of(at, worth, at.used))
 
 
-def mcdm(a=0.5, d=0.3, o=0.2, ad=0.95, ao=0.7, do=0.4):
+def mcdm(a: float = 0.5, d: float = 0.3, o: float = 0.2, ad: float = 0.95, ao: float = 0.7, do: float = 0.4) -> Policy:
     """The policy. Carry: `()`. Parameters: `Params`.
 
     Raises:

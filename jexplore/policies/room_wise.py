@@ -11,12 +11,12 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jax import lax
+from jax import Array, lax
 
 from jexplore.arrays.loops import run_if
 from jexplore.config import require_number
 from jexplore.grid import count, is_free
-from jexplore.planning import Choice
+from jexplore.planning import Belief, Choice
 from jexplore.policies.policy import Policy
 from jexplore.reach import FAR
 from jexplore.segment import VARIANTS, Criteria, form_for, segment
@@ -45,7 +45,7 @@ def _criteria(params, cell_m):
     )
 
 
-def own_segment(params, belief):
+def own_segment(params: Params, belief: Belief) -> tuple[Array, Array, Array]:
     """Cells of the segment that the robot is in, whether that is a room, and what did not fit.
 
     A room has a door, a critical point no wider than doors are, and is no larger than rooms are: corridors, halls and
@@ -91,7 +91,7 @@ def _select(inner):
         carry, choice, route = lax.fori_loop(0, 2, attempt, (carry, nothing, route))
         return carry, dataclasses.replace(choice, overflow=choice.overflow + overflow), route
 
-    select.inner = inner
+    setattr(select, "inner", inner)  # noqa: B010
     return select
 
 
@@ -105,7 +105,15 @@ def _live(inner):
     return lambda params, belief, beams, row, col: inner(params.inner, belief, beams, row, col)
 
 
-def segmented(policy, kind="holz", *, prominence_m=0.15, gamma=3.0, door_m=1.6, room_m2=40.0):
+def segmented(
+    policy: Policy,
+    kind: str = "holz",
+    *,
+    prominence_m: float = 0.15,
+    gamma: float = 3.0,
+    door_m: float = 1.6,
+    room_m2: float = 40.0,
+) -> Policy:
     """A strategy that prefers frontier cells in the robot's own segment.
 
     Args:

@@ -8,7 +8,7 @@ floor plan; built by nearest insertion (Rosenkrantz, Stearns, Lewis 1977) and im
 from typing import NamedTuple
 
 import jax.numpy as jnp
-from jax import lax
+from jax import Array, lax
 
 from jexplore.arrays.loops import repeat
 from jexplore.config import require_whole
@@ -25,7 +25,7 @@ class Params(NamedTuple):
     min_gain: int  # unknown cells that a look must show for a cluster to be a stop
 
 
-def inserted(length, n):
+def inserted(length: Array, n: Array | int) -> Array:
     """An open route from node 0 by nearest insertion.
 
     Args:
@@ -57,7 +57,7 @@ def inserted(length, n):
     return repeat(lambda state: state[0] <= n, insert, state)[1]
 
 
-def improved(length, route, n):
+def improved(length: Array, route: Array, n: Array | int) -> Array:
     """The route after turning round stretches of it for as long as that makes it shorter, the best turn first.
 
     Args:
@@ -111,6 +111,6 @@ def _select(key, params, carry, belief, beams, route):
     return carry, *go_to(belief, route, known, at, which)
 
 
-def tour(min_gain=1):
+def tour(min_gain: int = 1) -> Policy:
     """The policy. Carry: `()`. Parameters: `Params`."""
     return Policy(init, _select, Params(require_whole("min_gain", min_gain, low=0, high=2**20)))

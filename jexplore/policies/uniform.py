@@ -5,6 +5,7 @@ The baseline of Holz et al. 2010, section 3.2.
 
 import jax
 import jax.numpy as jnp
+from jax import Array
 
 from jexplore.planning import choose, field
 from jexplore.policies.policy import Policy
@@ -14,7 +15,7 @@ def _init(params, belief):
     return ()
 
 
-def kth_true(mask, k):
+def kth_true(mask: Array, k: Array | int) -> tuple[Array, Array]:
     """Row and column of the k-th True cell in (row, col) order, counted from 0; k must be less than their number."""
     per_row = jnp.sum(mask, axis=1, dtype=jnp.int32)
     until = jnp.cumsum(per_row)
@@ -33,6 +34,6 @@ def _select(key, params, carry, belief, beams, route):
     return carry, *choose(belief, route, known, jnp.where(none, -1, row), jnp.where(none, -1, col))
 
 
-def uniform():
+def uniform() -> Policy:
     """The policy. Carry: `()`. Parameters: none."""
     return Policy(_init, _select)

@@ -28,7 +28,7 @@ def _select(key, params, carry, belief, beams, route):
     return carry, *go_to(belief, route, known, at, best_of(at, worth, unknown >= params.min_gain))
 
 
-def utility(beta=5.0, min_gain=1):
+def utility(beta: float = 5.0, min_gain: int = 1) -> Policy:
     """The policy. Carry: `()`. Parameters: `Params`."""
     params = Params(require_number("beta", beta, high=1e6), require_whole("min_gain", min_gain, low=0, high=2**20))
     return Policy(init, _select, params)

@@ -3,19 +3,20 @@
 import dataclasses
 import functools
 import math
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jax import lax
+from jax import Array, lax
 
 from jexplore.arrays import bits
 from jexplore.arrays.loops import repeat
 from jexplore.config import require_number, require_whole
 from jexplore.gain import look, most, prospect, unknown_seen
 from jexplore.grid import empty_grid, lowest
-from jexplore.planning import choose, field, first_at, metres
-from jexplore.raycast import all_round
+from jexplore.planning import Belief, Choice, Field, choose, field, first_at, metres
+from jexplore.raycast import Beams, all_round
 from jexplore.reach import FAR
 
 SAMPLES = 1024  # most samples a plan
@@ -31,7 +32,7 @@ class Views(NamedTuple):
     by_rate: bool = False  # whether `gain_for_path` divides by the path, instead of discounting
 
 
-def views(weight, samples, spread_m, min_gain, *, by_rate=False):
+def views(weight: tuple[str, float], samples: int, spread_m: float, min_gain: int, *, by_rate: bool = False) -> Views:
     """`Views`, checked. `weight` is `(name, value)`.
 
     Raises:
@@ -46,14 +47,14 @@ def views(weight, samples, spread_m, min_gain, *, by_rate=False):
     )
 
 
-def gain_for_path(params, gain, path_m):
+def gain_for_path(params: Views, gain: Array, path_m: Array) -> Array:
     """What a gain is worth after a path, float32: discounted by it, `gain exp(-weight path)`, or its share of it,
     `gain / (weight + path)`. Both in one, so that strategies that differ in this only share a program.
     """
     return jnp.where(params.by_rate, gain / (params.weight + path_m), gain * jnp.exp(-params.weight * path_m))
 
 
-def drawn(key, belief, known, params):
+def drawn(key: Array, belief: Belief, known: Field, params: Views) -> tuple[Array, Array]:
     """View points near frontiers: a frontier cell each, drawn uniformly, and a cell in a disc round it.
 
     Draw i depends on the key and i only, neither on how many there are nor on the map's padding. Where the disc's cell
@@ -86,7 +87,14 @@ def drawn(key, belief, known, params):
     return jnp.where(good, near_row, row), jnp.where(good, near_col, col)
 
 
-def best_view(utility, key, params, belief, known, beams):
+def best_view(
+    utility: Callable[[Views, Array, Array], Array],
+    key: Array,
+    params: Views,
+    belief: Belief,
+    known: Field,
+    beams: Beams,
+) -> tuple[Array, Array]:
     """The view point of the greatest utility.
 
     Args:
@@ -132,7 +140,15 @@ def best_view(utility, key, params, belief, known, beams):
     return jnp.where(cell < height * width, cell, -1), ahead.overflow
 
 
-def select(utility, key, params, carry, belief, beams, route):
+def select(
+    utility: Callable[[Views, Array, Array], Array],
+    key: Array,
+    params: Views,
+    carry: Any,
+    belief: Belief,
+    beams: Beams,
+    route: Array,
+) -> tuple[Any, Choice, Array]:
     """The `select` of a strategy with a utility: the best view point, or the nearest frontier if none shows enough."""
     known = field(belief)
     width = known.cost.shape[1]
@@ -150,7 +166,7 @@ SELECT = functools.partial(select, gain_for_path)
 """The `select` of strategies that weigh gain and path by `gain_for_path`."""
 
 
-def live(params, belief, beams, row, col):
+def live(params: Views, belief: Belief, beams: Beams, row: Array, col: Array) -> Array:
     """The `live` of such a strategy: a look from the view point would still show enough."""
     seen = unknown_seen(
         belief.grid, belief.extent, belief.model.p_free, row, col, all_round(beams), method=belief.model.scan
@@ -158,6 +174,6 @@ def live(params, belief, beams, row, col):
     return seen >= params.min_gain
 
 
-def init(params, belief):
+def init(params: Any, belief: Belief) -> tuple[()]:
     """The `init` of such a strategy. Carry: `()`."""
     return ()

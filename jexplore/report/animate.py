@@ -2,6 +2,8 @@
 
 import math
 import os
+from collections.abc import Iterable, Mapping
+from typing import Any
 
 import matplotlib
 import numpy as np
@@ -37,7 +39,7 @@ def _draw_text(image, text, at, font):
     return width
 
 
-def frame_image(frame, *, cell_m):
+def frame_image(frame: Mapping[str, Any], *, cell_m: float) -> Image.Image:
     """One frame of an animation as a palette image; see `animate_gif` for its fields.
 
     A cell is drawn as a square of whole pixels, as many as fit 640 pixels; maps of more than 640 cells are reduced by
@@ -116,7 +118,14 @@ def _thinned(images, max_frames):
     return [image for _, image in kept]
 
 
-def animate_gif(frames, path, *, cell_m, fps=12, max_frames=300):
+def animate_gif(
+    frames: Iterable[Mapping[str, Any]],
+    path: str | os.PathLike[str],
+    *,
+    cell_m: float,
+    fps: float = 12,
+    max_frames: int = 300,
+) -> int:
     """Write an episode as an animated GIF that loops, whole or not at all.
 
     All frames share one palette, so colours do not flicker. The last frame is held for two seconds.

@@ -82,7 +82,7 @@ class Recording:
     robot_m: tuple[float, float] = (0.70, 0.39)
     """Length and width of the robot, for its outline."""
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         _check_shapes(self)
         _check_values(self)
 
@@ -178,7 +178,7 @@ def _data(recording):
     }
 
 
-def page(recording):
+def page(recording: Recording) -> str:
     """A run as one HTML file that replays in a browser: no network, no server, no other file.
 
     Metres are kept to 1 cm (poses and walls to 1 mm), angles of beams to 0.1 mrad, tilt to 0.01 degrees. The page is

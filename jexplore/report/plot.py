@@ -10,13 +10,17 @@ import itertools
 import math
 import os
 import re
+from collections.abc import Iterable, Sequence
+from typing import Any
 
 import matplotlib
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection
 from matplotlib.colors import ListedColormap, hsv_to_rgb
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from matplotlib.markers import MarkerStyle
 from matplotlib.path import Path as Outline
 from matplotlib.ticker import MaxNLocator
@@ -34,7 +38,7 @@ ARROW = Outline([(1.0, 0.0), (-0.6, 0.6), (-0.3, 0.0), (-0.6, -0.6), (1.0, 0.0)]
 """The robot: an arrow head along x."""
 
 
-def save_figure(figure, path, *, dpi=100):
+def save_figure(figure: Figure, path: str | os.PathLike[str], *, dpi: float = 100) -> None:
     """Write a figure in the format of the file's ending, whole or not at all.
 
     Raises:
@@ -44,7 +48,7 @@ def save_figure(figure, path, *, dpi=100):
         figure.savefig(part, format=os.path.splitext(path)[1].lstrip(".") or "png", dpi=dpi)
 
 
-def wrapped(text, width, *, max_lines=3):
+def wrapped(text: object, width: int, *, max_lines: int = 3) -> str:
     """`text` in at most `max_lines` lines of at most `width` characters.
 
     Lines break before + : @ / # and after a comma or blank; what does not fit loses its middle to an ellipsis.
@@ -75,15 +79,15 @@ def _plain(*texts):
 
 
 def _no_ticks(ax):
-    ax.set_xticks([])
-    ax.set_yticks([])
+    ax.set(xticks=[], yticks=[])
 
 
 def _centres_m(cells, cell_m):
     return (np.asarray(cells, dtype=np.float64) + 0.5) * cell_m
 
 
-def bars(ax, labels, means, sds, title="", *, styles=None, at=None, thickness=0.72):
+def bars(ax: Axes, labels: Sequence[str], means: Any, sds: Any, title: str = "", *,
+         styles: Iterable[Any] | None = None, at: Any = None, thickness: float = 0.72) -> Any:  # fmt: skip
     """Mean path lengths as bars with whiskers of one standard deviation and the numbers beside them, the first on top.
 
     Args:
@@ -127,7 +131,7 @@ def bars(ax, labels, means, sds, title="", *, styles=None, at=None, thickness=0.
     return container
 
 
-def style_of(strategies):
+def style_of(strategies: Iterable[Any]) -> dict[Any, dict[str, Any]]:
     """`{strategy: bar properties}` in the order given: a colour each, and a hatch from the ninth on."""
     hatches = (None, "///", "...", "xxx", "\\\\\\")
     return {
@@ -142,7 +146,7 @@ def _grid(count):
     return math.ceil(count / n_cols), n_cols
 
 
-def compare_figure(summary):
+def compare_figure(summary: Any) -> Figure:
     """Path lengths of every strategy, one panel a world, as Holz et al. 2010, Figure 8.
 
     Strategies stand in order of first appearance and keep their colour in all panels; one that did not run in a world
@@ -174,7 +178,7 @@ def compare_figure(summary):
     return figure
 
 
-def draw_map(ax, state, cell_m):
+def draw_map(ax: Axes, state: Any, cell_m: float) -> Any:
     """The known map: unknown grey, free white, occupied black.
 
     Args:
@@ -189,12 +193,11 @@ def draw_map(ax, state, cell_m):
 
 
 def _image(ax, colours, cell_m, **properties):
-    height, width = colours.shape[0] * cell_m, colours.shape[1] * cell_m
-    extent = (0.0, width, 0.0, height)
+    extent = (0.0, colours.shape[1] * cell_m, 0.0, colours.shape[0] * cell_m)
     return ax.imshow(colours, extent=extent, origin="lower", aspect="equal", **properties)
 
 
-def draw_path(ax, rows, cols, cell_m, *, width=1.4):
+def draw_path(ax: Axes, rows: Any, cols: Any, cell_m: float, *, width: float = 1.4) -> tuple[Any, Line2D, Line2D]:
     """The driven path, coloured from start to end by distance driven, the start a ring and the end a cross.
 
     Args:
@@ -220,7 +223,7 @@ def draw_path(ax, rows, cols, cell_m, *, width=1.4):
     return line, start, end
 
 
-def draw_robot(ax, row, col, heading_deg, cell_m, *, size=12):
+def draw_robot(ax: Axes, row: int, col: int, heading_deg: float, cell_m: float, *, size: float = 12) -> Line2D:
     """The robot as an arrow head in its direction, 0 along x, counter-clockwise, degrees. Returns the `Line2D`."""
     marker = MarkerStyle(ARROW).rotated(deg=heading_deg)
     place = _centres_m([col], cell_m), _centres_m([row], cell_m)
@@ -229,14 +232,14 @@ def draw_robot(ax, row, col, heading_deg, cell_m, *, size=12):
     return robot
 
 
-def room_colours(count):
+def room_colours(count: int) -> np.ndarray:
     """`[count, 3]` floats: soft colours, neighbours in number far apart in hue."""
     number = np.arange(count)
     hue, tone = number * 0.618034 % 1.0, np.where(number % 2, 0.18, 0.32)
     return hsv_to_rgb(np.stack([hue, tone, np.full(count, 0.96)], axis=-1))
 
 
-def draw_rooms(ax, world, *, numbers=True):
+def draw_rooms(ax: Axes, world: Any, *, numbers: bool = True) -> tuple[Any, list[Any]]:
     """The true floor plan with its rooms in soft colours and, at a cell of each near its middle, the room's number.
 
     Args:
@@ -280,7 +283,7 @@ def _path_legend(figure, axes, marks):
     bar.ax.legend(handles=marks, loc="center left", bbox_to_anchor=(1.1, 0.5), **style)
 
 
-def paths_figure(entries):
+def paths_figure(entries: Sequence[tuple[str, Sequence[tuple[str, Any, Any, Any, float, float]]]]) -> Figure:
     """The map as each strategy saw it with the path it drove, a row a world and a column a strategy.
 
     Args:
@@ -312,7 +315,8 @@ def paths_figure(entries):
     return figure
 
 
-def episode_figure(state, rows, cols, cell_m, *, path_m, known_cells, title=""):
+def episode_figure(state: Any, rows: Any, cols: Any, cell_m: float, *,
+                   path_m: Any, known_cells: Any, title: str = "") -> Figure:  # fmt: skip
     """One episode: the final map with its path, and beside it how the known area grew with the path.
 
     Args:
@@ -333,13 +337,12 @@ def episode_figure(state, rows, cols, cell_m, *, path_m, known_cells, title=""):
     _, *marks = draw_path(left, rows, cols, cell_m)
     left.set(xlabel="x (m)", ylabel="y (m)")
     figure.legend(handles=marks, loc="outside lower left", ncols=2, frameon=False, fontsize=8)
-    path_m, known_m2 = np.asarray(path_m), np.asarray(known_cells) * cell_m**2
-    draw_coverage(right, path_m, known_m2)
+    draw_coverage(right, path_m, np.asarray(known_cells) * cell_m**2)
     _plain(figure.suptitle(wrapped(title, int(11 * figure.get_figwidth()), max_lines=2), fontsize=11))
     return figure
 
 
-def draw_coverage(ax, path_m, known_m2):
+def draw_coverage(ax: Any, path_m: Any, known_m2: Any) -> LineCollection:
     """Known area over path length, in colours of progress like the path, with its share of the final area on the right.
 
     Args:
@@ -355,8 +358,7 @@ def draw_coverage(ax, path_m, known_m2):
     line.set_array(xy[1:, 0] / end_m)
     line.set_clim(0.0, 1.0)
     ax.add_collection(line)
-    ax.set(xlim=(0, 1.02 * end_m), ylim=(0, 1.05 * final_m2))
-    ax.set(xlabel="path length (m)", ylabel="known area (m²)")
+    ax.set(xlim=(0, 1.02 * end_m), ylim=(0, 1.05 * final_m2), xlabel="path length (m)", ylabel="known area (m²)")
     ax.grid(alpha=0.3)
     ax.spines[["top", "right"]].set_visible(False)
     share = ax.secondary_yaxis("right", functions=(lambda m2: 100 * m2 / final_m2, lambda s: s * final_m2 / 100))
@@ -366,7 +368,7 @@ def draw_coverage(ax, path_m, known_m2):
     return line
 
 
-def worlds_figure(worlds):
+def worlds_figure(worlds: Sequence[tuple[str, Any]]) -> Figure:
     """A contact sheet of floor plans: rooms, start, free area, number of rooms.
 
     Args:

@@ -1,12 +1,17 @@
 """A picture of strategies over many worlds: path lengths beside those of a reference, with intervals."""
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from matplotlib.figure import Figure
 
 from jexplore.report.plot import PALETTE
 
+if TYPE_CHECKING:
+    import pandas as pd
 
-def figure(table):
+
+def figure(table: "pd.DataFrame") -> Figure:
     """Ratios to the reference as dots with intervals, the shortest on top; pale dots are single kinds of worlds.
 
     Args:

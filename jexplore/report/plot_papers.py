@@ -1,6 +1,7 @@
 """A picture of a paper's path lengths beside ours."""
 
-from typing import Any
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -8,12 +9,15 @@ from matplotlib.patches import Patch
 
 from jexplore.report.plot import bars, style_of, wrapped
 
+if TYPE_CHECKING:
+    import pandas as pd
+
 PALE: dict[str, Any] = {"facecolor": "white", "edgecolor": "#666666", "hatch": "////"}
 GAP = 0.4
 """Between the pairs of bars of two strategies, in thicknesses of a bar."""
 
 
-def figure(tables, short):
+def figure(tables: "pd.DataFrame", short: Mapping[str, str]) -> Figure:
     """Mean path lengths as bars with whiskers of one standard deviation, one panel an environment.
 
     Of each strategy our bar stands above the paper's, which is pale and hatched.

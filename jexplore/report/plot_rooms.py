@@ -2,9 +2,13 @@
 
 import math
 import os
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.image import AxesImage
 
 from jexplore.report.plot import room_colours, wrapped
 
@@ -12,7 +16,7 @@ SIDE_IN = 4.2  # of a panel, the longer side
 CRITICAL = "#d00000"
 
 
-def draw_segments(ax, picture):
+def draw_segments(ax: Axes, picture: Any) -> AxesImage:
     """Draws segments in colours, the Voronoi graph as thin lines, critical points as dots.
 
     Args:
@@ -41,7 +45,7 @@ def draw_segments(ax, picture):
     return artist
 
 
-def figure(pictures, scores):
+def figure(pictures: Sequence[Any], scores: Any) -> Figure:
     """A page with a row for every map and share known, and a column for every variant.
 
     Args:

@@ -1,16 +1,20 @@
 """Pictures of Behavioral Trace Maps: nodes and links, and on a page with them the building and the run."""
 
 import math
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib import patheffects
+from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
+from numpy.typing import ArrayLike
 
 from jexplore.report.plot import PALETTE, wrapped
-from jexplore.tracemap.record import NODE_TYPES, NOWHERE
+from jexplore.tracemap.record import NODE_TYPES, NOWHERE, BtmMap
 
 NODE_STYLES = {
     "terminal": {"marker": "s", "markerfacecolor": "white"},
@@ -24,10 +28,10 @@ WALL, POINT, LINK = "#dddddd", "#555555", "black"
 STUB_M = 0.8  # drawn length of a link that nobody has followed
 LONG_IN, LEGEND_IN = 8.0, 1.9
 NEAR_M = 0.25  # by which a first pass of a node may be farther than the nearest
-_HALO = (patheffects.withStroke(linewidth=2.2, foreground="white"),)
+_HALO: Any = (patheffects.withStroke(linewidth=2.2, foreground="white"),)
 
 
-def draw_btm(ax, btm, *, legend=True):
+def draw_btm(ax: Axes, btm: BtmMap, *, legend: bool = True) -> list[Line2D]:
     """Draws searched links as straight lines, un-searched ones as short dashed lines, and nodes with their ids.
 
     Args:
@@ -88,7 +92,7 @@ def _free_side(btm, node):
     return math.cos(math.radians(best)), math.sin(math.radians(best))
 
 
-def draw_trail(ax, trail, modes, mode_names):
+def draw_trail(ax: Axes, trail: ArrayLike, modes: ArrayLike, mode_names: Sequence[str]) -> list[Line2D]:
     """Draws the robot's way in the colour of its mode, a ring at the start and a cross at the end.
 
     Args:
@@ -117,7 +121,7 @@ def draw_trail(ax, trail, modes, mode_names):
     return handles
 
 
-def draw_pitch(ax, btm, trail, pitch_deg):
+def draw_pitch(ax: Axes, btm: BtmMap, trail: ArrayLike, pitch_deg: Any) -> Line2D:
     """Draws the body's inclination over the way driven; lines with ids mark where the way first came to the nodes.
 
     Args:
@@ -164,7 +168,17 @@ def _draw_building(ax, walls, points):
     return handles
 
 
-def figure(btm, walls, trail, points, modes, mode_names, title="", *, pitch_deg=None):
+def figure(
+    btm: BtmMap,
+    walls: ArrayLike | None,
+    trail: ArrayLike,
+    points: ArrayLike | None,
+    modes: ArrayLike,
+    mode_names: Sequence[str],
+    title: str = "",
+    *,
+    pitch_deg: ArrayLike | None = None,
+) -> Figure:
     """A page with the building, the run through it and the map that came of it.
 
     Args:

@@ -14,12 +14,17 @@ import os
 import platform
 import secrets
 import shutil
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from jexplore.config import InputError
 from jexplore.version import __version__
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 OUR_FILES = (
     *("run.json", "episodes.parquet", "compare.png", "paths.png", "league.png"),  # compare
@@ -39,7 +44,7 @@ def _reason(error):
 
 
 @contextlib.contextmanager
-def atomic(path):
+def atomic(path: str | os.PathLike[str]) -> Iterator[Path]:
     """A temporary path in the same folder that replaces `path` once the block has ended well.
 
     The data are synced before the replacement, so a reader finds the old file or the new one. If the block raises, the
@@ -76,7 +81,7 @@ def _sync_folder(folder):
             os.close(handle)
 
 
-def write_parquet(episodes, path):
+def write_parquet(episodes: "pd.DataFrame", path: str | os.PathLike[str]) -> None:
     """Write a DataFrame as Parquet, without its index, whole or not at all.
 
     Args:
@@ -90,7 +95,7 @@ def write_parquet(episodes, path):
         episodes.to_parquet(part, index=False)
 
 
-def read_parquet(path, *, required=()):
+def read_parquet(path: str | os.PathLike[str], *, required: Sequence[str] = ()) -> "pd.DataFrame":
     """Read a DataFrame that `write_parquet` wrote; column types come back as they were.
 
     Args:
@@ -116,7 +121,7 @@ def read_parquet(path, *, required=()):
     return table
 
 
-def jsonable(value):
+def jsonable(value: Any) -> Any:
     """`value` as plain JSON types.
 
     Numbers and arrays of numpy and jax become numbers and lists; NaN, infinities and pandas' NA become None; records
@@ -150,7 +155,7 @@ def jsonable(value):
     raise TypeError(f"expected something that JSON can hold, got {type(value).__name__}")
 
 
-def write_json(obj, path):
+def write_json(obj: Any, path: str | os.PathLike[str]) -> None:
     """Write `obj` as JSON (see `jsonable`), indented, whole or not at all.
 
     Args:
@@ -203,12 +208,12 @@ def _remove_folders(made):
             folder.rmdir()
 
 
-def check_out(path, overwrite=False, *, names=OUR_FILES):
+def check_out(path: str | os.PathLike[str], overwrite: bool = False, *, names: Iterable[str] = OUR_FILES) -> None:
     """Refuse a folder that `claim_out` would refuse, and leave everything as it is. Arguments and errors as there."""
     _remove_folders(_writable(path, overwrite, names)[1])
 
 
-def claim_out(path, overwrite=False, *, names=OUR_FILES):
+def claim_out(path: str | os.PathLike[str], overwrite: bool = False, *, names: Iterable[str] = OUR_FILES) -> Path:
     """Make the folder of a run, or accept one that holds no run yet.
 
     Files of other names are never touched. With `overwrite`, the files of an earlier run are removed once the folder
@@ -236,7 +241,9 @@ def claim_out(path, overwrite=False, *, names=OUR_FILES):
     return Path(path)
 
 
-def write_run(path, writers, overwrite=False):
+def write_run(
+    path: str | os.PathLike[str], writers: Mapping[str, Callable[[Path], Any]], overwrite: bool = False
+) -> Path:
     """Write the files of a run into its folder: all of them, or none.
 
     They are first written into a hidden folder inside it and moved when all are there. If one fails, or the user
@@ -273,7 +280,7 @@ def write_run(path, writers, overwrite=False):
     return path
 
 
-def default_out(command, now=None, *, root="runs"):
+def default_out(command: str, now: datetime.datetime | None = None, *, root: str | os.PathLike[str] = "runs") -> Path:
     """An unused folder name for a run: `runs/20261121T093042Z-compare`, with `-2`, `-3`, ... where that exists.
 
     Args:
@@ -302,7 +309,7 @@ def _version(package):
         return None
 
 
-def environment():
+def environment() -> dict[str, Any]:
     """What a run ran on, for its record. Starts jax's backend.
 
     Returns:

@@ -1,34 +1,35 @@
 """Numbers and tables as text."""
 
 import math
+from collections.abc import Collection, Iterable, Sequence
 
 
-def number_text(value, decimals):
+def number_text(value: float, decimals: int) -> str:
     """A number with so many decimals; a missing one is `-`."""
     return "-" if not math.isfinite(value) else f"{value:.{decimals}f}"
 
 
-def spread_text(mean, sd):
+def spread_text(mean: float, sd: float) -> str:
     """`mean ± sd` with two decimals, without the part that is missing."""
     return number_text(mean, 2) + (f" ± {sd:.2f}" if math.isfinite(sd) else "")
 
 
-def interval_text(low, high, decimals):
+def interval_text(low: float, high: float, decimals: int) -> str:
     """`[low, high]`; one with a missing end is `-`."""
     return "-" if not (math.isfinite(low) and math.isfinite(high)) else f"[{low:.{decimals}f}, {high:.{decimals}f}]"
 
 
-def p_text(p):
+def p_text(p: float) -> str:
     """A p value with three decimals."""
     return "-" if not math.isfinite(p) else "<0.001" if p < 0.001 else f"{p:.3f}"
 
 
-def ratio_text(ratio, low=math.nan, high=math.nan):
+def ratio_text(ratio: float, low: float = math.nan, high: float = math.nan) -> str:
     """A ratio and its interval with three decimals, without the part that is missing."""
     return " ".join(part for part in (number_text(ratio, 3), interval_text(low, high, 3)) if part != "-") or "-"
 
 
-def aligned_table(head, lines, *, left):
+def aligned_table(head: Sequence[str], lines: Iterable[Sequence[str]], *, left: Collection[str]) -> str:
     """Texts as one aligned Markdown table.
 
     Args:

@@ -1,8 +1,10 @@
 """Runs that write Behavioral Trace Maps, and the maps themselves, as tables of text."""
 
 import collections
+from typing import Any
 
 from jexplore.report.tables import aligned_table
+from jexplore.tracemap.record import BtmMap
 
 NOTED = {
     "contacts": "steps refused because of a wall",
@@ -14,7 +16,7 @@ NOTED = {
 LEFT = ("angles deg", "type", "obstacle", "status")  # columns of text
 
 
-def share(hits, n):
+def share(hits: int, n: int) -> str:
     """`"99.2 % [98.4, 99.6]"`: a share with its 95 % Wilson interval."""
     from scipy.stats import binomtest
 
@@ -22,7 +24,7 @@ def share(hits, n):
     return f"{100 * hits / n:.1f} % [{100 * low:.1f}, {100 * high:.1f}]"
 
 
-def summary(traced, most=10):
+def summary(traced: Any, most: int = 10) -> list[str]:
     """What the command prints of many runs: lines of text."""
     table, lines = traced.table, []
     if not len(table):
@@ -69,7 +71,7 @@ def _cell(value, digits):
     return f"{value:.{digits}f}" if isinstance(value, float) else str(value)
 
 
-def tables(found):
+def tables(found: BtmMap) -> str:
     """The node and link tables of a map as Markdown (Mano et al., Tables I and II)."""
     head = ["node", "x m", "y m", "links", "angles deg", "type", "obstacle", "inclination deg", "step m", "posture deg"]
     lines = []

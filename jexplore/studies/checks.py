@@ -1,6 +1,8 @@
 """What is checked, loaded and drawn before anything is compiled: worlds, strategies, starts, memory."""
 
 import os
+from collections.abc import Callable, Iterable
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -14,6 +16,10 @@ from jexplore.raycast import HEADINGS, n_steps
 from jexplore.worlds import load_world
 from jexplore.worlds.world import World, check_start, checked, draw_start, draw_starts
 
+WorldLike: TypeAlias = str | os.PathLike[str] | World
+"""A world, or the name or file of one."""
+StrategyLike: TypeAlias = str | Policy | Strategy | Callable[..., Any]
+"""What `policies.strategy` makes a strategy of."""
 LIDAR, RULES = Lidar(), Rules()  # the defaults
 MAX_EPISODES = 1_000_000  # of one strategy in one world
 MAX_SEED = 2**32 - 1
@@ -23,7 +29,7 @@ BEAM_BYTES = 64  # a step of a beam, while the table is made
 MEMORY_SHARE = 0.8  # of the machine's memory that a run may be expected to need
 
 
-def listed(kind, items):
+def listed(kind: str, items: Any) -> list[Any]:
     """A list of one or more different items; a single one may stand for itself."""
     if isinstance(items, (str, os.PathLike, World)):
         items = [items]
@@ -36,13 +42,13 @@ def listed(kind, items):
     return items
 
 
-def require_different(kind, names):
+def require_different(kind: str, names: list[str]) -> None:
     for name in names:
         if names.count(name) > 1:
             raise InputError(f"{kind} must differ, got {name!r} more than once")
 
 
-def ready_worlds(worlds, cell_m):
+def ready_worlds(worlds: WorldLike | Iterable[WorldLike], cell_m: float) -> list[World]:
     """Worlds from names and `World` records, in order.
 
     Args:
@@ -65,7 +71,7 @@ def ready_worlds(worlds, cell_m):
     return [checked(world) if isinstance(world, World) else load_world(world, cell_m) for world in worlds]
 
 
-def ready_strategies(strategies):
+def ready_strategies(strategies: StrategyLike | Iterable[StrategyLike]) -> list[Strategy]:
     """Strategies from what stands for them, in order.
 
     Args:
@@ -86,7 +92,7 @@ def ready_strategies(strategies):
     return ready
 
 
-def ready_starts(world, start, n, *, seed, rules):
+def ready_starts(world: World, start: str | tuple[int, int, int], n: int, *, seed: int, rules: Rules) -> np.ndarray:
     """The starts of n episodes in a world.
 
     Args:
@@ -109,15 +115,14 @@ def ready_starts(world, start, n, *, seed, rules):
     if start == "random":
         check_start(world, draw_start(world, seed, 0, rules.clearance_m), rules.clearance_m, rules.near_m)
         return draw_starts(world, seed, n, rules.clearance_m)
-    if start == "world":
-        start = world.start
-        if start is None:
-            raise InputError(f"{world.name!r}: has no start of its own; use start random")
-    start = check_start(world, start, rules.clearance_m, rules.near_m)
+    if start == "world" and world.start is None:
+        raise InputError(f"{world.name!r}: has no start of its own; use start random")
+    cell: Any = world.start if isinstance(start, str) else start
+    start = check_start(world, cell, rules.clearance_m, rules.near_m)
     return np.tile(np.asarray(start, np.int32), (n, 1))
 
 
-def memory_needed(world, lidar, rules, workers):
+def memory_needed(world: World, lidar: Lidar, rules: Rules, workers: int) -> int:
     """About how many bytes episodes in a world take at a time. An int."""
     rows, cols = (bucket(side) for side in world.shape)
     steps = max(LEAST_LIMIT, rows * cols, rules.max_steps or 0)
@@ -133,7 +138,7 @@ def _memory():
         return None
 
 
-def require_clearance(world, rules):
+def require_clearance(world: World, rules: Rules) -> None:
     """Refuse a clearance of more cells than the kernels look across.
 
     Raises:
@@ -147,7 +152,7 @@ def require_clearance(world, rules):
         )
 
 
-def require_memory(world, lidar, rules):
+def require_memory(world: World, lidar: Lidar, rules: Rules) -> None:
     """Refuse what would not fit into the machine's memory.
 
     Raises:

@@ -6,11 +6,12 @@ pandas and matplotlib are imported by the functions that need them.
 import dataclasses
 import functools
 import os
-from typing import TYPE_CHECKING, NamedTuple
+from collections.abc import Callable, Iterable, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from jexplore.config import InputError, require_whole
+from jexplore.config import InputError, Lidar, Rules, require_whole
 from jexplore.engine.backend import use_compilation_cache
 from jexplore.exploration import batch
 from jexplore.exploration.batch import Job
@@ -23,6 +24,8 @@ from jexplore.studies.checks import (
     MAX_EPISODES,
     MAX_SEED,
     RULES,
+    StrategyLike,
+    WorldLike,
     ready_starts,
     ready_strategies,
     ready_worlds,
@@ -33,6 +36,7 @@ from jexplore.worlds.world import World
 
 if TYPE_CHECKING:
     import pandas as pd
+    from matplotlib.figure import Figure
 
 COLUMNS = (
     *("world", "strategy", "episode", "seed", "start_row", "start_col", "path_m", "turning_rad"),
@@ -70,43 +74,43 @@ class Comparison:
     """Seconds in which compiled programs ran."""
     interrupted: int = 0
     """Episodes that are missing because the run was interrupted; of the others, those that every strategy finished."""
-    paths: dict = dataclasses.field(default_factory=dict)
+    paths: dict[tuple[str, str], list[np.ndarray]] = dataclasses.field(default_factory=dict)
     """With `keep`: (world, strategy) -> a list with an array for each episode in the table, `[n + 1, 3]` int32: row,
     col and known cells, at the start and after each of n steps."""
-    maps: dict = dataclasses.field(default_factory=dict)
+    maps: dict[tuple[str, str], np.ndarray] = dataclasses.field(default_factory=dict)
     """With `keep="maps"`: (world, strategy) -> `[N, H, W]` uint8, the last map of each episode in the table: 0 unknown,
     1 free, 2 occupied."""
 
     @functools.cached_property
-    def summary(self):
+    def summary(self) -> "pd.DataFrame":
         """One row a world and strategy: see `stats.summarise`."""
         return stats.summarise(self.episodes)
 
     @functools.cached_property
-    def standings(self):
+    def standings(self) -> "pd.DataFrame":
         """One row a strategy, over all worlds: see `league.standings`."""
         return standings(self.episodes)
 
     @functools.cached_property
-    def warnings(self):
+    def warnings(self) -> list[str]:
         """What makes the comparison unfair or inexact: a list of lines."""
         lines = [f"interrupted: {self.interrupted} episodes are missing"] if self.interrupted else []
         return [*lines, *stats.warnings_of(self.episodes), *_bounds_met(self.episodes)]
 
     @property
-    def episodes_per_s(self):
+    def episodes_per_s(self) -> float:
         """Episodes over the seconds in which compiled programs ran."""
         return len(self.episodes) / self.run_s
 
-    def to_pandas(self):
+    def to_pandas(self) -> "pd.DataFrame":
         """The table of episodes."""
         return self.episodes
 
-    def to_markdown(self):
+    def to_markdown(self) -> str:
         """The summary as a Markdown table."""
         return stats.markdown_table(self.summary)
 
-    def plot(self, ax, world=None):
+    def plot(self, ax: Any, world: str | None = None) -> Any:
         """Mean path lengths in one world as bars.
 
         Args:
@@ -127,13 +131,13 @@ class Comparison:
             raise InputError(f"world must be one of {', '.join(w.name for w in self.worlds)}, got {world!r}")
         return plot.bars(ax, rows["strategy"].tolist(), rows["mean"], rows["sd"], world)
 
-    def compare_figure(self):
+    def compare_figure(self) -> "Figure":
         """Bars of mean path lengths, one panel a world: a matplotlib `Figure`."""
         from jexplore.report import plot
 
         return plot.compare_figure(self.summary)
 
-    def paths_figure(self):
+    def paths_figure(self) -> "Figure":
         """The map as each strategy saw it in episode 0, with its path: a matplotlib `Figure`."""
         from jexplore.report import plot
 
@@ -142,7 +146,7 @@ class Comparison:
     def _repr_markdown_(self):
         return self.to_markdown()
 
-    def __repr__(self):
+    def __repr__(self) -> str:
         n_strategies = self.episodes["strategy"].nunique()
         return f"<Comparison of {n_strategies} strategies in {len(self.worlds)} worlds, {len(self.episodes)} episodes>"
 
@@ -169,21 +173,21 @@ def _bounds_met(episodes):
 
 
 def compare(
-    worlds,
-    strategies,
+    worlds: WorldLike | Iterable[WorldLike],
+    strategies: StrategyLike | Iterable[StrategyLike],
     *,
-    episodes=20,
-    seed=0,
-    cell_m=0.1,
-    start="random",
-    lidar=LIDAR,
-    rules=RULES,
-    engine=None,
-    lanes=None,
-    workers=None,
-    on_progress=None,
-    keep=None,
-):
+    episodes: int = 20,
+    seed: int = 0,
+    cell_m: float = 0.1,
+    start: str = "random",
+    lidar: Lidar = LIDAR,
+    rules: Rules = RULES,
+    engine: str | None = None,
+    lanes: int | None = None,
+    workers: int | None = None,
+    on_progress: Callable[[int], object] | None = None,
+    keep: str | None = None,
+) -> Comparison:
     """Runs every strategy in every world, from the same starts. An interruption keeps what is finished.
 
     Args:
@@ -219,7 +223,17 @@ def compare(
     return assemble(jobs, report, rules)
 
 
-def prepare_jobs(worlds, strategies, *, episodes, seed, cell_m, start, lidar, rules):
+def prepare_jobs(
+    worlds: WorldLike | Iterable[WorldLike],
+    strategies: StrategyLike | Iterable[StrategyLike],
+    *,
+    episodes: int,
+    seed: int,
+    cell_m: float,
+    start: str,
+    lidar: Lidar,
+    rules: Rules,
+) -> list[Job]:
     """Everything that `compare` refuses or loads before it runs: a list of `Job`. Arguments as there."""
     episodes = require_whole("episodes", episodes, 1, MAX_EPISODES)
     seed = require_whole("seed", seed, 0, MAX_SEED)
@@ -234,7 +248,7 @@ def prepare_jobs(worlds, strategies, *, episodes, seed, cell_m, start, lidar, ru
     return jobs
 
 
-def assemble(jobs, report, rules):
+def assemble(jobs: Sequence[Job], report: batch.Finished, rules: Rules) -> Comparison:
     """The `Comparison` of jobs that have run.
 
     Of a run that was interrupted it holds the episodes that every strategy has finished in a world.
@@ -261,9 +275,10 @@ def assemble(jobs, report, rules):
         if records:
             own = [records[i] for i in np.flatnonzero(kept).tolist()]
             paths[world.name, strategy] = [record.path for record in own]
-            if own[0].state is not None:
-                maps[world.name, strategy] = np.stack([record.state for record in own])
-        if kept[0]:
+            states = [record.state for record in own if record.state is not None]
+            if states:
+                maps[world.name, strategy] = np.stack(states)
+        if kept[0] and final is not None:
             state = map_state(final.hits, final.misses, rules.p_free)
             seen = Seen(strategy, state, final.rows, final.cols, world.cell_m, float(found["path_m"][0]))
             first.setdefault(world.name, []).append(seen)

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 from jax import Array, lax
+from jax.core import Tracer
 
 from jexplore.arrays.loops import alone_on_cpu, run_if
 from jexplore.arrays.padding import bucket
@@ -280,4 +281,4 @@ def _whole(name, value, shape, meaning=""):
 
 def _concrete(array):
     """An array's value on the host; None while it is traced."""
-    return None if isinstance(array, jax.core.Tracer) else np.asarray(array)
+    return None if isinstance(array, Tracer) else np.asarray(array)

@@ -1,7 +1,9 @@
 """One episode to look at: run it, play it again scan by scan, and draw it."""
 
 import dataclasses
-from typing import Any, NamedTuple
+import os
+from collections.abc import Callable, Iterator, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -19,12 +21,17 @@ from jexplore.studies.checks import (
     MAX_EPISODES,
     MAX_SEED,
     RULES,
+    StrategyLike,
+    WorldLike,
     ready_starts,
     ready_strategies,
     ready_worlds,
     require_memory,
 )
 from jexplore.worlds.world import World
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 MAX_FRAMES = 300
 
@@ -57,7 +64,7 @@ class Episode:
     rules: Rules
     final: Final
     """The last map and the way there."""
-    measures: dict
+    measures: dict[str, Any]
     """Name -> number or text: the columns of a comparison's table of episodes."""
     asked: Strategy
     """The strategy as it was run."""
@@ -67,11 +74,11 @@ class Episode:
     """Seconds in which the compiled program ran."""
 
     @property
-    def title(self):
+    def title(self) -> str:
         """What a picture says above itself."""
         return f"{self.strategy} in {self.world.name}: {self.measures['path_m']:.1f} m, {self.measures['outcome']}"
 
-    def figure(self):
+    def figure(self) -> "Figure":
         """The last map with the path, and how the known area grew with it: a matplotlib `Figure`."""
         final, cell_m = self.final, self.world.cell_m
         return plot.episode_figure(
@@ -84,7 +91,14 @@ class Episode:
             title=self.title,
         )
 
-    def save_gif(self, path, *, max_frames=MAX_FRAMES, fps=12, on_progress=None):
+    def save_gif(
+        self,
+        path: str | os.PathLike[str],
+        *,
+        max_frames: int = MAX_FRAMES,
+        fps: int = 12,
+        on_progress: Callable[[int], object] | None = None,
+    ) -> None:
         """Write the episode as an animated GIF: known map, frontiers, target, path.
 
         Args:
@@ -118,7 +132,17 @@ class Episode:
                 on_progress(1)
 
 
-def explore(world, strategy, *, seed=0, episode=0, cell_m=0.1, start="random", lidar=LIDAR, rules=RULES):
+def explore(
+    world: WorldLike,
+    strategy: StrategyLike,
+    *,
+    seed: int = 0,
+    episode: int = 0,
+    cell_m: float = 0.1,
+    start: str | tuple[int, int, int] = "random",
+    lidar: Lidar = LIDAR,
+    rules: Rules = RULES,
+) -> Episode:
     """Runs one episode and keeps its map and way.
 
     It is that episode of a comparison with the same world, strategy, seed, start, scanner and rules.
@@ -143,7 +167,17 @@ def explore(world, strategy, *, seed=0, episode=0, cell_m=0.1, start="random", l
     return run_job(job, lidar, rules)
 
 
-def prepare_job(world, strategy, *, seed, cell_m, start, lidar, rules, episode=0):
+def prepare_job(
+    world: WorldLike,
+    strategy: StrategyLike,
+    *,
+    seed: int,
+    cell_m: float,
+    start: str | tuple[int, int, int],
+    lidar: Lidar,
+    rules: Rules,
+    episode: int = 0,
+) -> Job:
     """Everything that `explore` refuses or loads before it runs: a `Job`, whose last start is the episode's."""
     seed = require_whole("seed", seed, 0, MAX_SEED)
     episode = require_whole("episode", episode, 0, MAX_EPISODES - 1)
@@ -152,7 +186,7 @@ def prepare_job(world, strategy, *, seed, cell_m, start, lidar, rules, episode=0
     return Job(world, parsed, ready_starts(world, start, episode + 1, seed=seed, rules=rules), seed)
 
 
-def run_job(job, lidar, rules):
+def run_job(job: Job, lidar: Lidar, rules: Rules) -> Episode:
     """The `Episode` of a job: its last one."""
     use_compilation_cache()
     number = len(job.starts) - 1
@@ -182,7 +216,7 @@ def run_job(job, lidar, rules):
     )
 
 
-def steps_of(episode):
+def steps_of(episode: Episode) -> Iterator[replay.Moment]:
     """The episode again: its last `replay.Moment` at every step.
 
     Raises:
@@ -199,7 +233,7 @@ def steps_of(episode):
     yield last
 
 
-def frames(episode, *, max_frames=MAX_FRAMES):
+def frames(episode: Episode, *, max_frames: int = MAX_FRAMES) -> Iterator[Frame]:
     """The episode again, step by step.
 
     Args:
@@ -233,7 +267,7 @@ def _map_of(episode, moment):
     return np.asarray(grid.hits)[:height, :width], np.asarray(grid.misses)[:height, :width]
 
 
-def maps_at(episode, shares):
+def maps_at(episode: Episode, shares: Sequence[float]) -> Iterator[tuple[float, float, np.ndarray]]:
     """The maps that the robot had when it first knew some shares of the cells that it knew in the end.
 
     Args:

@@ -2,11 +2,16 @@
 
 import math
 import re
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from jexplore.report.tables import aligned_table, interval_text, number_text, ratio_text
 from jexplore.studies.stats import bootstrap_ci
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 LEAGUE_KINDS = ("cave", "office", "hospital", "maze", "rooms")
 LEAGUE_SEEDS = 8
@@ -19,12 +24,12 @@ LEAGUE_STRATEGIES = (
 """Every strategy, with re-checking except where its source has none; the first is what the others are compared with."""
 
 
-def league_worlds():
+def league_worlds() -> tuple[str, ...]:
     """Names of the league's worlds, 8 of each kind."""
     return tuple(f"{kind}#{seed}" for kind in LEAGUE_KINDS for seed in range(LEAGUE_SEEDS))
 
 
-def kind_of(world):
+def kind_of(world: object) -> str:
     """The generator of a world's name; the name itself of a file."""
     return re.split(r"[#:]", str(world))[0] if re.match(r"[A-Za-z_][\w-]*([#:]|$)", str(world)) else str(world)
 
@@ -36,7 +41,7 @@ def _over_worlds(values):
     return (float(np.mean(values)), *bootstrap_ci(values))
 
 
-def standings(episodes):
+def standings(episodes: "pd.DataFrame") -> "pd.DataFrame":
     """One row a strategy, the shortest paths first.
 
     In every world a strategy's mean path is divided by that of the first strategy of the table, over the starts that
@@ -58,13 +63,13 @@ def standings(episodes):
 
     strategies = list(dict.fromkeys(episodes["strategy"]))
     worlds = list(dict.fromkeys(episodes["world"]))
-    paths = episodes.pivot_table(index=["world", "episode"], columns="strategy", values="path_m")[strategies]
+    paths: Any = episodes.pivot_table(index=["world", "episode"], columns="strategy", values="path_m")[strategies]
     means = paths.dropna().groupby(level="world", sort=False).mean().reindex(worlds).dropna()
     means = means[(means > 0).all(axis=1)]  # where someone saw all from the start there is no ratio
     ratios = means.div(means[strategies[0]], axis=0)
     ranks = pd.DataFrame(rankdata(means.to_numpy(), axis=1, method="average"), index=means.index, columns=means.columns)
     kinds = [kind_of(world) for world in means.index]
-    complete = (episodes["outcome"] == "COMPLETE").groupby(episodes["strategy"]).mean()
+    complete: Any = (episodes["outcome"] == "COMPLETE").groupby(episodes["strategy"]).mean()
     rows = []
     for name in strategies:
         logs = np.log(ratios[name].to_numpy())
@@ -80,7 +85,7 @@ def standings(episodes):
     return pd.DataFrame(rows).sort_values("ratio", kind="stable", ignore_index=True)
 
 
-def standings_table(table, plan_ms=None):
+def standings_table(table: "pd.DataFrame", plan_ms: Mapping[str, float] | None = None) -> str:
     """Standings as one aligned Markdown table.
 
     Args:

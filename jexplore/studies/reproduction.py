@@ -7,8 +7,10 @@ import dataclasses
 import functools
 import math
 import os
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any
 
-from jexplore.config import InputError, unknown
+from jexplore.config import InputError, Lidar, Rules, unknown
 from jexplore.engine.backend import use_compilation_cache
 from jexplore.exploration import batch
 from jexplore.report import tables
@@ -17,20 +19,24 @@ from jexplore.studies.checks import LIDAR, RULES
 from jexplore.studies.comparison import Comparison
 from jexplore.studies.papers import PAPERS, Paper
 
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.figure import Figure
+
 COUNTERPARTS = (
     "The worlds are built-in counterparts, NOT the paper's maps: ratios and orderings compare, metres do not."
 )
 MAPS = "The worlds are public maps of the paper's environments; that they equal the paper's own is not proven."
 
 
-def find(name):
+def find(name: str) -> Paper:
     """The `Paper` of a name; refuses one that is not in `PAPERS`."""
     if name not in PAPERS:
         raise unknown("paper", name, PAPERS)
     return PAPERS[name]
 
 
-def world_names(paper, maps=None):
+def world_names(paper: Paper, maps: str | os.PathLike[str] | None = None) -> dict[str, str]:
     """`{environment: name of its world}`: maps in the folder `maps`, by default the built-in counterparts."""
     if maps is None:
         return {name: environment.counterpart for name, environment in paper.environments.items()}
@@ -38,7 +44,7 @@ def world_names(paper, maps=None):
     return {name: os.path.join(folder, found.file) + found.scale for name, found in paper.environments.items()}
 
 
-def require_maps(paper, maps):
+def require_maps(paper: Paper, maps: str | os.PathLike[str]) -> None:
     """Refuse a folder that lacks a map of the paper.
 
     Raises:
@@ -51,7 +57,7 @@ def require_maps(paper, maps):
             raise InputError(f"maps must be a folder that holds {', '.join(files)}; there is no file {path}")
 
 
-def verdict(direction, low, high, than_low=1.0, than_high=1.0):
+def verdict(direction: str, low: float, high: float, than_low: float = 1.0, than_high: float = 1.0) -> str:
     """Whether a ratio's interval lies wholly on the claimed side of another's (by default of equality).
 
     Returns:
@@ -74,7 +80,7 @@ class Reproduction:
     """What must be known to read the tables."""
 
     @functools.cached_property
-    def tables(self):
+    def tables(self) -> "pd.DataFrame":
         """One row an environment and strategy, in the paper's order; columns as in `stats.summarise`, and the paper's.
 
         `ratio` is ours to the paper's reference strategy, paired; `first_mean` and `first_sd` are over the first
@@ -95,7 +101,7 @@ class Reproduction:
         return pd.DataFrame(published, columns=head).merge(ours, on=key)
 
     @functools.cached_property
-    def orderings(self):
+    def orderings(self) -> "pd.DataFrame":
         """One row a claim of the paper: its ratio and ours, paired, with 95 % intervals, and the `verdict`.
 
         Each interval stands alone: of twenty that are undecided in truth about one will seem decided.
@@ -137,11 +143,11 @@ class Reproduction:
             )
         return pd.DataFrame(rows)
 
-    def to_pandas(self):
+    def to_pandas(self) -> "pd.DataFrame":
         """The table of episodes."""
         return self.comparison.episodes
 
-    def to_markdown(self):
+    def to_markdown(self) -> str:
         """The notes, a table an environment, and the orderings."""
         text = [f"# {self.paper.title}\n", *(f"{note}\n" for note in self.notes)]
         for name, environment in self.paper.environments.items():
@@ -150,7 +156,7 @@ class Reproduction:
             text.append(_table_text(rows) if len(rows) else "Nothing has run here.\n")
         return "\n".join([*text, "## Orderings\n", _orderings_text(self.orderings)])
 
-    def figure(self):
+    def figure(self) -> "Figure":
         """Bars of mean paths, ours beside the paper's, one panel an environment: a matplotlib `Figure`."""
         from jexplore.report import plot_papers
 
@@ -159,7 +165,7 @@ class Reproduction:
     def _repr_markdown_(self):
         return self.to_markdown()
 
-    def __repr__(self):
+    def __repr__(self) -> str:
         return f"<Reproduction of {self.paper.title!r}, {len(self.comparison.episodes)} episodes>"
 
 
@@ -196,7 +202,16 @@ def _orderings_text(orderings):
     return tables.aligned_table(head, lines, left=head[:3])
 
 
-def prepare_paper(name, *, maps, episodes, seed, cell_m, lidar, rules):
+def prepare_paper(
+    name: str,
+    *,
+    maps: str | os.PathLike[str] | None,
+    episodes: int,
+    seed: int,
+    cell_m: float,
+    lidar: Lidar,
+    rules: Rules,
+) -> list[batch.Job]:
     """Everything that `reproduce` refuses or loads before it runs: a list of `Job`. Arguments as there."""
     paper, jobs = find(name), []
     if maps is not None:
@@ -209,7 +224,9 @@ def prepare_paper(name, *, maps, episodes, seed, cell_m, lidar, rules):
     return jobs
 
 
-def assemble(name, maps, jobs, report, rules):
+def assemble(
+    name: str, maps: str | os.PathLike[str] | None, jobs: Sequence[batch.Job], report: batch.Finished, rules: Rules
+) -> Reproduction:
     """The `Reproduction` of jobs that have run. Of an interrupted run it holds what `comparison.assemble` keeps."""
     paper = find(name)
     notes = (COUNTERPARTS if maps is None else MAPS, paper.remark)
@@ -217,19 +234,19 @@ def assemble(name, maps, jobs, report, rules):
 
 
 def reproduce(
-    paper="holz2010",
+    paper: str = "holz2010",
     *,
-    maps=None,
-    episodes=100,
-    seed=0,
-    cell_m=0.1,
-    lidar=LIDAR,
-    rules=RULES,
-    engine=None,
-    lanes=None,
-    workers=None,
-    on_progress=None,
-):
+    maps: str | os.PathLike[str] | None = None,
+    episodes: int = 100,
+    seed: int = 0,
+    cell_m: float = 0.1,
+    lidar: Lidar = LIDAR,
+    rules: Rules = RULES,
+    engine: str | None = None,
+    lanes: int | None = None,
+    workers: int | None = None,
+    on_progress: Callable[[int], Any] | None = None,
+) -> Reproduction:
     """Runs a paper's strategies in its environments, and compares the tables and the claims.
 
     Args:

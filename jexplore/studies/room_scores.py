@@ -1,6 +1,7 @@
 """How well a segmentation into rooms agrees with the ground truth. Host code: numpy and scipy."""
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy import ndimage
 from scipy.optimize import linear_sum_assignment
 
@@ -31,7 +32,7 @@ def _same_size(name, array, name_of_other, other):
         raise InputError(f"{name} must be as large as {name_of_other}, {sizes[0]} pixels, got {sizes[1]}")
 
 
-def rooms_of(free, *, min_px=100):
+def rooms_of(free: ArrayLike, *, min_px: int = 100) -> np.ndarray:
     """The rooms of a map in which walls and lines across doorways part them.
 
     A room is a 4-connected component of free pixels.
@@ -46,7 +47,7 @@ def rooms_of(free, *, min_px=100):
     return _numbered(_components(np.asarray(free, dtype=bool)), min_px=min_px)
 
 
-def regions_of(labels, free, *, min_px=100):
+def regions_of(labels: ArrayLike, free: ArrayLike, *, min_px: int = 100) -> np.ndarray:
     """The regions of a predicted segmentation, as they are scored.
 
     All free pixels of one label are one region, even where it lies in several parts. Free pixels without a label are
@@ -114,7 +115,7 @@ def _agreement(overlap, size, size_truth):
     }
 
 
-def score(truth, predicted):
+def score(truth: ArrayLike, predicted: ArrayLike) -> dict[str, float]:
     """Agreement of a predicted segmentation with the ground truth, of the same map.
 
     Sizes of regions count all their pixels, those included that have no label on the other side. One-sided scores are

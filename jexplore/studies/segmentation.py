@@ -2,7 +2,7 @@
 
 import functools
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax
@@ -61,7 +61,7 @@ class Segmentation(NamedTuple):
     )
     pictures: list[Picture]
 
-    def to_markdown(self):
+    def to_markdown(self) -> str:
         """A table for every share of the map and every variant: all scores, their means and medians. Text."""
         from jexplore.report.tables import aligned_table
 
@@ -87,7 +87,7 @@ def _text(value, whole):
 
 
 def segment_maps(
-    maps: str | World | Sequence[str | World],
+    maps: str | os.PathLike[str] | World | Iterable[str | os.PathLike[str] | World],
     *,
     truth: str | Sequence[str] | None = None,
     variants: str | Sequence[str] = tuple(segment.VARIANTS),
@@ -98,8 +98,8 @@ def segment_maps(
     metric: str = "geodesic",
     lines: bool = False,
     seed: int = 0,
-    on_progress=None,
-):
+    on_progress: Callable[[int], Any] | None = None,
+) -> Segmentation:
     """Divides maps into rooms and scores the result.
 
     Args:
@@ -154,7 +154,15 @@ def _stages(world, job):
     return [*((*shares, state == FREE) for *shares, state in partial), (1.0, 1.0, ~world.occupied)]
 
 
-def prepare_maps(maps, truth, variants, cell_m, prominence_m, gamma, metric):
+def prepare_maps(
+    maps: str | os.PathLike[str] | World | Iterable[str | os.PathLike[str] | World],
+    truth: Any,
+    variants: Any,
+    cell_m: float,
+    prominence_m: float,
+    gamma: float,
+    metric: str,
+) -> list[Task]:
     """Everything that `segment_maps` refuses or loads before it runs: a list of `Task`. Arguments as there."""
     variants = listed("variants", variants)
     require_different("variants", variants)
@@ -201,7 +209,9 @@ def _each(free, settings, *, form):
     return jax.lax.map(lambda criteria: segment.segment(free, criteria, form=form), settings)
 
 
-def segmentations(free, settings, *, metric="geodesic", lines=False):
+def segmentations(
+    free: np.ndarray, settings: Sequence[segment.Criteria], *, metric: str = "geodesic", lines: bool = False
+) -> list[segment.Segments]:
     """Segments a map by many settings, as one compiled batch.
 
     Args:

@@ -6,11 +6,16 @@ numpy at import; scipy and pandas are imported by the functions that need them (
 import dataclasses
 import math
 import warnings
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from jexplore.config import InputError
 from jexplore.report.tables import aligned_table, interval_text, number_text, p_text, ratio_text, spread_text
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 OUTCOMES = ("COMPLETE", "BLOCKED", "STEP_LIMIT", "PLAN_LIMIT", "STUCK")
 
@@ -77,7 +82,9 @@ def _bca(columns, statistic, *, confidence, n_resamples, seed):
     return min(float(interval.low), estimate), max(float(interval.high), estimate)
 
 
-def bootstrap_ci(values, *, confidence=0.95, n_resamples=9999, seed=0):
+def bootstrap_ci(
+    values: ArrayLike, *, confidence: float = 0.95, n_resamples: int = 9999, seed: int = 0
+) -> tuple[float, float]:
     """Bootstrap interval of the mean.
 
     BCa rather than percentile: path lengths are skewed (a random walk has a long right tail, a good strategy a hard
@@ -112,7 +119,9 @@ def _ratio_of_means(values, reference, axis=-1):
     return np.mean(values, axis=axis) / np.mean(reference, axis=axis)
 
 
-def paired_ratio(values, reference, *, confidence=0.95, n_resamples=9999, seed=0):
+def paired_ratio(
+    values: ArrayLike, reference: ArrayLike, *, confidence: float = 0.95, n_resamples: int = 9999, seed: int = 0
+) -> PairedRatio:
     """Ratio of the means of paired samples, with an interval and a test.
 
     The interval resamples pairs (BCa, see `bootstrap_ci`) and does not depend on their order; where every value is the
@@ -198,7 +207,9 @@ def _outcomes(rows):
     return ", ".join(f"{name} {counts[name]}" for name in names)
 
 
-def summarise(episodes, *, confidence=0.95, n_resamples=9999, seed=0):
+def summarise(
+    episodes: "pd.DataFrame", *, confidence: float = 0.95, n_resamples: int = 9999, seed: int = 0
+) -> "pd.DataFrame":
     """One row a world and strategy, in order of first appearance.
 
     Strategies are compared with the first strategy of the table, over the episodes that both have. In its own rows,
@@ -240,7 +251,7 @@ def summarise(episodes, *, confidence=0.95, n_resamples=9999, seed=0):
     return pd.DataFrame(table, columns=list(SUMMARY_COLUMNS))
 
 
-def markdown_table(summary, *, confidence=0.95):
+def markdown_table(summary: Any, *, confidence: float = 0.95) -> str:
     """A summary as one aligned Markdown table.
 
     Args:
@@ -265,7 +276,7 @@ def markdown_table(summary, *, confidence=0.95):
     return aligned_table(head, lines, left=("world", "strategy", "outcomes"))
 
 
-def path_at_fraction(episodes, fraction):
+def path_at_fraction(episodes: "pd.DataFrame", fraction: ArrayLike) -> np.ndarray:
     """Path length at which each episode had explored a given fraction.
 
     An episode records its path length at 50, 90, 95 and 99 % of the cells that *it* knew in the end, so `path_m_at_95`
@@ -335,7 +346,7 @@ def _cut_short(episodes):
                 yield f"{world}: {strategy}: {refused} steps were refused, into cells that proved not to be free"
 
 
-def warnings_of(episodes, *, tolerance=0.01):
+def warnings_of(episodes: "pd.DataFrame", *, tolerance: float = 0.01) -> list[str]:
     """What makes the comparison with the first strategy unfair, and the ratio at equal coverage.
 
     Warns where the outcomes of paired episodes differ, or their explored fractions by more than `tolerance`, or where

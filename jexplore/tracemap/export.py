@@ -7,9 +7,10 @@ import json
 import math
 import re
 import xml.etree.ElementTree as ET
+from typing import Any
 
 from jexplore.config import InputError
-from jexplore.tracemap.record import NOWHERE, check
+from jexplore.tracemap.record import NOWHERE, BtmMap, check
 
 NAV2_IDS = 65536
 """Ids of nodes and edges must lie below: messages of the Route Server hold 16 bits."""
@@ -21,7 +22,7 @@ _LINK_MEASURES = ("length_m", "min_width_m", "posture_deg", "opening_m")
 _NOT_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 
-def geojson(btm, *, frame="map"):
+def geojson(btm: BtmMap, *, frame: str = "map") -> dict[str, Any]:
     """The map as a GeoJSON route graph for the Nav2 Route Server, for `store.write_json`.
 
     A node becomes a Point under its own id, a searched link two LineStrings, one each way, under ids that follow the
@@ -111,7 +112,7 @@ def _metadata(value, depth=0):
     return json.dumps(value, ensure_ascii=False)
 
 
-def graphml(btm):
+def graphml(btm: BtmMap) -> str:
     """The map as undirected GraphML text.
 
     Nodes and edges have the ids of the map, edges the searched links only: an un-searched link would need a node that
@@ -120,7 +121,7 @@ def graphml(btm):
     text are JSON. A character that XML cannot hold becomes U+FFFD.
 
     Raises:
-      InputError: not a proper map; see `policy.check`.
+      InputError: not a proper map; see `record.check`.
     """
     btm = check(btm)
     nodes = [(str(node.id), {}, _graphml_node(btm, node)) for node in btm.nodes]

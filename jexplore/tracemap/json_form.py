@@ -4,8 +4,10 @@ import bisect
 import dataclasses
 import functools
 import json
+import os
 import re
 import reprlib
+from typing import Any
 
 from jexplore.config import InputError
 from jexplore.tracemap.record import BtmMap, Link, Node, called, check
@@ -15,14 +17,14 @@ VERSION = (1, 0)
 """The first number changes where an older reader would go wrong, the second where it would not."""
 
 
-def to_json(btm):
+def to_json(btm: BtmMap) -> dict[str, Any]:
     """The map as nested dicts and lists for `store.write_json`, every number as it is.
 
     Besides the fields of the records a node has `links`, their number, and `angles_deg`, the angles between adjacent
     ones, as Table I has them; readers take both from the links instead.
 
     Raises:
-      InputError: the map is not a proper one; see `policy.check`.
+      InputError: the map is not a proper one; see `record.check`.
     """
     btm = check(btm)
     nodes = []
@@ -39,7 +41,7 @@ def to_json(btm):
     }
 
 
-def read_btm(path):
+def read_btm(path: str | os.PathLike[str]) -> BtmMap:
     """The map in a JSON file, such as `btm.json`.
 
     Args:
@@ -59,7 +61,7 @@ def read_btm(path):
     return parse(text, str(path))
 
 
-def parse(text, name):
+def parse(text: str, name: str) -> BtmMap:
     """The map in the text of a JSON file. As `from_json`, and errors name the line.
 
     Raises:
@@ -74,7 +76,7 @@ def parse(text, name):
     return _read(obj, functools.partial(_where, name, _lines(text) if isinstance(obj, dict) else {}))
 
 
-def from_json(obj, name="map"):
+def from_json(obj: Any, name: str = "map") -> BtmMap:
     """The map that `to_json` turned into `obj`. Fields that this version does not know are skipped.
 
     Args:
@@ -82,7 +84,7 @@ def from_json(obj, name="map"):
       name: what the user calls it, for errors.
 
     Raises:
-      InputError: another format, a newer major version, or not a proper map; see `policy.check`.
+      InputError: another format, a newer major version, or not a proper map; see `record.check`.
     """
     return _read(obj, functools.partial(_where, name, {}))
 

@@ -7,7 +7,7 @@ import dataclasses
 import math
 import numbers
 import reprlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from jexplore.config import InputError
@@ -66,7 +66,7 @@ class Link:
     attributes: Mapping[str, Any] = dataclasses.field(default_factory=dict)
 
 
-def direction_deg(bearing_deg):
+def direction_deg(bearing_deg: float) -> float:
     """The bearing in [0, 360): a tiny negative one would round up to 360."""
     bearing_deg %= 360.0
     return 0.0 if bearing_deg == 360.0 else bearing_deg
@@ -80,19 +80,19 @@ class BtmMap:
     links: tuple[Link, ...]
     attributes: Mapping[str, Any] = dataclasses.field(default_factory=dict)
 
-    def bearings_deg(self, node_id):
+    def bearings_deg(self, node_id: int) -> list[float]:
         """Bearings of the links of a node: sorted list, degrees in [0, 360). A link to the node itself counts twice."""
         found = [link.start_bearing_deg for link in self.links if link.start == node_id]
         ends = (link.end_bearing_deg for link in self.links if link.end == node_id)
         return sorted(direction_deg(bearing) for bearing in [*found, *ends] if bearing is not None)
 
-    def angles_deg(self, node_id):
+    def angles_deg(self, node_id: int) -> list[float]:
         """Angles between adjacent links of a node, counter-clockwise: as many as links, their sum is 360 degrees."""
         found = self.bearings_deg(node_id)
         return [after - before for before, after in zip(found, [*found[1:], *(bearing + 360 for bearing in found[:1])])]
 
 
-def check(btm, where=lambda member, index=None: '"map"'):
+def check(btm: BtmMap, where: Callable[..., str] = lambda member, index=None: '"map"') -> BtmMap:
     """The map with plain Python numbers, lists and dicts, or a refusal.
 
     Ids are unique and not negative, links join nodes that are there, a link is searched if and only if it has an end
@@ -122,7 +122,7 @@ def check(btm, where=lambda member, index=None: '"map"'):
     return BtmMap(nodes, links, _attributes(btm.attributes, f"{where('attributes')}: attributes"))
 
 
-def called(member, index, number):
+def called(member: str, index: int, number: object) -> str:
     """What errors call an item of `nodes` or `links`: its id where that is one, else its place."""
     return f"{member[:-1]} {number}" if type(number) is int else f"{member}[{index}]"
 

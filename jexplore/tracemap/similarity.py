@@ -4,10 +4,10 @@ import dataclasses
 import itertools
 import math
 
-from jexplore.tracemap.record import NOWHERE, Link, Node, check, direction_deg
+from jexplore.tracemap.record import NOWHERE, BtmMap, Link, Node, check, direction_deg
 
 
-def code(btm):
+def code(btm: BtmMap) -> str:
     """The map as a rooted plane graph with labels, in one line: equal codes mean maps equal but for measures.
 
     A node is T, D, F or O, an obstacle's shape behind a colon; in parentheses follow its other links, counter-clockwise
@@ -17,17 +17,19 @@ def code(btm):
     connected with the first follow after a `+`.
 
     Raises:
-      InputError: not a proper map; see `policy.check`.
+      InputError: not a proper map; see `record.check`.
     """
     return _code(_tree(check(btm)))
 
 
-def same(a, b, tolerance_m=None, tolerance_deg=None):
+def same(a: BtmMap, b: BtmMap, tolerance_m: float | None = None, tolerance_deg: float | None = None) -> bool:
     """Whether two maps have equal codes and, where tolerances are given, measures within them; see `differences`."""
     return not differences(a, b, tolerance_m, tolerance_deg)
 
 
-def differences(a, b, tolerance_m=None, tolerance_deg=None):
+def differences(
+    a: BtmMap, b: BtmMap, tolerance_m: float | None = None, tolerance_deg: float | None = None
+) -> list[str]:
     """What tells two maps apart, in plain sentences; none if they are the same.
 
     If the codes differ, that is told and no measures are compared: nodes would not correspond. Else corresponding nodes
@@ -57,7 +59,7 @@ def differences(a, b, tolerance_m=None, tolerance_deg=None):
     return found
 
 
-def distance(a, b):
+def distance(a: BtmMap, b: BtmMap) -> int:
     """Graph distance of two maps: the least number of changes that make the code of one the code of the other.
 
     It is the edit distance of the trees that the codes write out, at unit costs. One change adds, removes or relabels
@@ -70,7 +72,7 @@ def distance(a, b):
       int.
 
     Raises:
-      InputError: not a proper map; see `policy.check`.
+      InputError: not a proper map; see `record.check`.
 
     Source:
       Zhang and Shasha 1989, Simple fast algorithms for the editing distance between trees.

@@ -7,9 +7,13 @@ import dataclasses
 import importlib
 import inspect
 import os
+from typing import TYPE_CHECKING, Any
 
 from jexplore.config import InputError, require_number
 from jexplore.worlds import names
+
+if TYPE_CHECKING:
+    from jexplore.worlds.world import World
 
 GENERATORS = {
     "cave": "jexplore.worlds.generators.cave:cave",
@@ -22,7 +26,7 @@ GENERATORS = {
 """World name -> "module:function". The function takes a seed and keyword parameters, `cell_m` among them."""
 
 
-def load_world(name, cell_m=0.1):
+def load_world(name: str | os.PathLike[str], cell_m: float = 0.1) -> "World":
     """The world of a name: a generated one, or one read from a map file.
 
     `cave`, `cave#3`, `hospital#2:width_m=60,height_m=25`, `map.yaml`, `map.png@16x16`, `map.png@0.05:free=150`,
@@ -54,7 +58,7 @@ def load_world(name, cell_m=0.1):
     return world
 
 
-def generator_parameters(base):
+def generator_parameters(base: str) -> dict[str, Any]:
     """What a generator takes in a world name: parameter name -> default.
 
     Args:

@@ -13,10 +13,11 @@ import difflib
 import math
 import os
 import re
+from collections.abc import Collection
 
 from jexplore.config import InputError, require_number
 
-SUFFIXES = {
+SUFFIXES: dict[str, tuple[str, ...]] = {
     "ROS": ("yaml", "yml"),
     "image": ("png", "pgm", "pbm", "ppm", "jpg", "jpeg", "bmp", "gif", "tif", "tiff"),
     "movingai": ("map",),
@@ -48,7 +49,7 @@ class WorldName:
     """What follows the `:`."""
 
 
-def parse(name, *, generators):
+def parse(name: str, *, generators: Collection[str]) -> WorldName:
     """Take a world name apart, and refuse one that names nothing.
 
     Whether a file can be read is for its reader to say; whether a generator takes the parameters, for
@@ -87,7 +88,7 @@ def parse(name, *, generators):
     )
 
 
-def require_parameters(parsed, permitted):
+def require_parameters(parsed: WorldName, permitted: Collection[str]) -> None:
     """Refuse a parameter that the world does not take.
 
     Args:

@@ -3,9 +3,12 @@
 import dataclasses
 import math
 import operator
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, Any, SupportsIndex
 
 import numpy as np
 from flax import struct
+from numpy.typing import ArrayLike
 
 from jexplore.config import InputError, require_number
 from jexplore.grid import radius_d2
@@ -48,18 +51,22 @@ class World:
     elevation: np.ndarray | None = None  # [H, W] float32, height of the ground at cell centres, metres; None: level
     course: Course | None = struct.field(pytree_node=False, default=None)
 
+    if TYPE_CHECKING:  # made by flax, unseen by type checkers
+
+        def replace(self, **changes: Any) -> "World": ...
+
     @property
-    def shape(self):
+    def shape(self) -> tuple[int, int]:
         """`(H, W)`, cells."""
         return self.occupied.shape
 
     @property
-    def free_m2(self):
+    def free_m2(self) -> float:
         """Area of the free cells, square metres."""
         return float((~self.occupied).sum()) * self.cell_m**2
 
 
-def checked(world):
+def checked(world: World) -> World:
     """A world that a caller has made, after a look at what the kernels rely on.
 
     Args:
@@ -95,7 +102,7 @@ def checked(world):
     return with_ring(world)
 
 
-def with_ring(world):
+def with_ring(world: World) -> World:
     """The same world with all four edges occupied: unchanged if they are, else one cell larger on every side.
 
     Rooms, elevation, start and origin move along, so that every cell keeps its place in metres. No room covers a new
@@ -125,7 +132,7 @@ def with_ring(world):
     )
 
 
-def pad(world, shape):
+def pad(world: World, shape: tuple[int, int]) -> World:
     """The same world in a larger array: occupied rows are added at the top and occupied columns on the right.
 
     Args:
@@ -149,7 +156,7 @@ def pad(world, shape):
     )
 
 
-def require_side(name, rows, cols):
+def require_side(name: str, rows: float, cols: float) -> None:
     """Refuse a world of more than `MAX_SIDE` rows or columns, before anything of that size is allocated.
 
     Raises:
@@ -162,7 +169,14 @@ def require_side(name, rows, cols):
         )
 
 
-def occupancy_to_world(occupancy, *, cell_m=0.1, name="", origin_m=(0.0, 0.0), free_max=25):
+def occupancy_to_world(
+    occupancy: ArrayLike,
+    *,
+    cell_m: float = 0.1,
+    name: str = "",
+    origin_m: Iterable[Any] = (0.0, 0.0),
+    free_max: int = 25,
+) -> World:
     """A world from an occupancy array, as ROS has it in an OccupancyGrid. Unknown counts as occupied.
 
     Args:
@@ -200,7 +214,7 @@ def occupancy_to_world(occupancy, *, cell_m=0.1, name="", origin_m=(0.0, 0.0), f
     return with_ring(World(occupied=occupied, cell_m=float(cell_m), name=name, origin_m=tuple(origin_m)))
 
 
-def clear_cells(occupied, clearance_m, cell_m):
+def clear_cells(occupied: np.ndarray, clearance_m: float, cell_m: float) -> np.ndarray:
     """Cells with more clearance than the radius: free, and no occupied cell within it, centre to centre.
 
     Only the cells of the array count: what lies outside it is not an obstacle.
@@ -227,7 +241,7 @@ def clear_cells(occupied, clearance_m, cell_m):
     return ~near
 
 
-def label_components(mask):
+def label_components(mask: np.ndarray) -> np.ndarray:
     """4-connected components, numbered in the order of their lowest flat indices.
 
     A diagonal step of the robot needs both its orthogonal neighbours, so what it can reach in 8 directions is
@@ -260,7 +274,7 @@ def label_components(mask):
     return labels
 
 
-def start_region(world, clearance_m):
+def start_region(world: World, clearance_m: float) -> np.ndarray:
     """The cells that a drawn start may lie in: the largest 4-connected component of the clear cells.
 
     Args:
@@ -276,7 +290,7 @@ def start_region(world, clearance_m):
     return labels == (np.argmax(sizes) if sizes.size else 0)
 
 
-def draw_starts(world, seed, n, clearance_m):
+def draw_starts(world: World, seed: int, n: int, clearance_m: float) -> np.ndarray:
     """Starts 0 to n - 1 of a seed: `draw_start` for each, at the cost of one.
 
     Returns:
@@ -290,7 +304,7 @@ def draw_starts(world, seed, n, clearance_m):
     return np.array(starts, np.int32).reshape(n, 3)
 
 
-def draw_start(world, seed, i, clearance_m):
+def draw_start(world: World, seed: int, i: int, clearance_m: float) -> tuple[int, int, int]:
     """Start number `i` of a seed: uniform over the start region, heading uniform over the multiples of 45 degrees.
 
     It depends on the world, the clearance, `seed` and `i` alone: neither on how many starts are drawn nor on padding.
@@ -310,7 +324,7 @@ def draw_start(world, seed, i, clearance_m):
     return _draw(start_cells(world, clearance_m), seed, i)
 
 
-def start_cells(world, clearance_m):
+def start_cells(world: World, clearance_m: float) -> np.ndarray:
     cells = np.argwhere(start_region(world, clearance_m))
     if not len(cells):
         raise InputError(
@@ -328,7 +342,9 @@ def _draw(cells, seed, i):
     return int(row), int(col), HEADINGS_DEG[generator.integers(len(HEADINGS_DEG))]
 
 
-def check_start(world, start, clearance_m, near_m=0.5):
+def check_start(
+    world: World, start: Iterable[SupportsIndex], clearance_m: float, near_m: float = 0.5
+) -> tuple[int, int, int]:
     """Refuse a start that an episode cannot leave or stand on.
 
     The robot may drive over clear cells and over free cells within `near_m` of the start. A start from which no

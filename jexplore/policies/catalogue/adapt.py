@@ -2,21 +2,23 @@
 
 import contextlib
 import os
+from collections.abc import Callable
 from typing import Any
 
 import jax
 import jax.numpy as jnp
-from jax import lax
+from jax import Array, lax
 
 from jexplore.config import InputError
 from jexplore.grid import lowest
-from jexplore.planning import Choice, choose, field, first_at, is_open, view_of
+from jexplore.planning import Belief, Choice, choose, field, first_at, is_open, view_of
 from jexplore.policies.catalogue.own import call, described, is_score, parameters
 from jexplore.policies.policy import Policy
+from jexplore.raycast import Beams
 from jexplore.reach import FAR, MOTIONS, NO_MOTION
 
 
-def policy_from(make, given):
+def policy_from(make: Any, given: dict[str, Any]) -> Policy:
     """The `Policy` of a score, a constructor or a `Policy`.
 
     Args:
@@ -50,7 +52,11 @@ def policy_from(make, given):
 class _Theirs:
     """A function of a user's, told from others by what it is: two of the same are equal, so compiled once."""
 
-    def __init__(self, function, fixed=()):
+    function: Callable[..., Any]
+    fixed: tuple[tuple[str, Any], ...]
+    what: str
+
+    def __init__(self, function: Callable[..., Any], fixed: tuple[tuple[str, Any], ...] = ()) -> None:
         self.function, self.fixed, self.what = function, fixed, described(function)
 
     def _key(self):
@@ -60,10 +66,10 @@ class _Theirs:
             return type(self), id(self.function), self.fixed
         return type(self), self.function, self.fixed
 
-    def __eq__(self, other):
+    def __eq__(self, other: object) -> bool:
         return isinstance(other, _Theirs) and self._key() == other._key()
 
-    def __hash__(self):
+    def __hash__(self) -> int:
         return hash(self._key())
 
 
@@ -84,7 +90,9 @@ class Score(_Theirs):
     Equal scores go to the lowest flat index; NaN is never chosen; without a finite score the nearest cell is.
     """
 
-    def __call__(self, key, params, carry, belief, beams, route):
+    def __call__(
+        self, key: Array, params: Any, carry: Any, belief: Belief, beams: Beams, route: Array
+    ) -> tuple[Any, Choice, Array]:
         del key, beams
         known = field(belief)
         found = call(self.function, self.what, view_of(belief, known), **dict(self.fixed), **params)
@@ -115,14 +123,14 @@ def _highest(score, known):
 class Init(_Theirs):
     """The `init` of a user's strategy: its carry as arrays."""
 
-    def __call__(self, params, belief):
+    def __call__(self, params: Any, belief: Belief) -> Any:
         return _as_arrays(call(self.function, self.what, params, belief), self.what)
 
 
 class Live(_Theirs):
     """The `live` of a user's strategy."""
 
-    def __call__(self, params, belief, beams, row, col):
+    def __call__(self, params: Any, belief: Belief, beams: Beams, row: Array, col: Array) -> Array:
         found = call(self.function, self.what, params, belief, beams, row, col)
         with _expected(self.what, "one bool", found):
             answer = jnp.asarray(found)
@@ -134,7 +142,9 @@ class Live(_Theirs):
 class Select(_Theirs):
     """The `select` of a user's strategy: what it returns has the right shapes, and its way leads to its target."""
 
-    def __call__(self, key, params, carry, belief, beams, route):
+    def __call__(
+        self, key: Array, params: Any, carry: Any, belief: Belief, beams: Beams, route: Array
+    ) -> tuple[Any, Choice, Array]:
         found = call(self.function, self.what, key, params, carry, belief, beams, route)
         if not isinstance(found, tuple) or len(found) != 3 or not isinstance(found[1], Choice):
             raise InputError(f"{self.what} must return (carry, Choice, route), got {_told(found)}")
@@ -237,7 +247,7 @@ def is_theirs(policy: Policy) -> bool:
     return isinstance(inner, _Theirs)
 
 
-def check(policy, params: Any, belief, beams, route):
+def check(policy: Policy, params: Any, belief: Any, beams: Any, route: Any) -> None:
     """Calls every function of a strategy on shapes alone, which costs no compiling.
 
     Args:

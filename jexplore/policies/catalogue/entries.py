@@ -4,7 +4,6 @@ import functools
 import importlib.metadata
 import inspect
 import re
-from collections.abc import Callable
 from typing import Any
 
 from jexplore.config import InputError
@@ -61,7 +60,7 @@ MODIFIERS: dict[str, str] = {
 }
 
 
-def register(name: str, make: Any = None, *, summary: str = "", source: str = "", replace: bool = False) -> Callable:
+def register(name: str, make: Any = None, *, summary: str = "", source: str = "", replace: bool = False) -> Any:
     """Give a strategy a name of its own, under which modifiers, tables and the command line know it.
 
     Args:

@@ -11,6 +11,8 @@ import inspect
 import os
 import sys
 import traceback
+from collections.abc import Callable
+from typing import Any
 
 import jax
 import numpy as np
@@ -21,14 +23,14 @@ from jexplore.policies.policy import Policy
 OUTER = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
 
 
-def name_of(thing):
+def name_of(thing: Any) -> str | None:
     """What a function or class is called; None if it has no name."""
     while isinstance(thing, functools.partial):
         thing = thing.func
     return getattr(thing, "__name__", None)
 
 
-def place_of(thing):
+def place_of(thing: Any) -> str:
     """File and line where something is defined: text; its module where that is all there is."""
     if isinstance(thing, Policy):
         thing = thing.select
@@ -50,14 +52,14 @@ def _short(file):
     return file
 
 
-def described(thing):
+def described(thing: Any) -> str:
     """How messages call what a user gave: `nearest (mine.py:3)`."""
     if isinstance(thing, Policy):
         thing = thing.select
     return f"{name_of(thing) or type(thing).__name__} ({place_of(thing)})"
 
 
-def call(function, what, *args, **kwargs):
+def call(function: Callable[..., Any], what: str, *args: Any, **kwargs: Any) -> Any:
     """Calls what a user gave.
 
     Raises:
@@ -86,8 +88,8 @@ def _is_library(file):
     return file.startswith("<frozen") or os.path.abspath(file).startswith(_LIBRARIES)
 
 
-def parameters(make):
-    """Keyword parameters of a constructor or score, and their defaults; `inspect.Parameter.empty` for none.
+def parameters(make: Any) -> dict[str, inspect.Parameter]:
+    """Keyword parameters of a constructor or score.
 
     Raises:
       InputError: something whose parameters cannot be read.
@@ -105,7 +107,7 @@ def parameters(make):
     return {p.name: p for p in found if p.kind in keyed and p not in needed}
 
 
-def is_score(make):
+def is_score(make: Any) -> bool:
     """Whether a callable is a score: it has a positional argument without a default, the view.
 
     Raises:
@@ -123,7 +125,7 @@ def is_score(make):
     return bool(needed)
 
 
-def import_object(module, name):
+def import_object(module: str, name: str) -> Any:
     """An object of a module, which may lie in the current folder.
 
     Raises:

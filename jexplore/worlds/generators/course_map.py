@@ -10,7 +10,7 @@ import numpy as np
 
 from jexplore.tracemap.record import NOWHERE, BtmMap, Link, Node
 from jexplore.worlds.generators.draft import to_cells
-from jexplore.worlds.generators.route import MARGIN_M, RAMP_M, largest_circle
+from jexplore.worlds.generators.route import MARGIN_M, RAMP_M, Route, largest_circle
 from jexplore.worlds.world import Course, World, require_side
 
 TREAD_M = 0.30
@@ -50,7 +50,7 @@ class _Grid:
         return round((high - low) * self.cell_m, 9)
 
 
-def render(route, cell_m, obstacle, riser_m):
+def render(route: Route, cell_m: float, obstacle: str, riser_m: float) -> World:
     """A course as a world.
 
     Args:

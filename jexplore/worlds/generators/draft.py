@@ -8,6 +8,7 @@ import dataclasses
 import itertools
 import math
 import operator
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -20,7 +21,7 @@ WALL_M = 0.15
 OUTER_M = 0.3
 
 
-def random_stream(seed, kind):
+def random_stream(seed: int, kind: int) -> np.random.Generator:
     """The random numbers of a seed, different for every kind of world.
 
     Args:
@@ -42,7 +43,9 @@ def random_stream(seed, kind):
     return np.random.default_rng([seed, kind])
 
 
-def require_size(kind, cell_m, width_m, height_m, low):
+def require_size(
+    kind: str, cell_m: float, width_m: float, height_m: float, low: tuple[float, float]
+) -> tuple[int, int]:
     """Refuse a size that a generator cannot draw.
 
     Args:
@@ -65,17 +68,19 @@ def require_size(kind, cell_m, width_m, height_m, low):
     return rows, cols
 
 
-def passable_cells(cell_m):
+def passable_cells(cell_m: float) -> int:
     """The narrowest gap that a robot can pass, cells: one cell of it has more than `CLEARANCE_M` to both sides."""
     return 2 * math.isqrt(radius_d2(CLEARANCE_M, cell_m)) + 1
 
 
-def to_cells(length):
+def to_cells(length: float) -> int:
     """The nearest whole number; a half goes up, also one that rounding has made a little less."""
     return math.floor(length + 0.5 + 1e-6)
 
 
-def wall_span(middle_m, side_m, cell_m, *, wall_m=WALL_M, outer_m=OUTER_M):
+def wall_span(
+    middle_m: float, side_m: float, cell_m: float, *, wall_m: float = WALL_M, outer_m: float = OUTER_M
+) -> tuple[int, int]:
     """The cells that a wall covers across its thickness: at least one, and as many wherever it stands.
 
     Args:
@@ -121,18 +126,18 @@ class FloorPlan:
 
     width_m: float
     height_m: float
-    rooms: list = dataclasses.field(default_factory=list)
+    rooms: list[list[tuple[float, float, float, float]]] = dataclasses.field(default_factory=list)
     """A room is a list of rectangles; those that overlap are one space."""
-    doors: list = dataclasses.field(default_factory=list)
-    blocks: list = dataclasses.field(default_factory=list)
+    doors: list[Door] = dataclasses.field(default_factory=list)
+    blocks: list[tuple[float, float, float, float]] = dataclasses.field(default_factory=list)
     """Columns and counters: rectangles of their true size, at least one cell."""
 
-    def room(self, *rects):
+    def room(self, *rects: tuple[float, float, float, float]) -> int:
         """Add a room of one or more overlapping rectangles. Returns its number."""
         self.rooms.append(list(rects))
         return len(self.rooms) - 1
 
-    def shared_walls(self, a, b):
+    def shared_walls(self, a: int, b: int) -> list[tuple[bool, float, float, float]]:
         """The straight stretches of wall that two rooms share: `(vertical, wall, low, high)`, metres, as in `Door`."""
         stretches = []
         for p in self.rooms[a]:
@@ -150,17 +155,17 @@ class FloorPlan:
             apart.append((vertical, wall, low, high))
         return apart
 
-    def gap(self, stretch, width, at=0.5):
+    def gap(self, stretch: tuple[bool, float, float, float], width: float, at: float = 0.5) -> None:
         """A door in a stretch of wall. `at` goes from 0, at its lower end, to 1; jambs remain at both ends."""
         vertical, wall, low, high = stretch
         margin = min((high - low) / 2, width / 2 + WALL_M / 2 + 0.25)
         self.doors.append(Door(vertical, wall, low + margin + at * (high - low - 2 * margin), width, low, high))
 
-    def door(self, a, b, width, at=0.5):
+    def door(self, a: int, b: int, width: float, at: float = 0.5) -> None:
         """A door between two rooms, in the longest stretch of wall that they share."""
         self.gap(max(self.shared_walls(a, b), key=lambda stretch: stretch[3] - stretch[2]), width, at)
 
-    def render(self, cell_m, *, flip_x=False, flip_y=False):
+    def render(self, cell_m: float, *, flip_x: bool = False, flip_y: bool = False) -> World:
         """The plan as cells.
 
         A wall is at least one cell thick. A door has the whole number of cells nearest to its width, fewer where that
@@ -204,7 +209,7 @@ class FloorPlan:
         return World(occupied=occupied[flip].copy(), rooms=rooms[flip].copy(), cell_m=float(cell_m))
 
 
-def cut(rng, length, kinds):
+def cut(rng: np.random.Generator, length: float, kinds: Sequence[tuple[float, float, float]]) -> list[float]:
     """Cut a length into stretches of several kinds.
 
     Args:
@@ -228,7 +233,9 @@ def cut(rng, length, kinds):
     return [one * length / sum(lengths) for one in lengths]
 
 
-def bands(rng, height_m, corridor_m, edge):
+def bands(
+    rng: np.random.Generator, height_m: float, corridor_m: float, edge: tuple[float, float]
+) -> list[tuple[float, float]]:
     """Stack a building: a row of rooms, a corridor, a core, a corridor, ..., a row of rooms.
 
     Args:
@@ -253,7 +260,14 @@ def bands(rng, height_m, corridor_m, edge):
     return list(itertools.pairwise(edges))
 
 
-def columns(plan, rect, *, spacing_m, side_m=0.4, margin_m=1.6):
+def columns(
+    plan: FloorPlan,
+    rect: tuple[float, float, float, float],
+    *,
+    spacing_m: float,
+    side_m: float = 0.4,
+    margin_m: float = 1.6,
+) -> None:
     """Stand columns in a room on a square lattice, away from its walls.
 
     Args:

@@ -2,6 +2,7 @@
 
 import collections
 import itertools
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -72,7 +73,9 @@ def maze(
     return World(occupied=occupied, cell_m=float(cell_m))
 
 
-def passages(rng, shape, loops):
+def passages(
+    rng: np.random.Generator, shape: Sequence[int], loops: float
+) -> list[tuple[tuple[int, int], tuple[int, int]]]:
     """Which neighbouring places of a maze are joined.
 
     Args:

@@ -4,6 +4,7 @@ A route is drawn as one would walk it. Headings and turns are quarter turns: 0 i
 """
 
 import dataclasses
+from collections.abc import Collection, Sequence
 
 MARGIN_M = 1.0  # wall between two passages that do not meet, and round the whole
 RAMP_M = 2.4  # length of the way up, and of the way down
@@ -57,7 +58,19 @@ class Leg:
 class Route:
     """A route under construction: the robot stands at `at`, on the centre line, at the end of what is carved."""
 
-    def __init__(self, heading, width, start_m):
+    at: tuple[float, float]
+    heading: int
+    width: float
+    part: int
+    fits: bool
+    rects: list[tuple[int, tuple[float, float, float, float]]]
+    boxes: list[tuple[float, float, float, float]]
+    stops: list[Stop]
+    legs: list[Leg]
+    ramps: list[Ramp]
+    straights: list[tuple[tuple[float, float, float, float], int]]
+
+    def __init__(self, heading: int, width: float, start_m: float) -> None:
         """Begin with a wall, and the robot `start_m` before it with its back to it."""
         self.at, self.heading, self.width = (0.0, 0.0), heading, width
         self.part = 0
@@ -69,14 +82,14 @@ class Route:
         self._advance(start_m)
         self._arrive(self._stop("terminal"))
 
-    def passage(self, length):
+    def passage(self, length: float) -> None:
         """Go on straight. Every passage begins a part of the route; what follows it belongs to the same part."""
         self.part += 1
         rect = self._carve(length)
         self.straights.append((rect, self.heading))
         self._advance(length)
 
-    def ramp(self, angle_deg, creases=3):
+    def ramp(self, angle_deg: float, creases: int = 3) -> None:
         """An up-and-down obstacle whose ground bends so many times. With 0 there is none, but its place remains."""
         self._carve(2 * RAMP_M)
         if creases:
@@ -86,14 +99,14 @@ class Route:
                 self._arrive(dataclasses.replace(self._stop("obstacle"), ramp=ramp, crease=crease))
         self._advance(2 * RAMP_M)
 
-    def hall(self, length, depth, side):
+    def hall(self, length: float, depth: float, side: int) -> None:
         """A free space: one wall of the passage steps back by `depth`, on the `side` LEFT or RIGHT."""
         self._arrive(self._stop("free_space"))
         self._carve(length, (-side * self.width / 2, side * (self.width / 2 + depth)))
         self._advance(length)
         self._arrive(self._stop("free_space"))
 
-    def junction(self, turns, width, stub_m, dead_m=0.0):
+    def junction(self, turns: Sequence[int], width: float, stub_m: float, dead_m: float = 0.0) -> None:
         """A corner, T or crossing. The robot takes the first way counter-clockwise from the one that it came by.
 
         Args:
@@ -120,13 +133,13 @@ class Route:
             self.legs.append(Leg(node, None, self.heading, self._lane()))
         self._turn(before, todo[0], width)
 
-    def goal(self, length, beyond):
+    def goal(self, length: float, beyond: float) -> None:
         """The goal after `length` of passage; the passage goes on for `beyond`."""
         self.passage(length)
         self._arrive(self._stop("terminal"))
         self._carve(beyond)
 
-    def box(self, rect_index, start, length, depth, side):
+    def box(self, rect_index: int, start: float, length: float, depth: float, side: int) -> None:
         """Furniture along a wall of a passage.
 
         Args:
@@ -194,7 +207,7 @@ def _near(a, b):
     return a[0] < b[2] + gap and b[0] < a[2] + gap and a[1] < b[3] + gap and b[1] < a[3] + gap
 
 
-def largest_circle(rect, arms):
+def largest_circle(rect: tuple[float, float, float, float], arms: Collection[int]) -> tuple[float, float, float]:
     """Centre and radius of the largest empty circle at a junction: it touches three walls, at a crossing four.
 
     Args:

@@ -5,7 +5,7 @@ import os
 from jexplore.config import InputError
 
 
-def read_bytes(path, max_bytes):
+def read_bytes(path: str | os.PathLike[str], max_bytes: int) -> bytes:
     """The content of a regular file.
 
     Args:
@@ -42,7 +42,7 @@ def read_bytes(path, max_bytes):
     return content
 
 
-def read_text(path, max_bytes):
+def read_text(path: str | os.PathLike[str], max_bytes: int) -> str:
     """The content of a text file in UTF-8.
 
     Raises:
@@ -54,6 +54,6 @@ def read_text(path, max_bytes):
         raise InputError(f"{path!r}: is not UTF-8 text (byte {error.start})") from None
 
 
-def first_line(error):
+def first_line(error: BaseException) -> str:
     """What an exception says, on one line."""
     return " ".join(str(error).split()) or type(error).__name__

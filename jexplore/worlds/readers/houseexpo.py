@@ -17,7 +17,7 @@ from jexplore.worlds.world import World, require_side
 _MAX_BYTES = 16 * 2**20
 
 
-def load_houseexpo(path, *, cell_m=0.1):
+def load_houseexpo(path: str, *, cell_m: float = 0.1) -> World:
     """A world from a HouseExpo plan.
 
     A cell that the outline passes through is occupied, at least one cell thick; one whose centre lies inside is free;

@@ -4,6 +4,7 @@ A grey that stands for "unknown" counts as occupied, and so does every pixel tha
 """
 
 import io
+import os
 import warnings
 
 import numpy as np
@@ -20,7 +21,9 @@ _FORMATS = ("PNG", "PPM", "JPEG", "BMP", "GIF", "TIFF")  # none that starts anot
 _SATURATED = 128  # largest minus smallest of red, green, blue: a grey has 0, pure yellow 255
 
 
-def load_image(path, scale, *, cell_m=0.1, free=250):
+def load_image(
+    path: str, scale: float | tuple[float, float] | None, *, cell_m: float = 0.1, free: float = 250
+) -> World:
     """A world from a picture.
 
     A filled rectangle of one saturated colour in an otherwise grey picture, as the dungeon maps have it, marks the
@@ -72,7 +75,7 @@ def load_image(path, scale, *, cell_m=0.1, free=250):
     return World(occupied=cells, start=_marked_start(levels[box], pixel_m, cell_m, cells), cell_m=cell_m, name=path)
 
 
-def read_pixels(path):
+def read_pixels(path: str | os.PathLike[str]) -> np.ndarray:
     """The pixels of a picture file, refused by its header if there are too many.
 
     Args:
@@ -102,14 +105,14 @@ def read_pixels(path):
         raise InputError(f"{path!r}: is damaged or cut short ({first_line(error)})") from None
 
 
-def grey(levels):
+def grey(levels: np.ndarray) -> np.ndarray:
     """`[h, w]` uint8 greys of `[h, w, c]` levels: as they are, or the luma of ITU-R 601 as Pillow computes it."""
     if levels.shape[2] == 1:
         return levels[..., 0]
     return np.asarray(Image.fromarray(np.ascontiguousarray(levels[..., :3])).convert("L"))
 
 
-def opacity(levels):
+def opacity(levels: np.ndarray) -> np.ndarray:
     """`[h, w]` uint8 opacities of `[h, w, c]` levels, 255 where the picture has none."""
     if levels.shape[2] == 4:
         return levels[..., 3]

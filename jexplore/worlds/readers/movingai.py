@@ -15,7 +15,7 @@ FREE, BLOCKED = ".GS", "@OTW"  # ground, ground, swamp; out of bounds twice, tre
 _MAX_BYTES = 128 * 2**20
 
 
-def load_movingai(path, map_cell_m=None, *, cell_m=0.1):
+def load_movingai(path: str, map_cell_m: float | None = None, *, cell_m: float = 0.1) -> World:
     """A world from a `.map` file.
 
     Args:

@@ -14,12 +14,12 @@ from jexplore.worlds.world import require_side
 _SLIVER = 1e-6  # an overlap of less than this part of a pixel, or of a cell at the far edge, is rounding
 
 
-def count_cells(size_m, cell_m):
+def count_cells(size_m: float, cell_m: float) -> int:
     """Cells that cover a length: `ceil(size / cell)`, at least one, where a hair's breadth more does not count."""
     return max(1, math.ceil(size_m / cell_m - _SLIVER))
 
 
-def resample(occupied, pixel_m, cell_m, *, name):
+def resample(occupied: np.ndarray, pixel_m: tuple[float, float], cell_m: float, *, name: str) -> np.ndarray:
     """Occupied cells of a picture. The lower left corners of cell (0, 0) and pixel (0, 0) coincide.
 
     The last row and column of cells may reach beyond the picture; only the part within counts.

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import yaml
+from numpy.typing import ArrayLike
 
 from jexplore.config import InputError, require_number
 from jexplore.worlds.readers.files import first_line, read_text
@@ -46,7 +47,7 @@ class RosInfo:
     """`trinary`, `scale` or `raw`."""
 
 
-def read_ros(path):
+def read_ros(path: str | os.PathLike[str]) -> tuple[np.ndarray, RosInfo]:
     """The occupancy of a ROS map, cell for cell as the map server publishes it.
 
     Args:
@@ -67,7 +68,7 @@ def read_ros(path):
     return _occupancy(levels, info), info
 
 
-def load_ros(path, *, cell_m=0.1, free_max=25):
+def load_ros(path: str | os.PathLike[str], *, cell_m: float = 0.1, free_max: int = 25) -> World:
     """A world from a ROS map. What is unknown counts as occupied.
 
     Args:
@@ -89,7 +90,13 @@ def load_ros(path, *, cell_m=0.1, free_max=25):
     return World(occupied=cells, cell_m=cell_m, name=str(path), origin_m=info.origin_m)
 
 
-def write_ros(grid, path, *, cell_m=None, origin_m=None):
+def write_ros(
+    grid: World | ArrayLike,
+    path: str | os.PathLike[str],
+    *,
+    cell_m: float | None = None,
+    origin_m: tuple[float, float] | None = None,
+) -> Path:
     """Write a ROS map that `read_ros` and the map servers give back unchanged: a yaml file and a PGM beside it.
 
     The mode is trinary if every value is -1, 0 or 100, else raw.

@@ -1,23 +1,27 @@
 """Run 0 of a plan once more, step by step, with what the operator would have seen."""
 
+from collections.abc import Callable
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
+from numpy.typing import ArrayLike
 
 from jexplore import btm
 from jexplore.driving import behaviour, events, mission, perception, vehicle
-from jexplore.driving.batch import MAX_STEPS
+from jexplore.driving.batch import MAX_STEPS, Driven
 from jexplore.driving.behaviour import RunMode
 from jexplore.driving.walls import cast, segments
 from jexplore.report.operator_view import Recording
-from jexplore.studies import tracing
+from jexplore.studies.traces import tracing
 
 TRIANGLES = 8  # most that are shown of a scan
 MODE_NAMES = tuple(mode.name.lower().replace("_", " ") for mode in RunMode)
 POINT_EVERY = 5  # steps between two scans whose points are drawn
 
 
-def scan_points(plan, track):
+def scan_points(plan: tracing.TraceJob, track: Driven) -> np.ndarray:
     """Points of some scans along a way, as the odometry has them: `[P, 2]`, metres, in the world's frame."""
     steps = np.arange(0, len(track.truth), POINT_EVERY)
     ranges = jax.jit(jax.vmap(lambda pose: cast(plan.building.walls, pose, vehicle.ANGLES_RAD, vehicle.RANGE_M)))
@@ -28,12 +32,12 @@ def scan_points(plan, track):
     return (track.estimate[steps, None, :2] + reach)[hit] + np.asarray(plan.world.origin_m)
 
 
-def moved(poses, origin_m):
+def moved(poses: ArrayLike, origin_m: tuple[float, float]) -> np.ndarray:
     """Poses `[n, 3]` in the world's frame."""
     return np.asarray(poses) + np.array([*origin_m, 0.0], np.float32)
 
 
-def wall_lines(plan):
+def wall_lines(plan: tracing.TraceJob) -> np.ndarray:
     """The building's walls in the world's frame: `[S, 4]`, metres."""
     return segments(plan.building.walls) + np.tile(np.asarray(plan.world.origin_m), 2)
 
@@ -70,7 +74,7 @@ def _frame(key, building, robot, tuning, noise, state):
     return after, seen
 
 
-def record(plan, on_progress=lambda n: None):
+def record(plan: tracing.TraceJob, on_progress: Callable[[int], Any] = lambda n: None) -> Recording:
     """What the operator would have seen of run 0.
 
     Args:

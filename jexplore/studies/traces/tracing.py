@@ -3,6 +3,8 @@
 import dataclasses
 import itertools
 import math
+import os
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -19,7 +21,7 @@ from jexplore.driving.batch import (
     outcome_names,
     require_start,
 )
-from jexplore.driving.settings import ROBOTS, Noise, Tuning, require_noise, require_robot, require_tuning
+from jexplore.driving.settings import ROBOTS, Noise, Robot, Tuning, require_noise, require_robot, require_tuning
 from jexplore.studies import checks
 from jexplore.tracemap.record import BtmMap
 from jexplore.tracemap.similarity import code
@@ -42,12 +44,12 @@ class TraceJob:
     runs: int
     """Of every setting."""
     seed: int
-    swept: dict
+    swept: dict[str, np.ndarray]
     """Name of a threshold -> `[S]` values."""
     settings: int
     max_steps: int
 
-    def first_settings(self):
+    def first_settings(self) -> tuple[Any, Tuning, Noise]:
         """Robot, thresholds and noise of run 0: `(Robot, Tuning, Noise)`."""
         own = {name: int(v[0]) if name == "votes" else float(v[0]) for name, v in self.swept.items()}
         return self.robot, *_with(self.tuning, self.noise, own)
@@ -67,13 +69,13 @@ class Traced:
     report: Finished
 
     @property
-    def truth(self):
+    def truth(self) -> BtmMap | None:
         """The world's true topology, a `BtmMap`; None where it has none."""
         course = self.plan.world.course
         return None if course is None else course.topology
 
 
-def robot_of(name):
+def robot_of(name: str) -> Robot:
     """A robot by name, with other measures where they are given: `kamui`, `kamui:width_m=0.6`.
 
     Raises:
@@ -97,7 +99,7 @@ def robot_of(name):
     return robot
 
 
-def swept_values(sweep, settings, seed):
+def swept_values(sweep: Sequence[str], settings: int, seed: int) -> dict[str, np.ndarray]:
     """Values of thresholds to be swept.
 
     Lists alone make every combination; with a range among them, `settings` draws by Latin hypercube.
@@ -154,19 +156,19 @@ def swept_values(sweep, settings, seed):
 
 
 def prepare_trace(
-    world="course",
+    world: str | os.PathLike[str] | World = "course",
     *,
-    robot="kamui",
-    runs=1,
-    seed=0,
-    tuning=None,
-    noise=None,
-    start=None,
-    sweep=(),
-    settings=100,
-    cell_m=0.1,
-    max_steps=MAX_STEPS,
-):
+    robot: str | Robot = "kamui",
+    runs: int = 1,
+    seed: int = 0,
+    tuning: Tuning | None = None,
+    noise: Noise | None = None,
+    start: tuple[float, float, float] | None = None,
+    sweep: Sequence[str] = (),
+    settings: int = 100,
+    cell_m: float = 0.1,
+    max_steps: int = MAX_STEPS,
+) -> TraceJob:
     """Checks everything before anything is compiled.
 
     Args:
@@ -219,7 +221,7 @@ def _with(tuning, noise, values):
     return dataclasses.replace(tuning, **thresholds), dataclasses.replace(noise, **errors)
 
 
-def _ends(world, start, seed):
+def _ends(world, start, seed) -> tuple[Any, Any]:
     """Where a run starts and ends, in the world's frame."""
     goal = None if world.course is None else world.course.goal_m
     if start is not None:
@@ -233,7 +235,14 @@ def _ends(world, start, seed):
     return (x_m + (col + 0.5) * world.cell_m, y_m + (row + 0.5) * world.cell_m, float(heading)), goal
 
 
-def execute(plan, *, engine=None, lanes=None, workers=None, on_progress=None):
+def execute(
+    plan: TraceJob,
+    *,
+    engine: str | None = None,
+    lanes: int | None = None,
+    workers: int | None = None,
+    on_progress: Callable[[int], Any] | None = None,
+) -> Traced:
     """Makes the runs of a plan.
 
     Args:
@@ -268,7 +277,15 @@ def execute(plan, *, engine=None, lanes=None, workers=None, on_progress=None):
     return Traced(plan, table, first, report.driven, report)
 
 
-def trace(world="course", *, engine=None, lanes=None, workers=None, on_progress=None, **options):
+def trace(
+    world: str | os.PathLike[str] | World = "course",
+    *,
+    engine: str | None = None,
+    lanes: int | None = None,
+    workers: int | None = None,
+    on_progress: Callable[[int], Any] | None = None,
+    **options: Any,
+) -> Traced:
     """Lets a robot drive through a building and write its Behavioral Trace Map, once or many times.
 
     Args:
@@ -287,7 +304,7 @@ def trace(world="course", *, engine=None, lanes=None, workers=None, on_progress=
     return execute(plan, engine=engine, lanes=lanes, workers=workers, on_progress=on_progress)
 
 
-def map_of(plan, result, i):
+def map_of(plan: TraceJob, result: Any, i: int) -> BtmMap:
     """The map of run i of a `Result`: `BtmMap`."""
     import jax
 

@@ -1,6 +1,8 @@
 """A Behavioral Trace Map from what an exploration episode has seen, beside what is true."""
 
 import dataclasses
+import os
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -12,6 +14,10 @@ from jexplore.report import plot_traces
 from jexplore.studies import explore
 from jexplore.studies.explore import Episode
 from jexplore.tracemap.record import BtmMap
+from jexplore.worlds.world import World
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 NEAR_CELLS = 2.0  # a node is found if it lies this near to the true one
 
@@ -24,16 +30,16 @@ class Extracted:
     episode: Episode
 
     @property
-    def measures(self):
+    def measures(self) -> dict[str, Any]:
         """The episode's measures: name -> value."""
         return {"strategy": self.episode.strategy, **self.episode.measures}
 
-    def agreement(self):
+    def agreement(self) -> list[str]:
         """How the map compares with the world's true topology: lines of text, none where the world has none."""
         course = self.episode.world.course
         return [] if course is None else [agreement(self.map, course.topology, self.episode.world.cell_m)]
 
-    def figure(self):
+    def figure(self) -> "Figure":
         """The map over the building and the robot's way: a matplotlib `Figure`."""
         world, final = self.episode.world, self.episode.final
         x, y = centre_of(final.rows, final.cols, cell_m=world.cell_m, origin_m=world.origin_m)
@@ -43,7 +49,14 @@ class Extracted:
         return plot_traces.figure(self.map, walls, trail, None, modes, [self.episode.strategy], self.episode.title)
 
 
-def extracted(world, strategy="closest+recheck", *, seed=0, cell_m=0.1, tuning=None):
+def extracted(
+    world: str | os.PathLike[str] | World,
+    strategy: str = "closest+recheck",
+    *,
+    seed: int = 0,
+    cell_m: float = 0.1,
+    tuning: Tuning | None = None,
+) -> Extracted:
     """Explores a world and reads the map off the last grid.
 
     Args:
@@ -81,7 +94,7 @@ def extracted(world, strategy="closest+recheck", *, seed=0, cell_m=0.1, tuning=N
     return Extracted(found, episode)
 
 
-def matched(found, true, cell_m):
+def matched(found: BtmMap, true: BtmMap, cell_m: float) -> tuple[int, int, int]:
     """Divergences of one map that lie where another has one of the same degree.
 
     Args:
@@ -102,7 +115,7 @@ def matched(found, true, cell_m):
     return hits, len(ours), len(theirs)
 
 
-def agreement(found, true, cell_m):
+def agreement(found: BtmMap, true: BtmMap, cell_m: float) -> str:
     """How the divergences of two maps compare: a line of text."""
     hits, ours, theirs = matched(found, true, cell_m)
     return f"true divergences found, within {NEAR_CELLS:g} cells and of their degree: {hits} of {theirs}; {ours} in all"
