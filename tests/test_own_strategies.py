@@ -1,5 +1,6 @@
 """Strategies that a user brings: scores, constructors, policies, names, modules; what is wrong with one in a line."""
 
+import functools
 import importlib.metadata
 import re
 import sys
@@ -283,6 +284,45 @@ def test_two_of_one_name_are_refused():
         compare([twice(lambda view: view.cost), twice(lambda view: -view.cost)])
     with pytest.raises(InputError, match="strategies must differ"):
         compare(["closest", STRATEGIES["closest"].make])
+
+
+def made(times, helper="view.cost"):
+    """A score and a select that close over a number and call a helper, as a notebook would define them."""
+    code = f"""
+def helper(view):
+    return {helper}
+def score(view, weight=1):
+    return -helper(view) * weight * times
+def again(n):
+    return again(n - 1) if n else (lambda: helper)
+"""
+    exec(compile(code, "cell", "exec"), found := {"times": times})
+    return found
+
+
+def test_what_computes_the_same_is_compiled_once():
+    one, same, other, changed = made(2), made(2), made(3), made(2, "view.path_m")
+    for name in ("score", "again"):
+        assert own.fingerprint(one[name]) == own.fingerprint(same[name])
+        assert hash(own.fingerprint(one[name])) == hash(own.fingerprint(same[name]))
+        assert own.fingerprint(one[name]) != own.fingerprint(changed[name])  # its helper is another
+    assert own.fingerprint(one["score"]) != own.fingerprint(other["score"])  # a global number is another
+    first = strategy(one["score"], weight=2)
+    assert first.policy == strategy(same["score"], weight=2).policy
+    one["helper"] = changed["helper"]
+    assert first.policy != strategy(one["score"], weight=2).policy  # changed since
+
+    def closing(n, array=None):
+        return lambda view: view.cost * n if array is None else array
+
+    assert own.fingerprint(closing(2)) == own.fingerprint(closing(2)) != own.fingerprint(closing(3))
+    table = np.zeros(3)
+    assert own.fingerprint(closing(2, table)) == own.fingerprint(closing(2, table))
+    assert own.fingerprint(closing(2, table)) != own.fingerprint(closing(2, table.copy()))
+    chest = type("Chest", (), {"open": nearest})()
+    assert own.fingerprint(chest.open) == own.fingerprint(chest.open) != own.fingerprint(type(chest)().open)
+    part, twin, odd = (functools.partial(nearest, weight=w) for w in (1, 1, 2))
+    assert own.fingerprint(part) == own.fingerprint(twin) != own.fingerprint(odd)
 
 
 # ---------------------------------------------------------------- what is wrong with one

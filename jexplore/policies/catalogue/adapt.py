@@ -12,7 +12,7 @@ from jax import Array, lax
 from jexplore.config import InputError
 from jexplore.grid import lowest
 from jexplore.planning import Belief, Choice, choose, field, first_at, is_open, view_of
-from jexplore.policies.catalogue.own import call, described, is_score, parameters
+from jexplore.policies.catalogue.own import call, described, fingerprint, is_score, parameters
 from jexplore.policies.policy import Policy
 from jexplore.raycast import Beams
 from jexplore.reach import FAR, MOTIONS, NO_MOTION
@@ -50,7 +50,7 @@ def policy_from(make: Any, given: dict[str, Any]) -> Policy:
 
 
 class _Theirs:
-    """A function of a user's, told from others by what it is: two of the same are equal, so compiled once."""
+    """A function of a user's, told from others by what it computes: two that compute the same are compiled once."""
 
     function: Callable[..., Any]
     fixed: tuple[tuple[str, Any], ...]
@@ -58,19 +58,13 @@ class _Theirs:
 
     def __init__(self, function: Callable[..., Any], fixed: tuple[tuple[str, Any], ...] = ()) -> None:
         self.function, self.fixed, self.what = function, fixed, described(function)
-
-    def _key(self):
-        try:
-            hash(self.function)
-        except TypeError:
-            return type(self), id(self.function), self.fixed
-        return type(self), self.function, self.fixed
+        self._key = type(self), fingerprint(function), fixed
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Theirs) and self._key() == other._key()
+        return isinstance(other, _Theirs) and self._key == other._key
 
     def __hash__(self) -> int:
-        return hash(self._key())
+        return hash(self._key)
 
 
 def _blank(params, belief):

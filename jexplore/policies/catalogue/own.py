@@ -11,7 +11,8 @@ import inspect
 import os
 import sys
 import traceback
-from collections.abc import Callable
+import types
+from collections.abc import Callable, Hashable
 from typing import Any
 
 import jax
@@ -156,3 +157,62 @@ def import_object(module: str, name: str) -> Any:
         raise InputError(
             f"module {module!r} has no {name!r} (there are: {', '.join(have) or 'no functions'})"
         ) from None
+
+
+class _Itself:
+    """A thing that is equal to nothing but itself; kept, so that nothing else takes its place in memory."""
+
+    def __init__(self, thing: object) -> None:
+        self.thing = thing
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Itself) and self.thing is other.thing
+
+    def __hash__(self) -> int:
+        return id(self.thing)
+
+
+def fingerprint(thing: Any, seen: tuple[Any, ...] = ()) -> Hashable:
+    """What is equal for functions that compute the same: their code, and what they close over and refer to.
+
+    A function that a constructor makes anew, or a notebook's cell defines again, is then compiled once; one whose
+    helper has been changed since is another. What is no number, text or function counts as itself only.
+
+    Args:
+      thing: a function, or anything that one refers to.
+      seen: functions that are being looked at.
+    """
+    if isinstance(thing, functools.partial):
+        keywords = tuple((key, fingerprint(value, seen)) for key, value in sorted(thing.keywords.items()))
+        return "partial", fingerprint(thing.func, seen), tuple(fingerprint(a, seen) for a in thing.args), keywords
+    if isinstance(thing, types.MethodType):
+        return "method", fingerprint(thing.__func__, seen), _Itself(thing.__self__)
+    if isinstance(thing, (bool, int, float, complex, str, bytes, os.PathLike, type(None))):
+        return type(thing), thing
+    if isinstance(thing, tuple):
+        return type(thing), tuple(fingerprint(part, seen) for part in thing)
+    if not isinstance(thing, types.FunctionType) or _is_library(thing.__code__.co_filename):
+        return _Itself(thing)
+    if thing in seen:
+        return "itself"
+    within = *seen, thing
+    names = [name for name in sorted(_names(thing.__code__)) if name in thing.__globals__]
+    refers = [thing.__globals__[name] for name in names]
+    defaults = [*(thing.__defaults__ or ()), *(thing.__kwdefaults__ or {}).values()]
+    closes = [cell.cell_contents for cell in thing.__closure__ or () if _is_set(cell)]
+    parts = tuple(fingerprint(part, within) for part in (*refers, *defaults, *closes))
+    return thing.__code__, tuple(names), parts
+
+
+def _is_set(cell):
+    try:
+        cell.cell_contents  # noqa: B018
+    except ValueError:  # not yet
+        return False
+    return True
+
+
+def _names(code):
+    """Names that a code object refers to, and those that the functions in it do."""
+    inner = (const for const in code.co_consts if isinstance(const, types.CodeType))
+    return set(code.co_names).union(*map(_names, inner))
