@@ -136,7 +136,7 @@ def test_padding_changes_nothing(jobs, one_worker):
 
 @pytest.mark.jit
 def test_results_are_in_the_order_of_starts_and_are_the_simulators(jobs, one_worker):
-    job, (result, first) = jobs[1], one_worker[1]
+    job, (result, first, _) = jobs[1], one_worker[1]
     for i, start in enumerate(job.starts):
         want = simulator.simulate(
             job.world.occupied, *map(int, start), recheck=True, n_beams=37, range_m=2.0, max_plans=30,

@@ -12,6 +12,7 @@ from jexplore.exploration.site import KERNELS, Kernels, line_of, prepare_site
 from jexplore.exploration.state import Result
 from jexplore.exploration.trail import Final, Record, decode
 from jexplore.policies import Strategy
+from jexplore.policies.catalogue.joined import joined
 from jexplore.worlds.world import World
 
 
@@ -82,11 +83,9 @@ def run_jobs(
         if id(job.world) not in sites:
             sites[id(job.world)] = prepare_site(job.world, lidar, rules, kernels)
     lines = []
-    for job in jobs:
+    for job, strategy in zip(jobs, joined([job.strategy for job in jobs])):
         which = resources.own(len(job.starts)) if only is None else [only] * (resources.process == 0)
-        lines.append(
-            line_of(sites[id(job.world)], job.strategy, job.starts, job.seed, which, keeps=only or 0, keep=keep)
-        )
+        lines.append(line_of(sites[id(job.world)], strategy, job.starts, job.seed, which, keeps=only or 0, keep=keep))
     costs = run_all(lines, resources, on_progress)
     return Finished([_outcomes(job, line) for job, line in zip(jobs, lines)], costs)
 

@@ -17,8 +17,8 @@ class Policy(NamedTuple):
     `Choice`, and the map of motions in which the way there is laid: `planning.choose` makes the last two, of a cell of
     a `planning.Field`, as `planning.nearest_frontier` does of the nearest frontier cell.
 
-    Compiled once for each `init` and `select`. `params` are leaves, so that a sweep over numbers never recompiles; arrays
-    among them (weights) are shared by all robots.
+    Compiled once for each `init` and `select`. `params` are leaves, so that a sweep over numbers never recompiles;
+    arrays among them (weights) are shared by all robots.
     """
 
     init: Callable[[Any, Belief], Any]
