@@ -74,16 +74,21 @@ class Field:
     traversable: Array  # [H, W] bool
     cost: Array  # [H, W] int32
     candidates: Array  # [H, W] bool, reachable frontier cells that are not exhausted
+    replace: ClassVar[Callable[..., Self]]
 
 
 @struct.dataclass
 class View:
-    """What a strategy sees of a belief."""
+    """What a strategy sees of a belief.
+
+    `path_m` is infinite where no path leads: a gradient through it must mask these cells before it computes with them.
+    """
 
     cost: Array  # [H, W] int32, of the shortest path to every cell (see reach.py); FAR where none leads
     path_m: Array  # [H, W] float32, the same in metres; inf where none leads
     frontier: Array  # [H, W] bool, frontier cells that can be reached and are not exhausted
     belief: Belief
+    replace: ClassVar[Callable[..., Self]]
 
 
 def metres(cost: Array, cell_m: Array | float) -> Array:

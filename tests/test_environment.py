@@ -119,8 +119,8 @@ def test_what_cannot_be_reached_moves_nothing(env):
     key = jax.random.key(3)
     state, view = env.reset(key)
     assert int(view.cost[0, 0]) == 2**30
-    for action in ([0, 0], [-1, 5], [5, -1], [64, 5], [5, 10**6]):
-        new, seen, reward, done, info = env.step(key, state, jnp.int32(action))
+    for action in ([0, 0], [-1, 5], [5, -1], [64, 5], [5, 10**6], [2**32 + 5, 5], np.array([2**40, -(2**40)])):
+        new, seen, reward, done, info = env.step(key, state, action)
         same(new, state)
         same(seen, view)
         assert (float(reward), bool(done), bool(info["valid"])) == (0.0, False, False)
@@ -208,11 +208,20 @@ def test_what_is_refused(env):
         (lambda: jx.Environment([world, world.replace(name="b", cell_m=0.2)]), "cells of one size, got 0.1 and 0.2 m"),
         (lambda: jx.Environment(world, recheck=1), "recheck must be True or False"),
         (lambda: jx.Environment(world, rules=Rules(clearance_m=2)), "no cell has more than 2 m"),
-        (lambda: jx.Environment(world).path(state), "keeps no paths: jx.Environment(..., paths=True)"),
+        (lambda: jx.Environment(world).path(jx.Environment(world).reset(key)[0]), "keeps no paths: jx.Environment("),
+        (lambda: jx.Environment(world).step(key, state, [5, 5]), "state must be one of this environment"),
+        (lambda: env.path(many), "path takes one state, got 3 or more"),
+        (lambda: jx.Environment(world, lidar=5), "lidar must be a jx.Lidar, got 5"),
+        (lambda: jx.compare(world, "closest", rules=0.3), "rules must be a jx.Rules, got 0.3"),
     ):
         with pytest.raises(InputError, match=re.escape(says)) as caught:
             call()
         assert "\n" not in str(caught.value)
+
+
+def test_64_bits_are_refused():
+    with jax.enable_x64(True), pytest.raises(InputError, match="jexplore computes in 32 bits"):
+        jx.Environment(two_rooms())
 
 
 def test_old_keys_do_as_well(env):

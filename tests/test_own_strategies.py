@@ -2,8 +2,11 @@
 
 import functools
 import importlib.metadata
+import itertools
+import os
 import re
 import sys
+import types
 
 import jax
 import jax.numpy as jnp
@@ -18,6 +21,7 @@ from jexplore.engine import serial
 from jexplore.exploration.state import Outcome
 from jexplore.policies import STRATEGIES, parse_strategy, strategy
 from jexplore.policies.catalogue import adapt, entries, own
+from jexplore.policies.catalogue.fingerprint import fingerprint
 from jexplore.policies.catalogue.grammar import listing
 from jexplore.studies.explore import frames
 
@@ -130,19 +134,19 @@ def test_ones_own_in_both_engines_modified_too(tmp_path, monkeypatch):
 
 @pytest.mark.jit
 def test_parameters_are_swept_without_compiling_anew():
-    traced = []
+    traced = itertools.count()
 
     def weighed(view, weight=1.0, power=2, table=None):
-        traced.append(weight)
+        next(traced)
         return -view.path_m * weight**power if table is None else table
 
     def names(*weights):
         return [strategy(weighed, weight=w, name=f"w{w}") for w in weights]
 
     assert equal(compare(names(1.0, 3.0)), "w1.0", "w3.0")
-    n = len(traced)
+    n = next(traced)
     compare(names(5.0))
-    assert len(traced) - n <= 1  # once more to be checked, never to be compiled
+    assert next(traced) - n <= 2  # once more to be checked, never to be compiled
     assert strategy(weighed, weight=3, recheck=True).name == "weighed+recheck:weight=3"
     table = np.zeros((64, 64), np.float32)
     table[12, 20] = 1
@@ -193,6 +197,37 @@ def test_a_module_elsewhere_is_found_before_a_builtin_name_is_asked(module):
         assert "\n" not in str(caught.value)
 
 
+def test_a_module_is_as_it_is_now_and_here(module, tmp_path_factory, monkeypatch):
+    def score():
+        return strategy("mine_of_tests:nearest").policy
+
+    first = score()
+    file = module / "mine_of_tests.py"
+    file.write_text(MODULE.replace("-view.cost", "+view.cost"))
+    os.utime(file, ns=(1, 1))
+    changed = score()
+    assert changed != first
+    elsewhere = tmp_path_factory.mktemp("elsewhere")
+    monkeypatch.chdir(elsewhere)
+    with pytest.raises(InputError, match="no module 'mine_of_tests', neither installed nor in "):
+        score()
+    (elsewhere / "mine_of_tests.py").write_text(MODULE)
+    assert score() == first
+    (elsewhere / "json.py").write_text(MODULE)
+    with pytest.raises(InputError, match=r"json.py is hidden by another module 'json', of .*: rename it"):
+        strategy("json:nearest")
+    (elsewhere / "exits_of_tests.py").write_text("raise SystemExit(3)")
+    with pytest.raises(InputError, match="'exits_of_tests' does not import: SystemExit: 3"):
+        strategy("exits_of_tests:nearest")
+    for text, says in (
+        ("mine_of_tests.py:nearest", "named like mine_of_tests:nearest"),
+        ("./mine:near+recheck", "named like mine:near+recheck"),
+    ):
+        with pytest.raises(InputError, match=re.escape(says)):
+            strategy(text)
+    assert str(elsewhere) not in sys.path
+
+
 def test_registered(monkeypatch):
     monkeypatch.setattr(entries, "STRATEGIES", dict(STRATEGIES))
     assert jx.register("mine-1", nearest, source="us, 2026") is nearest
@@ -222,6 +257,7 @@ def test_registered(monkeypatch):
         ("3rd", nearest, "must be letters"),
         (None, nearest, "must be letters"),
         ("number", 3, "must be a function of the view"),
+        ("two", lambda a, b: 0, "a score takes one argument"),
     ):
         with pytest.raises(InputError, match=says):
             jx.register(name, thing)
@@ -254,7 +290,7 @@ def test_packages_offer_strategies(module, monkeypatch):
 def test_what_stands_for_a_strategy():
     assert strategy("closest+recheck") == parse_strategy("closest+recheck")
     given = strategy(nearest)
-    assert strategy(given) is given
+    assert strategy(given) == given
     assert strategy(STRATEGIES["closest"].make).name == "closest"
     assert strategy(nearest, segment=True, recheck=True).name == "nearest+recheck+segment=holz"
     assert strategy(nearest, segment="auto", door_m=2.0).policy.params.door_m == 2.0
@@ -269,6 +305,13 @@ def test_what_stands_for_a_strategy():
         (nearest, {"segment": "holtz"}, "unknown kind of segment: 'holtz'; did you mean 'holz'"),
         ("closest", {"recheck": True}, "'closest' says itself"),
         (jx.Policy(3, 4), {"name": "x"}, "init must be a function, got 3"),
+        (nearest, {"recheck": "no"}, "recheck must be True or False"),
+        (nearest, {"segment": 1}, "segment also a kind, got False and 1"),
+        (nearest, {"name": 5}, "a strategy's name must be text, got 5"),
+        (nearest, {"name": " "}, "a strategy's name must be text"),
+        (lambda view, gamma=1: 0, {"segment": True}, "has a parameter 'gamma', which is one of the modifiers'"),
+        (jx.Strategy("raw", 3), {}, "'raw': policy must be a Policy, got int"),
+        (jx.Strategy(None, jx.Policy(nearest, nearest)), {}, "name must be text, got None"),
         (type("Thing", (), {"__call__": lambda self, view: view.cost})(), {}, "has no name"),
     ):
         with pytest.raises(InputError, match=says):
@@ -303,10 +346,10 @@ def again(n):
 def test_what_computes_the_same_is_compiled_once():
     one, same, other, changed = made(2), made(2), made(3), made(2, "view.path_m")
     for name in ("score", "again"):
-        assert own.fingerprint(one[name]) == own.fingerprint(same[name])
-        assert hash(own.fingerprint(one[name])) == hash(own.fingerprint(same[name]))
-        assert own.fingerprint(one[name]) != own.fingerprint(changed[name])  # its helper is another
-    assert own.fingerprint(one["score"]) != own.fingerprint(other["score"])  # a global number is another
+        assert fingerprint(one[name]) == fingerprint(same[name])
+        assert hash(fingerprint(one[name])) == hash(fingerprint(same[name]))
+        assert fingerprint(one[name]) != fingerprint(changed[name])  # its helper is another
+    assert fingerprint(one["score"]) != fingerprint(other["score"])  # a global number is another
     first = strategy(one["score"], weight=2)
     assert first.policy == strategy(same["score"], weight=2).policy
     one["helper"] = changed["helper"]
@@ -315,14 +358,53 @@ def test_what_computes_the_same_is_compiled_once():
     def closing(n, array=None):
         return lambda view: view.cost * n if array is None else array
 
-    assert own.fingerprint(closing(2)) == own.fingerprint(closing(2)) != own.fingerprint(closing(3))
+    assert fingerprint(closing(2)) == fingerprint(closing(2)) != fingerprint(closing(3))
     table = np.zeros(3)
-    assert own.fingerprint(closing(2, table)) == own.fingerprint(closing(2, table))
-    assert own.fingerprint(closing(2, table)) != own.fingerprint(closing(2, table.copy()))
-    chest = type("Chest", (), {"open": nearest})()
-    assert own.fingerprint(chest.open) == own.fingerprint(chest.open) != own.fingerprint(type(chest)().open)
+    assert fingerprint(closing(2, table)) == fingerprint(closing(2, table.copy())) != fingerprint(closing(2, table + 1))
+    assert fingerprint(closing(0.0)) != fingerprint(closing(-0.0)) != fingerprint(closing(0))
     part, twin, odd = (functools.partial(nearest, weight=w) for w in (1, 1, 2))
-    assert own.fingerprint(part) == own.fingerprint(twin) != own.fingerprint(odd)
+    assert fingerprint(part) == fingerprint(twin) != fingerprint(odd)
+    shared = [lambda x: x]
+    for _ in range(60):  # each asks the two before it: looked at once
+        shared.append(lambda x, f=shared[-1], g=shared[-1]: f(x) + g(x))
+    assert fingerprint(shared[-1]) == fingerprint(shared[-1])
+
+
+class Weighed:
+    def __init__(self, weight):
+        self.weight = weight
+
+    def score(self, view):
+        return view.path_m * self.weight
+
+    __call__ = score
+
+
+def test_what_has_changed_since_is_another(tmp_path, monkeypatch):
+    """Whatever it is that a function refers to, it is looked at as it is when it is used."""
+    thing, config, table, chain, box = Weighed(-1), {"w": -1}, np.full(3, -1), [nearest], types.SimpleNamespace(w=-1)
+    module = types.ModuleType("helper_of_tests")
+    exec("def helper(view):\n    return -view.path_m", vars(module))
+
+    def marked(view):
+        return view.path_m * marked.w
+
+    marked.w = -1
+    named = {"by an object": thing, "by its method": thing.score, "marked": marked}
+    named |= {
+        "by a dict": lambda view: view.path_m * config["w"],
+        "by an array": lambda view: view.path_m * table[0],
+        "by a list": lambda view: chain[0](view),
+        "by a box": lambda view: view.path_m * box.w,
+        "by a module": lambda view: module.helper(view),
+        "by a partial": functools.partial(lambda table, view: view.path_m * table[0], table),
+    }
+    kept = {name: strategy(function, name=name, segment=name == "marked") for name, function in named.items()}
+    assert all(strategy(one) == one for one in kept.values())
+    thing.weight, config["w"], table[:], chain[0], box.w, marked.w = 1, 1, 1, thing, 1, 1
+    exec("def helper(view):\n    return view.path_m", vars(module))
+    assert [name for name, one in kept.items() if strategy(one).policy == one.policy] == []
+    assert [name for name, function in named.items() if strategy(function, name=name).policy == kept[name].policy] == []
 
 
 # ---------------------------------------------------------------- what is wrong with one
@@ -372,6 +454,18 @@ def test_what_is_wrong_is_said_in_one_line_before_anything_compiles(wrong, says,
         compare(["closest", strategy(wrong, name="wrong")])
     assert "\n" not in str(caught.value)
     assert caught.value._render_traceback_() == [f"InputError: {caught.value}"]
+
+
+@pytest.mark.jit
+def test_a_strategy_put_together_by_hand_is_checked_as_well():
+    with pytest.raises(InputError, match=r"must return \(carry, Choice, route\), got int 5"):
+        compare([jx.Strategy("raw", policy(lambda *_: 5)())])
+
+    def unlaid(key, params, carry, belief, beams, route):
+        return carry, jx.Choice(*jnp.int32([5, 30, 9])), route
+
+    table = compare([jx.Strategy("raw", policy(unlaid)())], episodes=1)
+    assert table["outcome"].tolist() == ["BAD_TARGET"]
 
 
 @pytest.mark.jit

@@ -133,7 +133,7 @@ class Group:
             free = min(m["bytes_limit"] - m["bytes_in_use"] for m in memory if m)
             lanes = jax.tree.map(lambda a: a.update(shape=a.shape[1:]), lanes)
             free -= sum(math.prod(a.shape) * a.dtype.itemsize for a in jax.tree.leaves((lanes.results, lanes.kept)))
-            most = min(most, int(MEMORY_SHARE * free / self.engine.lane_bytes(lanes, self.common.shared)))
+            most = min(most, int(MEMORY_SHARE * max(free, 0) / self.engine.lane_bytes(lanes, self.common.shared)))
         return min(2 ** max(0, most.bit_length() - 1), queue.line.shape[1])
 
     def run(self, n_lanes: int, costs: Any, on_progress: Callable[[int], object]) -> None:

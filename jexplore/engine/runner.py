@@ -83,8 +83,10 @@ def find_resources(*, engine: str | None = None, lanes: int | None = None, worke
       `Resources`.
 
     Raises:
-      InputError: an engine that does not exist, lanes or workers below 1, lanes for the serial engine.
+      InputError: an engine that does not exist, lanes or workers below 1, lanes for the serial engine, 64-bit mode.
     """
+    if jax.config.values["jax_enable_x64"]:
+        raise InputError("jax_enable_x64 is on, and jexplore computes in 32 bits: switch it off")
     if engine is not None and engine not in ENGINES:
         raise InputError(f"engine must be one of {', '.join(ENGINES)}, got {engine!r}")
     for name, value in (("lanes", lanes), ("workers", workers)):

@@ -5,8 +5,8 @@ leaves to future work.
 """
 
 import dataclasses
-import functools
 import math
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -71,11 +71,13 @@ def own_segment(params: Params, belief: Belief) -> tuple[Array, Array, Array]:
     return mine, (own >= 0) & has_door & small, found.overflow
 
 
-@functools.lru_cache(maxsize=64)
-def _select(inner):
-    """The `select` of a strategy with the modifier: the same function for the same strategy, so compiled once."""
+@dataclasses.dataclass(frozen=True)
+class _Select:
+    """The `select` of a strategy with the modifier. Equal for the same strategy, so compiled once."""
 
-    def select(key, params, carry, belief, beams, route):
+    inner: Callable[..., Any]
+
+    def __call__(self, key, params, carry, belief, beams, route):
         mine, is_room, overflow = own_segment(params, belief)
         none = jnp.int32(-1)
         nothing = Choice(none, none, jnp.int32(FAR), jnp.int32(0))
@@ -84,25 +86,33 @@ def _select(inner):
             # First only what lies in the robot's segment, then, if nothing does that can be reached, everything.
             def choose(_):
                 here = belief.replace(exhausted=belief.exhausted | (~mine & (i == 0)))
-                return inner(jax.random.fold_in(key, i), params.inner, carry, here, beams, route)
+                return self.inner(jax.random.fold_in(key, i), params.inner, carry, here, beams, route)
 
             return run_if((state[1].row < 0) & (is_room | (i > 0)), choose, state)
 
         carry, choice, route = lax.fori_loop(0, 2, attempt, (carry, nothing, route))
-        return carry, dataclasses.replace(choice, overflow=choice.overflow + overflow), route
-
-    setattr(select, "inner", inner)  # noqa: B010
-    return select
+        return carry, choice.replace(overflow=choice.overflow + overflow), route
 
 
-@functools.lru_cache(maxsize=64)
-def _init(inner):
-    return lambda params, belief: inner(params.inner, belief)
+@dataclasses.dataclass(frozen=True)
+class _Inner:
+    """The `init` or `live` of a strategy with the modifier."""
+
+    inner: Callable[..., Any]
+
+    def __call__(self, params, *rest):
+        return self.inner(params.inner, *rest)
 
 
-@functools.lru_cache(maxsize=64)
-def _live(inner):
-    return lambda params, belief, beams, row, col: inner(params.inner, belief, beams, row, col)
+def rebuilt(policy: Policy, change: Callable[[Any], Any]) -> Policy:
+    """A policy with its functions, or with the modifier those of the strategy that it modifies, changed."""
+
+    def one(function):
+        if isinstance(function, (_Select, _Inner)):
+            return type(function)(change(function.inner))
+        return None if function is None else change(function)
+
+    return policy._replace(init=one(policy.init), select=one(policy.select), live=one(policy.live))
 
 
 def segmented(
@@ -137,5 +147,5 @@ def segmented(
     )
     if kind != "auto":
         params = params._replace(door_m=math.inf, room_m2=math.inf)
-    live = None if policy.live is None else _live(policy.live)
-    return Policy(_init(policy.init), _select(policy.select), params, live)
+    live = None if policy.live is None else _Inner(policy.live)
+    return Policy(_Inner(policy.init), _Select(policy.select), params, live)

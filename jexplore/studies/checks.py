@@ -42,10 +42,17 @@ def listed(kind: str, items: Any) -> list[Any]:
     return items
 
 
-def require_different(kind: str, names: list[str]) -> None:
+def require_different(kind: str, names: list[str], hint: str = "") -> None:
     for name in names:
         if names.count(name) > 1:
-            raise InputError(f"{kind} must differ, got {name!r} more than once")
+            raise InputError(f"{kind} must differ, got {name!r} more than once{hint}")
+
+
+def require_settings(lidar: object, rules: object) -> None:
+    """Refuse what is no scanner or no rules."""
+    for name, given, kind in (("lidar", lidar, Lidar), ("rules", rules, Rules)):
+        if not isinstance(given, kind):
+            raise InputError(f"{name} must be a jx.{kind.__name__}, got {given!r}")
 
 
 def ready_worlds(worlds: WorldLike | Iterable[WorldLike], cell_m: float) -> list[World]:
@@ -88,7 +95,7 @@ def ready_strategies(strategies: StrategyLike | Iterable[StrategyLike]) -> list[
     strategies = listed("strategies", strategies)
     require_different("strategies", [given for given in strategies if isinstance(given, str)])
     ready = [strategy(given) for given in strategies]
-    require_different("strategies", [one.name for one in ready])
+    require_different("strategies", [one.name for one in ready], "; jx.strategy(..., name=...) tells them apart")
     return ready
 
 

@@ -30,6 +30,7 @@ from jexplore.studies.checks import (
     ready_strategies,
     ready_worlds,
     require_memory,
+    require_settings,
 )
 from jexplore.studies.league import standings
 from jexplore.worlds.world import World
@@ -215,7 +216,7 @@ def compare(
     jobs = prepare_jobs(
         worlds, strategies, episodes=episodes, seed=seed, cell_m=cell_m, start=start, lidar=lidar, rules=rules
     )
-    if keep is not None and keep not in RECORDS:
+    if keep is not None and keep not in tuple(RECORDS):
         raise InputError(f"keep must be None, {' or '.join(RECORDS)}, got {keep!r}")
     use_compilation_cache()
     how = {"engine": engine, "lanes": lanes, "workers": workers, "on_progress": on_progress}
@@ -235,6 +236,7 @@ def prepare_jobs(
     rules: Rules,
 ) -> list[Job]:
     """Everything that `compare` refuses or loads before it runs: a list of `Job`. Arguments as there."""
+    require_settings(lidar, rules)
     episodes = require_whole("episodes", episodes, 1, MAX_EPISODES)
     seed = require_whole("seed", seed, 0, MAX_SEED)
     if start not in ("random", "world"):

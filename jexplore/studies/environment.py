@@ -4,7 +4,8 @@ The rules are those of an episode: `exploration.environment`, one decision at a 
 """
 
 import math
-from typing import Any
+from collections.abc import Callable
+from typing import Any, ClassVar, Self
 
 import jax
 import jax.numpy as jnp
@@ -26,7 +27,7 @@ from jexplore.exploration.trail import Trail
 from jexplore.planning import Field, View, choose, field, is_live, view_of
 from jexplore.policies.policy import Policy
 from jexplore.reach import FAR
-from jexplore.studies.checks import LIDAR, RULES, ready_worlds, require_clearance, require_memory
+from jexplore.studies.checks import LIDAR, RULES, ready_worlds, require_clearance, require_memory, require_settings
 from jexplore.worlds.world import World, check_start, start_cells
 
 WORLD, START = 2, 3  # streams of random numbers besides those of an episode (`state.Stream`)
@@ -39,6 +40,7 @@ class EnvState:
     episode: State
     known: Field  # of its belief
     world: Array  # int32, which of the environment's worlds it is in
+    replace: ClassVar[Callable[..., Self]]
 
 
 def _no_carry(params, belief):
@@ -93,6 +95,7 @@ class Environment:
         Raises:
           InputError: no world, one that cannot be loaded, or one without a clear cell; cells of different sizes.
         """
+        require_settings(lidar, rules)
         if not isinstance(recheck, bool):
             raise InputError(f"recheck must be True or False, got {recheck!r}")
         use_compilation_cache()
@@ -141,22 +144,23 @@ class Environment:
           InputError: a key, start or world that cannot be one.
         """
         _require_key(key)
+        drawn = world is None and len(self.worlds) > 1  # a start may then lie in a wall of the one and not of the other
         if world is not None:
             world = _whole("world", world, ())
             known = _concrete(world)
             if known is not None and not 0 <= known < len(self.worlds):
                 raise InputError(f"world must be from 0 to {len(self.worlds) - 1}, got {known}")
         else:
-            world = jax.random.randint(jax.random.fold_in(key, WORLD), (), 0, len(self.worlds))
+            world = jax.random.randint(jax.random.fold_in(key, WORLD), (), 0, len(self.worlds), jnp.int32)
         if start is not None:
             start = _whole("start", start, (3,), "row, col, heading_deg")
             given, where = _concrete(start), _concrete(world)
-            if given is not None and where is not None:
+            if given is not None and where is not None and not drawn:
                 check_start(self.worlds[int(where)], given, self._rules.clearance_m, self._rules.near_m)
         else:
             which, turn = jax.random.split(jax.random.fold_in(key, START))
-            cell = self._cells[world, jax.random.randint(which, (), 0, self._n_cells[world])]
-            start = jnp.append(cell, 45 * jax.random.randint(turn, (), 0, 8))
+            cell = self._cells[world, jax.random.randint(which, (), 0, self._n_cells[world], jnp.int32)]
+            start = jnp.append(cell, 45 * jax.random.randint(turn, (), 0, 8, jnp.int32))
         return self._jitted_reset(jax.random.clone(key), start.astype(jnp.int32), world)
 
     def step(self, key: Array, state: EnvState, action: Any) -> tuple[EnvState, View, Array, Array, dict[str, Array]]:
@@ -181,10 +185,7 @@ class Environment:
           InputError: a key, state or action of a wrong shape or dtype.
         """
         _require_key(key)
-        if not isinstance(state, EnvState):
-            raise InputError(f"state must be what reset or step returned, got {type(state).__name__}")
-        if jnp.ndim(state.world):
-            raise InputError(f"step takes one state, got {jnp.shape(state.world)[0]} or more; use jax.vmap(env.step)")
+        self._require_one(state, "step")
         return self._jitted_step(jax.random.clone(key), state, _whole("action", action, (2,), "row, col"))
 
     def path(self, state: EnvState) -> np.ndarray:
@@ -193,10 +194,20 @@ class Environment:
         Raises:
           InputError: an environment that does not keep it.
         """
+        self._require_one(state, "path")
         if self._setup.capacity == 1:
             raise InputError("this environment keeps no paths: jx.Environment(..., paths=True)")
         spots = np.asarray(state.episode.trail)[: int(state.episode.steps) + 1, Trail.SPOT]
         return np.stack(np.divmod(spots // 4, self.shape[1]), axis=1)
+
+    def _require_one(self, state, taker):
+        if not isinstance(state, EnvState):
+            raise InputError(f"state must be what reset or step returned, got {type(state).__name__}")
+        if jnp.ndim(state.world):
+            many = f"{jnp.shape(state.world)[0]} or more"
+            raise InputError(f"{taker} takes one state, got {many}; use jax.vmap(env.step), or take one of them")
+        if state.episode.trail.shape[0] != self._setup.capacity + 1 or state.episode.shape != self.shape:
+            raise InputError("state must be one of this environment: its maps or its path have another size")
 
     def __repr__(self) -> str:
         names = ", ".join(str(world.name) for world in self.worlds)
@@ -271,8 +282,10 @@ def _whole(name, value, shape, meaning=""):
     """A value as int32 of a shape, which may be traced."""
     expected = f"{name} must be int32 {list(shape)}" + (f", {meaning}" if meaning else "")
     try:
+        if not isinstance(value, Array) and np.asarray(value).dtype.kind in "iu":  # 64 bits are not cut off
+            value = np.clip(value, -(2**31), 2**31 - 1)
         array = jnp.asarray(value)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise InputError(f"{expected}, got {value!r}") from None
     if array.shape != shape or not jnp.issubdtype(array.dtype, jnp.integer):
         raise InputError(f"{expected}, got {list(array.shape)} {array.dtype}")

@@ -27,8 +27,9 @@ from jexplore.studies.checks import (
     ready_strategies,
     ready_worlds,
     require_memory,
+    require_settings,
 )
-from jexplore.worlds.world import World
+from jexplore.worlds.world import World, draw_start
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -178,12 +179,15 @@ def prepare_job(
     rules: Rules,
     episode: int = 0,
 ) -> Job:
-    """Everything that `explore` refuses or loads before it runs: a `Job`, whose last start is the episode's."""
+    """Everything that `explore` refuses or loads before it runs: a `Job` of as many episodes, all from its start."""
     seed = require_whole("seed", seed, 0, MAX_SEED)
     episode = require_whole("episode", episode, 0, MAX_EPISODES - 1)
     (parsed,), (world,) = ready_strategies(strategy), ready_worlds(world, cell_m)
     require_memory(world, lidar, rules)
-    return Job(world, parsed, ready_starts(world, start, episode + 1, seed=seed, rules=rules), seed)
+    require_settings(lidar, rules)
+    (first,) = ready_starts(world, start, 1, seed=seed, rules=rules)
+    own = draw_start(world, seed, episode, rules.clearance_m) if start == "random" else first
+    return Job(world, parsed, np.tile(np.asarray(own, np.int32), (episode + 1, 1)), seed)
 
 
 def run_job(job: Job, lidar: Lidar, rules: Rules) -> Episode:

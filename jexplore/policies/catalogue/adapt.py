@@ -1,6 +1,7 @@
 """A user's strategy as a `Policy` whose functions return what the rules expect, or say in one line what they do not."""
 
 import contextlib
+import functools
 import os
 from collections.abc import Callable
 from typing import Any
@@ -12,8 +13,10 @@ from jax import Array, lax
 from jexplore.config import InputError
 from jexplore.grid import lowest
 from jexplore.planning import Belief, Choice, choose, field, first_at, is_open, view_of
-from jexplore.policies.catalogue.own import call, described, fingerprint, is_score, parameters
+from jexplore.policies.catalogue.fingerprint import fingerprint
+from jexplore.policies.catalogue.own import call, described, is_score, parameters
 from jexplore.policies.policy import Policy
+from jexplore.policies.room_wise import rebuilt
 from jexplore.raycast import Beams
 from jexplore.reach import FAR, MOTIONS, NO_MOTION
 
@@ -45,6 +48,18 @@ def policy_from(make: Any, given: dict[str, Any]) -> Policy:
     for role in ("init", "select", *(("live",) if policy.live is not None else ())):
         if not callable(getattr(policy, role)):
             raise InputError(f"{described(make)}: {role} must be a function, got {getattr(policy, role)!r}")
+    return adapted(policy)
+
+
+def adapted(policy: Policy) -> Policy:
+    """A `Policy` of a user's, its functions checked and as they are now; one of this package's as it is."""
+    select = getattr(policy.select, "inner", policy.select)
+    if isinstance(select, _Theirs):
+        return rebuilt(policy, lambda function: function.anew() if isinstance(function, _Theirs) else function)
+    while isinstance(select, functools.partial):
+        select = select.func
+    if (getattr(select, "__module__", None) or "").startswith("jexplore.policies."):
+        return policy
     live = None if policy.live is None else Live(policy.live)
     return Policy(Init(policy.init), Select(policy.select), policy.params, live)
 
@@ -59,6 +74,10 @@ class _Theirs:
     def __init__(self, function: Callable[..., Any], fixed: tuple[tuple[str, Any], ...] = ()) -> None:
         self.function, self.fixed, self.what = function, fixed, described(function)
         self._key = type(self), fingerprint(function), fixed
+
+    def anew(self) -> "_Theirs":
+        """The same function, as it is now."""
+        return type(self)(self.function, self.fixed)
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, _Theirs) and self._key == other._key

@@ -4,10 +4,11 @@ import functools
 import importlib.metadata
 import inspect
 import re
-from typing import Any
+from collections.abc import Callable
+from typing import Any, TypeVar, overload
 
 from jexplore.config import InputError
-from jexplore.policies.catalogue.own import place_of
+from jexplore.policies.catalogue.own import is_score, place_of
 from jexplore.policies.closest import closest
 from jexplore.policies.decision_theoretic import decision_theoretic
 from jexplore.policies.distance_advantage import distance_advantage
@@ -60,6 +61,15 @@ MODIFIERS: dict[str, str] = {
 }
 
 
+_Made = TypeVar("_Made")
+
+
+@overload
+def register(
+    name: str, make: None = None, *, summary: str = "", source: str = "", replace: bool = False
+) -> Callable[[_Made], _Made]: ...
+@overload
+def register(name: str, make: _Made, *, summary: str = "", source: str = "", replace: bool = False) -> _Made: ...
 def register(name: str, make: Any = None, *, summary: str = "", source: str = "", replace: bool = False) -> Any:
     """Give a strategy a name of its own, under which modifiers, tables and the command line know it.
 
@@ -87,6 +97,7 @@ def register(name: str, make: Any = None, *, summary: str = "", source: str = ""
         raise InputError(f"strategy {name!r} is one of jexplore's own; choose another name")
     if not (isinstance(make, Policy) or callable(make)):
         raise InputError(f"strategy {name!r} must be a function of the view, a constructor or a Policy, got {make!r}")
+    is_score(make)  # refuses what can be neither
     doc = (inspect.getdoc(make) or "") if inspect.isroutine(make) else ""
     STRATEGIES[name] = Entry(make, summary or doc.partition("\n")[0], source, is_own=True)
     return make

@@ -8,14 +8,14 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from jexplore.config import InputError, require_number, unknown
-from jexplore.policies.catalogue.adapt import policy_from
-from jexplore.policies.catalogue.entries import MODIFIERS, NAME, Entry, entry_of, known_names, source_of
+from jexplore.policies.catalogue.adapt import adapted, policy_from
+from jexplore.policies.catalogue.entries import MODIFIERS, Entry, entry_of, known_names, source_of
 from jexplore.policies.catalogue.own import described, import_object, name_of, parameters
 from jexplore.policies.policy import Policy, Strategy
 from jexplore.policies.room_wise import KINDS, segmented
 
 REQUIRED = inspect.Parameter.empty
-_FOREIGN = re.compile(rf"(?P<module>[A-Za-z_][\w.]*):(?P<name>{NAME})(?=$|[+:])")
+_FOREIGN = re.compile(r"(?P<module>[A-Za-z_][\w.]*):(?P<name>[A-Za-z_]\w*)(?=$|[+:])")
 
 
 def _defaults(make):
@@ -125,6 +125,14 @@ def _policy(entry, given):
     return policy_from(entry.make, given) if entry.is_own else entry.make(**given)
 
 
+def _unknown(name, rest):
+    """The error for a name that stands for nothing; that of a file is told how its module is named."""
+    if re.fullmatch(r":[A-Za-z_]\w*([+:].*)?", rest):
+        module = Path(name).stem
+        return InputError(f"{name!r} is no module: one in this folder or installed is named like {module}{rest}")
+    return unknown("strategy", name, known_names())
+
+
 def parse_strategy(text: str) -> Strategy:
     """A strategy from its name.
 
@@ -140,7 +148,7 @@ def parse_strategy(text: str) -> Strategy:
         does not import, something in it that is no strategy.
     """
     foreign = _FOREIGN.match(text)
-    if foreign and entry_of(foreign["module"]) is None:
+    if foreign and not foreign["module"].endswith(".py") and entry_of(foreign["module"]) is None:
         entry: Entry | None = Entry(import_object(foreign["module"], foreign["name"]), is_own=True)
         name, rest = foreign[0], text[foreign.end() :]
     else:
@@ -148,7 +156,7 @@ def parse_strategy(text: str) -> Strategy:
         name = match[0] if match else ""
         entry, rest = entry_of(name), text[len(name) :]
     if entry is None:
-        raise unknown("strategy", name, known_names())
+        raise _unknown(name, rest)
     words, colon, tail = rest.partition(":")
     modifiers = _modifiers(words.split("+")[1:], text)
     own = _defaults(entry.make)
@@ -183,8 +191,10 @@ def strategy(
     if isinstance(what, (Strategy, str)):
         if name is not None or recheck or segment or given:
             raise InputError(f"{getattr(what, 'name', what)!r} says itself how it is modified: give nothing else")
-        return parse_strategy(what) if isinstance(what, str) else what
-    kind = {True: "holz", False: None}.get(segment, segment) if isinstance(segment, bool) else segment
+        return parse_strategy(what) if isinstance(what, str) else _checked(what)
+    if not isinstance(recheck, bool) or not isinstance(segment, (bool, str)):
+        raise InputError(f"recheck must be True or False and segment also a kind, got {recheck!r} and {segment!r}")
+    kind = {True: "holz", False: None}[segment] if isinstance(segment, bool) else segment
     if kind is not None and kind not in KINDS:
         raise unknown("kind of segment:", kind, KINDS)
     if not (isinstance(what, Policy) or callable(what)):
@@ -192,8 +202,12 @@ def strategy(
     base = name_of(what.select if isinstance(what, Policy) else what)
     if name is None and base is None:
         raise InputError(f"{described(what)} has no name: jx.strategy(..., name=...)")
-    words = ("+recheck" if recheck else "") + (f"+segment={kind}" if kind else "")
+    _require_name(base if name is None else name)
     own = _defaults(what)
+    clash = [key for key in own if key in ("name", "recheck", "segment") or (kind and key in _defaults(segmented))]
+    if clash:
+        raise InputError(f"{described(what)} has a parameter {clash[0]!r}, which is one of the modifiers': rename it")
+    words = ("+recheck" if recheck else "") + (f"+segment={kind}" if kind else "")
     policy = _modified(
         policy_from(what, {key: value for key, value in given.items() if key in own or not kind}),
         {"segment": kind} if kind else {},
@@ -203,3 +217,16 @@ def strategy(
         f"{key}={value}" for key, value in given.items() if isinstance(value, (int, float, str, os.PathLike))
     )
     return Strategy(name or f"{base}{words}" + (f":{tail}" if tail else ""), policy, recheck)
+
+
+def _require_name(name):
+    if not isinstance(name, str) or not name.strip():
+        raise InputError(f"a strategy's name must be text, got {name!r}")
+
+
+def _checked(given):
+    """A `Strategy` that a user has put together, or kept: its functions as they are now."""
+    _require_name(given.name)
+    if not isinstance(given.policy, Policy):
+        raise InputError(f"strategy {given.name!r}: policy must be a Policy, got {type(given.policy).__name__}")
+    return given._replace(policy=adapted(given.policy))

@@ -11,8 +11,7 @@ import inspect
 import os
 import sys
 import traceback
-import types
-from collections.abc import Callable, Hashable
+from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -70,23 +69,32 @@ def call(function: Callable[..., Any], what: str, *args: Any, **kwargs: Any) -> 
         return function(*args, **kwargs)
     except InputError:
         raise
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         frames = traceback.extract_tb(error.__traceback__)
-        own = [frame for frame in frames if not _is_library(frame.filename)]
+        own = [frame for frame in frames if not is_library(frame.filename)]
         where = f" at {_short(own[-1].filename)}:{own[-1].lineno}" if own else ""
-        said = next((line.strip() for line in str(error).splitlines() if line.strip()), "")
-        raise InputError(f"{what} raised {type(error).__name__}{where}: {said}") from error
+        raise InputError(f"{what} raised {type(error).__name__}{where}: {_first_line(error)}") from error
 
 
-_FILES = (jax.__file__, np.__file__, contextlib.__file__)  # of jax, numpy and Python itself
+def _first_line(error):
+    try:
+        return next((line.strip() for line in str(error).splitlines() if line.strip()), "")
+    except Exception:  # it cannot even say what it is
+        return ""
+
+
+_PYTHON = os.path.join(os.path.dirname(os.path.abspath(contextlib.__file__)), "")
 _LIBRARIES = tuple(
     os.path.join(os.path.abspath(folder), "")
-    for folder in (*map(os.path.dirname, _FILES), os.path.join(os.path.dirname(__file__), "..", ".."))
+    for folder in (*map(os.path.dirname, (jax.__file__, np.__file__)), os.path.join(os.path.dirname(__file__), "../.."))
 )
 
 
-def _is_library(file):
-    return file.startswith("<frozen") or os.path.abspath(file).startswith(_LIBRARIES)
+def is_library(file: str) -> bool:
+    """Whether a file belongs to Python, jax, numpy or this package: not to what a user or another package wrote."""
+    file = os.path.abspath(file)
+    installed = "site-packages" in file or "dist-packages" in file
+    return file.startswith(_LIBRARIES) or (file.startswith(_PYTHON) and not installed) or "<frozen" in file
 
 
 def parameters(make: Any) -> dict[str, inspect.Parameter]:
@@ -126,15 +134,19 @@ def is_score(make: Any) -> bool:
     return bool(needed)
 
 
+_LOADED: dict[str, tuple[str, int, int]] = {}  # modules of the current folder: file, when it was written, its size
+
+
 def import_object(module: str, name: str) -> Any:
-    """An object of a module, which may lie in the current folder.
+    """An object of a module, which may lie in the current folder: as it is there now, read again where it has changed.
 
     Raises:
-      InputError: the module does not import (its own error), or has no such name.
+      InputError: the module does not import (its own error), is hidden by another, or has no such name.
     """
-    here = os.getcwd()
-    at_home = importlib.machinery.PathFinder.find_spec(module.partition(".")[0], [here]) is not None
-    if at_home:  # before anything of that name that is installed; afterwards behind everything
+    here, top = os.getcwd(), module.partition(".")[0]
+    spec = importlib.machinery.PathFinder.find_spec(top, [here])
+    _forget_others(top, spec)
+    if spec is not None:  # before anything of that name that is installed
         sys.path.insert(0, here)
     importlib.invalidate_caches()
     try:
@@ -143,76 +155,40 @@ def import_object(module: str, name: str) -> Any:
         if error.name and (module == error.name or module.startswith(f"{error.name}.")):
             raise InputError(f"no module {module!r}, neither installed nor in {here}") from error
         raise InputError(f"module {module!r} does not import: {type(error).__name__}: {error}") from error
-    except Exception as error:
-        said = next((line.strip() for line in str(error).splitlines() if line.strip()), "")
-        raise InputError(f"module {module!r} does not import: {type(error).__name__}: {said}") from error
+    except (Exception, SystemExit) as error:
+        raise InputError(f"module {module!r} does not import: {type(error).__name__}: {_first_line(error)}") from error
     finally:
-        if at_home:
+        if spec is not None:
             sys.path.remove(here)
-            sys.path += [here] * (here not in sys.path)
+    if spec is not None and spec.origin is not None:
+        _LOADED[top] = _state_of(spec.origin)
     try:
         return getattr(found, name)
     except AttributeError:
         have = [key for key, value in vars(found).items() if callable(value) and not key.startswith("_")]
-        raise InputError(
-            f"module {module!r} has no {name!r} (there are: {', '.join(have) or 'no functions'})"
-        ) from None
+        what = f"(there are: {', '.join(have) or 'no functions'})"
+        raise InputError(f"module {module!r} has no {name!r} {what}") from None
 
 
-class _Itself:
-    """A thing that is equal to nothing but itself; kept, so that nothing else takes its place in memory."""
-
-    def __init__(self, thing: object) -> None:
-        self.thing = thing
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Itself) and self.thing is other.thing
-
-    def __hash__(self) -> int:
-        return id(self.thing)
+def _state_of(file):
+    about = os.stat(file)
+    return file, about.st_mtime_ns, about.st_size
 
 
-def fingerprint(thing: Any, seen: tuple[Any, ...] = ()) -> Hashable:
-    """What is equal for functions that compute the same: their code, and what they close over and refer to.
+def _forget_others(top, spec):
+    """Forgets a module that was loaded from another folder, or has been written since; one that is not ours stays.
 
-    A function that a constructor makes anew, or a notebook's cell defines again, is then compiled once; one whose
-    helper has been changed since is another. What is no number, text or function counts as itself only.
-
-    Args:
-      thing: a function, or anything that one refers to.
-      seen: functions that are being looked at.
+    Raises:
+      InputError: it stays, and hides that of the current folder.
     """
-    if isinstance(thing, functools.partial):
-        keywords = tuple((key, fingerprint(value, seen)) for key, value in sorted(thing.keywords.items()))
-        return "partial", fingerprint(thing.func, seen), tuple(fingerprint(a, seen) for a in thing.args), keywords
-    if isinstance(thing, types.MethodType):
-        return "method", fingerprint(thing.__func__, seen), _Itself(thing.__self__)
-    if isinstance(thing, (bool, int, float, complex, str, bytes, os.PathLike, type(None))):
-        return type(thing), thing
-    if isinstance(thing, tuple):
-        return type(thing), tuple(fingerprint(part, seen) for part in thing)
-    if not isinstance(thing, types.FunctionType) or _is_library(thing.__code__.co_filename):
-        return _Itself(thing)
-    if thing in seen:
-        return "itself"
-    within = *seen, thing
-    names = [name for name in sorted(_names(thing.__code__)) if name in thing.__globals__]
-    refers = [thing.__globals__[name] for name in names]
-    defaults = [*(thing.__defaults__ or ()), *(thing.__kwdefaults__ or {}).values()]
-    closes = [cell.cell_contents for cell in thing.__closure__ or () if _is_set(cell)]
-    parts = tuple(fingerprint(part, within) for part in (*refers, *defaults, *closes))
-    return thing.__code__, tuple(names), parts
-
-
-def _is_set(cell):
-    try:
-        cell.cell_contents  # noqa: B018
-    except ValueError:  # not yet
-        return False
-    return True
-
-
-def _names(code):
-    """Names that a code object refers to, and those that the functions in it do."""
-    inner = (const for const in code.co_consts if isinstance(const, types.CodeType))
-    return set(code.co_names).union(*map(_names, inner))
+    loaded = sys.modules.get(top)
+    if loaded is None:
+        return
+    if top in _LOADED and (spec is None or spec.origin is None or _state_of(spec.origin) != _LOADED[top]):
+        del _LOADED[top]
+        for name in [name for name in sys.modules if name == top or name.startswith(f"{top}.")]:
+            del sys.modules[name]
+    elif top not in _LOADED and spec is not None and spec.origin is not None:
+        file = getattr(loaded, "__file__", None) or "Python itself"
+        if os.path.abspath(file) != os.path.abspath(spec.origin):
+            raise InputError(f"{_short(spec.origin)} is hidden by another module {top!r}, of {file}: rename it")
