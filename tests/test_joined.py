@@ -47,12 +47,12 @@ def test_a_lone_one_and_a_users_stay_as_they_are():
 
 
 @pytest.mark.jit
-@pytest.mark.parametrize("engine", ["serial", "lockstep"])
-def test_together_and_alone_they_do_the_same(engine):
+def test_together_and_alone_they_do_the_same():
     jobs = [job._replace(starts=job.starts[:2]) for job in some_jobs(NAMES)[: len(NAMES)]]
-    together = run_jobs(jobs, LIDAR, RULES, engine=engine).outcomes
-    for job, found in zip(jobs, together):
-        (alone,) = run_jobs([job], LIDAR, RULES, engine=engine).outcomes
-        jax.tree.map(np.testing.assert_array_equal, found.result, alone.result)
-        assert found.first.plans == alone.first.plans
+    together, lanes = (run_jobs(jobs, LIDAR, RULES, engine=engine).outcomes for engine in ("serial", "lockstep"))
+    for job, found, other in zip(jobs, together, lanes):
+        (alone,) = run_jobs([job], LIDAR, RULES, engine="serial").outcomes
+        for one in (alone, other):
+            jax.tree.map(np.testing.assert_array_equal, found.result, one.result)
+            assert found.first.plans == one.first.plans
     assert len({np.stack([found.result.plans, found.result.turns]).tobytes() for found in together}) == len(NAMES)

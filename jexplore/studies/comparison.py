@@ -205,7 +205,8 @@ def compare(
       lanes: episodes at a time on each device in lockstep; by default as many as its memory holds.
       workers: threads of the serial engine; by default one a core.
       on_progress: called now and then with the number of episodes finished.
-      keep: "paths" for the way of every episode, "maps" for its last map as well; see `Comparison`.
+      keep: "paths" for the way of every episode, 12 bytes a step, "maps" for its last map as well, a byte a cell; see
+        `Comparison`.
 
     Returns:
       `Comparison`.

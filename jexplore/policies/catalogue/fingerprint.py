@@ -77,10 +77,11 @@ def _look(thing, names, seen):
 
 
 def _of_function(function, seen):
-    """Its code, what it refers to, its defaults, what it closes over, what hangs on it."""
-    if is_library(function.__code__.co_filename):
-        return _Itself(function)
-    names = tuple(sorted(_names(function.__code__)))
+    """Its code, what it refers to, its defaults, what it closes over, what hangs on it.
+
+    What is installed refers to what is installed, which does not change; but it may have been made of what does.
+    """
+    names = () if _is_installed(function.__code__.co_filename) else tuple(sorted(_names(function.__code__)))
     known = [name for name in names if name in function.__globals__]
     refers = [function.__globals__[name] for name in known]
     closes = [cell.cell_contents for cell in function.__closure__ or () if _is_set(cell)]
@@ -90,8 +91,7 @@ def _of_function(function, seen):
 
 def _of_module(module, names, seen):
     """Of a user's module, what the names in the code that refers to it stand for in it."""
-    file = getattr(module, "__file__", None)
-    if module.__name__ in sys.builtin_module_names or (file is not None and is_library(file)):
+    if _is_fixed(module):
         return _Itself(module)
     known = [name for name in names if name in vars(module)]
     return "module", module.__name__, tuple(known), tuple(_look(vars(module)[name], names, seen) for name in known)
@@ -102,7 +102,7 @@ def _of_object(thing, each):
     if isinstance(thing, jax.Array) and not isinstance(thing, Tracer):
         return _Itself(thing)  # never changes
     if isinstance(thing, type):
-        if thing.__module__.partition(".")[0] in ("builtins", "jax", "jaxlib", "numpy", "jexplore", "typing"):
+        if _is_fixed(sys.modules.get(thing.__module__)):
             return _Itself(thing)
         own = {key: value for key, value in vars(thing).items() if key not in _HIDDEN}
         return "class", thing.__qualname__, each((own, *thing.__bases__))
@@ -112,6 +112,16 @@ def _of_object(thing, each):
     if hasattr(thing, "__dict__") and vars(thing):
         return "object", each((type(thing), vars(thing)))
     return _Itself(thing)
+
+
+def _is_installed(file):
+    return is_library(file) or "site-packages" in file or "dist-packages" in file
+
+
+def _is_fixed(module):
+    """Whether a module is installed, and not a user's: None is a class's that was made without one."""
+    file = getattr(module, "__file__", None)
+    return getattr(module, "__name__", None) in sys.builtin_module_names or (file is not None and _is_installed(file))
 
 
 def _is_set(cell):
