@@ -11,6 +11,7 @@ from ref.worlds import two_rooms
 
 import jexplore as jx
 from jexplore.config import InputError, Lidar, Rules
+from jexplore.studies import environment
 from jexplore.worlds.world import World, draw_starts
 
 LIDAR = Lidar(n_beams=37, range_m=1.0, sigma_m=0.03, dropout=0.02)
@@ -132,7 +133,7 @@ def test_any_cell_of_finite_cost_can_be_gone_to(env):
     free = np.argwhere((np.asarray(view.cost) < 2**30) & ~np.asarray(view.frontier))
     far = free[np.argmax(np.asarray(view.cost)[tuple(free.T)])]
     for recheck in (False, True):  # what is no frontier cell is not given up for being none
-        one = jx.Environment(two_rooms(), lidar=Lidar(n_beams=37, range_m=1.0), recheck=recheck)
+        one = jx.Environment(two_rooms(), lidar=Lidar(n_beams=37, range_m=1.0), recheck=recheck, paths=True)
         new, _, reward, _, info = one.step(key, one.reset(key, view.belief.start * jnp.int32([1, 1, 45]))[0], far)
         assert bool(info["valid"])
         assert [int(new.episode.row), int(new.episode.col)] == far.tolist()
@@ -168,14 +169,15 @@ def test_a_bank_of_worlds():
 def test_ends(env):
     occupied = np.ones((24, 24), bool)
     occupied[5:8, 5:8], occupied[12:22, 12:22] = False, False
-    closed = jx.Environment(World(occupied=occupied, name="closed"), lidar=Lidar(n_beams=37, range_m=1.0))
+    lidar = Lidar(n_beams=37, range_m=1.0)
+    closed = jx.Environment(World(occupied=occupied, name="closed"), lidar=lidar, paths=True)
     key = jax.random.key(0)
     for start, outcome in (([6, 6, 0], "STUCK"), ([17, 17, 90], "COMPLETE"), ([-3, 500, 0], "STUCK")):
         state, view = jax.jit(closed.reset)(key, jnp.int32(start))  # traced: not refused
         new, _, reward, done, info = closed.step(key, state, nearest(view))
         assert (bool(done), float(reward), jx.Outcome(int(info["outcome"])).name) == (True, 0.0, outcome)
         same(new, state)
-    short = jx.Environment(two_rooms(), lidar=Lidar(n_beams=37, range_m=1.0), rules=Rules(max_plans=2))
+    short = jx.Environment(two_rooms(), lidar=Lidar(n_beams=37, range_m=1.0), rules=Rules(max_plans=2), paths=True)
     state, view = short.reset(key)
     for n in range(2):
         state, view, _, done, info = short.step(key, state, nearest(view))
@@ -224,16 +226,24 @@ def test_64_bits_are_refused():
         jx.Environment(two_rooms())
 
 
-def test_old_keys_do_as_well(env):
-    state, view = env.reset(jax.random.PRNGKey(5))
-    same(state, env.reset(jax.random.key(5))[0])
-    assert env.step(jax.random.PRNGKey(5), state, nearest(view))[4]["valid"]
-
-
-def test_no_key_is_used_twice(env):
-    key = jax.random.key(6)
+def test_keys_may_be_used_again_and_old_ones_do_as_well(env):
+    key = jax.random.key(5)
     with jax.debug_key_reuse(True):
-        fresh = jx.Environment(two_rooms(), lidar=LIDAR)
-        state, view = fresh.reset(key)
-        fresh.step(key, state, nearest(view))
+        state, view = env.reset(key)
+        new, *_ = env.step(key, state, nearest(view))
+    again, view = env.reset(jax.random.PRNGKey(5))
+    same(again, state)
+    same(env.step(jax.random.PRNGKey(5), state, nearest(view))[0], new)
+
+
+def test_environments_of_one_shape_share_their_programs(env):
+    env.step(jax.random.key(0), env.reset(jax.random.key(0))[0], [5, 5])
+    before = environment._step._cache_size(), environment._reset._cache_size()
+    other = jx.Environment(two_rooms(door=5), lidar=Lidar(n_beams=37, range_m=1.0), recheck=True, paths=True)
+    other.step(jax.random.key(0), other.reset(jax.random.key(0))[0], [5, 5])
+    assert (environment._step._cache_size(), environment._reset._cache_size()) == before
+
+
+def test_told():
+    env = jx.Environment(two_rooms(), lidar=LIDAR)
     assert repr(env) == "<Environment of two rooms; 64 x 64 cells of 0.1 m>"

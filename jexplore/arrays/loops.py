@@ -121,9 +121,19 @@ def alone_on_cpu(function: Callable[..., Any]) -> Callable[..., Any]:
 
     @call.def_vmap
     def in_lanes(n, batched, *args):
-        args = _wide(n, args, tuple(batched))
-        together = jax.default_backend() != "cpu"
-        out = jax.vmap(function)(*args) if together else lax.map(lambda one: call(*one), args)
+        del n
+        leaves, tree = jax.tree.flatten(args)
+        own = jax.tree.leaves(tuple(batched))
+
+        def whole(some):
+            some = iter(some)
+            return jax.tree.unflatten(tree, [next(some) if b else leaf for b, leaf in zip(own, leaves)])
+
+        lanes = [leaf for b, leaf in zip(own, leaves) if b]  # what they share is not copied
+        if jax.default_backend() == "cpu":
+            out = lax.map(lambda some: call(*whole(some)), lanes)
+        else:
+            out = jax.vmap(lambda some: function(*whole(some)))(lanes)
         return out, _all_batched(out)
 
     return call

@@ -3,6 +3,7 @@
 The rules are those of an episode: `exploration.environment`, one decision at a time.
 """
 
+import functools
 import math
 from collections.abc import Callable
 from typing import Any, ClassVar, Self
@@ -22,10 +23,11 @@ from jexplore.engine.program import Given
 from jexplore.engine.runner import find_resources
 from jexplore.exploration import environment
 from jexplore.exploration.site import KERNELS, prepare_site
-from jexplore.exploration.state import Outcome, State
+from jexplore.exploration.state import Numbers, Outcome, State, Truth
 from jexplore.exploration.trail import Trail
 from jexplore.planning import Field, View, choose, field, is_live, view_of
 from jexplore.policies.policy import Policy
+from jexplore.raycast import Beams
 from jexplore.reach import FAR
 from jexplore.studies.checks import LIDAR, RULES, ready_worlds, require_clearance, require_memory, require_settings
 from jexplore.worlds.world import World, check_start, start_cells
@@ -41,6 +43,16 @@ class EnvState:
     known: Field  # of its belief
     world: Array  # int32, which of the environment's worlds it is in
     replace: ClassVar[Callable[..., Self]]
+
+
+@struct.dataclass
+class _Bank:
+    """What all episodes of an environment share. An argument of its programs: environments of one shape share them."""
+
+    beams: Beams
+    scenes: Truth  # [M, ...]
+    numbers: Numbers  # [M, ...]
+    recheck: Array  # bool
 
 
 def _no_carry(params, belief):
@@ -105,7 +117,7 @@ class Environment:
             raise InputError(
                 f"worlds of one environment must have cells of one size, got {sizes[0]:g} and {sizes[1]:g} m"
             )
-        self.cell_m, self._rules, self._recheck = sizes[0], rules, recheck
+        self.cell_m, self._rules = sizes[0], rules
         rows, cols = (max(bucket(side) for side in sides) for sides in zip(*(world.shape for world in self.worlds)))
         self.shape = rows, cols
         kernels, sites, cells = KERNELS[find_resources().engine], [], []
@@ -116,16 +128,14 @@ class Environment:
             sites.append(prepare_site(world, lidar, rules, kernels, self.shape))
         capacity = max(site.setup.capacity for site in sites) if paths else 1
         self._setup = sites[0].setup._replace(policy=_STEPPED, capacity=capacity)
-        self._beams = jax.tree.map(jnp.asarray, sites[0].beams)
-        self._scenes, self._numbers = (
+        scenes, numbers = (
             jax.tree.map(lambda *a: jnp.stack(a), *(getattr(site, name) for site in sites))
             for name in ("truth", "numbers")
         )
+        self._bank = _Bank(jax.tree.map(jnp.asarray, sites[0].beams), scenes, numbers, jnp.bool_(recheck))
         self._n_cells = jnp.asarray([len(own) for own in cells], jnp.int32)
         most = max(len(own) for own in cells)
         self._cells = jnp.asarray(np.stack([np.resize(own, (most, 2)) for own in cells]), jnp.int32)
-        self._jitted_reset = jax.jit(alone_on_cpu(self._reset))
-        self._jitted_step = jax.jit(alone_on_cpu(self._step))
 
     def reset(self, key: Array, start: Any = None, world: Any = None) -> tuple[EnvState, View]:
         """An episode that has made its first scans.
@@ -161,7 +171,7 @@ class Environment:
             which, turn = jax.random.split(jax.random.fold_in(key, START))
             cell = self._cells[world, jax.random.randint(which, (), 0, self._n_cells[world], jnp.int32)]
             start = jnp.append(cell, 45 * jax.random.randint(turn, (), 0, 8, jnp.int32))
-        return self._jitted_reset(jax.random.clone(key), start.astype(jnp.int32), world)
+        return _reset(self._setup, self._bank, jax.random.clone(key), start.astype(jnp.int32), world)
 
     def step(self, key: Array, state: EnvState, action: Any) -> tuple[EnvState, View, Array, Array, dict[str, Array]]:
         """Drives to a target, until it is reached, found to be out of reach, or given up.
@@ -186,7 +196,8 @@ class Environment:
         """
         _require_key(key)
         self._require_one(state, "step")
-        return self._jitted_step(jax.random.clone(key), state, _whole("action", action, (2,), "row, col"))
+        action = _whole("action", action, (2,), "row, col")
+        return _step(self._setup, self._bank, jax.random.clone(key), state, action)
 
     def path(self, state: EnvState) -> np.ndarray:
         """The way driven so far, of an environment with `paths=True`: `[n + 1, 2]` int32, row and col; on the host.
@@ -213,61 +224,79 @@ class Environment:
         names = ", ".join(str(world.name) for world in self.worlds)
         return f"<Environment of {names}; {self.shape[0]} x {self.shape[1]} cells of {self.cell_m:g} m>"
 
-    def _given(self, key, world, start):
-        numbers = jax.tree.map(lambda a: a[world], self._numbers)
-        return Given(key, self._beams, self._scenes, world, numbers, start)
 
-    def _reset(self, key, start, world):
-        row, col, heading_deg = start
-        inside = (row >= 0) & (row < self.shape[0]) & (col >= 0) & (col < self.shape[1])
-        row, col = jnp.where(inside, row, 0), jnp.where(inside, col, 0)  # a wall: enclosed
-        given = self._given(key, world, jnp.stack([row, col, heading_deg // 45 % 8]))
-        return self._seen(given, environment.begin(self._setup, given))
+def _given(bank, key, world, start):
+    return Given(key, bank.beams, bank.scenes, world, jax.tree.map(lambda a: a[world], bank.numbers), start)
 
-    def _seen(self, given, episode):
-        """State and view after the last scan; without a frontier the episode is over."""
-        known = field(episode.belief)
-        none = ~jnp.any(known.candidates) & (episode.outcome == Outcome.RUNNING)
 
-        def end(episode):
-            nothing, route = choose(episode.belief, episode.route, known, jnp.int32(-1), jnp.int32(-1))
-            return environment.commit(given, episode, nothing, route)
+def _inside(shape, row, col):
+    """Whether a cell lies on the maps, and the cell, or (0, 0), which is a wall, instead of it."""
+    inside = (row >= 0) & (row < shape[0]) & (col >= 0) & (col < shape[1])
+    return inside, jnp.where(inside, row, 0), jnp.where(inside, col, 0)
 
-        episode = run_if(none, end, episode)
-        return EnvState(episode, known, given.scene), view_of(episode.belief, known)
 
-    def _step(self, key, state, action):
-        episode, known, (row, col) = state.episode, state.known, action
-        inside = (row >= 0) & (row < self.shape[0]) & (col >= 0) & (col < self.shape[1])
-        row, col = jnp.where(inside, row, 0), jnp.where(inside, col, 0)
-        valid = inside & (known.cost[row, col] < FAR) & (episode.outcome == Outcome.RUNNING)
+def _seen(given, episode):
+    """`EnvState` after the last scan of a plan; without a frontier the episode is over."""
+    known = field(episode.belief)
+    none = ~jnp.any(known.candidates) & (episode.outcome == Outcome.RUNNING)
 
-        def drive(state):
-            episode = state.episode
-            given = self._given(key, state.world, episode.belief.start)
-            # What was no frontier cell when it was chosen is not given up for being none.
-            given = given.replace(numbers=given.numbers.replace(recheck=self._recheck & known.candidates[row, col]))
-            choice, route = choose(episode.belief, episode.route, known, row, col)
-            episode = environment.commit(given, episode, choice, route, is_live(episode.belief, row, col))
+    def end(episode):
+        nothing, route = choose(episode.belief, episode.route, known, jnp.int32(-1), jnp.int32(-1))
+        return environment.commit(given, episode, nothing, route)
 
-            def advance(episode):
-                return environment.advance(self._setup, given, episode)
+    return EnvState(run_if(none, end, episode), known, given.scene)
 
-            return self._seen(given, lax.while_loop(lambda episode: episode.walking, advance, episode))[0]
 
-        state = run_if(valid, drive, state)
-        now = state.episode
-        info = {
-            "valid": valid,
-            "outcome": environment.outcome_of(now),
-            "path_m": self._metres(now.straight, now.diagonal),
-            "known_m2": now.known * jnp.float32(self.cell_m**2),
-        }
-        reward = -self._metres(now.straight - episode.straight, now.diagonal - episode.diagonal)
-        return state, view_of(now.belief, state.known), reward, now.outcome != Outcome.RUNNING, info
+def _begun(setup, bank, key, start, world):
+    row, col, heading_deg = start
+    _, row, col = _inside(bank.scenes.occupied.shape[1:], row, col)
+    given = _given(bank, key, world, jnp.stack([row, col, heading_deg // 45 % 8]))
+    state = _seen(given, environment.begin(setup, given))
+    return state, view_of(state.episode.belief, state.known)
 
-    def _metres(self, straight, diagonal):
-        return (straight + jnp.float32(math.sqrt(2)) * diagonal) * jnp.float32(self.cell_m)
+
+def _driven(setup, bank, key, state, action):
+    episode, known = state.episode, state.known
+    given = _given(bank, key, state.world, episode.belief.start)
+    inside, row, col = _inside(known.cost.shape, *action)
+    valid = inside & (known.cost[row, col] < FAR) & (episode.outcome == Outcome.RUNNING)
+
+    def drive(state):
+        episode = state.episode
+        # What was no frontier cell when it was chosen is not given up for being none.
+        numbers = given.numbers.replace(recheck=bank.recheck & known.candidates[row, col])
+        own = given.replace(numbers=numbers)
+        choice, route = choose(episode.belief, episode.route, known, row, col)
+        episode = environment.commit(own, episode, choice, route, is_live(episode.belief, row, col))
+
+        def advance(episode):
+            return environment.advance(setup, own, episode)
+
+        return _seen(own, lax.while_loop(lambda episode: episode.walking, advance, episode))
+
+    def metres(straight, diagonal):
+        return (straight + jnp.float32(math.sqrt(2)) * diagonal) * given.numbers.model.cell_m
+
+    state = run_if(valid, drive, state)
+    now = state.episode
+    info = {
+        "valid": valid,
+        "outcome": environment.outcome_of(now),
+        "path_m": metres(now.straight, now.diagonal),
+        "known_m2": now.known * given.numbers.model.cell_m**2,
+    }
+    reward = -metres(now.straight - episode.straight, now.diagonal - episode.diagonal)
+    return state, view_of(now.belief, state.known), reward, now.outcome != Outcome.RUNNING, info
+
+
+@functools.partial(jax.jit, static_argnums=0)
+def _reset(setup, *args):
+    return alone_on_cpu(functools.partial(_begun, setup))(*args)
+
+
+@functools.partial(jax.jit, static_argnums=0)
+def _step(setup, *args):
+    return alone_on_cpu(functools.partial(_driven, setup))(*args)
 
 
 def _require_key(key):

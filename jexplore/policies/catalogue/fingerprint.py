@@ -38,7 +38,7 @@ class _Itself:
 
 def fingerprint(thing: Any) -> Hashable:
     """What is equal for things that compute the same, as they are now: code, and all that it refers to."""
-    seen: dict[int, tuple[int, Any]] = {}
+    seen: dict[Any, tuple[int, Any]] = {}
     found = _look(thing, (), seen)
     return _Itself(object()) if len(seen) > MOST else found
 
@@ -46,11 +46,14 @@ def fingerprint(thing: Any) -> Hashable:
 def _look(thing, names, seen):
     if isinstance(thing, PLAIN):
         return type(thing), thing, str(thing) if isinstance(thing, float) else None  # 0.0 and -0.0 differ
-    if id(thing) in seen:
-        return "seen", seen[id(thing)][0]
+    place = (
+        (id(thing), names) if isinstance(thing, types.ModuleType) else id(thing)
+    )  # a module as each function sees it
+    if place in seen:
+        return "seen", seen[place][0]
     if len(seen) > MOST:
         return None
-    seen[id(thing)] = len(seen), thing  # kept: what is made on the way must not make room for another
+    seen[place] = len(seen), thing  # kept: what is made on the way must not make room for another
 
     def each(parts):
         return tuple(_look(part, names, seen) for part in parts)
