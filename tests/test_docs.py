@@ -21,7 +21,7 @@ def blocks(file, section):
 @pytest.mark.jit
 def test_ones_own_strategy_and_steps(capsys):
     exec(blocks("README.md", "Your own"), found := {})
-    said, outcome = capsys.readouterr().out.split()
+    said, outcome = capsys.readouterr().out.splitlines()[-1].split()
     assert outcome == "COMPLETE"
     start = np.asarray(found["state"].episode.belief.start) * [1, 1, 45]
     episode = jx.explore(found["world"], "closest", start=tuple(start.tolist()))

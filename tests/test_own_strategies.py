@@ -223,6 +223,7 @@ def test_a_module_is_as_it_is_now_and_here(module, tmp_path_factory, monkeypatch
     for text, says in (
         ("mine_of_tests.py:nearest", "named like mine_of_tests:nearest"),
         ("./mine:near+recheck", "named like mine:near+recheck"),
+        ("mine_of_tests+recheck", "a function of mine_of_tests.py is named like mine_of_tests:function"),
     ):
         with pytest.raises(InputError, match=re.escape(says)):
             strategy(text)
@@ -439,8 +440,15 @@ def chooses(change=lambda choice: choice, carry=(), route=lambda route: route):
         (lambda view: view.cost + 1j, "got .* complex64"),
         (lambda view: None, "got None"),
         (lambda view: "far", "got str 'far'"),
-        (lambda view: 1 if view.cost > 3 else 0, r"raised \w+ at .*test_own_strategies.py:\d+: .*truth value|boolean"),
-        (lambda view: view.coast, r"raised AttributeError at .*: 'View' object has no attribute 'coast'"),
+        (
+            lambda view: 1 if view.cost > 3 else 0,
+            r"raised \w+ at .*test_own_strategies.py:\d+: .*(truth value|boolean)",
+        ),
+        (lambda view: -view.path_m * float(view.cost[0, 0]), "jnp.where instead of if, jnp instead of math and numpy"),
+        (
+            lambda view: view.coast,
+            r"raised AttributeError at .*: 'View' object has no attribute 'coast' .it has cost, path_m",
+        ),
         (policy(lambda *_: 3), r"must return \(carry, Choice, route\), got int 3"),
         (policy(lambda key, params, carry, belief, beams, route: ((), (0, 0), route)), "must return .carry, Choice"),
         (policy(lambda: 3), r"raised TypeError: .* takes 0 positional arguments"),

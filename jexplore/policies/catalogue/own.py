@@ -4,6 +4,7 @@ What a user gave is named in every message: the function, its file and line, and
 """
 
 import contextlib
+import dataclasses
 import functools
 import importlib
 import importlib.machinery
@@ -18,6 +19,7 @@ import jax
 import numpy as np
 
 from jexplore.config import InputError
+from jexplore.planning import View
 from jexplore.policies.policy import Policy
 
 OUTER = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
@@ -73,7 +75,16 @@ def call(function: Callable[..., Any], what: str, *args: Any, **kwargs: Any) -> 
         frames = traceback.extract_tb(error.__traceback__)
         own = [frame for frame in frames if not is_library(frame.filename)]
         where = f" at {_short(own[-1].filename)}:{own[-1].lineno}" if own else ""
-        raise InputError(f"{what} raised {type(error).__name__}{where}: {_first_line(error)}") from error
+        raise InputError(f"{what} raised {type(error).__name__}{where}: {_first_line(error)}{_hint(error)}") from error
+
+
+def _hint(error):
+    """What would be right, for what everybody meets once."""
+    if isinstance(error, (jax.errors.ConcretizationTypeError, jax.errors.TracerArrayConversionError)):
+        return " Values are not known while JAX traces: jnp.where instead of if, jnp instead of math and numpy."
+    if isinstance(error, AttributeError) and isinstance(error.obj, View):
+        return f" (it has {', '.join(field.name for field in dataclasses.fields(View))}; the robot is in its belief)"
+    return ""
 
 
 def _first_line(error):
