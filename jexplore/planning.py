@@ -193,13 +193,18 @@ def choose(belief: Belief, route: Array, known: Field, row: Array, col: Array) -
     return Choice(row, col, cost, out_of_reach), route
 
 
-def _nearest_in_map(belief, route):
-    """The nearest frontier of the whole map: `(choice, route)`."""
-    known = field(belief, nearest_only=True)
+def nearest_of(known: Field) -> tuple[Array, Array]:
+    """Row and column of the cheapest candidate, of equal ones the first in (row, col) order; -1 for none."""
     best = lowest(jnp.where(known.candidates, known.cost, FAR))
     row, col = first_at(known.candidates & (known.cost == best))
     none = best >= FAR
-    return choose(belief, route, known, jnp.where(none, -1, row), jnp.where(none, -1, col))
+    return jnp.where(none, -1, row), jnp.where(none, -1, col)
+
+
+def _nearest_in_map(belief, route):
+    """The nearest frontier of the whole map: `(choice, route)`."""
+    known = field(belief, nearest_only=True)
+    return choose(belief, route, known, *nearest_of(known))
 
 
 def _nearest_in_window(belief, route, side):

@@ -184,6 +184,7 @@ def beam_table(lidar: Lidar, cell_m: float, width: int) -> Beams:
     within = entry < reach
     drow, dcol = (np.where(within, d, 0).astype(np.int32) for d in (drow, dcol))
     offset = drow * np.int32(width) + dcol
+    # Ignored types: numpy on the host, where the record says what it is on the device.
     return Beams(
         offset=offset,  # type: ignore[arg-type]
         by_beam=by_beam(offset),  # type: ignore[arg-type]

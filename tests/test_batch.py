@@ -207,3 +207,19 @@ def test_no_key_is_used_twice():
     with jax.debug_key_reuse(True):
         state = jax.jit(run)(jax.random.key(3))
     assert int(state.plans) > 0
+
+
+@pytest.mark.jit
+def test_what_is_kept_of_every_episode_is_the_same_in_both_engines(jobs):
+    few = [job._replace(starts=job.starts[:2]) for job in jobs[:2]]
+    for keep in ("paths", "maps"):
+        one, other = (run_jobs(few, LIDAR, RULES, engine=name, keep=keep).outcomes for name in ("serial", "lockstep"))
+        for job, ours, theirs in zip(few, one, other):
+            assert sorted(ours.records) == sorted(theirs.records) == [0, 1]
+            jax.tree.map(np.testing.assert_array_equal, ours.records[1], theirs.records[1])
+            first, final = ours.records[0], ours.first
+            np.testing.assert_array_equal(first.path, np.stack([final.rows, final.cols, final.known], axis=1))
+            assert (first.state is None) == (keep == "paths")
+            if first.state is not None:
+                assert first.state.shape == job.world.shape
+                np.testing.assert_array_equal(first.state > 0, final.hits + final.misses > 0)

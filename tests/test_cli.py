@@ -236,6 +236,7 @@ def test_the_defaults_are_smaller_on_request(monkeypatch):
         ("compare --lidar.range-m 1000 --lidar.n-beams 4096 --cell-m 0.02 --worlds maze", "GiB"),
         ("compare --rules.p-free nan", "rules.p_free must be a number"),
         ("compare --rules.max-steps nan", "--rules.max-steps must be an integer"),
+        ("compare --rules.clearance-m -1", "error: rules.clearance_m must be"),
         ("compare --rules.clearance-m 5", "rules.clearance_m must be below"),
         ("compare --worlds", "worlds must name at least one"),
         ("compare --worlds cavern", "did you mean 'cave'"),

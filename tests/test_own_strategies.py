@@ -258,7 +258,7 @@ def test_registered(monkeypatch):
         ("my own", nearest, "must be letters"),
         ("3rd", nearest, "must be letters"),
         (None, nearest, "must be letters"),
-        ("number", 3, "must be a function of the view"),
+        ("number", 3, "3 is no strategy"),
         ("two", lambda a, b: 0, "a score takes one argument"),
     ):
         with pytest.raises(InputError, match=says):
@@ -297,7 +297,7 @@ def test_what_stands_for_a_strategy():
     assert strategy(nearest, segment=True, recheck=True).name == "nearest+recheck+segment=holz"
     assert strategy(nearest, segment="auto", door_m=2.0).policy.params.door_m == 2.0
     for what, how, says in (
-        (3, {}, "a strategy must be a name, a function of the view, a constructor or a Policy, got 3"),
+        (3, {}, "3 is no strategy: expected a name, a function of the view"),
         (max, {}, "is no strategy"),
         (lambda view, other: 0, {}, "a score takes one argument, the view.* got view, other"),
         (lambda: 3, {}, "must return a Policy, got int"),

@@ -236,6 +236,7 @@ def one_kernel(function: Callable[..., Any], *args: Any) -> Any:
     @custom_vmap
     def call(leaves):
         leaves = lax.optimization_barrier(leaves)
+        # Ignored type: given a list, it returns one, which it does not say.
         return set_xla_metadata(jax.jit(used)(*leaves), inlineable="false", xla_cpu_small_call="true")[0]  # type: ignore[index]
 
     @call.def_vmap

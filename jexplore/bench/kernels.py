@@ -244,6 +244,7 @@ def vary_masks(never: Any, arguments: Any) -> tuple[Any, ...]:
 def _mask_kernel(world, shared):
     hits, misses, *rest = half_known(world)
     numbers = _mask_numbers(world)
+    # Ignored types: numpy on the host, where the record says what it is on the device.
     arguments = Grid(hits, misses), *rest  # type: ignore[arg-type]
 
     def step(_, out, arguments):

@@ -11,6 +11,7 @@ from scipy import ndimage, sparse
 from scipy.sparse import csgraph
 
 try:
+    # Ignored types, here and below: an extra that need not be installed; scipy and skimage, which say too little.
     from numba import njit  # type: ignore[import-not-found]
 
     NATIVE = True

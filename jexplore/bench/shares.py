@@ -78,6 +78,7 @@ def _cut(belief, side):
         for a in (belief.grid.hits, belief.grid.misses, belief.driven, belief.exhausted, inside.all(axis=0))
     )
     row, col = (np.int32(a - first) for a, first in zip(at, origin))
+    # Ignored types: numpy on the host, where the record says what it is on the device.
     return Grid(hits, misses), driven, exhausted, inside, row, col  # type: ignore[arg-type]
 
 

@@ -63,6 +63,7 @@ def building_of(world: World, start_pose: tuple[float, float, float], goal_m: tu
     elevation = None if world.elevation is None else np.pad(world.elevation, pad, mode="edge")
     x_m, y_m = world.origin_m
     goal = (np.nan, np.nan) if goal_m is None else (goal_m[0] - x_m, goal_m[1] - y_m)
+    # Ignored types: numpy on the host, where the record says what it is on the device.
     return Building(
         walls=walls_of(world.occupied, world.cell_m),
         terrain=terrain_of(elevation, world.cell_m),

@@ -30,6 +30,7 @@ def terrain_of(elevation: np.ndarray | None, cell_m: float) -> Terrain:
     Returns:
       `Terrain` of numpy arrays.
     """
+    # Ignored types: numpy on the host, where the record says what it is on the device.
     if elevation is None or not np.any(elevation):
         return Terrain(height_m=np.zeros((2, 2), np.float32), spacing_m=np.float32(cell_m))  # type: ignore[arg-type]
     fine = _finer(_finer(np.asarray(elevation, np.float64)).T).T

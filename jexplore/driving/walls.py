@@ -50,6 +50,7 @@ def walls_of(occupied: np.ndarray, cell_m: float, *, multiple: int = 16) -> Wall
         out[: len(faces)] = faces * cell_m
         return out
 
+    # Ignored types: numpy on the host, where the record says what it is on the device.
     return Walls(x=padded(_faces(occupied)), y=padded(_faces(occupied.T)))  # type: ignore[arg-type]
 
 

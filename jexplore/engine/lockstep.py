@@ -86,6 +86,7 @@ class Group:
         scenes = {id(line.scene): line.scene for line in lines}
         place = {key: i for i, key in enumerate(scenes)}
         scalars = [split(line.numbers)[0] for line in lines]
+        # Ignored types: numpy on the host, where the record says what it is on the device.
         table = Table(
             scene=np.array([place[id(line.scene)] for line in lines], np.int32),  # type: ignore[arg-type]
             seed=np.array([line.seed for line in lines], np.uint32),  # type: ignore[arg-type]
@@ -112,6 +113,7 @@ class Group:
         def of_lines(arrays):
             return deal(np.concatenate([array[which] for array, which in zip(arrays, left)]))
 
+        # Ignored types: numpy on the host, where the record says what it is on the device.
         return Queue(
             line=deal(np.repeat(np.arange(len(left), dtype=np.int32), [len(which) for which in left])),  # type: ignore[arg-type]
             number=deal(number),  # type: ignore[arg-type]

@@ -138,6 +138,7 @@ class Line:
 
 def given_of(line: Line, number: int = 0) -> Given:
     """The `Given` of one of a line's runs."""
+    # Ignored types: numpy on the host, where the record says what it is on the device.
     return Given(
         key=jax.random.fold_in(jax.random.key(np.uint32(line.seed)), line.draws[number]),
         shared=line.shared,

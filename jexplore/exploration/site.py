@@ -76,6 +76,7 @@ def _check(site, strategy, numbers):
         return
     truth = jax.tree.map(lambda a: a[None], site.truth)
     task = np.zeros(3, np.int32)
+    # Ignored types: numpy on the host, where the record says what it is on the device.
     given = Given(np.zeros((), np.int32), site.beams, truth, np.int32(0), numbers, task)  # type: ignore[arg-type]
     belief = jax.eval_shape(environment.blank_belief, given)
     route = jax.ShapeDtypeStruct(site.truth.occupied.shape, np.int8)
@@ -103,6 +104,7 @@ def prepare_site(
     shape = shape or (bucket(height), bucket(width))
     pad = [(0, full - n) for full, n in zip(shape, world.shape)]
     rooms = world.rooms if world.rooms is not None else np.full(world.shape, -1, np.int32)
+    # Ignored types: of scipy, which says too little; numpy on the host, where the record says what it is on the device.
     region = ndimage.label(~world.occupied)[0].astype(np.int32)  # type: ignore[index]
     truth = Truth(
         occupied=np.pad(world.occupied, pad, constant_values=True),  # type: ignore[arg-type]

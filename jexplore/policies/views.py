@@ -14,8 +14,8 @@ from jexplore.arrays import bits
 from jexplore.arrays.loops import repeat
 from jexplore.config import require_number, require_whole
 from jexplore.gain import look, most, prospect, unknown_seen
-from jexplore.grid import empty_grid, lowest
-from jexplore.planning import Belief, Choice, Field, choose, field, first_at, metres
+from jexplore.grid import empty_grid
+from jexplore.planning import Belief, Choice, Field, choose, field, metres, nearest_of
 from jexplore.raycast import Beams, all_round
 from jexplore.reach import FAR
 
@@ -153,11 +153,10 @@ def select(
     known = field(belief)
     width = known.cost.shape[1]
     cell, overflow = best_view(utility, key, params, belief, known, beams)
-    nearest = lowest(jnp.where(known.candidates, known.cost, FAR))
-    row, col = first_at(known.candidates & (known.cost == nearest))
-    is_view, none = cell >= 0, nearest >= FAR
-    row = jnp.where(none, -1, jnp.where(is_view, cell // width, row))
-    col = jnp.where(none, -1, jnp.where(is_view, cell % width, col))
+    row, col = nearest_of(known)
+    is_view, none = cell >= 0, row < 0
+    row = jnp.where(is_view & ~none, cell // width, row)
+    col = jnp.where(is_view & ~none, cell % width, col)
     choice, route = choose(belief, route, known, row, col)
     return carry, dataclasses.replace(choice, is_view=is_view & ~none, overflow=overflow), route
 

@@ -93,7 +93,6 @@ def ready_strategies(strategies: StrategyLike | Iterable[StrategyLike]) -> list[
     if callable(strategies) or isinstance(strategies, (Policy, Strategy)):
         strategies = [strategies]
     strategies = listed("strategies", strategies)
-    require_different("strategies", [given for given in strategies if isinstance(given, str)])
     ready = [strategy(given) for given in strategies]
     require_different("strategies", [one.name for one in ready], "; jx.strategy(..., name=...) tells them apart")
     return ready

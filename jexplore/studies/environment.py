@@ -26,7 +26,7 @@ from jexplore.exploration.site import KERNELS, prepare_site
 from jexplore.exploration.state import Numbers, Outcome, State, Truth
 from jexplore.exploration.trail import Trail
 from jexplore.planning import Field, View, choose, field, is_live, view_of
-from jexplore.policies.policy import Policy
+from jexplore.policies.closest import closest
 from jexplore.raycast import Beams
 from jexplore.reach import FAR
 from jexplore.studies.checks import LIDAR, RULES, ready_worlds, require_clearance, require_memory, require_settings
@@ -53,17 +53,6 @@ class _Bank:
     scenes: Truth  # [M, ...]
     numbers: Numbers  # [M, ...]
     recheck: Array  # bool
-
-
-def _no_carry(params, belief):
-    return ()
-
-
-def _no_select(key, params, carry, belief, beams, route):
-    raise NotImplementedError("whoever steps chooses")
-
-
-_STEPPED = Policy(_no_carry, _no_select)
 
 
 class Environment:
@@ -102,7 +91,8 @@ class Environment:
           lidar: `Lidar`.
           rules: `Rules`.
           recheck: whether a frontier cell that is driven to is given up as soon as it is no longer live.
-          paths: whether a state keeps the whole way, for `path`; that takes 8 bytes for every cell of the map.
+          paths: whether a state keeps the whole way, for `path`; that takes 8 bytes for every
+            cell of the map, at least 160 kB.
 
         Raises:
           InputError: no world, one that cannot be loaded, or one without a clear cell; cells of different sizes.
@@ -127,7 +117,7 @@ class Environment:
             cells.append(start_cells(world, rules.clearance_m))
             sites.append(prepare_site(world, lidar, rules, kernels, self.shape))
         capacity = max(site.setup.capacity for site in sites) if paths else 1
-        self._setup = sites[0].setup._replace(policy=_STEPPED, capacity=capacity)
+        self._setup = sites[0].setup._replace(policy=closest(), capacity=capacity)  # which nobody asks
         scenes, numbers = (
             jax.tree.map(lambda *a: jnp.stack(a), *(getattr(site, name) for site in sites))
             for name in ("truth", "numbers")

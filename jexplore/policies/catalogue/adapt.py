@@ -1,7 +1,6 @@
 """A user's strategy as a `Policy` whose functions return what the rules expect, or say in one line what they do not."""
 
 import contextlib
-import functools
 import os
 from collections.abc import Callable
 from typing import Any
@@ -11,10 +10,9 @@ import jax.numpy as jnp
 from jax import Array, lax
 
 from jexplore.config import InputError
-from jexplore.grid import lowest
-from jexplore.planning import Belief, Choice, choose, field, first_at, is_open, view_of
+from jexplore.planning import Belief, Choice, choose, field, first_at, is_open, nearest_of, view_of
 from jexplore.policies.catalogue.fingerprint import fingerprint
-from jexplore.policies.catalogue.own import call, described, is_score, parameters
+from jexplore.policies.catalogue.own import bare, call, described, is_score, parameters
 from jexplore.policies.policy import Policy
 from jexplore.policies.room_wise import rebuilt
 from jexplore.raycast import Beams
@@ -31,8 +29,6 @@ def policy_from(make: Any, given: dict[str, Any]) -> Policy:
     Raises:
       InputError: something else; a constructor that raises or returns something else; a parameter that it needs.
     """
-    if not isinstance(make, Policy) and not callable(make):
-        raise InputError(f"a strategy must be a name, a function of the view, a constructor or a Policy, got {make!r}")
     known = parameters(make)
     for key in given:
         if key not in known:
@@ -53,12 +49,9 @@ def policy_from(make: Any, given: dict[str, Any]) -> Policy:
 
 def adapted(policy: Policy) -> Policy:
     """A `Policy` of a user's, its functions checked and as they are now; one of this package's as it is."""
-    select = getattr(policy.select, "inner", policy.select)
-    if isinstance(select, _Theirs):
+    if is_theirs(policy):
         return rebuilt(policy, lambda function: function.anew() if isinstance(function, _Theirs) else function)
-    while isinstance(select, functools.partial):
-        select = select.func
-    if (getattr(select, "__module__", None) or "").startswith("jexplore.policies."):
+    if (getattr(bare(policy), "__module__", None) or "").startswith("jexplore.policies."):
         return policy
     live = None if policy.live is None else Live(policy.live)
     return Policy(Init(policy.init), Select(policy.select), policy.params, live)
@@ -127,10 +120,8 @@ def _highest(score, known):
     least = -jnp.inf if real else jnp.iinfo(score.dtype).min
     usable = known.candidates & ~jnp.isnan(score)
     best = usable & (score == jnp.max(jnp.where(usable, score, jnp.asarray(least, score.dtype))))
-    nearest = known.candidates & (known.cost == lowest(jnp.where(known.candidates, known.cost, FAR)))
-    row, col = first_at(jnp.where(jnp.any(usable & jnp.isfinite(score)), best, nearest))
-    none = ~jnp.any(known.candidates)
-    return jnp.where(none, -1, row), jnp.where(none, -1, col)
+    found = jnp.any(usable & jnp.isfinite(score))
+    return tuple(jnp.where(found, at, nearest) for at, nearest in zip(first_at(best), nearest_of(known)))
 
 
 class Init(_Theirs):

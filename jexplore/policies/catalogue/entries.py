@@ -8,13 +8,13 @@ from collections.abc import Callable
 from typing import Any, TypeVar, overload
 
 from jexplore.config import InputError
-from jexplore.policies.catalogue.own import is_score, place_of
+from jexplore.policies.catalogue.own import first_line, is_score, place_of
 from jexplore.policies.closest import closest
 from jexplore.policies.decision_theoretic import decision_theoretic
 from jexplore.policies.distance_advantage import distance_advantage
 from jexplore.policies.gain_rate import gain_rate
 from jexplore.policies.mcdm import mcdm
-from jexplore.policies.policy import Entry, Policy
+from jexplore.policies.policy import Entry
 from jexplore.policies.tour import tour
 from jexplore.policies.uniform import uniform
 from jexplore.policies.utility import utility
@@ -95,8 +95,6 @@ def register(name: str, make: Any = None, *, summary: str = "", source: str = ""
         raise InputError(f"strategy {name!r} is registered already; replace=True puts another in its place")
     if name in STRATEGIES and not STRATEGIES[name].is_own:
         raise InputError(f"strategy {name!r} is one of jexplore's own; choose another name")
-    if not (isinstance(make, Policy) or callable(make)):
-        raise InputError(f"strategy {name!r} must be a function of the view, a constructor or a Policy, got {make!r}")
     is_score(make)  # refuses what can be neither
     doc = (inspect.getdoc(make) or "") if inspect.isroutine(make) else ""
     STRATEGIES[name] = Entry(make, summary or doc.partition("\n")[0], source, is_own=True)
@@ -119,10 +117,9 @@ def entry_of(name: str) -> Entry | None:
         point = offered()[name]
         try:
             made = point.load()
-        except Exception as error:
-            raise InputError(
-                f"strategy {name!r} of {_package(point)} does not load: {type(error).__name__}: {error}"
-            ) from error
+        except (Exception, SystemExit) as error:
+            what = f"{type(error).__name__}: {first_line(error)}"
+            raise InputError(f"strategy {name!r} of {_package(point)} does not load: {what}") from error
         register(name, made, source=_package(point), replace=True)
     return STRATEGIES.get(name)
 

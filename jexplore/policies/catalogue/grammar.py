@@ -121,10 +121,6 @@ def _modified(policy, modifiers, more):
     return segmented(policy, modifiers["segment"] or "holz", **more) if "segment" in modifiers else policy
 
 
-def _policy(entry, given):
-    return policy_from(entry.make, given) if entry.is_own else entry.make(**given)
-
-
 def _unknown(name, rest):
     """The error for a name that stands for nothing; that of a file is told how its module is named."""
     if re.fullmatch(r":[A-Za-z_]\w*([+:].*)?", rest):
@@ -163,10 +159,12 @@ def parse_strategy(text: str) -> Strategy:
     modifiers = _modifiers(words.split("+")[1:], text)
     own = _defaults(entry.make)
     more = _modifier_parameters(modifiers)
+    _require_apart(entry.make, own, more)
     if colon and not tail:
         raise InputError(f"expected key=value after the colon in {text!r}")
     given = _given(tail, own | more, name + words, text)
-    policy = _policy(entry, {key: value for key, value in given.items() if key in own})
+    mine = {key: value for key, value in given.items() if key in own}
+    policy = policy_from(entry.make, mine) if entry.is_own else entry.make(**mine)
     policy = _modified(policy, modifiers, {key: value for key, value in given.items() if key not in own})
     return Strategy(text, policy, "recheck" in modifiers)
 
@@ -178,7 +176,7 @@ def strategy(
 
     Args:
       what: a name as `parse_strategy` reads it; a function of the view that returns a score for every cell; a
-        constructor, which returns a `Policy`; a `Policy`; or a `Strategy`, which is returned as it is.
+        constructor, which returns a `Policy`; a `Policy`; or a `Strategy`, whose functions are taken as they are now.
       name: what tables call it; by default the function's own name, with modifiers and parameters as in a name.
       recheck: whether a target is given up as soon as it is no longer live. Not for names, which say so themselves.
       segment: one of `KINDS`, or True for "holz": frontier cells in the robot's own room first. Not for names.
@@ -199,16 +197,11 @@ def strategy(
     kind = {True: "holz", False: None}[segment] if isinstance(segment, bool) else segment
     if kind is not None and kind not in KINDS:
         raise unknown("kind of segment:", kind, KINDS)
-    if not (isinstance(what, Policy) or callable(what)):
-        raise InputError(f"a strategy must be a name, a function of the view, a constructor or a Policy, got {what!r}")
-    base = name_of(what.select if isinstance(what, Policy) else what)
+    own, base = _defaults(what), name_of(what)
     if name is None and base is None:
         raise InputError(f"{described(what)} has no name: jx.strategy(..., name=...)")
     _require_name(base if name is None else name)
-    own = _defaults(what)
-    clash = [key for key in own if key in ("name", "recheck", "segment") or (kind and key in _defaults(segmented))]
-    if clash:
-        raise InputError(f"{described(what)} has a parameter {clash[0]!r}, which is one of the modifiers': rename it")
+    _require_apart(what, own, {"name", "recheck", "segment", *(_defaults(segmented) if kind else ())})
     words = ("+recheck" if recheck else "") + (f"+segment={kind}" if kind else "")
     policy = _modified(
         policy_from(what, {key: value for key, value in given.items() if key in own or not kind}),
@@ -219,6 +212,13 @@ def strategy(
         f"{key}={value}" for key, value in given.items() if isinstance(value, (int, float, str, os.PathLike))
     )
     return Strategy(name or f"{base}{words}" + (f":{tail}" if tail else ""), policy, recheck)
+
+
+def _require_apart(make, own, others):
+    """Refuses parameters that would be taken for those of the modifiers."""
+    for key in own:
+        if key in others:
+            raise InputError(f"{described(make)} has a parameter {key!r}, which is one of the modifiers': rename it")
 
 
 def _require_name(name):

@@ -25,19 +25,22 @@ from jexplore.policies.policy import Policy
 OUTER = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
 
 
-def name_of(thing: Any) -> str | None:
-    """What a function or class is called; None if it has no name."""
+def bare(thing: Any) -> Any:
+    """The function by which people know something: a policy's `select`, what a partial calls."""
+    thing = thing.select if isinstance(thing, Policy) else thing
     while isinstance(thing, functools.partial):
         thing = thing.func
-    return getattr(thing, "__name__", None)
+    return thing
+
+
+def name_of(thing: Any) -> str | None:
+    """What a strategy, function or class is called; None if it has no name."""
+    return getattr(bare(thing), "__name__", None)
 
 
 def place_of(thing: Any) -> str:
     """File and line where something is defined: text; its module where that is all there is."""
-    if isinstance(thing, Policy):
-        thing = thing.select
-    while isinstance(thing, functools.partial):
-        thing = thing.func
+    thing = bare(thing)
     thing = inspect.unwrap(thing) if callable(thing) else thing
     method = getattr(type(thing), "__call__", None)  # noqa: B004
     code = getattr(thing, "__code__", None) or getattr(method, "__code__", None)
@@ -56,9 +59,7 @@ def _short(file):
 
 def described(thing: Any) -> str:
     """How messages call what a user gave: `nearest (mine.py:3)`."""
-    if isinstance(thing, Policy):
-        thing = thing.select
-    return f"{name_of(thing) or type(thing).__name__} ({place_of(thing)})"
+    return f"{name_of(thing) or type(bare(thing)).__name__} ({place_of(thing)})"
 
 
 def call(function: Callable[..., Any], what: str, *args: Any, **kwargs: Any) -> Any:
@@ -75,7 +76,7 @@ def call(function: Callable[..., Any], what: str, *args: Any, **kwargs: Any) -> 
         frames = traceback.extract_tb(error.__traceback__)
         own = [frame for frame in frames if not is_library(frame.filename)]
         where = f" at {_short(own[-1].filename)}:{own[-1].lineno}" if own else ""
-        raise InputError(f"{what} raised {type(error).__name__}{where}: {_first_line(error)}{_hint(error)}") from error
+        raise InputError(f"{what} raised {type(error).__name__}{where}: {first_line(error)}{_hint(error)}") from error
 
 
 def _hint(error):
@@ -87,7 +88,8 @@ def _hint(error):
     return ""
 
 
-def _first_line(error):
+def first_line(error: BaseException) -> str:
+    """What an error says, in a line."""
     try:
         return next((line.strip() for line in str(error).splitlines() if line.strip()), "")
     except Exception:  # it cannot even say what it is
@@ -116,15 +118,21 @@ def parameters(make: Any) -> dict[str, inspect.Parameter]:
     """
     if isinstance(make, Policy):
         return {}
-    try:
-        found = inspect.signature(make).parameters.values()
-    except (TypeError, ValueError):
-        raise InputError(
-            f"{make!r} is no strategy: expected a function of the view, a constructor or a Policy"
-        ) from None
-    needed = [p for p in found if p.kind in OUTER and p.default is p.empty]
     keyed = (inspect.Parameter.POSITIONAL_OR_KEYWORD, inspect.Parameter.KEYWORD_ONLY)
-    return {p.name: p for p in found if p.kind in keyed and p not in needed}
+    return {p.name: p for p in _signature(make) if p.kind in keyed and not _is_needed(p)}
+
+
+def _signature(make):
+    try:
+        return inspect.signature(make).parameters.values()
+    except (TypeError, ValueError):
+        what = "expected a name, a function of the view, a constructor or a Policy"
+        raise InputError(f"{make!r} is no strategy: {what}") from None
+
+
+def _is_needed(parameter):
+    """Whether it is a positional argument without a default."""
+    return parameter.kind in OUTER and parameter.default is parameter.empty
 
 
 def is_score(make: Any) -> bool:
@@ -135,8 +143,7 @@ def is_score(make: Any) -> bool:
     """
     if isinstance(make, Policy):
         return False
-    parameters(make)  # readable
-    needed = [p.name for p in inspect.signature(make).parameters.values() if p.kind in OUTER and p.default is p.empty]
+    needed = [p.name for p in _signature(make) if _is_needed(p)]
     if len(needed) > 1:
         raise InputError(
             f"{described(make)} is no strategy: a score takes one argument, the view, and parameters that have "
@@ -167,7 +174,7 @@ def import_object(module: str, name: str) -> Any:
             raise InputError(f"no module {module!r}, neither installed nor in {here}") from error
         raise InputError(f"module {module!r} does not import: {type(error).__name__}: {error}") from error
     except (Exception, SystemExit) as error:
-        raise InputError(f"module {module!r} does not import: {type(error).__name__}: {_first_line(error)}") from error
+        raise InputError(f"module {module!r} does not import: {type(error).__name__}: {first_line(error)}") from error
     finally:
         if spec is not None:
             sys.path.remove(here)
