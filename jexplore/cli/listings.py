@@ -6,10 +6,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from jexplore.cli.console import Out, note
+from jexplore.cli.console import Out, note, working
 from jexplore.cli.options import OutFolder
 
 if TYPE_CHECKING:
+    from jexplore.studies.geometry import Geometry
     from jexplore.worlds.world import World
 
 
@@ -17,8 +18,8 @@ if TYPE_CHECKING:
 class Worlds:
     """List the built-in worlds, or measure and picture some.
 
-    Without names and --out, lists the generators and what they take. Else prints a table of the worlds named (by
-    default every generator) and writes worlds.png.
+    Without names, --geometry and --out, lists the generators and what they take. Else prints a table of the worlds
+    named (by default every generator) and writes worlds.png.
     """
 
     worlds: Annotated[tyro.conf.Positional[tuple[str, ...]], tyro.conf.arg(metavar="[NAME ...]")] = ()
@@ -26,6 +27,10 @@ class Worlds:
     map.map (MovingAI), plan.json (HouseExpo)."""
     cell_m: float = 0.1
     """Edge of a cell, metres."""
+    geometry: bool = False
+    """Also measure rooms, openings, corridors, ways round and furniture; rooms that are not known are found first."""
+    clearance_m: float = 0.30
+    """Clearance of the robot whose share of the free area --geometry tells, metres."""
     out: OutFolder = None
     """Folder to write."""
     overwrite: bool = False
@@ -35,7 +40,7 @@ class Worlds:
         """Runs the command; returns the exit status, None for 0."""
         from jexplore.worlds import GENERATORS, generator_parameters
 
-        if not self.worlds and self.out is None:
+        if not self.worlds and self.out is None and not self.geometry:
             print("Built-in worlds. A name may carry a seed and parameters: hospital#3:width_m=60,height_m=25\n")
             for name in GENERATORS:
                 defaults = " ".join(f"{key}={value}" for key, value in generator_parameters(name).items())
@@ -59,6 +64,9 @@ class Worlds:
             size = f"{width * world.cell_m:.1f} x {height * world.cell_m:.1f}"
             n_rooms = "-" if about["rooms"] is None else str(about["rooms"])
             rows.append((world.name, f"{width} x {height}", size, f"{world.free_m2:.1f}", n_rooms, start))
+        measured = measure(worlds, self.clearance_m) if self.geometry else []
+        for about, one in zip(described, measured):
+            about["geometry"] = dataclasses.asdict(one)
         record = out.record(arguments, self, worlds=described)
         figure = plot.worlds_figure([(world.name, world) for world in worlds])
         wrote = out.write(
@@ -69,6 +77,10 @@ class Worlds:
         )
         head = ["world", "cells", "metres", "free m²", "rooms", "start"]
         print(aligned_table(head, rows, left=head))
+        if self.geometry:
+            from jexplore.studies.geometry import geometry_table
+
+            print(f"\n{geometry_table(measured)}")
         print(wrote)
 
 
@@ -89,6 +101,22 @@ class Strategies:
         print(aligned_table(head, [(f"+{name}", text) for name, text in MODIFIERS.items()], left=head))
         print("Names are put together as strategy+modifier:parameter=value,..., such as closest+recheck")
         print("One's own: module:function+modifier:parameter=value,..., of a module here or installed")
+
+
+def measure(worlds: "Sequence[World]", clearance_m: float) -> "list[Geometry]":
+    """The geometry of worlds, with progress on stderr."""
+    from jexplore.config import require_number
+    from jexplore.engine.backend import use_compilation_cache
+    from jexplore.studies.geometry import geometry
+
+    require_number("clearance_m", clearance_m, high=100)
+    use_compilation_cache()
+    found = []
+    with working(len(worlds), "worlds") as on_progress:
+        for world in worlds:
+            found.append(geometry(world, clearance_m=clearance_m))
+            on_progress(len(found))
+    return found
 
 
 def describe(world: "World") -> dict[str, Any]:

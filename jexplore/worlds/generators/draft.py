@@ -103,6 +103,34 @@ def wall_span(
     return first, first + thick
 
 
+def block_cells(block: tuple[float, float, float, float], cell_m: float) -> tuple[slice, slice]:
+    """The rows and columns that a block covers: at least one of each."""
+    x, y = (
+        slice(to_cells(low / cell_m), max(to_cells(low / cell_m) + 1, to_cells(high / cell_m)))
+        for low, high in (block[::2], block[1::2])
+    )
+    return y, x
+
+
+@dataclasses.dataclass(frozen=True)
+class Side:
+    """A side of a room's rectangle."""
+
+    vertical: bool
+    wall: float
+    """As in `Door`."""
+    inward: int
+    """1 where the room lies at higher coordinates than the wall, else -1."""
+    low: float
+    high: float
+    """Where the side begins and ends along the wall, metres."""
+
+    def block(self, low: float, near: float, high: float, far: float) -> tuple[float, float, float, float]:
+        """A rectangle from `low` to `high` along the wall, and `near` to `far` from its middle, metres."""
+        first, last = sorted((self.wall + self.inward * near, self.wall + self.inward * far))
+        return (first, low, last, high) if self.vertical else (low, first, high, last)
+
+
 @dataclasses.dataclass(frozen=True)
 class Door:
     """A gap in a wall between two rooms."""
@@ -130,12 +158,26 @@ class FloorPlan:
     """A room is a list of rectangles; those that overlap are one space."""
     doors: list[Door] = dataclasses.field(default_factory=list)
     blocks: list[tuple[float, float, float, float]] = dataclasses.field(default_factory=list)
-    """Columns and counters: rectangles of their true size, at least one cell."""
+    """Columns, counters, furniture: rectangles of their true size, at least one cell."""
+    kinds: list[str] = dataclasses.field(default_factory=list)
+    """What every room is used for: a key of `furniture.ROOMS`; empty where its size decides."""
 
-    def room(self, *rects: tuple[float, float, float, float]) -> int:
-        """Add a room of one or more overlapping rectangles. Returns its number."""
+    def room(self, *rects: tuple[float, float, float, float], kind: str = "") -> int:
+        """Add a room of one or more overlapping rectangles, of a kind (see `kinds`). Returns its number."""
         self.rooms.append(list(rects))
+        self.kinds.append(kind)
         return len(self.rooms) - 1
+
+    def beside(self, door: Door) -> tuple[int, int]:
+        """The numbers of the rooms on both sides of a door: at the lower and at the higher coordinate."""
+        low, high = -1, -1
+        for number, rects in enumerate(self.rooms):
+            for rect in rects:
+                across, along = (0, 1) if door.vertical else (1, 0)
+                if rect[along] < door.middle < rect[along + 2]:
+                    low = number if abs(rect[across + 2] - door.wall) < 1e-6 else low
+                    high = number if abs(rect[across] - door.wall) < 1e-6 else high
+        return low, high
 
     def shared_walls(self, a: int, b: int) -> list[tuple[bool, float, float, float]]:
         """The straight stretches of wall that two rooms share: `(vertical, wall, low, high)`, metres, as in `Door`."""
@@ -154,6 +196,32 @@ class FloorPlan:
                 low, high = apart[-1][2], max(high, apart.pop()[3])
             apart.append((vertical, wall, low, high))
         return apart
+
+    def bare_walls(self, room: int, keep_m: float) -> list[Side]:
+        """The stretches of a room's walls that are `keep_m` metres and more away from its doors and openings."""
+        stretches = []
+        for rect in self.rooms[room]:
+            x0, y0, x1, y1 = rect
+            sides = (Side(False, y0, 1, x0, x1), Side(False, y1, -1, x0, x1))
+            sides += (Side(True, x0, 1, y0, y1), Side(True, x1, -1, y0, y1))
+            for side in sides:
+                across, along = (0, 1) if side.vertical else (1, 0)
+                taken = [
+                    (door.middle - door.width / 2, door.middle + door.width / 2)
+                    for door in self.doors
+                    if door.vertical == side.vertical and abs(door.wall - side.wall) < 1e-6
+                ]
+                taken += [
+                    (other[along], other[along + 2])
+                    for other in self.rooms[room]
+                    if other[across] + 1e-6 < side.wall < other[across + 2] - 1e-6
+                ]
+                at = side.low
+                for low, high in sorted([*taken, (side.high + keep_m, math.inf)]):
+                    if low < side.high + keep_m + 1e-6 and min(low - keep_m, side.high) > at + 1e-6:
+                        stretches.append(dataclasses.replace(side, low=at, high=min(low - keep_m, side.high)))
+                    at = max(at, high + keep_m)
+        return stretches
 
     def gap(self, stretch: tuple[bool, float, float, float], width: float, at: float = 0.5) -> None:
         """A door in a stretch of wall. `at` goes from 0, at its lower end, to 1; jambs remain at both ends."""
@@ -198,13 +266,10 @@ class FloorPlan:
             begin = min(max(to_cells(door.middle / cell_m - n / 2), first + jamb), stop - jamb - n)
             along = slice(begin, begin + n)
             occupied[(along, across) if door.vertical else (across, along)] = False
-        for x0, y0, x1, y1 in self.blocks:
-            x, y = (
-                slice(to_cells(low / cell_m), max(to_cells(low / cell_m) + 1, to_cells(high / cell_m)))
-                for low, high in ((x0, x1), (y0, y1))
-            )
-            occupied[y, x] = True
-            rooms[y, x] = -1
+        for block in self.blocks:
+            inside = block_cells(block, cell_m)
+            occupied[inside] = True
+            rooms[inside] = -1
         flip = slice(None, None, -1 if flip_y else 1), slice(None, None, -1 if flip_x else 1)
         return World(occupied=occupied[flip].copy(), rooms=rooms[flip].copy(), cell_m=float(cell_m))
 
@@ -233,8 +298,17 @@ def cut(rng: np.random.Generator, length: float, kinds: Sequence[tuple[float, fl
     return [one * length / sum(lengths) for one in lengths]
 
 
+def n_corridors(height_m: float) -> int:
+    """How many corridors run the length of a building so deep."""
+    return max(1, round(height_m / 10))
+
+
 def bands(
-    rng: np.random.Generator, height_m: float, corridor_m: float, edge: tuple[float, float]
+    rng: np.random.Generator,
+    height_m: float,
+    corridor_m: float,
+    edge: tuple[float, float],
+    widths: Sequence[float] = (),
 ) -> list[tuple[float, float]]:
     """Stack a building: a row of rooms, a corridor, a core, a corridor, ..., a row of rooms.
 
@@ -244,18 +318,20 @@ def bands(
       corridor_m: width of the corridors, metres.
       edge: least and largest depth of the first and last row, as a multiple of half a corridor's share of the depth;
         the cores take what is left.
+      widths: of the corridors, bottom to top, metres, one for each; none: all are `corridor_m` wide.
 
     Returns:
       A list of `(y0, y1)` from 0 to `height_m`. Rows and cores have even indices, corridors odd ones.
     """
-    n = max(1, round(height_m / 10))
-    row = (height_m - n * corridor_m) / (2 * n)
+    n = n_corridors(height_m)
+    wide = [*widths] or [corridor_m] * n
+    row = (height_m - (sum(widths) or n * corridor_m)) / (2 * n)
     if n == 1:
         depths = [row * (share := rng.uniform(0.9, 1.1)), row * (2 - share)]
     else:
         first, last = row * rng.uniform(*edge, 2)
         depths = [first, *[(2 * n * row - first - last) / (n - 1)] * (n - 1), last]
-    heights = [depth for pair in zip(depths, [corridor_m] * n + [0.0]) for depth in pair][:-1]
+    heights = [depth for pair in zip(depths, [*wide, 0.0]) for depth in pair][:-1]
     edges = [0.0, *np.cumsum(heights)[:-1].tolist(), height_m]
     return list(itertools.pairwise(edges))
 

@@ -1,7 +1,23 @@
 """A hospital wing: a ward round a core with the nurses' station, a hall, and a treatment wing."""
 
 from jexplore.config import require_number
-from jexplore.worlds.generators.draft import FloorPlan, bands, columns, cut, random_stream, require_size
+from jexplore.worlds.generators.draft import (
+    FloorPlan,
+    bands,
+    columns,
+    cut,
+    n_corridors,
+    random_stream,
+    require_size,
+)
+from jexplore.worlds.generators.furniture import furnish
+from jexplore.worlds.generators.variants import (
+    corridor_widths,
+    limit_loops,
+    narrow_corridors,
+    require_variants,
+    widen_openings,
+)
 from jexplore.worlds.world import World
 
 _KIND = 3
@@ -15,6 +31,10 @@ def hospital(
     height_m: float = 20.0,
     corridor_m: float = 2.4,
     room_m: float = 4.2,
+    corridor_sd_m: float = 0.0,
+    furniture: float = 0.0,
+    wide_openings: float = 0.0,
+    max_loops: float = 1000.0,
 ) -> World:
     """A hospital floor: a ward, a hall and a treatment wing side by side.
 
@@ -29,6 +49,10 @@ def hospital(
       width_m, height_m: outer size, metres.
       corridor_m: width of the corridors between the middles of their walls, metres.
       room_m: width of a common patient room, metres; the others follow.
+      corridor_sd_m: standard deviation of the widths of the corridors, and depth of what narrows them, metres; 0 to 1.
+      furniture: share of the furniture that is there, 0 to 1; see `furniture.furnish`. Only in cells up to 0.2 m.
+      wide_openings: share of the doors that are openings 1.6 to 2.6 m wide where the wall allows, 0 to 1.
+      max_loops: ways round a 1000 m2, at most: doors beyond them are closed, none that would cut off a room. 0 to 1000.
 
     Returns:
       A `World` with rooms.
@@ -39,19 +63,26 @@ def hospital(
     require_number("hospital: corridor_m", corridor_m, low=1.8, high=3.5)
     require_number("hospital: room_m", room_m, low=3.4, high=7)
     require_size("hospital", cell_m, width_m, height_m, (32.0, 11.0))
+    require_number("hospital: corridor_sd_m", corridor_sd_m, high=1)
+    require_variants("hospital", seed, cell_m, furniture=furniture, wide_openings=wide_openings, max_loops=max_loops)
     rng = random_stream(seed, _KIND)
     plan = FloorPlan(width_m, height_m)
-    stack = bands(rng, height_m, corridor_m, (1.25, 1.4))
+    widths = corridor_widths(seed, _KIND, n_corridors(height_m), corridor_m, corridor_sd_m)
+    stack = bands(rng, height_m, corridor_m, (1.25, 1.4), widths)
     hall_m = rng.uniform(6.0, 8.5) if width_m > 40 else 6.0
     x0 = width_m * rng.uniform(0.45, 0.58) - hall_m / 2
-    x1 = x0 + hall_m
     kinds = [(0.5, 0.9 * room_m, 1.05 * room_m), (0.3, 1.2 * room_m, 1.6 * room_m), (0.2, 2.2, 2.8)]
     corridor = _ward(rng, plan, x0, stack, corridor_m, kinds)
-    hall = _hall(rng, plan, (x0, x1), stack)
+    hall = _hall(rng, plan, (x0, x0 + hall_m), stack)
     for stretch in plan.shared_walls(corridor, hall):
         plan.gap(stretch, 1.2)
-    _treatment(rng, plan, x1, stack, hall, kinds)
-    return plan.render(cell_m, flip_x=rng.random() < 0.5, flip_y=rng.random() < 0.5)
+    _treatment(rng, plan, x0 + hall_m, stack, hall, kinds)
+    flip_x, flip_y = (rng.random(2) < 0.5).tolist()
+    narrow_corridors(plan, seed, _KIND, corridor_sd_m)
+    limit_loops(plan, seed, _KIND, max_loops)
+    widen_openings(plan, seed, _KIND, wide_openings)
+    furnish(plan, seed, _KIND, furniture)
+    return plan.render(cell_m, flip_x=flip_x, flip_y=flip_y)
 
 
 def _ward(rng, plan, end, stack, corridor_m, kinds):
@@ -59,13 +90,14 @@ def _ward(rng, plan, end, stack, corridor_m, kinds):
     lines = stack[1::2]
     x = 0.0
     if len(lines) == 1:
-        corridor = plan.room((0.0, lines[0][0], end, lines[0][1]))
+        corridor = plan.room((0.0, lines[0][0], end, lines[0][1]), kind="corridor")
     else:
         x = rng.uniform(4.2, 5.2)
         y0, y1 = lines[0][0], lines[-1][1]
-        corridor = plan.room((x, y0, x + corridor_m, y1), *((x, low, end, high) for low, high in lines))
+        along = ((x, low, end, high) for low, high in lines)
+        corridor = plan.room((x, y0, x + corridor_m, y1), *along, kind="corridor")
         for height in cut(rng, y1 - y0, [(1.0, 2.8, 5.5)]):
-            plan.room((0.0, y0, x, y0 + height))
+            plan.room((0.0, y0, x, y0 + height), kind="treatment")
             plan.gap((True, x, y0, y0 + height), rng.choice([0.9, 1.2]), rng.choice([0.1, 0.5, 0.9]))
             y0 += height
         for low, high in stack[2:-1:2]:
@@ -74,7 +106,7 @@ def _ward(rng, plan, end, stack, corridor_m, kinds):
         begin = 0.0
         if len(lines) > 1:  # a corner room: it must reach the corridor
             begin = x + rng.uniform(2.0, 3.0)
-            plan.room((0.0, y0, begin, y1))
+            plan.room((0.0, y0, begin, y1), kind="treatment")
             plan.gap((False, front, x, begin), 1.2)
         _patients(rng, plan, (begin, y0, end, y1), front, kinds)
     return corridor
@@ -88,7 +120,7 @@ def _patients(rng, plan, rect, front, kinds):
         x0, x1 = x0, x0 + width
         inner_m = min(rng.uniform(1.8, 2.2), width - 1.9)
         if inner_m < 1.8 or y1 - y0 < 4.2 or rng.random() < 0.15:
-            plan.room((x0, y0, x1, y1))
+            plan.room((x0, y0, x1, y1), kind="patient" if width >= 3 else "store")
             plan.gap((False, front, x0, x1), 0.9 if width < 3 else 1.2, rng.choice([0.0, 0.1, 0.9, 1.0]))
         else:
             _with_bathroom(rng, plan, (x0, y0, x1, y1), front, inner_m, left)
@@ -105,8 +137,8 @@ def _with_bathroom(rng, plan, rect, front, inner_m, left):
     low, high = min(y, front), max(y, front)
     bath = (x0, low, x, high) if left else (x, low, x1, high)
     entry = (x, y0, x1, y1) if left else (x0, y0, x, y1)
-    plan.room(entry, (x0, y, x1, y1) if front == y0 else (x0, y0, x1, y))
-    plan.room(bath)
+    plan.room(entry, (x0, y, x1, y1) if front == y0 else (x0, y0, x1, y), kind="patient")
+    plan.room(bath, kind="bath")
     plan.gap((False, front, entry[0], entry[2]), 1.2)
     if rng.random() < 0.5:
         plan.gap((True, x, low, high), 0.9)
@@ -122,7 +154,7 @@ def _core(rng, plan, rect):
     rest = x1 - x0 - size
     begin = x0 + rest * rng.uniform(0.3, 0.7) if rest > 8 else x0
     station = (begin, y0, begin + size, y1)
-    plan.room(station)
+    plan.room(station, kind="station")
     for y in (y0, y1):
         for at in (0.1, 0.9):
             plan.gap((False, y, station[0], station[2]), 1.2, at)
@@ -137,7 +169,7 @@ def _core(rng, plan, rect):
             else:
                 halves = [(y0, y1, (y0, y1)[rng.integers(2)])]
             for bottom, top, front in halves:
-                plan.room((low, bottom, low + width, top))
+                plan.room((low, bottom, low + width, top), kind="treatment" if width > 3 else "store")
                 plan.gap((False, front, low, low + width), rng.choice([0.9, 1.1]), rng.choice([0.1, 0.5, 0.9]))
             low += width
 
@@ -158,7 +190,7 @@ def _hall(rng, plan, ends, stack):
     y = stack[-2][1]
     rect = (x0, 0.0, x1, y)
     columns(plan, rect, spacing_m=3.6, margin_m=1.9)
-    hall = plan.room(rect)
+    hall = plan.room(rect, kind="lobby")
     for width in cut(rng, x1 - x0, [(1.0, 2.6, 4.5)]):
         plan.room((x0, y, x0 + width, plan.height_m))
         plan.gap((False, y, x0, x0 + width), rng.choice([0.9, 1.0]), rng.choice([0.1, 0.5, 0.9]))
@@ -171,7 +203,7 @@ def _treatment(rng, plan, begin, stack, hall, kinds):
     end = plan.width_m
     first = bool(rng.random() < 0.5)
     row, line = (stack[0], stack[1]) if first else (stack[-1], stack[-2])
-    corridor = plan.room((begin, line[0], end, line[1]))
+    corridor = plan.room((begin, line[0], end, line[1]), kind="corridor")
     plan.door(corridor, hall, 1.2)
     near, far = line if first else line[::-1]  # sides of the corridor towards the row, and away from it
     _patients(rng, plan, (begin, row[0], end, row[1]), near, kinds)
@@ -193,12 +225,12 @@ def _suites(rng, plan, ends, front, back):
     x0 = ends[0]
     for width in cut(rng, ends[1] - ends[0], [(1.0, 6.5, 10.0)]):
         middle = front + (back - front) * rng.uniform(0.42, 0.52)
-        plan.room((x0, min(front, middle), x0 + width, max(front, middle)))
+        plan.room((x0, min(front, middle), x0 + width, max(front, middle)), kind="waiting")
         for at in (0.1, 0.9) if width > 7.5 else (0.5,):
             plan.gap((False, front, x0, x0 + width), 1.2, at)
         x = x0
         for part in cut(rng, width, [(1.0, 2.6, 4.4)]):
-            plan.room((x, min(back, middle), x + part, max(back, middle)))
+            plan.room((x, min(back, middle), x + part, max(back, middle)), kind="treatment")
             plan.gap((False, middle, x, x + part), rng.choice([0.9, 1.0]), rng.choice([0.1, 0.5, 0.9]))
             x += part
         x0 += width

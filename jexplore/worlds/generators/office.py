@@ -3,7 +3,23 @@
 import itertools
 
 from jexplore.config import require_number
-from jexplore.worlds.generators.draft import FloorPlan, bands, columns, cut, random_stream, require_size
+from jexplore.worlds.generators.draft import (
+    FloorPlan,
+    bands,
+    columns,
+    cut,
+    n_corridors,
+    random_stream,
+    require_size,
+)
+from jexplore.worlds.generators.furniture import furnish
+from jexplore.worlds.generators.variants import (
+    corridor_widths,
+    limit_loops,
+    narrow_corridors,
+    require_variants,
+    widen_openings,
+)
 from jexplore.worlds.world import World
 
 _KIND = 2
@@ -17,6 +33,11 @@ def office(
     height_m: float = 20.0,
     corridor_m: float = 2.0,
     room_m: float = 3.4,
+    corridor_sd_m: float = 0.0,
+    furniture: float = 0.0,
+    wide_openings: float = 0.0,
+    max_loops: float = 1000.0,
+    open_plan: bool = False,
 ) -> World:
     """A floor of offices, meeting rooms, small service rooms, one open-plan area and a lobby at the facade.
 
@@ -29,6 +50,11 @@ def office(
       width_m, height_m: outer size, metres.
       corridor_m: width of the corridors between the middles of their walls, metres.
       room_m: width of a common office, metres; the others follow.
+      corridor_sd_m: standard deviation of the widths of the corridors, and depth of what narrows them, metres; 0 to 1.
+      furniture: share of the furniture that is there, 0 to 1; see `furniture.furnish`. Only in cells up to 0.2 m.
+      wide_openings: share of the doors that are openings 1.6 to 2.6 m wide where the wall allows, 0 to 1.
+      max_loops: ways round a 1000 m2, at most: doors beyond them are closed, none that would cut off a room. 0 to 1000.
+      open_plan: whether all beyond the first corridor is one open-plan area, but for some rooms at one end of it.
 
     Returns:
       A `World` with rooms.
@@ -39,15 +65,29 @@ def office(
     require_number("office: corridor_m", corridor_m, low=1.5, high=3)
     require_number("office: room_m", room_m, low=2.6, high=6)
     require_size("office", cell_m, width_m, height_m, (14.0, 9.0))
+    require_number("office: corridor_sd_m", corridor_sd_m, high=1)
+    require_variants("office", seed, cell_m, furniture=furniture, wide_openings=wide_openings, max_loops=max_loops)
     rng = random_stream(seed, _KIND)
     plan = FloorPlan(width_m, height_m)
-    stack = bands(rng, height_m, corridor_m, (1.05, 1.25))
+    widths = corridor_widths(seed, _KIND, n_corridors(height_m), corridor_m, corridor_sd_m)
+    stack = bands(rng, height_m, corridor_m, (1.05, 1.25), widths)
+    (_open_floor if open_plan else _floor)(rng, plan, stack, corridor_m, _kinds(room_m))
+    flip_x, flip_y = (rng.random(2) < 0.5).tolist()
+    narrow_corridors(plan, seed, _KIND, corridor_sd_m)
+    limit_loops(plan, seed, _KIND, max_loops)
+    widen_openings(plan, seed, _KIND, wide_openings)
+    furnish(plan, seed, _KIND, furniture)
+    return plan.render(cell_m, flip_x=flip_x, flip_y=flip_y)
+
+
+def _floor(rng, plan, stack, corridor_m, kinds):
+    """Rows of rooms at both facades, and cores between the corridors."""
+    width_m = plan.width_m
     end = width_m
     if len(stack) > 3 and width_m >= 22 and rng.random() < 0.5:
         end -= rng.uniform(0.22, 0.3) * width_m
     crossings = {k: _crossings(rng, end, corridor_m) for k in range(2, len(stack) - 1, 2)}
     corridors = _corridors(rng, plan, stack, crossings, end)
-    kinds = _kinds(room_m)
     bottom, top = ((0.0, y0, end, y1) for y0, y1 in (stack[0], stack[-1]))
     if end < width_m:
         _head(rng, plan, end, stack, corridors)
@@ -67,7 +107,24 @@ def office(
             corridors[k // 2 - 1 : k // 2 + 1],
             kinds,
         )
-    return plan.render(cell_m, flip_x=rng.random() < 0.5, flip_y=rng.random() < 0.5)
+
+
+def _open_floor(rng, plan, stack, corridor_m, kinds):
+    """Rooms at one facade and a corridor along them, then nothing but desks, and meeting rooms at one end."""
+    (y0, y1), (_, y2) = stack[:2]
+    end = plan.width_m
+    corridor = plan.room((0.0, y1, end, y2), kind="corridor")
+    _row_around(rng, plan, (0.0, y0, end, y1), corridor, kinds, _lobby, 7.0)
+    begin = rng.uniform(3.2, 4.4)
+    area = plan.room((begin, y2, end, plan.height_m), kind="open")
+    columns(plan, (begin, y2, end, plan.height_m), spacing_m=6.0, margin_m=2.6)
+    n_doors = max(2, round((end - begin) / 8))
+    for i in range(n_doors):
+        plan.door(area, corridor, 1.2, (i + rng.uniform(0.3, 0.7)) / n_doors)
+    for height in cut(rng, plan.height_m - y2, [(1.0, 2.6, 5.0)]):
+        plan.room((0.0, y2, begin, y2 + height))
+        plan.gap((True, begin, y2, y2 + height), 1.0, rng.choice([0.1, 0.5, 0.9]))
+        y2 += height
 
 
 def _kinds(room_m):
@@ -97,7 +154,7 @@ def _corridors(rng, plan, stack, crossings, end):
                 shapes[k // 2 - 1].append((x0, stack[k - 1][0], x1, stack[k][1]))
             else:
                 shapes[k // 2].append((x0, stack[k][0], x1, stack[k + 1][1]))
-    numbers = [plan.room(*shape) for shape in shapes]
+    numbers = [plan.room(*shape, kind="corridor") for shape in shapes]
     for below, above in itertools.pairwise(numbers):
         for stretch in plan.shared_walls(below, above):
             plan.gap(stretch, 1.2)
@@ -112,7 +169,7 @@ def _head(rng, plan, end, stack, corridors):
     for (y0, y1), corridor in zip(itertools.pairwise([corners[0], *middles, corners[1]]), corridors):
         rect = (end, y0, plan.width_m, y1)
         columns(plan, rect, spacing_m=3.5, margin_m=1.7)
-        large.append(plan.room(rect))
+        large.append(plan.room(rect, kind="open" if large else "lobby"))
         plan.door(large[-1], corridor, 1.2)
     for before, after in itertools.pairwise(large):
         plan.door(before, after, 1.2, rng.uniform(0.2, 0.8))
@@ -133,17 +190,17 @@ def _row_around(rng, plan, rect, corridor, kinds, special, size_m):
 
 def _lobby(plan, rect, corridors):
     columns(plan, rect, spacing_m=3.0, margin_m=1.7)
-    _with_doors(plan, rect, corridors, 1.2)
+    _with_doors(plan, rect, corridors, 1.2, "lobby")
 
 
 def _open_plan(plan, rect, corridors):
     columns(plan, rect, spacing_m=4.5, margin_m=2.2)
-    _with_doors(plan, rect, corridors, 1.1)
+    _with_doors(plan, rect, corridors, 1.1, "open")
 
 
-def _with_doors(plan, rect, corridors, width):
+def _with_doors(plan, rect, corridors, width, kind):
     """A large room with two doors to every corridor it lies at."""
-    room = plan.room(rect)
+    room = plan.room(rect, kind=kind)
     for corridor in corridors:
         plan.door(room, corridor, width, 0.12)
         plan.door(room, corridor, width, 0.88)
@@ -200,7 +257,7 @@ def _core(rng, plan, ends, band, corridors, kinds):
         if x1 - x0 < 1.9:  # nothing is left, or a shaft
             continue
         if 3.5 < x1 - x0 < 7.5 and rng.random() < 0.3:
-            room = plan.room((x0, y0, x1, y1))
+            room = plan.room((x0, y0, x1, y1), kind="meeting")
             plan.door(room, corridors[0], 1.2, rng.choice([0.1, 0.9]))
             plan.door(room, corridors[1], 1.2, rng.choice([0.1, 0.9]))
         elif y1 - y0 < 5.2:

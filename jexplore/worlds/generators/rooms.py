@@ -6,6 +6,8 @@ import numpy as np
 
 from jexplore.config import require_number
 from jexplore.worlds.generators.draft import FloorPlan, random_stream, require_size
+from jexplore.worlds.generators.furniture import furnish
+from jexplore.worlds.generators.variants import limit_loops, require_variants, widen_openings
 from jexplore.worlds.world import World
 
 _KIND = 5
@@ -20,6 +22,9 @@ def rooms(
     height_m: float = 20.0,
     room_m: float = 2.5,
     extra_doors: float = 0.3,
+    furniture: float = 0.0,
+    wide_openings: float = 0.0,
+    max_loops: float = 1000.0,
 ) -> World:
     """Random rectangular rooms without corridors: cut in two again and again, then joined by doors.
 
@@ -31,6 +36,9 @@ def rooms(
       width_m, height_m: outer size, metres.
       room_m: least side of a room, between the middles of its walls, metres.
       extra_doors: fraction of the neighbours outside the spanning tree that have a door as well, 0 to 1.
+      furniture: share of the furniture that is there, 0 to 1; see `furniture.furnish`. Only in cells up to 0.2 m.
+      wide_openings: share of the doors that are openings 1.6 to 2.6 m wide where the wall allows, 0 to 1.
+      max_loops: ways round a 1000 m2, at most: doors beyond them are closed, none that would cut off a room. 0 to 1000.
 
     Returns:
       A `World` with rooms.
@@ -41,6 +49,7 @@ def rooms(
     require_number("rooms: room_m", room_m, low=2.0, high=100)
     require_number("rooms: extra_doors", extra_doors, high=1)
     require_size("rooms", cell_m, width_m, height_m, (2 * room_m, 2 * room_m))
+    require_variants("rooms", seed, cell_m, furniture=furniture, wide_openings=wide_openings, max_loops=max_loops)
     rng = random_stream(seed, _KIND)
     plan = FloorPlan(width_m, height_m)
     todo = [(0.0, 0.0, width_m, height_m)]
@@ -50,13 +59,16 @@ def rooms(
         if halves:
             todo += halves
         else:
-            plan.room(rect)
+            plan.room(rect, kind="mixed")
     pairs = _neighbours(np.array([rects[0] for rects in plan.rooms]))
     group = np.arange(len(plan.rooms))  # rooms that are joined carry one number
     for a, b in rng.permutation(pairs).tolist():
         if group[a] != group[b] or rng.random() < extra_doors:
             plan.door(a, b, rng.uniform(0.9, 1.2), rng.random())
             group[group == group[b]] = group[a]
+    limit_loops(plan, seed, _KIND, max_loops)
+    widen_openings(plan, seed, _KIND, wide_openings)
+    furnish(plan, seed, _KIND, furniture)
     return plan.render(cell_m)
 
 

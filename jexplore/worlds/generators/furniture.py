@@ -1,0 +1,321 @@
+"""Furniture: tables and chairs on legs, beds, shelves and cupboards, where they stand in the rooms of a floor plan.
+
+What a robot's scanner sees of a chair is its four legs. Pieces are drawn in metres, room by room from a random stream
+of the room's own, and every piece has a rank from 0 to 1: with less furniture, only the pieces of low rank are there.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple, TypeAlias
+
+import numpy as np
+from scipy import ndimage
+
+from jexplore.worlds.generators.draft import OUTER_M, WALL_M, Door, FloorPlan, block_cells
+from jexplore.worlds.generators.variants import stream
+from jexplore.worlds.world import clear_cells
+
+Rect: TypeAlias = tuple[float, float, float, float]
+
+ROOMS: dict[str, dict[str, float]] = {
+    "corridor": {"cupboard": 40, "bench": 50, "bin": 50},
+    "office": {"desk": 16, "cupboard": 28, "shelf": 32, "seat": 27, "bin": 20},
+    "meeting": {"table": 34, "cupboard": 30, "seat": 34, "bin": 25},
+    "open": {"pod": 52, "cupboard": 30, "shelf": 36, "table": 90, "bin": 32},
+    "lobby": {"table": 34, "bench": 26, "shelf": 40, "seat": 24, "bin": 28},
+    "store": {"shelf": 9, "bin": 8},
+    "bath": {"basin": 8},
+    "patient": {"bed": 21, "cupboard": 90, "table": 50, "seat": 13, "bin": 16},
+    "treatment": {"bed": 50, "desk": 20, "cupboard": 40, "seat": 16, "bin": 16},
+    "station": {"desk": 16, "shelf": 30, "seat": 18, "bin": 16},
+    "waiting": {"table": 34, "bench": 30, "seat": 9, "bin": 20},
+    "mixed": {"desk": 27, "table": 60, "bed": 60, "cupboard": 42, "shelf": 50, "seat": 44, "bin": 26},
+}
+"""Kind of room -> piece -> there is one in so many square metres. The first pieces choose their places first."""
+
+WALL_PIECES = {
+    "cupboard": ((0.8, 1.6), (0.4, 0.6)),
+    "shelf": ((0.8, 2.0), (0.28, 0.4)),
+    "basin": ((0.45, 0.6), (0.4, 0.55)),
+    "bed": ((0.9, 1.0), (1.95, 2.1)),
+}
+"""Piece that stands against a wall -> its least and greatest length along the wall, and depth, metres."""
+
+_LEG_M = 0.05
+_CHAIR_M = 0.42
+_OFF_WALL_M = 0.25  # legs stand so far from the wall that they are no part of it
+_BIN_M = 0.28
+_GAP_M = 0.3  # between two pieces: at least a cell, so that nothing is shut in behind them
+_DOOR_M = (0.2, 0.95)  # what remains free beside and before a door
+_PASSAGE_M = 1.35  # what remains free of a corridor
+_ROUND_M = 0.85  # between tables and the middles of the walls
+_AISLE_M = 1.0  # between rows of desks
+_TRIES = 12  # places, before a piece is left out
+_FURNITURE = 110  # random stream
+CHECKS = ((0.05, 0.35), (0.1, 0.35), (0.15, 0.30), (0.2, 0.30))
+"""Cells, and the clearance that a robot has in them everywhere it must get to, metres: with a margin."""
+_LEFT = 0.5  # of the places where a robot could stand in the empty room, the share that it still reaches
+
+
+class Piece(NamedTuple):
+    """Something to stand in a room."""
+
+    zone: Rect
+    """What it takes up, with the chairs, metres."""
+    parts: list[tuple[float, list[Rect]]]
+    """Rank and blocks of the piece itself and of every chair that belongs to it."""
+
+
+def furnish(plan: FloorPlan, seed: int, kind: int, furniture: float) -> None:
+    """Furnish the rooms of a plan, as blocks.
+
+    Doorways and a strip before them stay free. A piece that would part two doors of a room, shut in free space or take
+    more than half of a room's standing places from a robot is left out; that is tried in the cells of `CHECKS`, so that
+    one seed is one building at every `cell_m`.
+
+    Args:
+      plan: a `FloorPlan`, changed in place: finished but for the furniture.
+      seed, kind: of the building.
+      furniture: share of the pieces that are there, 0 to 1. What there is stays where it is as the share grows.
+    """
+    if not furniture:
+        return
+    doors: list[list[Door]] = [[] for _ in plan.rooms]
+    for door in plan.doors:
+        for number in plan.beside(door):
+            doors[number].append(door)
+    empty, standing = [plan.render(cell_m) for cell_m, _ in CHECKS], list(plan.blocks)
+    for number in range(len(plan.rooms)):
+        rng = stream(seed, kind, _FURNITURE, number)
+        parts = [part for piece in _pieces(rng, plan, number, doors[number], standing) for part in piece.parts]
+        blocks = [blocks for rank, blocks in sorted(parts, key=lambda part: part[0]) if rank <= furniture]
+        spaces = _spaces(plan, number, doors[number], empty)
+        for kept in _that_fit(blocks, [], spaces):
+            plan.blocks += kept
+
+
+def keeps_passable(plan: FloorPlan, number: int, blocks: list[Rect]) -> bool:
+    """Whether a robot still gets through and about a room of a plan if these blocks stand in it: see `furnish`."""
+    doors = [door for door in plan.doors if number in plan.beside(door)]
+    empty = [plan.render(cell_m) for cell_m, _ in CHECKS]
+    return all(space.fits([blocks]) for space in _spaces(plan, number, doors, empty))
+
+
+def _spaces(plan, number, doors, empty):
+    """The room in the cells of every check, `empty` being the plan in them."""
+    return [
+        _Space(world, number, plan.rooms[number], doors, clearance_m) for world, (_, clearance_m) in zip(empty, CHECKS)
+    ]
+
+
+def _pieces(rng, plan: FloorPlan, number: int, doors: Sequence[Door], standing: Sequence[Rect]) -> list[Piece]:
+    """All furniture that a room could have: pieces that overlap neither each other nor what is standing there."""
+    rects = plan.rooms[number]
+    area = sum(map(_area, rects))
+    kind = plan.kinds[number] or ("store" if area < 7 else "office" if area < 24 else "meeting")
+    taken = [_before(door) for door in doors]
+    taken += [_grown(block, _GAP_M) for block in standing if any(_overlap(block, rect) for rect in rects)]
+    walls = plan.bare_walls(number, _DOOR_M[0])
+    pieces = []
+    for name, share in ROOMS[kind].items():
+        for _ in range(math.floor(area / share + rng.random())):
+            for _ in range(_TRIES):
+                if name in ("table", "pod"):
+                    piece = _in_the_open(rng, rects, name)
+                else:
+                    piece = _at_a_wall(rng, plan, walls, rects, name, _PASSAGE_M if kind == "corridor" else 0.3)
+                if piece is not None and not any(_overlap(piece.zone, other) for other in taken):
+                    pieces.append(piece)
+                    taken.append(_grown(piece.zone, _GAP_M))
+                    break
+    return pieces
+
+
+def _at_a_wall(rng, plan, walls, rects, name, beyond_m):
+    """A piece somewhere along the walls of a room, `beyond_m` metres of it left free; None where it does not fit."""
+    length, depth, parts = _wall_piece(rng, name)
+    lengths = np.array([side.high - side.low for side in walls])
+    if not len(lengths):
+        return None
+    side = walls[rng.choice(len(walls), p=lengths / lengths.sum())]
+    low, high = (
+        side.low + _face(plan, not side.vertical, side.low),
+        side.high - _face(plan, not side.vertical, side.high),
+    )
+    if high - low < length:
+        return None
+    at = low + (high - low - length) * (0.0 if name == "bin" else rng.random())  # a bin stands in a corner
+    face = _face(plan, side.vertical, side.wall)
+    needed = side.block(at, 0, at + length, face + depth + beyond_m)
+    if not any(_inside(needed, rect) for rect in rects):
+        return None
+    placed = [
+        (rank, [side.block(at + u0, v0 + face if v0 else 0, at + u1, v1 + face) for u0, v0, u1, v1 in blocks])
+        for rank, blocks in parts
+    ]
+    return Piece(side.block(at, 0, at + length, face + depth), placed)
+
+
+def _wall_piece(rng, name):
+    """A piece along a wall: its length, its depth, and its parts: `u` along the wall, `v` away from it, metres."""
+    rank, later = rng.random(2)
+    later = max(rank, later)
+    if name == "desk":
+        length, depth = rng.uniform(1.2, 1.7), rng.uniform(0.65, 0.8)
+        far = _OFF_WALL_M + depth
+        chair = length * rng.uniform(0.35, 0.65) - _CHAIR_M / 2
+        legs = _legs(chair, far + 0.1, chair + _CHAIR_M, far + 0.1 + _CHAIR_M)
+        return length, far + 0.1 + _CHAIR_M, [(rank, _legs(0, _OFF_WALL_M, length, far)), (later, legs)]
+    if name in ("seat", "bench"):
+        length = _CHAIR_M if name == "seat" else rng.uniform(1.2, 1.8)
+        return length, _OFF_WALL_M + _CHAIR_M, [(rank, _legs(0, _OFF_WALL_M, length, _OFF_WALL_M + _CHAIR_M))]
+    if name == "bin":
+        near = _OFF_WALL_M / 2
+        return near + _BIN_M, near + _BIN_M, [(rank, [(near, near, near + _BIN_M, near + _BIN_M)])]
+    length, depth = (rng.uniform(*span) for span in WALL_PIECES[name])
+    parts = [(rank, [(0.0, 0.0, length, depth)])]
+    if name == "bed":  # and what stands beside it
+        parts.append((later, [(length, 0.0, length + 0.45, 0.45)]))
+        length += 0.45
+    return length, depth, parts
+
+
+def _in_the_open(rng, rects, name):
+    """A table with chairs round it or desks face to face, away from the walls; None where the room is too small."""
+    x0, y0, x1, y1 = max(rects, key=_area)
+    if name == "pod":  # as many desks in a row as there is room for, all rows one way
+        turned, seats = x1 - x0 < y1 - y0, 2 if max(x1 - x0, y1 - y0) > 9 else 1
+        length, depth = 1.6 * seats, 1.6
+    else:
+        turned, length, depth = rng.random() < 0.5, rng.uniform(1.2, 2.4), rng.uniform(0.8, 1.1)
+        seats = int(length / 0.75)
+    out = 0.1 + _CHAIR_M  # how far chairs reach beyond the table
+    sizes = np.array((length, depth + 2 * out)[:: -1 if turned else 1])
+    room = np.array((x1 - x0, y1 - y0)) - 2 * _ROUND_M - sizes
+    if min(room) < 0:
+        return None
+    share = rng.random(2)
+    if name == "pod" and rng.random() < 0.7:  # in line with others, if columns leave room for that
+        steps = np.maximum(1, room // (sizes + _AISLE_M)).astype(int)
+        share = rng.integers(steps + 1) / steps
+    x, y = (np.array((x0, y0)) + _ROUND_M + share * room).tolist()
+    rank = rng.random()
+    columns = np.linspace(0.0, length - _LEG_M, 1 + math.ceil(length / 1.7)).tolist()
+    parts = [(rank, [_leg(u, v) for u in columns for v in (out, out + depth - _LEG_M)])]
+    for i in range(seats):
+        chair = length * (i + 0.5) / seats - _CHAIR_M / 2
+        for near in (0.0, out + depth + 0.1):
+            parts.append((max(rank, rng.random()), _legs(chair, near, chair + _CHAIR_M, near + _CHAIR_M)))
+
+    def placed(u0, v0, u1, v1):
+        return (x + v0, y + u0, x + v1, y + u1) if turned else (x + u0, y + v0, x + u1, y + v1)
+
+    parts = [(rank, [placed(*block) for block in blocks]) for rank, blocks in parts]
+    return Piece((x, y, x + float(sizes[0]), y + float(sizes[1])), parts)
+
+
+def _leg(u, v):
+    return (u, v, u + _LEG_M, v + _LEG_M)
+
+
+def _legs(u0, v0, u1, v1):
+    """The legs at the corners of a rectangle."""
+    return [_leg(u, v) for u in (u0, u1 - _LEG_M) for v in (v0, v1 - _LEG_M)]
+
+
+def _before(door):
+    """What remains free on both sides of a door."""
+    beside, before = _DOOR_M
+    along = (door.middle - door.width / 2 - beside, door.middle + door.width / 2 + beside)
+    across = (door.wall - before, door.wall + before)
+    (x0, x1), (y0, y1) = (across, along) if door.vertical else (along, across)
+    return x0, y0, x1, y1
+
+
+def _face(plan, vertical, wall):
+    """How far a wall's face lies from its `wall` coordinate, metres."""
+    end = plan.width_m if vertical else plan.height_m
+    return OUTER_M if wall < 1e-6 or wall > end - 1e-6 else WALL_M / 2
+
+
+def _area(rect):
+    return (rect[2] - rect[0]) * (rect[3] - rect[1])
+
+
+def _grown(rect, by):
+    x0, y0, x1, y1 = rect
+    return x0 - by, y0 - by, x1 + by, y1 + by
+
+
+def _overlap(a, b):
+    return a[0] < b[2] and b[0] < a[2] and a[1] < b[3] and b[1] < a[3]
+
+
+def _inside(a, b):
+    return b[0] <= a[0] and b[1] <= a[1] and a[2] <= b[2] and a[3] <= b[3]
+
+
+class _Space:
+    """The cells of one room of an empty building, and whether furniture leaves enough of them to a robot."""
+
+    def __init__(self, world, number, rects, doors, clearance_m):
+        low = np.min(rects, axis=0)[:2] - 1.0
+        high = np.max(rects, axis=0)[2:] + 1.0
+        self.clearance_m, self.cell_m = clearance_m, world.cell_m
+        window = block_cells((*np.maximum(low, 0), *high), world.cell_m)
+        self.row, self.col = window[0].start, window[1].start
+        self.occupied = world.occupied[window]
+        rooms = world.rooms[window]
+        self.doors = []
+        for door in doors:
+            x0, y0, x1, y1 = _before(door)
+            if door.vertical:  # no more of the strip than the thickness of the wall
+                x0, x1 = door.wall - OUTER_M, door.wall + OUTER_M
+            else:
+                y0, y1 = door.wall - OUTER_M, door.wall + OUTER_M
+            at = np.zeros_like(self.occupied)
+            at[self._window((x0, y0, x1, y1))] = True
+            self.doors.append(at & ~self.occupied & (rooms < 0))
+        self.own = np.logical_or.reduce([rooms == number, *self.doors])
+        self.parts, self.reach, size = self._state(self.occupied)
+        self.least = _LEFT * size
+
+    def _window(self, block):
+        y, x = block_cells(block, self.cell_m)
+        return tuple(slice(max(0, s.start - o), max(0, s.stop - o)) for s, o in ((y, self.row), (x, self.col)))
+
+    def _state(self, occupied):
+        """How many parts the free cells have, the doors that the largest part of the clear ones reaches, its size."""
+        parts = _components(self.own & ~occupied).max()
+        labels = _components(self.own & clear_cells(occupied, self.clearance_m, self.cell_m))
+        sizes = np.bincount(labels.ravel())
+        sizes[0] = 0
+        main = (labels == np.argmax(sizes)) & (labels > 0)
+        return parts, [bool((main & door).any()) for door in self.doors], int(sizes.max())
+
+    def fits(self, pieces):
+        """Whether a robot gets through the room and round in it where these pieces, lists of blocks, stand in it."""
+        occupied = self.occupied.copy()
+        for block in (block for blocks in pieces for block in blocks):
+            occupied[self._window(block)] = True
+        parts, reach, size = self._state(occupied)
+        keeps = all(after or not before for before, after in zip(self.reach, reach))
+        return parts <= self.parts and keeps and size >= self.least
+
+
+def _components(mask):
+    """4-connected components, numbered from 1; 0 elsewhere."""
+    labels = np.empty(mask.shape, np.int32)
+    ndimage.label(mask, output=labels)
+    return labels
+
+
+def _that_fit(pieces, before, spaces):
+    """Those of some pieces that fit into a room after others: each one that fits with all that fitted before it."""
+    if not pieces or all(space.fits([*before, *pieces]) for space in spaces):
+        return pieces
+    if len(pieces) == 1:
+        return []
+    half = len(pieces) // 2
+    first = _that_fit(pieces[:half], before, spaces)
+    return first + _that_fit(pieces[half:], [*before, *first], spaces)

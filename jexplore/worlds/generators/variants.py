@@ -1,0 +1,165 @@
+"""What makes a drawn building less regular: wide openings, fewer ways round, corridors of different widths.
+
+All of it is drawn from random streams of its own, so that a building without it stays what it is.
+"""
+
+import numpy as np
+
+from jexplore.config import InputError, require_number
+from jexplore.worlds.generators.draft import MAX_CELL_M, WALL_M, Door, FloorPlan, random_stream
+
+MAX_LOOPS = 1000.0  # ways round a 1000 m2: more than any building has
+FURNISHED_CELL_M = 0.2  # a leg takes a whole cell: in larger ones furniture would bar the way
+_OPENING_M = (1.6, 2.6)
+_JAMB_M = 0.25  # of wall that remains on both sides of an opening
+_SHAFT_M = (1.2, 6.0)  # least and greatest length of what narrows a corridor
+_MOST_M = 3.0  # the widest, where the corridors are not wider anyway
+_LEAST_M = 1.5  # the narrowest corridor between the middles of its walls: 1.3 m in cells of 0.2 m
+_AREA_CELL_M = 0.1  # what the area is measured in: one seed is one building at every cell_m
+_OPENINGS, _LOOPS, _WIDTHS, _NICHES = 101, 102, 103, 104  # random streams
+
+
+def stream(seed: int, kind: int, use: int, *more: int) -> np.random.Generator:
+    """Random numbers of a seed for one use, apart from those that draw the building: a numpy `Generator`."""
+    return np.random.default_rng([int(seed), kind, use, *more])
+
+
+def require_variants(
+    kind: str, seed: int, cell_m: float, *, furniture: float, wide_openings: float, max_loops: float
+) -> None:
+    """Refuse shares and numbers out of range.
+
+    Args:
+      kind: name of the generator, for the message.
+      seed: as `draft.random_stream`.
+      cell_m: edge of a cell, metres.
+      furniture, wide_openings: shares, 0 to 1.
+      max_loops: ways round a 1000 m2, 0 to `MAX_LOOPS`.
+
+    Raises:
+      InputError: one of them is out of range, or there is furniture in cells over `FURNISHED_CELL_M`.
+    """
+    random_stream(seed, 0)
+    require_number(f"{kind}: furniture", furniture, high=1)
+    require_number(f"{kind}: wide_openings", wide_openings, high=1)
+    require_number(f"{kind}: max_loops", max_loops, high=MAX_LOOPS)
+    if furniture > 0 and FURNISHED_CELL_M < cell_m <= MAX_CELL_M:
+        raise InputError(f"{kind}: furniture needs a cell_m of at most {FURNISHED_CELL_M:g}, got {cell_m:g}")
+
+
+def corridor_widths(seed: int, kind: int, n: int, corridor_m: float, sd_m: float) -> list[float]:
+    """Widths of the corridors of a building: normally distributed, cut off where a corridor is no more.
+
+    Args:
+      seed, kind: of the building.
+      n: how many.
+      corridor_m: mean, metres.
+      sd_m: standard deviation, metres; 0: no list, all are as wide as each other.
+
+    Returns:
+      `n` widths between the middles of the walls, metres; an empty list if `sd_m` is 0.
+    """
+    if not sd_m:
+        return []
+    drawn = stream(seed, kind, _WIDTHS).normal(corridor_m, sd_m, n)
+    return np.clip(drawn, _LEAST_M, max(_MOST_M, corridor_m)).tolist()
+
+
+def narrow_corridors(plan: FloorPlan, seed: int, kind: int, sd_m: float) -> None:
+    """Stand shafts and built-in cupboards in the corridors, in one of the two walls, away from doors and ends.
+
+    Args:
+      plan: a `FloorPlan`, changed in place.
+      seed, kind: of the building.
+      sd_m: how deep they are: the absolute value of a normal number of this standard deviation, metres, less where no
+        more than `_LEAST_M` would be left of the corridor.
+    """
+    if not sd_m:
+        return
+    rng = stream(seed, kind, _NICHES)
+    for number, rects in enumerate(plan.rooms):
+        if plan.kinds[number] != "corridor":
+            continue
+        for x0, y0, x1, y1 in rects:
+            vertical, width = (x1 - x0 < y1 - y0), min(x1 - x0, y1 - y0)
+            wall = ((x0, x1) if vertical else (y0, y1))[rng.integers(2)]
+            first, last = (y0, y1) if vertical else (x0, x1)
+            for side in plan.bare_walls(number, _SHAFT_M[0] / 4):
+                if side.vertical == vertical and abs(side.wall - wall) < 1e-6:
+                    length, depth, at = rng.uniform(*_SHAFT_M), abs(rng.normal(0, sd_m)), rng.random()
+                    low, high = max(side.low, first + width), min(side.high, last - width)
+                    depth = min(depth, width - _LEAST_M)
+                    if high - low < _SHAFT_M[0] or depth < WALL_M:
+                        continue
+                    low += at * max(high - low - length, 0)
+                    plan.blocks.append(side.block(low, 0, min(low + length, high), depth + WALL_M / 2))
+
+
+def limit_loops(plan: FloorPlan, seed: int, kind: int, max_loops: float) -> None:
+    """Close doors until a building has no more ways round than asked; none that would cut off a room.
+
+    The doors of rooms with few doors go first: a second door to the same corridor, one to the neighbour; the ways round
+    by the corridors go last. With a lower limit the same doors are closed, and some more.
+
+    Args:
+      plan: a `FloorPlan`, changed in place.
+      seed, kind: of the building.
+      max_loops: ways round a 1000 m2 of free area.
+    """
+    if max_loops >= MAX_LOOPS:
+        return
+    pairs = [plan.beside(door) for door in plan.doors]
+    n_doors = np.bincount(np.ravel(pairs), minlength=len(plan.rooms))
+    order = stream(seed, kind, _LOOPS).permutation(len(pairs)).tolist()
+    order.sort(key=lambda i: min(n_doors[list(pairs[i])]))
+    group = np.arange(len(plan.rooms))
+    tree = set()
+    for i in reversed(order):  # the doors that go last hold the building together
+        a, b = group[list(pairs[i])]
+        if a != b:
+            tree.add(i)
+            group[group == b] = a
+    most = int(max_loops * plan.render(_AREA_CELL_M).free_m2 / 1000)
+    spare = [i for i in order if i not in tree]
+    closed = set(spare[: max(0, len(spare) - most)])
+    plan.doors[:] = [door for i, door in enumerate(plan.doors) if i not in closed]
+
+
+def widen_openings(plan: FloorPlan, seed: int, kind: int, share: float) -> None:
+    """Make openings 1.6 to 2.6 m wide of a share of the doors, as far as their walls are long enough.
+
+    With a larger share the same doors are widened, and some more.
+
+    Args:
+      plan: a `FloorPlan`, changed in place.
+      seed, kind: of the building.
+      share: of all doors, 0 to 1.
+    """
+    if not share:
+        return
+    rng = stream(seed, kind, _OPENINGS)
+    draws = list(zip(rng.permutation(len(plan.doors)).tolist(), rng.uniform(*_OPENING_M, len(plan.doors)).tolist()))
+    left = round(share * len(plan.doors))
+    for i, width in draws:
+        wider = _widened(plan.doors, i, width) if left else None
+        if wider is not None:
+            plan.doors[i] = wider
+            left -= 1
+
+
+def _widened(doors: list[Door], i: int, width: float) -> Door | None:
+    """Door `i` as an opening, between the ends of its wall and the other doors in it; None where it does not fit."""
+    door = doors[i]
+    low, high = door.low + WALL_M / 2, door.high - WALL_M / 2
+    for other in doors:
+        if other is not door and other.vertical == door.vertical and abs(other.wall - door.wall) < 1e-6:
+            if other.middle < door.middle:
+                low = max(low, other.middle + other.width / 2)
+            else:
+                high = min(high, other.middle - other.width / 2)
+    low, high = low + _JAMB_M, high - _JAMB_M
+    if high - low < _OPENING_M[0]:
+        return None
+    width = min(width, high - low)
+    middle = min(max(door.middle, low + width / 2), high - width / 2)
+    return Door(door.vertical, door.wall, middle, width, door.low, door.high)
