@@ -6,6 +6,8 @@ import enum
 import json
 import math
 import os
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -161,64 +163,65 @@ def test_unreadable_parquet(tmp_path):
         store.read_parquet(tmp_path / "e.parquet", required=("world", "plans"))
 
 
-def test_claim_makes_the_folder_and_its_parents(tmp_path):
-    out = tmp_path / "a" / "b"
-    assert store.claim_out(out) == out
-    assert store.claim_out(str(out)) == out  # still without a run
-    assert files(out) == []
+ONE = {"run.json": lambda path: path.write_text("new")}
 
 
 @pytest.mark.parametrize("name", ["run.json", "episodes.parquet", "compare.png"])
-def test_claim_refuses_a_folder_with_a_run(tmp_path, name):
+def test_a_folder_with_a_run_is_refused(tmp_path, name):
     (tmp_path / name).write_text("old")
-    with pytest.raises(InputError, match=rf"holds a run \({name}\)"):
-        store.claim_out(tmp_path)
+    for take in (store.check_out, lambda path: store.write_run(path, ONE)):
+        with pytest.raises(InputError, match=rf"holds a run \({name}\)"):
+            take(tmp_path)
     assert (tmp_path / name).read_text() == "old"
+    assert files(tmp_path) == [name]
 
 
 def test_overwrite_removes_only_our_files(tmp_path):
     for name in ("run.json", "compare.png", "notes.txt", "photo.png"):
         (tmp_path / name).write_text(name)
     (tmp_path / "paths.png").symlink_to(tmp_path / "photo.png")
-    assert store.claim_out(tmp_path, overwrite=True) == tmp_path
-    assert files(tmp_path) == ["notes.txt", "photo.png"]
+    assert store.write_run(tmp_path, ONE, overwrite=True) == tmp_path
+    assert files(tmp_path) == ["notes.txt", "photo.png", "run.json"]
     assert (tmp_path / "photo.png").read_text() == "photo.png"
+    assert (tmp_path / "run.json").read_text() == "new"
 
 
 def test_overwrite_does_not_remove_folders(tmp_path):
     (tmp_path / "run.json").write_text("old")
     (tmp_path / "worlds.png").mkdir()
     with pytest.raises(InputError, match=r"worlds\.png must be a file"):
-        store.claim_out(tmp_path, overwrite=True)
+        store.write_run(tmp_path, ONE, overwrite=True)
     assert files(tmp_path) == ["run.json", "worlds.png"]
 
 
-def test_claim_with_other_names(tmp_path):
+def test_check_with_other_names(tmp_path):
     (tmp_path / "unit-3.parquet").touch()
-    store.claim_out(tmp_path)
+    store.check_out(tmp_path)
     with pytest.raises(InputError, match=r"unit-3\.parquet"):
-        store.claim_out(tmp_path, names=("unit-3.parquet",))
+        store.check_out(tmp_path, names=("unit-3.parquet",))
 
 
-def test_claim_refuses_what_is_no_folder(tmp_path):
+def test_what_is_no_folder_is_refused(tmp_path):
     (tmp_path / "file").write_text("keep")
     (tmp_path / "dangling").symlink_to(tmp_path / "nowhere")
     bad = [tmp_path / "file", tmp_path / "file" / "below", tmp_path / "dangling", "", f"{tmp_path}/nul\0l"]
     for path in bad:
         for overwrite in (False, True):
-            with pytest.raises(InputError) as caught:
-                store.claim_out(path, overwrite=overwrite)
-            assert "\n" not in str(caught.value)
+            for take in (store.check_out, lambda path, overwrite: store.write_run(path, ONE, overwrite)):
+                with pytest.raises(InputError) as caught:
+                    take(path, overwrite)
+                assert "\n" not in str(caught.value)
     assert files(tmp_path) == ["dangling", "file"]
 
 
-def test_claim_leaves_nothing_half_made(tmp_path):
-    with pytest.raises(InputError, match="must be a folder that can be written: File name too long"):
-        store.claim_out(tmp_path / "a" / "b" / ("x" * 300))
+def test_nothing_is_left_half_made(tmp_path):
+    for take in (store.check_out, lambda path: store.write_run(path, ONE)):
+        with pytest.raises(InputError, match="must be a folder that can be written: File name too long"):
+            take(tmp_path / "a" / "b" / ("x" * 300))
     assert files(tmp_path) == []
 
 
-def test_claim_of_a_folder_that_cannot_be_written(tmp_path, monkeypatch):
+def test_a_folder_that_cannot_be_written(tmp_path, monkeypatch):
     (tmp_path / "run.json").write_text("old")
 
     def refuse(self, **options):
@@ -226,37 +229,66 @@ def test_claim_of_a_folder_that_cannot_be_written(tmp_path, monkeypatch):
 
     monkeypatch.setattr(Path, "touch", refuse)
     with pytest.raises(InputError, match="must be a folder that can be written: Permission denied"):
-        store.claim_out(tmp_path, overwrite=True)
+        store.write_run(tmp_path, ONE, overwrite=True)
     with pytest.raises(InputError, match="Permission denied"):
-        store.claim_out(tmp_path / "new" / "run")
+        store.write_run(tmp_path / "new" / "run", ONE)
     assert files(tmp_path) == ["run.json"]
 
 
 @pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() == 0, reason="root may write anywhere")
-def test_claim_of_a_read_only_folder(tmp_path):
+def test_a_read_only_folder(tmp_path):
     folder = tmp_path / "fixed"
     folder.mkdir(mode=0o555)
     for path in (folder, folder / "run"):
         with pytest.raises(InputError, match="Permission denied"):
-            store.claim_out(path)
+            store.check_out(path)
 
 
-def test_default_out_is_unique(tmp_path):
+def test_default_outs_are_unused(tmp_path):
     now = datetime.datetime(2026, 11, 21, 9, 30, 42)
-    assert store.default_out("compare", now) == Path("runs/20261121T093042Z-compare")
-    names = []
-    for _ in range(3):
-        out = store.default_out("compare", now, root=tmp_path)
-        out.mkdir()
-        names.append(out.name)
+    assert next(store.default_outs("compare", now)) == Path("runs/20261121T093042Z-compare")
+    names = [store.write_new_run(store.default_outs("compare", now, root=tmp_path), ONE).name for _ in range(3)]
     assert names == ["20261121T093042Z-compare", "20261121T093042Z-compare-2", "20261121T093042Z-compare-3"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == names
+    assert all((tmp_path / name / "run.json").read_text() == "new" for name in names)
+
+
+def test_a_name_that_another_run_takes_meanwhile_is_left_to_it(tmp_path):
+    now = datetime.datetime(2026, 11, 21, 9, 30, 42)
+    taken = tmp_path / "20261121T093042Z-compare"
+
+    def late(path):
+        path.write_text("mine")
+        store.write_run(taken, {"run.json": lambda path: path.write_text("theirs")})
+
+    made = store.write_new_run(store.default_outs("compare", now, root=tmp_path), {"run.json": late})
+    assert made.name == "20261121T093042Z-compare-2"
+    assert [(folder / "run.json").read_text() for folder in (taken, made)] == ["theirs", "mine"]
+
+
+def test_processes_that_write_at_once_lose_no_run(tmp_path):
+    code = """
+import datetime, sys
+from jexplore.report import store
+now = datetime.datetime(2026, 1, 1)
+for i in range(8):
+    text = f"{sys.argv[1]} {i}"
+    writers = {"run.json": lambda path: path.write_text(text)}
+    store.write_new_run(store.default_outs("x", now, root=sys.argv[2]), writers)
+"""
+    many = [subprocess.Popen([sys.executable, "-c", code, str(k), str(tmp_path)]) for k in range(3)]
+    assert [process.wait(timeout=120) for process in many] == [0, 0, 0]
+    texts = sorted(path.read_text() for path in tmp_path.glob("*/run.json"))
+    assert texts == sorted(f"{k} {i}" for k in range(3) for i in range(8))
+    assert len(list(tmp_path.iterdir())) == 24
 
 
 def test_default_out_is_in_utc():
     zone = datetime.timezone(datetime.timedelta(hours=2))
-    assert store.default_out("x", datetime.datetime(2026, 1, 1, 1, 0, 0, tzinfo=zone)).name == "20251231T230000Z-x"
+    early = datetime.datetime(2026, 1, 1, 1, 0, 0, tzinfo=zone)
+    assert next(store.default_outs("x", early)).name == "20251231T230000Z-x"
     before = datetime.datetime.now(datetime.UTC).replace(microsecond=0, tzinfo=None)
-    stamp = datetime.datetime.strptime(store.default_out("x").name, "%Y%m%dT%H%M%SZ-x")
+    stamp = datetime.datetime.strptime(next(store.default_outs("x")).name, "%Y%m%dT%H%M%SZ-x")
     assert 0 <= (stamp - before).total_seconds() < 60
 
 
@@ -311,6 +343,30 @@ def test_a_run_that_fails_in_the_middle_leaves_everything_as_it_was(tmp_path, er
     with pytest.raises(error):
         store.write_run(tmp_path, writers, overwrite=True)
     assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {"run.json": "old"}
+
+
+@pytest.mark.parametrize("moves", range(1, 7))
+def test_an_interruption_while_files_are_moved_undoes_all_of_it(tmp_path, monkeypatch, moves):
+    """Three files go, three come; whichever move is the last, the old run is whole and nothing new is left."""
+    for name in ("run.json", "episodes.parquet", "paths.png"):
+        (tmp_path / name).write_text("old")
+    real, made = os.replace, []
+
+    def replace(source, target):
+        real(source, target)
+        made.append(Path(target).name)
+        if len(made) == moves:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(os, "replace", replace)
+    names = ("run.json", "compare.png", "episodes.parquet")
+    writers = dict.fromkeys(names, lambda path: path.write_text("new"))
+    with pytest.raises(KeyboardInterrupt):
+        store.write_run(tmp_path, writers, overwrite=True)
+    found = {path.name: path.read_text() for path in tmp_path.iterdir()}
+    assert found == {"run.json": "old", "episodes.parquet": "old", "paths.png": "old"}
+    assert made[0] == "run.json"  # it goes first and comes last
+    assert "run.json" not in made[1 : min(moves, 5)]
 
 
 def test_a_run_on_a_full_disk_is_one_line(tmp_path):

@@ -103,13 +103,12 @@ class Out:
         self.overwrite, self.command = options.overwrite, command
         self.began = time.perf_counter()
         self.now = datetime.datetime.now(datetime.UTC)
-        store.check_out(self._folder(), self.overwrite)
+        store.check_out(next(self._defaults()) if self.given is None else self.given, self.overwrite)
 
-    def _folder(self):
+    def _defaults(self):
         from jexplore.report import store
 
-        # A default name is looked for again when writing: another run may have taken it since.
-        return store.default_out(self.command, self.now) if self.given is None else self.given
+        return store.default_outs(self.command, self.now)
 
     def record(self, arguments: Sequence[str], options: Any, **found: Any) -> dict[str, Any]:
         """What run.json holds."""
@@ -131,5 +130,8 @@ class Out:
         """
         from jexplore.report import store
 
-        folder = store.write_run(self._folder(), writers, self.overwrite)
+        if self.given is None:
+            folder = store.write_new_run(self._defaults(), writers)
+        else:
+            folder = store.write_run(self.given, writers, self.overwrite)
         return f"wrote {', '.join(writers)} to {os.fspath(folder)}{os.sep}"

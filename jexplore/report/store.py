@@ -8,6 +8,7 @@ import dataclasses
 import datetime
 import enum
 import importlib.metadata
+import itertools
 import json
 import math
 import os
@@ -209,36 +210,73 @@ def _remove_folders(made):
 
 
 def check_out(path: str | os.PathLike[str], overwrite: bool = False, *, names: Iterable[str] = OUR_FILES) -> None:
-    """Refuse a folder that `claim_out` would refuse, and leave everything as it is. Arguments and errors as there."""
-    _remove_folders(_writable(path, overwrite, names)[1])
-
-
-def claim_out(path: str | os.PathLike[str], overwrite: bool = False, *, names: Iterable[str] = OUR_FILES) -> Path:
-    """Make the folder of a run, or accept one that holds no run yet.
-
-    Files of other names are never touched. With `overwrite`, the files of an earlier run are removed once the folder
-    has proved writable, so that nothing old stands beside the new.
+    """Refuse a folder that cannot hold a run, and leave everything as it is.
 
     Args:
-      path: the folder; missing parents are made too.
+      path: the folder; it need not be there.
       overwrite: whether the folder may hold a run.
       names: the files that make up a run.
 
-    Returns:
-      `Path` of the folder.
-
     Raises:
-      InputError: the folder holds a run and `overwrite` is off, is a file, or cannot be made or written. Nothing has
-        been made or removed then.
+      InputError: the folder holds a run and `overwrite` is off, is a file, or cannot be made or written.
     """
-    taken, made = _writable(path, overwrite, names)
+    _remove_folders(_writable(path, overwrite, names)[1])
+
+
+@contextlib.contextmanager
+def _staged(folder, writers):
+    """The files of a run, written into a hidden folder inside `folder` that is gone afterwards."""
+    stage = Path(folder) / f".{os.getpid()}-{secrets.token_hex(4)}.part"
     try:
-        for file in taken:
-            file.unlink()
+        stage.mkdir()
+        for name, write in writers.items():
+            write(stage / name)
+        yield stage
     except OSError as error:
-        _remove_folders(made)
-        raise InputError(f"{str(path)!r} must be a folder that can be written: {_reason(error)}") from error
-    return Path(path)
+        raise InputError(f"{str(folder)!r} must be a folder that can be written: {_reason(error)}") from error
+    finally:
+        shutil.rmtree(stage, ignore_errors=True)
+
+
+@contextlib.contextmanager
+def _locked(folder):
+    """Keeps other processes that ask for the same lock waiting; where the system has none, does nothing."""
+    try:
+        import fcntl
+    except ImportError:
+        yield
+        return
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        with contextlib.suppress(OSError):  # a file system without locks
+            fcntl.flock(handle, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(handle)
+
+
+def _exchange(stage, folder, taken, names):
+    """Moves the files of a run from `stage` into `folder`, `run.json` last; those of the old run go to `stage/old`.
+
+    If it is interrupted, everything is moved back.
+    """
+    old = stage / "old"
+    old.mkdir()
+    late = sorted(names, key=lambda name: name == "run.json")
+    early = sorted((file.name for file in taken), key=lambda name: name != "run.json")
+    try:
+        for name in early:
+            os.replace(folder / name, old / name)
+        for name in late:
+            os.replace(stage / name, folder / name)
+    except BaseException:  # Ctrl-C too
+        for name in late:
+            if not (stage / name).exists():
+                (folder / name).unlink(missing_ok=True)
+        for name in reversed(early):
+            if (old / name).exists():
+                os.replace(old / name, folder / name)
+        raise
 
 
 def write_run(
@@ -246,11 +284,12 @@ def write_run(
 ) -> Path:
     """Write the files of a run into its folder: all of them, or none.
 
-    They are first written into a hidden folder inside it and moved when all are there. If one fails, or the user
-    interrupts, the folder is as before: an earlier run is still whole, and folders that were made are gone.
+    They are first written into a hidden folder inside it and moved when all are there, `run.json` last: where it
+    stands, the rest does. If one fails, or the user interrupts, also while they are moved, the folder is as before: an
+    earlier run is still whole, and folders that were made are gone.
 
     Args:
-      path: the folder; see `claim_out`.
+      path: the folder; missing parents are made too. Files of other names than a run's are never touched.
       writers: `{name: function}`, each called with the path that it is to write.
       overwrite: whether the folder may hold a run.
 
@@ -258,48 +297,77 @@ def write_run(
       `Path` of the folder.
 
     Raises:
-      InputError: as `claim_out`, or a file cannot be written.
+      InputError: as `check_out`, or a file cannot be written.
     """
     _, made = _writable(path, overwrite, OUR_FILES)
     path = Path(path)
-    stage = path / f".{os.getpid()}-{secrets.token_hex(4)}.part"
     try:
-        stage.mkdir()
-        for name, write in writers.items():
-            write(stage / name)
-        claim_out(path, overwrite)
-        for name in writers:
-            os.replace(stage / name, path / name)
-        _sync_folder(path)
-        made = []
-    except OSError as error:
-        raise InputError(f"{str(path)!r} must be a folder that can be written: {_reason(error)}") from error
+        with _staged(path, writers) as stage, _locked(path):
+            taken, _ = _writable(path, overwrite, OUR_FILES)
+            _exchange(stage, path, taken, writers)
+            _sync_folder(path)
+            made = []
     finally:
-        shutil.rmtree(stage, ignore_errors=True)
         _remove_folders(made)
     return path
 
 
-def default_out(command: str, now: datetime.datetime | None = None, *, root: str | os.PathLike[str] = "runs") -> Path:
-    """An unused folder name for a run: `runs/20261121T093042Z-compare`, with `-2`, `-3`, ... where that exists.
+def write_new_run(paths: Iterable[str | os.PathLike[str]], writers: Mapping[str, Callable[[Path], Any]]) -> Path:
+    """Write the files of a run into the first of some folders that is not there yet, as one: all of them, or none.
+
+    Of several processes that write at once, each gets a folder of its own.
+
+    Args:
+      paths: folders, all in one folder.
+      writers: as for `write_run`.
+
+    Returns:
+      `Path` of the folder.
+
+    Raises:
+      InputError: the folder cannot be made, or a file cannot be written.
+    """
+    names = map(Path, paths)
+    path = next(names)
+    _, made = _writable(path.parent, True, ())
+    try:
+        with _staged(path.parent, writers) as stage:
+            while True:
+                try:
+                    os.rename(stage, path)  # fails where a folder with something in it is there
+                    break
+                except OSError:
+                    if not os.path.lexists(path):
+                        raise
+                    path = next(names)
+            _sync_folder(path.parent)
+            made = []
+    finally:
+        _remove_folders(made)
+    return path
+
+
+def default_outs(
+    command: str, now: datetime.datetime | None = None, *, root: str | os.PathLike[str] = "runs"
+) -> Iterator[Path]:
+    """Unused folder names for a run: `runs/20261121T093042Z-compare`, then with `-2`, `-3`, ...; without end.
 
     Args:
       command: what was run, part of the name.
       now: `datetime`, by default the present; one without a time zone counts as UTC.
       root: folder of the runs.
 
-    Returns:
-      `Path`, not made yet.
+    Yields:
+      `Path`s, of which none exists when it is given.
     """
     now = now or datetime.datetime.now(datetime.UTC)
     if now.tzinfo is not None:
         now = now.astimezone(datetime.UTC)
     first = Path(root) / f"{now:%Y%m%dT%H%M%SZ}-{command}"
-    path, count = first, 1
-    while os.path.lexists(path):
-        count += 1
-        path = first.with_name(f"{first.name}-{count}")
-    return path
+    for count in itertools.count(1):
+        path = first if count == 1 else first.with_name(f"{first.name}-{count}")
+        if not os.path.lexists(path):
+            yield path
 
 
 def _version(package):
