@@ -34,6 +34,7 @@ class MapModel:
     clearance_d2: int = struct.field(pytree_node=False)  # cells^2, a clear cell has no occupied one this near
     reach: str = struct.field(pytree_node=False, default="sweeps")  # one of `reach.METHODS`
     scan: str = struct.field(pytree_node=False, default="blocks")  # one of `raycast.METHODS`
+    coarse: bool = struct.field(pytree_node=False, default=False)  # whether corridors may be only a few cells wide
 
 
 @struct.dataclass

@@ -14,6 +14,7 @@ from skimage import morphology
 
 from jexplore.segment import METRICS, VARIANTS, Form, borders, criteria, critical_points, form_for, merged, segment
 from jexplore.skeleton import graph
+from jexplore.worlds import load_world
 
 SHAPES = ((11, 23), (24, 24))  # of all maps that are compiled for
 FORM = Form(nodes=256, splits=64)
@@ -498,10 +499,29 @@ def test_maps_without_free_space(form):
 
 
 def test_a_form_for_a_map():
-    assert form_for((64, 64)) == Form(256, 32)
-    assert form_for((65, 64)) == Form(512, 32)
-    assert form_for((1000, 1100)) == Form(131072, 1024)
-    assert form_for((1, 1), metric="euclidean") == Form(256, 32, "euclidean")
+    assert form_for((64, 64)) == Form(768, 64)
+    assert form_for((160, 160)) == Form(3072, 64)
+    assert form_for((160, 160), coarse=True) == Form(6400, 266)
+    assert form_for((1000, 1100)) == Form(122368, 1024)
+    assert form_for((1, 1), metric="euclidean") == Form(768, 64, "euclidean")
+
+
+SMALL = (64, 64)
+
+
+@pytest.mark.jit
+@pytest.mark.parametrize("name", ["cave", "maze", "rooms"])
+def test_small_worlds_fit(name):
+    """On maps of 6.2 m graphs of 256 nodes were too small."""
+    form, most = form_for(SMALL), 0
+    for seed in range(6):
+        world = load_world(f"{name}#{seed}:width_m=6.2,height_m=6.2")
+        free = np.zeros(SMALL, bool)
+        free[: world.shape[0], : world.shape[1]] = ~world.occupied
+        found = segment(jnp.asarray(free), criteria(prominence=1.5), form=form)
+        most = max(most, int((found.graph.cell < free.size).sum()))
+        assert int(found.overflow) == 0
+    assert most > {"cave": 256, "maze": 128, "rooms": 128}[name]
 
 
 # ---------------------------------------------------------------- bad input

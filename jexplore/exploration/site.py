@@ -25,6 +25,7 @@ from jexplore.raycast import Beams, beam_table, scans_all_round
 from jexplore.worlds.world import World
 
 LEAST_LIMIT = 20_000  # default bound of steps and plans on small maps
+COARSE_M = 0.15  # cells longer than this are coarse: a corridor is a few of them wide
 
 
 @dataclasses.dataclass(frozen=True)
@@ -128,6 +129,7 @@ def prepare_site(
         clearance_d2=radius_d2(rules.clearance_m, world.cell_m),
         reach=kernels.reach,
         scan=kernels.scan,
+        coarse=world.cell_m > COARSE_M,
     )
     numbers = Numbers(
         model=model,

@@ -59,7 +59,8 @@ def own_segment(params: Params, belief: Belief) -> tuple[Array, Array, Array]:
       `(mask, is_room, overflow)`: `[H, W]` bool; bool; int32.
     """
     free = is_free(belief.grid, belief.model.p_free)
-    found = segment(free, _criteria(params, belief.model.cell_m), form=form_for(free.shape, reach=belief.model.reach))
+    form = form_for(free.shape, coarse=belief.model.coarse, reach=belief.model.reach)
+    found = segment(free, _criteria(params, belief.model.cell_m), form=form)
     own = found.label[belief.row, belief.col]
     mine = found.label == own
     # From the middle of one wall's cell to that of the other, a cell more than is free between them.

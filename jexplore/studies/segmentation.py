@@ -225,7 +225,7 @@ def segmentations(
     height, width = free.shape
     shape = bucket(height), bucket(width)
     padded = np.pad(free, [(0, full - n) for full, n in zip(shape, free.shape)])
-    form = segment.form_for(shape, metric=metric, lines=lines)
+    form = segment.form_for(shape, coarse=True, metric=metric, lines=lines)
     stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *settings)
     made = jax.tree.map(np.asarray, _each(padded, stacked, form=form))
 

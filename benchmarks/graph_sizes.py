@@ -1,0 +1,93 @@
+"""How large Voronoi graphs become on the maps that an exploring robot plans on: most nodes and critical points.
+
+    python benchmarks/graph_sizes.py [CELL_M...]
+
+`segment.form_for` must have room for them. Built-in worlds of several sizes, for cells of 0.05 to 0.3 m.
+"""
+
+import functools
+import sys
+
+import jax
+import jax.numpy as jnp
+
+from jexplore import Lidar, Rules
+from jexplore.bench.tables import markdown
+from jexplore.config import InputError
+from jexplore.engine.backend import use_compilation_cache
+from jexplore.exploration import batch, replay
+from jexplore.exploration.site import COARSE_M, KERNELS, prepare_site
+from jexplore.grid import is_free
+from jexplore.policies import parse_strategy
+from jexplore.segment import criteria, form_for, segment
+from jexplore.worlds import load_world
+from jexplore.worlds.world import draw_starts
+
+SIZES = {
+    "cave": ((6.2, 6.2), (9.0, 9.0), (16.0, 16.0), (25.0, 25.0)),
+    "maze": ((4.0, 4.0), (9.0, 9.0), (16.0, 16.0)),
+    "rooms": ((6.0, 6.0), (9.0, 9.0), (20.0, 20.0)),
+    "office": ((14.0, 9.0), (30.0, 20.0)),
+    "hospital": ((32.0, 11.0), (50.0, 20.0)),
+}
+CELLS_M = (0.3, 0.2, 0.1, 0.05)
+PLANS = 24  # of an episode, at which the graph is made
+PROMINENCE_M = 0.15
+
+
+@functools.partial(jax.jit, static_argnums=1)
+def _counts(belief, form):
+    free = is_free(belief.grid, belief.model.p_free)
+    found = segment(free, criteria(prominence=PROMINENCE_M / belief.model.cell_m), form=form)
+    return jnp.sum(found.graph.cell < free.size), found.count, found.overflow
+
+
+def measure(world, seed=5):
+    """Most nodes and critical points in one episode of `closest+recheck`: `(padded shape, nodes, critical points)`."""
+    lidar, rules, strategy = Lidar(), Rules(), parse_strategy("closest+recheck")
+    starts = draw_starts(world, seed, 1, rules.clearance_m)
+    kernels = KERNELS["serial"]
+    site = prepare_site(world, lidar, rules, kernels)
+    found = batch.run_jobs([batch.Job(world, strategy, starts, seed)], lidar, rules, kernels=kernels)
+    plans, shape = found.outcomes[0].first.plans, site.truth.occupied.shape
+    form = form_for(shape, nodes=shape[0] * shape[1] // 4, splits=2048)
+    every, most = max(1, len(plans) // PLANS), (0, 0)
+    for i, turn in enumerate(replay.turns(site, strategy, starts[0], seed, 0, plans)):
+        for _ in turn.moments:
+            pass
+        if turn.belief is not None and (i % every == 0 or i > len(plans) - 3):
+            *counts, overflow = (int(count) for count in _counts(turn.belief, form))
+            assert overflow == 0
+            most = tuple(map(max, most, counts))
+    return shape, *most
+
+
+def main(arguments):
+    use_compilation_cache()
+    rows, worst = [], {True: [0.0, 0.0], False: [0.0, 0.0]}
+    for cell_m in map(float, arguments) if arguments else CELLS_M:
+        for kind, sizes in SIZES.items():
+            for seed, (width_m, height_m) in enumerate(sizes):
+                name = f"{kind}#{seed}:width_m={width_m},height_m={height_m}"
+                try:
+                    world = load_world(name, cell_m)
+                except InputError as error:
+                    print(error, file=sys.stderr)
+                    continue
+                shape, *counts = measure(world)
+                cells, coarse = shape[0] * shape[1], cell_m > COARSE_M
+                form = form_for(shape, coarse=coarse)
+                worst[coarse] = [max(a, n / cells) for a, n in zip(worst[coarse], counts)]
+                fits = all(n <= room for n, room in zip(counts, form[:2]))
+                rooms = [f"{n} of {room}" for n, room in zip(counts, form[:2])]
+                shares = [f"1 in {cells / max(n, 1):.3g}" for n in counts]
+                rows.append([name, f"{cell_m:g}", f"{shape[0]} x {shape[1]}", *rooms, *shares, "yes" if fits else "NO"])
+    print(markdown(["world", "cell m", "padded", "nodes", "critical", "of the cells", "", "fits"], rows))
+    for coarse, shares in worst.items():
+        if any(shares):
+            nodes, critical = (f"one cell in {1 / share:.3g}" if share else "none" for share in shares)
+            print(f"{'coarse' if coarse else 'fine'} maps: most nodes {nodes}, most critical points {critical}")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
