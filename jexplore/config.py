@@ -11,6 +11,8 @@ import operator
 from collections.abc import Collection
 from typing import Any
 
+MAX_SEED = 2**32 - 1
+
 
 class InputError(ValueError):
     """Wrong input from outside: a file, a name, a number. The message is one line that says what would be right."""
@@ -75,7 +77,8 @@ class Lidar:
     n_beams: int = 181
     """Beams a scan, evenly spaced over the field of view, both edges included."""
     fov_deg: float = 180.0
-    """Field of view, degrees. At 360 the beams are spaced so that first and last do not coincide."""
+    """Field of view, degrees. At 360 the beams are spaced so that first and last do not coincide. Below 90 a look all
+    round is eight scans."""
     range_m: float = 8.0
     """A beam sees what it enters at a distance below this, metres."""
     sigma_m: float = 0.0

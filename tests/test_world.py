@@ -1,5 +1,7 @@
 """World: the ring, padding, clearance, components, starts."""
 
+import itertools
+
 import networkx as nx
 import numpy as np
 import pytest
@@ -270,6 +272,29 @@ def test_a_start_depends_on_seed_and_number_alone():
     assert np.array_equal(draw_starts(pad(world, (40, 50)), 7, 12, 0.1), starts)
     assert not np.array_equal(draw_starts(world, 8, 12, 0.1), starts)
     assert draw_starts(world, 7, 0, 0.1).shape == (0, 3)
+
+
+def test_starts_of_worlds_of_different_names_have_nothing_in_common():
+    """Not the same cell of the list of cells, nor the same heading, as if worlds were one world seen again."""
+    starts = [draw_starts(room(30, 30, name=name), 0, 400, 0) for name in ("a", "b", "cave#1", "cave#2")]
+    for one, other in itertools.combinations(starts, 2):
+        assert (one[:, 2] == other[:, 2]).mean() == pytest.approx(1 / 8, abs=0.07)  # 4 sigma
+        assert abs(np.corrcoef(one[:, 0], other[:, 0])[0, 1]) < 0.2
+
+
+@pytest.mark.parametrize(
+    ("name", "same", "other"),
+    [
+        ("cave", "cave#0", "cave#1"),
+        ("cave:width_m=9", "cave#0:width_m=9", "cave:width_m=8"),
+        ("a.png@0.05", "/some/where/a.png@0.05", "a.png@0.1"),
+        ("maps/plan.json", "C:\\maps\\plan.json", "maps/plans.json"),
+    ],
+)
+def test_one_world_has_one_name_as_far_as_starts_go(name, same, other):
+    first, again, apart = (draw_starts(room(9, 9, name=name), 3, 20, 0) for name in (name, same, other))
+    np.testing.assert_array_equal(first, again)
+    assert (first != apart).any()
 
 
 def test_drawn_starts_are_uniform_over_cells_and_headings():

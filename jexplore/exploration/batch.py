@@ -6,7 +6,7 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
-from jexplore.config import InputError, Lidar, Rules
+from jexplore.config import MAX_SEED, InputError, Lidar, Rules, require_whole
 from jexplore.engine.runner import Costs, find_resources, run_all
 from jexplore.exploration.site import KERNELS, Kernels, line_of, prepare_site
 from jexplore.exploration.state import Result
@@ -70,7 +70,8 @@ def run_jobs(
       `Finished`.
 
     Raises:
-      InputError: an engine that does not exist, lanes or workers below 1, lanes for the serial engine; a strategy of a
+      InputError: a start that is no cell of its world or no multiple of 45 degrees, a seed outside 0 to `MAX_SEED`; an
+        engine that does not exist, lanes or workers below 1, lanes for the serial engine; a strategy of a
         user's that does not return what it should; `keep` where several processes share the work.
       MemoryError: a device's memory does not suffice, not even for half the lanes.
     """
@@ -78,6 +79,7 @@ def run_jobs(
     if keep is not None and resources.processes > 1:
         raise InputError(f"keep={keep!r} is for one process, and {resources.processes} share the work")
     kernels = kernels or KERNELS[resources.engine]
+    jobs = [_checked(job) for job in jobs]
     sites = {}
     for job in jobs:
         if id(job.world) not in sites:
@@ -88,6 +90,24 @@ def run_jobs(
         lines.append(line_of(sites[id(job.world)], strategy, job.starts, job.seed, which, keeps=only or 0, keep=keep))
     costs = run_all(lines, resources, on_progress)
     return Finished([_outcomes(job, line) for job, line in zip(jobs, lines)], costs)
+
+
+def _checked(job):
+    """The job, its headings from 0 to 315 degrees; refuses starts and a seed that cannot be used."""
+    seed, starts = require_whole("seed", job.seed, 0, MAX_SEED), np.asarray(job.starts)
+    if starts.ndim != 2 or starts.shape[1] != 3 or not len(starts) or starts.dtype.kind not in "iu":
+        form = "[N, 3] integers (row, col, heading_deg), N >= 1"
+        raise InputError(f"starts must be {form}, got {starts.dtype} of shape {starts.shape}")
+    height, width = job.world.shape
+    row, col, heading = starts.T.astype(np.int64)
+    for bad, what in (
+        ((row < 0) | (row >= height) | (col < 0) | (col >= width), f"lies outside {height} x {width} cells"),
+        (heading % 45 != 0, "has a heading that is no multiple of 45 degrees"),
+    ):
+        if bad.any():
+            number = int(bad.argmax())
+            raise InputError(f"start {number} of {job.world.name!r}, {starts[number].tolist()}, {what}")
+    return job._replace(starts=np.stack([row, col, heading % 360], axis=1).astype(np.int32), seed=seed)
 
 
 def _outcomes(job, line):

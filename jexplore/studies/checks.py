@@ -22,7 +22,6 @@ StrategyLike: TypeAlias = str | Policy | Strategy | Callable[..., Any]
 """What `policies.strategy` makes a strategy of."""
 LIDAR, RULES = Lidar(), Rules()  # the defaults
 MAX_EPISODES = 1_000_000  # of one strategy in one world
-MAX_SEED = 2**32 - 1
 CELL_BYTES = 120  # of one episode under way and of the world itself, measured on a CPU; a cell of the padded map
 TRAIL_BYTES = 24  # a step
 BEAM_BYTES = 64  # a step of a beam, while the table is made

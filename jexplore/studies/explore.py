@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from jexplore.config import InputError, Lidar, Rules, require_whole
+from jexplore.config import MAX_SEED, InputError, Lidar, Rules, require_whole
 from jexplore.engine.backend import use_compilation_cache
 from jexplore.exploration import batch, replay
 from jexplore.exploration.batch import Job
@@ -19,7 +19,6 @@ from jexplore.report import animate, plot
 from jexplore.studies.checks import (
     LIDAR,
     MAX_EPISODES,
-    MAX_SEED,
     RULES,
     StrategyLike,
     WorldLike,

@@ -1,8 +1,11 @@
 """A world: the true floor plan that an episode runs in, and the cells in it that an episode may start from."""
 
 import dataclasses
+import hashlib
 import math
 import operator
+import os
+import re
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any, SupportsIndex
 
@@ -300,14 +303,16 @@ def draw_starts(world: World, seed: int, n: int, clearance_m: float) -> np.ndarr
       InputError: as `draw_start`.
     """
     cells = start_cells(world, clearance_m)
-    starts = [_draw(cells, seed, i) for i in range(n)]
+    starts = [_draw(cells, world.name, seed, i) for i in range(n)]
     return np.array(starts, np.int32).reshape(n, 3)
 
 
 def draw_start(world: World, seed: int, i: int, clearance_m: float) -> tuple[int, int, int]:
     """Start number `i` of a seed: uniform over the start region, heading uniform over the multiples of 45 degrees.
 
-    It depends on the world, the clearance, `seed` and `i` alone: neither on how many starts are drawn nor on padding.
+    It depends on the world and its name, the clearance, `seed` and `i` alone: neither on how many starts are drawn nor
+    on padding. Starts of one number in worlds of different names have nothing in common. Of a map file's name the
+    folder does not count; a generator's name without a seed is that with seed 0.
 
     Args:
       world: a `World`.
@@ -321,7 +326,7 @@ def draw_start(world: World, seed: int, i: int, clearance_m: float) -> tuple[int
     Raises:
       InputError: no cell has that much clearance, or `seed` or `i` is negative.
     """
-    return _draw(start_cells(world, clearance_m), seed, i)
+    return _draw(start_cells(world, clearance_m), world.name, seed, i)
 
 
 def start_cells(world: World, clearance_m: float) -> np.ndarray:
@@ -334,10 +339,17 @@ def start_cells(world: World, clearance_m: float) -> np.ndarray:
     return cells
 
 
-def _draw(cells, seed, i):
+def _words(name):
+    """What a world's name adds to the seed of its starts: four 32-bit numbers."""
+    name = re.split(r"[/\\]", os.fspath(name))[-1]
+    name = re.sub(r"^([A-Za-z_][\w-]*)(?=:|$)", r"\1#0", name)
+    return np.frombuffer(hashlib.sha256(name.encode()).digest()[:16], "<u4").tolist()
+
+
+def _draw(cells, name, seed, i):
     if seed < 0 or i < 0:
         raise InputError(f"seed and number of a start must be at least 0, got seed {seed} and number {i}")
-    generator = np.random.Generator(np.random.PCG64([seed, i]))
+    generator = np.random.Generator(np.random.PCG64([seed, i, *_words(name)]))
     row, col = cells[generator.integers(len(cells))]
     return int(row), int(col), HEADINGS_DEG[generator.integers(len(HEADINGS_DEG))]
 

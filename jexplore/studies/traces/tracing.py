@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from jexplore import btm
-from jexplore.config import InputError, require_number, require_whole
+from jexplore.config import MAX_SEED, InputError, require_number, require_whole
 from jexplore.driving import batch, vehicle
 from jexplore.driving.batch import (
     MAX_STEPS,
@@ -191,7 +191,7 @@ def prepare_trace(
     """
     (world,) = checks.ready_worlds([world], cell_m)
     runs = require_whole("runs", runs, 1, MAX_RUNS)
-    seed = require_whole("seed", seed, 0, checks.MAX_SEED)
+    seed = require_whole("seed", seed, 0, MAX_SEED)
     settings = require_whole("settings", settings, 1, MAX_RUNS)
     max_steps = require_whole("max_steps", max_steps, 100, 100_000)
     robot = robot_of(robot) if isinstance(robot, str) else robot
