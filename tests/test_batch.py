@@ -10,11 +10,12 @@ from ref import maps, simulator
 from scipy import ndimage
 
 from jexplore.arrays.padding import bucket
-from jexplore.config import Lidar, Rules
+from jexplore.config import InputError, Lidar, Rules
 from jexplore.engine.program import Given
 from jexplore.engine.serial import run_one
 from jexplore.exploration.batch import Job, run_jobs
 from jexplore.exploration.episode import program_of
+from jexplore.exploration.results import length_along_m, progress_m
 from jexplore.exploration.site import Kernels, prepare_site
 from jexplore.exploration.state import Numbers, Outcome, Setup, Truth
 from jexplore.planning import MapModel
@@ -161,6 +162,53 @@ def test_another_seed_draws_other_targets(jobs, one_worker):
     (other,) = run_jobs([jobs[5]._replace(seed=8)], LIDAR, RULES, workers=1).outcomes
     assert (other.result.straight != one_worker[5].result.straight).any()
     assert len(set(one_worker[5].result.straight.tolist())) > 1
+
+
+@pytest.mark.jit
+def test_paths_at_marks_are_those_of_the_trail(jobs, one_worker):
+    """The first step after which so many cells were known, of the episode's own record; what can be known by hand."""
+    found = run_jobs(jobs[:3], LIDAR, RULES, keep="paths").outcomes
+    for job, same, (result, _, records) in zip(jobs[:3], one_worker, found):
+        jax.tree.map(np.testing.assert_array_equal, result, same.result)
+        free = ~job.world.occupied
+        regions, _ = ndimage.label(free)
+        cross = ndimage.generate_binary_structure(2, 1)
+        metres = progress_m(result, job.world.cell_m)
+        assert metres.shape == (len(job.starts), 100)
+        for i, (row, col, _) in enumerate(job.starts):
+            knowable = ndimage.binary_dilation(regions == regions[row, col], cross).sum()
+            path = records[i].path
+            way = length_along_m(path[:, 0], path[:, 1], job.world.cell_m)
+            for k in range(1, 101):
+                reached = 100 * path[:, 2] >= k * knowable
+                want = way[reached.argmax()] if reached.any() else np.nan
+                assert metres[i, k - 1] == pytest.approx(want, nan_ok=True), (i, k)
+            assert int(result.known[i]) <= knowable
+
+
+def test_starts_and_seeds_that_cannot_be_used(jobs):
+    job = jobs[0]
+    row, col, heading = map(int, job.starts[0])
+    height, width = job.world.shape
+    bad = {
+        "starts must be": [[[row, col, 0.0]], [], [[row, col]], [row, col, heading]],
+        "lies outside": [[[-1, col, 0]], [[height, col, 0]], [[row, width, 0]], [[row, col, 0], [row, 2**31, 0]]],
+        "no multiple of 45": [[[row, col, 30]], [[row, col, -1]]],
+    }
+    for message, all_starts in bad.items():
+        for starts in all_starts:
+            with pytest.raises(InputError, match=message):
+                run_jobs([job._replace(starts=np.array(starts))], LIDAR, RULES)
+    for seed in (-1, 2**32, 0.5):
+        with pytest.raises(InputError, match="seed must be an integer from 0 to 4294967295"):
+            run_jobs([job._replace(seed=seed)], LIDAR, RULES)
+
+
+@pytest.mark.jit
+def test_headings_count_modulo_a_full_turn(jobs, one_worker):
+    turned = jobs[1].starts + np.array([0, 0, 360]) * np.array([[1], [-1], [2], [0]])[: len(jobs[1].starts)]
+    (found,) = run_jobs([jobs[1]._replace(starts=turned)], LIDAR, RULES, workers=1).outcomes
+    assert_equal(found, one_worker[1])
 
 
 @pytest.mark.jit

@@ -21,7 +21,7 @@ LIDAR = Lidar(n_beams=37, range_m=1.0)
 
 
 def room_world(**fields):
-    world = two_rooms("with rooms")
+    world = two_rooms("with rooms/two rooms")
     rooms = np.where(world.occupied, -1, np.arange(world.shape[1])[None] > 17).astype(np.int32)
     return world.replace(rooms=rooms, **fields)
 
@@ -45,7 +45,7 @@ def found(jit_on):
 def test_rows_are_ordered_and_paired(found):
     table = found.to_pandas()
     assert list(table.columns) == list(COLUMNS)
-    assert table["world"].tolist() == ["two rooms"] * 12 + ["with rooms"] * 12
+    assert table["world"].tolist() == ["two rooms"] * 12 + ["with rooms/two rooms"] * 12
     assert table["strategy"].tolist() == (["closest"] * 4 + ["random"] * 4 + ["closest+recheck"] * 4) * 2
     assert table["episode"].tolist() == [0, 1, 2, 3] * 6
     assert set(table["seed"]) == {3}
@@ -72,6 +72,7 @@ def test_room_entries_are_null_without_rooms(found):
 
 
 def test_the_same_plan_with_and_without_labels_is_explored_alike(found):
+    """From the same starts: folders do not count in what a world is called."""
     table = found.to_pandas().drop(columns=["world", "room_entries"])
     assert table[:12].equals(table[12:].reset_index(drop=True))
 
@@ -81,19 +82,19 @@ def test_summary_markdown_and_warnings(found):
     assert found.summary["ratio"][0] == 1.0
     assert found.summary["mean"][0] == pytest.approx(found.episodes["path_m"][:4].mean())
     assert found.to_markdown() == stats.markdown_table(found.summary) == found._repr_markdown_()
-    assert found.warnings == stats.warnings_of(found.episodes)
+    assert found.warnings == stats.warnings_of(found.episodes, found.progress)
     assert found.episodes_per_s == pytest.approx(24 / found.run_s)
     assert "3 strategies in 2 worlds, 24 episodes" in repr(found)
 
 
 def test_figures(found):
     ax = Figure().add_subplot()
-    container = found.plot(ax, "with rooms")
+    container = found.plot(ax, "with rooms/two rooms")
     assert [bar.get_width() for bar in container] == found.summary["mean"][3:].tolist()
     assert found.plot(Figure().add_subplot())[0].get_width() == found.summary["mean"][0]
     assert len(found.compare_figure().axes) == 2
     assert len(found.paths_figure().axes) == 7  # two worlds of three strategies, and the colour bar
-    with pytest.raises(InputError, match="two rooms, with rooms, got 'x'"):
+    with pytest.raises(InputError, match="two rooms, with rooms/two rooms, got 'x'"):
         found.plot(ax, "x")
 
 
@@ -114,7 +115,7 @@ def test_the_picture_of_a_path_is_that_of_episode_0(found):
 @pytest.mark.jit
 def test_fewer_episodes_worlds_and_workers_change_no_row(found):
     alone = compare(room_world(start=(5, 5, 90)), "random", episodes=2, seed=3, lidar=LIDAR, workers=1)
-    rows = found.to_pandas().query("world == 'with rooms' and strategy == 'random' and episode < 2")
+    rows = found.to_pandas().query("world == 'with rooms/two rooms' and strategy == 'random' and episode < 2")
     assert alone.to_pandas().equals(rows.reset_index(drop=True))
 
 

@@ -6,17 +6,28 @@ import math
 import numpy as np
 import pandas as pd
 import pytest
+from scipy import stats as scipy_stats
 
 from jexplore.cli import main
 from jexplore.policies import parse_strategy
 from jexplore.report import plot_league
-from jexplore.studies.league import LEAGUE_STRATEGIES, kind_of, league_worlds, standings, standings_table
+from jexplore.studies.league import (
+    LEAGUE_STRATEGIES,
+    holm,
+    kind_of,
+    league_worlds,
+    mean_over_worlds,
+    standings,
+    standings_table,
+)
+
+ENDED = {"outcome": "COMPLETE", "explored_fraction": 1.0}
 
 
 def episodes(paths):
     """A table of episodes: `{(world, strategy): path lengths}`."""
     rows = [
-        {"world": world, "strategy": strategy, "episode": i, "path_m": path, "outcome": "COMPLETE"}
+        {"world": world, "strategy": strategy, "episode": i, "path_m": path, **ENDED}
         for (world, strategy), all_ in paths.items()
         for i, path in enumerate(all_)
     ]
@@ -42,7 +53,86 @@ def test_ratios_and_ranks_by_hand():
     assert table["best"].to_dict() == {"a": 1, "b": 1, "c": 1}
     assert table.index[-1] == "c"
     assert math.isnan(table.loc["a", "ratio_low"])
-    assert table.loc["c", "ratio_low"] >= 1
+    # Two worlds of two kinds count as one kind: logarithms of 2 and 1, one degree of freedom.
+    error = math.log(2) / 2
+    t = scipy_stats.t(1)
+    assert table.loc["c", "ratio_high"] == pytest.approx(math.sqrt(2) * math.exp(t.ppf(0.975) * error))
+    assert table.loc["c", "p"] == pytest.approx(min(1, 2 * 2 * t.sf(1.0)))  # the less likely of two hypotheses
+
+
+def test_an_episode_that_saw_less_than_others_did_is_no_short_one():
+    paths = {(f"cave#{i}", s): [10.0 + i, 12.0] for i in range(4) for s in ("a", "b", "c")}
+    table = episodes(paths)
+    short = (table["strategy"] == "b").to_numpy()
+    table.loc[short, ["path_m", "outcome", "explored_fraction"]] = [1.0, "STEP_LIMIT", 0.3]
+    blocked = (table["strategy"] == "c").to_numpy()  # from there nobody sees more
+    table.loc[blocked, ["path_m", "outcome", "explored_fraction"]] = [9.0, "BLOCKED", 0.995]
+    found = standings(table).set_index("strategy")
+    assert list(found.index) == ["c", "a", "b"]
+    assert found["rank"].tolist() == [1, 2, 3]
+    assert found["failed"].tolist() == [0, 0, 1]
+    assert found["complete"].tolist() == [0, 1, 0]
+    assert math.isnan(found.loc["b", "ratio"])
+    assert (found.loc["b", "worlds"], found.loc["b", "best"]) == (0, 0)
+    assert found.loc["c", "ratio"] < 1
+    # From half of the starts only: the ratio is over the others.
+    table.loc[short & (table["episode"] == 0), ["path_m", "outcome", "explored_fraction"]] = [20.0, "COMPLETE", 1.0]
+    half = standings(table).set_index("strategy").loc["b"]
+    assert half["failed"] == 0.5
+    assert half["ratio"] == pytest.approx(np.prod([20 / (10 + i) for i in range(4)]) ** 0.25)
+
+
+def test_worlds_without_a_ratio_and_tables_without_a_row():
+    table = episodes({("v", "a"): [0.0], ("v", "b"): [0.0]})
+    text = standings_table(standings(table))
+    assert "nan" not in text
+    assert " - " in text
+    nothing = standings(table.iloc[:0])
+    assert len(nothing) == 0
+    assert standings_table(nothing).count("\n") == 2
+
+
+def test_strata():
+    """Two kinds that differ much, with worlds of each that differ little: the interval is that of the kinds' mean."""
+    values, kinds = [1.0, 1.2, 5.0, 5.4], ["x", "x", "y", "y"]
+    mean, low, high, p = mean_over_worlds(values, kinds)
+    squares = np.array([np.var([1.0, 1.2], ddof=1), np.var([5.0, 5.4], ddof=1)]) * 2 / 16
+    freedom = squares.sum() ** 2 / (squares**2).sum()
+    t = scipy_stats.t(freedom)
+    assert mean == pytest.approx(3.15)
+    assert high - mean == pytest.approx(t.ppf(0.975) * math.sqrt(squares.sum()))
+    assert low + high == pytest.approx(2 * mean)
+    assert p == pytest.approx(2 * t.sf(mean / math.sqrt(squares.sum())))
+    plain = scipy_stats.ttest_1samp(values, 0.0)
+    for one in (["x"] * 4, ["x", "x", "x", "y"]):
+        assert mean_over_worlds(values, one)[3] == pytest.approx(plain.pvalue)
+
+
+def test_the_stratified_interval_covers():
+    rng = np.random.default_rng(0)
+    kinds = [kind for kind in "vwxyz" for _ in range(4)]
+    hits = 0
+    for _ in range(1000):
+        values = np.repeat([0.0, 0.1, 0.2, 0.3, -0.1], 4) + rng.normal(0, np.repeat([0.1, 0.05, 0.2, 0.1, 0.1], 4))
+        _, low, high, _ = mean_over_worlds(values, kinds)
+        hits += low <= 0.1 <= high
+    assert 925 <= hits <= 975
+
+
+def test_holm_by_hand():
+    np.testing.assert_allclose(holm([0.01, 0.04, 0.03, math.nan]), [0.03, 0.06, 0.06, math.nan])
+    np.testing.assert_allclose(holm([0.5, 0.6]), [1.0, 1.0])
+    assert np.isnan(holm([math.nan])).all()
+
+
+def test_what_cannot_be_told_from_the_reference_is_called_so():
+    rng = np.random.default_rng(1)
+    paths = {(f"cave#{i}", "a"): [10.0] for i in range(10)}
+    for name, factor in (("short", 0.8), ("long", 1.3), ("alike", 1.0)):
+        paths |= {(f"cave#{i}", name): [10 * factor * rng.normal(1, 0.05)] for i in range(10)}
+    rows = dict(line.split("|")[1:5:3] for line in standings_table(standings(episodes(paths))).splitlines()[2:])
+    told = {name.strip(): text.strip() for name, text in rows.items()}
+    assert told == {"a": "-", "short": "shorter", "long": "longer", "alike": "not distinguishable"}
 
 
 def test_starts_that_only_one_has_do_not_count():
@@ -87,16 +177,28 @@ def test_the_interval_holds_the_ratio_and_does_not_depend_on_the_order_of_worlds
 
 @pytest.mark.parametrize(
     ("world", "kind"),
-    [("cave", "cave"), ("cave#3", "cave"), ("office:width_m=4", "office"), ("maps/a.png@0.05", "maps/a.png@0.05")],
+    [
+        ("cave", "cave"),
+        ("cave#3", "cave"),
+        ("office:width_m=4", "office"),
+        ("maps/a.png@0.05", "maps"),
+        ("x.map", "maps"),
+        ("rooms#2:furniture=1", "furnished"),
+        ("rooms:width_m=9,furniture=0.5,x=1", "furnished"),
+        ("rooms#2:furniture=0", "rooms"),
+    ],
 )
 def test_kinds(world, kind):
     assert kind_of(world) == kind
 
 
-def test_the_league_has_eight_worlds_of_five_kinds_and_strategies_that_parse():
+def test_the_league_has_eight_worlds_of_six_kinds_and_strategies_that_parse():
     worlds = league_worlds()
-    assert len(set(worlds)) == 40
-    assert {kind_of(w) for w in worlds} == {"cave", "office", "hospital", "maze", "rooms"}
+    assert len(set(worlds)) == 48
+    kinds = [kind_of(w) for w in worlds]
+    assert {kind: kinds.count(kind) for kind in kinds} == dict.fromkeys(
+        ("cave", "office", "hospital", "maze", "rooms", "furnished"), 8
+    )
     assert len({parse_strategy(name).name for name in LEAGUE_STRATEGIES}) == len(LEAGUE_STRATEGIES)
 
 

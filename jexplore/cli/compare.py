@@ -46,7 +46,7 @@ class Compare:
     start: Literal["random", "world"] = "random"
     """Starts drawn from the seed, or every world's own start for all episodes."""
     league: bool = False
-    """Every strategy in 40 worlds of five kinds, unless --worlds and --strategies say otherwise: prints who ranks where
+    """Every strategy in 48 worlds of six kinds, unless --worlds and --strategies say otherwise: prints who ranks where
     over all worlds, and what a plan costs, and writes league.png instead of the pictures of single worlds."""
     engine: EngineName = "auto"
     """How episodes run: one after the other on each core, or many in lockstep, as suits a GPU. The results are equal.

@@ -26,7 +26,7 @@ from jexplore.reach import FAR, NO_MOTION, flood
 
 STRIDE = 16  # cells by which the square moves in which known cells are counted
 BAD_TARGETS = 3  # targets in a row that no path leads to, and an episode ends
-LOOK_AROUND = 3  # scans after a turn in place, 90 degrees apart
+LOOK_AROUND = 4  # looks, at least, with which a robot looks all round on arrival, the one on arrival included
 
 
 def _square(row, col, shape, window):
@@ -77,8 +77,13 @@ def _mark(mask, rows, cols, when: Array | bool = True):
     return mask.at[jnp.where(when, rows, outside), cols].set(True, mode="drop")
 
 
-def _move(given, state):
-    """The next motion of a plan under way, before its scan: a step along the route, or 90 degrees in place.
+def _n_looks(setup):
+    """Looks that make a look all round on arrival: as many as see all round, at least `LOOK_AROUND`."""
+    return jnp.maximum(setup.first_scans, LOOK_AROUND)
+
+
+def _move(setup, given, state):
+    """The next motion of a plan under way, before its scan: a step along the route, or a turn in place.
 
     A step into a cell that is not free is refused: the robot only turns towards it. A plan whose next step would be one
     too many ends the episode. Does nothing once the plan is done.
@@ -97,7 +102,7 @@ def _move(given, state):
     drow, dcol = jnp.where(steps, drow, 0), jnp.where(steps, dcol, 0)
 
     def turned(old):
-        return jnp.where(looking, (old + 2) % 8, jnp.where(ahead, heading, old))
+        return jnp.where(looking, (old + 8 // _n_looks(setup)) % 8, jnp.where(ahead, heading, old))
 
     row, col = state.row + drow, state.col + dcol
     rooms, base = _stacked(given, given.scenes.rooms)
@@ -123,16 +128,16 @@ def _move(given, state):
     )
 
 
-def _arrive(state, arrived, live, numbers):
+def _arrive(setup, state, arrived, live, numbers):
     """What follows on arrival: a look around if the target is live and the rules say so; else the plan is done.
 
     A target that is live after that is exhausted.
     """
-    looks = arrived & live & numbers.look_around & (state.looked < LOOK_AROUND)
+    looks = arrived & live & numbers.look_around & (state.looked < _n_looks(setup) - 1)
     spent = arrived & live & ~looks
     return state.replace(
         belief=state.belief.replace(exhausted=_mark(state.belief.exhausted, state.target[0], state.target[1], spent)),
-        looking=jnp.where(looks, LOOK_AROUND, state.looking),
+        looking=jnp.where(looks, _n_looks(setup) - 1, state.looking),
         exhausted=state.exhausted + spent,
         walking=jnp.where(arrived, looks, state.walking),
     )
@@ -178,8 +183,8 @@ def advance(setup: Setup, given: Given, state: State) -> State:
     bumped = state.bumped >= 0
     given_up = bumped | (numbers.recheck & ~live & ~here)
     state = state.replace(walking=walking & ~given_up)
-    state = _arrive(state, walking & here & ~bumped & (state.looking == 0), live, numbers)
-    return _limit_plans(numbers, _move(given, state))
+    state = _arrive(setup, state, walking & here & ~bumped & (state.looking == 0), live, numbers)
+    return _limit_plans(numbers, _move(setup, given, state))
 
 
 def decide(setup: Setup, given: Given, state: State) -> tuple[Any, Choice, Array]:
@@ -195,13 +200,13 @@ def decide(setup: Setup, given: Given, state: State) -> tuple[Any, Choice, Array
     return setup.policy.select(key, given.numbers.params, state.carry, state.belief, given.shared, state.route)
 
 
-def commit(given: Given, state: State, choice: Choice, route: Array, live: Array | bool = True) -> State:
+def commit(setup: Setup, given: Given, state: State, choice: Choice, route: Array, live: Array | bool = True) -> State:
     """Makes a choice the plan and makes its first motion; none ends the episode as complete, as far as is known here.
 
     A target that no path leads to is refused: the strategy is asked again, and the third in a row ends the episode.
 
     Args:
-      given, state: as for `decide`.
+      setup, given, state: as for `decide`.
       choice: `planning.Choice`.
       route: `[H, W]` int8, motions from the robot's cell to the target (`reach.lay_route`).
       live: bool, whether a look from the target is worth while: of a strategy's target it always is.
@@ -228,7 +233,7 @@ def commit(given: Given, state: State, choice: Choice, route: Array, live: Array
     )
     # A path of length 0 is an arrival.
     here = (state.belief.row == choice.row) & (state.belief.col == choice.col) & ~bad
-    return _limit_plans(given.numbers, _move(given, _arrive(state, here, live, given.numbers)))
+    return _limit_plans(given.numbers, _move(setup, given, _arrive(setup, state, here, live, given.numbers)))
 
 
 def _find_goal(given, row, col):

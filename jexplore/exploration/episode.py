@@ -5,8 +5,8 @@ from jax import lax
 
 from jexplore.engine.program import Given, Program
 from jexplore.exploration import environment
-from jexplore.exploration.state import PERCENTILES, Outcome, Result, Setup, State
-from jexplore.exploration.trail import RECORDS, Trail, kept
+from jexplore.exploration.state import MARKS, PERCENTILES, Outcome, Result, Setup, State
+from jexplore.exploration.trail import LOOKS, RECORDS, Trail, kept
 from jexplore.grid import is_known
 from jexplore.raycast import BLOCK
 
@@ -20,7 +20,20 @@ CPU_OPTIONS = (("xla_disable_hlo_passes", "while-loop-invariant-code-motion"),)
 def plan(setup: Setup, given: Given, state: State) -> State:
     """`environment.decide` and `commit`: a `State` with the next plan under way, or the episode's end."""
     carry, choice, route = environment.decide(setup, given, state)
-    return environment.commit(given, state.replace(carry=carry), choice, route)
+    return environment.commit(setup, given, state.replace(carry=carry), choice, route)
+
+
+def _shares(parts, whole, n):
+    """The least counts that are at least `parts / whole` of n: int32. No product overflows."""
+    quotient, rest = n // whole, n % whole
+    return parts * quotient + -(-parts * rest // whole)
+
+
+def _knowable(explorable, occupied):
+    """How many cells a scanner without noise can come to know: the free ones and the walls at their sides."""
+    above, right = jnp.pad(explorable, ((0, 1), (0, 0)))[1:], jnp.pad(explorable, ((0, 0), (0, 1)))[:, 1:]
+    below, left = jnp.pad(explorable, ((1, 0), (0, 0)))[:-1], jnp.pad(explorable, ((0, 0), (1, 0)))[:, :-1]
+    return jnp.sum(explorable | (occupied & (above | right | below | left)), dtype=jnp.int32)
 
 
 def finish(setup: Setup, given: Given, state: State) -> Result:
@@ -39,17 +52,23 @@ def finish(setup: Setup, given: Given, state: State) -> Result:
 
     occupied, region = own(truth.occupied), own(truth.region)
     known = is_known(state.belief.grid)
-    cell = state.trail[:, Trail.SPOT] // 4
+    cell = state.trail[:, Trail.SPOT] // LOOKS
     explorable = (region == region[cell[0] // shape[1], cell[0] % shape[1]]) & ~occupied
     steps = state.steps
+    # Cells known after each step, which never become fewer; what lies beyond the last step was never reached.
     entry = lax.iota(jnp.int32, state.trail.shape[0])
-    # In whole numbers: 100 * known reaches q * final. Entries beyond the last step count as the last.
-    reached = [(100 * state.trail[:, Trail.KNOWN] >= q * state.known) & (entry < steps) for q in PERCENTILES]
-    at = jnp.stack([jnp.min(jnp.where(r, entry, steps)) for r in reached])
+    so_far = jnp.where(entry < steps, state.trail[:, Trail.KNOWN], jnp.iinfo(jnp.int32).max)
+    # In whole numbers: the least count of which 100 times reaches q times the whole.
+    at = jnp.searchsorted(so_far, _shares(jnp.array(PERCENTILES), 100, state.known)).astype(jnp.int32)
+    at = jnp.minimum(at, steps)
+    marks = _shares(lax.iota(jnp.int32, MARKS) + 1, MARKS, _knowable(explorable, occupied))
+    along = jnp.minimum(jnp.searchsorted(so_far, marks).astype(jnp.int32), steps)
     # A step to the next column or the next row is straight.
     jump = jnp.abs(cell[1:] - cell[:-1])
     is_diagonal = (jump != 1) & (jump != shape[1])
-    diagonal_at = jnp.stack([jnp.sum(is_diagonal & (entry[:-1] < n), dtype=jnp.int32) for n in at])
+    n_diagonal = jnp.concatenate([jnp.zeros(1, jnp.int32), jnp.cumsum(is_diagonal, dtype=jnp.int32)])
+    reached = marks <= state.known
+    diagonal_at = n_diagonal[at]
     return Result(
         straight=state.straight,
         diagonal=state.diagonal,
@@ -64,6 +83,8 @@ def finish(setup: Setup, given: Given, state: State) -> Result:
         room_entries=state.room_entries,
         straight_at=at - diagonal_at,
         diagonal_at=diagonal_at,
+        straight_along=jnp.where(reached, along - n_diagonal[along], -1),
+        diagonal_along=jnp.where(reached, n_diagonal[along], -1),
         saturated=state.saturated,
         refused=state.refused,
         overflow=state.overflow,

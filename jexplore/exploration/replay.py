@@ -1,5 +1,6 @@
 """An episode once more, scan by scan, by the environment's own rules with the choices that it recorded."""
 
+import functools
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
@@ -33,10 +34,10 @@ _begin = jax.jit(environment.begin, static_argnums=0)
 _advance = jax.jit(environment.advance, static_argnums=0)
 
 
-@jax.jit
-def _commit(given, state, row, col, is_view, is_bad, route):
+@functools.partial(jax.jit, static_argnums=0)
+def _commit(setup, given, state, row, col, is_view, is_bad, route):
     cost = jnp.where(is_bad, FAR, 0)  # what it cost is on no record; only whether a path led there matters
-    return environment.commit(given, state, Choice(row, col, cost, is_view=is_view), route)
+    return environment.commit(setup, given, state, Choice(row, col, cost, is_view=is_view), route)
 
 
 _candidates = jax.jit(lambda belief: field(belief).candidates)
@@ -93,7 +94,9 @@ def turns(site: Site, strategy: Strategy, start: ArrayLike, seed: int, number: i
     for plan in plans:
         belief, route = state.belief, _route(state, plan.motions)
         row, col = plan.target or ((0, 0) if plan.is_bad else (-1, -1))
-        state = _commit(given, state, *np.array([row, col], np.int32), np.bool_(plan.is_view), plan.is_bad, route)
+        state = _commit(
+            setup, given, state, *np.array([row, col], np.int32), np.bool_(plan.is_view), plan.is_bad, route
+        )
         yield Turn(belief, plan, carried_out())
 
 

@@ -17,6 +17,20 @@ def path_m(straight: ArrayLike, diagonal: ArrayLike, cell_m: float) -> Any:
     return (np.asarray(straight, np.float64) + np.asarray(diagonal, np.float64) * math.sqrt(2)) * cell_m
 
 
+def progress_m(result: Result, cell_m: float) -> np.ndarray:
+    """Path driven when each 1 / `MARKS` of the cells that can be known in the world was first known.
+
+    Args:
+      result: `state.Result` of numpy arrays with a leading axis N.
+      cell_m: edge of a cell, metres.
+
+    Returns:
+      `[N, MARKS]` float64, metres; NaN where so much was never known.
+    """
+    metres = path_m(result.straight_along, result.diagonal_along, cell_m)
+    return np.where(np.asarray(result.straight_along) < 0, np.nan, metres)
+
+
 def length_along_m(rows: np.ndarray, cols: np.ndarray, cell_m: float) -> np.ndarray:
     """Length of a walk from its first cell to each of its cells, metres.
 

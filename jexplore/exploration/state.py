@@ -11,6 +11,9 @@ from jax import Array
 from jexplore.planning import Belief, MapModel
 
 PERCENTILES = (50, 90, 95, 99)
+"""Shares of the cells known in the end at which an episode records its path, per cent."""
+MARKS = 100
+"""An episode also records its path at each 1 / MARKS of the cells that can be known in its world."""
 
 
 class Outcome(enum.IntEnum):
@@ -86,6 +89,8 @@ class Result:
     room_entries: Array  # int32
     straight_at: Array  # [4] int32, straight steps when 50, 90, 95, 99 % of `known` were known
     diagonal_at: Array  # [4] int32, likewise
+    straight_along: Array  # [MARKS] int32, straight steps when 1, 2, ... 100 % of what can be known was; -1: never
+    diagonal_along: Array  # [MARKS] int32, likewise
     saturated: Array  # int32, cells out of reach at the end because their cost does not fit (see `reach.saturated`)
     refused: Array  # int32, steps refused because the cell ahead was not free
     overflow: Array  # int32, things that the strategy had no room for, all plans together

@@ -16,6 +16,7 @@ from jexplore.grid import is_free, is_occupied
 from jexplore.planning import Choice
 from jexplore.reach import HEADING, MOTIONS, NO_MOTION
 
+LOOKS = 8  # scans made in place at a spot, less than that
 CHOICES = 4  # one plan is recorded for so many steps that there is room for
 _HEADING_OF = dict(zip(MOTIONS, HEADING))
 
@@ -23,7 +24,7 @@ _HEADING_OF = dict(zip(MOTIONS, HEADING))
 class Trail(enum.IntEnum):
     """Columns of a trail: one row for the start and one for every step, after the last scan made there."""
 
-    SPOT = 0  # 4 * flat index (row * W + col) of the robot's cell + scans made in place there before going on, 0 to 3
+    SPOT = 0  # LOOKS * flat index (row * W + col) of the robot's cell + scans made in place there before going on
     KNOWN = 1  # known cells
 
 
@@ -43,7 +44,7 @@ def blank(capacity: int) -> tuple[Array, Array]:
 def note_step(state: State, when: Array | bool = True) -> State:
     """A `State` with the trail's entry for the present step, or as it is."""
     cell = state.row * state.shape[1] + state.col
-    entry = jnp.stack([4 * cell + state.looked, state.known])
+    entry = jnp.stack([LOOKS * cell + state.looked, state.known])
     step = jnp.where(when, state.steps, state.trail.shape[0])
     return state.replace(trail=state.trail.at[step].set(entry, mode="drop"))
 
@@ -118,7 +119,7 @@ def record_of(result: Result, found: tuple[np.ndarray, ...], shape: tuple[int, .
     """
     trail, *state = found
     trail = trail[: int(result.straight + result.diagonal) + 1]
-    path = np.stack([*np.divmod(trail[:, Trail.SPOT] // 4, width), trail[:, Trail.KNOWN]], axis=1)
+    path = np.stack([*np.divmod(trail[:, Trail.SPOT] // LOOKS, width), trail[:, Trail.KNOWN]], axis=1)
     return Record(path, state[0][: shape[0], : shape[1]].copy() if state else None)
 
 
@@ -134,7 +135,7 @@ def decode(found: tuple[np.ndarray, ...], result: Result, shape: tuple[int, int]
     height, width = shape
     steps, n_plans = int(result.straight + result.diagonal), int(result.plans)
     trail = trail[: steps + 1]
-    rows, cols = np.divmod(trail[:, Trail.SPOT] // 4, hits.shape[1])
+    rows, cols = np.divmod(trail[:, Trail.SPOT] // LOOKS, hits.shape[1])
     plans = None
     if n_plans <= len(choices):
         motions = [MOTIONS.index(step) for step in zip(np.diff(rows).tolist(), np.diff(cols).tolist())]
@@ -145,7 +146,7 @@ def decode(found: tuple[np.ndarray, ...], result: Result, shape: tuple[int, int]
         misses=misses[:height, :width],
         rows=rows,
         cols=cols,
-        looked=trail[:, Trail.SPOT] % 4,
+        looked=trail[:, Trail.SPOT] % LOOKS,
         known=trail[:, Trail.KNOWN],
         plans=plans,
     )

@@ -11,18 +11,17 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from jexplore.config import InputError, Lidar, Rules, require_whole
+from jexplore.config import MAX_SEED, InputError, Lidar, Rules, require_whole
 from jexplore.engine.backend import use_compilation_cache
 from jexplore.exploration import batch
 from jexplore.exploration.batch import Job
-from jexplore.exploration.results import columns, map_state
+from jexplore.exploration.results import columns, map_state, progress_m
 from jexplore.exploration.state import Outcome
 from jexplore.exploration.trail import RECORDS
 from jexplore.studies import stats
 from jexplore.studies.checks import (
     LIDAR,
     MAX_EPISODES,
-    MAX_SEED,
     RULES,
     StrategyLike,
     WorldLike,
@@ -75,6 +74,9 @@ class Comparison:
     """Seconds in which compiled programs ran."""
     interrupted: int = 0
     """Episodes that are missing because the run was interrupted; of the others, those that every strategy finished."""
+    progress: dict[tuple[str, str], np.ndarray] = dataclasses.field(default_factory=dict)
+    """(world, strategy) -> `[N, 100]` float64: metres driven when each episode in the table first knew 1, 2, ... 100 %
+    of the cells that can be known in its world; NaN where it never did."""
     paths: dict[tuple[str, str], list[np.ndarray]] = dataclasses.field(default_factory=dict)
     """With `keep`: (world, strategy) -> a list with an array for each episode in the table, `[n + 1, 3]` int32: row,
     col and known cells, at the start and after each of n steps."""
@@ -96,7 +98,7 @@ class Comparison:
     def warnings(self) -> list[str]:
         """What makes the comparison unfair or inexact: a list of lines."""
         lines = [f"interrupted: {self.interrupted} episodes are missing"] if self.interrupted else []
-        return [*lines, *stats.warnings_of(self.episodes), *_bounds_met(self.episodes)]
+        return [*lines, *stats.warnings_of(self.episodes, self.progress), *_bounds_met(self.episodes)]
 
     @property
     def episodes_per_s(self) -> float:
@@ -265,7 +267,7 @@ def assemble(jobs: Sequence[Job], report: batch.Finished, rules: Rules) -> Compa
     for job, (result, *_) in zip(jobs, report.outcomes):
         ended = result.outcome != Outcome.RUNNING
         finished[job.world.name] = finished.get(job.world.name, True) & ended
-    tables, worlds, first, paths, maps = [], {}, {}, {}, {}
+    tables, worlds, first, progress, paths, maps = [], {}, {}, {}, {}, {}
     for job, (result, final, records) in zip(jobs, report.outcomes):
         world, strategy, kept = job.world, job.strategy.name, finished[job.world.name]
         if not kept.any():
@@ -275,6 +277,7 @@ def assemble(jobs: Sequence[Job], report: batch.Finished, rules: Rules) -> Compa
         table["room_entries"] = table["room_entries"].astype("Int64")
         tables.append(table[kept])
         worlds[world.name] = world
+        progress[world.name, strategy] = progress_m(result, world.cell_m)[kept]
         if records:
             own = [records[i] for i in np.flatnonzero(kept).tolist()]
             paths[world.name, strategy] = [record.path for record in own]
@@ -291,5 +294,8 @@ def assemble(jobs: Sequence[Job], report: batch.Finished, rules: Rules) -> Compa
     missing = sum(len(job.starts) for job in jobs) - len(table)
     costs = report.costs
     return Comparison(
-        table, tuple(worlds.values()), first, costs.compile_s, costs.run_s, missing, paths=paths, maps=maps
+        *(table, tuple(worlds.values()), first, costs.compile_s, costs.run_s, missing),
+        progress=progress,
+        paths=paths,
+        maps=maps,
     )

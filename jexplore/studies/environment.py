@@ -24,7 +24,7 @@ from jexplore.engine.runner import find_resources
 from jexplore.exploration import environment
 from jexplore.exploration.site import KERNELS, prepare_site
 from jexplore.exploration.state import Numbers, Outcome, State, Truth
-from jexplore.exploration.trail import Trail
+from jexplore.exploration.trail import LOOKS, Trail
 from jexplore.planning import Field, View, choose, field, is_live, view_of
 from jexplore.policies.closest import closest
 from jexplore.raycast import Beams
@@ -199,7 +199,7 @@ class Environment:
         if self._setup.capacity == 1:
             raise InputError("this environment keeps no paths: jx.Environment(..., paths=True)")
         spots = np.asarray(state.episode.trail)[: int(state.episode.steps) + 1, Trail.SPOT]
-        return np.stack(np.divmod(spots // 4, self.shape[1]), axis=1)
+        return np.stack(np.divmod(spots // LOOKS, self.shape[1]), axis=1)
 
     def _require_one(self, state, taker):
         if not isinstance(state, EnvState):
@@ -225,14 +225,14 @@ def _inside(shape, row, col):
     return inside, jnp.where(inside, row, 0), jnp.where(inside, col, 0)
 
 
-def _seen(given, episode):
+def _seen(setup, given, episode):
     """`EnvState` after the last scan of a plan; without a frontier the episode is over."""
     known = field(episode.belief)
     none = ~jnp.any(known.candidates) & (episode.outcome == Outcome.RUNNING)
 
     def end(episode):
         nothing, route = choose(episode.belief, episode.route, known, jnp.int32(-1), jnp.int32(-1))
-        return environment.commit(given, episode, nothing, route)
+        return environment.commit(setup, given, episode, nothing, route)
 
     return EnvState(run_if(none, end, episode), known, given.scene)
 
@@ -241,7 +241,7 @@ def _begun(setup, bank, key, start, world):
     row, col, heading_deg = start
     _, row, col = _inside(bank.scenes.occupied.shape[1:], row, col)
     given = _given(bank, key, world, jnp.stack([row, col, heading_deg // 45 % 8]))
-    state = _seen(given, environment.begin(setup, given))
+    state = _seen(setup, given, environment.begin(setup, given))
     return state, view_of(state.episode.belief, state.known)
 
 
@@ -257,12 +257,12 @@ def _driven(setup, bank, key, state, action):
         numbers = given.numbers.replace(recheck=bank.recheck & known.candidates[row, col])
         own = given.replace(numbers=numbers)
         choice, route = choose(episode.belief, episode.route, known, row, col)
-        episode = environment.commit(own, episode, choice, route, is_live(episode.belief, row, col))
+        episode = environment.commit(setup, own, episode, choice, route, is_live(episode.belief, row, col))
 
         def advance(episode):
             return environment.advance(setup, own, episode)
 
-        return _seen(own, lax.while_loop(lambda episode: episode.walking, advance, episode))
+        return _seen(setup, own, lax.while_loop(lambda episode: episode.walking, advance, episode))
 
     def metres(straight, diagonal):
         return (straight + jnp.float32(math.sqrt(2)) * diagonal) * given.numbers.model.cell_m

@@ -57,13 +57,18 @@ def require_maps(paper: Paper, maps: str | os.PathLike[str]) -> None:
             raise InputError(f"maps must be a folder that holds {', '.join(files)}; there is no file {path}")
 
 
-def verdict(direction: str, low: float, high: float, than_low: float = 1.0, than_high: float = 1.0) -> str:
-    """Whether a ratio's interval lies wholly on the claimed side of another's (by default of equality).
+def verdict(direction: str, ours: stats.PairedRatio, than: stats.PairedRatio | float = 1.0) -> str:
+    """Whether a ratio's interval lies wholly on the claimed side of a number, or of another ratio's interval.
 
     Returns:
-      "holds", "does not hold", or "undecided" where the intervals meet or one is NaN.
+      "holds", "does not hold", or "undecided" where the intervals meet, one is missing, or one is of fewer than
+        `stats.MIN_PAIRS` pairs.
     """
-    below, above = high < than_low, low > than_high
+    is_ratio = isinstance(than, stats.PairedRatio)
+    low, high = (than.low, than.high) if is_ratio else (than, than)
+    if min(ours.n, than.n if is_ratio else ours.n) < stats.MIN_PAIRS:
+        return "undecided"
+    below, above = ours.high < low, ours.low > high
     holds, fails = (below, above) if direction == "shorter" else (above, below)
     return "holds" if holds else "does not hold" if fails else "undecided"
 
@@ -125,7 +130,7 @@ class Reproduction:
         rows = []
         for claim in self.paper.claims:
             ours, n_complete = versus(claim.environment, claim.a, claim.b)
-            than = (claim.than,) * 3
+            there, than = claim.than, (claim.than,) * 3
             if claim.than_in is not None:
                 there, _ = versus(claim.than_in, claim.a, claim.b)
                 than = (there.ratio, there.low, there.high)
@@ -134,7 +139,7 @@ class Reproduction:
                 {
                     "environment": claim.environment,
                     "claim": f"{claim.a} {claim.direction} than {claim.b} {claim.words}".strip(),
-                    "verdict": verdict(claim.direction, ours.low, ours.high, *than[1:]),
+                    "verdict": verdict(claim.direction, ours, there),
                     "paper_ratio": paths[claim.a][0] / paths[claim.b][0],
                     **{"ratio": ours.ratio, "ratio_low": ours.low, "ratio_high": ours.high, "p": ours.p},
                     **dict(zip(("than", "than_low", "than_high"), than)),

@@ -1,11 +1,11 @@
-"""Paired statistics of episodes: intervals, ratios, tables, and warnings about unequal coverage.
+"""Paired statistics of episodes: ratios with intervals, tables, and warnings about unequal coverage.
 
 numpy at import; scipy and pandas are imported by the functions that need them (together they take a second).
 """
 
 import dataclasses
 import math
-import warnings
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,14 +19,14 @@ if TYPE_CHECKING:
 
 OUTCOMES = ("COMPLETE", "BLOCKED", "STEP_LIMIT", "PLAN_LIMIT", "STUCK")
 
-MARKS = (0.50, 0.90, 0.95, 0.99)
-"""Shares of the cells known in the end at which an episode records its path length, in the columns `MARK_COLUMNS`."""
-MARK_COLUMNS = tuple(f"path_m_at_{round(100 * mark)}" for mark in MARKS)
-
 EQUAL_SHARE = 0.95
-"""Where paths are compared at equal coverage: this share of the smaller explored fraction of a pair."""
+"""Where paths are compared at equal coverage: this share of what the less thorough episode of a pair knew."""
+
+MIN_PAIRS = 6
+"""Fewer pairs decide nothing, whatever their interval."""
 
 _MEANS = ("plans", "scans", "turning_rad", "explored_fraction", "exhausted", "room_entries")
+_SAME = ("start_row", "start_col", "start_heading_deg", "path_m", "turning_rad", "scans", "plans", "outcome")
 SUMMARY_COLUMNS = (
     *("world", "strategy", "n", "mean", "sd", "ci_low", "ci_high", "ratio", "ratio_low", "ratio_high", "p"),
     *_MEANS,
@@ -41,139 +41,105 @@ class PairedRatio:
     ratio: float  # mean(values) / mean(reference); NaN if the latter is 0
     low: float  # interval; NaN where none can be given
     high: float
-    p: float  # two-sided Wilcoxon signed-rank; NaN for one pair
-    n: int  # pairs
+    p: float  # two-sided, of the hypothesis that the ratio of the means is 1; NaN where there is no interval
+    n: int  # pairs; 1 where all pairs are the very same
 
 
 def _vector(values, name):
     values = np.asarray(values, dtype=np.float64)
-    if values.ndim != 1 or values.size == 0 or not np.isfinite(values).all():
-        raise ValueError(f"expected {name} as a vector of one or more finite numbers, got shape {values.shape}")
+    if values.ndim != 1 or values.size == 0 or not np.isfinite(values).all() or values.min() < 0:
+        raise ValueError(
+            f"expected {name} as a vector of one or more finite numbers from 0, got shape {values.shape} of {values}"
+        )
     return values
 
 
-def _bca(columns, statistic, *, confidence, n_resamples, seed):
-    """BCa interval of `statistic` over paired `columns`, widened where rounding would leave the estimate outside.
+def t_interval(
+    estimate: float, standard_error: float, freedom: float, confidence: float = 0.95
+) -> tuple[float, float, float]:
+    """Interval `estimate ± t standard_error`, and the p of the hypothesis that 0 is estimated.
 
-    BCa counts the resamples below the estimate, so statistics are rounded, to 2**-40 of it, for equal ones to tie.
+    Args:
+      estimate, standard_error: floats of one unit.
+      freedom: degrees of freedom of the standard error.
+      confidence: nominal coverage.
+
+    Returns:
+      `(low, high, p)`; NaN where the standard error is 0 or not finite, or there are no degrees of freedom.
+
+    Raises:
+      ValueError: a confidence outside (0, 1).
     """
-    from scipy import stats
+    from scipy.special import stdtr, stdtrit
 
     if not 0 < confidence < 1:
         raise ValueError(f"expected confidence between 0 and 1, got {confidence!r}")
-    n = len(columns[0])
-    estimate = float(statistic(*columns))
-    quantum = 2.0 ** (math.frexp(estimate)[1] - 40)
-    with warnings.catch_warnings(), np.errstate(all="ignore"):
-        warnings.simplefilter("ignore")
-        interval = stats.bootstrap(
-            columns,
-            lambda *samples, axis: np.rint(statistic(*samples, axis=axis) / quantum) * quantum,
-            paired=True,
-            vectorized=True,
-            n_resamples=n_resamples,
-            batch=max(1, 2**21 // n),
-            confidence_level=confidence,
-            method="BCa",
-            rng=np.random.default_rng(seed),
-        ).confidence_interval
-    if not (math.isfinite(interval.low) and math.isfinite(interval.high)):
-        return math.nan, math.nan
-    return min(float(interval.low), estimate), max(float(interval.high), estimate)
+    if not (math.isfinite(estimate) and 0 < standard_error < math.inf and freedom > 0):
+        return math.nan, math.nan, math.nan
+    half = float(stdtrit(freedom, 0.5 + confidence / 2)) * standard_error
+    return estimate - half, estimate + half, 2 * float(stdtr(freedom, -abs(estimate) / standard_error))
 
 
-def bootstrap_ci(
-    values: ArrayLike, *, confidence: float = 0.95, n_resamples: int = 9999, seed: int = 0
-) -> tuple[float, float]:
-    """Bootstrap interval of the mean.
+def paired_ratio(values: ArrayLike, reference: ArrayLike, *, confidence: float = 0.95) -> PairedRatio:
+    """Ratio R of the means of paired samples, with an interval and a test.
 
-    BCa rather than percentile: path lengths are skewed (a random walk has a long right tail, a good strategy a hard
-    floor), and BCa corrects for that to second order. Both are somewhat narrow below twenty values. The values are
-    sorted first, so the interval does not depend on their order. One value has no interval: (NaN, NaN). Equal values
-    `v` have (v, v).
+    The interval is `R exp(± t s)`, where `s` is the standard error of the logarithm of R by the delta method: the
+    standard deviation of `v / mean(v) - r / mean(r)` over the pairs `(v, r)`, divided by the root of their number; t is
+    Student's. It is about the ratio of the means, not the mean (or geometric mean) of the ratios;
+    `benchmarks/coverage.py` measures how often it covers. p is of the hypothesis R = 1, by the same t: below 0.05 just
+    where the 95 % interval leaves out 1. It is not corrected for many comparisons.
+
+    Pairs of equal members tell of no spread: together they count as one in the degrees of freedom. Pairs that are all
+    the very same (one episode repeated) are one pair. One pair, or pairs without any spread, have no interval and no p.
 
     Args:
-      values: `[N]` finite numbers, N >= 1.
+      values, reference: `[N]` finite numbers from 0, N >= 1, the same episodes in the same order.
       confidence: nominal coverage.
-      n_resamples: bootstrap samples.
-      seed: of the resampling.
 
     Returns:
-      `(low, high)`, floats in the unit of `values`, with low <= mean <= high.
+      `PairedRatio`; it does not depend on the order of the pairs.
 
     Raises:
-      ValueError: not a vector, empty, not finite, or a confidence outside (0, 1).
+      ValueError: not vectors, lengths that differ, empty, not finite, negative, or a confidence outside (0, 1).
 
     Source:
-      Efron 1987, "Better bootstrap confidence intervals", as in `scipy.stats.bootstrap`.
-    """
-    values = np.sort(_vector(values, "values"))
-    if len(values) == 1:
-        return math.nan, math.nan
-    if values[0] == values[-1]:
-        return float(values[0]), float(values[0])
-    return _bca((values,), np.mean, confidence=confidence, n_resamples=n_resamples, seed=seed)
-
-
-def _ratio_of_means(values, reference, axis=-1):
-    return np.mean(values, axis=axis) / np.mean(reference, axis=axis)
-
-
-def paired_ratio(
-    values: ArrayLike, reference: ArrayLike, *, confidence: float = 0.95, n_resamples: int = 9999, seed: int = 0
-) -> PairedRatio:
-    """Ratio of the means of paired samples, with an interval and a test.
-
-    The interval resamples pairs (BCa, see `bootstrap_ci`) and does not depend on their order; where every value is the
-    same multiple of its reference it is that multiple twice. It is NaN for one pair, and where a resample of the
-    reference has the mean 0.
-
-    The test is Wilcoxon's signed-rank test of the differences, two-sided, with Pratt's treatment of zero differences:
-    strategies often drive the very same path, and Pratt lets such pairs count as evidence for "no difference" where
-    Wilcoxon's own rule drops them. Differences are rounded to 1e-12 of the largest value, so that equal differences
-    tie. p is not corrected for many comparisons. All pairs equal: p = 1. One pair: p = NaN.
-
-    Args:
-      values, reference: `[N]` finite numbers, N >= 1, the same episodes in the same order.
-      confidence, n_resamples, seed: of the interval.
-
-    Returns:
-      `PairedRatio`.
-
-    Raises:
-      ValueError: not vectors, lengths that differ, empty, not finite, or a confidence outside (0, 1).
+      The delta method for a ratio of means, on the logarithm; Fieller 1954 treats the same problem.
     """
     values, reference = _vector(values, "values"), _vector(reference, "reference")
     if len(values) != len(reference):
         raise ValueError(f"expected as many values as references, got {len(values)} and {len(reference)}")
     order = np.lexsort((values, reference))
     values, reference = values[order], reference[order]
-    n, scale = len(values), max(np.abs(values).max(), np.abs(reference).max())
-    p = _signed_rank_p(np.round((values - reference) / scale, 12) if scale > 0 else np.zeros(n))
-    if reference.mean() == 0:
-        return PairedRatio(math.nan, math.nan, math.nan, p, n)
-    ratio = float(_ratio_of_means(values, reference))
-    if n == 1:
-        low = high = math.nan
-    elif np.abs(values - ratio * reference).max() <= 1e-12 * scale:
-        low = high = ratio
-    else:
-        low, high = _bca(
-            (values, reference), _ratio_of_means, confidence=confidence, n_resamples=n_resamples, seed=seed
-        )
-    return PairedRatio(ratio, low, high, p, n)
+    n = 1 if np.ptp(values) == 0 == np.ptp(reference) else len(values)
+    mean, mean_reference = values.mean(), reference.mean()
+    ratio = float(mean / mean_reference) if mean_reference > 0 else math.nan
+    error = freedom = 0.0
+    if n > 1 and mean > 0 and mean_reference > 0:
+        apart = values / mean - reference / mean_reference
+        error = float(apart.std(ddof=1)) / math.sqrt(n)
+        error *= error > 1e-12  # rounding is no spread
+        equal = int((values == reference).sum())
+        freedom = n - max(equal, 1)
+    low, high, p = t_interval(math.log(ratio) if error else math.nan, error, freedom, confidence)
+    with np.errstate(over="ignore"):
+        return PairedRatio(ratio, float(np.exp(low)), float(np.exp(high)), p, n)
 
 
-def _signed_rank_p(differences):
-    if len(differences) == 1:
-        return math.nan
-    if not differences.any():
-        return 1.0
-    from scipy import stats
+def mean_interval(values: ArrayLike, *, confidence: float = 0.95) -> tuple[float, float]:
+    """Interval of a mean: that of `paired_ratio` to a reference of ones. Never below 0; skewed as path lengths are.
 
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        return float(np.asarray(stats.wilcoxon(differences, zero_method="pratt"))[1])
+    Args:
+      values: `[N]` finite numbers from 0, N >= 1.
+      confidence: nominal coverage.
+
+    Returns:
+      `(low, high)` in the unit of `values`; NaN for one value, or values that are all the same.
+
+    Raises:
+      ValueError: as `paired_ratio`.
+    """
+    found = paired_ratio(values, np.ones(np.shape(values)), confidence=confidence)
+    return found.low, found.high
 
 
 def _groups(episodes):
@@ -207,9 +173,12 @@ def _outcomes(rows):
     return ", ".join(f"{name} {counts[name]}" for name in names)
 
 
-def summarise(
-    episodes: "pd.DataFrame", *, confidence: float = 0.95, n_resamples: int = 9999, seed: int = 0
-) -> "pd.DataFrame":
+def _n_different(rows):
+    """Episodes in a table, those of one strategy in one world; 1 where they are one episode repeated."""
+    return 1 if len(rows) and all(rows[name].nunique() == 1 for name in _SAME) else len(rows)
+
+
+def summarise(episodes: "pd.DataFrame", *, confidence: float = 0.95) -> "pd.DataFrame":
     """One row a world and strategy, in order of first appearance.
 
     Strategies are compared with the first strategy of the table, over the episodes that both have. In its own rows,
@@ -217,20 +186,20 @@ def summarise(
 
     Args:
       episodes: the table of episodes, a pandas DataFrame.
-      confidence, n_resamples, seed: of the bootstrap intervals.
+      confidence: nominal coverage of the intervals.
 
     Returns:
-      A DataFrame with the columns `SUMMARY_COLUMNS`: `n` episodes; `mean`, `sd` (divided by n - 1; NaN for one episode)
-        and the interval `ci_low`, `ci_high` of the path length, metres; `ratio`, `ratio_low`, `ratio_high`, `p` from
-        `paired_ratio`; the means of `plans`, `scans`, `turning_rad`, `explored_fraction`, `exhausted` and
-        `room_entries` (NaN without rooms); `outcomes`, text such as "COMPLETE 98, BLOCKED 2".
+      A DataFrame with the columns `SUMMARY_COLUMNS`: `n` episodes, 1 where one is repeated; `mean`, `sd` (divided by
+        n - 1; NaN for one episode) and the interval `ci_low`, `ci_high` of the path length, metres, from
+        `mean_interval`; `ratio`, `ratio_low`, `ratio_high`, `p` from `paired_ratio`; the means of `plans`, `scans`,
+        `turning_rad`, `explored_fraction`, `exhausted` and `room_entries` (NaN without rooms); `outcomes`, text such
+        as "COMPLETE 98, BLOCKED 2".
 
     Raises:
       InputError: an episode occurs twice, or paired episodes start differently.
     """
     import pandas as pd
 
-    bootstrap = {"confidence": confidence, "n_resamples": n_resamples, "seed": seed}
     first = episodes["strategy"].iloc[0] if len(episodes) else None
     table = []
     for world, strategies in _groups(episodes).items():
@@ -242,9 +211,10 @@ def summarise(
             elif first in strategies:
                 ours, theirs = _pairs(rows, strategies[first])
                 if len(ours):
-                    versus = paired_ratio(ours["path_m"], theirs["path_m"], **bootstrap)
-            row = (world, strategy, len(path_m), path_m.mean(), path_m.std(ddof=1) if len(path_m) > 1 else math.nan)
-            row += (*bootstrap_ci(path_m, **bootstrap), versus.ratio, versus.low, versus.high, versus.p)
+                    versus = paired_ratio(ours["path_m"], theirs["path_m"], confidence=confidence)
+            n = _n_different(rows)
+            row = (world, strategy, n, path_m.mean(), path_m.std(ddof=1) if n > 1 else math.nan)
+            row += (*mean_interval(path_m, confidence=confidence), versus.ratio, versus.low, versus.high, versus.p)
             means = [rows[name].astype("Float64").mean() for name in _MEANS]
             row += tuple(math.nan if pd.isna(mean) else float(mean) for mean in means)
             table.append((*row, _outcomes(rows)))
@@ -276,28 +246,24 @@ def markdown_table(summary: Any, *, confidence: float = 0.95) -> str:
     return aligned_table(head, lines, left=("world", "strategy", "outcomes"))
 
 
-def path_at_fraction(episodes: "pd.DataFrame", fraction: ArrayLike) -> np.ndarray:
-    """Path length at which each episode had explored a given fraction.
+def path_at_equal_coverage(progress: np.ndarray, reference: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Path lengths of paired episodes at which both knew equally many cells.
 
-    An episode records its path length at 50, 90, 95 and 99 % of the cells that *it* knew in the end, so `path_m_at_95`
-    of two episodes is comparable only if they ended at the same explored fraction. Here the marks are placed at their
-    share of the episode's own explored fraction, and the path length is interpolated linearly between them.
+    Of each pair the one that knew less in the end sets the mark: the last one up to `EQUAL_SHARE` of its own. Paths are
+    those that the robots had driven when they first knew as much: recorded, not interpolated.
 
     Args:
-      episodes: N rows of the table of episodes.
-      fraction: `[N]` float, explored fraction asked for.
+      progress, reference: `[N, 100]` float, metres: path at each per cent of what can be known in the world, NaN
+        where that was never known; of the same episodes.
 
     Returns:
-      `[N]` float64, metres; NaN where the fraction lies below the first mark or above the last.
+      two of `[N]` float64, metres; NaN for a pair of which one never came to a mark.
     """
-    explored = episodes["explored_fraction"].to_numpy(dtype=np.float64)
-    share = np.divide(fraction, explored, out=np.full(len(explored), np.nan), where=explored > 0)
-    marks, path_m = np.asarray(MARKS), episodes[list(MARK_COLUMNS)].to_numpy(dtype=np.float64)
-    left = np.clip(np.searchsorted(marks, share, side="right") - 1, 0, len(marks) - 2)
-    row = np.arange(len(explored))
-    along = (share - marks[left]) / (marks[left + 1] - marks[left])
-    value = path_m[row, left] + along * (path_m[row, left + 1] - path_m[row, left])
-    return np.where((share >= marks[0] - 1e-9) & (share <= marks[-1] + 1e-9), value, np.nan)
+    marks = np.minimum(*(np.isfinite(metres).sum(axis=1) for metres in (progress, reference)))
+    mark = np.floor(EQUAL_SHARE * marks + 1e-9).astype(int) - 1
+    row = np.arange(len(mark))
+    ours, theirs = (np.where(mark >= 0, metres[row, mark], np.nan) for metres in (progress, reference))
+    return ours, theirs
 
 
 def _ratio_text(values, reference, keep):
@@ -307,7 +273,7 @@ def _ratio_text(values, reference, keep):
     return f"{ratio_text(found.ratio, found.low, found.high)} over {found.n} pair{'s' if found.n > 1 else ''}"
 
 
-def _unequal(ours, theirs, tolerance):
+def _unequal(ours, theirs, tolerance, progress):
     """What is unequal between paired episodes and the ratios at equal coverage, as text; None if nothing is."""
     fraction, fraction_ref = (rows["explored_fraction"].to_numpy(dtype=np.float64) for rows in (ours, theirs))
     ended, ended_ref = ours["outcome"].to_numpy(), theirs["outcome"].to_numpy()
@@ -322,16 +288,14 @@ def _unequal(ours, theirs, tolerance):
         said.append(f"explored fractions differ by more than {tolerance:g} in {apart.sum()} of {n} pairs ({means})")
     everything = np.ones(n, dtype=bool)
     whole = _ratio_text(ours["path_m"].to_numpy(), theirs["path_m"].to_numpy(), everything)
-    level = EQUAL_SHARE * np.minimum(fraction, fraction_ref)
-    path_m, path_ref_m = path_at_fraction(ours, level), path_at_fraction(theirs, level)
-    equal = _ratio_text(path_m, path_ref_m, np.isfinite(path_m) & np.isfinite(path_ref_m))
+    text = f"{' and '.join(said)}; a truncated path is not a short one: path ratio {whole}; "
+    if progress is not None:
+        path_m, path_ref_m = path_at_equal_coverage(*progress)
+        equal = _ratio_text(path_m, path_ref_m, np.isfinite(path_m) & np.isfinite(path_ref_m))
+        text += f"at equal coverage ({100 * EQUAL_SHARE:g} % of what the less thorough one of each pair knew) {equal}; "
     complete = (ended == "COMPLETE") & (ended_ref == "COMPLETE") & ~apart
     at_95 = _ratio_text(ours["path_m_at_95"].to_numpy(), theirs["path_m_at_95"].to_numpy(), complete)
-    return (
-        f"{' and '.join(said)}; a truncated path is not a short one: path ratio {whole}; at equal coverage "
-        f"({100 * EQUAL_SHARE:g} % of the smaller explored fraction of each pair) {equal}; "
-        f"where both are COMPLETE and equally explored, at path_m_at_95, {at_95}"
-    )
+    return f"{text}where both are COMPLETE and equally explored, at path_m_at_95, {at_95}"
 
 
 def _cut_short(episodes):
@@ -346,18 +310,31 @@ def _cut_short(episodes):
                 yield f"{world}: {strategy}: {refused} steps were refused, into cells that proved not to be free"
 
 
-def warnings_of(episodes: "pd.DataFrame", *, tolerance: float = 0.01) -> list[str]:
+def _repeated(episodes):
+    """A line for every strategy in a world whose episodes are one and the same."""
+    for world, strategies in _groups(episodes).items():
+        for strategy, rows in strategies.items():
+            if _n_different(rows) < len(rows):
+                yield f"{world}: {strategy}: all {len(rows)} episodes are the very same one, which counts once"
+
+
+def warnings_of(
+    episodes: "pd.DataFrame",
+    progress: Mapping[tuple[str, str], np.ndarray] | None = None,
+    *,
+    tolerance: float = 0.01,
+) -> list[str]:
     """What makes the comparison with the first strategy unfair, and the ratio at equal coverage.
 
     Warns where the outcomes of paired episodes differ, or their explored fractions by more than `tolerance`, or where
-    strategies do not have the same episodes. Two ratios then stand beside that of the whole paths. The first uses every
-    pair: both paths are taken at 95 % of the smaller explored fraction, interpolated (`path_at_fraction`); pairs in
-    which one episode explored less than about half of what the other did drop out. The second uses the pairs that are
-    COMPLETE on both sides with equal explored fractions, at the recorded `path_m_at_95`: nothing is interpolated, but
-    the pairs are selected by how they ended.
+    strategies do not have the same episodes. Two ratios then stand beside that of the whole paths: that at equal
+    coverage (`path_at_equal_coverage`), over all pairs, where `progress` is given; and that over the pairs that are
+    COMPLETE on both sides with equal explored fractions, at the recorded `path_m_at_95`: pairs that are selected by how
+    they ended. Warns also where the episodes of a strategy are one episode repeated.
 
     Args:
       episodes: the table of episodes.
+      progress: (world, strategy) -> `[N, 100]` float, as in `path_at_equal_coverage`, in the order of the table's rows.
       tolerance: difference of explored fractions that is still equal coverage.
 
     Returns:
@@ -379,7 +356,14 @@ def warnings_of(episodes: "pd.DataFrame", *, tolerance: float = 0.01) -> list[st
             if not len(ours) == len(rows) == len(reference):
                 have = f"{len(rows)} and {len(reference)} episodes"
                 found.append(f"{name}: {have} make {len(ours)} pairs; only pairs are compared")
-            unequal = _unequal(ours, theirs, tolerance) if len(ours) else None
+            both = None
+            if progress:
+                tables = ((rows, ours, strategy), (reference, theirs, str(first)))
+                both = [
+                    progress[world, key][rows.set_index("episode").index.get_indexer(some.index)]
+                    for rows, some, key in tables
+                ]
+            unequal = _unequal(ours, theirs, tolerance, both) if len(ours) else None
             if unequal:
                 found.append(f"{name}: {unequal}")
-    return found + list(_cut_short(episodes))
+    return [*found, *_cut_short(episodes), *_repeated(episodes)]

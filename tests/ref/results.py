@@ -11,4 +11,5 @@ def result(n=1, **fields):
     values = dict.fromkeys(Result.__dataclass_fields__, zero)
     values |= {"outcome": zero + 1, "explorable": zero + 1, "straight_at": np.zeros((n, 4), np.int32)}
     values |= {"diagonal_at": np.zeros((n, 4), np.int32)}
+    values |= dict.fromkeys(("straight_along", "diagonal_along"), np.zeros((n, 100), np.int32))
     return Result(**{**values, **{name: np.asarray(value, np.int32) for name, value in fields.items()}})

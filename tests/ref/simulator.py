@@ -146,10 +146,10 @@ class Robot:
             self.scan((self.heading + i * 360 // n) % 360)
         self.result.known_after_step.append(self.known_count())
 
-    def look_around(self):
-        """Three scans, each after a quarter turn to the left; the last heading stays."""
-        for _ in range(3):
-            self.turn_to((self.heading + 90) % 360)
+    def look_around(self, n):
+        """Scans after equal turns to the left, n all round with the one on arrival; the last heading stays."""
+        for _ in range(n - 1):
+            self.turn_to((self.heading + 360 // n) % 360)
             self.scan(self.heading)
 
     def step(self, cell):
@@ -195,17 +195,17 @@ class Robot:
         self.target = plan.target
         return plan
 
-    def arrive(self, target, look_around):
+    def arrive(self, target, n_looks):
         """Look around at a live target; one that is live even then is exhausted."""
         if self.live(target):
-            if look_around:
-                self.look_around()
+            if n_looks:
+                self.look_around(n_looks)
             if self.live(target):
                 self.exhausted[target] = True
                 self.result.exhausted += 1
 
 
-def run(robot, goal, recheck, choose, clear_r2, near_r2, max_steps, max_plans, look_around):
+def run(robot, goal, recheck, choose, clear_r2, near_r2, max_steps, max_plans, n_looks):
     """The episode after the initial scans; returns the name of its outcome."""
     while True:
         if robot.result.plans == max_plans:
@@ -221,7 +221,7 @@ def run(robot, goal, recheck, choose, clear_r2, near_r2, max_steps, max_plans, l
             if recheck and not robot.live(plan.target):
                 break
         if robot.cell == plan.target:
-            robot.arrive(plan.target, look_around)
+            robot.arrive(plan.target, n_looks)
 
 
 def simulate(
@@ -264,10 +264,11 @@ def simulate(
         raise ValueError(f"expected a heading that is a multiple of 45 degrees, got {start_heading_deg}")
     start = (int(start_row), int(start_col))
     clear_r2, near_r2 = plans.radius2(clearance_m, cell_m), plans.radius2(near_m, cell_m)
+    reach = beams.in_cells(range_m, cell_m)
     bound = max(20000, occupied.size)
 
     def perfect(row, col, heading_deg):
-        return beams.scan(occupied, row, col, heading_deg, n_beams, fov_deg, range_m / cell_m)
+        return beams.scan(occupied, row, col, heading_deg, n_beams, fov_deg, reach)
 
     robot = Robot(occupied, start, int(start_heading_deg), sense or perfect, p_free)
     goal = goal_cells(occupied, start, clear_r2, near_r2)
@@ -277,11 +278,11 @@ def simulate(
         robot.result.outcome = "STUCK"
         robot.result.known_after_step.append(0)
     else:
-        robot.look_all_round(initial_scan_count(fov_deg))
+        n_scans = initial_scan_count(fov_deg)
+        robot.look_all_round(n_scans)
+        n_looks = max(4, n_scans) if look_around else 0
         steps_bound, plans_bound = (bound if m is None else m for m in (max_steps, max_plans))
-        robot.result.outcome = run(
-            robot, goal, recheck, choose, clear_r2, near_r2, steps_bound, plans_bound, look_around
-        )
+        robot.result.outcome = run(robot, goal, recheck, choose, clear_r2, near_r2, steps_bound, plans_bound, n_looks)
     measure(robot, start, cell_m, rooms)
     return robot.result
 
