@@ -23,12 +23,17 @@ from jexplore.segment import criteria, form_for, segment
 from jexplore.worlds import load_world
 from jexplore.worlds.world import draw_starts
 
+FULL = "furniture=1,wide_openings=0.1,max_loops=5"
 SIZES = {
     "cave": ((6.2, 6.2), (9.0, 9.0), (16.0, 16.0), (25.0, 25.0)),
     "maze": ((4.0, 4.0), (9.0, 9.0), (16.0, 16.0)),
     "rooms": ((6.0, 6.0), (9.0, 9.0), (20.0, 20.0)),
     "office": ((14.0, 9.0), (30.0, 20.0)),
     "hospital": ((32.0, 11.0), (50.0, 20.0)),
+    f"office:{FULL}": ((14.0, 9.0), (30.0, 20.0)),
+    f"office:open_plan=true,{FULL}": ((30.0, 20.0),),
+    f"hospital:{FULL}": ((50.0, 20.0),),
+    f"rooms:{FULL}": ((6.0, 6.0), (20.0, 20.0)),
 }
 CELLS_M = (0.3, 0.2, 0.1, 0.05)
 PLANS = 24  # of an episode, at which the graph is made
@@ -68,7 +73,8 @@ def main(arguments):
     for cell_m in map(float, arguments) if arguments else CELLS_M:
         for kind, sizes in SIZES.items():
             for seed, (width_m, height_m) in enumerate(sizes):
-                name = f"{kind}#{seed}:width_m={width_m},height_m={height_m}"
+                base, _, more = kind.partition(":")
+                name = f"{base}#{seed}:width_m={width_m},height_m={height_m}" + (f",{more}" if more else "")
                 try:
                     world = load_world(name, cell_m)
                 except InputError as error:

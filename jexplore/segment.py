@@ -60,9 +60,9 @@ class Segments:
 def form_for(shape: tuple[int, ...], *, coarse: bool = False, **changes: Any) -> Form:
     """The `Form` that suits a map of a shape.
 
-    One cell in 9 may lie on the Voronoi graph and one in 1024 be critical, on small maps more; on coarse maps, where
+    One cell in 8 may lie on the Voronoi graph and one in 400 be critical, on small maps more; on coarse maps, where
     corridors are only a few cells wide, one in 4 and one in 96. The most that built-in worlds have on an exploring
-    robot's way is one in 10.8 and one in 1370, and one in 6.9 and one in 195 (`benchmarks/graph_sizes.py`).
+    robot's way, furnished ones among them, is printed by `benchmarks/graph_sizes.py`.
 
     Args:
       shape: `(H, W)`.
@@ -70,8 +70,8 @@ def form_for(shape: tuple[int, ...], *, coarse: bool = False, **changes: Any) ->
       changes: fields of `Form` that are to differ.
     """
     cells = shape[0] * shape[1]
-    nodes = max(768, -(-cells // (4 if coarse else 9)))
-    splits = max(64, cells // (96 if coarse else 1024))
+    nodes = max(768, -(-cells // (4 if coarse else 8)))
+    splits = max(64, cells // (96 if coarse else 400))
     return Form(-(-nodes // 256) * 256, min(splits, 1024))._replace(**changes)
 
 

@@ -500,9 +500,9 @@ def test_maps_without_free_space(form):
 
 def test_a_form_for_a_map():
     assert form_for((64, 64)) == Form(768, 64)
-    assert form_for((160, 160)) == Form(3072, 64)
+    assert form_for((160, 160)) == Form(3328, 64)
     assert form_for((160, 160), coarse=True) == Form(6400, 266)
-    assert form_for((1000, 1100)) == Form(122368, 1024)
+    assert form_for((1000, 1100)) == Form(137728, 1024)
     assert form_for((1, 1), metric="euclidean") == Form(768, 64, "euclidean")
 
 

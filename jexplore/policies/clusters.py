@@ -19,7 +19,7 @@ from jexplore.planning import Belief, Choice, Field, choose, metres
 from jexplore.raycast import Beams, all_round
 from jexplore.reach import FAR, reach_packed
 
-CLUSTERS = 64  # most clusters that are told apart
+CLUSTERS = 128  # most clusters that are told apart
 COARSEST = 4  # cells a side, of the blocks that paths between clusters are measured in
 
 
