@@ -82,6 +82,30 @@ def test_lidar_angles_of_the_default_scanner_are_whole_degrees():
     assert beams.lidar_angles(181, 180.0) == list(range(-90, 91))
 
 
+@pytest.mark.parametrize("fov_deg", [240 / 7, 41.08, 100.1, 200 / 3, 123.4567])
+def test_the_beam_in_the_middle_looks_straight_ahead(fov_deg):
+    for n_beams in range(3, 362, 2):
+        angles = beams.lidar_angles(n_beams, fov_deg)
+        assert angles[n_beams // 2] == 0
+        assert angles == [-angle for angle in angles[::-1]]
+        assert angles[-1] == pytest.approx(fov_deg / 2, rel=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("range_m", "cell_m", "expected"),
+    [(1.05, 0.3, 3.5), (0.3, 0.1, 3), (1.5, 0.3, 5), (8, 0.1, 80), (1.0, 0.07, 14.285714286)],
+)
+def test_a_range_in_cells_is_not_lengthened_by_rounding(range_m, cell_m, expected):
+    assert beams.in_cells(range_m, cell_m) == expected
+
+
+def test_an_episode_takes_the_range_in_cells_for_what_it_is():
+    """A cell that begins 3.5 cells ahead is not seen by 1.05 m in cells of 0.3 m, whatever 1.05 / 0.3 comes to."""
+    assert 1.05 / 0.3 > 3.5
+    result = simulate(ringed((3, 9)), 1, 1, cell_m=0.3, range_m=1.05, clearance_m=0.0, n_beams=1, max_plans=1)
+    assert np.flatnonzero(result.misses[1]).tolist() == [1, 2, 3, 4]
+
+
 @pytest.mark.parametrize(
     ("deg", "max_range", "expected"),
     [

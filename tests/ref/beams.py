@@ -40,7 +40,13 @@ def lidar_angles(n_beams, fov_deg):
     if n_beams == 1:
         return [0.0]
     gaps = n_beams if fov_deg == 360 else n_beams - 1
-    return [-fov_deg / 2.0 + i * fov_deg / gaps for i in range(n_beams)]
+    # One division for each: the beam in the middle looks straight ahead, not past it by a rounding.
+    return [(2 * i - gaps) * fov_deg / (2 * gaps) for i in range(n_beams)]
+
+
+def in_cells(range_m, cell_m):
+    """A range in cells, rounded to 1e-9: 1.05 m are 3.5 cells of 0.3 m, no more."""
+    return round(range_m / cell_m, 9)
 
 
 def beam_entries(c, s, max_range_cells, x0=0.5, y0=0.5):

@@ -75,6 +75,18 @@ def may_step(passable, row, col, motion):
     return at(row + dr, col + dc) and (dr == 0 or dc == 0 or (at(row + dr, col) and at(row, col + dc)))
 
 
+def steps_from(passable, motion):
+    """`may_step` from every cell at once."""
+    height, width = passable.shape
+    wide = np.pad(passable, 1, constant_values=False)
+
+    def at(dr, dc):
+        return wide[1 + dr : 1 + dr + height, 1 + dc : 1 + dc + width]
+
+    dr, dc = motion
+    return at(dr, dc) & at(dr, 0) & at(0, dc) if dr and dc else at(dr, dc).copy()
+
+
 def step_cost(motion):
     """Fixed-point cost of a motion."""
     return DIAGONAL if motion[0] and motion[1] else STRAIGHT
@@ -89,36 +101,29 @@ def dijkstra(passable, start):
     """
     if not passable[start]:
         raise ValueError(f"expected a passable start, got {start}")
-    height, width = passable.shape
-    cost = np.full(passable.shape, FAR, np.int64)
-    cost[start] = 0
-    queue = [(0, start)]
+    width = passable.shape[1]
+    allowed = [steps_from(passable, motion) for motion in MOTIONS]
+    ways = [(dr * width + dc, step_cost((dr, dc)), may.ravel().tolist()) for (dr, dc), may in zip(MOTIONS, allowed)]
+    costs = [FAR] * passable.size
+    here = start[0] * width + start[1]
+    costs[here] = 0
+    queue = [(0, here)]
     while queue:
-        d, (row, col) = heapq.heappop(queue)
-        if d > cost[row, col]:
+        d, i = heapq.heappop(queue)
+        if d > costs[i]:
             continue
-        for motion in MOTIONS:
-            if may_step(passable, row, col, motion):
-                cell = row + motion[0], col + motion[1]
-                if d + step_cost(motion) < cost[cell]:
-                    cost[cell] = d + step_cost(motion)
-                    heapq.heappush(queue, (d + step_cost(motion), cell))
+        for offset, step, may in ways:
+            if may[i] and d + step < costs[i + offset]:
+                costs[i + offset] = d + step
+                heapq.heappush(queue, (d + step, i + offset))
 
+    cost = np.array(costs, np.int64).reshape(passable.shape)
     pred = np.full(passable.shape, -1, np.int64)
-    for row in range(height):
-        for col in range(width):
-            if (row, col) == start or cost[row, col] == FAR:
-                continue
-            for motion in MOTIONS:
-                before = row - motion[0], col - motion[1]
-                inside = 0 <= before[0] < height and 0 <= before[1] < width
-                if (
-                    inside
-                    and cost[before] + step_cost(motion) == cost[row, col]
-                    and may_step(passable, *before, motion)
-                ):
-                    pred[row, col] = before[0] * width + before[1]
-                    break
+    for motion, may in list(zip(MOTIONS, allowed))[::-1]:  # the first in the order comes last, and stays
+        row, col = np.nonzero(may & (cost < FAR))
+        end = row + motion[0], col + motion[1]
+        ours = cost[row, col] + step_cost(motion) == cost[end]
+        pred[end[0][ours], end[1][ours]] = (row * width + col)[ours]
     return cost, pred
 
 

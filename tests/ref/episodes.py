@@ -1,0 +1,267 @@
+"""Whole episodes by the engine and by the oracle, and what differs between the two."""
+
+import dataclasses
+import functools
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from scipy import ndimage
+
+from jexplore.engine.program import Given
+from jexplore.engine.serial import run_one
+from jexplore.exploration.episode import program_of
+from jexplore.exploration.site import KERNELS
+from jexplore.exploration.state import Numbers, Outcome, Setup, Stream, Truth
+from jexplore.exploration.trail import decode, kept
+from jexplore.grid import in_cells, radius_d2
+from jexplore.planning import MapModel
+from jexplore.policies import parse_strategy
+from jexplore.raycast import Beams, beam_table, by_beam, disturb, scan, scans_all_round
+
+from . import plans, simulator
+
+CAPACITY = 20_000
+COUNTS = ("straight", "diagonal", "turns", "scans", "plans", "exhausted", "refused")
+
+
+def clear_cells(occupied, clearance_d2):
+    """`[N, 2]`, row and column of the cells of the largest clear region; N = 0 where nothing is clear."""
+    clear = plans.clear(~occupied, occupied, clearance_d2)
+    regions, _ = ndimage.label(clear)
+    return np.argwhere(clear & (regions == 1 + np.argmax(np.bincount(regions[clear], minlength=2)[1:])))
+
+
+# ---------------------------------------------------------------- by the engine
+
+
+def truth_of(occupied, rooms, shape):
+    """One world as an episode takes it, padded to `shape`."""
+    grow = [(0, full - n) for full, n in zip(shape, occupied.shape)]
+    rooms = np.full(occupied.shape, -1, np.int32) if rooms is None else rooms
+    return Truth(
+        occupied=np.pad(occupied, grow, constant_values=True)[None],
+        rooms=np.pad(rooms, grow, constant_values=-1)[None],
+        region=np.pad(ndimage.label(~occupied)[0].astype(np.int32), grow)[None],
+        extent=np.asarray([occupied.shape], np.int32),
+    )
+
+
+def numbers_of(strategy, lidar, rules, cell_m, kernels="serial"):
+    """`Numbers`; `kernels`: the engine whose kernels are meant."""
+    return Numbers(
+        model=MapModel(
+            p_free=np.float32(rules.p_free),
+            near_d2=np.int32(radius_d2(rules.near_m, cell_m)),
+            cell_m=np.float32(cell_m),
+            clearance_d2=radius_d2(rules.clearance_m, cell_m),
+            **dataclasses.asdict(KERNELS[kernels]),
+        ),
+        look_around=np.bool_(rules.look_around),
+        recheck=np.bool_(strategy.recheck),
+        max_steps=np.int32(rules.max_steps or CAPACITY),
+        max_plans=np.int32(rules.max_plans or CAPACITY),
+        sigma_cells=np.float32(lidar.sigma_m / cell_m),
+        dropout=np.float32(lidar.dropout),
+        params=strategy.policy.params,
+    )
+
+
+def window_of(lidar, cell_m):
+    """Half the width of the square that a scan can change, cells."""
+    return math.ceil(in_cells(lidar.range_m, cell_m)) + 1
+
+
+@functools.partial(jax.jit, static_argnames="static")
+def compiled(static, key, first_scans, truth, beams, numbers, start):
+    """`static` is a `Setup` but for the scans all round at the start, which may vary: fewer programs to compile."""
+    program = program_of(static._replace(first_scans=first_scans))
+    given = Given(key, beams, truth, jnp.int32(0), numbers, start)
+    state = run_one(program, given)
+    return program.finish(program.setup, given, state), state
+
+
+def with_idle_beams(beams, n_steps, n_beams):
+    """The same beams in larger arrays: beams of no length, which see nothing, so that scanners share a program."""
+    steps, count = (full - n for full, n in zip((n_steps, n_beams), beams.offset.shape[1:]))
+    grow = ((0, 0), (0, steps), (0, count))
+    offset, drow, dcol = (np.pad(a, grow) for a in (beams.offset, beams.drow, beams.dcol))
+    return Beams(
+        offset=offset,
+        by_beam=by_beam(offset),
+        drow=drow,
+        dcol=dcol,
+        entry=np.pad(beams.entry, grow, constant_values=np.inf),
+        length=np.pad(beams.length, ((0, 0), (0, count))),
+        reach=beams.reach,
+    )
+
+
+def beams_of(lidar, cell_m, width, beams_as):
+    """`Beams` of numpy arrays; `beams_as`: their steps and beams with the idle ones, None for none of these."""
+    beams = beam_table(lidar, cell_m, width)
+    return with_idle_beams(beams, *beams_as) if beams_as else beams
+
+
+def play(
+    occupied,
+    start,
+    strategy,
+    lidar,
+    rules,
+    *,
+    cell_m,
+    rooms=None,
+    shape=None,
+    seed=0,
+    window=None,
+    beams_as=None,
+    kernels="serial",
+):
+    """`(Result, State)` of the kernel, of numpy arrays."""
+    strategy = parse_strategy(strategy)
+    shape = shape or occupied.shape
+    static = Setup(
+        strategy.policy._replace(params=()),
+        0,
+        window_of(lidar, cell_m) if window is None else window,
+        lidar.sigma_m > 0 or lidar.dropout > 0,
+        CAPACITY,
+    )
+    return jax.tree.map(
+        np.asarray,
+        compiled(
+            static,
+            jax.random.key(seed),
+            jnp.int32(scans_all_round(lidar.fov_deg)),
+            jax.device_put(truth_of(occupied, rooms, shape)),
+            jax.device_put(beams_of(lidar, cell_m, shape[1], beams_as)),
+            numbers_of(strategy, lidar, rules, cell_m, kernels),
+            jnp.asarray([start[0], start[1], start[2] // 45], jnp.int32),
+        ),
+    )
+
+
+# ---------------------------------------------------------------- by the oracle
+
+
+@jax.jit
+def _candidate(key, number, n):
+    return jax.random.randint(jax.random.fold_in(key, number), (), 0, n)
+
+
+def choice_of(seed):
+    """The simulator's `choose`: the draws of `random` among the simulator's own candidates."""
+    key = jax.random.fold_in(jax.random.key(seed), Stream.POLICY)
+    return lambda candidates, costs, number: candidates[int(_candidate(key, number, len(candidates)))]
+
+
+@jax.jit
+def _reading(key, number, walled, row, col, heading, beams, extent, sigma_cells, dropout):
+    key, where = jax.random.fold_in(key, number), (row, col, heading)
+    seen = scan(walled, *where, beams)
+    return disturb(key, seen, *where, beams, extent, sigma_cells=sigma_cells, dropout=dropout)
+
+
+def readings_of(occupied, lidar, *, cell_m, shape, seed, beams_as=None):
+    """The simulator's `sense`: the kernel's own noisy scans, of the same stream, as beams of the simulator."""
+    beams = beams_of(lidar, cell_m, shape[1], beams_as)
+    grow = [(0, full - n) for full, n in zip(shape, occupied.shape)]
+    walled, beams_there = jax.device_put((np.pad(occupied, grow, constant_values=True), beams))
+    key, extent = jax.random.fold_in(jax.random.key(seed), Stream.SENSOR), jnp.asarray(occupied.shape)
+    noise = np.float32(lidar.sigma_m / cell_m), np.float32(lidar.dropout)
+    count = iter(range(CAPACITY))
+
+    def sense(row, col, heading_deg):
+        k = heading_deg // 45
+        seen = _reading(key, next(count), walled, row, col, k, beams_there, extent, *noise)
+        lines = []
+        for b, (end, hit) in enumerate(zip(*(np.asarray(a)[: lidar.n_beams].tolist() for a in (seen.end, seen.hit)))):
+            drow, dcol = (a[k, : end + 1, b].tolist() for a in (beams.drow, beams.dcol))
+            cells = [(row + r, col + c) for r, c in zip(drow, dcol)]
+            lines.append((cells[:end], cells[end] if hit else None))
+        return lines
+
+    return sense
+
+
+def replay(occupied, start, strategy, lidar, rules, *, cell_m, rooms=None, choose=None, sense=None):
+    """The simulator's `Result`."""
+    return simulator.simulate(
+        occupied,
+        *start,
+        recheck="recheck" in strategy,
+        choose=choose,
+        cell_m=cell_m,
+        n_beams=lidar.n_beams,
+        fov_deg=lidar.fov_deg,
+        range_m=lidar.range_m,
+        clearance_m=rules.clearance_m,
+        near_m=rules.near_m,
+        p_free=rules.p_free,
+        max_steps=rules.max_steps,
+        max_plans=rules.max_plans,
+        rooms=rooms,
+        look_around=rules.look_around,
+        sense=sense,
+    )
+
+
+# ---------------------------------------------------------------- beside each other
+
+
+def _first_difference(got, want):
+    """Where two lists or arrays differ first, as text; empty if they are equal."""
+    got, want = (a.tolist() if isinstance(a, np.ndarray) else a for a in (got, want))
+    if isinstance(got, list) and isinstance(want, list):
+        for i, (a, b) in enumerate(zip(got, want)):
+            if a != b:
+                return f"[{i}]{_first_difference(a, b)}"
+        return "" if len(got) == len(want) else f" has {len(got)} entries, expected {len(want)}"
+    return "" if got == want else f" {got}, expected {want}"
+
+
+def differences(result, state, want, *, cell_m, rooms=None):
+    """Everything that the kernel and the simulator measure and that differs: one text for each; none if all is equal.
+
+    Args:
+      result, state: what `play` gave.
+      want: what `replay` gave.
+      cell_m: edge of a cell, metres.
+      rooms: as both of them were given.
+    """
+    height, width = want.hits.shape
+    final = decode(kept(state), result, want.hits.shape)
+    known = want.hits + want.misses > 0
+    last_known = dict(want.known_after_scan)  # by the number of steps made: the last scan made there counts
+    lengths = (result.straight_at + math.sqrt(2) * result.diagonal_at) * cell_m
+    outside = np.ones(state.shape, bool)
+    outside[:height, :width] = False
+    pairs = {
+        "outcome": (Outcome(int(result.outcome)).name, want.outcome),
+        **{name: (int(getattr(result, name)), getattr(want, name)) for name in COUNTS},
+        "visited": (list(zip(final.rows.tolist(), final.cols.tolist())), want.visited),
+        "hits": (state.belief.grid.hits[:height, :width], want.hits),
+        "misses": (state.belief.grid.misses[:height, :width], want.misses),
+        "counts in padding": (int((state.belief.grid.hits + state.belief.grid.misses)[outside].sum()), 0),
+        "known": (int(result.known), int(known.sum())),
+        "known after a step": (final.known.tolist(), [last_known.get(i, 0) for i in range(want.steps + 1)]),
+        "target": ([plan.target for plan in final.plans or ()], [plan.target for plan in want.log]),
+        "motions": (sum(len(plan.motions) for plan in final.plans or ()), want.steps + want.refused),
+        "believed pose": (
+            [int(v) for v in (state.belief.row, state.belief.col, state.belief.heading)],
+            [int(v) for v in (state.row, state.col, state.heading)],
+        ),
+        "explored": (int(result.explored) / max(int(result.explorable), 1), want.explored_fraction),
+        "path_m_at": (lengths, list(want.path_m_at_any_scan.values())),
+        "saturated": (int(result.saturated), 0),
+    }
+    if rooms is not None:
+        pairs["room_entries"] = int(result.room_entries), want.room_entries
+    return [name + text for name, (got, expected) in pairs.items() if (text := _first_difference(got, expected))]
+
+
+def assert_equal_episodes(result, state, want, *, cell_m, rooms=None):
+    """Nothing that both of them measure differs."""
+    assert differences(result, state, want, cell_m=cell_m, rooms=rooms) == []

@@ -1,0 +1,83 @@
+"""Random episodes by the engine and by the oracle; `benchmarks/fuzz.py` plays any number of them."""
+
+import dataclasses
+
+import jax
+import numpy as np
+import pytest
+from ref import episodes, fuzz
+
+from jexplore.grid import in_cells, radius_d2
+from jexplore.raycast import n_steps
+
+SEED = 1
+CASES = 40
+
+
+@pytest.mark.jit
+@pytest.mark.parametrize("number", range(CASES))
+def test_an_episode_is_the_oracles(number):
+    assert fuzz.compare(fuzz.draw_case(SEED, number, fuzz.FEW)).differences == []
+
+
+def test_a_number_stands_for_one_case():
+    for number in range(len(fuzz.MANY)):
+        one, other = (dataclasses.astuple(fuzz.draw_case(SEED, number)) for _ in range(2))
+        jax.tree.map(np.testing.assert_array_equal, one, other)
+
+
+def test_cases_fit_their_programs():
+    """What is drawn is what the program was compiled for, and every kind of case is drawn."""
+    kinds, nothing = set(), fuzz.Verdict([], "", 0, 0, 0)
+    for number in range(20 * len(fuzz.MANY)):
+        case = fuzz.draw_case(SEED, number)
+        fixed, (height, width) = case.fixed, case.occupied.shape
+        assert 3 <= height <= fixed.shape[0]
+        assert 3 <= width <= fixed.shape[1]
+        ring = np.ones((height, width), bool)
+        ring[1:-1, 1:-1] = False
+        assert case.occupied[ring].all()
+        assert radius_d2(case.rules.clearance_m, case.cell_m) == fixed.clearance_d2
+        assert case.rules.clearance_m <= 0.6
+        assert 0.05 <= case.cell_m <= 0.3
+        assert episodes.window_of(case.lidar, case.cell_m) <= fixed.window
+        assert n_steps(in_cells(case.lidar.range_m, case.cell_m)) <= fixed.beams_as[0]
+        assert case.lidar.n_beams <= fixed.beams_as[1]
+        assert (case.lidar.sigma_m > 0 or case.lidar.dropout > 0) == fixed.noisy
+        kinds |= {kind for kind in fuzz.kinds_of(case, nothing) if not kind.startswith("outcome")}
+    assert len(kinds) == 13 + 5 + 4
+
+
+@pytest.mark.jit
+def test_whatever_differs_is_told():
+    """One number of what the oracle measured is changed at a time."""
+    case = next(
+        case
+        for case in (fuzz.draw_case(SEED, number, fuzz.FEW[:1]) for number in range(100))
+        if case.rooms is not None and case.occupied.size < 1500 and fuzz.compare(case).steps > 20
+    )
+    episode, world = (case.start, case.strategy, case.lidar, case.rules), {"cell_m": case.cell_m, "rooms": case.rooms}
+    played = episodes.play(
+        case.occupied, *episode, **world, shape=case.fixed.shape, window=case.fixed.window, beams_as=case.fixed.beams_as
+    )
+    want = episodes.replay(case.occupied, *episode, **world)
+    assert episodes.differences(*played, want, **world) == []
+    counts = np.zeros_like(want.hits)
+    counts[tuple(np.argwhere(want.hits > 0)[-1])] = 1
+    changes = {
+        **{name: getattr(want, name) + 1 for name in (*episodes.COUNTS, "room_entries")},
+        "outcome": want.outcome.lower(),
+        "visited": [*want.visited[:-1], (0, 0)],
+        "hits": want.hits + counts,
+        "misses": want.misses + counts,
+        "known_after_scan": [(step, known + 1) for step, known in want.known_after_scan],
+        "log": [dataclasses.replace(plan, target=(0, 0)) for plan in want.log],
+        "explored_fraction": want.explored_fraction + 1e-3,
+        "path_m_at_any_scan": {share: length + 0.01 for share, length in want.path_m_at_any_scan.items()},
+    }
+    told = {
+        name: episodes.differences(*played, dataclasses.replace(want, **{name: value}), **world)
+        for name, value in changes.items()
+    }
+    assert [name for name, differences in told.items() if not differences] == []
+    assert told["refused"][0] == f"refused {want.refused}, expected {want.refused + 1}"
