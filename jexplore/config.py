@@ -103,9 +103,10 @@ class Rules:
     near_m: float = 0.50
     """Free cells within this distance of the robot are traversable even where they are not clear, metres."""
     p_free: float = 0.25
-    """A known cell is free if its reflection probability is at most this, else occupied."""
+    """A known cell is free if its reflection probability is at most this, in float32, else occupied."""
     look_around: bool = True
-    """Whether arriving at a live target turns the robot in place, with scans at +90, +180 and +270 degrees."""
+    """Whether arriving at a live target turns the robot in place, with scans at +90, +180 and +270 degrees; at every 45
+    where the field of view is below 90 degrees."""
     max_steps: int | None = None
     """Steps after which an episode ends as STEP_LIMIT. Default: the larger of 20000 and the number of cells."""
     max_plans: int | None = None

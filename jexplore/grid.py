@@ -55,13 +55,13 @@ def is_known(grid: Grid) -> Array:
 
 
 def is_free(grid: Grid, p_free: Array | float) -> Array:
-    """Known cells whose reflection probability is at most `p_free` (a number or a scalar): `[H, W]` bool."""
+    """Known cells whose reflection probability is at most `p_free` (number or scalar), in float32: `[H, W]` bool."""
     n = grid.hits + grid.misses
     return (n > 0) & (grid.hits.astype(jnp.float32) <= p_free * n.astype(jnp.float32))
 
 
 def is_occupied(grid: Grid, p_free: Array | float) -> Array:
-    """Known cells whose reflection probability is above `p_free`: `[H, W]` bool."""
+    """Known cells whose reflection probability is above `p_free`, in float32: `[H, W]` bool."""
     n = grid.hits + grid.misses
     return (n > 0) & (grid.hits.astype(jnp.float32) > p_free * n.astype(jnp.float32))
 

@@ -44,7 +44,8 @@ def sense(occupied, row, col, heading, lidar, cell_m=1.0):
 def expected(occupied, row, col, heading, lidar, cell_m=1.0):
     """The same by the oracle."""
     hits, misses = np.zeros(occupied.shape, int), np.zeros(occupied.shape, int)
-    beams = oracle.scan(occupied, row, col, 45 * heading, lidar.n_beams, lidar.fov_deg, lidar.range_m / cell_m)
+    reach = oracle.in_cells(lidar.range_m, cell_m)
+    beams = oracle.scan(occupied, row, col, 45 * heading, lidar.n_beams, lidar.fov_deg, reach)
     oracle.fold(hits, misses, row, col, beams)
     return hits, misses
 
