@@ -20,6 +20,7 @@ from jexplore.studies.league import (
     standings,
     standings_table,
 )
+from jexplore.worlds import load_world
 
 ENDED = {"outcome": "COMPLETE", "explored_fraction": 1.0}
 
@@ -65,20 +66,26 @@ def test_an_episode_that_saw_less_than_others_did_is_no_short_one():
     table = episodes(paths)
     short = (table["strategy"] == "b").to_numpy()
     table.loc[short, ["path_m", "outcome", "explored_fraction"]] = [1.0, "STEP_LIMIT", 0.3]
-    blocked = (table["strategy"] == "c").to_numpy()  # from there nobody sees more
-    table.loc[blocked, ["path_m", "outcome", "explored_fraction"]] = [9.0, "BLOCKED", 0.995]
+    cut = (table["strategy"] == "c").to_numpy()  # hardly anything was left to see, but it takes long
+    table.loc[cut, ["path_m", "outcome", "explored_fraction"]] = [9.0, "STEP_LIMIT", 0.995]
     found = standings(table).set_index("strategy")
-    assert list(found.index) == ["c", "a", "b"]
-    assert found["rank"].tolist() == [1, 2, 3]
-    assert found["failed"].tolist() == [0, 0, 1]
-    assert found["complete"].tolist() == [0, 1, 0]
-    assert math.isnan(found.loc["b", "ratio"])
-    assert (found.loc["b", "worlds"], found.loc["b", "best"]) == (0, 0)
+    assert list(found.index) == ["a", "b", "c"]
+    assert found["rank"].tolist() == [1, 2.5, 2.5]
+    assert found["failed"].tolist() == [0, 1, 1]
+    assert found["complete"].tolist() == [1, 0, 0]
+    assert found["ratio"].isna().tolist() == [False, True, True]
+    assert found[["worlds", "paired", "best"]].to_numpy().tolist() == [[4, 4, 4], [4, 0, 0], [4, 0, 0]]
+    # Where nobody sees all, those that see as much as anybody have not failed.
+    table.loc[(table["strategy"] == "a").to_numpy(), ["outcome", "explored_fraction"]] = ["BLOCKED", 1.0]
+    found = standings(table).set_index("strategy")
+    assert found["failed"].to_dict() == {"a": 0, "b": 1, "c": 0}
     assert found.loc["c", "ratio"] < 1
+    assert list(found.index) == ["c", "a", "b"]
     # From half of the starts only: the ratio is over the others.
+    table.loc[(table["strategy"] == "a").to_numpy(), "outcome"] = "COMPLETE"
     table.loc[short & (table["episode"] == 0), ["path_m", "outcome", "explored_fraction"]] = [20.0, "COMPLETE", 1.0]
     half = standings(table).set_index("strategy").loc["b"]
-    assert half["failed"] == 0.5
+    assert (half["failed"], half["paired"]) == (0.5, 4)
     assert half["ratio"] == pytest.approx(np.prod([20 / (10 + i) for i in range(4)]) ** 0.25)
 
 
@@ -90,6 +97,14 @@ def test_worlds_without_a_ratio_and_tables_without_a_row():
     nothing = standings(table.iloc[:0])
     assert len(nothing) == 0
     assert standings_table(nothing).count("\n") == 2
+
+
+def test_an_interval_of_ranks_ends_at_the_first_and_the_last():
+    paths = {(f"cave#{i}", s): [p] for i in range(2) for s, p in (("a", 1.0 + i), ("b", 2.5 - i), ("c", 9.0))}
+    table = standings(episodes(paths)).set_index("strategy")
+    assert table.loc["a", ["rank", "rank_low", "rank_high"]].tolist() == [1.5, 1, 3]
+    assert table.loc["c", "rank"] == 3
+    assert math.isnan(table.loc["c", "rank_low"])
 
 
 def test_strata():
@@ -143,7 +158,7 @@ def test_starts_that_only_one_has_do_not_count():
 def test_worlds_that_were_seen_from_the_start_do_not_count():
     paths = {("v", "a"): [0.0], ("v", "b"): [1.0], ("w", "a"): [10.0], ("w", "b"): [20.0]}
     table = standings(episodes(paths)).set_index("strategy")
-    assert (table.loc["b", "worlds"], table.loc["b", "ratio"]) == (1, pytest.approx(2))
+    assert (table.loc["b", "worlds"], table.loc["b", "paired"], table.loc["b", "ratio"]) == (2, 1, pytest.approx(2))
     nothing = standings(episodes({("v", "a"): [0.0], ("v", "b"): [0.0]}))
     assert nothing["ratio"].isna().all()
     assert "- " in standings_table(nothing)
@@ -186,6 +201,10 @@ def test_the_interval_holds_the_ratio_and_does_not_depend_on_the_order_of_worlds
         ("rooms#2:furniture=1", "furnished"),
         ("rooms:width_m=9,furniture=0.5,x=1", "furnished"),
         ("rooms#2:furniture=0", "rooms"),
+        ("rooms:furniture=0.0,x=1", "rooms"),
+        ("mine", "maps"),
+        ("C:\\maps\\a.png", "maps"),
+        ("rooms:furniture=1e-3", "furnished"),
     ],
 )
 def test_kinds(world, kind):
@@ -195,6 +214,9 @@ def test_kinds(world, kind):
 def test_the_league_has_eight_worlds_of_six_kinds_and_strategies_that_parse():
     worlds = league_worlds()
     assert len(set(worlds)) == 48
+    assert league_worlds(0.25) == worlds[:40]
+    for name in worlds[-3:]:
+        load_world(name, 0.2)
     kinds = [kind_of(w) for w in worlds]
     assert {kind: kinds.count(kind) for kind in kinds} == dict.fromkeys(
         ("cave", "office", "hospital", "maze", "rooms", "furnished"), 8

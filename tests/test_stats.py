@@ -91,11 +91,12 @@ def test_p_is_below_five_per_cent_just_where_the_interval_leaves_out_one():
     assert sides == {True, False}
 
 
-def test_interval_of_a_mean_is_that_of_a_ratio_to_one():
-    values = np.array([1.0] * 15 + [2.0] * 4 + [9.0])
+@pytest.mark.parametrize("unit", [1.0, 0.1, 1000.0])
+def test_interval_of_a_mean_by_hand_and_in_any_unit(unit):
+    values = np.array([1.0] * 15 + [2.0] * 4 + [9.0]) * unit
     low, high = stats.mean_interval(values)
     error = values.std(ddof=1) / values.mean() / math.sqrt(20)
-    t = scipy_stats.t(19 if (values != 1).all() else 20 - 15).ppf(0.975)
+    t = scipy_stats.t(19).ppf(0.975)
     assert (low, high) == pytest.approx((values.mean() * math.exp(-t * error), values.mean() * math.exp(t * error)))
     assert high - values.mean() > values.mean() - low > 0
 
@@ -378,6 +379,11 @@ def test_complete_pairs_count_only_where_equally_explored():
     (line,) = stats.warnings_of(both([10.0, 20.0, 30.0], [30.0, 20.0, 30.0], explored_fraction=[0.9, 1.0, 1.0]))
     assert line.startswith("office#1: random against closest: explored fractions differ by more than 0.01 in 1 of 3")
     assert line.endswith("at path_m_at_95, 1.000 over 2 pairs")
+
+
+def test_a_reference_that_did_not_move_has_no_ratio():
+    (line,) = stats.warnings_of(both([0.0, 0.0], [1.0, 2.0], explored_fraction=[0.2, 0.3], start_col=4))[:1]
+    assert "path ratio none, for the reference did not move; " in line
 
 
 def test_unequal_coverage_without_a_comparable_pair():

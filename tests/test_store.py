@@ -369,6 +369,68 @@ def test_an_interruption_while_files_are_moved_undoes_all_of_it(tmp_path, monkey
     assert "run.json" not in made[1 : min(moves, 5)]
 
 
+@pytest.mark.parametrize("error", [KeyboardInterrupt, OSError(5, "Input/output error")])
+def test_an_old_run_that_cannot_be_moved_back_is_not_lost(tmp_path, monkeypatch, error):
+    """From the fifth move on nothing can be moved any more: what is left of the old run is where the message says."""
+    for name in ("run.json", "episodes.parquet", "paths.png"):
+        (tmp_path / name).write_text("old")
+    real, made = os.replace, []
+
+    def replace(source, target):
+        made.append(target)
+        if len(made) == 5:
+            raise error
+        if len(made) > 5:
+            raise OSError(5, "Input/output error")
+        real(source, target)
+
+    monkeypatch.setattr(os, "replace", replace)
+    names = ("run.json", "compare.png", "episodes.parquet")
+    writers = dict.fromkeys(names, lambda path: path.write_text("new"))
+    with pytest.raises(InputError, match=r"could not be replaced; its files are in .*old$") as caught:
+        store.write_run(tmp_path, writers, overwrite=True)
+    kept = Path(str(caught.value).rpartition(" ")[2])
+    assert {path.name: path.read_text() for path in kept.iterdir()} == dict.fromkeys(
+        ("run.json", "episodes.parquet", "paths.png"), "old"
+    )
+
+
+def test_a_second_interruption_does_not_stop_the_way_back(tmp_path, monkeypatch):
+    for name in ("run.json", "episodes.parquet"):
+        (tmp_path / name).write_text("old")
+    real, made = os.replace, []
+
+    def replace(source, target):
+        made.append(target)
+        if len(made) >= 3 and len(made) % 2:
+            raise KeyboardInterrupt
+        real(source, target)
+
+    monkeypatch.setattr(os, "replace", replace)
+    writers = dict.fromkeys(("run.json", "compare.png"), lambda path: path.write_text("new"))
+    with pytest.raises(KeyboardInterrupt):
+        store.write_run(tmp_path, writers, overwrite=True)
+    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {
+        "run.json": "old",
+        "episodes.parquet": "old",
+    }
+
+
+def test_two_that_write_into_one_folder_leave_one_whole_run(tmp_path):
+    """Each overwrites what the other has written, again and again; in the end everything is of one of them."""
+    code = """
+import sys
+from jexplore.report import store
+for i in range(15):
+    writers = {name: (lambda path: path.write_text(f"{sys.argv[1]} {i}")) for name in ("run.json", "episodes.parquet")}
+    store.write_run(sys.argv[2], writers, overwrite=True)
+"""
+    many = [subprocess.Popen([sys.executable, "-c", code, str(k), str(tmp_path)]) for k in range(2)]
+    assert [process.wait(timeout=120) for process in many] == [0, 0]
+    assert files(tmp_path) == ["episodes.parquet", "run.json"]
+    assert (tmp_path / "run.json").read_text() == (tmp_path / "episodes.parquet").read_text()
+
+
 def test_a_run_on_a_full_disk_is_one_line(tmp_path):
     def fails(path):
         raise OSError(28, "No space left on device")

@@ -46,8 +46,9 @@ class Compare:
     start: Literal["random", "world"] = "random"
     """Starts drawn from the seed, or every world's own start for all episodes."""
     league: bool = False
-    """Every strategy in 48 worlds of six kinds, unless --worlds and --strategies say otherwise: prints who ranks where
-    over all worlds, and what a plan costs, and writes league.png instead of the pictures of single worlds."""
+    """Every strategy in 48 worlds of six kinds (in cells over 0.2 m: 40 of five), unless --worlds and --strategies say
+    otherwise: prints who ranks where over all worlds, and what a plan costs, and writes league.png instead of the
+    pictures of single worlds."""
     engine: EngineName = "auto"
     """How episodes run: one after the other on each core, or many in lockstep, as suits a GPU. The results are equal.
     By default what suits the machine."""
@@ -66,7 +67,9 @@ class Compare:
         from jexplore.studies.league import LEAGUE_STRATEGIES, league_worlds
 
         out = Out(self, "compare")
-        worlds, strategies = (league_worlds(), LEAGUE_STRATEGIES) if self.league else (default_worlds(), STRATEGIES)
+        worlds, strategies = (
+            (league_worlds(self.cell_m), LEAGUE_STRATEGIES) if self.league else (default_worlds(), STRATEGIES)
+        )
         worlds = worlds if self.worlds is None else self.worlds
         strategies = strategies if self.strategies is None else self.strategies
         self = dataclasses.replace(self, worlds=worlds, strategies=strategies)

@@ -67,7 +67,7 @@ def finish(setup: Setup, given: Given, state: State) -> Result:
     jump = jnp.abs(cell[1:] - cell[:-1])
     is_diagonal = (jump != 1) & (jump != shape[1])
     n_diagonal = jnp.concatenate([jnp.zeros(1, jnp.int32), jnp.cumsum(is_diagonal, dtype=jnp.int32)])
-    reached = marks <= state.known
+    reached = (marks > 0) & (marks <= state.known)
     diagonal_at = n_diagonal[at]
     return Result(
         straight=state.straight,

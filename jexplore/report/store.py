@@ -37,6 +37,8 @@ OUR_FILES = (
 )
 """Names that a run writes into its folder: their presence marks it as taken, and only they are ever replaced."""
 
+OLD = "old"  # folder for the files of a run that is being replaced
+
 _PACKAGES = ("jax", "jaxlib", "numpy", "scipy", "flax", "chex", "pandas", "pyarrow", "matplotlib", "pillow")
 
 
@@ -235,7 +237,8 @@ def _staged(folder, writers):
     except OSError as error:
         raise InputError(f"{str(folder)!r} must be a folder that can be written: {_reason(error)}") from error
     finally:
-        shutil.rmtree(stage, ignore_errors=True)
+        if not (stage / OLD).is_dir() or not any((stage / OLD).iterdir()):  # else what is there is there only
+            shutil.rmtree(stage, ignore_errors=True)
 
 
 @contextlib.contextmanager
@@ -260,7 +263,7 @@ def _exchange(stage, folder, taken, names):
 
     If it is interrupted, everything is moved back.
     """
-    old = stage / "old"
+    old = stage / OLD
     old.mkdir()
     late = sorted(names, key=lambda name: name == "run.json")
     early = sorted((file.name for file in taken), key=lambda name: name != "run.json")
@@ -269,14 +272,28 @@ def _exchange(stage, folder, taken, names):
             os.replace(folder / name, old / name)
         for name in late:
             os.replace(stage / name, folder / name)
-    except BaseException:  # Ctrl-C too
-        for name in late:
-            if not (stage / name).exists():
-                (folder / name).unlink(missing_ok=True)
+    except BaseException as error:  # Ctrl-C too
         for name in reversed(early):
             if (old / name).exists():
-                os.replace(old / name, folder / name)
+                _done(os.replace, old / name, folder / name)
+        for name in late:
+            if name not in early and not (stage / name).exists():
+                _done(os.unlink, folder / name)
+        if any(old.iterdir()):
+            raise InputError(f"the run in {folder} could not be replaced; its files are in {old}") from error
         raise
+    os.replace(old, stage / "replaced")  # which goes with the stage
+
+
+def _done(act, *paths):
+    """Does what must be done, whatever Ctrl-C says; what cannot be done is left."""
+    while True:
+        try:
+            return act(*paths)
+        except KeyboardInterrupt:
+            continue
+        except OSError:
+            return None
 
 
 def write_run(
@@ -297,7 +314,8 @@ def write_run(
       `Path` of the folder.
 
     Raises:
-      InputError: as `check_out`, or a file cannot be written.
+      InputError: as `check_out`, or a file cannot be written; or files of the old run could be moved neither forth nor
+        back: says where they are.
     """
     _, made = _writable(path, overwrite, OUR_FILES)
     path = Path(path)

@@ -117,8 +117,9 @@ def geometry(world: World, *, clearance_m: float = 0.30) -> Geometry:
     walls, known = world.occupied & ~islands, world.rooms is not None
     labels, joined, at = _known_rooms(free, world.rooms) if known else _found_rooms(walls, cell_m)
     widths = _widths(world.occupied if known else walls, at) * cell_m
-    area = np.bincount(labels[free & (labels >= 0)], minlength=labels.max(initial=-1) + 1) * cell_m**2
-    doors = np.bincount(np.array([room for rooms in joined for room in rooms], int), minlength=len(area))
+    area = np.bincount(labels[free & (labels >= 0)]) * cell_m**2
+    doors = np.bincount(np.array([room for rooms in joined for room in rooms], int), minlength=len(area))[area > 0]
+    area = area[area > 0]  # numbers may be left out
     corridor = _corridor_widths(walls, cell_m)
     furniture = lengths[lengths <= WALL_M]
     clear = label_components(clear_cells(world.occupied, clearance_m, cell_m))
@@ -190,7 +191,7 @@ def _obstacles(occupied, cell_m):
 
 def _known_rooms(free, rooms):
     """`(labels, joined, at)` of a world that knows its rooms: see `_found_rooms`."""
-    labels: Any = np.where(free, rooms, -1)
+    labels: Any = np.where(free, np.asarray(rooms, np.int32), -1)
     beside = np.zeros(free.shape, bool)  # cells of a room beside one of another
     for axis in (0, 1):
         low, high = (np.moveaxis(a, axis, 0) for a in (labels, beside))

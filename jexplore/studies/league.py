@@ -10,6 +10,8 @@ from numpy.typing import ArrayLike
 
 from jexplore.report.tables import aligned_table, interval_text, number_text, p_text, ratio_text
 from jexplore.studies.stats import t_interval
+from jexplore.worlds import GENERATORS
+from jexplore.worlds.generators.variants import FURNISHED_CELL_M
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -23,7 +25,7 @@ FURNISHED = (
 )
 """Furnished buildings, in numbers like real ones (`jexplore worlds --geometry`); the braces are for a seed."""
 STANDINGS = (
-    *("strategy", "worlds", "ratio", "ratio_low", "ratio_high", "p", "rank", "rank_low", "rank_high"),
+    *("strategy", "worlds", "paired", "ratio", "ratio_low", "ratio_high", "p", "rank", "rank_low", "rank_high"),
     *("best", "complete", "failed"),
 )
 """Columns of a table of standings, before those of single kinds of worlds."""
@@ -38,20 +40,22 @@ LEAGUE_STRATEGIES = (
 """Every strategy, with re-checking except where its source has none; the first is what the others are compared with."""
 
 
-def league_worlds() -> tuple[str, ...]:
-    """Names of the league's worlds, 8 of each kind: those of the generators, and furnished buildings."""
+def league_worlds(cell_m: float = 0.1) -> tuple[str, ...]:
+    """Names of the league's worlds, 8 of each kind: those of the generators, and, in cells up to `FURNISHED_CELL_M`,
+    furnished buildings.
+    """
     plain = [f"{kind}#{seed}" for kind in LEAGUE_KINDS for seed in range(LEAGUE_SEEDS)]
     furnished = [FURNISHED[seed % len(FURNISHED)].format(seed) for seed in range(LEAGUE_SEEDS)]
-    return (*plain, *furnished)
+    return (*plain, *furnished) if cell_m <= FURNISHED_CELL_M else tuple(plain)
 
 
 def kind_of(world: object) -> str:
-    """The generator of a world's name; `furnished` if it has furniture; `maps` for a file."""
+    """The generator of a world's name, `furnished` if it has furniture; `maps` for a file or a world of one's own."""
     match = re.match(r"([A-Za-z_][\w-]*)(#\d+)?(:.*)?$", str(world))
-    if match is None:
+    if match is None or match[1] not in GENERATORS:
         return "maps"
-    furniture = re.search(r"[:,]furniture=([^,]+)", match[3] or "")
-    return "furnished" if furniture and float(furniture[1]) > 0 else match[1]
+    furnished = re.search(r"[:,]furniture=(?!0*\.?0*(,|$))", match[3] or "")
+    return "furnished" if furnished else match[1]
 
 
 def mean_over_worlds(values: ArrayLike, kinds: Sequence[str]) -> tuple[float, float, float, float]:
@@ -104,8 +108,9 @@ def _table_of(episodes, value, strategies):
 def standings(episodes: "pd.DataFrame") -> "pd.DataFrame":
     """One row a strategy, the best ranks first.
 
-    An episode that is not COMPLETE and has explored less than another strategy from the same start, by more than 0.01
-    of what can be explored, has failed: its path is no short one. It ranks behind all that have not.
+    An episode that is not COMPLETE has failed if another from the same start is, or, where none is, if it has explored
+    less than another, by more than 0.01 of what can be explored: its path is no short one. It ranks behind all that
+    have not failed.
 
     Ranks are by path from each start, averaged over starts, then worlds; equal paths share the mean of their ranks. The
     ratio is, in every world, the mean path over that of the first strategy of the table, over the starts from which
@@ -118,9 +123,10 @@ def standings(episodes: "pd.DataFrame") -> "pd.DataFrame":
       episodes: the table of episodes of a comparison, a pandas DataFrame.
 
     Returns:
-      A DataFrame: `strategy`; `worlds`, in which there is a ratio; `ratio`, `ratio_low`, `ratio_high`, `p`; `rank`,
-        `rank_low`, `rank_high`; `best`, worlds in which its mean path is no longer than any other's; `complete`, share
-        of its episodes that ended COMPLETE; `failed`, share that failed; and `ratio of K` for every kind of world K.
+      A DataFrame: `strategy`; `worlds`, in which all ran; `paired`, worlds in which there is a ratio; `ratio`,
+        `ratio_low`, `ratio_high`, `p`; `rank`, `rank_low`, `rank_high`; `best`, worlds in which its mean path is no
+        longer than any other's; `complete`, share of its episodes that ended COMPLETE; `failed`, share that failed; and
+        `ratio of K` for every kind of world K.
     """
     import pandas as pd
 
@@ -128,7 +134,8 @@ def standings(episodes: "pd.DataFrame") -> "pd.DataFrame":
     paths = _table_of(episodes, "path_m", strategies)
     explored, outcome = (_table_of(episodes, name, strategies) for name in ("explored_fraction", "outcome"))
     order = list(dict.fromkeys(episodes["world"]))
-    failed = (outcome != "COMPLETE") & explored.lt(explored.max(axis=1) - TOLERANCE, axis=0)
+    complete, less = outcome == "COMPLETE", explored.lt(explored.max(axis=1) - TOLERANCE, axis=0)
+    failed = ~complete & (less | complete.any(axis=1).to_numpy(bool)[:, None])
     ranks = paths.mask(failed, np.inf).rank(axis=1).groupby(level="world").mean().reindex(order).dropna()
     means = paths.mask(failed, np.inf).groupby(level="world").mean().reindex(order).dropna()
     rows = []
@@ -139,9 +146,10 @@ def standings(episodes: "pd.DataFrame") -> "pd.DataFrame":
         both = both[(both > 0).all(axis=1)]
         logs, kinds = np.log((both["own"] / both[strategies[0]]).to_numpy()), [kind_of(world) for world in both.index]
         log_ratio, low, high, p = mean_over_worlds(logs, kinds)
-        rank, rank_low, rank_high, _ = mean_over_worlds(ranks[name], [kind_of(world) for world in ranks.index])
+        rank, *ends, _ = mean_over_worlds(ranks[name], [kind_of(world) for world in ranks.index])
+        rank_low, rank_high = (min(max(end, 1.0), len(strategies)) for end in ends)  # NaN stays
         best = int((np.isfinite(means[name]) & (means[name] <= means.min(axis=1))).sum())
-        row = {"strategy": name, "worlds": len(both)}
+        row = {"strategy": name, "worlds": len(ranks), "paired": len(both)}
         row |= {"ratio": math.exp(log_ratio), "ratio_low": math.exp(low), "ratio_high": math.exp(high), "p": p}
         row |= {"rank": rank, "rank_low": rank_low, "rank_high": rank_high, "best": best}
         row |= {
@@ -171,14 +179,18 @@ def standings_table(table: "pd.DataFrame", plan_ms: Mapping[str, float] | None =
       plan_ms: `{strategy: milliseconds a plan}`, or None.
     """
     kinds = [name for name in table.columns if name.startswith("ratio of ")]
-    kinds, n_worlds = kinds if len(kinds) > 1 else [], max(table["worlds"].tolist(), default=0)
+    kinds = kinds if len(kinds) > 1 else []
     head = ["strategy", "ratio to the reference", "p", "", "mean rank", "best in"]
     head += [*(k.removeprefix("ratio of ") for k in kinds), "COMPLETE"] + (["ms a plan"] if plan_ms else [])
     lines = []
     for row in table.to_dict("records"):
         rank = [number_text(row["rank"], 1), interval_text(row["rank_low"], row["rank_high"], 1)]
         line = [row["strategy"], ratio_text(row["ratio"], row["ratio_low"], row["ratio_high"]), p_text(row["p"])]
-        line += [_verdict(row), " ".join(part for part in rank if part != "-") or "-", f"{row['best']} of {n_worlds}"]
+        line += [
+            _verdict(row),
+            " ".join(part for part in rank if part != "-") or "-",
+            f"{row['best']} of {row['worlds']}",
+        ]
         line += [*(number_text(row[k], 3) for k in kinds), f"{row['complete']:.0%}"]
         lines.append(line + ([number_text(plan_ms.get(row["strategy"], math.nan), 2)] if plan_ms else []))
     return aligned_table(head, lines, left=["strategy", ""])

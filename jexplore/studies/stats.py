@@ -80,6 +80,17 @@ def t_interval(
     return estimate - half, estimate + half, 2 * float(stdtr(freedom, -abs(estimate) / standard_error))
 
 
+def _standard_error(relative):
+    """That of the mean of two or more numbers about 1; rounding is no spread."""
+    error = float(relative.std(ddof=1)) / math.sqrt(len(relative))
+    return error if error > 1e-12 else 0.0
+
+
+def _exp(value):
+    with np.errstate(over="ignore"):
+        return float(np.exp(value))
+
+
 def paired_ratio(values: ArrayLike, reference: ArrayLike, *, confidence: float = 0.95) -> PairedRatio:
     """Ratio R of the means of paired samples, with an interval and a test.
 
@@ -115,18 +126,16 @@ def paired_ratio(values: ArrayLike, reference: ArrayLike, *, confidence: float =
     ratio = float(mean / mean_reference) if mean_reference > 0 else math.nan
     error = freedom = 0.0
     if n > 1 and mean > 0 and mean_reference > 0:
-        apart = values / mean - reference / mean_reference
-        error = float(apart.std(ddof=1)) / math.sqrt(n)
-        error *= error > 1e-12  # rounding is no spread
+        error = _standard_error(values / mean - reference / mean_reference)
         equal = int((values == reference).sum())
         freedom = n - max(equal, 1)
     low, high, p = t_interval(math.log(ratio) if error else math.nan, error, freedom, confidence)
-    with np.errstate(over="ignore"):
-        return PairedRatio(ratio, float(np.exp(low)), float(np.exp(high)), p, n)
+    return PairedRatio(ratio, _exp(low), _exp(high), p, n)
 
 
 def mean_interval(values: ArrayLike, *, confidence: float = 0.95) -> tuple[float, float]:
-    """Interval of a mean: that of `paired_ratio` to a reference of ones. Never below 0; skewed as path lengths are.
+    """Interval of a mean, `mean exp(± t s)`: as in `paired_ratio`, with s the standard error of the logarithm of the
+    mean and n - 1 degrees of freedom. Never below 0; skewed as path lengths are.
 
     Args:
       values: `[N]` finite numbers from 0, N >= 1.
@@ -138,8 +147,11 @@ def mean_interval(values: ArrayLike, *, confidence: float = 0.95) -> tuple[float
     Raises:
       ValueError: as `paired_ratio`.
     """
-    found = paired_ratio(values, np.ones(np.shape(values)), confidence=confidence)
-    return found.low, found.high
+    values = np.sort(_vector(values, "values"))
+    mean, n = values.mean(), len(values)
+    error = _standard_error(values / mean) if n > 1 and mean > 0 else 0.0
+    low, high, _ = t_interval(math.log(mean) if error else math.nan, error, n - 1, confidence)
+    return _exp(low), _exp(high)
 
 
 def _groups(episodes):
@@ -270,6 +282,8 @@ def _ratio_text(values, reference, keep):
     if not keep.any():
         return "no pair to compare"
     found = paired_ratio(values[keep], reference[keep])
+    if not math.isfinite(found.ratio):
+        return "none, for the reference did not move"
     return f"{ratio_text(found.ratio, found.low, found.high)} over {found.n} pair{'s' if found.n > 1 else ''}"
 
 
@@ -328,9 +342,9 @@ def warnings_of(
 
     Warns where the outcomes of paired episodes differ, or their explored fractions by more than `tolerance`, or where
     strategies do not have the same episodes. Two ratios then stand beside that of the whole paths: that at equal
-    coverage (`path_at_equal_coverage`), over all pairs, where `progress` is given; and that over the pairs that are
-    COMPLETE on both sides with equal explored fractions, at the recorded `path_m_at_95`: pairs that are selected by how
-    they ended. Warns also where the episodes of a strategy are one episode repeated.
+    coverage (`path_at_equal_coverage`), where `progress` is given, over all pairs with a mark; and that over the pairs
+    that are COMPLETE on both sides with equal explored fractions, at the recorded `path_m_at_95`: pairs that are
+    selected by how they ended. Warns also where the episodes of a strategy are one episode repeated.
 
     Args:
       episodes: the table of episodes.

@@ -76,11 +76,14 @@ def checked(world: World) -> World:
       world: a `World`.
 
     Returns:
-      The same world `with_ring`, its elevation as float32.
+      The same world `with_ring`, its elevation as float32, its name as text.
 
     Raises:
       InputError: arrays of another shape or dtype than `World` says, sizes out of range, or no free cell.
     """
+    if not isinstance(world.name, (str, os.PathLike)):
+        raise InputError(f"the name of a world must be text, got {world.name!r}")
+    world = world.replace(name=os.fspath(world.name))
     name, occupied = world.name or "world", np.asarray(world.occupied)
     if occupied.ndim != 2 or occupied.dtype != bool or not occupied.size:
         raise InputError(f"{name!r}: occupied must be [H, W] bool, got {occupied.shape} {occupied.dtype}")
@@ -341,9 +344,9 @@ def start_cells(world: World, clearance_m: float) -> np.ndarray:
 
 def _words(name):
     """What a world's name adds to the seed of its starts: four 32-bit numbers."""
-    name = re.split(r"[/\\]", os.fspath(name))[-1]
+    name = re.split(r"[/\\]", name)[-1]
     name = re.sub(r"^([A-Za-z_][\w-]*)(?=:|$)", r"\1#0", name)
-    return np.frombuffer(hashlib.sha256(name.encode()).digest()[:16], "<u4").tolist()
+    return np.frombuffer(hashlib.sha256(os.fsencode(name)).digest()[:16], "<u4").tolist()
 
 
 def _draw(cells, name, seed, i):
