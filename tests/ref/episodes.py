@@ -12,6 +12,7 @@ from scipy import ndimage
 from jexplore.engine.program import Given
 from jexplore.engine.serial import run_one
 from jexplore.exploration.episode import program_of
+from jexplore.exploration.results import progress_m
 from jexplore.exploration.site import KERNELS
 from jexplore.exploration.state import Numbers, Outcome, Setup, Stream, Truth
 from jexplore.exploration.trail import decode, kept
@@ -236,6 +237,7 @@ def differences(result, state, want, *, cell_m, rooms=None):
     known = want.hits + want.misses > 0
     last_known = dict(want.known_after_scan)  # by the number of steps made: the last scan made there counts
     lengths = (result.straight_at + math.sqrt(2) * result.diagonal_at) * cell_m
+    along = progress_m(result, cell_m)
     outside = np.ones(state.shape, bool)
     outside[:height, :width] = False
     pairs = {
@@ -255,6 +257,7 @@ def differences(result, state, want, *, cell_m, rooms=None):
         ),
         "explored": (int(result.explored) / max(int(result.explorable), 1), want.explored_fraction),
         "path_m_at": (lengths, list(want.path_m_at_any_scan.values())),
+        "path_m_along": (*(np.nan_to_num(metres, nan=-1.0) for metres in (along, want.path_m_along)),),
         "saturated": (int(result.saturated), 0),
     }
     if rooms is not None:

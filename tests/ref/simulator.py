@@ -51,6 +51,7 @@ class Result:
     turning_rad: float = 0.0
     path_m_at: dict = dataclasses.field(default_factory=dict)  # per cent -> m, by `known_after_step`
     path_m_at_any_scan: dict = dataclasses.field(default_factory=dict)  # per cent -> m, by `known_after_scan`
+    path_m_along: list = dataclasses.field(default_factory=list)  # m at each per cent of `knowable`, NaN: never
     room_entries: int | None = None  # None without rooms
 
     @property
@@ -89,6 +90,13 @@ def goal_cells(occupied, start, clear_r2, near_r2):
     truly_clear = plans.clear(~occupied, occupied, clear_r2)
     passable = truly_clear | (~occupied & plans.disc(occupied.shape, *start, near_r2))
     return truly_clear & connected(passable, start)
+
+
+def knowable(inside):
+    """How many cells a perfect scanner can come to know: those inside, and the walls that it hits from there."""
+    cells = set(map(tuple, np.argwhere(inside).tolist()))
+    beside = {(r + dr, c + dc) for r, c in cells for dr, dc in ((0, 1), (1, 0), (0, -1), (-1, 0))}
+    return len(cells | beside)
 
 
 def count_room_entries(visited, rooms):
@@ -312,5 +320,9 @@ def measure(robot, start, cell_m, rooms):
     for share in SHARES:
         for series, out in ((by_step, result.path_m_at), (by_scan, result.path_m_at_any_scan)):
             out[share] = lengths_m[next(step for step, count in series if 100 * count >= share * final)]
+    whole = knowable(inside)
+    for share in range(1, 101):
+        steps = [step for step, count in result.known_after_scan if whole and 100 * count >= share * whole]
+        result.path_m_along.append(lengths_m[steps[0]] if steps else math.nan)
     if rooms is not None:
         result.room_entries = count_room_entries(result.visited, rooms)
