@@ -5,8 +5,8 @@
 The pairs are drawn, with replacement, from a large comparison, whose own ratio of means is the truth:
 
 - *strategies*: `closest+recheck` and `closest` from the same starts of the world;
-- *half identical*, *70 % identical*: the same, with so many of the pairs made equal, as strategies often drive the
-  very same path;
+- *half identical*, *70 %*, *90 % identical*: the same, with so many of the pairs made equal, as strategies often drive
+  the very same path;
 - *skewed*: the reference times a log-normal factor of standard deviation 0.6.
 
 A sample without an interval (pairs that are all equal) counts as not covered; how many had none stands in brackets.
@@ -29,7 +29,7 @@ def populations(values, reference, rng):
     n = len(values)
     factor = np.exp(rng.normal(0.0, 0.6, n))
     found = {"strategies": (values, reference)}
-    for name, share in (("half identical", 0.5), ("70 % identical", 0.7)):
+    for name, share in (("half identical", 0.5), ("70 % identical", 0.7), ("90 % identical", 0.9)):
         found[name] = np.where(rng.random(n) < share, reference, values), reference
     return found | {"skewed": (reference * factor, reference)}
 
