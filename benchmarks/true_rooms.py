@@ -61,7 +61,7 @@ def main(arguments):
         jobs = [batch.Job(world, strategy, starts, 0) for strategy in strategies]
         report = batch.run_jobs(jobs, Lidar(), Rules())
         paths, entries = [], []
-        for result, _ in report.outcomes:
+        for result, *_ in report.outcomes:
             table = columns(result, starts, seed=0, cell_m=world.cell_m, has_rooms=True)
             paths.append(table["path_m"])
             entries.append(f"{np.mean(table['room_entries']):.1f}")

@@ -19,9 +19,9 @@ if TYPE_CHECKING:
 LEAGUE_KINDS = ("cave", "office", "hospital", "maze", "rooms")
 LEAGUE_SEEDS = 8
 FURNISHED = (
-    "office#{}:furniture=1,wide_openings=0.1,max_loops=5,corridor_m=2.2,corridor_sd_m=0.4",
-    "hospital#{}:furniture=1,wide_openings=0.1,max_loops=5,corridor_m=2.6,corridor_sd_m=0.4",
-    "rooms#{}:furniture=1,wide_openings=0.1,max_loops=5",
+    "office#{}:furniture=1,wide_openings=0.1,max_loops=5,corridor_m=2.2,corridor_sd_m=0.4,room_m=5.5",
+    "hospital#{}:furniture=1,wide_openings=0.1,max_loops=5,corridor_m=2.6,corridor_sd_m=0.4,room_m=6",
+    "rooms#{}:furniture=1,wide_openings=0.1,max_loops=5,room_m=3.6",
 )
 """Furnished buildings, in numbers like real ones (`jexplore worlds --geometry`); the braces are for a seed."""
 STANDINGS = (
