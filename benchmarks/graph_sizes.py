@@ -21,7 +21,7 @@ from jexplore.grid import is_free
 from jexplore.policies import parse_strategy
 from jexplore.segment import criteria, form_for, segment
 from jexplore.worlds import load_world
-from jexplore.worlds.world import draw_starts
+from jexplore.worlds.starts import draw_starts
 
 FULL = "furniture=1,wide_openings=0.1,max_loops=5"
 SIZES = {

@@ -17,7 +17,7 @@ import numpy as np
 
 import jexplore as jx
 from jexplore.bench.tables import markdown
-from jexplore.worlds.world import draw_starts
+from jexplore.worlds.starts import draw_starts
 
 
 def nearest(view):

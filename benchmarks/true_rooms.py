@@ -22,7 +22,7 @@ from jexplore.policies.policy import Policy
 from jexplore.report.tables import ratio_text
 from jexplore.studies.stats import paired_ratio
 from jexplore.worlds import load_world
-from jexplore.worlds.world import draw_starts
+from jexplore.worlds.starts import draw_starts
 
 WORLDS = ("hospital", "office")
 LARGEST_M2 = 35.0

@@ -17,7 +17,8 @@ from jexplore.exploration import batch
 from jexplore.exploration.results import path_m
 from jexplore.policies import parse_strategy
 from jexplore.worlds import load_world
-from jexplore.worlds.world import World, draw_starts
+from jexplore.worlds.starts import draw_starts
+from jexplore.worlds.world import World
 
 
 def turned(world, starts, quarters, mirrored):

@@ -21,7 +21,8 @@ from jexplore.exploration.state import Numbers, Outcome, Setup, Truth
 from jexplore.planning import MapModel
 from jexplore.policies import parse_strategy
 from jexplore.raycast import beam_table
-from jexplore.worlds.world import World, draw_starts, pad
+from jexplore.worlds.starts import draw_starts
+from jexplore.worlds.world import World, pad
 
 LIDAR, RULES = Lidar(range_m=2.0, n_beams=37), Rules(max_plans=30)
 

@@ -12,7 +12,8 @@ from jexplore.worlds import load_world
 from jexplore.worlds.generators.course import course
 from jexplore.worlds.generators.course_map import render
 from jexplore.worlds.generators.route import LEFT, RIGHT, STRAIGHT, Route, largest_circle
-from jexplore.worlds.world import check_start, clear_cells, label_components, pad, with_ring
+from jexplore.worlds.starts import check_start, clear_cells, label_components
+from jexplore.worlds.world import pad, with_ring
 
 SEEDS = range(31)
 STEP = {0: (1, 0), 90: (0, 1), 180: (-1, 0), 270: (0, -1)}

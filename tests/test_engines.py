@@ -19,7 +19,8 @@ from jexplore.exploration.batch import Job, run_jobs
 from jexplore.exploration.site import KERNELS, Kernels, line_of, prepare_site
 from jexplore.exploration.state import Outcome
 from jexplore.policies import parse_strategy
-from jexplore.worlds.world import World, draw_starts
+from jexplore.worlds.starts import draw_starts
+from jexplore.worlds.world import World
 
 LANES = {"serial": None, "lockstep": 3}
 TESTS = Path(__file__).resolve().parent

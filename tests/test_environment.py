@@ -12,7 +12,8 @@ from ref.worlds import two_rooms
 import jexplore as jx
 from jexplore.config import InputError, Lidar, Rules
 from jexplore.studies import environment
-from jexplore.worlds.world import World, draw_starts
+from jexplore.worlds.starts import draw_starts
+from jexplore.worlds.world import World
 
 LIDAR = Lidar(n_beams=37, range_m=1.0, sigma_m=0.03, dropout=0.02)
 SEED = 2

@@ -19,7 +19,8 @@ from jexplore.worlds.generators.maze import maze, passages
 from jexplore.worlds.generators.office import office
 from jexplore.worlds.generators.rooms import rooms
 from jexplore.worlds.generators.variants import corridor_widths, limit_loops, narrow_corridors, widen_openings
-from jexplore.worlds.world import World, clear_cells, label_components
+from jexplore.worlds.starts import clear_cells, label_components
+from jexplore.worlds.world import World
 
 KINDS = {"cave": cave, "office": office, "hospital": hospital, "maze": maze, "rooms": rooms}
 BUILDINGS = {"office": office, "hospital": hospital, "rooms": rooms}

@@ -23,7 +23,8 @@ from jexplore.worlds.readers import houseexpo
 from jexplore.worlds.readers.images import grey, opacity, read_pixels
 from jexplore.worlds.readers.resample import count_cells, resample
 from jexplore.worlds.readers.ros import load_ros, read_ros, write_ros
-from jexplore.worlds.world import MAX_SIDE, check_start, occupancy_to_world, start_region
+from jexplore.worlds.starts import check_start, start_region
+from jexplore.worlds.world import MAX_SIDE, occupancy_to_world
 
 MAPS = Path(__file__).resolve().parents[2] / "shared" / "maps"
 real_maps = pytest.mark.skipif(not MAPS.is_dir(), reason="the folder shared/maps is not beside the checkout")

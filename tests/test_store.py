@@ -15,7 +15,7 @@ import pandas as pd
 import pytest
 
 from jexplore.config import InputError
-from jexplore.report import store
+from jexplore.report import folders, store
 
 
 def episodes():
@@ -169,7 +169,7 @@ ONE = {"run.json": lambda path: path.write_text("new")}
 @pytest.mark.parametrize("name", ["run.json", "episodes.parquet", "compare.png"])
 def test_a_folder_with_a_run_is_refused(tmp_path, name):
     (tmp_path / name).write_text("old")
-    for take in (store.check_out, lambda path: store.write_run(path, ONE)):
+    for take in (folders.check_out, lambda path: folders.write_run(path, ONE)):
         with pytest.raises(InputError, match=rf"holds a run \({name}\)"):
             take(tmp_path)
     assert (tmp_path / name).read_text() == "old"
@@ -180,7 +180,7 @@ def test_overwrite_removes_only_our_files(tmp_path):
     for name in ("run.json", "compare.png", "notes.txt", "photo.png"):
         (tmp_path / name).write_text(name)
     (tmp_path / "paths.png").symlink_to(tmp_path / "photo.png")
-    assert store.write_run(tmp_path, ONE, overwrite=True) == tmp_path
+    assert folders.write_run(tmp_path, ONE, overwrite=True) == tmp_path
     assert files(tmp_path) == ["notes.txt", "photo.png", "run.json"]
     assert (tmp_path / "photo.png").read_text() == "photo.png"
     assert (tmp_path / "run.json").read_text() == "new"
@@ -190,15 +190,15 @@ def test_overwrite_does_not_remove_folders(tmp_path):
     (tmp_path / "run.json").write_text("old")
     (tmp_path / "worlds.png").mkdir()
     with pytest.raises(InputError, match=r"worlds\.png must be a file"):
-        store.write_run(tmp_path, ONE, overwrite=True)
+        folders.write_run(tmp_path, ONE, overwrite=True)
     assert files(tmp_path) == ["run.json", "worlds.png"]
 
 
 def test_check_with_other_names(tmp_path):
     (tmp_path / "unit-3.parquet").touch()
-    store.check_out(tmp_path)
+    folders.check_out(tmp_path)
     with pytest.raises(InputError, match=r"unit-3\.parquet"):
-        store.check_out(tmp_path, names=("unit-3.parquet",))
+        folders.check_out(tmp_path, names=("unit-3.parquet",))
 
 
 def test_what_is_no_folder_is_refused(tmp_path):
@@ -207,7 +207,7 @@ def test_what_is_no_folder_is_refused(tmp_path):
     bad = [tmp_path / "file", tmp_path / "file" / "below", tmp_path / "dangling", "", f"{tmp_path}/nul\0l"]
     for path in bad:
         for overwrite in (False, True):
-            for take in (store.check_out, lambda path, overwrite: store.write_run(path, ONE, overwrite)):
+            for take in (folders.check_out, lambda path, overwrite: folders.write_run(path, ONE, overwrite)):
                 with pytest.raises(InputError) as caught:
                     take(path, overwrite)
                 assert "\n" not in str(caught.value)
@@ -215,7 +215,7 @@ def test_what_is_no_folder_is_refused(tmp_path):
 
 
 def test_nothing_is_left_half_made(tmp_path):
-    for take in (store.check_out, lambda path: store.write_run(path, ONE)):
+    for take in (folders.check_out, lambda path: folders.write_run(path, ONE)):
         with pytest.raises(InputError, match="must be a folder that can be written: File name too long"):
             take(tmp_path / "a" / "b" / ("x" * 300))
     assert files(tmp_path) == []
@@ -229,9 +229,9 @@ def test_a_folder_that_cannot_be_written(tmp_path, monkeypatch):
 
     monkeypatch.setattr(Path, "touch", refuse)
     with pytest.raises(InputError, match="must be a folder that can be written: Permission denied"):
-        store.write_run(tmp_path, ONE, overwrite=True)
+        folders.write_run(tmp_path, ONE, overwrite=True)
     with pytest.raises(InputError, match="Permission denied"):
-        store.write_run(tmp_path / "new" / "run", ONE)
+        folders.write_run(tmp_path / "new" / "run", ONE)
     assert files(tmp_path) == ["run.json"]
 
 
@@ -241,13 +241,13 @@ def test_a_read_only_folder(tmp_path):
     folder.mkdir(mode=0o555)
     for path in (folder, folder / "run"):
         with pytest.raises(InputError, match="Permission denied"):
-            store.check_out(path)
+            folders.check_out(path)
 
 
 def test_default_outs_are_unused(tmp_path):
     now = datetime.datetime(2026, 11, 21, 9, 30, 42)
-    assert next(store.default_outs("compare", now)) == Path("runs/20261121T093042Z-compare")
-    names = [store.write_new_run(store.default_outs("compare", now, root=tmp_path), ONE).name for _ in range(3)]
+    assert next(folders.default_outs("compare", now)) == Path("runs/20261121T093042Z-compare")
+    names = [folders.write_new_run(folders.default_outs("compare", now, root=tmp_path), ONE).name for _ in range(3)]
     assert names == ["20261121T093042Z-compare", "20261121T093042Z-compare-2", "20261121T093042Z-compare-3"]
     assert sorted(path.name for path in tmp_path.iterdir()) == names
     assert all((tmp_path / name / "run.json").read_text() == "new" for name in names)
@@ -259,9 +259,9 @@ def test_a_name_that_another_run_takes_meanwhile_is_left_to_it(tmp_path):
 
     def late(path):
         path.write_text("mine")
-        store.write_run(taken, {"run.json": lambda path: path.write_text("theirs")})
+        folders.write_run(taken, {"run.json": lambda path: path.write_text("theirs")})
 
-    made = store.write_new_run(store.default_outs("compare", now, root=tmp_path), {"run.json": late})
+    made = folders.write_new_run(folders.default_outs("compare", now, root=tmp_path), {"run.json": late})
     assert made.name == "20261121T093042Z-compare-2"
     assert [(folder / "run.json").read_text() for folder in (taken, made)] == ["theirs", "mine"]
 
@@ -269,12 +269,12 @@ def test_a_name_that_another_run_takes_meanwhile_is_left_to_it(tmp_path):
 def test_processes_that_write_at_once_lose_no_run(tmp_path):
     code = """
 import datetime, sys
-from jexplore.report import store
+from jexplore.report import folders
 now = datetime.datetime(2026, 1, 1)
 for i in range(8):
     text = f"{sys.argv[1]} {i}"
     writers = {"run.json": lambda path: path.write_text(text)}
-    store.write_new_run(store.default_outs("x", now, root=sys.argv[2]), writers)
+    folders.write_new_run(folders.default_outs("x", now, root=sys.argv[2]), writers)
 """
     many = [subprocess.Popen([sys.executable, "-c", code, str(k), str(tmp_path)]) for k in range(3)]
     assert [process.wait(timeout=120) for process in many] == [0, 0, 0]
@@ -286,9 +286,9 @@ for i in range(8):
 def test_default_out_is_in_utc():
     zone = datetime.timezone(datetime.timedelta(hours=2))
     early = datetime.datetime(2026, 1, 1, 1, 0, 0, tzinfo=zone)
-    assert next(store.default_outs("x", early)).name == "20251231T230000Z-x"
+    assert next(folders.default_outs("x", early)).name == "20251231T230000Z-x"
     before = datetime.datetime.now(datetime.UTC).replace(microsecond=0, tzinfo=None)
-    stamp = datetime.datetime.strptime(next(store.default_outs("x")).name, "%Y%m%dT%H%M%SZ-x")
+    stamp = datetime.datetime.strptime(next(folders.default_outs("x")).name, "%Y%m%dT%H%M%SZ-x")
     assert 0 <= (stamp - before).total_seconds() < 60
 
 
@@ -308,24 +308,24 @@ def test_a_missing_package_is_none():
 
 
 def test_check_leaves_everything_as_it_is(tmp_path):
-    store.check_out(tmp_path / "a" / "b")
+    folders.check_out(tmp_path / "a" / "b")
     assert list(tmp_path.iterdir()) == []
     (tmp_path / "run.json").write_text("{}")
     with pytest.raises(InputError, match="holds a run"):
-        store.check_out(tmp_path)
-    store.check_out(tmp_path, overwrite=True)
+        folders.check_out(tmp_path)
+    folders.check_out(tmp_path, overwrite=True)
     assert [path.name for path in tmp_path.iterdir()] == ["run.json"]
 
 
 def test_a_run_is_written_whole(tmp_path):
     out = tmp_path / "a" / "b"
     writers = {"run.json": lambda path: path.write_text("new"), "paths.png": lambda path: path.write_text("new")}
-    assert store.write_run(out, writers) == out
+    assert folders.write_run(out, writers) == out
     (out / "compare.png").write_text("old")
     (out / "notes.txt").write_text("mine")
     with pytest.raises(InputError, match="holds a run"):
-        store.write_run(out, writers)
-    store.write_run(str(out), {"run.json": lambda path: path.write_text("newer")}, overwrite=True)
+        folders.write_run(out, writers)
+    folders.write_run(str(out), {"run.json": lambda path: path.write_text("newer")}, overwrite=True)
     assert {path.name: path.read_text() for path in out.iterdir()} == {"run.json": "newer", "notes.txt": "mine"}
 
 
@@ -337,11 +337,11 @@ def test_a_run_that_fails_in_the_middle_leaves_everything_as_it_was(tmp_path, er
 
     writers = {"run.json": lambda path: path.write_text("new"), "paths.png": fails}
     with pytest.raises(error):
-        store.write_run(tmp_path / "new" / "run", writers)
+        folders.write_run(tmp_path / "new" / "run", writers)
     assert list(tmp_path.iterdir()) == []
     (tmp_path / "run.json").write_text("old")
     with pytest.raises(error):
-        store.write_run(tmp_path, writers, overwrite=True)
+        folders.write_run(tmp_path, writers, overwrite=True)
     assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {"run.json": "old"}
 
 
@@ -362,7 +362,7 @@ def test_an_interruption_while_files_are_moved_undoes_all_of_it(tmp_path, monkey
     names = ("run.json", "compare.png", "episodes.parquet")
     writers = dict.fromkeys(names, lambda path: path.write_text("new"))
     with pytest.raises(KeyboardInterrupt):
-        store.write_run(tmp_path, writers, overwrite=True)
+        folders.write_run(tmp_path, writers, overwrite=True)
     found = {path.name: path.read_text() for path in tmp_path.iterdir()}
     assert found == {"run.json": "old", "episodes.parquet": "old", "paths.png": "old"}
     assert made[0] == "run.json"  # it goes first and comes last
@@ -388,7 +388,7 @@ def test_an_old_run_that_cannot_be_moved_back_is_not_lost(tmp_path, monkeypatch,
     names = ("run.json", "compare.png", "episodes.parquet")
     writers = dict.fromkeys(names, lambda path: path.write_text("new"))
     with pytest.raises(InputError, match=r"could not be replaced; its files are in .*old$") as caught:
-        store.write_run(tmp_path, writers, overwrite=True)
+        folders.write_run(tmp_path, writers, overwrite=True)
     kept = Path(str(caught.value).rpartition(" ")[2])
     assert {path.name: path.read_text() for path in kept.iterdir()} == dict.fromkeys(
         ("run.json", "episodes.parquet", "paths.png"), "old"
@@ -409,7 +409,7 @@ def test_a_second_interruption_does_not_stop_the_way_back(tmp_path, monkeypatch)
     monkeypatch.setattr(os, "replace", replace)
     writers = dict.fromkeys(("run.json", "compare.png"), lambda path: path.write_text("new"))
     with pytest.raises(KeyboardInterrupt):
-        store.write_run(tmp_path, writers, overwrite=True)
+        folders.write_run(tmp_path, writers, overwrite=True)
     assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {
         "run.json": "old",
         "episodes.parquet": "old",
@@ -420,10 +420,10 @@ def test_two_that_write_into_one_folder_leave_one_whole_run(tmp_path):
     """Each overwrites what the other has written, again and again; in the end everything is of one of them."""
     code = """
 import sys
-from jexplore.report import store
+from jexplore.report import folders
 for i in range(15):
     writers = {name: (lambda path: path.write_text(f"{sys.argv[1]} {i}")) for name in ("run.json", "episodes.parquet")}
-    store.write_run(sys.argv[2], writers, overwrite=True)
+    folders.write_run(sys.argv[2], writers, overwrite=True)
 """
     many = [subprocess.Popen([sys.executable, "-c", code, str(k), str(tmp_path)]) for k in range(2)]
     assert [process.wait(timeout=120) for process in many] == [0, 0]
@@ -436,5 +436,5 @@ def test_a_run_on_a_full_disk_is_one_line(tmp_path):
         raise OSError(28, "No space left on device")
 
     with pytest.raises(InputError, match="No space left on device"):
-        store.write_run(tmp_path / "new", {"run.json": fails})
+        folders.write_run(tmp_path / "new", {"run.json": fails})
     assert list(tmp_path.iterdir()) == []

@@ -11,20 +11,8 @@ from hypothesis.extra import numpy as hnp
 from scipy import ndimage
 
 from jexplore.config import InputError
-from jexplore.worlds.world import (
-    MAX_SIDE,
-    World,
-    check_start,
-    checked,
-    clear_cells,
-    draw_start,
-    draw_starts,
-    label_components,
-    occupancy_to_world,
-    pad,
-    start_region,
-    with_ring,
-)
+from jexplore.worlds.starts import check_start, clear_cells, draw_start, draw_starts, label_components, start_region
+from jexplore.worlds.world import MAX_SIDE, World, checked, occupancy_to_world, pad, with_ring
 
 masks = hnp.arrays(bool, st.tuples(st.integers(1, 12), st.integers(1, 12)))
 

@@ -12,7 +12,8 @@ from jexplore.exploration.site import KERNELS, Site, prepare_site
 from jexplore.exploration.trail import decode
 from jexplore.planning import Belief
 from jexplore.policies import Strategy
-from jexplore.worlds.world import World, draw_starts
+from jexplore.worlds.starts import draw_starts
+from jexplore.worlds.world import World
 
 
 class Recording(NamedTuple):

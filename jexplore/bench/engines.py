@@ -19,7 +19,8 @@ from jexplore.exploration.results import path_m
 from jexplore.exploration.site import KERNELS, line_of, prepare_site
 from jexplore.exploration.state import Outcome, Result
 from jexplore.policies import Strategy
-from jexplore.worlds.world import World, draw_starts
+from jexplore.worlds.starts import draw_starts
+from jexplore.worlds.world import World
 
 LIDAR, RULES = Lidar(), Rules()
 SEED = 0

@@ -23,7 +23,8 @@ from jexplore.grid import Grid, empty_grid, radius_d2
 from jexplore.raycast import METHODS as SCAN_METHODS
 from jexplore.raycast import fold, scan
 from jexplore.reach import METHODS, flood, reach
-from jexplore.worlds.world import World, clear_cells, draw_start
+from jexplore.worlds.starts import clear_cells, draw_start
+from jexplore.worlds.world import World
 
 CALL_S = 0.02  # seconds that one timed call should last
 CLUSTERS = 256  # slots

@@ -24,7 +24,7 @@ from jexplore.planning import WINDOWS, Belief
 from jexplore.policies import Strategy
 from jexplore.raycast import Scan, fold, scan
 from jexplore.reach import FAR, STRAIGHT, reach_packed
-from jexplore.worlds.world import draw_starts
+from jexplore.worlds.starts import draw_starts
 
 PASSES = 16  # calls in a row on the same input
 MOST_PLANS = 64  # plans of an episode that are timed, evenly spaced

@@ -97,18 +97,18 @@ class Out:
     now: datetime.datetime
 
     def __init__(self, options: Any, command: str) -> None:
-        from jexplore.report import store
+        from jexplore.report import folders
 
         self.given = None if options.out is None else os.path.expanduser(options.out)
         self.overwrite, self.command = options.overwrite, command
         self.began = time.perf_counter()
         self.now = datetime.datetime.now(datetime.UTC)
-        store.check_out(next(self._defaults()) if self.given is None else self.given, self.overwrite)
+        folders.check_out(next(self._defaults()) if self.given is None else self.given, self.overwrite)
 
     def _defaults(self):
-        from jexplore.report import store
+        from jexplore.report import folders
 
-        return store.default_outs(self.command, self.now)
+        return folders.default_outs(self.command, self.now)
 
     def record(self, arguments: Sequence[str], options: Any, **found: Any) -> dict[str, Any]:
         """What run.json holds."""
@@ -128,10 +128,10 @@ class Out:
         """Writes the files, all or none. Returns a line that says where; said last, so that a reader of the output who
         goes away costs no results.
         """
-        from jexplore.report import store
+        from jexplore.report import folders
 
         if self.given is None:
-            folder = store.write_new_run(self._defaults(), writers)
+            folder = folders.write_new_run(self._defaults(), writers)
         else:
-            folder = store.write_run(self.given, writers, self.overwrite)
+            folder = folders.write_run(self.given, writers, self.overwrite)
         return f"wrote {', '.join(writers)} to {os.fspath(folder)}{os.sep}"

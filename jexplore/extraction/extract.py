@@ -14,7 +14,7 @@ from jexplore.extraction.lines import components, lines_of, take_corners
 from jexplore.extraction.passages import SEARCH, Place, places_and_passages
 from jexplore.grid import centre_of, in_cells
 from jexplore.tracemap.record import NOWHERE, STATUS, BtmMap, Link, Node
-from jexplore.worlds.world import label_components
+from jexplore.worlds.starts import label_components
 
 _UNSEARCHED, _SEARCHED = STATUS
 

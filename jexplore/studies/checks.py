@@ -14,7 +14,8 @@ from jexplore.grid import in_cells, radius_d2
 from jexplore.policies import Policy, Strategy, strategy
 from jexplore.raycast import HEADINGS, n_steps
 from jexplore.worlds import load_world
-from jexplore.worlds.world import World, check_start, checked, draw_start, draw_starts
+from jexplore.worlds.starts import check_start, draw_start, draw_starts
+from jexplore.worlds.world import World, checked
 
 WorldLike: TypeAlias = str | os.PathLike[str] | World
 """A world, or the name or file of one."""

@@ -30,7 +30,8 @@ from jexplore.policies.closest import closest
 from jexplore.raycast import Beams
 from jexplore.reach import FAR
 from jexplore.studies.checks import LIDAR, RULES, ready_worlds, require_clearance, require_memory, require_settings
-from jexplore.worlds.world import World, check_start, start_cells
+from jexplore.worlds.starts import check_start, start_cells
+from jexplore.worlds.world import World
 
 WORLD, START = 2, 3  # streams of random numbers besides those of an episode (`state.Stream`)
 

@@ -28,7 +28,8 @@ from jexplore.studies.checks import (
     require_memory,
     require_settings,
 )
-from jexplore.worlds.world import World, draw_start
+from jexplore.worlds.starts import draw_start
+from jexplore.worlds.world import World
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -27,7 +27,8 @@ from jexplore.config import require_number
 from jexplore.report.tables import aligned_table, number_text
 from jexplore.studies.room_scores import regions_of
 from jexplore.studies.segmentation import SMALLEST_M2, segmentations
-from jexplore.worlds.world import World, clear_cells, label_components
+from jexplore.worlds.starts import clear_cells, label_components
+from jexplore.worlds.world import World
 
 WALL_M = 1.25  # an obstacle longer than this, its boundary than 2.5 m, is a wall; a shorter one furniture or a column
 LEG_M = 0.3  # an island longer than this is more than a leg

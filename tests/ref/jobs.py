@@ -8,7 +8,8 @@ import numpy as np
 from jexplore.config import Lidar, Rules
 from jexplore.exploration.batch import Job
 from jexplore.policies import parse_strategy
-from jexplore.worlds.world import World, draw_starts
+from jexplore.worlds.starts import draw_starts
+from jexplore.worlds.world import World
 
 from . import maps
 

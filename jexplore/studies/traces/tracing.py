@@ -25,7 +25,8 @@ from jexplore.driving.settings import ROBOTS, Noise, Robot, Tuning, require_nois
 from jexplore.studies import checks
 from jexplore.tracemap.record import BtmMap
 from jexplore.tracemap.similarity import code
-from jexplore.worlds.world import World, draw_start
+from jexplore.worlds.starts import draw_start
+from jexplore.worlds.world import World
 
 MAX_RUNS = 1_000_000
 NOISE = "noise."  # names of noise begin so in a sweep

@@ -7,7 +7,8 @@ from scipy import ndimage
 
 from jexplore.config import require_number
 from jexplore.worlds.generators.draft import CLEARANCE_M, random_stream, require_size
-from jexplore.worlds.world import World, clear_cells, label_components
+from jexplore.worlds.starts import clear_cells, label_components
+from jexplore.worlds.world import World
 
 _KIND = 1
 _DESIGN_M = 0.1  # rocks are placed on a lattice of this width, whatever `cell_m` is

@@ -13,7 +13,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from jexplore.config import InputError, require_number
-from jexplore.worlds.world import World, radius_d2, require_side
+from jexplore.grid import radius_d2
+from jexplore.worlds.world import World, require_side
 
 CLEARANCE_M = 0.30  # every door lets a robot through that needs this much, centre to centre
 MAX_CELL_M = 0.3  # a wall is at least one cell thick: above this, small rooms would be lost in their walls

@@ -13,7 +13,7 @@ from scipy import ndimage
 
 from jexplore.worlds.generators.draft import OUTER_M, WALL_M, Door, FloorPlan, block_cells
 from jexplore.worlds.generators.variants import stream
-from jexplore.worlds.world import clear_cells
+from jexplore.worlds.starts import clear_cells
 
 Rect: TypeAlias = tuple[float, float, float, float]
 

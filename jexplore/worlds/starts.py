@@ -1,0 +1,199 @@
+"""Where in a world an episode may start: the cells where a robot has room, and starts drawn from them."""
+
+import hashlib
+import math
+import operator
+import os
+import re
+from collections.abc import Iterable
+from typing import SupportsIndex
+
+import numpy as np
+
+from jexplore.config import InputError
+from jexplore.grid import radius_d2
+from jexplore.worlds.world import World
+
+HEADINGS_DEG = (0, 45, 90, 135, 180, 225, 270, 315)
+
+
+def clear_cells(occupied: np.ndarray, clearance_m: float, cell_m: float) -> np.ndarray:
+    """Cells with more clearance than the radius: free, and no occupied cell within it, centre to centre.
+
+    Only the cells of the array count: what lies outside it is not an obstacle.
+
+    Args:
+      occupied: `[H, W]` bool.
+      clearance_m: the radius, metres. At 0 every free cell is clear.
+      cell_m: edge of a cell, metres.
+
+    Returns:
+      `[H, W]` bool.
+    """
+    d2 = radius_d2(clearance_m, cell_m)
+    rows, cols = occupied.shape
+    before = np.zeros((rows, cols + 1), np.int32)  # occupied cells of the row to the left of a column edge
+    np.cumsum(occupied, axis=1, out=before[:, 1:])
+    col = np.arange(cols)
+    near = np.zeros_like(occupied)
+    for dy in range(min(math.isqrt(d2), rows - 1) + 1):
+        half = math.isqrt(d2 - dy * dy)
+        hit = before[:, np.minimum(col + half + 1, cols)] > before[:, np.maximum(col - half, 0)]
+        near[dy:] |= hit[: rows - dy]
+        near[: rows - dy] |= hit[dy:]
+    return ~near
+
+
+def label_components(mask: np.ndarray) -> np.ndarray:
+    """4-connected components, numbered in the order of their lowest flat indices.
+
+    A diagonal step of the robot needs both its orthogonal neighbours, so what it can reach in 8 directions is
+    exactly a 4-connected component.
+
+    Args:
+      mask: `[H, W]` bool.
+
+    Returns:
+      `[H, W]` int32, component number from 0; -1 where `mask` is False.
+    """
+    starts = mask.copy()
+    starts[:, 1:] &= ~mask[:, :-1]
+    run = np.cumsum(starts, dtype=np.int32).reshape(mask.shape) - 1  # the horizontal run a cell of the mask is in
+    touching = mask[1:] & mask[:-1]
+    lower, upper = run[:-1][touching], run[1:][touching]
+    root = np.arange(int(starts.sum()), dtype=np.int32)
+    for _ in range(root.size):  # a round hooks each root that has a smaller neighbour, so at least one
+        if not lower.size:
+            break
+        np.minimum.at(root, np.maximum(lower, upper), np.minimum(lower, upper))
+        while not np.array_equal(root, shorter := root[root]):
+            root = shorter
+        lower, upper = root[lower], root[upper]
+        apart = lower != upper
+        lower, upper = lower[apart], upper[apart]
+    number = np.cumsum(root == np.arange(root.size), dtype=np.int32) - 1
+    labels = np.full(mask.shape, -1, np.int32)
+    labels[mask] = number[root[run[mask]]]
+    return labels
+
+
+def start_region(world: World, clearance_m: float) -> np.ndarray:
+    """The cells that a drawn start may lie in: the largest 4-connected component of the clear cells.
+
+    Args:
+      world: a `World`.
+      clearance_m: no occupied cell lies within this distance of a clear cell, centre to centre, metres.
+
+    Returns:
+      `[H, W]` bool. Among components of one size, the one with the lowest flat index. All False if no cell is clear.
+    """
+    clear = clear_cells(world.occupied, clearance_m, world.cell_m)
+    labels = label_components(clear)
+    sizes = np.bincount(labels[clear])
+    return labels == (np.argmax(sizes) if sizes.size else 0)
+
+
+def draw_starts(world: World, seed: int, n: int, clearance_m: float) -> np.ndarray:
+    """Starts 0 to n - 1 of a seed: `draw_start` for each, at the cost of one.
+
+    Returns:
+      `[n, 3]` int32: row, col, heading in degrees.
+
+    Raises:
+      InputError: as `draw_start`.
+    """
+    cells = start_cells(world, clearance_m)
+    starts = [_draw(cells, world.name, seed, i) for i in range(n)]
+    return np.array(starts, np.int32).reshape(n, 3)
+
+
+def draw_start(world: World, seed: int, i: int, clearance_m: float) -> tuple[int, int, int]:
+    """Start number `i` of a seed: uniform over the start region, heading uniform over the multiples of 45 degrees.
+
+    It depends on the world and its name, the clearance, `seed` and `i` alone: neither on how many starts are drawn nor
+    on padding. Starts of one number in worlds of different names have nothing in common. Of a map file's name the
+    folder does not count; a generator's name without a seed is that with seed 0.
+
+    Args:
+      world: a `World`.
+      seed: integer from 0.
+      i: number of the start, from 0.
+      clearance_m: as in `start_region`.
+
+    Returns:
+      `(row, col, heading_deg)`, Python integers.
+
+    Raises:
+      InputError: no cell has that much clearance, or `seed` or `i` is negative.
+    """
+    return _draw(start_cells(world, clearance_m), world.name, seed, i)
+
+
+def start_cells(world: World, clearance_m: float) -> np.ndarray:
+    cells = np.argwhere(start_region(world, clearance_m))
+    if not len(cells):
+        raise InputError(
+            f"{world.name or 'world'!r}: no cell has more than {clearance_m:g} m of clearance; "
+            "use a smaller rules.clearance_m or a roomier map"
+        )
+    return cells
+
+
+def _words(name):
+    """What a world's name adds to the seed of its starts: four 32-bit numbers."""
+    name = re.split(r"[/\\]", name)[-1]
+    name = re.sub(r"^([A-Za-z_][\w-]*)(?=:|$)", r"\1#0", name)
+    return np.frombuffer(hashlib.sha256(os.fsencode(name)).digest()[:16], "<u4").tolist()
+
+
+def _draw(cells, name, seed, i):
+    if seed < 0 or i < 0:
+        raise InputError(f"seed and number of a start must be at least 0, got seed {seed} and number {i}")
+    generator = np.random.Generator(np.random.PCG64([seed, i, *_words(name)]))
+    row, col = cells[generator.integers(len(cells))]
+    return int(row), int(col), HEADINGS_DEG[generator.integers(len(HEADINGS_DEG))]
+
+
+def check_start(
+    world: World, start: Iterable[SupportsIndex], clearance_m: float, near_m: float = 0.5
+) -> tuple[int, int, int]:
+    """Refuse a start that an episode cannot leave or stand on.
+
+    The robot may drive over clear cells and over free cells within `near_m` of the start. A start from which no
+    clear cell but itself can be reached that way is enclosed.
+
+    Args:
+      world: a `World`.
+      start: `(row, col, heading_deg)`, integers.
+      clearance_m: as in `start_region`. The start itself need only be free.
+      near_m: metres.
+
+    Returns:
+      `(row, col, heading_deg)` as Python integers, the heading from 0 to 315.
+
+    Raises:
+      InputError: the start lies outside, in a wall, is enclosed, or its heading is not a multiple of 45 degrees.
+    """
+    try:
+        row, col, heading = (operator.index(value) for value in start)
+    except (TypeError, ValueError):
+        raise InputError(f"start must be three integers row,col,heading_deg, got {start!r}") from None
+    rows, cols = world.shape
+    place = f"start ({row}, {col}) of {world.name or 'world'!r}"
+    if not (0 <= row < rows and 0 <= col < cols):
+        raise InputError(f"{place}: lies outside; rows are 0 to {rows - 1}, columns 0 to {cols - 1}")
+    if world.occupied[row, col]:
+        raise InputError(f"{place}: lies in a wall; choose a free cell")
+    if heading % 45:
+        raise InputError(f"{place}: its heading must be a multiple of 45 degrees, got {heading}")
+    clear = clear_cells(world.occupied, clearance_m, world.cell_m)
+    dy, dx = np.arange(rows)[:, None] - row, np.arange(cols)[None, :] - col
+    near = (dy * dy + dx * dx <= radius_d2(near_m, world.cell_m)) & ~world.occupied
+    labels = label_components(clear | near)
+    reached = clear & (labels == labels[row, col])
+    reached[row, col] = False
+    if not reached.any():
+        raise InputError(
+            f"{place}: is enclosed; no cell with more than {clearance_m:g} m of clearance can be reached from it"
+        )
+    return row, col, heading % 360
