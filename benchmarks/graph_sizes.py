@@ -19,7 +19,7 @@ from jexplore.exploration import batch, replay
 from jexplore.exploration.site import COARSE_M, KERNELS, prepare_site
 from jexplore.grid import is_free
 from jexplore.policies import parse_strategy
-from jexplore.segment import criteria, form_for, segment
+from jexplore.segment import PROMINENCE_M, criteria, form_for, segment
 from jexplore.worlds import load_world
 from jexplore.worlds.starts import draw_starts
 
@@ -37,7 +37,6 @@ SIZES = {
 }
 CELLS_M = (0.3, 0.2, 0.1, 0.05)
 PLANS = 24  # of an episode, at which the graph is made
-PROMINENCE_M = 0.15
 
 
 @functools.partial(jax.jit, static_argnums=1)

@@ -19,6 +19,7 @@ VARIANTS = {"thrun": 2**30, "wurm": 1, "holz": 2}
 """Name -> how many nodes of the reduced Voronoi graph a critical point may lie away from a junction."""
 
 METRICS = ("geodesic", "euclidean")
+PROMINENCE_M = 0.15  # by which a critical point stands out, unless said otherwise
 LINE = 256  # cells of a splitting line, at most
 
 

@@ -13,7 +13,7 @@ from scipy import ndimage
 from jexplore.config import InputError
 from jexplore.worlds.generators.cave import _widen, cave
 from jexplore.worlds.generators.draft import FloorPlan, Side, bands, columns, cut, passable_cells, wall_span
-from jexplore.worlds.generators.furniture import ROOMS, furnish, keeps_passable
+from jexplore.worlds.generators.furniture import CHECKS, ROOMS, _spaces, furnish
 from jexplore.worlds.generators.hospital import hospital
 from jexplore.worlds.generators.maze import maze, passages
 from jexplore.worlds.generators.office import office
@@ -267,13 +267,19 @@ def test_what_narrows_a_corridor_leaves_it_passable():
 
 def test_furniture_that_parts_two_doors_shuts_in_space_or_fills_a_room_does_not_fit():
     plan = two_rooms()
+    doors = [door for door in plan.doors if 0 in plan.beside(door)]
+    spaces = _spaces(plan, 0, doors, [plan.render(cell_m) for cell_m, _ in CHECKS])
+
+    def fits(*blocks):
+        return all(space.fits([blocks]) for space in spaces)
+
     wall, bin_, cell, hall = (0.0, 2.9, 4.0, 3.1), (1.0, 2.9, 1.3, 3.2), (0.9, 2.0, 2.1, 2.1), (0.5, 0.5, 3.0, 5.5)
-    assert keeps_passable(plan, 0, [bin_])
-    assert not keeps_passable(plan, 0, [wall])
-    assert not keeps_passable(plan, 0, [hall])
+    assert fits(bin_)
+    assert not fits(wall)
+    assert not fits(hall)
     box = [cell, (0.9, 3.0, 2.1, 3.1), (0.9, 2.0, 1.0, 3.1), (2.0, 2.0, 2.1, 3.1)]
-    assert keeps_passable(plan, 0, box[:3])
-    assert not keeps_passable(plan, 0, box)
+    assert fits(*box[:3])
+    assert not fits(*box)
 
 
 def test_furniture_stands_in_its_room_and_not_at_its_doors():

@@ -194,13 +194,6 @@ def test_overwrite_does_not_remove_folders(tmp_path):
     assert files(tmp_path) == ["run.json", "worlds.png"]
 
 
-def test_check_with_other_names(tmp_path):
-    (tmp_path / "unit-3.parquet").touch()
-    folders.check_out(tmp_path)
-    with pytest.raises(InputError, match=r"unit-3\.parquet"):
-        folders.check_out(tmp_path, names=("unit-3.parquet",))
-
-
 def test_what_is_no_folder_is_refused(tmp_path):
     (tmp_path / "file").write_text("keep")
     (tmp_path / "dangling").symlink_to(tmp_path / "nowhere")

@@ -105,11 +105,9 @@ class Strategies:
 
 def measure(worlds: "Sequence[World]", clearance_m: float) -> "list[Geometry]":
     """The geometry of worlds, with progress on stderr."""
-    from jexplore.config import require_number
     from jexplore.engine.backend import use_compilation_cache
     from jexplore.studies.geometry import geometry
 
-    require_number("clearance_m", clearance_m, high=100)
     use_compilation_cache()
     found = []
     with working(len(worlds), "worlds") as on_progress:

@@ -7,7 +7,7 @@ from jexplore.engine.program import Given, Program
 from jexplore.exploration import environment
 from jexplore.exploration.state import MARKS, PERCENTILES, Outcome, Result, Setup, State
 from jexplore.exploration.trail import LOOKS, RECORDS, Trail, kept
-from jexplore.grid import is_known
+from jexplore.grid import beside, bordered, count, is_known
 from jexplore.raycast import BLOCK
 
 PLANNING_BYTES = 40  # a cell, that a plan needs besides the state; an estimate
@@ -31,9 +31,9 @@ def _shares(parts, whole, n):
 
 def _knowable(explorable, occupied):
     """How many cells a scanner without noise can come to know: the free ones and the walls at their sides."""
-    above, right = jnp.pad(explorable, ((0, 1), (0, 0)))[1:], jnp.pad(explorable, ((0, 0), (0, 1)))[:, 1:]
-    below, left = jnp.pad(explorable, ((1, 0), (0, 0)))[:-1], jnp.pad(explorable, ((0, 0), (1, 0)))[:, :-1]
-    return jnp.sum(explorable | (occupied & (above | right | below | left)), dtype=jnp.int32)
+    near = bordered(explorable, False)
+    above, right, below, left = (beside(near, *step) for step in ((1, 0), (0, 1), (-1, 0), (0, -1)))
+    return count(explorable | (occupied & (above | right | below | left)))
 
 
 def finish(setup: Setup, given: Given, state: State) -> Result:

@@ -19,7 +19,7 @@ from jexplore.grid import count, is_free
 from jexplore.planning import Belief, Choice
 from jexplore.policies.policy import Policy
 from jexplore.reach import FAR
-from jexplore.segment import VARIANTS, Criteria, form_for, segment
+from jexplore.segment import PROMINENCE_M, VARIANTS, Criteria, form_for, segment
 
 KINDS = (*VARIANTS, "auto")
 
@@ -120,7 +120,7 @@ def segmented(
     policy: Policy,
     kind: str = "holz",
     *,
-    prominence_m: float = 0.15,
+    prominence_m: float = PROMINENCE_M,
     gamma: float = 3.0,
     door_m: float = 1.6,
     room_m2: float = 40.0,

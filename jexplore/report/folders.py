@@ -63,18 +63,17 @@ def _remove_folders(made):
             folder.rmdir()
 
 
-def check_out(path: str | os.PathLike[str], overwrite: bool = False, *, names: Iterable[str] = OUR_FILES) -> None:
+def check_out(path: str | os.PathLike[str], overwrite: bool = False) -> None:
     """Refuse a folder that cannot hold a run, and leave everything as it is.
 
     Args:
       path: the folder; it need not be there.
       overwrite: whether the folder may hold a run.
-      names: the files that make up a run.
 
     Raises:
       InputError: the folder holds a run and `overwrite` is off, is a file, or cannot be made or written.
     """
-    _remove_folders(_writable(path, overwrite, names)[1])
+    _remove_folders(_writable(path, overwrite, OUR_FILES)[1])
 
 
 @contextlib.contextmanager

@@ -36,7 +36,6 @@ WIDE_M = 1.6  # an opening from this width on is no door
 SMALL_M2, LARGE_M2 = 8.0, 60.0  # rooms below, rooms over
 CORRIDOR_M = (0.8, 4.0)  # what is narrower is a slot, what is wider a hall
 SLENDER = 3.0  # a corridor is at least so many times longer than wide
-PROMINENCE_M, GAMMA = 0.15, 3.0  # of critical points, as `jexplore segment` has them by default
 _EIGHT = np.ones((3, 3), bool)
 _OPPOSITE = -0.5  # cosine of the angle at which two walls are seen that lie on opposite sides: 120 degrees and more
 
@@ -227,7 +226,7 @@ def _found_rooms(walls, cell_m):
       `joined`: for every opening the numbers of the rooms it joins.
       `at`: for every opening the cells in it, `[n, 2]`.
     """
-    settings = [segment.criteria("holz", prominence=PROMINENCE_M / cell_m, gamma=GAMMA)]
+    settings = [segment.criteria(prominence=segment.PROMINENCE_M / cell_m)]
     (made,) = segmentations(~walls, settings)
     labels = regions_of(np.where(walls, -1, made.label), ~walls, min_px=round(SMALLEST_M2 / cell_m**2))
     joined, at = [], []

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from jexplore.report.tables import aligned_table, interval_text, number_text, p_text, ratio_text
-from jexplore.studies.stats import t_interval
+from jexplore.studies.stats import TOLERANCE, t_interval
 from jexplore.worlds import GENERATORS
 from jexplore.worlds.generators.variants import FURNISHED_CELL_M
 
@@ -29,8 +29,6 @@ STANDINGS = (
     *("best", "complete", "failed"),
 )
 """Columns of a table of standings, before those of single kinds of worlds."""
-TOLERANCE = 0.01
-"""Explored fractions that differ by no more are equal."""
 LEAGUE_STRATEGIES = (
     *("closest+recheck", "closest", "closest+recheck+segment", "closest+recheck+segment=auto"),
     *("distance-advantage+recheck", "distance-advantage+recheck:weight=0.5", "tour+recheck"),

@@ -93,7 +93,7 @@ def segment_maps(
     variants: str | Sequence[str] = tuple(segment.VARIANTS),
     partial: bool = False,
     cell_m: float = 0.05,
-    prominence_m: float = 0.15,
+    prominence_m: float = segment.PROMINENCE_M,
     gamma: float = 3.0,
     metric: str = "geodesic",
     lines: bool = False,

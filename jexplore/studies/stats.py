@@ -22,6 +22,9 @@ OUTCOMES = ("COMPLETE", "BLOCKED", "STEP_LIMIT", "PLAN_LIMIT", "STUCK")
 EQUAL_SHARE = 0.95
 """Where paths are compared at equal coverage: this share of what the less thorough episode of a pair knew."""
 
+TOLERANCE = 0.01
+"""Explored fractions that differ by no more are equal."""
+
 MIN_PAIRS = 6
 """Fewer pairs decide nothing, whatever their interval."""
 
@@ -336,7 +339,7 @@ def warnings_of(
     episodes: "pd.DataFrame",
     progress: Mapping[tuple[str, str], np.ndarray] | None = None,
     *,
-    tolerance: float = 0.01,
+    tolerance: float = TOLERANCE,
 ) -> list[str]:
     """What makes the comparison with the first strategy unfair, and the ratio at equal coverage.
 

@@ -94,13 +94,6 @@ def furnish(plan: FloorPlan, seed: int, kind: int, furniture: float) -> None:
             plan.blocks += kept
 
 
-def keeps_passable(plan: FloorPlan, number: int, blocks: list[Rect]) -> bool:
-    """Whether a robot still gets through and about a room of a plan if these blocks stand in it: see `furnish`."""
-    doors = [door for door in plan.doors if number in plan.beside(door)]
-    empty = [plan.render(cell_m) for cell_m, _ in CHECKS]
-    return all(space.fits([blocks]) for space in _spaces(plan, number, doors, empty))
-
-
 def _spaces(plan, number, doors, empty):
     """The room in the cells of every check, `empty` being the plan in them."""
     return [
