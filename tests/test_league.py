@@ -11,15 +11,9 @@ from scipy import stats as scipy_stats
 from jexplore.cli import main
 from jexplore.policies import parse_strategy
 from jexplore.report import plot_league
-from jexplore.studies.league import (
-    LEAGUE_STRATEGIES,
-    holm,
-    kind_of,
-    league_worlds,
-    mean_over_worlds,
-    standings,
-    standings_table,
-)
+from jexplore.studies.statistics.league import LEAGUE_STRATEGIES, league_worlds, standings, standings_table
+from jexplore.studies.statistics.over_worlds import kind_of, mean_over_worlds
+from jexplore.studies.statistics.paired import holm
 from jexplore.worlds import load_world
 
 ENDED = {"outcome": "COMPLETE", "explored_fraction": 1.0}
@@ -58,7 +52,8 @@ def test_ratios_and_ranks_by_hand():
     error = math.log(2) / 2
     t = scipy_stats.t(1)
     assert table.loc["c", "ratio_high"] == pytest.approx(math.sqrt(2) * math.exp(t.ppf(0.975) * error))
-    assert table.loc["c", "p"] == pytest.approx(min(1, 2 * 2 * t.sf(1.0)))  # the less likely of two hypotheses
+    assert table.loc["c", "p"] == pytest.approx(2 * t.sf(1.0))
+    assert table.loc["c", "p_holm"] == pytest.approx(min(1, 2 * 2 * t.sf(1.0)))  # the less likely of two hypotheses
 
 
 def test_an_episode_that_saw_less_than_others_did_is_no_short_one():
@@ -172,7 +167,7 @@ def test_the_league_with_worlds_and_strategies_of_ones_own(tmp_path, capsys):
     strategies = ["closest", "closest+recheck"]
     more = ["--worlds", *worlds, "--strategies", *strategies, "--episodes", "2", "--out", str(out)]
     assert main.main(["compare", "--league", *more]) == 0
-    assert {p.name for p in out.iterdir()} == {"episodes.parquet", "league.png", "run.json"}
+    assert {p.name for p in out.iterdir()} == {"details.npz", "episodes.parquet", "league.png", "run.json"}
     record = json.loads((out / "run.json").read_text())
     assert record["configuration"]["worlds"] == worlds
     assert set(record["plan_ms"]) == set(strategies)

@@ -4,9 +4,7 @@ import math
 
 import matplotlib
 import numpy as np
-import pandas as pd
 import pytest
-from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from PIL import Image
 from ref.figures import check_texts, pixels
@@ -24,12 +22,6 @@ def ax():
     figure = Figure(figsize=(4, 3))
     yield figure.add_axes((0, 0, 1, 1))
     figure.clear()
-
-
-def summary(worlds, strategies):
-    rng = np.random.default_rng(0)
-    rows = [(w, s, rng.uniform(60, 600), rng.uniform(1, 120)) for w in worlds for s in strategies]
-    return pd.DataFrame(rows, columns=["world", "strategy", "mean", "sd"])
 
 
 def shown(figure):
@@ -74,35 +66,6 @@ def test_styles_differ_and_do_not_depend_on_what_follows():
     styles = plot.style_of(names)
     assert len({tuple(style.values()) for style in styles.values()}) == 20
     assert list(plot.style_of(names[:3]).values()) == [styles[name] for name in names[:3]]
-
-
-def test_compare_figure_keeps_order_and_colours():
-    table = summary(["w1", "w2", "w3"], ["z", "a", "m"]).drop(index=4)  # w2 did not run a
-    figure = plot.compare_figure(table)
-    axes = shown(figure)
-    assert [ax.get_title() for ax in axes] == ["w1", "w2", "w3"]
-    colours = [[bar.get_facecolor()[:3] for bar in ax.patches] for ax in axes]
-    assert colours[0] == colours[1] == colours[2] == [to_rgb(colour) for colour in plot.PALETTE[:3]]
-    assert [label.get_text() for label in axes[0].get_yticklabels()] == ["z", "a", "m"]
-    assert [text.get_text() for text in axes[1].texts][1] == "no data"
-    assert axes[2].patches[1].get_width() == table["mean"][7]
-
-
-@pytest.mark.parametrize("count", [1, 2, 3, 5, 7, 40])
-def test_compare_figure_of_any_number_of_worlds(count):
-    names = [f"hospital#{i}:rooms=30,corridor=2.4,door=0.9,width=40" for i in range(count)]
-    figure = plot.compare_figure(summary(names, ["closest", "closest+recheck", LONG]))
-    assert len(shown(figure)) == count
-    check_texts(figure)
-    labelled = [ax for ax in shown(figure) if ax.get_xlabel()]
-    assert len(labelled) == min(count, figure.axes[0].get_gridspec().ncols)  # below the lowest panel of each column
-
-
-def test_compare_figure_with_long_and_odd_names():
-    odd = "maps/$a_b$/an_extremely_long_folder_name_without_any_break/avz5floor_closed.yaml"
-    figure = plot.compare_figure(summary([odd, "x" * 90, "b"], ["s" * 80, LONG, "c"]))
-    check_texts(figure)
-    assert "$" in shown(figure)[0].get_title()
 
 
 @pytest.mark.parametrize(
@@ -287,18 +250,37 @@ def test_worlds_figure():
     assert first.get_title() == "office#1"
 
 
+def a_figure():
+    figure = Figure(figsize=(2, 1.5))
+    plot.bars(figure.add_subplot(), ["a $b$"], [1.0], [0.1])
+    return figure
+
+
 def test_save_figure(tmp_path):
-    plot.save_figure(plot.compare_figure(summary(["w"], ["a"])), tmp_path / "compare.png", dpi=50)
-    with Image.open(tmp_path / "compare.png") as image:
-        assert image.format == "PNG"
+    plot.save_figure(a_figure(), tmp_path / "bars.png", dpi=50)
+    with Image.open(tmp_path / "bars.png") as image:
+        assert (image.format, image.size) == ("PNG", (100, 75))
         assert np.asarray(image.convert("L")).min() < 50
-    plot.save_figure(plot.compare_figure(summary(["w"], ["a"])), tmp_path / "compare.svg")
-    assert "<svg" in (tmp_path / "compare.svg").read_text(encoding="utf-8")
+    plot.save_figure(a_figure(), tmp_path / "bare")
+    assert (tmp_path / "bare").read_bytes().startswith(b"\x89PNG")
     with pytest.raises(InputError, match="missing"):
-        plot.save_figure(plot.compare_figure(summary(["w"], ["a"])), tmp_path / "missing" / "compare.png")
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["compare.png", "compare.svg"]
+        plot.save_figure(a_figure(), tmp_path / "missing" / "bars.png")
+    with pytest.raises(InputError, match=r"bars\.gifx must end in \.png, \.svg or \.pdf, got \.gifx"):
+        plot.save_figure(a_figure(), tmp_path / "bars.gifx")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["bare", "bars.png"]
+
+
+@pytest.mark.parametrize(("ending", "start"), [("svg", b"<?xml"), ("pdf", b"%PDF"), ("SVG", b"<?xml")])
+def test_vectors_are_the_same_each_time(tmp_path, ending, start):
+    for name in ("one", "two"):
+        plot.save_figure(a_figure(), tmp_path / f"{name}.{ending}")
+    one, two = ((tmp_path / f"{name}.{ending}").read_bytes() for name in ("one", "two"))
+    assert one.startswith(start)
+    assert one == two
+    if ending == "pdf":
+        assert b"/Type3" not in one  # glyphs as drawings, which many journals refuse
 
 
 def test_figures_are_unknown_to_pyplot():
-    plot.compare_figure(summary(["w"], ["a"]))
+    a_figure()
     assert matplotlib._pylab_helpers.Gcf.get_all_fig_managers() == []

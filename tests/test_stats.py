@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from scipy import stats as scipy_stats
 
 from jexplore.config import InputError
-from jexplore.studies import stats
+from jexplore.studies.statistics import by_world, paired
 
 VECTORS = st.lists(st.floats(0.5, 1000.0), min_size=2, max_size=12)
 
@@ -40,7 +40,7 @@ def test_summary_by_hand():
     episodes = both(
         [10.0, 20.0, 30.0], [20.0, 40.0, 60.0], outcome=["COMPLETE", "BLOCKED", "COMPLETE"], plans=[1, 2, 6]
     )
-    first, second = stats.summarise(episodes).itertuples(index=False)
+    first, second = by_world.summarise(episodes).itertuples(index=False)
     assert (first.world, first.strategy, first.n, first.mean, first.sd) == ("office#1", "closest", 3, 20.0, 10.0)
     assert first.ratio == 1.0
     assert np.isnan([first.ratio_low, first.ratio_high, first.p, first.room_entries]).all()
@@ -52,7 +52,7 @@ def test_summary_by_hand():
 
 def test_ratio_by_hand():
     """Means 5 and 4; v / 5 - r / 4 is -0.35, 0.1, 0.25: standard error sqrt(0.0975 / 3), two degrees of freedom."""
-    found = stats.paired_ratio([2.0, 6.0, 7.0], [3.0, 4.4, 4.6])
+    found = paired.paired_ratio([2.0, 6.0, 7.0], [3.0, 4.4, 4.6])
     error = math.sqrt(0.0975 / 3)
     t = scipy_stats.t(2)
     assert (found.ratio, found.n) == (1.25, 3)
@@ -63,7 +63,7 @@ def test_ratio_by_hand():
 
 def test_equal_pairs_count_as_one_in_the_degrees_of_freedom():
     values, reference = np.array([2.0, 6.0, 7.0, 5.0, 4.0]), np.array([3.0, 4.4, 4.6, 5.0, 4.0])
-    found = stats.paired_ratio(values, reference)
+    found = paired.paired_ratio(values, reference)
     apart = values / values.mean() - reference / reference.mean()
     error = apart.std(ddof=1) / math.sqrt(5)
     t = scipy_stats.t(3).ppf(0.975)  # three pairs that differ and two that do not
@@ -72,10 +72,10 @@ def test_equal_pairs_count_as_one_in_the_degrees_of_freedom():
 
 
 def test_one_episode_repeated_is_one_pair():
-    found = stats.paired_ratio([40.0] * 20, [50.0] * 20)
+    found = paired.paired_ratio([40.0] * 20, [50.0] * 20)
     assert (found.ratio, found.n) == (0.8, 1)
     assert np.isnan([found.low, found.high, found.p]).all()
-    some = stats.paired_ratio([40.0] * 19 + [41.0], [50.0] * 20)
+    some = paired.paired_ratio([40.0] * 19 + [41.0], [50.0] * 20)
     assert some.n == 20
     assert some.low < some.ratio < some.high
 
@@ -85,7 +85,7 @@ def test_p_is_below_five_per_cent_just_where_the_interval_leaves_out_one():
     sides = set()
     for _ in range(200):
         reference = rng.gamma(9.0, 10.0, 8)
-        found = stats.paired_ratio(reference * rng.normal(0.93, 0.1, 8), reference)
+        found = paired.paired_ratio(reference * rng.normal(0.93, 0.1, 8), reference)
         assert (found.p < 0.05) == (not found.low <= 1 <= found.high)
         sides.add(found.p < 0.05)
     assert sides == {True, False}
@@ -94,7 +94,7 @@ def test_p_is_below_five_per_cent_just_where_the_interval_leaves_out_one():
 @pytest.mark.parametrize("unit", [1.0, 0.1, 1000.0])
 def test_interval_of_a_mean_by_hand_and_in_any_unit(unit):
     values = np.array([1.0] * 15 + [2.0] * 4 + [9.0]) * unit
-    low, high = stats.mean_interval(values)
+    low, high = paired.mean_interval(values)
     error = values.std(ddof=1) / values.mean() / math.sqrt(20)
     t = scipy_stats.t(19).ppf(0.975)
     assert (low, high) == pytest.approx((values.mean() * math.exp(-t * error), values.mean() * math.exp(t * error)))
@@ -103,7 +103,7 @@ def test_interval_of_a_mean_by_hand_and_in_any_unit(unit):
 
 def test_no_interval_of_one_value_of_equal_values_and_of_zeros():
     for values in ([5.0], [5.0, 5.0, 5.0], [0.0, 0.0]):
-        assert np.isnan(stats.mean_interval(values)).all()
+        assert np.isnan(paired.mean_interval(values)).all()
 
 
 @pytest.mark.parametrize("n", [5, 20])
@@ -115,7 +115,7 @@ def test_interval_covers_the_ratio_about_as_often_as_promised(n, equal):
     for _ in range(2000):
         reference = rng.gamma(100.0, 0.5, n)
         values = reference * np.where(rng.random(n) < equal, 1.0, rng.normal(0.85, 0.1, n))
-        found = stats.paired_ratio(values, reference)
+        found = paired.paired_ratio(values, reference)
         hits += found.low <= equal + (1 - equal) * 0.85 <= found.high
     assert 0.92 <= hits / 2000 <= 0.985
 
@@ -126,9 +126,9 @@ def test_pairing_makes_intervals_narrower():
     for _ in range(60):
         b = rng.gamma(9.0, 10.0, 25)
         a = 0.8 * b + rng.normal(0.0, 3.0, 25)
-        for paired, reference in ((True, b), (False, rng.permutation(b))):
-            found = stats.paired_ratio(a, reference)
-            widths[paired].append(found.high - found.low)
+        for is_paired, reference in ((True, b), (False, rng.permutation(b))):
+            found = paired.paired_ratio(a, reference)
+            widths[is_paired].append(found.high - found.low)
     assert np.mean(widths[True]) < 0.5 * np.mean(widths[False])
 
 
@@ -138,11 +138,11 @@ def test_order_and_unit_do_not_matter(values, random, factor):
     values = np.asarray(values)
     order = np.array(random.sample(range(len(values)), len(values)))
     reference = values[::-1] + 1.0
-    np.testing.assert_array_equal(stats.mean_interval(values[order]), stats.mean_interval(values))
-    found = stats.paired_ratio(values, reference)
-    again = stats.paired_ratio(values[order], reference[order])
+    np.testing.assert_array_equal(paired.mean_interval(values[order]), paired.mean_interval(values))
+    found = paired.paired_ratio(values, reference)
+    again = paired.paired_ratio(values[order], reference[order])
     np.testing.assert_array_equal(dataclasses.astuple(again), dataclasses.astuple(found))
-    scaled = stats.paired_ratio(values * factor, reference * factor)
+    scaled = paired.paired_ratio(values * factor, reference * factor)
     assert (scaled.ratio, scaled.low, scaled.high) == pytest.approx(
         (found.ratio, found.low, found.high), rel=1e-6, nan_ok=True
     )
@@ -152,7 +152,7 @@ def test_order_and_unit_do_not_matter(values, random, factor):
 @settings(max_examples=30, deadline=None)
 @given(VECTORS)
 def test_a_sample_against_itself(values):
-    found = stats.paired_ratio(values, values)
+    found = paired.paired_ratio(values, values)
     assert found.ratio == 1.0
     assert np.isnan([found.low, found.high, found.p]).all()
 
@@ -161,33 +161,33 @@ def test_a_sample_against_itself(values):
 @given(st.lists(st.floats(0.5, 1000.0), min_size=2, max_size=7))
 def test_p_does_not_depend_on_which_is_the_reference(values):
     other = np.roll(values, 1)
-    one, two = stats.paired_ratio(values, other), stats.paired_ratio(other, values)
+    one, two = paired.paired_ratio(values, other), paired.paired_ratio(other, values)
     assert one.p == pytest.approx(two.p, nan_ok=True)
     assert (one.low, one.high) == pytest.approx((1 / two.high, 1 / two.low), nan_ok=True)
 
 
 def test_one_and_two_pairs():
-    one = stats.paired_ratio([3.0], [4.0])
+    one = paired.paired_ratio([3.0], [4.0])
     assert (one.ratio, one.n) == (0.75, 1)
     assert np.isnan([one.low, one.high, one.p]).all()
-    two = stats.paired_ratio([3.0, 5.0], [4.0, 4.0])
+    two = paired.paired_ratio([3.0, 5.0], [4.0, 4.0])
     assert (two.ratio, two.n, two.p) == (1.0, 2, 1.0)
     assert two.high == pytest.approx(math.exp(12.7062 * 0.25), rel=1e-5)  # one degree of freedom: hardly anything
     assert two.low == pytest.approx(1 / two.high)
 
 
 def test_means_of_zero_and_ratios_without_end():
-    none = stats.paired_ratio([0.0, 0.0], [0.0, 0.0])
-    without_end = stats.paired_ratio([1.0, 2.0], [0.0, 0.0])
-    nothing = stats.paired_ratio([0.0, 0.0], [1.0, 2.0])
+    none = paired.paired_ratio([0.0, 0.0], [0.0, 0.0])
+    without_end = paired.paired_ratio([1.0, 2.0], [0.0, 0.0])
+    nothing = paired.paired_ratio([0.0, 0.0], [1.0, 2.0])
     assert math.isnan(none.ratio)
     assert math.isnan(without_end.ratio)
     assert nothing.ratio == 0.0
     assert np.isnan([(found.low, found.high, found.p) for found in (none, without_end, nothing)]).all()
-    some = stats.paired_ratio([1.0, 3.0], [0.0, 4.0])
+    some = paired.paired_ratio([1.0, 3.0], [0.0, 4.0])
     assert some.ratio == 1.0
     assert some.low < 1 < some.high
-    sure = stats.paired_ratio([1.0, 300.0], [290.0, 1.0], confidence=0.9999)
+    sure = paired.paired_ratio([1.0, 300.0], [290.0, 1.0], confidence=0.9999)
     assert 0 <= sure.low < sure.ratio < sure.high <= math.inf
 
 
@@ -196,24 +196,45 @@ def test_no_warning_escapes():
         warnings.simplefilter("always")
         for n in (1, 2, 3, 15):
             for values in (np.zeros(n), np.ones(n), np.arange(n), np.arange(n) % 2):
-                stats.paired_ratio(values, np.arange(n)[::-1])
-                stats.mean_interval(values)
+                paired.paired_ratio(values, np.arange(n)[::-1])
+                paired.mean_interval(values)
     assert caught == []
 
 
 @pytest.mark.parametrize("values", [[], [1.0, math.nan], [[1.0, 2.0]], [math.inf, 1.0], 3.0, [-1.0, 2.0]])
 def test_bad_vectors(values):
     with pytest.raises(ValueError, match="expected values as a vector"):
-        stats.mean_interval(values)
+        paired.mean_interval(values)
     with pytest.raises(ValueError, match="expected reference as a vector"):
-        stats.paired_ratio([1.0, 2.0], values)
+        paired.paired_ratio([1.0, 2.0], values)
 
 
 def test_bad_lengths_and_confidence():
     with pytest.raises(ValueError, match="got 2 and 3"):
-        stats.paired_ratio([1.0, 2.0], [1.0, 2.0, 3.0])
+        paired.paired_ratio([1.0, 2.0], [1.0, 2.0, 3.0])
     with pytest.raises(ValueError, match="confidence"):
-        stats.mean_interval([1.0, 2.0], confidence=95)
+        paired.mean_interval([1.0, 2.0], confidence=95)
+
+
+def test_p_is_corrected_for_the_strategies_of_each_world():
+    rng = np.random.default_rng(4)
+    a = rng.gamma(9.0, 10.0, 12)
+    tables = [
+        table(path_m=a * f + rng.normal(0, 3, 12), strategy=name, world=world)
+        for world in ("v", "w")
+        for name, f in (("first", 1.0), ("alike", 1.01), ("short", 0.8), ("long", 1.05))
+    ]
+    summary = by_world.summarise(pd.concat(tables, ignore_index=True))
+    for _, rows in summary.groupby("world"):
+        p, corrected = rows["p"].to_numpy(), rows["p_holm"].to_numpy()
+        assert np.isnan([p[0], corrected[0]]).all()
+        order = np.argsort(p[1:])
+        expected = np.minimum(np.maximum.accumulate(np.sort(p[1:]) * [3, 2, 1]), 1)
+        np.testing.assert_allclose(corrected[1:][order], expected)
+        assert (corrected[1:] >= p[1:]).all()
+    two = summary[summary["strategy"].isin(["first", "short"])]
+    text = by_world.markdown_table(two)
+    assert text.count("<0.001") == 2
 
 
 def test_summary_keeps_the_order_given_and_pairs_by_episode():
@@ -222,72 +243,72 @@ def test_summary_keeps_the_order_given_and_pairs_by_episode():
     other_world = both(b, a)
     other_world["world"] = "cave#0"
     episodes = pd.concat([both(a, b), other_world], ignore_index=True)
-    summary = stats.summarise(episodes)
-    assert list(summary.columns) == list(stats.SUMMARY_COLUMNS)
+    summary = by_world.summarise(episodes)
+    assert list(summary.columns) == list(by_world.SUMMARY_COLUMNS)
     assert list(zip(summary["world"], summary["strategy"])) == [
         *(("office#1", "closest"), ("office#1", "random"), ("cave#0", "closest"), ("cave#0", "random"))
     ]
-    expected = stats.paired_ratio(b, a)
+    expected = paired.paired_ratio(b, a)
     assert summary.loc[1, ["ratio", "ratio_low", "ratio_high", "p"]].tolist() == [
         *(expected.ratio, expected.low, expected.high, expected.p)
     ]
     within = np.concatenate([np.arange(8), 8 + rng.permutation(8), 16 + rng.permutation(8), 24 + rng.permutation(8)])
-    pd.testing.assert_frame_equal(stats.summarise(episodes.iloc[within]), summary, rtol=1e-12)
+    pd.testing.assert_frame_equal(by_world.summarise(episodes.iloc[within]), summary, rtol=1e-12)
 
 
 def test_summary_of_one_episode_one_strategy():
-    row = next(stats.summarise(table(path_m=[12.5])).itertuples(index=False))
+    row = next(by_world.summarise(table(path_m=[12.5])).itertuples(index=False))
     assert (row.n, row.mean, row.ratio) == (1, 12.5, 1.0)
     assert np.isnan([row.sd, row.ci_low, row.ci_high, row.p]).all()
 
 
 def test_summary_of_nothing():
     empty = table(path_m=[1.0]).iloc[:0]
-    assert len(stats.summarise(empty)) == 0
-    assert stats.warnings_of(empty) == []
-    assert stats.markdown_table(stats.summarise(empty)).count("\n") == 2
+    assert len(by_world.summarise(empty)) == 0
+    assert by_world.warnings_of(empty) == []
+    assert by_world.markdown_table(by_world.summarise(empty)).count("\n") == 2
 
 
 def test_room_entries_average_over_known_ones():
     episodes = table(path_m=[1.0, 2.0, 3.0], room_entries=pd.array([4, pd.NA, 8], dtype="Int64"))
-    assert stats.summarise(episodes)["room_entries"].tolist() == [6.0]
+    assert by_world.summarise(episodes)["room_entries"].tolist() == [6.0]
 
 
 def test_world_without_the_first_strategy():
     episodes = both([10.0, 11.0], [12.0, 15.0])
     episodes.loc[episodes["strategy"] == "random", "world"] = "cave#0"
-    assert math.isnan(stats.summarise(episodes)["ratio"][1])
-    assert stats.warnings_of(episodes) == ["cave#0: no episode of closest, so nothing to compare with"]
+    assert math.isnan(by_world.summarise(episodes)["ratio"][1])
+    assert by_world.warnings_of(episodes) == ["cave#0: no episode of closest, so nothing to compare with"]
 
 
 def test_only_common_episodes_are_compared():
     episodes = both([11.0, 9.0, 11.0], [5.0, 20.0, 99.0], episode=[1, 2, 3])
-    assert stats.summarise(episodes)["ratio"][1] == 1.25
-    assert stats.warnings_of(episodes) == [
+    assert by_world.summarise(episodes)["ratio"][1] == 1.25
+    assert by_world.warnings_of(episodes) == [
         "office#1: random against closest: 3 and 3 episodes make 2 pairs; only pairs are compared"
     ]
     apart = both([10.0, 11.0], [5.0, 20.0], episode=[7, 8])
-    assert math.isnan(stats.summarise(apart)["ratio"][1])
-    assert len(stats.warnings_of(apart)) == 1
+    assert math.isnan(by_world.summarise(apart)["ratio"][1])
+    assert len(by_world.warnings_of(apart)) == 1
 
 
 def test_pairs_that_start_differently_are_refused():
     with pytest.raises(InputError, match=r"^office#1, random, episode 1: .*start_col is 9, not 4$"):
-        stats.summarise(both([1.0, 2.0], [1.0, 2.0], start_col=[4, 9]))
+        by_world.summarise(both([1.0, 2.0], [1.0, 2.0], start_col=[4, 9]))
 
 
 def test_an_episode_that_occurs_twice_is_refused():
     with pytest.raises(InputError, match="episode 5 must occur once"):
-        stats.summarise(table(path_m=[1.0, 2.0], episode=[5, 5]))
+        by_world.summarise(table(path_m=[1.0, 2.0], episode=[5, 5]))
 
 
 def test_markdown_whole():
     episodes = both([10.0, 20.0, 30.0], [20.0, 40.0, 60.0])
-    text = stats.markdown_table(stats.summarise(episodes))
+    text = by_world.markdown_table(by_world.summarise(episodes))
     lines = text.splitlines()
     assert len({len(line) for line in lines}) == 1
     cells = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
-    assert cells[0][:7] == ["world", "strategy", "n", "path m", "95 % interval", "ratio to the first", "p"]
+    assert cells[0][:7] == ["world", "strategy", "n", "path m", "95 % interval", "ratio to the first", "p (Holm)"]
     assert cells[2] == [
         *("office#1", "closest", "3", "20.00 ± 10.00", "[5.8, 69.3]", "1.000", "-"),
         *("7.0", "104.0", "1.5", "1.000", "0.0", "-", "COMPLETE 3"),
@@ -299,13 +320,13 @@ def test_markdown_whole():
 def test_markdown_small_p_missing_sd_and_bars_in_names():
     rng = np.random.default_rng(5)
     a = rng.normal(100.0, 0.1, 20)
-    summary = stats.summarise(both(a, a * 1.5 + rng.normal(0, 0.1, 20)).assign(world="a|b"))
-    text = stats.markdown_table(summary, confidence=0.9)
+    summary = by_world.summarise(both(a, a * 1.5 + rng.normal(0, 0.1, 20)).assign(world="a|b"))
+    text = by_world.markdown_table(summary, confidence=0.9)
     assert "<0.001" in text
     assert "a\\|b" in text
     assert "90 % interval" in text
     assert "[99.9" in text  # narrow intervals have two decimals
-    assert "nan" not in stats.markdown_table(stats.summarise(table(path_m=[12.5])))
+    assert "nan" not in by_world.markdown_table(by_world.summarise(table(path_m=[12.5])))
 
 
 def progress(final, metres_a_mark=1.0):
@@ -317,7 +338,7 @@ def progress(final, metres_a_mark=1.0):
 def test_paths_at_equal_coverage_by_hand():
     ours = np.stack([progress(100), progress(60), progress(100), progress(0), progress(1)])
     theirs = np.stack([progress(100, 2.0), progress(100, 2.0), progress(40, 2.0), progress(100, 2.0), progress(1, 2.0)])
-    path_m, reference_m = stats.path_at_equal_coverage(ours, theirs)
+    path_m, reference_m = by_world.path_at_equal_coverage(ours, theirs)
     # 95 % of the lesser: marks 95, 57, 38, none, and none below the first mark.
     np.testing.assert_array_equal(path_m, [95, 57, 38, np.nan, np.nan])
     np.testing.assert_array_equal(reference_m, [190, 114, 76, np.nan, np.nan])
@@ -325,19 +346,19 @@ def test_paths_at_equal_coverage_by_hand():
 
 def test_repeated_episodes_count_once():
     episodes = both([50.0] * 4, [40.0] * 4)
-    first, second = stats.summarise(episodes).itertuples(index=False)
+    first, second = by_world.summarise(episodes).itertuples(index=False)
     assert (first.n, second.n, second.ratio) == (1, 1, 0.8)
     assert np.isnan([first.sd, first.ci_low, second.ci_high, second.ratio_low, second.ratio_high, second.p]).all()
-    assert stats.warnings_of(episodes) == [
+    assert by_world.warnings_of(episodes) == [
         f"office#1: {name}: all 4 episodes are the very same one, which counts once" for name in ("closest", "random")
     ]
     other_start = both([50.0] * 4, [40.0] * 4, start_col=[4, 4, 4, 5])
     other_start.loc[3, "start_col"] = 5
-    assert stats.summarise(other_start)["n"].tolist() == [4, 4]
+    assert by_world.summarise(other_start)["n"].tolist() == [4, 4]
 
 
 def test_no_warning_where_all_ended_alike():
-    assert stats.warnings_of(both([10.0, 20.0], [12.0, 30.0], explored_fraction=[1.0, 0.995])) == []
+    assert by_world.warnings_of(both([10.0, 20.0], [12.0, 30.0], explored_fraction=[1.0, 0.995])) == []
 
 
 def test_truncated_paths_are_compared_at_equal_coverage():
@@ -357,7 +378,7 @@ def test_truncated_paths_are_compared_at_equal_coverage():
         ("office#1", "closest"): np.stack([progress(100, 0.4), progress(100, 0.41), progress(100, 0.42)]),
         ("office#1", "random"): np.stack([progress(100, 0.8), progress(60, 0.3), progress(100, 0.9)]),
     }
-    line, cut = stats.warnings_of(episodes, known)
+    line, cut = by_world.warnings_of(episodes, known)
     assert "1 of 3 episodes were cut short" in cut
     equal = (95 * 0.8 + 57 * 0.3 + 95 * 0.9) / (95 * 0.4 + 57 * 0.41 + 95 * 0.42)
     assert "\n" not in line
@@ -369,28 +390,30 @@ def test_truncated_paths_are_compared_at_equal_coverage():
     assert "over 3 pairs; where both" in line
     assert line.endswith("over 2 pairs")
     # The same without what was recorded on the way, and with the rows of a strategy in another order.
-    assert "equal coverage" not in stats.warnings_of(episodes)[0]
+    assert "equal coverage" not in by_world.warnings_of(episodes)[0]
     mixed = pd.concat([episodes.iloc[:3], episodes.iloc[[5, 3, 4]]], ignore_index=True)
     known["office#1", "random"] = known["office#1", "random"][[2, 0, 1]]
-    assert stats.warnings_of(mixed, known)[0] == line
+    assert by_world.warnings_of(mixed, known)[0] == line
 
 
 def test_complete_pairs_count_only_where_equally_explored():
-    (line,) = stats.warnings_of(both([10.0, 20.0, 30.0], [30.0, 20.0, 30.0], explored_fraction=[0.9, 1.0, 1.0]))
+    (line,) = by_world.warnings_of(both([10.0, 20.0, 30.0], [30.0, 20.0, 30.0], explored_fraction=[0.9, 1.0, 1.0]))
     assert line.startswith("office#1: random against closest: explored fractions differ by more than 0.01 in 1 of 3")
     assert line.endswith("at path_m_at_95, 1.000 over 2 pairs")
 
 
 def test_a_reference_that_did_not_move_has_no_ratio():
-    (line,) = stats.warnings_of(both([0.0, 0.0], [1.0, 2.0], explored_fraction=[0.2, 0.3], start_col=4))[:1]
+    (line,) = by_world.warnings_of(both([0.0, 0.0], [1.0, 2.0], explored_fraction=[0.2, 0.3], start_col=4))[:1]
     assert "path ratio none, for the reference did not move; " in line
 
 
 def test_unequal_coverage_without_a_comparable_pair():
-    (line,) = stats.warnings_of(both([10.0, 20.0], [1.0, 2.0], explored_fraction=[0.2, 0.3], outcome="BLOCKED"))
+    (line,) = by_world.warnings_of(both([10.0, 20.0], [1.0, 2.0], explored_fraction=[0.2, 0.3], outcome="BLOCKED"))
     assert line.endswith("at path_m_at_95, no pair to compare")
     blind = {("office#1", name): np.stack([progress(0), progress(1)]) for name in ("closest", "random")}
-    (line,) = stats.warnings_of(both([10.0, 20.0], [1.0, 2.0], explored_fraction=[0.2, 0.3], outcome="BLOCKED"), blind)
+    (line,) = by_world.warnings_of(
+        both([10.0, 20.0], [1.0, 2.0], explored_fraction=[0.2, 0.3], outcome="BLOCKED"), blind
+    )
     assert line.count("no pair to compare") == 2
 
 
@@ -398,6 +421,6 @@ def test_import_is_light():
     import subprocess
 
     heavy = "{'pandas', 'scipy', 'scipy.stats', 'jax'}"
-    code = f"import sys, jexplore.studies.stats; print(sorted({heavy} & set(sys.modules)))"
+    code = f"import sys, jexplore.studies.statistics.by_world; print(sorted({heavy} & set(sys.modules)))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"

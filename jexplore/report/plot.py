@@ -1,4 +1,4 @@
-"""Pictures: comparisons as bars, maps with paths, contact sheets.
+"""Pictures: bars, maps with paths, contact sheets.
 
 `bars` and the `draw_*` functions take arrays and an `Axes` and return the artists; the `*_figure` functions compose
 them into a `Figure` that no window or global state knows of (save it with `save_figure`). Arrays are `(row, col)` with
@@ -25,6 +25,7 @@ from matplotlib.markers import MarkerStyle
 from matplotlib.path import Path as Outline
 from matplotlib.ticker import MaxNLocator
 
+from jexplore.config import InputError
 from jexplore.report.store import atomic
 
 PALETTE = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00", "#f0e442", "#999999")
@@ -39,13 +40,24 @@ ARROW = Outline([(1.0, 0.0), (-0.6, 0.6), (-0.3, 0.0), (-0.6, -0.6), (1.0, 0.0)]
 
 
 def save_figure(figure: Figure, path: str | os.PathLike[str], *, dpi: float = 100) -> None:
-    """Write a figure in the format of the file's ending, whole or not at all.
+    """Write a figure in the format of the file's ending, whole or not at all: pixels (png) or a vector (svg, pdf).
+
+    Equal figures give equal files. A PDF holds its fonts as outlines that can be edited (TrueType).
+
+    Args:
+      figure: the figure.
+      path: the file; without an ending it is a PNG.
+      dpi: pixels an inch, of pixels and of what a vector has of them.
 
     Raises:
-      InputError: the file cannot be written.
+      InputError: there is no such format, or the file cannot be written.
     """
-    with atomic(path) as part:
-        figure.savefig(part, format=os.path.splitext(path)[1].lstrip(".") or "png", dpi=dpi)
+    ending, known = os.path.splitext(path)[1].lstrip(".").lower() or "png", figure.canvas.get_supported_filetypes()
+    if ending not in known:
+        raise InputError(f"{path} must end in .png, .svg or .pdf, got .{ending}")
+    dates = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}
+    with atomic(path) as part, matplotlib.rc_context({"pdf.fonttype": 42, "svg.hashsalt": "jexplore"}):
+        figure.savefig(part, format=ending, dpi=dpi, metadata=dates.get(ending))
 
 
 def wrapped(text: object, width: int, *, max_lines: int = 3) -> str:
@@ -144,38 +156,6 @@ def _grid(count):
     """Rows and columns for `count` panels."""
     n_cols = count if count <= 3 else min(4, math.ceil(math.sqrt(count)))
     return math.ceil(count / n_cols), n_cols
-
-
-def compare_figure(summary: Any) -> Figure:
-    """Path lengths of every strategy, one panel a world, as Holz et al. 2010, Figure 8.
-
-    Strategies stand in order of first appearance and keep their colour in all panels; one that did not run in a world
-    leaves a gap there.
-
-    Args:
-      summary: from `stats.summarise`: columns `world`, `strategy`, `mean`, `sd`; one row or more.
-
-    Returns:
-      `Figure`.
-    """
-    worlds, strategies = list(dict.fromkeys(summary["world"])), list(dict.fromkeys(summary["strategy"]))
-    found = {(row.world, row.strategy): (row.mean, row.sd) for row in summary.itertuples(index=False)}
-    styles, labels = list(style_of(strategies).values()), [wrapped(name, 26) for name in strategies]
-    n_rows, n_cols = _grid(len(worlds))
-    height = 0.75 + sum(0.14 + 0.15 * (label.count("\n") + 1) for label in labels)
-    names_in = 0.07 * max(len(line) for label in labels for line in label.split("\n")) + 0.2
-    figure = Figure(figsize=(names_in + 2.9 * n_cols, n_rows * max(height, 1.3) + 0.1), layout="constrained")
-    grid = figure.subplots(n_rows, n_cols, squeeze=False, sharey=True)
-    for ax, world in itertools.zip_longest(grid.flat, worlds):
-        if world is None:
-            ax.set_visible(False)
-            continue
-        means, sds = zip(*(found.get((world, name), (math.nan, math.nan)) for name in strategies))
-        bars(ax, labels, means, sds, wrapped(world, 38, max_lines=2), styles=styles)
-        if ax.get_subplotspec().rowspan.stop < n_rows and ax is not grid.flat[len(worlds) - 1]:
-            below = grid.flat[list(grid.flat).index(ax) + n_cols].get_subplotspec().num1
-            ax.set_xlabel("path length (m)" if below >= len(worlds) else "")
-    return figure
 
 
 def draw_map(ax: Axes, state: Any, cell_m: float) -> Any:

@@ -1,6 +1,6 @@
-"""Paired statistics of episodes: ratios with intervals, tables, and warnings about unequal coverage.
+"""Episodes of a comparison as a table: means, paired ratios, and warnings about unequal coverage.
 
-numpy at import; scipy and pandas are imported by the functions that need them (together they take a second).
+pandas is imported by the function that needs it.
 """
 
 import dataclasses
@@ -9,10 +9,10 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from jexplore.config import InputError
 from jexplore.report.tables import aligned_table, interval_text, number_text, p_text, ratio_text, spread_text
+from jexplore.studies.statistics.paired import PairedRatio, holm, mean_interval, paired_ratio
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -25,136 +25,14 @@ EQUAL_SHARE = 0.95
 TOLERANCE = 0.01
 """Explored fractions that differ by no more are equal."""
 
-MIN_PAIRS = 6
-"""Fewer pairs decide nothing, whatever their interval."""
-
 _MEANS = ("plans", "scans", "turning_rad", "explored_fraction", "exhausted", "room_entries")
 _SAME = ("start_row", "start_col", "start_heading_deg", "path_m", "turning_rad", "scans", "plans", "outcome")
 SUMMARY_COLUMNS = (
     *("world", "strategy", "n", "mean", "sd", "ci_low", "ci_high", "ratio", "ratio_low", "ratio_high", "p"),
+    "p_holm",
     *_MEANS,
     "outcomes",
 )
-
-
-@dataclasses.dataclass(frozen=True)
-class PairedRatio:
-    """Ratio of two means over paired episodes."""
-
-    ratio: float  # mean(values) / mean(reference); NaN if the latter is 0
-    low: float  # interval; NaN where none can be given
-    high: float
-    p: float  # two-sided, of the hypothesis that the ratio of the means is 1; NaN where there is no interval
-    n: int  # pairs; 1 where all pairs are the very same
-
-
-def _vector(values, name):
-    values = np.asarray(values, dtype=np.float64)
-    if values.ndim != 1 or values.size == 0 or not np.isfinite(values).all() or values.min() < 0:
-        raise ValueError(
-            f"expected {name} as a vector of one or more finite numbers from 0, got shape {values.shape} of {values}"
-        )
-    return values
-
-
-def t_interval(
-    estimate: float, standard_error: float, freedom: float, confidence: float = 0.95
-) -> tuple[float, float, float]:
-    """Interval `estimate ± t standard_error`, and the p of the hypothesis that 0 is estimated.
-
-    Args:
-      estimate, standard_error: floats of one unit.
-      freedom: degrees of freedom of the standard error.
-      confidence: nominal coverage.
-
-    Returns:
-      `(low, high, p)`; NaN where the standard error is 0 or not finite, or there are no degrees of freedom.
-
-    Raises:
-      ValueError: a confidence outside (0, 1).
-    """
-    from scipy.special import stdtr, stdtrit
-
-    if not 0 < confidence < 1:
-        raise ValueError(f"expected confidence between 0 and 1, got {confidence!r}")
-    if not (math.isfinite(estimate) and 0 < standard_error < math.inf and freedom > 0):
-        return math.nan, math.nan, math.nan
-    half = float(stdtrit(freedom, 0.5 + confidence / 2)) * standard_error
-    return estimate - half, estimate + half, 2 * float(stdtr(freedom, -abs(estimate) / standard_error))
-
-
-def _standard_error(relative):
-    """That of the mean of two or more numbers about 1; rounding is no spread."""
-    error = float(relative.std(ddof=1)) / math.sqrt(len(relative))
-    return error if error > 1e-12 else 0.0
-
-
-def _exp(value):
-    with np.errstate(over="ignore"):
-        return float(np.exp(value))
-
-
-def paired_ratio(values: ArrayLike, reference: ArrayLike, *, confidence: float = 0.95) -> PairedRatio:
-    """Ratio R of the means of paired samples, with an interval and a test.
-
-    The interval is `R exp(± t s)`, where `s` is the standard error of the logarithm of R by the delta method: the
-    standard deviation of `v / mean(v) - r / mean(r)` over the pairs `(v, r)`, divided by the root of their number; t is
-    Student's. It is about the ratio of the means, not the mean (or geometric mean) of the ratios;
-    `benchmarks/coverage.py` measures how often it covers. p is of the hypothesis R = 1, by the same t: below 0.05 just
-    where the 95 % interval leaves out 1. It is not corrected for many comparisons.
-
-    Pairs of equal members tell of no spread: together they count as one in the degrees of freedom. Pairs that are all
-    the very same (one episode repeated) are one pair. One pair, or pairs without any spread, have no interval and no p.
-
-    Args:
-      values, reference: `[N]` finite numbers from 0, N >= 1, the same episodes in the same order.
-      confidence: nominal coverage.
-
-    Returns:
-      `PairedRatio`; it does not depend on the order of the pairs.
-
-    Raises:
-      ValueError: not vectors, lengths that differ, empty, not finite, negative, or a confidence outside (0, 1).
-
-    Source:
-      The delta method for a ratio of means, on the logarithm; Fieller 1954 treats the same problem.
-    """
-    values, reference = _vector(values, "values"), _vector(reference, "reference")
-    if len(values) != len(reference):
-        raise ValueError(f"expected as many values as references, got {len(values)} and {len(reference)}")
-    order = np.lexsort((values, reference))
-    values, reference = values[order], reference[order]
-    n = 1 if np.ptp(values) == 0 == np.ptp(reference) else len(values)
-    mean, mean_reference = values.mean(), reference.mean()
-    ratio = float(mean / mean_reference) if mean_reference > 0 else math.nan
-    error = freedom = 0.0
-    if n > 1 and mean > 0 and mean_reference > 0:
-        error = _standard_error(values / mean - reference / mean_reference)
-        equal = int((values == reference).sum())
-        freedom = n - max(equal, 1)
-    low, high, p = t_interval(math.log(ratio) if error else math.nan, error, freedom, confidence)
-    return PairedRatio(ratio, _exp(low), _exp(high), p, n)
-
-
-def mean_interval(values: ArrayLike, *, confidence: float = 0.95) -> tuple[float, float]:
-    """Interval of a mean, `mean exp(± t s)`: as in `paired_ratio`, with s the standard error of the logarithm of the
-    mean and n - 1 degrees of freedom. Never below 0; skewed as path lengths are.
-
-    Args:
-      values: `[N]` finite numbers from 0, N >= 1.
-      confidence: nominal coverage.
-
-    Returns:
-      `(low, high)` in the unit of `values`; NaN for one value, or values that are all the same.
-
-    Raises:
-      ValueError: as `paired_ratio`.
-    """
-    values = np.sort(_vector(values, "values"))
-    mean, n = values.mean(), len(values)
-    error = _standard_error(values / mean) if n > 1 and mean > 0 else 0.0
-    low, high, _ = t_interval(math.log(mean) if error else math.nan, error, n - 1, confidence)
-    return _exp(low), _exp(high)
 
 
 def _groups(episodes):
@@ -206,9 +84,10 @@ def summarise(episodes: "pd.DataFrame", *, confidence: float = 0.95) -> "pd.Data
     Returns:
       A DataFrame with the columns `SUMMARY_COLUMNS`: `n` episodes, 1 where one is repeated; `mean`, `sd` (divided by
         n - 1; NaN for one episode) and the interval `ci_low`, `ci_high` of the path length, metres, from
-        `mean_interval`; `ratio`, `ratio_low`, `ratio_high`, `p` from `paired_ratio`; the means of `plans`, `scans`,
-        `turning_rad`, `explored_fraction`, `exhausted` and `room_entries` (NaN without rooms); `outcomes`, text such
-        as "COMPLETE 98, BLOCKED 2".
+        `mean_interval`; `ratio`, `ratio_low`, `ratio_high`, `p` from `paired_ratio`; `p_holm`, that p corrected for
+        as many strategies as are compared in the world (`holm`); the means of `plans`, `scans`, `turning_rad`,
+        `explored_fraction`, `exhausted` and `room_entries` (NaN without rooms); `outcomes`, text such as "COMPLETE 98,
+        BLOCKED 2".
 
     Raises:
       InputError: an episode occurs twice, or paired episodes start differently.
@@ -231,9 +110,12 @@ def summarise(episodes: "pd.DataFrame", *, confidence: float = 0.95) -> "pd.Data
             row = (world, strategy, n, path_m.mean(), path_m.std(ddof=1) if n > 1 else math.nan)
             row += (*mean_interval(path_m, confidence=confidence), versus.ratio, versus.low, versus.high, versus.p)
             means = [rows[name].astype("Float64").mean() for name in _MEANS]
-            row += tuple(math.nan if pd.isna(mean) else float(mean) for mean in means)
-            table.append((*row, _outcomes(rows)))
-    return pd.DataFrame(table, columns=list(SUMMARY_COLUMNS))
+            means = [math.nan if pd.isna(mean) else float(mean) for mean in means]
+            table.append((*row, math.nan, *means, _outcomes(rows)))
+    found = pd.DataFrame(table, columns=list(SUMMARY_COLUMNS))
+    for places in found.groupby("world", sort=False).indices.values():
+        found.loc[places, "p_holm"] = holm(found["p"].iloc[places])
+    return found
 
 
 def markdown_table(summary: Any, *, confidence: float = 0.95) -> str:
@@ -248,13 +130,13 @@ def markdown_table(summary: Any, *, confidence: float = 0.95) -> str:
     """
     widths_m = [high - low for low, high in zip(summary["ci_low"], summary["ci_high"]) if math.isfinite(high - low)]
     decimals = 1 if widths_m and min(widths_m) >= 1 else 2
-    head = ["world", "strategy", "n", "path m", f"{100 * confidence:g} % interval", "ratio to the first", "p"]
+    head = ["world", "strategy", "n", "path m", f"{100 * confidence:g} % interval", "ratio to the first", "p (Holm)"]
     head += ["plans", "scans", "turning rad", "explored", "exhausted", "room entries", "outcomes"]
     lines = []
     for row in summary.itertuples(index=False):
         path = spread_text(row.mean, row.sd)
         line = [row.world, row.strategy, str(row.n), path, interval_text(row.ci_low, row.ci_high, decimals)]
-        line += [ratio_text(row.ratio, row.ratio_low, row.ratio_high), p_text(row.p)]
+        line += [ratio_text(row.ratio, row.ratio_low, row.ratio_high), p_text(row.p_holm)]
         line += [number_text(row.plans, 1), number_text(row.scans, 1), number_text(row.turning_rad, 1)]
         line += [number_text(row.explored_fraction, 3), number_text(row.exhausted, 1), number_text(row.room_entries, 1)]
         lines.append([*line, row.outcomes])

@@ -1,0 +1,212 @@
+"""Path lengths of every strategy, episode by episode, with means, intervals, and ratios to the first strategy."""
+
+import math
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from jexplore.report.plot import wrapped
+from jexplore.report.plots.looks import FONT, GREY, looks_of, plain, ratio_range, ratio_scale
+
+GOLDEN = 0.6180339887
+LABEL = 38  # characters of a strategy's name in a line
+MANY = 4  # more panels than this stand in two columns
+
+
+class Estimates(NamedTuple):
+    """Numbers of K strategies with their intervals."""
+
+    values: Any  # [K] float, NaN where there is none
+    low: Any  # [K] float, NaN where there is no interval
+    high: Any
+
+
+class Panel(NamedTuple):
+    """What one pair of axes shows: of one world, or of all of them."""
+
+    title: str
+    label: str  # of the axis on the left
+    points: Sequence[Any]  # K arrays: the path of every episode, or another number; empty where there is none
+    ended_well: Sequence[Any]  # K bool arrays of the same lengths: other points are crosses
+    means: Estimates  # of the points
+    shares: bool  # whether the points are shares in per cent, beside a line at 50
+    ratio_points: Sequence[Any]  # K arrays: ratios that the estimate on the right is made of; may be empty
+    ratios: Estimates  # to the first strategy
+
+
+def _spread(count, width):
+    """`[count]` places within `± width`, neighbours in number far apart."""
+    return (np.arange(1, count + 1) * GOLDEN % 1.0 - 0.5) * 2 * width
+
+
+def draw_points(ax: Axes, points: Sequence[Any], estimates: Estimates, looks: Sequence[dict[str, Any]], *,
+                ended_well: Sequence[Any] | None = None) -> list[Any]:  # fmt: skip
+    """A row for each strategy, the first on top: its numbers as pale dots, their mean and its interval on them.
+
+    Args:
+      ax: the axes; their y axis gets a row a strategy, without labels.
+      points: K arrays of numbers, in order of the rows.
+      estimates: their means and intervals.
+      looks: K dicts of line properties, from `looks_of`.
+      ended_well: K bool arrays: other numbers are crosses; by default all are dots.
+
+    Returns:
+      K error bars (`ErrorbarContainer`), None where there is no mean.
+    """
+    bars = []
+    for row, (some, look) in enumerate(zip(points, looks)):
+        some = np.asarray(some, np.float64)
+        well = np.ones(len(some), bool) if ended_well is None else np.asarray(ended_well[row], bool)
+        at = row + _spread(len(some), 0.3)
+        size = 3.8 if len(some) <= 40 else 2.4 if len(some) <= 300 else 1.2
+        pale = {"ls": "none", "color": look["color"], "mew": 0, "alpha": 0.5, "rasterized": len(some) > 500}
+        ax.plot(some[well], at[well], "o", ms=size, **pale)
+        ax.plot(some[~well], at[~well], "x", **{**pale, "ms": size + 1, "mew": 0.9, "alpha": 0.8})
+        value, low, high = (part[row] for part in estimates)
+        bars.append(_estimate(ax, row, value, low, high, look))
+    ax.set_ylim(len(points) - 0.45, -0.55)
+    ax.set_yticks(range(len(points)), [""] * len(points))
+    ax.tick_params(axis="y", length=0)
+    return bars
+
+
+def _estimate(ax, row, value, low, high, look):
+    if not math.isfinite(value):
+        return None
+    ends = [[max(value - low, 0.0)], [max(high - value, 0.0)]] if math.isfinite(low) and math.isfinite(high) else None
+    style = {"ecolor": "black", "elinewidth": 1.3, "capsize": 3, "capthick": 1.1, "zorder": 5}
+    style |= {"color": look["color"], "ms": 5.5, "mec": "black", "mew": 0.7}
+    return ax.errorbar([value], [row], xerr=ends, fmt=look["marker"], **style)
+
+
+def draw_ratios(ax: Axes, estimates: Estimates, looks: Sequence[dict[str, Any]], *,
+                points: Sequence[Any] | None = None) -> list[Any]:  # fmt: skip
+    """A row for each strategy: its ratio to the first one with the interval, on a logarithmic axis with a line at 1.
+
+    The axis shows all ratios; an interval that goes on beyond it ends in an arrow head.
+
+    Args:
+      ax: the axes.
+      estimates: ratios and intervals, in order of the rows.
+      looks: K dicts of line properties.
+      points: K arrays of single ratios, drawn pale; by default none.
+
+    Returns:
+      K error bars (`ErrorbarContainer`), None where there is no ratio.
+    """
+    points = [np.zeros(0)] * len(looks) if points is None else points
+    ax.axvline(1.0, color=GREY, linewidth=1, zorder=0)
+    bars = draw_points(ax, points, estimates, looks)
+    shown = np.concatenate([np.ravel(estimates.values), *map(np.ravel, points)])
+    low, high = ratio_range(shown, np.concatenate([np.ravel(estimates.low), np.ravel(estimates.high)]))
+    ratio_scale(ax, "x", low, high)
+    _beyond(ax, estimates, low, high)
+    return bars
+
+
+def _beyond(ax, estimates, low, high):
+    """Arrow heads on intervals that the axis cuts off."""
+    for row, (start, end) in enumerate(zip(estimates.low, estimates.high)):
+        for beyond, at, mark in ((start < low, low, "<"), (end > high, high, ">")):
+            if beyond:
+                ax.plot([at], [row], mark, color="black", ms=5, clip_on=False, zorder=6)
+
+
+def draw_panel(ax: Axes, panel: Panel, strategies: Sequence[str]) -> list[Any]:
+    """What stands on the left of a panel, by itself, with the names of the strategies.
+
+    Args:
+      ax: the axes.
+      panel: numbers of K strategies.
+      strategies: `[K]` names.
+
+    Returns:
+      K error bars (`ErrorbarContainer`), None where there is no mean.
+    """
+    bars = _left(ax, panel, list(looks_of(strategies).values()))
+    ax.set_yticks(range(len(strategies)), [wrapped(name, LABEL) for name in strategies])
+    ax.set_xlabel(panel.label)
+    ax.set_title(wrapped(panel.title, 62, max_lines=2), fontsize=9, loc="left").set_parse_math(False)
+    plain(ax, grid="x")
+    return bars
+
+
+def figure(panels: Sequence[Panel], strategies: Sequence[str]) -> Figure:
+    """Paths episode by episode, and beside them the ratios to the first strategy; a pair of axes a panel.
+
+    Strategies stand in the order given in every panel; one that did not run in a world leaves its row empty.
+
+    Args:
+      panels: one or more.
+      strategies: `[K]` names, the reference first.
+
+    Returns:
+      `Figure`.
+
+    Source:
+      Holz et al. 2010, Figure 8, shows means and standard deviations. Changed: every episode, intervals, paired ratios.
+    """
+    labels = [wrapped(name, LABEL) for name in strategies]
+    looks = list(looks_of(strategies).values())
+    n_cols = 1 if len(panels) <= MANY else 2
+    n_rows = math.ceil(len(panels) / n_cols)
+    pitch = 0.09 + 0.14 * max(label.count("\n") + 1 for label in labels)
+    names_in = 0.068 * max(len(line) for label in labels for line in label.split("\n")) + 0.25
+    tall = max(0.85 + max(pitch, 0.24) * len(labels), 1.25)
+    page = Figure(figsize=(names_in + 5.6 * n_cols, n_rows * tall + 0.45), layout="constrained")
+    grid = page.subplots(n_rows, 2 * n_cols, squeeze=False, gridspec_kw={"width_ratios": [1.15, 1.0] * n_cols})
+    for number in range(n_rows * n_cols):
+        left, right = grid[number // n_cols, number % n_cols * 2 : number % n_cols * 2 + 2]
+        if number >= len(panels):
+            left.set_visible(False)
+            right.set_visible(False)
+            continue
+        panel, lowest = panels[number], number + n_cols >= len(panels)
+        draw_panel(left, panel, strategies)
+        draw_ratios(right, panel.ratios, looks, points=panel.ratio_points)
+        if number % n_cols > 0:
+            left.set_yticklabels([])
+        same_below = not lowest and panels[number + n_cols].label == panel.label
+        left.set_xlabel("" if same_below else panel.label)
+        right.set_xlabel(wrapped(f"ratio to {strategies[0]}", 34, max_lines=2) if lowest else "")
+        plain(right, grid="x")
+    _legend(page, panels)
+    return page
+
+
+def _left(ax, panel, looks):
+    """The numbers of one panel, on an axis from 0."""
+    bars = draw_points(ax, panel.points, panel.means, looks, ended_well=panel.ended_well)
+    for row, some in enumerate(panel.points):
+        if not len(some) and not math.isfinite(panel.means.values[row]):
+            text = "the reference" if panel.shares and row == 0 else "no data"
+            ax.text(0.02, row, text, va="center", fontsize=FONT, color=GREY, transform=ax.get_yaxis_transform())
+    if panel.shares:
+        ax.axvline(50, color=GREY, linewidth=1, zorder=0)
+        ax.set_xlim(-3, 103)
+        ax.set_xticks([0, 25, 50, 75, 100])
+        return bars
+    numbers = np.concatenate([np.ravel(part) for part in (*panel.points, panel.means.values)])
+    longest = float(numbers[np.isfinite(numbers)].max(initial=0.0)) or 1.0
+    ends = panel.means.high[np.isfinite(panel.means.high)]
+    longest = max(longest, float(np.minimum(ends, 1.5 * longest).max(initial=0.0)))
+    ax.set_xlim(-0.02 * longest, 1.04 * longest)
+    _beyond(ax, panel.means, -math.inf, 1.04 * longest)
+    return bars
+
+
+_POINTS = {"an episode": lambda panel: panel.points, "a world": lambda panel: panel.ratio_points}
+
+
+def _legend(page, panels):
+    single = [any(len(some) for panel in panels for some in points(panel)) for points in _POINTS.values()]
+    what = " or ".join(name for name, there in zip(_POINTS, single) if there)
+    marks = [Line2D([], [], color=GREY, ls="none", marker="o", ms=3.8, alpha=0.6, label=what)] if what else []
+    if not all(np.all(well) for panel in panels for well in panel.ended_well):
+        marks.append(Line2D([], [], color=GREY, ls="none", marker="x", ms=4.5, label="one that is not COMPLETE"))
+    marks.append(Line2D([], [], color="black", marker="o", ms=5.5, mfc="white", label="mean or ratio, 95 % interval"))
+    page.legend(handles=marks, loc="outside lower center", ncols=3, frameon=False, fontsize=FONT)

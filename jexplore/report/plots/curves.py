@@ -1,0 +1,138 @@
+"""Curves of strategies: the explored share along the path, and performance profiles."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from jexplore.report.plot import wrapped
+from jexplore.report.plots.looks import FONT, GREY, band_of, legend_below, looks_of, page_of, panels, plain, ratio_scale
+
+
+def quartiles(progress: Any) -> np.ndarray:
+    """The quartiles of the paths at which each share was known, over episodes; those that never knew it come last.
+
+    Args:
+      progress: `[N, M]` float, metres, NaN where an episode never knew so much; N >= 1.
+
+    Returns:
+      `[3, M]` float64: the first quartile, the median and the third one, paths that were driven (not interpolated
+        between); inf where it is one of those that never knew it.
+    """
+    driven = np.where(np.isnan(progress), np.inf, progress)
+    return np.quantile(driven, [0.25, 0.5, 0.75], axis=0, method="inverted_cdf")
+
+
+def draw_progress(ax: Axes, progress: Any, look: Mapping[str, Any], *, end_m: float, band: float = 0.18) -> Line2D:
+    """The share that is known along the path: the median path to each share, in a band from quartile to quartile.
+
+    Args:
+      ax: the axes, metres and per cent.
+      progress: `[N, M]` float, metres at 1 / M, 2 / M, ... of what can be known, NaN where that was never known.
+      look: line properties, from `looks_of`.
+      end_m: where a band ends whose last quartile never knew as much.
+      band: how opaque the band is.
+
+    Returns:
+      The line of medians, `M` points.
+    """
+    low, median, high = quartiles(progress)
+    share = np.arange(1, len(median) + 1) * 100 / len(median)
+    known = np.isfinite(low)
+    ends = np.where(np.isfinite(high[known]), high[known], end_m)
+    ax.fill_betweenx(share[known], low[known], ends, color=look["color"], alpha=band, linewidth=0)
+    style = {"color": look["color"], "linestyle": look["linestyle"], "linewidth": 1.5}
+    marked = [i for i in range(len(share) // 4 - 1, len(share), len(share) // 4) if 0 < median[i] < np.inf]
+    marks = {"marker": look["marker"], "markevery": marked, "ms": 4.5, "mec": "white", "mew": 0.4}
+    (line,) = ax.plot(np.where(np.isfinite(median), median, np.nan), share, **style, **marks)
+    return line
+
+
+def coverage_figure(entries: Sequence[tuple[str, Mapping[str, Any]]]) -> Figure:
+    """The share of what can be known that is known along the path: one panel a world, medians and quartile bands.
+
+    Args:
+      entries: one or more `(world, {strategy: progress})`, progress `[N, M]` as in `draw_progress`.
+
+    Returns:
+      `Figure`.
+    """
+    strategies = list(dict.fromkeys(name for _, known in entries for name in known))
+    looks, lines = looks_of(strategies), {}
+    page, n_cols = page_of(len(entries))
+    for number, ax, lowest in panels(page, len(entries), n_cols, sharey=True):
+        world, known = entries[number]
+        driven = [part[np.isfinite(part)] for part in map(np.asarray, known.values())]
+        end_m = max((float(part.max()) for part in driven if part.size), default=1.0) or 1.0
+        shown = [quartiles(part)[2] for part in known.values() if np.size(part)]
+        shown = np.concatenate([part[np.isfinite(part)] for part in shown]) if shown else np.zeros(0)
+        end_m = min(end_m, 1.08 * float(shown.max(initial=0.0)) or end_m)
+        for name, progress in known.items():
+            if np.size(progress):
+                lines[name] = draw_progress(ax, progress, looks[name], end_m=end_m, band=band_of(len(known)))
+        ax.set(xlim=(-0.01 * end_m, end_m), ylim=(0, 101))
+        if not np.any(shown > 0):
+            at = {"ha": "center", "va": "center", "fontsize": FONT, "color": GREY, "transform": ax.transAxes}
+            ax.text(0.5, 0.5, "all was known at the start" if shown.size else "no data", **at)
+        ax.set_title(wrapped(world, 44, max_lines=2), fontsize=9)
+        ax.set_xlabel("path length (m)" if lowest else "")
+        ax.set_ylabel("known of what can be known (%)" if number % n_cols == 0 else "")
+        plain(ax, grid="both")
+    shown = [name for name in strategies if name in lines]
+    legend_below(page, [lines[name] for name in shown], shown)
+    return page
+
+
+def draw_profile(ax: Axes, ratio: Any, share: Any, low: Any, high: Any, look: Mapping[str, Any], *,
+                 band: float = 0.18) -> Line2D:  # fmt: skip
+    """One strategy's performance profile with its band.
+
+    Args:
+      ax: the axes, ratios and per cent.
+      ratio: `[K]` float, rising.
+      share, low, high: `[K]` float from 0 to 1; a NaN has no band.
+      look: line properties, from `looks_of`.
+      band: how opaque the band is.
+
+    Returns:
+      The line, `K` points.
+    """
+    low, high = (np.asarray(part, np.float64) for part in (low, high))
+    if np.isfinite(low).any():
+        ax.fill_between(ratio, 100 * low, 100 * high, step="post", color=look["color"], alpha=band, linewidth=0)
+    style = {"color": look["color"], "linestyle": look["linestyle"], "linewidth": 1.5}
+    marks = {"marker": look["marker"], "markevery": (10, 20), "ms": 4.5, "mec": "white", "mew": 0.4}
+    (line,) = ax.plot(ratio, 100 * np.asarray(share, np.float64), drawstyle="steps-post", **style, **marks)
+    return line
+
+
+def profile_figure(table: Any, *, over: str = "best") -> Figure:
+    """Performance profiles: of how many starts a path is at most so many times the shortest, or the first strategy's.
+
+    Args:
+      table: columns `strategy`, `ratio`, `share`, `low`, `high`, from `aggregate.profiles`; one row or more.
+      over: what the ratios are of, for the label: "best" or "first".
+
+    Returns:
+      `Figure`.
+
+    Source:
+      Dolan and More 2002.
+    """
+    page = Figure(figsize=(6.4, 3.8), layout="constrained")
+    ax: Any = page.subplots()
+    looks, lines = looks_of(dict.fromkeys(table["strategy"])), {}
+    for name, rows in table.groupby("strategy", sort=False):
+        ratio, share, low, high = (rows[key].to_numpy() for key in ("ratio", "share", "low", "high"))
+        lines[name] = draw_profile(ax, ratio, share, low, high, looks[name], band=band_of(len(looks)))
+    least, most = float(table["ratio"].min()), float(table["ratio"].max())
+    ratio_scale(ax, "x", least, max(most, 1.05 * least))
+    by = "the shortest one" if over == "best" else f"that of {wrapped(table['strategy'].iloc[0], 60, max_lines=1)}"
+    ax.set(ylim=(-1, 101), xlabel=f"path length over {by} from the same start")
+    ax.set_ylabel("starts with at most that ratio (%)")
+    plain(ax, grid="both")
+    legend_below(page, list(lines.values()), list(lines))
+    return page

@@ -1,0 +1,241 @@
+"""What one number says of many episodes: chances of a shorter path, interquartile means, performance profiles.
+
+With two worlds or more, worlds are the sample: all count the same, however many episodes they have, and intervals are
+for other worlds of the same kinds in the same shares. In a single world the starts are.
+
+pandas and scipy are imported by the functions that need them.
+"""
+
+import dataclasses
+import math
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from jexplore.config import InputError
+from jexplore.studies.statistics.over_worlds import comparable_paths, kind_of, mean_over_worlds, share_over_worlds
+from jexplore.studies.statistics.paired import safe_exp
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+OVER = ("first", "best")
+"""What a path is divided by for its score: that of the first strategy from the same start, or the shortest of all."""
+
+PROFILE_COLUMNS = ("strategy", "ratio", "share", "low", "high")
+MOST_RATIO = 10.0
+"""Profiles end here at the latest."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Estimate:
+    """A number with its interval."""
+
+    value: float  # NaN where there is nothing to estimate from
+    low: float  # interval; NaN where none can be given
+    high: float
+    p: float  # two-sided, of the hypothesis that nothing differs; NaN where there is no interval
+    n: int  # worlds; starts where there is a single world
+
+
+def _checked(values, worlds, name):
+    """`values` as `[N]` float64 and the `[N]` numbers of their units, and the kinds of the units."""
+    values = np.asarray(values, np.float64)
+    worlds = ["one"] * values.size if worlds is None else [str(world) for world in worlds]
+    if values.ndim != 1 or np.isnan(values).any() or (values < 0).any():
+        raise InputError(f"{name} must be a vector of numbers from 0, inf for a failure, got {values}")
+    if len(worlds) != len(values):
+        raise InputError(f"worlds must be as many as the {name}, {len(values)}, got {len(worlds)}")
+    names = list(dict.fromkeys(worlds))
+    if len(names) < 2:
+        return values, np.arange(len(values)), ["start"] * len(values)
+    number = {world: i for i, world in enumerate(names)}
+    return values, np.array([number[world] for world in worlds]), [kind_of(world) for world in names]
+
+
+def _unit_means(values, unit, kinds):
+    """`[N, ...]` numbers of episodes -> `[U, ...]` their means in every unit."""
+    sums = np.zeros((len(kinds), *values.shape[1:]))
+    np.add.at(sums, unit, values)
+    return sums / np.bincount(unit, minlength=len(kinds)).reshape(-1, *[1] * (values.ndim - 1))
+
+
+def improvement(
+    values: ArrayLike, reference: ArrayLike, worlds: Iterable[object] | None = None, *, confidence: float = 0.95
+) -> Estimate:
+    """Chance that a path is shorter than the reference's from the same start; equal ones count half.
+
+    Args:
+      values, reference: `[N]` path lengths of the same starts in the same order, inf for an episode that has failed;
+        two that have failed are equal.
+      worlds: `[N]`, the world of each; None for a single one.
+      confidence: nominal coverage of the interval, by `share_over_worlds`.
+
+    Returns:
+      `Estimate`; p is of the chance being 1/2. No interval for fewer than two worlds, or two starts in a single one.
+
+    Raises:
+      InputError: lengths that differ, NaN, negative numbers.
+
+    Source:
+      Agarwal et al. 2021, probability of improvement. Changed: paired by start, and the sample are worlds.
+    """
+    values, unit, kinds = _checked(values, worlds, "values")
+    reference, *_ = _checked(reference, worlds, "reference")
+    if len(values) != len(reference):
+        raise InputError(f"reference must be as many as the values, {len(values)}, got {len(reference)}")
+    wins = (values < reference) + 0.5 * (values == reference)
+    return Estimate(*share_over_worlds(_unit_means(wins, unit, kinds), kinds, confidence=confidence), len(kinds))
+
+
+def _quantile(values, weights, share):
+    """The least of sorted `values` below or at which lies a share of the weight."""
+    reached = np.cumsum(weights) >= share * weights.sum() * (1 - 1e-12)
+    return values[int(reached.argmax())]
+
+
+def interquartile_mean(
+    scores: ArrayLike, worlds: Iterable[object] | None = None, *, confidence: float = 0.95
+) -> Estimate:
+    """Mean of the middle half of scores: neither a few lost episodes nor a few lucky ones move it.
+
+    Scores that lie across a quartile count with the part that is inside. The interval is `M exp(± t s / M)`, s the
+    standard error over worlds of the scores pulled in to the quartiles, divided by the half that is kept.
+    `benchmarks/coverage.py --over worlds` measures how often it covers.
+
+    Args:
+      scores: `[N]` ratios of paths, from `scores_of`; inf for an episode that has failed.
+      worlds: `[N]`, the world of each; None for a single one.
+      confidence: nominal coverage.
+
+    Returns:
+      `Estimate`; p is of the mean being 1. Infinite if more than a quarter has failed; no interval then, for fewer than
+        two worlds (starts in a single one), or without any spread.
+
+    Raises:
+      InputError: NaN, negative scores, or not as many worlds as scores.
+
+    Source:
+      Agarwal et al. 2021; the standard error of a trimmed mean by Tukey and McLaughlin 1963. Changed: worlds weigh the
+      same.
+    """
+    scores, unit, kinds = _checked(scores, worlds, "scores")
+    if not len(scores):
+        return Estimate(math.nan, math.nan, math.nan, math.nan, 0)
+    weights = 1.0 / np.bincount(unit)[unit]
+    order = np.argsort(scores, kind="stable")
+    ends = np.cumsum(weights[order]) / weights.sum()
+    inside = np.minimum(ends, 0.75) - np.maximum(np.concatenate([[0.0], ends[:-1]]), 0.25)
+    kept = inside > 1e-12
+    mean = float(scores[order][kept] @ inside[kept] / inside[kept].sum())
+    low, high = (_quantile(scores[order], weights[order], share) for share in (0.25, 0.75))
+    if not (0 < mean < math.inf and high < math.inf):
+        return Estimate(mean, math.nan, math.nan, math.nan, len(kinds))
+    pulled = _unit_means(np.clip(scores, low, high), unit, kinds)
+    logs = math.log(mean) + (pulled - pulled.mean()) / (0.5 * mean)
+    _, low, high, p = mean_over_worlds(logs, kinds, confidence=confidence)
+    return Estimate(mean, safe_exp(low), safe_exp(high), p, len(kinds))
+
+
+def scores_of(episodes: "pd.DataFrame", *, over: str = "first") -> "pd.DataFrame":
+    """Path lengths as ratios, start by start: of the starts that every strategy has.
+
+    Two paths of no length have the ratio 1. The ratio of an episode that has failed (see `comparable_paths`) is
+    infinite; where the one that it is divided by has failed, it is 0, or NaN if both have.
+
+    Args:
+      episodes: the table of episodes of a comparison, a pandas DataFrame.
+      over: one of `OVER`.
+
+    Returns:
+      A DataFrame of ratios: a row a start, indexed by `world` and `episode`, and a column a strategy.
+
+    Raises:
+      InputError: another `over`, or an episode that occurs twice.
+    """
+    if over not in OVER:
+        raise InputError(f"over must be {' or '.join(OVER)}, got {over!r}")
+    paths = comparable_paths(episodes)
+    if not len(paths.columns):
+        return paths
+    by = paths.iloc[:, 0] if over == "first" else paths.min(axis=1)
+    nothing = (paths == 0).mul(by == 0, axis=0)
+    return paths.div(by, axis=0).mask(nothing.astype(bool), 1.0)
+
+
+def aggregates(episodes: "pd.DataFrame", *, confidence: float = 0.95) -> "pd.DataFrame":
+    """One row a strategy: how likely its path is shorter than the first one's, and the middle of their ratios.
+
+    Args:
+      episodes: the table of episodes of a comparison, a pandas DataFrame.
+      confidence: nominal coverage of the intervals.
+
+    Returns:
+      A DataFrame: `strategy`; `units`, worlds, or starts in a single world; `shorter`, `shorter_low`, `shorter_high`,
+        `shorter_p` from `improvement`, NaN for the first strategy; `iqm`, `iqm_low`, `iqm_high` from
+        `interquartile_mean` of `scores_of` without those that have none.
+    """
+    import pandas as pd
+
+    tables: Any = comparable_paths(episodes), scores_of(episodes)
+    paths, scores = tables
+    worlds, rows = paths.index.get_level_values("world"), []
+    for name in paths.columns:
+        better = improvement(paths[name], paths.iloc[:, 0], worlds, confidence=confidence)
+        if name == paths.columns[0]:
+            better = Estimate(math.nan, math.nan, math.nan, math.nan, better.n)
+        there = scores[name].notna().to_numpy(bool)
+        middle = interquartile_mean(scores[name][there], worlds[there], confidence=confidence)
+        rows.append((name, better.n, better.value, better.low, better.high, better.p))
+        rows[-1] += (middle.value, middle.low, middle.high)
+    columns = ["strategy", "units", "shorter", "shorter_low", "shorter_high", "shorter_p", "iqm", "iqm_low", "iqm_high"]
+    return pd.DataFrame(rows, columns=columns)
+
+
+def _ratios(scores):
+    """Where profiles are read: from the least finite ratio (1 at most) to all but the last hundredth of the finite."""
+    finite = scores[np.isfinite(scores) & (scores > 0)]
+    if not finite.size:
+        return np.array([1.0])
+    high = min(max(float(np.quantile(finite, 0.99)), 1.05), MOST_RATIO)
+    low = min(max(float(finite.min()), 1 / MOST_RATIO), 1.0)
+    return np.geomspace(low, high, 101) if low < 1 else np.concatenate([[1.0], np.geomspace(1.0, high, 101)[1:]])
+
+
+def profiles(
+    episodes: "pd.DataFrame", *, over: str = "best", ratios: ArrayLike | None = None, confidence: float = 0.95
+) -> "pd.DataFrame":
+    """Performance profiles: in which share of starts a path is at most so many times the shortest one.
+
+    Args:
+      episodes: the table of episodes of a comparison, a pandas DataFrame.
+      over: one of `OVER`: what paths are divided by.
+      ratios: `[K]` positive numbers, rising; by default 101 up to what nearly all need, `MOST_RATIO` at most.
+      confidence: nominal coverage of the band, at every ratio by itself, by `share_over_worlds`.
+
+    Returns:
+      A DataFrame with the columns `PROFILE_COLUMNS`, a row a strategy and ratio. Episodes that have failed are in no
+        share; worlds count the same.
+
+    Raises:
+      InputError: another `over`, or ratios that are not positive and rising.
+
+    Source:
+      Dolan and More 2002; with bands as by Agarwal et al. 2021. Changed: the bands are over worlds.
+    """
+    import pandas as pd
+
+    scores = scores_of(episodes, over=over).fillna(np.inf)
+    at: Any = _ratios(scores.to_numpy()) if ratios is None else np.asarray(ratios, np.float64)
+    if at.ndim != 1 or not len(at) or not (np.isfinite(at) & (at > 0)).all() or (np.diff(at) <= 0).any():
+        raise InputError(f"ratios must be positive numbers that rise, got {ratios}")
+    rows = []
+    for name in scores.columns:
+        values, unit, kinds = _checked(scores[name], scores.index.get_level_values("world"), "scores")
+        shares = _unit_means((values[:, None] <= at * (1 + 1e-12)).astype(np.float64), unit, kinds)
+        for ratio, share in zip(at.tolist(), shares.T):
+            value, low, high, _ = share_over_worlds(share, kinds, confidence=confidence)
+            rows.append((name, ratio, value, low, high))
+    return pd.DataFrame(rows, columns=list(PROFILE_COLUMNS))

@@ -1,0 +1,195 @@
+"""Pictures of tables of episodes: what is estimated here, drawn by `report.plots`.
+
+pandas and matplotlib are imported by the functions that need them.
+"""
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from jexplore.config import InputError
+from jexplore.studies.statistics.aggregate import profiles
+from jexplore.studies.statistics.by_world import summarise
+from jexplore.studies.statistics.league import paths_by_world, standings
+from jexplore.studies.statistics.response import response
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.figure import Figure
+
+MOST_WORLDS = 12
+"""With more worlds than this, a picture of a comparison shows all of them together only."""
+
+
+def compare_figure(
+    episodes: "pd.DataFrame", *, summary: "pd.DataFrame | None" = None, table: "pd.DataFrame | None" = None
+) -> "Figure":
+    """Every episode's path with means, intervals and paired ratios: a panel a world, and one for all of them.
+
+    Args:
+      episodes: the table of episodes of a comparison, a pandas DataFrame of one row or more.
+      summary: from `by_world.summarise`, if it is there already.
+      table: from `league.standings`, if it is there already; used with two worlds or more.
+
+    Returns:
+      A matplotlib `Figure`. With more than `MOST_WORLDS` worlds it has the panel of all of them only.
+    """
+    from jexplore.report.plots import compare
+
+    if not len(episodes):
+        raise InputError("episodes must be one or more to be drawn, got none")
+    strategies, worlds = (list(dict.fromkeys(episodes[key])) for key in ("strategy", "world"))
+    panels = []
+    if len(worlds) > 1:
+        table = standings(episodes) if table is None else table
+        panels += [_over_worlds(episodes, table, strategies)] if max(table["worlds"], default=0) > 1 else []
+    if len(worlds) <= MOST_WORLDS or not panels:
+        summary = summarise(episodes) if summary is None else summary
+        panels += [_in_world(world, episodes, summary, strategies) for world in worlds[:MOST_WORLDS]]
+    return compare.figure(panels, strategies)
+
+
+def draw_world(ax: Any, episodes: "pd.DataFrame", summary: "pd.DataFrame", world: str) -> list[Any]:
+    """The path lengths of one world as points, with means and intervals.
+
+    Args:
+      ax: matplotlib `Axes`.
+      episodes: the table of episodes of a comparison.
+      summary: from `by_world.summarise`.
+      world: its name.
+
+    Returns:
+      One `ErrorbarContainer` a strategy.
+    """
+    from jexplore.report.plots import compare
+
+    strategies = list(dict.fromkeys(episodes["strategy"][episodes["world"] == world]))
+    return compare.draw_panel(ax, _in_world(world, episodes, summary, strategies), strategies)
+
+
+def _estimates(table, strategies, *columns, scale=1.0):
+    """Three columns of a table as `Estimates` in the order of strategies, NaN for one that is not there."""
+    from jexplore.report.plots.compare import Estimates
+
+    rows = table.set_index("strategy").reindex(strategies)
+    return Estimates(*(scale * rows[name].to_numpy(np.float64) for name in columns))
+
+
+def _in_world(world, episodes, summary, strategies):
+    from jexplore.report.plots.compare import Panel
+
+    own, rows = episodes[episodes["world"] == world], summary[summary["world"] == world]
+    parts = [own[own["strategy"] == name] for name in strategies]
+    return Panel(
+        title=str(world),
+        label="path length (m)",
+        points=[part["path_m"].to_numpy(np.float64) for part in parts],
+        ended_well=[(part["outcome"] == "COMPLETE").to_numpy(bool) for part in parts],
+        means=_estimates(rows, strategies, "mean", "ci_low", "ci_high"),
+        shares=False,
+        ratio_points=[np.zeros(0)] * len(parts),
+        ratios=_estimates(rows, strategies, "ratio", "ratio_low", "ratio_high"),
+    )
+
+
+def _over_worlds(episodes, table, strategies):
+    from jexplore.report.plots.compare import Panel
+
+    ratios: Any = paths_by_world(episodes)
+    own = [np.exp(ratios["log_ratio"][ratios["strategy"] == name].to_numpy(np.float64)) for name in strategies]
+    own[0] = own[0][:0]  # the reference beside itself
+    n = int(table["worlds"].max())
+    return Panel(
+        title=f"over {n} worlds, which count the same",
+        label=f"starts with a shorter path than {strategies[0]} (%)",
+        points=[np.zeros(0)] * len(strategies),
+        ended_well=[np.zeros(0, bool)] * len(strategies),
+        means=_estimates(table, strategies, "shorter", "shorter_low", "shorter_high", scale=100.0),
+        shares=True,
+        ratio_points=own,
+        ratios=_estimates(table, strategies, "ratio", "ratio_low", "ratio_high"),
+    )
+
+
+def coverage_figure(progress: Mapping[tuple[str, str], np.ndarray]) -> "Figure":
+    """The share of what can be known that is known along the path, one panel a world: medians and quartile bands.
+
+    Args:
+      progress: `{(world, strategy): [N, 100] metres}`, as `Comparison.progress`; one entry or more.
+
+    Returns:
+      A matplotlib `Figure`. Of more than `MOST_WORLDS` worlds it shows the first ones.
+    """
+    from jexplore.report.plots import curves
+
+    worlds = list(dict.fromkeys(world for world, _ in progress))[:MOST_WORLDS]
+    if not worlds:
+        raise InputError("progress must be of one world or more to be drawn, got none")
+    entries = [(str(one), {name: rows for (world, name), rows in progress.items() if world == one}) for one in worlds]
+    return curves.coverage_figure(entries)
+
+
+def profile_figure(episodes: "pd.DataFrame", *, over: str = "best") -> "Figure":
+    """Performance profiles of the strategies of a comparison: see `aggregate.profiles`. A matplotlib `Figure`."""
+    from jexplore.report.plots import curves
+
+    table = profiles(episodes, over=over)
+    if not len(table):
+        raise InputError("episodes must have a start that every strategy has, got none")
+    return curves.profile_figure(table, over=over)
+
+
+def _label(value, ratio, episodes) -> str:
+    name = {"path_m": "path length (m)", "explored_fraction": "explored share"}.get(value) or str(value)
+    return f"{name.removesuffix(' (m)')} over that of {episodes['strategy'].iloc[0]}" if ratio else name
+
+
+def response_figure(
+    episodes: "pd.DataFrame", setting: str, *, value: str = "path_m", ratio: bool = False, **how: Any
+) -> "Figure":
+    """Curves of a mean or a paired ratio over one setting, one line a strategy, one panel a world.
+
+    Args:
+      episodes: a table of episodes with settings as columns, a pandas DataFrame.
+      setting: one of the columns, such as `lidar.range_m`.
+      value, ratio: what is drawn, and `how` (`over_worlds`, `bins`, `confidence`): as for `response.response`.
+
+    Returns:
+      A matplotlib `Figure`.
+
+    Raises:
+      InputError: as `response.response`.
+    """
+    from jexplore.report.plots import sweeps
+
+    table = response(episodes, setting, value=value, ratio=ratio, **how)
+    return sweeps.response_figure(table, setting, label=_label(value, ratio, episodes), ratio=ratio)
+
+
+def heat_figure(
+    episodes: "pd.DataFrame", x: str, y: str, *, value: str = "path_m", ratio: bool = False, **how: Any
+) -> "Figure":
+    """Colours of a mean or a paired ratio over two settings, one panel a strategy, a row a world.
+
+    Args:
+      episodes: a table of episodes with settings as columns, a pandas DataFrame.
+      x, y: two of the columns.
+      value, ratio: what is drawn, and `how`: as for `response.response`.
+
+    Returns:
+      A matplotlib `Figure`.
+
+    Raises:
+      InputError: as `response.response`; the settings are the same.
+    """
+    from jexplore.report.plots import sweeps
+
+    if x == y:
+        raise InputError(f"x and y must be two settings, got {x!r} twice")
+    table = response(episodes, [x, y], value=value, ratio=ratio, **how)
+    if ratio:
+        table = table[(table["strategy"] != episodes["strategy"].iloc[0]).to_numpy()]
+    if not len(table):
+        raise InputError("episodes must be of two strategies or more for ratios, got one")
+    return sweeps.heat_figure(table, x, y, label=_label(value, ratio, episodes), ratio=ratio)

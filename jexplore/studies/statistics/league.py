@@ -1,0 +1,174 @@
+"""Strategies over many worlds: how long their paths are beside a reference, and how they rank."""
+
+import math
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from jexplore.report.tables import aligned_table, interval_text, number_text, p_text, ratio_text
+from jexplore.studies.statistics.aggregate import aggregates
+from jexplore.studies.statistics.over_worlds import comparable_paths, kind_of, mean_over_worlds
+from jexplore.studies.statistics.paired import holm, safe_exp
+from jexplore.worlds.generators.variants import FURNISHED_CELL_M
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+LEAGUE_KINDS = ("cave", "office", "hospital", "maze", "rooms")
+LEAGUE_SEEDS = 8
+FURNISHED = (
+    "office#{}:furniture=1,wide_openings=0.1,max_loops=5,corridor_m=2.2,corridor_sd_m=0.4,room_m=5.5",
+    "hospital#{}:furniture=1,wide_openings=0.1,max_loops=5,corridor_m=2.6,corridor_sd_m=0.4,room_m=6",
+    "rooms#{}:furniture=1,wide_openings=0.1,max_loops=5,room_m=3.6",
+)
+"""Furnished buildings, in numbers like real ones (`jexplore worlds --geometry`); the braces are for a seed."""
+_AGGREGATES = ("shorter", "shorter_low", "shorter_high", "iqm", "iqm_low", "iqm_high")
+STANDINGS = (
+    *("strategy", "worlds", "paired", "ratio", "ratio_low", "ratio_high", "p", "p_holm"),
+    *_AGGREGATES,
+    *("rank", "rank_low", "rank_high", "best", "complete", "failed"),
+)
+"""Columns of a table of standings, before those of single kinds of worlds."""
+LEAGUE_STRATEGIES = (
+    *("closest+recheck", "closest", "closest+recheck+segment", "closest+recheck+segment=auto"),
+    *("distance-advantage+recheck", "distance-advantage+recheck:weight=0.5", "tour+recheck"),
+    *("utility+recheck", "gain-rate+recheck"),
+    *("decision-theoretic+recheck", "decision-theoretic", "mcdm", "random+recheck", "random"),
+)
+"""Every strategy, with re-checking except where its source has none; the first is what the others are compared with."""
+
+
+def league_worlds(cell_m: float = 0.1) -> tuple[str, ...]:
+    """Names of the league's worlds, 8 of each kind: those of the generators, and, in cells up to `FURNISHED_CELL_M`,
+    furnished buildings.
+    """
+    plain = [f"{kind}#{seed}" for kind in LEAGUE_KINDS for seed in range(LEAGUE_SEEDS)]
+    furnished = [FURNISHED[seed % len(FURNISHED)].format(seed) for seed in range(LEAGUE_SEEDS)]
+    return (*plain, *furnished) if cell_m <= FURNISHED_CELL_M else tuple(plain)
+
+
+def paths_by_world(episodes: "pd.DataFrame") -> "pd.DataFrame":
+    """Mean paths in every world of a strategy and of the first one, over the starts from which neither failed.
+
+    Args:
+      episodes: the table of episodes of a comparison, a pandas DataFrame.
+
+    Returns:
+      A DataFrame with the columns `world`, `strategy`, `mean`, `reference`, metres, and `log_ratio`, the logarithm of
+        their ratio: a row for every strategy and world in which both have moved, in order of first appearance.
+    """
+    import pandas as pd
+
+    paths: Any = comparable_paths(episodes)
+    tables = []
+    for name in paths.columns:
+        both: Any = pd.DataFrame({"mean": paths[name], "reference": paths.iloc[:, 0]})
+        both = both[np.isfinite(both).all(axis=1)].groupby(level="world", sort=False).mean()
+        both = both[(both > 0).all(axis=1)].reset_index()
+        tables.append(both.assign(strategy=name, log_ratio=np.log(both["mean"] / both["reference"])))
+    found = pd.concat(tables, ignore_index=True) if tables else pd.DataFrame()
+    return found.reindex(columns=["world", "strategy", "mean", "reference", "log_ratio"])
+
+
+def standings(episodes: "pd.DataFrame") -> "pd.DataFrame":
+    """One row a strategy, the best ranks first.
+
+    An episode that has failed (see `comparable_paths`) has no short path: it ranks behind all that have not failed.
+
+    Ranks are by path from each start, averaged over starts, then worlds; equal paths share the mean of their ranks. The
+    ratio is, in every world, the mean path over that of the first strategy of the table, over the starts from which
+    neither failed. Worlds count the same, whatever their size: ratios are averaged as logarithms. Intervals are by
+    `mean_over_worlds`: they speak of other worlds of the same kinds in the same shares, not of other kinds. Worlds in
+    which a strategy saw all from the start have no ratio.
+
+    Args:
+      episodes: the table of episodes of a comparison, a pandas DataFrame.
+
+    Returns:
+      A DataFrame: `strategy`; `worlds`, in which all ran; `paired`, worlds in which there is a ratio; `ratio`,
+        `ratio_low`, `ratio_high`; `p`, that of the ratio being 1, and `p_holm`, corrected for as many strategies as
+        there are (`holm`); `shorter` and `iqm` with their ends, from `aggregates`; `rank`, `rank_low`, `rank_high`;
+        `best`, worlds in which its mean path is no longer than any other's; `complete`, share of its episodes that
+        ended COMPLETE; `failed`, share that failed; and `ratio of K` for every kind of world K.
+    """
+    import pandas as pd
+
+    tables: Any = comparable_paths(episodes), paths_by_world(episodes), aggregates(episodes)
+    paths, ratios, more = tables
+    ranks, means = (table.groupby(level="world", sort=False).mean() for table in (paths.rank(axis=1), paths))
+    kinds, rows = [kind_of(world) for world in ranks.index], []
+    for name, extra in zip(paths.columns, more.to_dict("records")):
+        own = ratios[ratios["strategy"] == name]
+        logs, of_kind = own["log_ratio"].to_numpy(), [kind_of(world) for world in own["world"]]
+        log_ratio, low, high, p = mean_over_worlds(logs, of_kind)
+        rank, *ends, _ = mean_over_worlds(ranks[name], kinds)
+        rank_low, rank_high = (min(max(end, 1.0), len(paths.columns)) for end in ends)  # NaN stays
+        best = int((np.isfinite(means[name]) & (means[name] <= means.min(axis=1))).sum())
+        row = {"strategy": name, "worlds": len(ranks), "paired": len(own)}
+        row |= {"ratio": safe_exp(log_ratio), "ratio_low": safe_exp(low), "ratio_high": safe_exp(high)}
+        row |= {"p": p, "p_holm": math.nan, **{key: extra[key] for key in _AGGREGATES}}
+        row |= {"rank": rank, "rank_low": rank_low, "rank_high": rank_high, "best": best}
+        ended = episodes.loc[episodes["strategy"] == name, "outcome"]
+        row |= {"complete": float((ended == "COMPLETE").mean()), "failed": float(np.isinf(paths[name]).mean())}
+        for kind in dict.fromkeys(map(kind_of, episodes["world"].unique())):
+            some = logs[[one == kind for one in of_kind]]
+            row[f"ratio of {kind}"] = math.exp(some.mean()) if len(some) else math.nan
+        rows.append(row)
+    table = pd.DataFrame(rows, columns=list(rows[0]) if rows else list(STANDINGS))
+    table["p_holm"] = holm(table["p"])
+    return table.sort_values(["rank", "ratio"], kind="stable", ignore_index=True)
+
+
+def _verdict(row):
+    if not math.isfinite(row["p_holm"]):
+        return "-"
+    return "not distinguishable" if row["p_holm"] >= 0.05 else "shorter" if row["ratio"] < 1 else "longer"
+
+
+def standings_table(table: "pd.DataFrame", plan_ms: Mapping[str, float] | None = None) -> str:
+    """Standings as one aligned Markdown table. The reference is told from at the 5 % level of the corrected p.
+
+    Args:
+      table: from `standings`.
+      plan_ms: `{strategy: milliseconds a plan}`, or None.
+    """
+    kinds = [name for name in table.columns if name.startswith("ratio of ")]
+    kinds = kinds if len(kinds) > 1 else []
+    head = ["strategy", "ratio to the reference", "p (Holm)", "", "shorter, % of starts", "IQM of ratios", "mean rank"]
+    head += ["best in", *(k.removeprefix("ratio of ") for k in kinds), "COMPLETE"] + (["ms a plan"] if plan_ms else [])
+    lines = []
+    for row in table.to_dict("records"):
+        line = [row["strategy"], ratio_text(row["ratio"], row["ratio_low"], row["ratio_high"]), p_text(row["p_holm"])]
+        share = (100 * row[key] for key in ("shorter", "shorter_low", "shorter_high"))
+        line += [_verdict(row), _with_interval(*share, decimals=0)]
+        line += [ratio_text(row["iqm"], row["iqm_low"], row["iqm_high"])]
+        rank = _with_interval(row["rank"], row["rank_low"], row["rank_high"], decimals=1)
+        line += [rank, f"{row['best']} of {row['worlds']}"]
+        line += [*(number_text(row[k], 3) for k in kinds), f"{row['complete']:.0%}"]
+        lines.append(line + ([number_text(plan_ms.get(row["strategy"], math.nan), 2)] if plan_ms else []))
+    return aligned_table(head, lines, left=["strategy", ""])
+
+
+def _with_interval(value, low, high, *, decimals):
+    texts = number_text(value, decimals), interval_text(low, high, decimals)
+    return " ".join(text for text in texts if text != "-") or "-"
+
+
+def over_worlds_text(table: "pd.DataFrame") -> str:
+    """What a comparison of two worlds or more says over all of them: a line, the standings, and how to read them.
+
+    Args:
+      table: from `standings`.
+
+    Returns:
+      Markdown that ends with a newline.
+    """
+    worlds = max(table["worlds"], default=0)
+    return f"""\
+Over {worlds} worlds, which count the same; intervals (95 %) are for other worlds like these:
+
+{standings_table(table)}
+*shorter*: starts from which the path is shorter than the reference's, equal ones by half. *IQM*: interquartile mean, of
+the middle half of the ratios start by start. *best in*: worlds without a shorter mean path.
+"""

@@ -1,0 +1,168 @@
+"""What episodes in several worlds say together: the worlds are the sample, and the kinds of worlds its strata."""
+
+import math
+import re
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from jexplore.config import InputError
+from jexplore.studies.statistics.by_world import TOLERANCE
+from jexplore.studies.statistics.paired import t_interval
+from jexplore.worlds import GENERATORS
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+ALL_WORLDS = "all worlds"
+"""Stands for a world's name where a row is about all of them."""
+
+
+def kind_of(world: object) -> str:
+    """The generator of a world's name, `furnished` if it has furniture; `maps` for a file or a world of one's own."""
+    match = re.match(r"([A-Za-z_][\w-]*)(#\d+)?(:.*)?$", str(world))
+    if match is None or match[1] not in GENERATORS:
+        return "maps"
+    furnished = re.search(r"[:,]furniture=(?!0*\.?0*(,|$))", match[3] or "")
+    return "furnished" if furnished else match[1]
+
+
+def moments(values: np.ndarray, kinds: Sequence[str]) -> tuple[float, float, float, int]:
+    """What is known of the mean of a stratified sample.
+
+    Args:
+      values: `[N]` float64, N >= 1.
+      kinds: `[N]`, the stratum of each; with a single value in some stratum, all count as one.
+
+    Returns:
+      `(mean, standard error, freedom, most)`: the last two are the degrees of freedom of the standard error, by
+        Satterthwaite 1946, 0 without any spread; and as many as there could be.
+    """
+    strata = [values[[one == kind for one in kinds]] for kind in dict.fromkeys(kinds)]
+    if min(map(len, strata)) < 2:
+        strata = [values]
+    squares = [len(some) * some.var(ddof=1) / len(values) ** 2 for some in strata if len(some) > 1]
+    terms = sum(square**2 / (len(some) - 1) for square, some in zip(squares, strata))
+    error = math.sqrt(sum(squares))
+    error = error if error > 1e-12 else 0.0  # rounding is no spread
+    return float(values.mean()), error, sum(squares) ** 2 / terms if terms else 0.0, len(values) - len(strata)
+
+
+def _vector(values, kinds):
+    values = np.asarray(values, np.float64)
+    if values.ndim != 1 or len(values) != len(kinds) or not np.isfinite(values).all():
+        raise ValueError(f"expected a vector of finite numbers, one for each of {len(kinds)} kinds, got {values}")
+    return values
+
+
+def mean_over_worlds(
+    values: ArrayLike, kinds: Sequence[str], *, confidence: float = 0.95
+) -> tuple[float, float, float, float]:
+    """Mean over worlds drawn from several kinds, in the shares that the kinds have here, and its interval.
+
+    The t interval is for other worlds of the same kinds in the same shares: how much worlds of one kind differ makes it
+    wide, how much kinds differ does not. With a single world of some kind, all count as one kind.
+
+    Args:
+      values: `[N]` finite numbers, one a world.
+      kinds: `[N]`, the kind of each world.
+      confidence: nominal coverage.
+
+    Returns:
+      `(mean, low, high, p)`, p of the hypothesis that the mean is 0; NaN where there is no value, or no spread.
+
+    Raises:
+      ValueError: not a vector of finite numbers, or not as many kinds; a confidence outside (0, 1).
+
+    Source:
+      The stratified mean; degrees of freedom by Satterthwaite 1946.
+    """
+    values = _vector(values, kinds)
+    if not len(values):
+        return math.nan, math.nan, math.nan, math.nan
+    mean, error, freedom, _ = moments(values, kinds)
+    return mean, *t_interval(mean, error, freedom, confidence)
+
+
+def share_over_worlds(
+    values: ArrayLike, kinds: Sequence[str], *, confidence: float = 0.95
+) -> tuple[float, float, float, float]:
+    """Mean over worlds of a share, such as of starts from which one path is shorter, and its interval.
+
+    The interval is Wilson's, of as many independent yes or no answers as have the standard error of this mean: many
+    where worlds agree, few where they do not. It stays within 0 and 1 and is there even where all worlds say the same.
+    `benchmarks/coverage.py --over worlds` measures how often it covers.
+
+    Args:
+      values: `[N]` numbers from 0 to 1, one a world.
+      kinds: `[N]`, the kind of each world, as for `mean_over_worlds`.
+      confidence: nominal coverage.
+
+    Returns:
+      `(mean, low, high, p)`, p of the hypothesis that the mean is 1/2: below 0.05 just where the 95 % interval leaves
+        out 1/2. The last three are NaN for fewer than two worlds, the mean for none.
+
+    Raises:
+      ValueError: as `mean_over_worlds`; a number outside [0, 1].
+
+    Source:
+      Wilson 1927; the effective number, and Student's t for the normal quantile, by Korn and Graubard 1998.
+    """
+    from scipy.special import stdtr, stdtrit
+
+    values = _vector(values, kinds)
+    if ((values < 0) | (values > 1)).any():
+        raise ValueError(f"expected shares from 0 to 1, got {values}")
+    if not 0 < confidence < 1:
+        raise ValueError(f"expected confidence between 0 and 1, got {confidence!r}")
+    if len(values) < 2:
+        return (float(values[0]) if len(values) else math.nan), math.nan, math.nan, math.nan
+    mean, error, freedom, most = moments(values, kinds)
+    mean = min(max(mean, 0.0), 1.0)
+    number, freedom = (mean * (1 - mean) / error**2, freedom) if error else (float(len(values)), most)
+    t = float(stdtrit(freedom, 0.5 + confidence / 2))
+    centre, wide = mean + t**2 / (2 * number), t * math.sqrt(mean * (1 - mean) / number + (t / number / 2) ** 2)
+    low, high = ((centre + side * wide) / (1 + t**2 / number) for side in (-1, 1))
+    p = 2 * float(stdtr(freedom, -abs(mean - 0.5) * 2 * math.sqrt(number)))
+    return mean, min(max(low, 0.0), mean), max(min(high, 1.0), mean), p  # the mean lies between, rounding aside
+
+
+def _table_of(episodes, value, strategies):
+    """One value of the episodes that every strategy has: rows (world, episode), columns strategies."""
+    table: Any = episodes.pivot(index=["world", "episode"], columns="strategy", values=value)
+    return table[strategies].dropna()
+
+
+def comparable_paths(episodes: "pd.DataFrame") -> "pd.DataFrame":
+    """Path lengths of the starts that every strategy has, with those that are no short ones set to infinity.
+
+    An episode that is not COMPLETE has failed if another from the same start is, or, where none is, if it has explored
+    less than another, by more than 0.01 of what can be explored.
+
+    Args:
+      episodes: the table of episodes of a comparison, a pandas DataFrame.
+
+    Returns:
+      A DataFrame of metres, inf where an episode has failed: a row a start, indexed by `world` and `episode`, worlds in
+        order of first appearance, and a column a strategy, in that order as well.
+
+    Raises:
+      InputError: an episode of a strategy in a world occurs twice.
+    """
+    twice = episodes.duplicated(["world", "strategy", "episode"])
+    if twice.any():
+        world, strategy, number = episodes.loc[twice.to_numpy(), ["world", "strategy", "episode"]].iloc[0]
+        raise InputError(
+            f"{world}, {strategy}: episode {number} must occur once, got it more than once; choose one setting first"
+        )
+    strategies, order = list(dict.fromkeys(episodes["strategy"])), list(dict.fromkeys(episodes["world"]))
+    explored, outcome, paths = (
+        _table_of(episodes, name, strategies) for name in ("explored_fraction", "outcome", "path_m")
+    )
+    complete, less = outcome == "COMPLETE", explored.lt(explored.max(axis=1) - TOLERANCE, axis=0)
+    failed = ~complete & (less | complete.any(axis=1).to_numpy(bool)[:, None])
+    paths = paths.mask(failed, np.inf)
+    place = {world: i for i, world in enumerate(order)}
+    return paths.iloc[np.argsort([place[world] for world, _ in paths.index], kind="stable")]

@@ -1,0 +1,147 @@
+"""Paired samples: ratios of means with intervals, and p values corrected for their number.
+
+numpy at import; scipy is imported by the function that needs it (it takes half a second).
+"""
+
+import dataclasses
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+MIN_PAIRS = 6
+"""Fewer pairs decide nothing, whatever their interval."""
+
+
+@dataclasses.dataclass(frozen=True)
+class PairedRatio:
+    """Ratio of two means over paired episodes."""
+
+    ratio: float  # mean(values) / mean(reference); NaN if the latter is 0
+    low: float  # interval; NaN where none can be given
+    high: float
+    p: float  # two-sided, of the hypothesis that the ratio of the means is 1; NaN where there is no interval
+    n: int  # pairs; 1 where all pairs are the very same
+
+
+def _vector(values, name):
+    values = np.asarray(values, dtype=np.float64)
+    if values.ndim != 1 or values.size == 0 or not np.isfinite(values).all() or values.min() < 0:
+        raise ValueError(
+            f"expected {name} as a vector of one or more finite numbers from 0, got shape {values.shape} of {values}"
+        )
+    return values
+
+
+def t_interval(
+    estimate: float, standard_error: float, freedom: float, confidence: float = 0.95
+) -> tuple[float, float, float]:
+    """Interval `estimate ± t standard_error`, and the p of the hypothesis that 0 is estimated.
+
+    Args:
+      estimate, standard_error: floats of one unit.
+      freedom: degrees of freedom of the standard error.
+      confidence: nominal coverage.
+
+    Returns:
+      `(low, high, p)`; NaN where the standard error is 0 or not finite, or there are no degrees of freedom.
+
+    Raises:
+      ValueError: a confidence outside (0, 1).
+    """
+    from scipy.special import stdtr, stdtrit
+
+    if not 0 < confidence < 1:
+        raise ValueError(f"expected confidence between 0 and 1, got {confidence!r}")
+    if not (math.isfinite(estimate) and 0 < standard_error < math.inf and freedom > 0):
+        return math.nan, math.nan, math.nan
+    half = float(stdtrit(freedom, 0.5 + confidence / 2)) * standard_error
+    return estimate - half, estimate + half, 2 * float(stdtr(freedom, -abs(estimate) / standard_error))
+
+
+def _standard_error(relative):
+    """That of the mean of two or more numbers about 1; rounding is no spread."""
+    error = float(relative.std(ddof=1)) / math.sqrt(len(relative))
+    return error if error > 1e-12 else 0.0
+
+
+def safe_exp(value: float) -> float:
+    """The exponential; infinity where it is too large."""
+    with np.errstate(over="ignore"):
+        return float(np.exp(value))
+
+
+def paired_ratio(values: ArrayLike, reference: ArrayLike, *, confidence: float = 0.95) -> PairedRatio:
+    """Ratio R of the means of paired samples, with an interval and a test.
+
+    The interval is `R exp(± t s)`, where `s` is the standard error of the logarithm of R by the delta method: the
+    standard deviation of `v / mean(v) - r / mean(r)` over the pairs `(v, r)`, divided by the root of their number; t is
+    Student's. It is about the ratio of the means, not the mean (or geometric mean) of the ratios;
+    `benchmarks/coverage.py` measures how often it covers. p is of the hypothesis R = 1, by the same t: below 0.05 just
+    where the 95 % interval leaves out 1. It is not corrected for many comparisons.
+
+    Pairs of equal members tell of no spread: together they count as one in the degrees of freedom. Pairs that are all
+    the very same (one episode repeated) are one pair. One pair, or pairs without any spread, have no interval and no p.
+
+    Args:
+      values, reference: `[N]` finite numbers from 0, N >= 1, the same episodes in the same order.
+      confidence: nominal coverage.
+
+    Returns:
+      `PairedRatio`; it does not depend on the order of the pairs.
+
+    Raises:
+      ValueError: not vectors, lengths that differ, empty, not finite, negative, or a confidence outside (0, 1).
+
+    Source:
+      The delta method for a ratio of means, on the logarithm; Fieller 1954 treats the same problem.
+    """
+    values, reference = _vector(values, "values"), _vector(reference, "reference")
+    if len(values) != len(reference):
+        raise ValueError(f"expected as many values as references, got {len(values)} and {len(reference)}")
+    order = np.lexsort((values, reference))
+    values, reference = values[order], reference[order]
+    n = 1 if np.ptp(values) == 0 == np.ptp(reference) else len(values)
+    mean, mean_reference = values.mean(), reference.mean()
+    ratio = float(mean / mean_reference) if mean_reference > 0 else math.nan
+    error = freedom = 0.0
+    if n > 1 and mean > 0 and mean_reference > 0:
+        error = _standard_error(values / mean - reference / mean_reference)
+        equal = int((values == reference).sum())
+        freedom = n - max(equal, 1)
+    low, high, p = t_interval(math.log(ratio) if error else math.nan, error, freedom, confidence)
+    return PairedRatio(ratio, safe_exp(low), safe_exp(high), p, n)
+
+
+def mean_interval(values: ArrayLike, *, confidence: float = 0.95) -> tuple[float, float]:
+    """Interval of a mean, `mean exp(± t s)`: as in `paired_ratio`, with s the standard error of the logarithm of the
+    mean and n - 1 degrees of freedom. Never below 0; skewed as path lengths are.
+
+    Args:
+      values: `[N]` finite numbers from 0, N >= 1.
+      confidence: nominal coverage.
+
+    Returns:
+      `(low, high)` in the unit of `values`; NaN for one value, or values that are all the same.
+
+    Raises:
+      ValueError: as `paired_ratio`.
+    """
+    values = np.sort(_vector(values, "values"))
+    mean, n = values.mean(), len(values)
+    error = _standard_error(values / mean) if n > 1 and mean > 0 else 0.0
+    low, high, _ = t_interval(math.log(mean) if error else math.nan, error, n - 1, confidence)
+    return safe_exp(low), safe_exp(high)
+
+
+def holm(p: ArrayLike) -> np.ndarray:
+    """p values of several hypotheses, corrected for their number: `[N]` float64. NaN stays, and does not count.
+
+    Source:
+      Holm 1979: below 0.05 wherever the chance of even one false rejection is to stay below 0.05.
+    """
+    p = np.asarray(p, np.float64)
+    order = np.argsort(p)[: np.isfinite(p).sum()]
+    found = np.full(len(p), np.nan)
+    found[order] = np.minimum(np.maximum.accumulate(p[order] * np.arange(len(order), 0, -1)), 1.0)
+    return found

@@ -1,0 +1,399 @@
+"""Chances of a shorter path, interquartile means, profiles, sizes of samples: by hand, against scipy, by laws."""
+
+import math
+
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy import stats as scipy_stats
+
+from jexplore.config import InputError
+from jexplore.studies.statistics import aggregate, league, over_worlds, sizes
+from jexplore.studies.statistics.aggregate import improvement, interquartile_mean, profiles, scores_of
+from jexplore.studies.statistics.over_worlds import comparable_paths, share_over_worlds
+from jexplore.studies.statistics.paired import paired_ratio
+from jexplore.studies.statistics.sizes import sample_size, worlds_needed
+
+START = {"start_row": 3, "start_col": 4, "start_heading_deg": 90}
+REST = {"turning_rad": 1.0, "scans": 9, "plans": 3, "exhausted": 0, "room_entries": pd.NA}
+
+
+def episodes(paths, **columns):
+    """A table of episodes, COMPLETE by default: `{(world, strategy): path lengths}`."""
+    rows = [
+        {"world": world, "strategy": strategy, "episode": i, "path_m": float(path), "outcome": "COMPLETE",
+         "explored_fraction": 1.0, **START, **REST, **columns}
+        for (world, strategy), all_ in paths.items()
+        for i, path in enumerate(all_)
+    ]  # fmt: skip
+    return pd.DataFrame(rows)
+
+
+def fail(table, strategy, number, world="w"):
+    """Makes one episode one that a limit ended."""
+    row = (table["strategy"] == strategy) & (table["episode"] == number) & (table["world"] == world)
+    assert row.sum() == 1
+    table.loc[row, ["path_m", "outcome", "explored_fraction"]] = [1.0, "STEP_LIMIT", 0.3]
+    return table
+
+
+def test_chance_by_hand():
+    """Shorter, equal, longer, shorter: 1 + 1/2 + 0 + 1 of 4."""
+    found = improvement([1.0, 2.0, 3.0, 4.0], [2.0, 2.0, 2.0, 5.0])
+    assert (found.value, found.n) == (0.625, 4)
+    both = improvement([2.0, 2.0, 2.0, 5.0], [1.0, 2.0, 3.0, 4.0])
+    assert (both.value, both.p) == (0.375, pytest.approx(found.p))
+    assert (1 - both.high, 1 - both.low) == pytest.approx((found.low, found.high))
+
+
+def test_chance_over_worlds_counts_worlds_the_same():
+    """Three starts in one world, all shorter, and one in another, longer: 1/2, and the sample are two worlds."""
+    found = improvement([1.0, 1.0, 1.0, 9.0], [2.0] * 4, ["cave#0"] * 3 + ["cave#1"])
+    assert (found.value, found.n, found.p) == (0.5, 2, pytest.approx(1.0))
+
+
+def test_failures_are_longer_and_equal_to_each_other():
+    found = improvement([math.inf, math.inf, 1.0], [1.0, math.inf, math.inf])
+    assert found.value == 0.5
+
+
+def test_interval_of_a_share_is_wilsons():
+    """k of n single starts have n - 1 effective answers: Wilson's interval of those, with Student's t."""
+    for k, n in ((3, 9), (0, 8), (8, 8), (20, 40)):
+        wins = np.arange(n) < k
+        mean, low, high, p = share_over_worlds(wins.astype(float), ["x"] * n)
+        share, t = k / n, scipy_stats.t(n - 1)
+        number = n - 1 if 0 < k < n else n
+        z = t.ppf(0.975)
+        roots = np.roots([1 + z**2 / number, -2 * share - z**2 / number, share**2])
+        np.testing.assert_allclose(np.sort(roots), [low, high], atol=1e-7)
+        assert mean == share
+        assert p == pytest.approx(2 * t.sf(abs(share - 0.5) * 2 * math.sqrt(number)))
+
+
+def test_interval_of_a_share_nears_scipys_where_there_are_many():
+    wins = (np.arange(4000) < 1300).astype(float)
+    wilson = scipy_stats.binomtest(1300, 4000).proportion_ci(method="wilson")
+    assert share_over_worlds(wins, ["x"] * 4000)[1:3] == pytest.approx((wilson.low, wilson.high), abs=3e-5)
+
+
+@given(st.lists(st.sampled_from([0.0, 0.25, 0.5, 0.75, 1.0]), min_size=2, max_size=30))
+def test_interval_of_a_share_holds_it_and_agrees_with_its_p(values):
+    kinds = [str(i % 3) for i in range(len(values))]
+    mean, low, high, p = share_over_worlds(values, kinds)
+    assert 0 <= low <= mean <= high <= 1
+    assert low < high
+    assert (p < 0.05) == (not low <= 0.5 <= high) or min(abs(low - 0.5), abs(high - 0.5)) < 1e-9
+    again = share_over_worlds(1 - np.array(values), kinds)
+    assert again == pytest.approx((1 - mean, 1 - high, 1 - low, p), abs=1e-9)
+
+
+def test_worlds_of_one_kind_that_agree_make_it_narrow():
+    """What kinds differ in does not make it wide."""
+    shares = [0.9, 0.8, 0.9, 0.2, 0.3, 0.2]
+    _, low, high, _ = share_over_worlds(shares, ["a"] * 3 + ["b"] * 3)
+    _, wide_low, wide_high, _ = share_over_worlds(shares, ["a"] * 6)
+    assert high - low < 0.5 * (wide_high - wide_low)
+
+
+def test_interval_of_a_share_covers():
+    """Few worlds, most of them wholly won: where a t interval often has no width at all."""
+    rng, hits, plain = np.random.default_rng(0), 0, 0
+    for _ in range(1000):
+        values = rng.binomial(4, rng.choice([0.7, 1.0], 8)) / 4
+        _, low, high, _ = share_over_worlds(values, ["x"] * 8)
+        hits += low <= 0.85 <= high
+        plain += len(set(values.tolist())) > 1
+    assert 930 <= hits <= 995
+    assert plain < 1000
+
+
+def test_one_world_or_none_has_no_interval():
+    assert share_over_worlds([0.7], ["x"])[0] == 0.7
+    assert np.isnan(share_over_worlds([0.7], ["x"])[1:]).all()
+    assert np.isnan(share_over_worlds([], [])).all()
+    one = improvement([1.0], [2.0])
+    assert (one.value, one.n) == (1.0, 1)
+    assert np.isnan([one.low, one.high, one.p]).all()
+
+
+def test_middle_by_hand():
+    """Of 1, 2, 3, 4, 5, 6 the middle half is half of 2, 3, 4, half of 5: 10.5 / 3; one far away changes nothing."""
+    assert interquartile_mean([6.0, 1.0, 5.0, 2.0, 4.0, 3.0]).value == pytest.approx(3.5)
+    assert interquartile_mean([1e9, 1.0, 5.0, 2.0, 4.0, 3.0]).value == pytest.approx(3.5)
+    assert interquartile_mean([math.inf, 1.0, 5.0, 2.0, 4.0, 3.0]).value == pytest.approx(3.5)
+
+
+def test_middle_agrees_with_scipy():
+    rng = np.random.default_rng(0)
+    for n in (4, 8, 40, 100):
+        scores = rng.gamma(3.0, 1.0, n)
+        assert interquartile_mean(scores).value == pytest.approx(scipy_stats.trim_mean(scores, 0.25), rel=1e-12)
+
+
+def test_middle_of_unequal_worlds_is_as_if_each_was_repeated():
+    few, many = [1.0, 2.0], [3.0, 5.0, 4.0, 9.0, 1.5, 0.5]
+    found = interquartile_mean([*few, *many], ["cave#0"] * 2 + ["cave#1"] * 6)
+    again = interquartile_mean([*few * 3, *many], ["cave#0"] * 6 + ["cave#1"] * 6)
+    assert found.value == pytest.approx(again.value)
+    assert (found.low, found.high, found.n) == (pytest.approx(again.low), pytest.approx(again.high), 2)
+
+
+def test_interval_of_the_middle_by_hand():
+    """Of 1, 2, 3, 4: mean 2.5; pulled in to 1 (a quarter lies there) and 3: 1, 2, 3, 3, of standard error 0.4787."""
+    found = interquartile_mean([1.0, 2.0, 3.0, 4.0])
+    error = np.std([1, 2, 3, 3], ddof=1) / 2 / (0.5 * 2.5)
+    t = scipy_stats.t(3)
+    assert found.value == 2.5
+    assert (found.low, found.high) == pytest.approx(tuple(2.5 * np.exp(np.array([-1, 1]) * t.ppf(0.975) * error)))
+    assert found.p == pytest.approx(2 * t.sf(math.log(2.5) / error))
+
+
+def test_interval_of_the_middle_covers():
+    rng, hits = np.random.default_rng(1), 0
+    truth = math.exp(0.0)  # the middle half of a log-normal lies nearly evenly about its median
+    far = np.exp(rng.normal(0, 0.3, 400_001))
+    truth = scipy_stats.trim_mean(far, 0.25)
+    for _ in range(1000):
+        scores = np.exp(rng.normal(0, 0.3, 12))
+        found = interquartile_mean(scores)
+        hits += found.low <= truth <= found.high
+    assert 920 <= hits <= 985
+
+
+@pytest.mark.parametrize("scores", [[2.0], [3.0] * 5, [math.inf] * 4, [0.0, 0.0], [1.0, math.inf, math.inf, math.inf]])
+def test_middles_without_an_interval(scores):
+    found = interquartile_mean(scores)
+    assert np.isnan([found.low, found.high, found.p]).all()
+    assert found.value == (scores[0] if len(set(scores)) == 1 else math.inf)
+
+
+def test_middle_of_nothing():
+    found = interquartile_mean([])
+    assert found.n == 0
+    assert math.isnan(found.value)
+
+
+@pytest.mark.parametrize(
+    ("values", "worlds", "message"),
+    [
+        ([1.0, math.nan], None, "numbers from 0, inf for a failure"),
+        ([1.0, -1.0], None, "numbers from 0"),
+        ([[1.0]], None, "a vector"),
+        ([1.0, 2.0], ["a"], "worlds must be as many as the"),
+    ],
+)
+def test_wrong_values_are_refused(values, worlds, message):
+    with pytest.raises(InputError, match=message):
+        interquartile_mean(values, worlds)
+    with pytest.raises(InputError, match=message):
+        improvement(values, [1.0, 2.0], worlds)
+
+
+def test_other_wrong_input_is_refused():
+    with pytest.raises(InputError, match="reference must be as many as the values, 2, got 1"):
+        improvement([1.0, 2.0], [1.0])
+    with pytest.raises(ValueError, match="shares from 0 to 1"):
+        share_over_worlds([1.5, 0.5], ["x", "x"])
+    with pytest.raises(ValueError, match="one for each of 2 kinds"):
+        over_worlds.mean_over_worlds([1.0, math.nan], ["x", "x"])
+    with pytest.raises(ValueError, match="confidence"):
+        share_over_worlds([0.5, 0.7], ["x", "x"], confidence=95)
+    table = episodes({("w", "a"): [1.0], ("w", "b"): [2.0]})
+    with pytest.raises(InputError, match="over must be first or best, got 'worst'"):
+        scores_of(table, over="worst")
+    with pytest.raises(InputError, match="w, a: episode 0 must occur once"):
+        comparable_paths(pd.concat([table, table]))
+    for ratios in ([], [1.0, 1.0], [0.0, 1.0], [1.0, math.nan]):
+        with pytest.raises(InputError, match="ratios must be positive numbers that rise"):
+            profiles(table, ratios=ratios)
+
+
+def test_scores_by_hand():
+    table = episodes({("w", "a"): [10, 0, 0, 10, 10], ("w", "b"): [5, 0, 2, 10, 10], ("w", "c"): [20, 0, 0, 10, 10]})
+    fail(fail(table, "c", 3), "a", 4)
+    fail(table, "b", 4)
+    first, best = scores_of(table), scores_of(table, over="best")
+    assert first.columns.tolist() == ["a", "b", "c"]
+    np.testing.assert_array_equal(first.T, [[1, 1, 1, 1, np.nan], [0.5, 1, np.inf, 1, np.nan], [2, 1, 1, np.inf, 0]])
+    np.testing.assert_array_equal(best.T, [[2, 1, 1, 1, np.inf], [1, 1, np.inf, 1, np.inf], [4, 1, 1, np.inf, 1]])
+
+
+def test_paths_keep_the_order_of_worlds_and_leave_out_what_one_lacks():
+    table = episodes({("z", "a"): [1, 2], ("z", "b"): [3], ("m", "a"): [4], ("m", "b"): [5]})
+    paths = comparable_paths(table)
+    assert paths.index.tolist() == [("z", 0), ("m", 0)]
+    np.testing.assert_array_equal(paths, [[1, 3], [4, 5]])
+    assert comparable_paths(table.iloc[:0]).shape == (0, 0)
+    assert len(aggregate.aggregates(table.iloc[:0])) == 0
+    assert len(profiles(table.iloc[:0])) == 0
+
+
+def test_strategies_without_a_common_start():
+    table = episodes({("w", "a"): [1.0, 2.0], ("w", "b"): [3.0, 4.0]})
+    table.loc[table["strategy"] == "b", "episode"] += 7
+    assert comparable_paths(table).shape == (0, 2)
+    found = league.standings(table)
+    assert found["worlds"].tolist() == [0, 0]
+    assert found[["ratio", "shorter", "iqm", "rank"]].isna().all(axis=None)
+    assert "nan" not in league.over_worlds_text(found)
+    assert profiles(table)["share"].isna().all()
+
+
+def test_aggregates_by_hand():
+    paths = {("cave#0", "a"): [10, 10], ("cave#1", "a"): [10, 10], ("cave#0", "b"): [5, 10], ("cave#1", "b"): [20, 5]}
+    first, second = aggregate.aggregates(episodes(paths)).itertuples(index=False)
+    assert (first.strategy, first.units, first.iqm) == ("a", 2, 1.0)
+    assert np.isnan([first.shorter, first.shorter_p, first.iqm_low]).all()
+    assert (second.shorter, second.iqm) == (0.625, 0.75)  # 3/4 and 1/2; 1/2 1/2 1 2
+    one = aggregate.aggregates(episodes({key: value for key, value in paths.items() if key[0] == "cave#0"}))
+    assert one["units"].tolist() == [2, 2]
+
+
+def test_profiles_by_hand():
+    """b is 1, 2 and 4 times as long as the best in one world, and fails once in another of one start."""
+    paths = {("cave#0", "a"): [10, 10, 10], ("cave#0", "b"): [10, 20, 40], ("maze#0", "a"): [7], ("maze#0", "b"): [7]}
+    table = fail(episodes(paths), "b", 0, world="maze#0")
+    found = profiles(table, ratios=[1.0, 1.99, 2.0, 4.0])
+    assert list(found.columns) == list(aggregate.PROFILE_COLUMNS)
+    share = found.groupby("strategy")["share"].apply(list)
+    assert share["a"] == [1.0] * 4
+    assert share["b"] == pytest.approx([1 / 6, 1 / 6, 1 / 3, 1 / 2])
+    assert (found["low"] <= found["share"]).all()
+    assert (found["share"] <= found["high"]).all()
+
+
+def test_profiles_rise_and_reach_all_that_did_not_fail():
+    rng = np.random.default_rng(0)
+    paths = {(f"cave#{i}", name): rng.gamma(4, 10 * f, 3) for i in range(5) for f, name in enumerate("abc", 1)}
+    table = fail(episodes(paths), "c", 1, world="cave#2")
+    for over in aggregate.OVER:
+        found = profiles(table, over=over)
+        for name, rows in found.groupby("strategy"):
+            assert (np.diff(rows["share"]) >= 0).all()
+            assert (np.diff(rows["ratio"]) > 0).all()
+            assert rows["share"].iloc[-1] >= (0.8 if name != "c" else 0.7)
+        assert (found["ratio"].min() < 1) == (over == "first")
+        assert found["ratio"].max() <= aggregate.MOST_RATIO
+    assert profiles(table)["share"].groupby(profiles(table)["ratio"]).sum().iloc[0] == pytest.approx(1)  # one is best
+
+
+def test_profile_where_nobody_moved():
+    found = profiles(episodes({("w", "a"): [0.0, 0.0], ("w", "b"): [0.0, 0.0]}))
+    assert found["share"].eq(1).all()
+
+
+def test_standings_hold_the_aggregates():
+    rng = np.random.default_rng(0)
+    paths = {(f"cave#{i}", name): rng.gamma(9, f, 4) for i in range(6) for f, name in ((9, "a"), (8, "b"), (12, "c"))}
+    table = episodes(paths)
+    found, more = league.standings(table).set_index("strategy"), aggregate.aggregates(table).set_index("strategy")
+    for key in ("shorter", "shorter_low", "shorter_high", "iqm", "iqm_low", "iqm_high"):
+        np.testing.assert_array_equal(found[key].reindex(more.index), more[key])
+    text = league.over_worlds_text(league.standings(table))
+    assert text.startswith("Over 6 worlds, which count the same")
+    assert league.standings_table(league.standings(table)) in text
+    assert "nan" not in text
+
+
+def pairs(n, rng, spread=0.15):
+    reference = np.exp(rng.normal(3, 0.4, n))
+    return reference * np.exp(rng.normal(-0.1, spread, n)), reference
+
+
+def test_size_by_hand():
+    """With a spread s the interval of n pairs is `exp(± t s / sqrt(n))`; at even odds the pilot's spread is taken."""
+    rng = np.random.default_rng(0)
+    values, reference = pairs(40, rng)
+    n = sample_size(values, reference, within=0.03, assurance=0.5)
+    spread = (values / values.mean() - reference / reference.mean()).std(ddof=1)
+
+    def half(n):
+        middle = scipy_stats.f(n - 1, 39).ppf(0.5)
+        return math.exp(scipy_stats.t(n - 1).ppf(0.975) * spread * math.sqrt(middle / n)) - 1
+
+    assert half(n) <= 0.03 < half(n - 1)
+
+
+def test_sizes_are_monotone():
+    values, reference = pairs(12, np.random.default_rng(1))
+    of = lambda **how: sample_size(values, reference, **how)  # noqa: E731
+    assert of(within=0.01) > of(within=0.02) > of(within=0.1) >= 2
+    assert of(confidence=0.99) > of(confidence=0.9)
+    assert of(assurance=0.95) > of(assurance=0.8) > of(assurance=0.5)
+    assert of(within=0.02) == sample_size(values * 7, reference * 7, within=0.02)
+    assert of(within=1e-9) == sizes.MOST
+
+
+def test_the_interval_comes_out_as_narrow_as_assured():
+    """Pilots of 10 pairs with normal spreads: some 80 % of new samples are as narrow, not all."""
+    rng, enough = np.random.default_rng(2), 0
+    for _ in range(400):
+        n = sample_size(rng.normal(1.0, 0.1, 10), np.ones(10), within=0.05)
+        found = paired_ratio(rng.normal(1.0, 0.1, n), np.ones(n))
+        enough += found.high <= found.ratio * 1.05
+    assert 290 <= enough <= 360
+
+
+@pytest.mark.parametrize(
+    ("values", "reference", "message"),
+    [
+        ([1.0], [2.0], "vectors of one length, 2 or more"),
+        ([1.0, 2.0], [1.0], "vectors of one length"),
+        ([1.0, math.nan], [1.0, 2.0], "finite numbers from 0"),
+        ([1.0, math.inf], [1.0, 2.0], "finite numbers from 0"),
+        ([-1.0, 2.0], [1.0, 2.0], "finite numbers from 0"),
+        ([1.0, 2.0], [1.0, 2.0], "without any spread"),
+        ([2.0, 4.0], [1.0, 2.0], "without any spread"),
+        ([0.0, 0.0], [1.0, 2.0], "longer than 0"),
+    ],
+)
+def test_pilots_that_tell_nothing_are_refused(values, reference, message):
+    with pytest.raises(InputError, match=message):
+        sample_size(values, reference)
+
+
+@pytest.mark.parametrize("how", [{"within": 0}, {"within": math.nan}, {"confidence": 95}, {"assurance": 1}])
+def test_shares_out_of_range_are_refused(how):
+    with pytest.raises(InputError, match=next(iter(how))):
+        sample_size([1.0, 2.0, 4.0], [1.0, 3.0, 3.0], **how)
+    with pytest.raises(InputError, match=next(iter(how))):
+        worlds_needed([0.1, 0.2], ["x", "x"], **how)
+
+
+def test_worlds_by_hand():
+    """Two kinds that differ do not ask for more worlds; what worlds of a kind differ in does."""
+    logs, kinds = [0.1, 0.12, 0.1, 0.4, 0.42, 0.4], ["a"] * 3 + ["b"] * 3
+    assert worlds_needed(logs, kinds) < worlds_needed(logs, ["a"] * 6)
+    n = worlds_needed([0.1, 0.2, 0.3, 0.2], ["a"] * 4, within=0.05, assurance=0.5)
+    spread, middle = np.std([0.1, 0.2, 0.3, 0.2], ddof=1), scipy_stats.f(n - 1, 3).ppf(0.5)
+    assert scipy_stats.t(n - 1).ppf(0.975) * spread * math.sqrt(middle / n) <= math.log(1.05)
+    for bad in ([0.1], [0.1, math.nan], [0.1, 0.1]):
+        with pytest.raises(InputError):
+            worlds_needed(bad, ["a"] * len(bad))
+
+
+def test_table_of_sizes():
+    rng = np.random.default_rng(3)
+    paths = {}
+    for i in range(3):
+        values, reference = pairs(8, rng)
+        paths |= {(f"cave#{i}", "a"): reference, (f"cave#{i}", "b"): values, (f"cave#{i}", "c"): reference}
+    table = sizes.sample_sizes(episodes(paths), within=0.05)
+    assert list(table.columns) == list(sizes.SIZES_COLUMNS)
+    assert table["strategy"].tolist() == ["b", "c"] * 4
+    assert table["unit"].tolist() == ["episodes"] * 6 + ["worlds"] * 2
+    assert table["n"].tolist() == [8] * 6 + [3] * 2
+    assert table["needed"].isna().tolist() == [False, True] * 4  # c is the reference again: no spread
+    assert table["needed"][0] == sample_size(paths["cave#0", "b"], paths["cave#0", "a"], within=0.05)
+    first = paired_ratio(paths["cave#0", "b"], paths["cave#0", "a"])
+    assert table["within"][0] == pytest.approx(first.high / first.ratio - 1)
+    text = sizes.sizes_table(table)
+    assert text.count("\n") == 10
+    assert "all worlds" in text
+    assert "nan" not in text.lower()
+    one = sizes.sample_sizes(episodes({key: value for key, value in paths.items() if key[0] == "cave#0"}))
+    assert one["unit"].tolist() == ["episodes"] * 2
+    assert len(sizes.sample_sizes(episodes(paths).iloc[:0])) == 0

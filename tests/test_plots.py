@@ -1,0 +1,345 @@
+"""Pictures of comparisons and sweeps: what the artists hold, and that no two texts collide or leave the page."""
+
+import math
+
+import numpy as np
+import pandas as pd
+import pytest
+from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
+from ref.figures import check_texts, pixels
+from test_aggregate import episodes, fail
+from test_response import CLEARANCE, RANGE, sweep
+
+from jexplore.config import InputError
+from jexplore.report.plots import compare, curves, looks, sweeps
+from jexplore.studies.statistics import by_world, figures, league, response
+from jexplore.studies.statistics.aggregate import profiles
+
+LONG = "decision-theoretic+recheck+segment:samples=500,lam=0.2"
+FOURTEEN = ["closest", *(f"distance-advantage+recheck:weight=0.{i}" for i in range(12)), LONG]
+
+
+@pytest.fixture
+def ax():
+    return Figure(figsize=(5, 4)).add_subplot()
+
+
+def drawn(worlds, strategies, n=4, seed=0):
+    rng = np.random.default_rng(seed)
+    return episodes({(w, s): rng.gamma(9, 9 + k, n) for w in worlds for k, s in enumerate(strategies)})
+
+
+def shown(figure):
+    return [ax for ax in figure.axes if ax.get_visible()]
+
+
+def lines_of(ax, label):
+    return [line for line in ax.lines if line.get_label() == label]
+
+
+def test_looks_differ_also_in_grey():
+    found = looks.looks_of([f"s{i}" for i in range(28)])
+    assert len({(look["color"], str(look["linestyle"])) for look in found.values()}) == 28
+    assert len({(look["marker"], str(look["linestyle"])) for look in found.values()}) == 28
+    assert list(looks.looks_of(["s0", "s1"]).values()) == [found["s0"], found["s1"]]
+
+
+def test_colours_are_seen_on_white():
+    for colour in looks.COLOURS:
+        assert np.dot(to_rgb(colour), [0.299, 0.587, 0.114]) < 0.75
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "expected"),
+    [
+        (0.88, 1.13, [0.9, 0.95, 1.0, 1.05, 1.1]),
+        (0.6, 1.7, [0.6, 0.8, 1.0, 1.2, 1.4, 1.6]),
+        (0.45, 4.2, [0.5, 0.7, 1.0, 1.5, 2.0, 3.0]),
+        (0.03, 300.0, [0.1, 1.0, 10.0, 100.0]),
+    ],
+)
+def test_ticks_of_ratios(low, high, expected):
+    assert looks.ratio_ticks(low, high) == pytest.approx(expected)
+
+
+def test_ticks_are_few_and_within_any_range():
+    rng = np.random.default_rng(0)
+    for low, span in zip(10 ** rng.uniform(-4, 3, 300), 1 + 10 ** rng.uniform(-1.5, 5, 300)):
+        ticks = looks.ratio_ticks(low, low * span)
+        assert len(ticks) <= 8
+        assert all(low * 0.998 <= tick <= low * span * 1.002 for tick in ticks)
+
+
+def test_the_range_of_ratios_holds_all_and_1_but_no_end_that_is_far():
+    low, high = looks.ratio_range([1.3, math.nan], [1.2, 1.5])
+    assert 0.9 < low < 1 < 1.5 < high < 1.6
+    low, high = looks.ratio_range([0.8], [1e-9, 1e9])
+    assert 0.3 < low < 0.4
+    assert 2 < high < 3
+
+
+def test_points_by_hand(ax):
+    estimates = compare.Estimates(np.array([2.0, np.nan]), np.array([1.0, np.nan]), np.array([4.0, np.nan]))
+    style = list(looks.looks_of("ab").values())
+    ended = [np.array([True, False, True]), np.zeros(0, bool)]
+    first, second = compare.draw_points(ax, [[1.0, 2.0, 3.0], []], estimates, style, ended_well=ended)
+    assert second is None
+    assert first.lines[0].get_xydata().tolist() == [[2.0, 0.0]]
+    (segment,) = first.lines[2][0].get_segments()
+    assert segment[:, 0].tolist() == [1.0, 4.0]
+    dots, crosses = ax.lines[:2]
+    assert (dots.get_marker(), crosses.get_marker()) == ("o", "x")
+    assert dots.get_xdata().tolist() == [1.0, 3.0]
+    assert crosses.get_xdata().tolist() == [2.0]
+    assert np.abs(dots.get_ydata()).max() <= 0.3
+    assert ax.yaxis_inverted()
+
+
+def test_ratios_by_hand(ax):
+    estimates = compare.Estimates(np.array([1.0, 0.8]), np.array([np.nan, 1e-6]), np.array([np.nan, 0.9]))
+    reference, other = compare.draw_ratios(ax, estimates, list(looks.looks_of("ab").values()))
+    assert reference.lines[0].get_xydata().tolist() == [[1.0, 0.0]]
+    assert not reference.lines[2]
+    assert other.lines[0].get_xydata().tolist() == [[0.8, 1.0]]
+    assert ax.get_xscale() == "log"
+    (arrow,) = [line for line in ax.lines if line.get_marker() == "<"]  # the interval goes on beyond the axis
+    assert arrow.get_xydata().tolist() == [[ax.get_xlim()[0], 1.0]]
+
+
+def test_compare_figure_of_one_world():
+    table = fail(drawn(["w"], ["z", "a", "m"]), "a", 1)
+    figure = figures.compare_figure(table)
+    left, right = shown(figure)
+    assert left.get_title(loc="left") == "w"
+    assert [label.get_text() for label in left.get_yticklabels()] == ["z", "a", "m"]
+    assert right.get_xlabel() == "ratio to z"
+    summary = by_world.summarise(table)
+    for ax, key in ((left, "mean"), (right, "ratio")):
+        assert [bar.lines[0].get_xdata().item() for bar in ax.containers] == pytest.approx(summary[key].tolist())
+    texts = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert texts == ["an episode", "one that is not COMPLETE", "mean or ratio, 95 % interval"]
+    assert [line.get_xdata().tolist() for line in left.lines if line.get_marker() == "x"] == [[], [1.0], []]
+    check_texts(figure)
+
+
+def test_compare_figure_has_all_worlds_first():
+    table = drawn(["cave#0", "cave#1", "maze"], ["z", "a"])
+    figure = figures.compare_figure(table)
+    axes = shown(figure)
+    assert [ax.get_title(loc="left") for ax in axes[::2]] == [
+        "over 3 worlds, which count the same", "cave#0", "cave#1", "maze"
+    ]  # fmt: skip
+    standings = league.standings(table).set_index("strategy")
+    (better,) = axes[0].containers
+    assert better.lines[0].get_xdata().item() == pytest.approx(100 * standings["shorter"]["a"])
+    assert axes[1].containers[1].lines[0].get_xdata().item() == pytest.approx(standings["ratio"]["a"])
+    assert [text.get_text() for text in axes[0].texts] == ["the reference"]
+    dots = [line for line in axes[1].lines if line.get_marker() == "o" and len(line.get_xdata()) == 3]
+    ratios = league.paths_by_world(table)
+    np.testing.assert_allclose(dots[0].get_xdata(), np.exp(ratios["log_ratio"][ratios["strategy"] == "a"]))
+    assert figure.legends[0].get_texts()[0].get_text() == "an episode or a world"
+
+
+def test_a_strategy_that_did_not_run_in_a_world_leaves_its_row_empty():
+    table = drawn(["v", "w"], ["z", "a", "m"])
+    table = table[~((table["world"] == "w") & (table["strategy"] == "a"))]
+    *_, left, right = shown(figures.compare_figure(table))
+    assert [text.get_text() for text in left.texts] == ["no data"]
+    assert len(left.containers) == len(right.containers) == 2
+
+
+@pytest.mark.parametrize("n_worlds", [1, 3, 8])
+@pytest.mark.parametrize("strategies", [["closest", "random"], FOURTEEN], ids=["two", "fourteen"])
+def test_compare_figure_of_any_size(n_worlds, strategies):
+    worlds = [f"hospital#{i}:rooms=30,corridor=2.4,door=0.9,width=40" for i in range(n_worlds)]
+    figure = figures.compare_figure(drawn(worlds, strategies, n=2))
+    assert len(shown(figure)) == 2 * (n_worlds + (n_worlds > 1))
+    check_texts(figure)
+
+
+def test_of_very_many_worlds_only_all_of_them_are_shown():
+    figure = figures.compare_figure(drawn([f"cave#{i}" for i in range(13)], ["a", "b"], n=1))
+    assert len(shown(figure)) == 2
+
+
+@pytest.mark.parametrize("length", [0.0, 1e-3, 1e5])
+def test_compare_figure_of_odd_lengths_and_names(length):
+    odd = "maps/$a_b$/an_extremely_long_folder_name_without_any_break/avz5floor_closed.yaml"
+    table = episodes({(w, s): [length] * 3 for w in (odd, "x" * 90) for s in ("s" * 80, LONG, "$c$")})
+    figure = figures.compare_figure(table)
+    check_texts(figure)
+    assert "$" in shown(figure)[2].get_title(loc="left")
+
+
+def test_nothing_to_draw_is_refused():
+    table = drawn(["w"], ["a"])
+    with pytest.raises(InputError, match="episodes must be one or more"):
+        figures.compare_figure(table.iloc[:0])
+    with pytest.raises(InputError, match="one world or more"):
+        figures.coverage_figure({})
+    with pytest.raises(InputError, match="a start that every strategy has"):
+        figures.profile_figure(table.iloc[:0])
+
+
+def test_quartiles_by_hand():
+    """Four episodes, of which one never knew the second share and two never the third."""
+    n = math.nan
+    found = curves.quartiles(np.array([[1, 5, 9], [2, 6, n], [3, 7, 8], [4, n, n]], float))
+    np.testing.assert_array_equal(found, [[1, 5, 8], [2, 6, 9], [3, 7, np.inf]])
+
+
+def test_progress_by_hand(ax):
+    progress = np.array([[1.0, 2, 5, np.nan], [2.0, 4, np.nan, np.nan], [3.0, 6, 7, np.nan]])
+    line = curves.draw_progress(ax, progress, looks.looks_of("a")["a"], end_m=10.0)
+    np.testing.assert_array_equal(line.get_xydata(), [[2, 25], [4, 50], [7, 75], [np.nan, 100]])
+    (band,) = ax.collections
+    corners = {tuple(point) for point in band.get_paths()[0].vertices.tolist()}
+    assert {(1, 25), (2, 50), (5, 75), (10, 75), (6, 50), (3, 25)} <= corners
+
+
+def steps(strategies, n=5, seed=0, share=1.0):
+    rng = np.random.default_rng(seed)
+    found = {name: np.cumsum(rng.gamma(2, 1, (n, 100)), axis=1) for name in strategies}
+    for progress in found.values():
+        progress[:, int(100 * share) :] = np.nan
+    return found
+
+
+def test_coverage_figure():
+    known = {("v", "a"): steps("a")["a"], ("v", "b"): steps("b", seed=1, share=0.5)["b"], ("w", "b"): steps("b")["b"]}
+    figure = figures.coverage_figure(known)
+    left, right = shown(figure)
+    assert (left.get_title(), right.get_title()) == ("v", "w")
+    assert len(left.lines) == 2
+    np.testing.assert_allclose(left.lines[0].get_xdata(), np.median(known["v", "a"], axis=0))
+    assert np.isfinite(left.lines[1].get_xdata()).sum() == 50
+    assert left.lines[1].get_color() == right.lines[0].get_color()
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == ["a", "b"]
+    check_texts(figure)
+
+
+@pytest.mark.parametrize(("n_worlds", "names"), [(1, FOURTEEN), (4, ["a", LONG]), (8, FOURTEEN), (12, ["a", "b"])])
+def test_coverage_figure_of_any_size(n_worlds, names):
+    worlds = [f"hospital#{i}:rooms=30,corridor=2.4,door=0.9" for i in range(n_worlds)]
+    figure = figures.coverage_figure({(w, name): rows for w in worlds for name, rows in steps(names).items()})
+    assert len(shown(figure)) == n_worlds
+    check_texts(figure)
+
+
+def test_coverage_of_what_was_known_at_the_start_and_of_nothing():
+    known = {("v", "a"): np.zeros((3, 100)), ("w", "a"): np.full((3, 100), np.nan)}
+    figure = figures.coverage_figure(known)
+    assert [ax.texts[0].get_text() for ax in shown(figure)] == ["all was known at the start", "no data"]
+    check_texts(figure)
+
+
+def test_profile_figure():
+    table = drawn([f"cave#{i}" for i in range(4)], ["a", "b"])
+    figure = figures.profile_figure(table)
+    (ax,) = shown(figure)
+    found = profiles(table)
+    for line, (_, rows) in zip(ax.lines, found.groupby("strategy", sort=False)):
+        np.testing.assert_allclose(line.get_xydata(), np.stack([rows["ratio"], 100 * rows["share"]], axis=-1))
+    assert len(ax.collections) == 2
+    check_texts(figure)
+    check_texts(figures.profile_figure(drawn(["w"], FOURTEEN), over="first"))
+    check_texts(figures.profile_figure(episodes({("w", "a"): [0.0]})))
+
+
+def test_response_figure():
+    table = sweep(worlds=("v", "w"), clearances=(0.2, 0.3))
+    figure = figures.response_figure(table, RANGE)
+    axes = shown(figure)
+    found = response.response(table, RANGE)
+    for ax, world in zip(axes, ("v", "w")):
+        assert ax.get_xlabel() == RANGE
+        for bar, name in zip(ax.containers, ("a", "b")):
+            own = found[(found["world"] == world) & (found["strategy"] == name)]
+            np.testing.assert_allclose(bar.lines[0].get_ydata(), own["estimate"])
+            np.testing.assert_allclose(bar.lines[0].get_xdata(), own[RANGE], atol=0.1)
+    assert axes[0].get_ylabel() == "path length (m)"
+    check_texts(figure)
+    ratios = figures.response_figure(table, RANGE, ratio=True)
+    assert shown(ratios)[0].get_yscale() == "log"
+    assert shown(ratios)[0].get_ylabel() == "path length over that of a"
+    check_texts(ratios)
+
+
+def test_response_figure_of_words_and_of_many():
+    table = sweep(strategies=FOURTEEN, ranges=np.linspace(1, 9, 9), n=2)
+    check_texts(figures.response_figure(table, RANGE))
+    table["rules.kind"] = np.where(table[RANGE] > 4, "those that see far", "near")
+    figure = figures.response_figure(table, "rules.kind")
+    (ax,) = shown(figure)
+    assert [label.get_text() for label in ax.get_xticklabels()] == ["near", "those that see far"]
+    assert ax.containers[0].lines[0].get_linestyle() == "None"
+    one = figures.response_figure(sweep(ranges=(3.0,)), RANGE)
+    assert shown(one)[0].get_xlim()[0] < 3 < shown(one)[0].get_xlim()[1]
+    check_texts(one)
+
+
+def test_heat_by_hand(ax):
+    from matplotlib.colors import Normalize
+
+    image = sweeps.draw_heat(ax, [[1.0, 9.0], [np.nan, 5.0]], Normalize(1, 9), ratio=False, decimals=0)
+    np.testing.assert_array_equal(np.ma.filled(image.get_array(), np.nan), [[1, 9], [np.nan, 5]])
+    texts = {text.get_position(): (text.get_text(), text.get_color()) for text in ax.texts}
+    assert texts == {(0, 0): ("1", "white"), (1, 0): ("9", "black"), (1, 1): ("5", "white")}
+
+
+def test_heat_figure():
+    table = sweep(ranges=(2.0, 4.0, 8.0), clearances=(0.2, 0.3))
+    figure = figures.heat_figure(table, RANGE, CLEARANCE)
+    first, second, bar = shown(figure)
+    assert (first.get_title(), second.get_title(), bar.get_ylabel()) == ("a", "b", "path length (m)")
+    found = response.response(table, [RANGE, CLEARANCE])
+    own = found[found["strategy"] == "b"].pivot(index=CLEARANCE, columns=RANGE, values="estimate")
+    np.testing.assert_allclose(second.images[0].get_array(), own)
+    assert [label.get_text() for label in first.get_xticklabels()] == ["2", "4", "8"]
+    assert [label.get_text() for label in first.get_yticklabels()] == ["0.2", "0.3"]
+    assert first.images[0].get_clim() == second.images[0].get_clim()
+    check_texts(figure)
+
+
+def test_heat_figure_of_ratios_is_even_about_1_and_leaves_out_the_reference():
+    figure = figures.heat_figure(sweep(clearances=(0.2, 0.3)), RANGE, CLEARANCE, ratio=True)
+    ax, bar = shown(figure)
+    low, high = ax.images[0].get_clim()
+    assert low * high == pytest.approx(1)
+    assert ax.get_title() == "b"
+    assert bar.get_ylabel() == "path length over that of a"
+    check_texts(figure)
+
+
+@pytest.mark.parametrize(("worlds", "names"), [(1, FOURTEEN), (3, ["a", LONG]), (1, ["a"])])
+def test_heat_figure_of_any_size(worlds, names):
+    table = sweep([f"hospital#{i}:rooms=30,corridor=2.4" for i in range(worlds)], names, (1.0, 2.0, 3.5), (0.25, 0.3))
+    figure = figures.heat_figure(table, RANGE, CLEARANCE)
+    assert len(shown(figure)) == worlds * len(names) + 1
+    check_texts(figure)
+
+
+def test_heat_figure_of_many_values():
+    table = sweep(ranges=np.arange(1.0, 21.0), clearances=np.arange(15.0), n=1)
+    figure = figures.heat_figure(table, RANGE, CLEARANCE)
+    assert shown(figure)[0].images[0].get_array().shape == (15, 20)
+    assert not shown(figure)[0].texts
+    check_texts(figure)
+
+
+def test_wrong_settings_are_refused():
+    table = sweep()
+    with pytest.raises(InputError, match="two settings, got"):
+        figures.heat_figure(table, RANGE, RANGE)
+    with pytest.raises(InputError, match=r"setting must be a column .* such as lidar\.range_m"):
+        figures.response_figure(table, "lidar.rang_m")
+    with pytest.raises(InputError, match="two strategies or more for ratios"):
+        figures.heat_figure(sweep(strategies=("a",)), RANGE, CLEARANCE, ratio=True)
+
+
+def test_pictures_have_ink_of_every_colour():
+    image = pixels(figures.compare_figure(drawn(["w"], ["a", "b"]))).reshape(-1, 3).astype(int)
+    for colour in looks.COLOURS[:2]:
+        assert (np.abs(image - 255 * np.array(to_rgb(colour))).max(axis=-1) < 8).sum() > 10
+    assert pd.DataFrame(image).drop_duplicates().shape[0] > 20
