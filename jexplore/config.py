@@ -1,6 +1,7 @@
 """Frozen settings of a run and the error for wrong input. Plain Python: importing this loads neither jax nor numpy.
 
-The command line builds its options from these classes; their docstrings are its help texts.
+The command line builds its options from these classes; their docstrings are its help texts, and "off" among a field's
+metadata is that of the option which switches it off.
 """
 
 import dataclasses
@@ -8,6 +9,7 @@ import difflib
 import math
 import numbers
 import operator
+import reprlib
 from collections.abc import Collection
 from typing import Any
 
@@ -22,6 +24,40 @@ class InputError(ValueError):
         return [f"{type(self).__name__}: {self}"]
 
 
+class InputWarning(UserWarning):
+    """What was given can be used, but hardly means what its author thinks. One line that says what to do."""
+
+
+def shown(value: Any) -> str:
+    """What a message shows of a value: its `repr` on one line, cut short, whatever the value is."""
+    try:
+        text = _SHORT.repr(value)
+    except Exception:  # whole numbers of more digits than Python writes out
+        text = f"<{type(value).__name__}>"
+    text = " ".join(text.split())
+    return text if len(text) <= _LONGEST else text[: _LONGEST - 3] + "..."
+
+
+_LONGEST = 200  # characters of a value that a message shows
+_SHORT = reprlib.Repr()  # stays short and quick however deep and repetitive a value is
+_SHORT.maxstring = _SHORT.maxother = _SHORT.maxlong = 60
+
+
+def require_kind(name: str, given: object, kind: type) -> None:
+    """Refuse what is no record of a kind, and show how one is written.
+
+    Raises:
+      InputError: what should be a record is something else, such as a dict of its fields.
+    """
+    if isinstance(given, kind):
+        return
+    fields = {field.name: field.default for field in dataclasses.fields(kind)}
+    first = next(iter(fields))
+    example = given if isinstance(given, dict) and given and given.keys() <= fields.keys() else {first: fields[first]}
+    text = ", ".join(f"{key}={shown(value)}" for key, value in example.items())
+    raise InputError(f"{name} must be a jx.{kind.__name__}, such as jx.{kind.__name__}({text}), got {shown(given)}")
+
+
 def require_whole(name: str, value: Any, low: int, high: int) -> int:
     """`value` as an int within the bounds, both inclusive.
 
@@ -33,7 +69,7 @@ def require_whole(name: str, value: Any, low: int, high: int) -> int:
     except TypeError:
         number = None
     if number is None or isinstance(value, bool) or not low <= number <= high:
-        raise InputError(f"{name} must be an integer from {low} to {high}, got {value!r}")
+        raise InputError(f"{name} must be an integer from {low} to {high}, got {shown(value)}")
     return number
 
 
@@ -52,13 +88,16 @@ def require_number(
     """
     is_number = isinstance(value, numbers.Real) and not isinstance(value, bool)
     number: Any = value
-    ok = is_number and math.isfinite(number)
+    try:
+        ok = is_number and math.isfinite(number)
+    except OverflowError:  # a whole number beyond the largest float
+        ok = False
     ok = ok and (number > low if low_open else number >= low) and (number < high if high_open else number <= high)
     if not ok:
         above = "" if math.isinf(low) else f" {'above' if low_open else 'at least'} {low:g}"
         below = "" if math.isinf(high) else f"{' and' if above else ''} {'below' if high_open else 'at most'} {high:g}"
         kind = "a number" if above or below else "a finite number"
-        raise InputError(f"{name} must be {kind}{above}{below}, got {value!r}")
+        raise InputError(f"{name} must be {kind}{above}{below}, got {shown(value)}")
     return value
 
 
@@ -75,16 +114,16 @@ class Lidar:
     """A planar laser scanner that looks forward. The defaults are a SICK LMS 200 as Stage models it."""
 
     n_beams: int = 181
-    """Beams a scan, evenly spaced over the field of view, both edges included."""
+    """A scan has this many beams, evenly spaced over the field of view, both edges included."""
     fov_deg: float = 180.0
-    """Field of view, degrees. At 360 the beams are spaced so that first and last do not coincide. Below 90 a look all
-    round is eight scans."""
+    """The field of view is this wide, in degrees. At 360 the beams are spaced so that first and last do not coincide.
+    Below 90 a look all round is eight scans."""
     range_m: float = 8.0
-    """A beam sees what it enters at a distance below this, metres."""
+    """A beam sees what it enters at a distance below this, in metres."""
     sigma_m: float = 0.0
-    """Standard deviation of the range noise, metres."""
+    """The noise of the ranges has this standard deviation, in metres."""
     dropout: float = 0.0
-    """Probability that a beam returns nothing at all, and leaves the map as it is."""
+    """A beam returns nothing at all, and leaves the map as it is, with this probability."""
 
     def __post_init__(self) -> None:
         require_whole("lidar.n_beams", self.n_beams, low=1, high=4096)
@@ -99,18 +138,20 @@ class Rules:
     """The rules of an exploration episode, besides the scanner and the strategy."""
 
     clearance_m: float = 0.30
-    """A cell is clear if it is free and no occupied cell lies within this distance, centre to centre, metres."""
+    """A cell is clear if it is free and no occupied cell lies within this distance, centre to centre, in metres."""
     near_m: float = 0.50
-    """Free cells within this distance of the robot are traversable even where they are not clear, metres."""
+    """Free cells within this distance of the robot, in metres, are traversable even where they are not clear."""
     p_free: float = 0.25
-    """A known cell is free if its reflection probability is at most this, in float32, else occupied."""
-    look_around: bool = True
-    """Whether arriving at a live target turns the robot in place, with scans at +90, +180 and +270 degrees; at every 45
-    where the field of view is below 90 degrees."""
+    """A known cell is free if its reflection probability is at most this, in float32; else it is occupied."""
+    look_around: bool = dataclasses.field(
+        default=True, metadata={"off": "A robot that arrives at a live target does not turn to look all round."}
+    )
+    """A robot that arrives at a live target turns in place, with scans at +90, +180 and +270 degrees; at every 45 where
+    the field of view is below 90 degrees."""
     max_steps: int | None = None
-    """Steps after which an episode ends as STEP_LIMIT. Default: the larger of 20000 and the number of cells."""
+    """An episode ends as STEP_LIMIT after this many steps; by default the larger of 20000 and the number of cells."""
     max_plans: int | None = None
-    """Plans after which an episode ends as PLAN_LIMIT. Default: the larger of 20000 and the number of cells."""
+    """An episode ends as PLAN_LIMIT after this many plans; by default the larger of 20000 and the number of cells."""
 
     def __post_init__(self) -> None:
         require_number("rules.clearance_m", self.clearance_m, high=10)

@@ -6,6 +6,7 @@ host, in float64; `scan` finds where beams end in a true map, `fold` counts the 
 
 import functools
 import math
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -82,8 +83,12 @@ def beam_angles_deg(lidar: Lidar) -> np.ndarray:
     return -lidar.fov_deg / 2 + step * np.arange(lidar.n_beams)
 
 
-def _advance(xp, state, geometry):
-    """One step of Amanatides and Woo's traversal for every beam; through an exact corner it steps in x first."""
+def advance_beams(xp: Any, state: Any, geometry: Any) -> tuple[Any, Any]:
+    """One step of Amanatides and Woo's traversal for every beam; through an exact corner it steps in x first.
+
+    `xp` is numpy or jax.numpy; `state` counts the crossings so far, `(0, 0)` at first. Returns the next state, and the
+    cell entered with the distance at which: `(drow, dcol, entry)`, relative to the first cell, in cells.
+    """
     nx, ny = state
     sign_x, sign_y, to_x, to_y, per_x, per_y = geometry
     # The crossing distance comes from the crossing's number, never from a running sum: no drift along the beam.
@@ -94,8 +99,11 @@ def _advance(xp, state, geometry):
     return (nx, ny), (sign_y * ny, sign_x * nx, entry)
 
 
-def _geometry(xp, dx, dy, x, y, far):
-    """Signs, distance to the first crossing in units of the crossings' spacing, and that spacing, on each axis."""
+def beam_geometry(xp: Any, dx: Any, dy: Any, x: Any, y: Any, far: Any) -> Any:
+    """Signs, distance to the first crossing in units of the crossings' spacing, and that spacing, on each axis.
+
+    `dx`, `dy` are the beams' directions, `x`, `y` where in its cell, 0 to 1, a beam begins, `far` a spacing beyond all.
+    """
     sign_x, sign_y = xp.where(dx < 0, -1, 1), xp.where(dy < 0, -1, 1)
     to_x, to_y = xp.where(dx < 0, x, 1 - x), xp.where(dy < 0, y, 1 - y)
     per_x = xp.where(dx == 0, far, 1 / xp.where(dx == 0, 1, xp.abs(dx)))
@@ -157,13 +165,14 @@ def all_round(beams: Beams) -> Beams:
 
 
 @functools.lru_cache(maxsize=8)
-def beam_table(lidar: Lidar, cell_m: float, width: int) -> Beams:
+def beam_table(lidar: Lidar, cell_m: float, width: int, longest_m: float = 0.0) -> Beams:
     """The beams of a robot that stands on a cell's centre with a heading that is a multiple of 45 degrees.
 
     Args:
       lidar: `Lidar`.
       cell_m: edge of a cell, metres.
       width: W of the maps that the beams will cross, cells.
+      longest_m: a range that the table is to have room for, so that it has the shape of a longer scanner's, metres.
 
     Returns:
       `Beams` of numpy arrays, K = 8; index k is the heading 45 k degrees.
@@ -174,11 +183,11 @@ def beam_table(lidar: Lidar, cell_m: float, width: int) -> Beams:
     reach = in_cells(lidar.range_m, cell_m)
     angles = 45.0 * np.arange(HEADINGS)[:, None] + beam_angles_deg(lidar)
     dx, dy = exact_direction(angles)
-    geometry = _geometry(np, dx, dy, 0.5, 0.5, 1e30)
+    geometry = beam_geometry(np, dx, dy, 0.5, 0.5, 1e30)
     state = (np.zeros(dx.shape), np.zeros(dx.shape))
     steps = []
-    for _ in range(n_steps(reach)):
-        state, step = _advance(np, state, geometry)
+    for _ in range(n_steps(max(reach, in_cells(longest_m, cell_m)))):
+        state, step = advance_beams(np, state, geometry)
         steps.append(step)
     drow, dcol, entry = (np.stack([s[i] for s in steps], axis=1) for i in range(3))
     within = entry < reach

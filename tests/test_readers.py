@@ -10,14 +10,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from hypothesis import given, settings
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from PIL import Image
 from scipy import ndimage
 from skimage.measure import points_in_poly
 
-from jexplore.config import InputError
+from jexplore.config import InputError, InputWarning
 from jexplore.worlds import load_world
 from jexplore.worlds.readers import houseexpo
 from jexplore.worlds.readers.images import grey, opacity, read_pixels
@@ -126,7 +126,21 @@ def test_resample_refuses_a_large_world_before_allocating():
     picture = np.zeros((2, 2), bool)
     assert resample(picture, (1, 1024), 0.5, name="").shape == (MAX_SIDE, 4)
     refused("'m.png': 4097 x 1 cells are more than 4096", resample, picture, (0.1, 2048.1), 1.0, name="m.png")
-    refused("more than 4096", resample, picture, (1e6, 1e6), 0.001, name="")
+    refused("over a billion cells are more than 4096", resample, picture, (1e6, 1e6), 0.001, name="")
+
+
+def test_too_large_a_world_says_which_cell_would_do():
+    picture = np.zeros((3, 2), bool)
+    line = r"'m.png': 12345 x 6 cells are more than 4096 a side; use a larger cell_m, at least 0.31, or cut"
+    refused(line, resample, picture, (0.3, 411.5), 0.1, name="m.png")  # 1234.5 m in 4094 cells and a ring: 0.3015 m
+    assert resample(picture, (0.3, 411.5), 0.31, name="").shape == (3983, 2)
+    refused("at least 0.0011,", resample, picture, (0.3, 1.366), 0.001, name="")  # 4098 cells
+    refused("see whether its scale, the metres of a pixel, is right", resample, picture, (1, 1e6), 1, name="")
+
+
+@pytest.mark.parametrize("pixel_m", [(1e-300, 1), (1, 9e-5), (1e308, 1), (1, 2e6), (math.inf, 1), (math.nan, 1)])
+def test_resample_refuses_pixels_beyond_all_measure(pixel_m):
+    refused("'m.png': a pixel must be 0.0001 to 1e", resample, np.zeros((2, 2), bool), pixel_m, 0.1, name="m.png")
 
 
 # --- images
@@ -169,6 +183,19 @@ def test_transparent_is_occupied_whatever_its_colour(tmp_path):
     refused("the brightest opaque grey is none", load_world, f"{save(tmp_path / 'n.png', levels)}@0.1")
 
 
+def test_a_transparent_floor_says_what_to_do(tmp_path):
+    levels = np.zeros((6, 10, 4), np.uint8)
+    levels[0, :, 3] = 255  # a black wall on nothing
+    line = "no pixel is free; .* 83% of its pixels are transparent, which counts as occupied: flatten it onto white"
+    refused(line, load_world, f"{save(tmp_path / 'm.png', levels)}@0.1")
+    levels[1] = 255  # and a white strip: 40 of 60 are left
+    with pytest.warns(InputWarning, match="m.png': 67% of its pixels are transparent, .* flatten it onto white"):
+        world = load_world(f"{save(tmp_path / 'm.png', levels)}@0.1")
+    assert (~world.occupied).sum() == 10
+    levels[2:4] = 255  # 20 of 60: perhaps what lies outside
+    assert (~load_world(f"{save(tmp_path / 'm.png', levels)}@0.1").occupied).sum() == 30
+
+
 def test_a_coloured_block_marks_the_start(tmp_path):
     pixels = np.full((10, 12, 3), 195, np.uint8)
     pixels[0] = 127
@@ -206,6 +233,14 @@ def test_a_jpeg_and_a_bitmap(tmp_path):
     for name in ("m.jpg", "m.jpeg"):
         save(tmp_path / name, pixels)
         assert np.array_equal(load_world(f"{tmp_path / name}@0.1").occupied[1:-1, 1:-1], pixels == 0)
+    thin = np.full((60, 60), 255, np.uint8)
+    thin[[3, 30, 57]], thin[:, [5, 44]] = 0, 0
+    Image.fromarray(thin).save(tmp_path / "m.jpg", quality=60)
+    with pytest.warns(InputWarning, match=r"m.jpg': is a JPEG, and blurred .* \d+\.\d% of its .* as PNG") as told:
+        blurred = load_world(f"{tmp_path / 'm.jpg'}@0.1").occupied
+    assert len(told) == 1
+    assert blurred[1:-1, 1:-1][thin[::-1] == 0].all()  # no wall is lost,
+    assert blurred.sum() > load_world(f"{save(tmp_path / 'thin.png', thin)}@0.1").occupied.sum()  # but walls grow
     (tmp_path / "m.pbm").write_text("P1\n3 2\n1 0 0\n0 0 1\n")  # 1 is black
     assert load_world(f"{tmp_path / 'm.pbm'}@0.1").occupied[1:-1, 1:-1].tolist() == [[0, 0, 1], [1, 0, 0]]
 
@@ -265,7 +300,10 @@ def test_files_that_cannot_be_read_are_refused(tmp_path, monkeypatch):
     refused("'absent.png': there is no such file .looked in ", load_world, "absent.png@0.1")
     refused("cannot be opened", load_world, "nul\0.png@0.1")
     Image.fromarray(np.zeros((2, 2), np.float32)).save("float.tif")
-    refused("pixels in floating point", load_world, "float.tif@0.1")
+    line = r"'float.tif': has pixels in floating point; save it with 8 bits a pixel, 255 .white. where the floor"
+    refused(line, load_world, "float.tif@0.1")
+    Image.fromarray(np.full((2, 2), 70000, np.int32)).save("deep.tif")
+    refused("'deep.tif': has more than 16 bits a pixel; save it with 8 bits", load_world, "deep.tif@0.1")
 
 
 def test_a_file_without_permission_is_refused(tmp_path, monkeypatch):
@@ -291,7 +329,7 @@ def png_header(width, height):
 @pytest.mark.parametrize("size", [(8001, 8000), (10000, 10000), (60000, 60000)])
 def test_a_huge_image_is_refused_by_its_header(tmp_path, size):
     (tmp_path / "bomb.png").write_bytes(png_header(*size))
-    refused("has more than 64 megapixels", load_world, f"{tmp_path / 'bomb.png'}@0.1")
+    refused("has more than 64 megapixels; cut it into parts, or", load_world, f"{tmp_path / 'bomb.png'}@0.1")
     (tmp_path / "fits.png").write_bytes(png_header(8000, 8000))
     refused("is damaged or cut short", load_world, f"{tmp_path / 'fits.png'}@0.1")
 
@@ -376,6 +414,84 @@ def test_ros_averages_colours_and_in_trinary_opacity(tmp_path):
     assert read_ros(ros_map(tmp_path, transparent, "png", negate=1))[0].tolist() == [[100]]
 
 
+def told_of_unknown(path, line):
+    """The occupancy, and the world, which is told to have free cells that are unknown."""
+    with pytest.warns(InputWarning, match=line):
+        world = load_ros(path)
+    return read_ros(path)[0].tolist(), world.occupied.astype(int).tolist()
+
+
+def test_unknown_grey_that_turns_free_is_read_as_the_map_server_does_and_told(tmp_path):
+    """Worked out from map_io.cpp: p = (255 - 205) / 255 = 0.196 is free below 0.25; with an alpha of 255 as a fourth
+    channel of 205, 205, 205 it is 0.147, free at 0.196; between bounds of 0.1 and 0.9 it is 12 of 100.
+    """
+    grey = np.array([[205, 205, 254, 0]])
+    assert load_ros(ros_map(tmp_path, grey)).occupied.tolist() == [[1, 1, 0, 1]]  # without a word
+    line = (
+        "m.yaml': 50% of its pixels are grey 205, which stands for unknown, and yet free, as in the map server; to "
+        "have them unknown "
+    )
+    path = ros_map(tmp_path, grey, free_thresh=0.25)
+    assert told_of_unknown(path, line + "write free_thresh: 0.196$") == ([[0, 0, 0, 100]], [[0, 0, 0, 1]])
+    opaque = np.full((1, 4, 4), 255)
+    opaque[..., :3] = grey[..., None]
+    alpha = "save the picture without its alpha channel, which trinary takes for a colour$"
+    path = ros_map(tmp_path, opaque, "png")
+    assert told_of_unknown(path, line + alpha) == ([[0, 0, 0, 100]], [[0, 0, 0, 1]])  # black is 0.75
+    path = ros_map(tmp_path, opaque, "png", free_thresh=0.25)
+    told_of_unknown(path, line + "write free_thresh: 0.196 and " + alpha)
+    path = ros_map(tmp_path, grey, mode="scale", occupied_thresh=0.9, free_thresh=0.1)
+    assert told_of_unknown(path, line + "write mode: trinary$") == ([[12, 12, 0, 100]], [[0, 0, 0, 1]])
+    assert load_ros(path, free_max=10).occupied.tolist() == [[1, 1, 0, 1]]
+    few = np.full((15, 10), 254)
+    few[0, 0] = 205  # 0.7 %
+    load_ros(ros_map(tmp_path, few, free_thresh=0.25))
+    assert load_ros(ros_map(tmp_path, [[205, 50]], mode="raw", negate=0), free_max=60).occupied.tolist() == [[1, 0]]
+
+
+def test_transparent_pixels_of_a_ros_map_that_turn_free_are_told(tmp_path):
+    levels = np.full((1, 4, 4), 255)
+    levels[0, :3, 3] = 0  # white and transparent: p = 0.25
+    path = ros_map(tmp_path, levels, "png", free_thresh=0.3)
+    assert told_of_unknown(path, "75% of its pixels are transparent, which stands")[0] == [[0, 0, 0, 0]]
+    line = "no pixel is free at free_thresh 0.196, negate 0; 100% of its pixels are transparent: flatten"
+    refused(line, load_ros, ros_map(tmp_path, levels[:, :3], "png"))
+
+
+def test_a_mask_of_0_and_1_in_mode_raw_has_no_wall_and_is_refused(tmp_path):
+    path = ros_map(tmp_path, [[0, 1]], mode="raw")
+    assert read_ros(path)[0].tolist() == [[0, 1]]  # what the map server publishes
+    refused("m.yaml': integers of 0 and 1 alone would have no wall, for 100 is occupied", load_ros, path)
+
+
+NUMBERS = ("1e308", "-1e308", "1e-300", "5e-324", "1e999", ".inf", "-.inf", ".nan", "0", "-0.0", "1e-4", "1:1:1", "1_0")
+DIGITS = ("{}", "-{}", "0x{}", "0b{}", "0.{}", "{}.5", "1:{}")
+WORDS = ("", "~", "true", "m.pgm", "trinary", "2020-01-01", "!!bool 5", "!!int ''", "&a [*a]", "\x00", "'")
+YAML_KEYS = ("image", "resolution", "origin", "negate", "occupied_thresh", "free_thresh", "mode")
+yaml_values = st.recursive(
+    st.sampled_from([*NUMBERS, *WORDS, *(text.format("1" * n) for text in DIGITS for n in (1, 400, 5000))]),
+    lambda inner: (
+        st.lists(inner, max_size=3).map(lambda parts: f"[{', '.join(parts)}]")
+        | inner.map(lambda text: f"{{<<: {text}}}")
+    ),
+    max_leaves=4,
+)
+
+
+@settings(deadline=2000, max_examples=300, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.sampled_from(YAML_KEYS), yaml_values)
+def test_any_value_in_a_yaml_is_read_or_refused_in_one_short_line(tmp_path, key, value):
+    path = ros_map(tmp_path, [[254, 0], [254, 254]], **{key: "HERE"})
+    path.write_text(path.read_text().replace("HERE", value))
+    try:
+        world, said = load_world(path), ""
+    except InputError as error:
+        world, said = None, str(error)
+    assert "\n" not in said
+    assert len(said) < 600
+    assert world is None or (max(world.shape) <= MAX_SIDE and np.isfinite(world.origin_m).all())
+
+
 def test_ros_resamples_to_the_cell(tmp_path):
     pixels = np.full((4, 4), 254, np.uint8)
     pixels[0, 0] = 0
@@ -409,17 +525,29 @@ def test_ros_yaml_is_read_as_written_by_people(tmp_path):
         ({"image": "gone.pgm"}, "m.yaml': its image cannot be read: '.*gone.pgm': there is no such file"),
         ({"image": "."}, "its image cannot be read: .* is a directory"),
         ({"image": 3}, "image must be the name of a file, got 3"),
-        ({"resolution": 0}, "resolution must be a number above 0, got 0.0"),
-        ({"resolution": -0.05}, "resolution must be a number above 0"),
-        ({"resolution": math.nan}, "resolution must be a number above 0"),
-        ({"resolution": math.inf}, "resolution must be a number above 0"),
-        ({"resolution": "fine"}, "resolution must be a number above 0, got 'fine'"),
-        ({"resolution": [1]}, "resolution must be a number above 0"),
+        ({"resolution": 0}, r"resolution must be a number at least 0.0001 and at most 1e\+06, got 0.0"),
+        ({"resolution": -0.05}, "resolution must be a number at least 0.0001"),
+        ({"resolution": math.nan}, "resolution must be a number at least 0.0001"),
+        ({"resolution": math.inf}, "resolution must be a number at least 0.0001"),
+        ({"resolution": "fine"}, r"resolution must be a number at least 0.0001 .* got 'fine'"),
+        ({"resolution": [1]}, "resolution must be a number at least 0.0001"),
+        ({"resolution": 1e308}, r"resolution must be a number .* at most 1e\+06, got 1e\+308"),
+        ({"resolution": 1e-300}, r"resolution must be a number at least 0.0001 .* got 1e-300"),
+        ({"resolution": 10**400}, r"resolution must be a number .* got 1000.*\.\.\..*000"),
+        ({"resolution": 1e6}, "are more than 4096 a side; see whether its scale, the metres of a pixel, is right"),
+        ({"origin": [10**400, 0, 0]}, "origin must be a number at least -1e"),
+        ({"origin": [0, 1e300, 0]}, "origin must be a number at least -1e"),
+        ({"negate": 10**400}, "negate must be a number"),
+        ({"free_thresh": 1e308}, "free_thresh must be a number"),
         ({"resolution": 5000}, "more than 4096"),
         ({"origin": [0, 0]}, r"origin must be \[x, y, yaw\]"),
         ({"origin": "0 0 0"}, r"origin must be \[x, y, yaw\]"),
-        ({"origin": [0, math.nan, 0]}, "origin must be a finite number"),
-        ({"origin": [0, 0, 0.5]}, "the map is turned by yaw = 0.5; only origin"),
+        ({"origin": [0, math.nan, 0]}, "origin must be a number"),
+        (
+            {"origin": [0, 0, 0.5]},
+            "the map is turned by yaw = 0.5, .* turn its picture by 28.65 degrees counter-clockwise, on grey 205, and "
+            r"write origin: \[x, y, 0\], the place of its new lower left corner",
+        ),
         ({"negate": 2}, "negate must be a number"),
         ({"occupied_thresh": 65}, "occupied_thresh must be a number at least 0 and at most 1"),
         ({"free_thresh": 0.65}, "free_thresh 0.65 must be below occupied_thresh 0.65"),
@@ -441,6 +569,11 @@ def test_bad_ros_maps_are_refused(tmp_path, changes, line):
         ("image: !!python/name:os.system\n", "is not valid YAML"),
         ("image: 2020-13-45\n", "is not valid YAML"),
         ("[" * 20000, "is not valid YAML"),
+        ("resolution: !!bool 5\n", "is not valid YAML"),
+        ("resolution: !!timestamp x\n", "is not valid YAML"),
+        ("resolution: " + "1" * 9000 + "\n", "is not valid YAML"),
+        ("a: &a [1]\nimage: *a\n", "a map's yaml has no aliases"),
+        ("\n".join(f"{x}: &{x} [*{y}, *{y}]" for x, y in zip("bcdefg", "abcdef")), "is not valid YAML"),
     ],
 )
 def test_bad_yaml_is_refused(tmp_path, text, line):
@@ -475,10 +608,10 @@ def test_write_ros_by_pencil(tmp_path):
 def test_write_ros_is_read_back_unchanged(tmp_path, values):
     occupancy = np.random.default_rng(1).choice(values, (7, 300)).astype(np.int8)
     occupancy[0, : len(values)] = values
-    write_ros(occupancy, tmp_path / "odd: #1@2.yaml", cell_m=0.1 + 0.2, origin_m=(-1 / 3, 1e20))
+    write_ros(occupancy, tmp_path / "odd: #1@2.yaml", cell_m=0.1 + 0.2, origin_m=(-1 / 3, 1e9))
     again, info = read_ros(tmp_path / "odd: #1@2.yaml")
     assert np.array_equal(again, occupancy)
-    assert (info.resolution_m, info.origin_m) == (0.1 + 0.2, (-1 / 3, 1e20))
+    assert (info.resolution_m, info.origin_m) == (0.1 + 0.2, (-1 / 3, 1e9))
 
 
 def test_write_ros_of_a_world_loads_as_that_world(tmp_path):
@@ -495,8 +628,9 @@ def test_bad_things_to_write_are_refused(tmp_path):
     refused("cannot be written", write_ros, [[0]], tmp_path / "none" / "m.yaml")
     refused("from -1 to 100, got int64", write_ros, [[0, 101]], tmp_path / "m.yaml")
     refused("got float64", write_ros, [[0.5]], tmp_path / "m.yaml")
-    refused("cell_m must be a number above 0", write_ros, [[0]], tmp_path / "m.yaml", cell_m=0)
-    refused("origin_m must be a finite number", write_ros, [[0]], tmp_path / "m.yaml", origin_m=(math.nan, 0))
+    refused("cell_m must be a number at least 0.0001", write_ros, [[0]], tmp_path / "m.yaml", cell_m=0)
+    refused("origin_m must be a number at least -1e", write_ros, [[0]], tmp_path / "m.yaml", origin_m=(math.nan, 0))
+    refused("integers of 0 and 1 alone would have no wall", write_ros, [[0, 1]], tmp_path / "m.yaml")
     assert list(tmp_path.iterdir()) == []
 
 

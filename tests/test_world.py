@@ -2,6 +2,8 @@
 
 import itertools
 
+import jax
+import jax.numpy as jnp
 import networkx as nx
 import numpy as np
 import pytest
@@ -60,6 +62,37 @@ def test_the_ground_goes_along_and_is_level_beyond_the_edge():
 def test_wrong_ground_is_refused(elevation, line):
     with pytest.raises(InputError, match=line):
         checked(picture("..", "..", elevation=elevation))
+
+
+def test_a_world_of_lists_is_one_of_arrays():
+    world = checked(World(occupied=[[True, False, True], [True, False, True]], rooms=[[-1, 0, -1], [-1, 0, -1]]))
+    assert world.occupied.tolist() == [[1] * 5, [1, 1, 0, 1, 1], [1, 1, 0, 1, 1], [1] * 5]
+    assert world.occupied.dtype == bool
+    assert world.rooms.dtype.kind == "i"
+    assert World(occupied=[[True, False]], cell_m=0.5).free_m2 == 0.25
+
+
+@pytest.mark.parametrize(
+    ("occupied", "line"),
+    [
+        (np.eye(3, dtype=int), "'mine': occupied must be .* got int64; write array == 1 for a mask of 0 and 1, and "),
+        ([[0, 100]], "occupied must be .* jx.occupancy_to_world.array. for 0 .free. to 100 .occupied."),
+        (np.zeros((2, 2)), "got float64"),
+        ([[True], [True, False]], "rows of different lengths"),
+    ],
+)
+def test_a_world_of_numbers_is_refused_when_it_is_made(occupied, line):
+    """What is free is `~occupied`: of the integers 0 and 1 it would be -1 and -2, everywhere and without a word."""
+    with pytest.raises(InputError, match=line):
+        World(occupied=occupied, name="mine")
+
+
+def test_a_world_may_hold_other_things_on_its_way_through_jax():
+    world = World(occupied=np.eye(2, dtype=bool))
+    assert jax.tree.map(np.shape, world).occupied == (2, 2)
+    assert jax.tree.map(jnp.asarray, world).occupied.shape == (2, 2)
+    with pytest.raises(InputError, match="occupied must be"):
+        checked(world.replace(occupied=jnp.eye(2)))
 
 
 @pytest.mark.parametrize("hole", [(0, 1), (2, 1), (1, 0), (1, 2)])
@@ -132,7 +165,11 @@ def test_occupancy_takes_bool_and_does_not_share_memory():
         ([[-2, 0]], "got -2 to 0"),
         (np.array([[255, 0]], np.uint8), "got 0 to 255"),
         ([[-1, 100]], "no cell is free"),
-        (np.zeros((1, 4097), np.int8), "more than 4096"),
+        (np.zeros((1, 4097), np.int8), "more than 4096 a side; use a larger cell_m, at least 0.11, or cut"),
+        ([[0, 1], [1, 0]], "integers of 0 and 1 alone would have no wall, .* use bool, or 0..100: write array == 1"),
+        (np.array([[-1, 0, 1]], np.int8), "integers of 0 and 1"),
+        (np.eye(3, dtype=np.uint8), "integers of 0 and 1"),
+        ([[0, 1], [0]], "rows of different lengths"),
     ],
 )
 def test_bad_occupancy_is_refused(occupancy, line):
@@ -140,6 +177,14 @@ def test_bad_occupancy_is_refused(occupancy, line):
         occupancy_to_world(occupancy, name="mine")
     assert "\n" not in str(error.value)
     assert "'mine'" in str(error.value)
+
+
+def test_occupancies_of_0_and_1_that_mean_what_they_say_are_taken():
+    mask = np.eye(3, dtype=int)
+    assert occupancy_to_world(mask * 100).occupied[1:-1, 1:-1].tolist() == mask.tolist()
+    assert occupancy_to_world(mask, free_max=0).occupied[1:-1, 1:-1].tolist() == mask.tolist()
+    assert not occupancy_to_world(np.zeros((3, 3), int)).occupied[1:-1, 1:-1].any()
+    assert not occupancy_to_world([[0, 1, 2]]).occupied[1, 1:-1].any()  # per cent
 
 
 @pytest.mark.parametrize("cell_m", [0, -1, float("nan"), float("inf"), "a"])

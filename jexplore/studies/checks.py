@@ -8,7 +8,7 @@ import numpy as np
 
 from jexplore.arrays.bits import WORD
 from jexplore.arrays.padding import bucket
-from jexplore.config import InputError, Lidar, Rules
+from jexplore.config import InputError, Lidar, Rules, require_kind
 from jexplore.exploration.site import LEAST_LIMIT
 from jexplore.grid import in_cells, radius_d2
 from jexplore.policies import Policy, Strategy, strategy
@@ -50,9 +50,8 @@ def require_different(kind: str, names: list[str], hint: str = "") -> None:
 
 def require_settings(lidar: object, rules: object) -> None:
     """Refuse what is no scanner or no rules."""
-    for name, given, kind in (("lidar", lidar, Lidar), ("rules", rules, Rules)):
-        if not isinstance(given, kind):
-            raise InputError(f"{name} must be a jx.{kind.__name__}, got {given!r}")
+    require_kind("lidar", lidar, Lidar)
+    require_kind("rules", rules, Rules)
 
 
 def ready_worlds(worlds: WorldLike | Iterable[WorldLike], cell_m: float) -> list[World]:
@@ -162,8 +161,9 @@ def require_memory(world: World, lidar: Lidar, rules: Rules) -> None:
     """Refuse what would not fit into the machine's memory.
 
     Raises:
-      InputError: naming the world and the sizes.
+      InputError: naming the world and the sizes; or as `require_settings`.
     """
+    require_settings(lidar, rules)
     have, need = _memory(), memory_needed(world, lidar, rules, os.cpu_count() or 1)
     if have is not None and need > MEMORY_SHARE * have:
         rows, cols = world.shape

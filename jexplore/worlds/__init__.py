@@ -24,13 +24,16 @@ GENERATORS = {
     "course": "jexplore.worlds.generators.course:course",
 }
 """World name -> "module:function". The function takes a seed and keyword parameters, `cell_m` among them."""
+_PARAMETERS = {"CARMEN": ("p_free", "range_m", "no_echo_m", "max_range_m"), "ROS bag": ("topic", "message")}
+"""Kind of file -> what its reader takes in a world name, where it takes anything. Pictures have their own."""
 
 
 def load_world(name: str | os.PathLike[str], cell_m: float = 0.1) -> "World":
     """The world of a name: a generated one, or one read from a map file.
 
     `cave`, `cave#3`, `hospital#2:width_m=60,height_m=25`, `map.yaml`, `map.png@16x16`, `map.png@0.05:free=150`,
-    `map.map@0.1`, `plan.json`: `names.parse` has the grammar, the readers say what a file means.
+    `map.map@0.1`, `plan.json`, `scans.log`, `run.bag:topic=/map`: `names.parse` has the grammar, the readers say what a
+    file means.
 
     Args:
       name: world name or path.
@@ -99,7 +102,7 @@ def _read(parsed, cell_m):
 
         names.require_parameters(parsed, {"free": 250})
         return load_image(parsed.base, parsed.scale, cell_m=cell_m, **parsed.parameters)
-    names.require_parameters(parsed, {})
+    names.require_parameters(parsed, _PARAMETERS.get(parsed.kind, {}))
     if parsed.kind == "movingai":
         from jexplore.worlds.readers.movingai import load_movingai
 
@@ -110,6 +113,15 @@ def _read(parsed, cell_m):
         from jexplore.worlds.readers.ros import load_ros
 
         return load_ros(parsed.base, cell_m=cell_m)
+    parameters: Any = parsed.parameters
+    if parsed.kind == "CARMEN":
+        from jexplore.worlds.readers.carmen import load_carmen
+
+        return load_carmen(parsed.base, cell_m=cell_m, **parameters)
+    if parsed.kind == "ROS bag":
+        from jexplore.worlds.readers.bags import load_bag
+
+        return load_bag(parsed.base, cell_m=cell_m, **parameters)
     from jexplore.worlds.readers.houseexpo import load_houseexpo
 
     return load_houseexpo(parsed.base, cell_m=cell_m)

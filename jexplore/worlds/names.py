@@ -2,10 +2,12 @@
 
     generator[#seed][:key=value,...]        cave   cave#3   hospital#2:width_m=60,height_m=25
     file[@scale][:key=value,...]            map.yaml   map.png@16x16   map.png@0.05:free=150   map.map@0.1   plan.json
+                                            scans.log   scans.log:range_m=20   run.mcap   run.bag:topic=/map,message=0
 
 A name is a file if one of the known suffixes ends it or is followed by `@` or `:`; it is then cut there. A path may
 itself contain `#`, `@` and `:`. Where there are several places to cut, the longest path that exists as a file is
-taken, else the longest path. Every other name is a generator's.
+taken, else the longest path. A folder with a `metadata.yaml` is a recording of ROS 2. Every other name is a
+generator's.
 """
 
 import dataclasses
@@ -22,6 +24,8 @@ SUFFIXES: dict[str, tuple[str, ...]] = {
     "image": ("png", "pgm", "pbm", "ppm", "jpg", "jpeg", "bmp", "gif", "tif", "tiff"),
     "movingai": ("map",),
     "HouseExpo": ("json",),
+    "CARMEN": ("log", "clf"),
+    "ROS bag": ("bag", "db3", "mcap"),
 }
 """Kind of file -> its suffixes, in either case."""
 
@@ -29,6 +33,8 @@ _KIND = {suffix: kind for kind, suffixes in SUFFIXES.items() for suffix in suffi
 _CUT = re.compile(r"\.(" + "|".join(sorted(_KIND, key=len, reverse=True)) + r")(?=$|[@:])", re.IGNORECASE)
 _GENERATOR = re.compile(r"(?P<base>[A-Za-z_][\w-]*)(#(?P<seed>[^:]*))?(:(?P<parameters>.*))?", re.DOTALL)
 _SEEDS = 2**32
+METADATA = "metadata.yaml"
+"""The file that makes a folder a recording of ROS 2."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -40,7 +46,7 @@ class WorldName:
     kind: str
     """`generator`, or a key of `SUFFIXES`."""
     base: str
-    """Name of the generator, or path of the file."""
+    """Name of the generator, or path of the file; that of a folder's `metadata.yaml` for a recording of ROS 2."""
     seed: int = 0
     """Seed of a generator."""
     scale: float | tuple[float, float] | None = None
@@ -71,6 +77,9 @@ def parse(name: str, *, generators: Collection[str]) -> WorldName:
     match = _GENERATOR.fullmatch(name)
     base = match["base"] if match else ""
     if match is None or base not in generators:
+        folder = _recording(name)
+        if folder is not None:
+            return _parse_file(name, folder)
         if os.path.isdir(name):
             raise InputError(f"{name!r}: is a directory; name a map file in it")
         if match is None or os.path.isfile(name):
@@ -111,13 +120,20 @@ def _there_are(word, known):
     return ", ".join(known) + (f" (did you mean {near[0]!r}?)" if near else "")
 
 
+def _recording(name):
+    """Where the longest path to a folder with a recording of ROS 2 ends; None for none."""
+    cuts = [len(name), *(match.start() for match in re.finditer(":", name))]
+    return max((cut for cut in cuts if cut and os.path.isfile(os.path.join(name[:cut], METADATA))), default=None)
+
+
 def _parse_file(name, cut):
     path, rest = name[:cut], name[cut:]
     scale, colon, parameters = rest.partition(":")
+    is_folder = os.path.isfile(os.path.join(path, METADATA))
     return WorldName(
         name=name,
-        kind=_KIND[path.rpartition(".")[2].lower()],
-        base=path,
+        kind="ROS bag" if is_folder else _KIND[path.rpartition(".")[2].lower()],
+        base=os.path.join(path, METADATA) if is_folder else path,
         scale=_scale(name, scale[1:]) if scale else None,
         parameters=_parameters(name, parameters) if colon else {},
     )

@@ -1,6 +1,7 @@
 """A world: the true floor plan that an episode runs in."""
 
 import dataclasses
+import math
 import os
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
@@ -48,6 +49,10 @@ class World:
     elevation: np.ndarray | None = None  # [H, W] float32, height of the ground at cell centres, metres; None: level
     course: Course | None = struct.field(pytree_node=False, default=None)
 
+    def __post_init__(self) -> None:
+        if isinstance(self.occupied, (list, np.ndarray)):  # a world on its way through jax holds other things
+            object.__setattr__(self, "occupied", _as_mask(self.name or "world", self.occupied))
+
     if TYPE_CHECKING:  # made by flax, unseen by type checkers
 
         def replace(self, **changes: Any) -> "World": ...
@@ -61,6 +66,20 @@ class World:
     def free_m2(self) -> float:
         """Area of the free cells, square metres."""
         return float((~self.occupied).sum()) * self.cell_m**2
+
+
+def _as_mask(name, occupied):
+    """An array of bool. Integers are refused: `~` and sums mean something else to them, without a word."""
+    try:
+        occupied = np.asarray(occupied)
+    except ValueError:
+        raise InputError(f"{name!r}: occupied must be [H, W] bool, got rows of different lengths") from None
+    if occupied.dtype != bool:
+        raise InputError(
+            f"{name!r}: occupied must be [H, W] bool, True at a wall, got {occupied.dtype}; write array == 1 for a "
+            "mask of 0 and 1, and jx.occupancy_to_world(array) for 0 (free) to 100 (occupied)"
+        )
+    return occupied
 
 
 def checked(world: World) -> World:
@@ -81,13 +100,13 @@ def checked(world: World) -> World:
     name, occupied = world.name or "world", np.asarray(world.occupied)
     if occupied.ndim != 2 or occupied.dtype != bool or not occupied.size:
         raise InputError(f"{name!r}: occupied must be [H, W] bool, got {occupied.shape} {occupied.dtype}")
-    require_side(name, *occupied.shape)
     require_number(f"{name!r}: cell_m", world.cell_m, low_open=True, high=100)
-    rooms = world.rooms
-    if rooms is not None and (
-        np.shape(rooms) != occupied.shape or not np.issubdtype(np.asarray(rooms).dtype, np.integer)
-    ):
-        raise InputError(f"{name!r}: rooms must be integers of shape {occupied.shape}, got {np.shape(rooms)}")
+    require_side(name, *occupied.shape, cell_m=world.cell_m)
+    if world.rooms is not None:
+        rooms = np.asarray(world.rooms)
+        if rooms.shape != occupied.shape or not np.issubdtype(rooms.dtype, np.integer):
+            raise InputError(f"{name!r}: rooms must be integers of shape {occupied.shape}, got {rooms.shape}")
+        world = world.replace(rooms=rooms)
     if world.elevation is not None:
         elevation = np.asarray(world.elevation)
         if elevation.shape != occupied.shape or not np.issubdtype(elevation.dtype, np.floating):
@@ -121,7 +140,7 @@ def with_ring(world: World) -> World:
     if occupied[[0, -1], :].all() and occupied[:, [0, -1]].all():
         return world
     rows, cols = (n + 2 for n in occupied.shape)
-    require_side(world.name or "world", rows, cols)
+    require_side(world.name or "world", rows, cols, world.cell_m)
     x_m, y_m = world.origin_m
     return world.replace(
         occupied=np.pad(occupied, 1, constant_values=True),
@@ -156,17 +175,29 @@ def pad(world: World, shape: tuple[int, int]) -> World:
     )
 
 
-def require_side(name: str, rows: float, cols: float) -> None:
+def require_side(name: str, rows: float, cols: float, cell_m: float | None = None) -> None:
     """Refuse a world of more than `MAX_SIDE` rows or columns, before anything of that size is allocated.
 
+    Args:
+      name: what the error calls the world.
+      rows, cols: its size, cells; may be infinite.
+      cell_m: edge of a cell, metres, from which the error reckons one that would do.
+
     Raises:
-      InputError: naming the world and the size.
+      InputError: naming the world, the size, and how to go on.
     """
-    if max(rows, cols) > MAX_SIDE:
-        raise InputError(
-            f"{name!r}: {rows:.0f} x {cols:.0f} cells are more than {MAX_SIDE} a side; "
-            "use a larger cell_m or a smaller map"
-        )
+    if max(rows, cols) <= MAX_SIDE:
+        return
+    larger, cut = "use a larger cell_m", "cut the map into parts"
+    if cell_m is not None:
+        least_m = max(rows, cols) / (MAX_SIDE - 2) * cell_m
+        if least_m <= 100:  # the largest there is
+            digit = 10.0 ** (math.floor(math.log10(least_m)) - 1)
+            larger = f"use a larger cell_m, at least {math.ceil(least_m / digit) * digit:.2g}"
+        else:
+            larger = "see whether its scale, the metres of a pixel, is right"
+    size = f"{math.ceil(rows)} x {math.ceil(cols)}" if max(rows, cols) < 1e9 else "over a billion"
+    raise InputError(f"{name!r}: {size} cells are more than {MAX_SIDE} a side; {larger}, or {cut}")
 
 
 def occupancy_to_world(
@@ -194,21 +225,39 @@ def occupancy_to_world(
       InputError: not a matrix, empty, of another dtype, a value outside -1..100, no free cell, or too large.
     """
     what = name or "occupancy"
-    occupancy = np.asarray(occupancy)
+    try:
+        occupancy = np.asarray(occupancy)
+    except ValueError:
+        raise InputError(f"{what!r}: must be a matrix [H, W], got rows of different lengths") from None
     if occupancy.ndim != 2 or occupancy.size == 0 or occupancy.dtype.kind not in "biu":
         raise InputError(
             f"{what!r}: must be a matrix [H, W] of bool, or of integers from -1 to 100, "
             f"got {occupancy.dtype} of shape {occupancy.shape}"
         )
     require_number("cell_m", cell_m, low_open=True)
-    require_side(what, *occupancy.shape)
+    require_side(what, *occupancy.shape, cell_m=cell_m)
     if occupancy.dtype.kind == "b":
         occupied = occupancy.copy()
     else:
         low, high = occupancy.min(), occupancy.max()
         if low < -1 or high > 100:
             raise InputError(f"{what!r}: occupancy must lie from -1 (unknown) to 100, got {low} to {high}")
+        if free_max >= 1:
+            require_hundred(what, occupancy)
         occupied = (occupancy < 0) | (occupancy > free_max)
     if occupied.all():
         raise InputError(f"{what!r}: no cell is free (occupancy 0 to {free_max})")
     return with_ring(World(occupied=occupied, cell_m=float(cell_m), name=name, origin_m=tuple(origin_m)))
+
+
+def require_hundred(name: str, occupancy: np.ndarray) -> None:
+    """Refuse integers of 0 and 1, a mask, where 100 is occupied: all its walls would be free.
+
+    Raises:
+      InputError: the largest value is 1.
+    """
+    if occupancy.max() == 1:
+        raise InputError(
+            f"{name!r}: integers of 0 and 1 alone would have no wall, for 100 is occupied; use bool, or 0..100: write "
+            "array == 1 or array * 100"
+        )

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jax import lax
 
 from jexplore.grid import in_cells
-from jexplore.raycast import Beams, _advance, _geometry, by_beam, n_steps, scan
+from jexplore.raycast import Beams, advance_beams, beam_geometry, by_beam, n_steps, scan
 
 
 @functools.partial(jax.jit, static_argnames=("max_range_m", "cell_m", "width"))
@@ -38,10 +38,10 @@ def beams_from(pose, angles_rad, *, max_range_m, cell_m, width):
             dx = jnp.where(jnp.abs(dx - sign * value) < 1e-6, jnp.float32(sign * value), dx)
             dy = jnp.where(jnp.abs(dy - sign * value) < 1e-6, jnp.float32(sign * value), dy)
     x, y = x / cell_m, y / cell_m
-    geometry = _geometry(jnp, dx, dy, x - jnp.floor(x), y - jnp.floor(y), jnp.float32(1e30))
+    geometry = beam_geometry(jnp, dx, dy, x - jnp.floor(x), y - jnp.floor(y), jnp.float32(1e30))
 
     def step(state, _):
-        return _advance(jnp, state, geometry)
+        return advance_beams(jnp, state, geometry)
 
     zero = jnp.zeros(angle.shape, jnp.int32)
     _, (drow, dcol, entry) = lax.scan(step, (zero, zero), length=n_steps(reach))

@@ -1,8 +1,42 @@
 """Opening a map file: what can go wrong, told in one line."""
 
+import contextlib
 import os
+from collections.abc import Iterator
+from typing import BinaryIO
 
 from jexplore.config import InputError
+
+
+@contextlib.contextmanager
+def opened(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
+    """A regular file, open for reading.
+
+    Args:
+      path: the file.
+
+    Returns:
+      What a `with` statement takes; what goes wrong within it is told likewise.
+
+    Raises:
+      InputError: no such file, a directory or another thing that is no file, or not readable.
+    """
+    try:
+        if os.path.isdir(path):
+            raise InputError(f"{path!r}: is a directory; name a map file in it")
+        if os.path.exists(path) and not os.path.isfile(path):
+            raise InputError(f"{path!r}: is not a regular file")
+        with open(path, "rb") as file:
+            yield file
+    except InputError:
+        raise
+    except FileNotFoundError:
+        where = "" if os.path.isabs(path) else f" (looked in {os.getcwd()!r})"
+        raise InputError(f"{path!r}: there is no such file{where}") from None
+    except PermissionError:
+        raise InputError(f"{path!r}: you have no permission to read it") from None
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path!r}: cannot be opened ({first_line(error)})") from None
 
 
 def read_bytes(path: str | os.PathLike[str], max_bytes: int) -> bytes:
@@ -16,27 +50,13 @@ def read_bytes(path: str | os.PathLike[str], max_bytes: int) -> bytes:
       `bytes`, at least one.
 
     Raises:
-      InputError: no such file, a directory or another thing that is no file, not readable, empty, or too large.
+      InputError: as `opened`, empty, or too large.
     """
-    try:
-        if os.path.isdir(path):
-            raise InputError(f"{path!r}: is a directory; name a map file in it")
-        if os.path.exists(path) and not os.path.isfile(path):
-            raise InputError(f"{path!r}: is not a regular file")
-        with open(path, "rb") as file:
-            size = os.fstat(file.fileno()).st_size
-            if size > max_bytes:
-                raise InputError(f"{path!r}: has {size} bytes; at most {max_bytes} are read")
-            content = file.read(max_bytes)
-    except InputError:
-        raise
-    except FileNotFoundError:
-        where = "" if os.path.isabs(path) else f" (looked in {os.getcwd()!r})"
-        raise InputError(f"{path!r}: there is no such file{where}") from None
-    except PermissionError:
-        raise InputError(f"{path!r}: you have no permission to read it") from None
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path!r}: cannot be opened ({first_line(error)})") from None
+    with opened(path) as file:
+        size = os.fstat(file.fileno()).st_size
+        if size > max_bytes:
+            raise InputError(f"{path!r}: has {size} bytes; at most {max_bytes} are read")
+        content = file.read(max_bytes)
     if not content:
         raise InputError(f"{path!r}: is empty")
     return content

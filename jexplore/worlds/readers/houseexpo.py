@@ -43,7 +43,7 @@ def load_houseexpo(path: str, *, cell_m: float = 0.1) -> World:
     low = verts.min(axis=0)
     corners = np.round((verts - low) / cell_m, 6)
     cols_rows = np.floor(corners.max(axis=0)) + 1
-    require_side(path, cols_rows[1], cols_rows[0])
+    require_side(path, cols_rows[1], cols_rows[0], cell_m)
     shape = (int(cols_rows[1]), int(cols_rows[0]))
     occupied = _outline(corners, shape) | ~_inside(corners, shape)
     if occupied.all():

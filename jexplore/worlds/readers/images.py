@@ -10,7 +10,7 @@ import warnings
 import numpy as np
 from PIL import Image
 
-from jexplore.config import InputError, require_number
+from jexplore.config import InputError, InputWarning, require_number
 from jexplore.worlds.readers.files import first_line, read_bytes
 from jexplore.worlds.readers.resample import resample
 from jexplore.worlds.world import World
@@ -18,6 +18,8 @@ from jexplore.worlds.world import World
 MAX_PIXELS = 64 * 10**6
 _MAX_BYTES = 512 * 2**20  # 64 megapixels of eight bytes
 _FORMATS = ("PNG", "PPM", "JPEG", "BMP", "GIF", "TIFF")  # none that starts another program, as EPS does
+_JPEG_GREYS = 16  # a JPEG of no more greys has nothing blurred; a drawing has a few
+_BLACK, _WHITE = 16, 250  # greys up to and from these are no others that have been blurred
 _SATURATED = 128  # largest minus smallest of red, green, blue: a grey has 0, pure yellow 255
 
 
@@ -39,6 +41,9 @@ def load_image(
     Returns:
       A `World` as drawn: its edges need not be occupied. The origin is the lower left corner of what was used.
 
+    Warns:
+      InputWarning: most of the picture is transparent; or as `read_pixels`.
+
     Raises:
       InputError: the file cannot be read, has no free pixel, no scale is given, or the world would be too large.
     """
@@ -48,13 +53,7 @@ def load_image(
             f"{path!r}: a picture needs a scale; append @16x16 for its size in metres or @0.05 for metres a pixel"
         )
     levels = read_pixels(path)[::-1]
-    shade = grey(levels)
-    occupied = (shade < free) | (opacity(levels) < 255)
-    if occupied.all():
-        raise InputError(
-            f"{path!r}: no pixel is free; the brightest opaque grey is {_brightest(shade, levels)} and free is "
-            f"{free:g}; append :free=... after the scale to set another bound"
-        )
+    occupied = _occupied(path, levels, free)
     bottom, left = 0, 0
     rows, cols = occupied.shape
     if isinstance(scale, tuple):
@@ -75,6 +74,25 @@ def load_image(
     return World(occupied=cells, start=_marked_start(levels[box], pixel_m, cell_m, cells), cell_m=cell_m, name=path)
 
 
+def _occupied(path, levels, free):
+    """Where a picture is not free; refused where that is everywhere."""
+    shade = grey(levels)
+    clear = transparency(levels)
+    occupied = (shade < free) | clear
+    if occupied.all():
+        cure = "append :free=... after the scale to set another bound"
+        if clear.mean() > 0.1:
+            cure = f"{clear.mean():.0%} of its pixels are transparent, which counts as occupied: flatten it onto white"
+        raise InputError(
+            f"{path!r}: no pixel is free; the brightest opaque grey is {_brightest(shade, clear)} and free is "
+            f"{free:g}; {cure}"
+        )
+    if clear.mean() > 0.5:
+        text = "of its pixels are transparent, which counts as occupied; if they are floor, flatten it onto white"
+        warnings.warn(f"{path!r}: {clear.mean():.0%} {text}", InputWarning, stacklevel=3)
+    return occupied
+
+
 def read_pixels(path: str | os.PathLike[str]) -> np.ndarray:
     """The pixels of a picture file, refused by its header if there are too many.
 
@@ -85,8 +103,12 @@ def read_pixels(path: str | os.PathLike[str]) -> np.ndarray:
       `[h, w, c]` uint8, row 0 at the top; c is 1 (grey), 3 (red, green, blue) or 4 (and opacity). Sixteen bit greys
       are scaled to 0..255.
 
+    Warns:
+      InputWarning: a JPEG that is blurred.
+
     Raises:
-      InputError: the file cannot be read, is no picture, is cut short, or has more than `MAX_PIXELS` pixels.
+      InputError: the file cannot be read, is no picture, is cut short, has more than `MAX_PIXELS` pixels, or pixels of
+        more than sixteen bits.
     """
     content = read_bytes(path, _MAX_BYTES)
     try:
@@ -96,13 +118,33 @@ def read_pixels(path: str | os.PathLike[str]) -> np.ndarray:
             width, height = image.size
             if width * height > MAX_PIXELS:
                 raise Image.DecompressionBombError
-            return _levels(image)
+            levels = _levels(path, image)
+    except InputError:
+        raise
     except Image.DecompressionBombError:
-        raise InputError(f"{path!r}: has more than {MAX_PIXELS // 10**6} megapixels; use a smaller picture") from None
+        raise InputError(
+            f"{path!r}: has more than {MAX_PIXELS // 10**6} megapixels; cut it into parts, or scale it down as far as "
+            "walls stay a pixel thick"
+        ) from None
     except Image.UnidentifiedImageError:
         raise InputError(f"{path!r}: is no picture in a known format ({', '.join(_FORMATS)})") from None
     except Exception as error:  # Pillow's decoders raise OSError, SyntaxError, ValueError, struct.error and more
         raise InputError(f"{path!r}: is damaged or cut short ({first_line(error)})") from None
+    if image.format == "JPEG":
+        _warn_of_blur(path, grey(levels))
+    return levels
+
+
+def _warn_of_blur(path, shade):
+    count = np.bincount(shade.ravel(), minlength=256)
+    if np.count_nonzero(count) > _JPEG_GREYS:
+        share = count[_BLACK + 1 : _WHITE].sum() / shade.size
+        warnings.warn(
+            f"{path!r}: is a JPEG, and blurred round its walls: {share:.1%} of its pixels are neither black nor white, "
+            "and openings may be narrower than drawn; save the drawing as PNG (in a world's name, :free=230 helps)",
+            InputWarning,
+            stacklevel=4,
+        )
 
 
 def grey(levels: np.ndarray) -> np.ndarray:
@@ -119,21 +161,27 @@ def opacity(levels: np.ndarray) -> np.ndarray:
     return np.full(levels.shape[:2], 255, np.uint8)
 
 
-def _levels(image):
+def transparency(levels: np.ndarray) -> np.ndarray:
+    """`[h, w]` bool, where `[h, w, c]` levels are not fully opaque."""
+    return opacity(levels) < 255
+
+
+def _levels(path, image):
+    plain = "save it with 8 bits a pixel, 255 (white) where the floor is free and 0 (black) at walls"
     if image.mode.startswith("I"):
         values = np.asarray(image).astype(np.int64)
         if values.min() < 0 or values.max() > 65535:
-            raise ValueError("more than 16 bits a pixel")
+            raise InputError(f"{path!r}: has more than 16 bits a pixel; {plain}")
         return ((values + 128) // 257).astype(np.uint8)[..., None]
     if image.mode == "F":
-        raise ValueError("pixels in floating point")
+        raise InputError(f"{path!r}: has pixels in floating point; {plain}")
     plain = "L" if image.mode in ("1", "L") else "RGB"
     pixels = np.array(image.convert("RGBA" if image.has_transparency_data else plain))
     return pixels[..., None] if pixels.ndim == 2 else pixels
 
 
-def _brightest(shade, levels):
-    opaque = shade[opacity(levels) == 255]
+def _brightest(shade, clear):
+    opaque = shade[~clear]
     return int(opaque.max()) if opaque.size else "none"
 
 

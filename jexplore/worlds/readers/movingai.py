@@ -35,7 +35,7 @@ def load_movingai(path: str, map_cell_m: float | None = None, *, cell_m: float =
     map_cell_m = cell_m if map_cell_m is None else map_cell_m
     lines = read_text(path, _MAX_BYTES).splitlines()
     rows, cols, first = _header(path, lines)
-    require_side(path, *(n * map_cell_m / cell_m for n in (rows, cols)))
+    require_side(path, *(n * map_cell_m / cell_m for n in (rows, cols)), cell_m=cell_m)
     lines = [line.rstrip() for line in lines[first:]]
     while lines and not lines[-1]:
         lines.pop()

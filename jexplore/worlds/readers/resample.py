@@ -9,8 +9,10 @@ import math
 
 import numpy as np
 
+from jexplore.config import InputError
 from jexplore.worlds.world import require_side
 
+LEAST_PIXEL_M, MOST_PIXEL_M = 1e-4, 1e6  # a scale beyond these is a slip of the pen
 _SLIVER = 1e-6  # an overlap of less than this part of a pixel, or of a cell at the far edge, is rounding
 
 
@@ -34,10 +36,16 @@ def resample(occupied: np.ndarray, pixel_m: tuple[float, float], cell_m: float, 
       `[H, W]` bool.
 
     Raises:
-      InputError: more than `world.MAX_SIDE` cells a side; nothing has been allocated then.
+      InputError: more than `world.MAX_SIDE` cells a side, or pixels beyond all measure; nothing has been allocated
+        then.
     """
+    if not LEAST_PIXEL_M <= min(pixel_m) <= max(pixel_m) <= MOST_PIXEL_M:
+        raise InputError(
+            f"{name!r}: a pixel must be {LEAST_PIXEL_M:g} to {MOST_PIXEL_M:g} m wide and high, got {pixel_m[0]:g} x "
+            f"{pixel_m[1]:g} m"
+        )
     rows, cols = (n * size / cell_m for n, size in zip(occupied.shape, reversed(pixel_m)))
-    require_side(name, math.ceil(rows - _SLIVER), math.ceil(cols - _SLIVER))
+    require_side(name, rows - _SLIVER, cols - _SLIVER, cell_m)
     by_rows = _overlapped(occupied, pixel_m[1], cell_m)
     return np.ascontiguousarray(_overlapped(by_rows.T, pixel_m[0], cell_m).T)
 

@@ -10,20 +10,23 @@ import dataclasses
 import json
 import math
 import os
+import warnings
 from pathlib import Path
 
 import numpy as np
 import yaml
 from numpy.typing import ArrayLike
 
-from jexplore.config import InputError, require_number
+from jexplore.config import InputError, InputWarning, require_number, shown
 from jexplore.worlds.readers.files import first_line, read_text
-from jexplore.worlds.readers.images import opacity, read_pixels
-from jexplore.worlds.readers.resample import resample
-from jexplore.worlds.world import World
+from jexplore.worlds.readers.images import opacity, read_pixels, transparency
+from jexplore.worlds.readers.resample import LEAST_PIXEL_M, MOST_PIXEL_M, resample
+from jexplore.worlds.world import World, require_hundred
 
 MODES = ("trinary", "scale", "raw")
 _FREE, _UNKNOWN, _OCCUPIED = 254, 205, 0  # greys of a saved map
+_FAR_M = 1e9  # an origin farther away leaves no digits for cells
+_SUSPECT = 0.01  # share of unknown pixels that may be free without a word
 _MAX_YAML = 2**16
 
 
@@ -60,12 +63,17 @@ def read_ros(path: str | os.PathLike[str]) -> tuple[np.ndarray, RosInfo]:
     Raises:
       InputError: a file cannot be read, a key is missing or wrong, or the map is turned (yaw is not 0).
     """
-    info = _read_yaml(str(path))
-    try:
-        levels = read_pixels(info.image)[::-1]
-    except InputError as error:
-        raise InputError(f"{str(path)!r}: its image cannot be read: {error}") from None
+    levels, info = _read(str(path))
     return _occupancy(levels, info), info
+
+
+def _read(path):
+    """The picture's levels, row 0 at the bottom, and the `RosInfo`."""
+    info = _read_yaml(path)
+    try:
+        return read_pixels(info.image)[::-1], info
+    except InputError as error:
+        raise InputError(f"{path!r}: its image cannot be read: {error}") from None
 
 
 def load_ros(path: str | os.PathLike[str], *, cell_m: float = 0.1, free_max: int = 25) -> World:
@@ -79,13 +87,25 @@ def load_ros(path: str | os.PathLike[str], *, cell_m: float = 0.1, free_max: int
     Returns:
       A `World` with the map's origin: a point has the same metres in ROS. It has no start.
 
+    Warns:
+      InputWarning: pixels that stand for unknown are free by the map's own thresholds, mode or opacity, as they are in
+        the map server; or as `read_pixels`.
+
     Raises:
-      InputError: as `read_ros`, no free pixel, or too large a world.
+      InputError: as `read_ros`, no free pixel, a mask of 0 and 1 in mode raw, or too large a world.
     """
-    occupancy, info = read_ros(path)
+    levels, info = _read(str(path))
+    occupancy = _occupancy(levels, info)
+    if info.mode == "raw":
+        require_hundred(str(path), occupancy)
     occupied = (occupancy < 0) | (occupancy > free_max)
     if occupied.all():
-        raise InputError(f"{str(path)!r}: no pixel is free at free_thresh {info.free_thresh:g}, negate {info.negate:d}")
+        clear = transparency(levels).mean()
+        hint = f"; {clear:.0%} of its pixels are transparent: flatten the picture onto white" if clear else ""
+        raise InputError(
+            f"{str(path)!r}: no pixel is free at free_thresh {info.free_thresh:g}, negate {info.negate:d}{hint}"
+        )
+    _warn_of_unknown(str(path), levels, info, ~occupied)
     cells = resample(occupied, (info.resolution_m, info.resolution_m), cell_m, name=str(path))
     return World(occupied=cells, cell_m=cell_m, name=str(path), origin_m=info.origin_m)
 
@@ -119,9 +139,10 @@ def write_ros(
     if path.suffix.lower() not in (".yaml", ".yml"):
         raise InputError(f"{str(path)!r}: the file to write must end in .yaml")
     default_m, default_origin_m = (grid.cell_m, grid.origin_m) if isinstance(grid, World) else (0.1, (0.0, 0.0))
-    cell_m = require_number("cell_m", float(default_m if cell_m is None else cell_m), low_open=True)
+    cell_m = float(default_m if cell_m is None else cell_m)
+    require_number("cell_m", cell_m, low=LEAST_PIXEL_M, high=MOST_PIXEL_M)
     x_m, y_m = (
-        require_number("origin_m", float(value), low=-math.inf)
+        require_number("origin_m", float(value), low=-_FAR_M, high=_FAR_M)
         for value in (default_origin_m if origin_m is None else origin_m)
     )
     occupancy = _as_occupancy(grid.occupied if isinstance(grid, World) else grid)
@@ -163,6 +184,7 @@ def _as_occupancy(grid):
             "occupancy must be a matrix [H, W] of bool, or of integers from -1 to 100, "
             f"got {grid.dtype} of shape {grid.shape}"
         )
+    require_hundred("occupancy", grid)
     return grid
 
 
@@ -186,11 +208,43 @@ def _occupancy(levels, info):
     return occupancy
 
 
+def _warn_of_unknown(path, levels, info, free):
+    """Warns where pixels are free that stand for unknown: the grey that map savers write for it, or nothing at all."""
+    colours = levels[..., : min(3, levels.shape[2])]
+    grey, clear = (colours == _UNKNOWN).all(axis=2) & ~transparency(levels), opacity(levels) == 0
+    share = ((grey | clear) & free).mean()
+    if share < _SUSPECT or info.mode == "raw":  # which has no such grey
+        return
+    cures = []
+    if info.mode == "scale":
+        cures.append("write mode: trinary")
+    if info.free_thresh > (255 - _UNKNOWN) / 255:
+        cures.append("write free_thresh: 0.196")
+    if levels.shape[2] == 4:
+        cures.append("save the picture without its alpha channel, which trinary takes for a colour")
+    what = " or ".join(name for name, pixels in ((f"grey {_UNKNOWN}", grey), ("transparent", clear)) if pixels.any())
+    warnings.warn(
+        f"{path!r}: {share:.0%} of its pixels are {what}, which stands for unknown, and yet free, as in the map "
+        f"server; to have them unknown {' and '.join(cures)}",
+        InputWarning,
+        stacklevel=3,
+    )
+
+
+class _Loader(yaml.SafeLoader):
+    """Reads plain values. An alias may stand for a list of lists of lists that fills the memory."""
+
+    def compose_node(self, parent, index):
+        if self.check_event(yaml.AliasEvent):
+            raise yaml.YAMLError("a map's yaml has no aliases")
+        return super().compose_node(parent, index)
+
+
 def _read_yaml(path):
     text = read_text(path, _MAX_YAML)
     try:
-        content = yaml.safe_load(text)
-    except (yaml.YAMLError, ValueError, RecursionError) as error:
+        content = yaml.load(text, _Loader)
+    except Exception as error:  # PyYAML's constructors raise ValueError, KeyError, AttributeError and more
         raise InputError(f"{path!r}: is not valid YAML ({first_line(error)})") from None
     if not isinstance(content, dict):
         raise InputError(f"{path!r}: is not a ROS map; expected the keys image, resolution, origin, ...")
@@ -199,17 +253,21 @@ def _read_yaml(path):
             raise InputError(f"{path!r}: the key {key!r} is missing")
     image, origin, mode = content["image"], content["origin"], content.get("mode", "trinary")
     if not isinstance(image, str) or not image:
-        raise InputError(f"{path!r}: image must be the name of a file, got {image!r}")
+        raise InputError(f"{path!r}: image must be the name of a file, got {shown(image)}")
     if not isinstance(origin, list) or len(origin) != 3:
-        raise InputError(f"{path!r}: origin must be [x, y, yaw], got {origin!r}")
-    x_m, y_m, yaw = (_float(path, "origin", value, low=-math.inf) for value in origin)
+        raise InputError(f"{path!r}: origin must be [x, y, yaw], got {shown(origin)}")
+    x_m, y_m, yaw = (_float(path, "origin", value, low=-_FAR_M, high=_FAR_M) for value in origin)
     if yaw != 0:
-        raise InputError(f"{path!r}: the map is turned by yaw = {yaw:g}; only origin: [x, y, 0] is supported")
+        raise InputError(
+            f"{path!r}: the map is turned by yaw = {yaw:g}, and only maps that are not can be read; turn its picture "
+            f"by {math.degrees(yaw):.4g} degrees counter-clockwise, on grey {_UNKNOWN}, and write origin: [x, y, 0], "
+            "the place of its new lower left corner"
+        )
     if not isinstance(mode, str) or mode not in MODES:
-        raise InputError(f"{path!r}: mode must be one of {', '.join(MODES)}, got {mode!r}")
+        raise InputError(f"{path!r}: mode must be one of {', '.join(MODES)}, got {shown(mode)}")
     info = RosInfo(
         image=os.path.join(os.path.dirname(path), image),
-        resolution_m=_float(path, "resolution", content["resolution"], low_open=True),
+        resolution_m=_float(path, "resolution", content["resolution"], low=LEAST_PIXEL_M, high=MOST_PIXEL_M),
         origin_m=(x_m, y_m),
         negate=bool(_float(path, "negate", content["negate"], high=1)),
         occupied_thresh=_float(path, "occupied_thresh", content["occupied_thresh"], high=1),
@@ -227,6 +285,6 @@ def _float(path, key, value, **bounds):
     """A number as YAML readers of ROS take it: also `5e-2`, which YAML 1.1 has as a string, and true for 1."""
     try:
         number = float(value)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         number = value
     return require_number(f"{path!r}: {key}", number, **bounds)

@@ -1,0 +1,48 @@
+"""The picture by which a world shows itself: walls black, rooms in soft colours, the start as an arrow."""
+
+import math
+from typing import Any
+
+import numpy as np
+
+from jexplore.arrays.pictures import LONG_PX, soft_colours, written
+
+FINE = 2  # pixels are drawn so many times as fine, and averaged
+ROBOT_PX = 9  # from the middle of the arrow to its tip
+ROBOT = (230, 159, 0)
+
+
+def floor_plan(occupied: np.ndarray, rooms: np.ndarray | None = None, start: Any = None) -> bytes:
+    """A floor plan as the bytes of a PNG, about `LONG_PX` on its longer side.
+
+    A cell is a square of whole pixels. Of larger maps a pixel is the mean of several cells, so that a thin wall is grey
+    instead of gone.
+
+    Args:
+      occupied: `[H, W]` bool, row 0 at the bottom.
+      rooms: `[H, W]` int, -1 where there is none; or None.
+      start: row, col and heading in degrees, or None.
+    """
+    from PIL import Image, ImageDraw
+
+    colours = np.full((*occupied.shape, 3), 255, np.uint8)
+    if rooms is not None and rooms.max() >= 0:
+        colours[rooms >= 0] = np.array(soft_colours(int(rooms.max()) + 1), np.uint8)[rooms[rooms >= 0]]
+    colours[occupied] = 0
+    cells = math.ceil(max(occupied.shape) / (1.5 * LONG_PX))  # to a pixel
+    image = Image.fromarray(np.ascontiguousarray(colours[::-1])).reduce(cells)
+    pixels = FINE * max(1, LONG_PX // max(image.size))  # of a side of what is left of a cell
+    image = image.resize((pixels * image.width, pixels * image.height), Image.Resampling.NEAREST)
+    if start is not None:
+        row, col, heading_deg = start
+        middle = pixels / cells * (col + 0.5), pixels / cells * (occupied.shape[0] - row - 0.5)
+        ImageDraw.Draw(image).polygon(list(_arrow(middle, heading_deg)), fill=ROBOT, outline=(0, 0, 0), width=FINE)
+    return written(image.reduce(FINE))
+
+
+def _arrow(middle, heading_deg):
+    """Corners of an arrow head, pixels of the fine image."""
+    turn = math.radians(heading_deg)
+    for ahead, left in ((1.0, 0.0), (-0.7, 0.7), (-0.3, 0.0), (-0.7, -0.7)):
+        x, y = ahead * math.cos(turn) - left * math.sin(turn), ahead * math.sin(turn) + left * math.cos(turn)
+        yield middle[0] + FINE * ROBOT_PX * x, middle[1] - FINE * ROBOT_PX * y

@@ -1,0 +1,169 @@
+"""Maps in recordings of ROS: messages of the type nav_msgs/OccupancyGrid, of ROS 1 and ROS 2.
+
+rosbags, which reads both without a ROS, is an extra, imported by the function that needs it.
+"""
+
+import collections
+import dataclasses
+import itertools
+import math
+import os
+from pathlib import Path
+
+import numpy as np
+
+from jexplore.config import InputError, require_number, require_whole
+from jexplore.worlds.names import METADATA
+from jexplore.worlds.readers.files import first_line, opened
+from jexplore.worlds.readers.images import MAX_PIXELS
+from jexplore.worlds.readers.resample import resample
+from jexplore.worlds.world import World
+
+_TYPE = "nav_msgs/msg/OccupancyGrid"
+_USUAL = "/map"
+_NO_TURN_RAD = 1e-6
+
+
+@dataclasses.dataclass(frozen=True)
+class RecordedGrid:
+    """A message of the type nav_msgs/OccupancyGrid."""
+
+    topic: str
+    """What it was published on."""
+    occupancy: np.ndarray
+    """`[H, W]` int8, -1 unknown, 0 free to 100 occupied; row 0 is the bottom."""
+    resolution_m: float
+    """Edge of a cell, metres."""
+    origin_m: tuple[float, float]
+    """x, y of the lower left corner of cell (0, 0), metres."""
+
+
+def read_bag(path: str | os.PathLike[str], *, topic: str | None = None, message: int = -1) -> RecordedGrid:
+    """A map that was published while a recording was made.
+
+    Args:
+      path: `.bag` of ROS 1; `.db3` or `.mcap` of ROS 2, or the folder, or the `metadata.yaml` in it, of such files.
+      topic: by default the only one with maps; of several, `/map`.
+      message: which of its messages, counted from 0; a negative one counts from the last, -1.
+
+    Returns:
+      `RecordedGrid`.
+
+    Raises:
+      InputError: rosbags is not installed; the recording cannot be read, or has no such topic or message; the map is
+        turned (the yaw of its origin is not 0) or tilted, empty, too large, or has values outside -1..100.
+    """
+    path = os.fspath(path)
+    message = require_whole(f"{path!r}: message", message, -(10**9), 10**9)
+    if topic is not None and not isinstance(topic, str):
+        raise InputError(f"{path!r}: topic must be the name of one, as /map, got {topic!r}")
+    if os.path.basename(path) == METADATA:
+        path = os.path.dirname(path) or "."
+    is_folder = os.path.isfile(os.path.join(path, METADATA))
+    if not is_folder:
+        with opened(path):
+            pass
+    try:
+        # Ignored types: an extra that need not be installed.
+        from rosbags.highlevel import AnyReader  # type: ignore[import-not-found]
+        from rosbags.typesys import Stores, get_typestore  # type: ignore[import-not-found]
+    except ImportError:
+        raise InputError(f"{path!r}: reading it takes rosbags: pip install 'jexplore[ros]'") from None
+    try:
+        with AnyReader([Path(path)], default_typestore=get_typestore(Stores.LATEST)) as reader:
+            topic, connections = _connections(path, reader.connections, topic)
+            raw = _pick(path, topic, (raw for _, _, raw in reader.messages(connections)), message)
+            grid = reader.deserialize(raw, _TYPE)
+    except InputError:
+        raise
+    except Exception as error:  # rosbags lets through what the formats' own readers raise
+        raise InputError(f"{path!r}: is damaged or no recording of ROS ({first_line(error)})") from None
+    return _checked(f"{path!r}: the map on {topic}", topic, grid)
+
+
+def load_bag(
+    path: str, *, cell_m: float = 0.1, topic: str | None = None, message: int = -1, free_max: int = 25
+) -> World:
+    """A world from a map in a recording. What is unknown counts as occupied.
+
+    Args:
+      path, topic, message: see `read_bag`.
+      cell_m: edge of a cell, metres; the map is resampled to it.
+      free_max: a cell is free if its occupancy is from 0 to this.
+
+    Returns:
+      A `World` with the map's origin: a point has the same metres in ROS. It has no start.
+
+    Raises:
+      InputError: as `read_bag`, no free cell, or too large a world.
+    """
+    grid = read_bag(path, topic=topic, message=message)
+    occupied = (grid.occupancy < 0) | (grid.occupancy > free_max)
+    if occupied.all():
+        raise InputError(f"{path!r}: the map on {grid.topic}: no cell is free (occupancy 0 to {free_max})")
+    cells = resample(occupied, (grid.resolution_m, grid.resolution_m), cell_m, name=path)
+    return World(occupied=cells, cell_m=cell_m, name=path, origin_m=grid.origin_m)
+
+
+def _connections(path, connections, topic):
+    """The topic, and what of the recording is a map on it."""
+    maps = [one for one in connections if one.msgtype == _TYPE]
+    topics = sorted({one.topic for one in maps})
+    if not maps:
+        others = ", ".join(sorted({one.topic for one in connections})) or "none"
+        raise InputError(f"{path!r}: has no message of the type nav_msgs/OccupancyGrid (its topics: {others})")
+    if topic is None:
+        if len(topics) > 1 and _USUAL not in topics:
+            raise InputError(f"{path!r}: has maps on {', '.join(topics)}; append :topic={topics[0]} for one of them")
+        topic = _USUAL if _USUAL in topics else topics[0]
+    if topic not in topics:
+        raise InputError(f"{path!r}: has no map on the topic {topic!r}; there are maps on {', '.join(topics)}")
+    return topic, [one for one in maps if one.topic == topic]
+
+
+def _pick(path, topic, raws, message):
+    """The serialised message of a number; only the last ones are kept in memory."""
+    if message >= 0:
+        found = list(itertools.islice(raws, message, message + 1))
+    else:
+        found = collections.deque(raws, maxlen=-message)
+        found = [found[0]] if len(found) == -message else []
+    if not found:
+        raise InputError(f"{path!r}: has no message {message} on the topic {topic}; -1 is the last, 0 the first")
+    return found[0]
+
+
+def _checked(where, topic, grid):
+    """A message of rosbags as `RecordedGrid`."""
+    info, place = grid.info, grid.info.origin.position
+    height, width = int(info.height), int(info.width)
+    _require_level(where, grid.info.origin.orientation)
+    if not height * width or len(grid.data) != height * width:
+        raise InputError(f"{where}: is {height} x {width} cells and has {len(grid.data)} values; expected one for each")
+    if height * width > MAX_PIXELS:
+        raise InputError(f"{where}: has more than {MAX_PIXELS // 10**6} million cells; cut out a smaller one")
+    # Resolutions are sent in 32 bits: 0.05, not 0.05000000074505806.
+    resolution_m = require_number(
+        f"{where}: resolution", float(str(np.float32(info.resolution))), low_open=True, high=100
+    )
+    x_m, y_m = (require_number(f"{where}: origin", float(v), low=-math.inf) for v in (place.x, place.y))
+    occupancy = np.asarray(grid.data, np.int8).reshape(height, width)
+    low, high = int(occupancy.min()), int(occupancy.max())
+    if low < -1 or high > 100:
+        raise InputError(f"{where}: occupancy must lie from -1 (unknown) to 100, got {low} to {high}")
+    return RecordedGrid(topic, occupancy, resolution_m, (x_m, y_m))
+
+
+def _require_level(where, turn):
+    """Refuses the orientation of a map that is turned; all zeros, as of who leaves it out, is none."""
+    x, y, z, w = (float(v) for v in (turn.x, turn.y, turn.z, turn.w))
+    if not all(math.isfinite(v) for v in (x, y, z, w)):
+        raise InputError(f"{where}: the orientation of its origin must be finite")
+    if max(abs(x), abs(y)) > _NO_TURN_RAD:
+        raise InputError(f"{where}: is tilted; the orientation of its origin must be a yaw of 0")
+    yaw = math.remainder(2 * math.atan2(z, w), 2 * math.pi) if z or w else 0.0
+    if abs(yaw) > _NO_TURN_RAD:
+        raise InputError(
+            f"{where}: is turned by yaw = {yaw:.6g}; save it by map_saver, turn the picture by that, "
+            "and read it with an origin of yaw 0"
+        )

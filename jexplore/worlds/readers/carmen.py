@@ -1,0 +1,166 @@
+"""Logs of the CARMEN toolkit: the laser scans of a real robot, each with its pose.
+
+Source:
+  CARMEN, logger (readlog.c): the words of a line, and what it assumes of a scanner that a line says nothing about.
+"""
+
+import math
+import os
+
+import numpy as np
+
+from jexplore.config import InputError, require_number
+from jexplore.worlds.readers.files import read_text
+from jexplore.worlds.readers.scans import ScanLog, fold_scans
+from jexplore.worlds.world import World
+
+_MAX_BYTES = 256 * 2**20
+_STEPS_DEG = {180: 1.0, 181: 1.0, 360: 0.5, 361: 0.5, 400: 0.25, 401: 0.25}
+"""Readings of an FLASER line -> degrees from one to the next. A scanner of 180 degrees may leave out the last one."""
+_FAR_M, _NEAR_M, _NEAR_CODES_M = 80.0, 8.0, 8.2  # a SICK's two ranges, and what the codes of the shorter one lie below
+_MAX_POSE = 1e6
+
+
+def read_carmen(path: str | os.PathLike[str], *, max_range_m: float | None = None) -> ScanLog:
+    """The scans of a CARMEN log that have a pose.
+
+    Read are the lines `FLASER` and `ROBOTLASER1`, of the scanner that looks forward; others are passed over. A pose is
+    the first of a line's two, which programs that correct a log's poses write; `odometry` is the second.
+
+    Of an `FLASER` line CARMEN assumes that the first of n readings points 90 degrees to the right. The next ones are 1
+    degree apart for n = 180 and 181, 0.5 for 360 and 361, 0.25 for 400 and 401, else 180 / (n - 1).
+
+    Args:
+      path: the log, a text file.
+      max_range_m: a reading of this or more means that nothing was seen, metres. Default: what `ROBOTLASER1` lines say;
+        for `FLASER` 80, or 8 if no reading is above 8.2, as a SICK in its mode of millimetres has it.
+
+    Returns:
+      `ScanLog`, scans in the order of the file.
+
+    Raises:
+      InputError: the file cannot be read, has no scan with a pose, a line of one is cut short or not numbers, or scans
+        differ in their readings: one log is of one scanner.
+    """
+    path = os.fspath(path)
+    if max_range_m is not None:
+        require_number("max_range_m", max_range_m, low_open=True, high=1000)
+    scans, scanner, first, others = [], None, 0, set()
+    for number, line in enumerate(read_text(path, _MAX_BYTES).splitlines(), start=1):
+        word = line.split(maxsplit=1)[0] if line.strip() else ""
+        if word not in _READ:
+            others.add(word)
+            continue
+        own, *scan = _READ[word](f"{path!r}: line {number}", line.split())
+        if scanner is None:
+            scanner, first = own, number
+        elif own != scanner:
+            raise InputError(
+                f"{path!r}: line {number} has {_describe(own)}, line {first} {_describe(scanner)}; "
+                "keep the lines of one scanner"
+            )
+        scans.append(scan)
+    if scanner is None:
+        raw = any(word.startswith("RAWLASER") for word in others)
+        hint = "; RAWLASER lines have no pose" if raw else ""
+        raise InputError(f"{path!r}: has no FLASER or ROBOTLASER1 line, so no scan with a pose{hint}")
+    ranges, poses, odometry, times = (np.array(column) for column in zip(*scans))
+    n_beams, start_rad, step_rad, longest_m = scanner
+    if max_range_m is None:
+        max_range_m = longest_m or (_NEAR_M if ranges.max() <= _NEAR_CODES_M else _FAR_M)
+    angles_rad = start_rad + step_rad * np.arange(n_beams)
+    return ScanLog(poses, odometry, ranges, angles_rad, times, float(max_range_m))
+
+
+def load_carmen(
+    path: str,
+    *,
+    cell_m: float = 0.1,
+    p_free: float = 0.25,
+    range_m: float | None = None,
+    no_echo_m: float = 0.0,
+    max_range_m: float | None = None,
+) -> World:
+    """A world from a CARMEN log: its scans folded into a reflection map, at `cell_m` itself.
+
+    Args:
+      path: the log.
+      cell_m: edge of a cell, metres.
+      p_free: a cell is free if it was seen and its reflection probability is at most this; every other is occupied.
+      range_m, no_echo_m: see `fold_scans`.
+      max_range_m: see `read_carmen`.
+
+    Returns:
+      A `World` with the origin and the start of the log.
+
+    Raises:
+      InputError: as `read_carmen` and `fold_scans`, or no free cell.
+    """
+    log = read_carmen(path, max_range_m=max_range_m)
+    scans = fold_scans(log, cell_m=cell_m, range_m=range_m, no_echo_m=no_echo_m, name=path)
+    return scans.world(p_free=p_free, name=path)
+
+
+def _flaser(where, words):
+    """FLASER n, n readings, pose, odometry, time, host, time since the log's beginning."""
+    n = _count(where, words, 1)
+    values = _numbers(where, words[2:], n + 7, n + 9)
+    step_deg = _STEPS_DEG.get(n, 180 / max(n - 1, 1))
+    return (n, -math.pi / 2, math.radians(step_deg), None), *_parts(where, values, n, n + 6)
+
+
+def _robotlaser(where, words):
+    """ROBOTLASER1 type, start angle, field of view, step, longest range, accuracy, remission mode, n, n readings, m, m
+    remissions, pose, odometry, two speeds, three numbers about safety, time, host, time since the log's beginning."""
+    n = _count(where, words, 8)
+    m = _count(where, words, 9 + n, least=0)
+    kind = _numbers(where, words[1:8], 7, 7)
+    rest = words[9 : 9 + n] + words[10 + n + m :]
+    values = _numbers(where, rest, n + 12, n + 14)
+    start_rad, _, step_rad, longest_m = kind[1:5].tolist()
+    if not step_rad > 0 or not longest_m > 0:
+        raise InputError(f"{where}: the step and the longest range of a scanner must be above 0")
+    return (n, start_rad, step_rad, longest_m), *_parts(where, values, n, n + 11)
+
+
+_READ = {"FLASER": _flaser, "ROBOTLASER1": _robotlaser}
+
+
+def _count(where, words, at, least=1):
+    word = words[at] if at < len(words) else ""
+    if not (word.isascii() and word.isdigit() and least <= int(word[:6]) and len(word) < 6):
+        raise InputError(f"{where}: word {at + 1} must be the number of readings, got {word!r}")
+    return int(word)
+
+
+def _numbers(where, words, need, most):
+    """The first `need` words as finite numbers."""
+    if not need <= len(words) <= most:
+        what = "is cut short" if len(words) < need else "has too many words"
+        raise InputError(f"{where}: {what}; the number of readings that it gives does not fit its {len(words)} others")
+    values = []
+    for word in words[:need]:
+        try:
+            value = float(word)
+        except ValueError:
+            value = math.nan
+        if not math.isfinite(value):
+            raise InputError(f"{where}: has {word!r} where a number must be")
+        values.append(value)
+    return np.array(values)
+
+
+def _parts(where, values, n, at_time):
+    """Readings, pose, odometry, time."""
+    ranges, poses = values[:n], values[n : n + 6]
+    if ranges.min() < 0:
+        raise InputError(f"{where}: a reading must be at least 0, got {ranges.min():g}")
+    if np.abs(poses).max() > _MAX_POSE:
+        raise InputError(f"{where}: a pose must lie within {_MAX_POSE:g} m of 0, got {np.abs(poses).max():g}")
+    return ranges, poses[:3], poses[3:], values[at_time]
+
+
+def _describe(scanner):
+    n, start_rad, step_rad, longest_m = scanner
+    below = f" below {longest_m:g} m" if longest_m else ""
+    return f"{n} readings{below} from {math.degrees(start_rad):.4g} degrees by {math.degrees(step_rad):.4g}"

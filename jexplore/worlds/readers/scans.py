@@ -1,0 +1,177 @@
+"""Scans that a robot has recorded, and the reflection map that they make.
+
+Beams are traced as everywhere here, but on the host and in float64: a recorded robot stands anywhere in a cell, with
+any heading.
+"""
+
+import dataclasses
+
+import jax.numpy as jnp
+import numpy as np
+
+from jexplore.config import InputError, require_number
+from jexplore.grid import Grid, is_free
+from jexplore.raycast import advance_beams, beam_geometry, exact_direction, n_steps
+from jexplore.worlds.world import World, require_side
+
+_TOGETHER = 2**18  # beams that are traced at a time
+
+
+@dataclasses.dataclass(frozen=True)
+class ScanLog:
+    """What a robot with a planar laser scanner recorded: N scans of B readings."""
+
+    poses: np.ndarray
+    """`[N, 3]` float64, where the scanner was: x m, y m, heading rad; the best that the log knows."""
+    odometry: np.ndarray
+    """`[N, 3]` float64, likewise, by what the log has as the robot's odometry."""
+    ranges: np.ndarray
+    """`[N, B]` float64, readings, metres."""
+    angles_rad: np.ndarray
+    """`[B]` float64, directions of the readings relative to the heading, counter-clockwise."""
+    times: np.ndarray
+    """`[N]` float64, seconds; not necessarily ascending."""
+    max_range_m: float
+    """A reading of this or more means that nothing was seen, metres."""
+
+    def __post_init__(self) -> None:
+        n, n_beams = np.shape(self.ranges) if np.ndim(self.ranges) == 2 else (0, 0)
+        shapes = {"ranges": (n, n_beams), "poses": (n, 3), "odometry": (n, 3), "angles_rad": (n_beams,), "times": (n,)}
+        for name, shape in shapes.items():
+            array = np.asarray(getattr(self, name))
+            if array.shape != shape or not array.size or array.dtype.kind not in "fiu" or not np.isfinite(array).all():
+                expected = f"finite numbers of shape {list(shape)}" if n * n_beams else "readings [N, B]"
+                raise InputError(f"{name} of a ScanLog must be {expected}, got {array.dtype} {list(array.shape)}")
+        require_number("max_range_m of a ScanLog", self.max_range_m, low_open=True, high=1000)
+        if np.min(self.ranges) < 0:
+            raise InputError(f"ranges of a ScanLog must be at least 0, got {np.min(self.ranges):g}")
+
+    def __repr__(self) -> str:
+        n, n_beams = self.ranges.shape
+        return f"<ScanLog of {n} scans of {n_beams} readings below {self.max_range_m:g} m>"
+
+
+@dataclasses.dataclass(frozen=True)
+class ScanMap:
+    """A reflection map of recorded scans, and where it lies."""
+
+    grid: Grid
+    """`Grid`, `[H, W]`."""
+    cell_m: float
+    """Edge of a cell, metres."""
+    origin_m: tuple[float, float]
+    """x, y of the lower left corner of cell (0, 0), metres: whole multiples of `cell_m`."""
+    start: tuple[int, int, int]
+    """Where the first scan was made: row, col, heading in degrees, the nearest multiple of 45."""
+
+    def world(self, *, p_free: float = 0.25, name: str = "") -> World:
+        """The map as a world to be explored: what is not known to be free, the unknown included, is occupied.
+
+        Args:
+          p_free: largest reflection probability of a free cell.
+          name: of the world.
+
+        Returns:
+          A `World` as mapped: its edges need not be occupied. It starts where the robot did, if that cell is free.
+
+        Raises:
+          InputError: a bad `p_free`, or no free cell.
+        """
+        require_number("p_free", p_free, high=1, high_open=True)
+        occupied = ~np.asarray(is_free(self.grid, p_free))
+        if occupied.all():
+            raise InputError(f"{name or 'scans'!r}: no cell is free at p_free = {p_free:g}")
+        start = None if occupied[self.start[:2]] else self.start
+        return World(occupied=occupied, start=start, cell_m=self.cell_m, name=name, origin_m=self.origin_m)
+
+
+def fold_scans(
+    log: ScanLog, *, cell_m: float = 0.1, range_m: float | None = None, no_echo_m: float = 0.0, name: str = "scans"
+) -> ScanMap:
+    """Counts recorded scans into a reflection map: a miss for every cell passed, a hit where a reading ends.
+
+    The robot's own cell gets one miss a scan. A reading ends in the last cell that its beam enters at that distance or
+    before; one that ends in the robot's own cell counts nothing, nor does a reading of 0. A reading of `range_m` or
+    more has no hit, and misses only in the cells that the beam enters below `range_m`.
+
+    A reading of the log's `max_range_m` or more says that no echo came back, as from open space, but as well from
+    glass, a mirror or a black wall. Its misses end at `no_echo_m`, by default at once: it counts nothing.
+
+    Args:
+      log: `ScanLog`.
+      cell_m: edge of a cell, metres.
+      range_m: how far an echo is believed, metres. Default: the log's `max_range_m`, which is also the most.
+      no_echo_m: how far a beam without an echo is believed to be free, metres; the range of a simulated scanner.
+      name: what errors call the log.
+
+    Returns:
+      `ScanMap`. It covers, with a cell to spare, where the scanner was and where readings below `range_m` end; other
+      beams count as far as it reaches.
+
+    Raises:
+      InputError: a bad number, or more than `world.MAX_SIDE` cells a side.
+
+    Source:
+      Holz et al. 2010, section 2.1; Amanatides and Woo 1987.
+    """
+    require_number("cell_m", cell_m, low=0.001, high=100)
+    require_number("no_echo_m", no_echo_m, high=1000)
+    longest_m = log.max_range_m
+    if range_m is not None:
+        longest_m = min(longest_m, require_number("range_m", range_m, low_open=True, high=1000))
+    at, angle = np.round(log.poses[:, :2] / cell_m, 9), log.poses[:, 2:] + log.angles_rad  # x and y in cells
+    ends = log.ranges < longest_m
+    # Up to here a beam enters cells: to where it ends, that included, or to where it is no longer believed, exclusive.
+    beyond = np.where(log.ranges < log.max_range_m, longest_m, no_echo_m)
+    limit = np.round(np.where(ends, log.ranges, beyond) / cell_m, 9)
+    tips = at[:, None] + limit[..., None] * np.stack([np.cos(angle), np.sin(angle)], axis=2)
+    first, shape = _extent(np.concatenate([at, tips[ends]]), name)
+    hits, misses = np.zeros(shape, np.int32), np.zeros(shape, np.int32)
+    at -= first
+    own = np.floor(at).astype(np.int64)
+    np.add.at(misses, (own[:, 1], own[:, 0]), 1)
+    together = max(1, _TOGETHER // limit.shape[1])
+    for i in range(0, len(at), together):
+        scan, beam = np.nonzero(limit[i : i + together] > 0)
+        scan += i
+        _count(hits, misses, at[scan], angle[scan, beam], limit[scan, beam], ends[scan, beam])
+    x_m, y_m = (round(float(n) * cell_m, 9) for n in first)
+    return ScanMap(
+        grid=Grid(hits=jnp.asarray(hits), misses=jnp.asarray(misses)),
+        cell_m=cell_m,
+        origin_m=(x_m, y_m),
+        start=(int(own[0, 1]), int(own[0, 0]), int(np.rint(np.degrees(log.poses[0, 2]) / 45)) % 8 * 45),
+    )
+
+
+def _extent(points, name):
+    """The lower left cell, x and y, and the shape of a map of points, `[n, 2]`, with a cell to spare on every side."""
+    first = np.floor(points.min(axis=0)) - 1
+    cols, rows = np.floor(points.max(axis=0)) + 2 - first
+    require_side(name, rows, cols)
+    return first, (int(rows), int(cols))
+
+
+def _count(hits, misses, at, angle, limit, ends):
+    """Counts beams into a map, without the misses of the cells that they begin in."""
+    limit = np.where(ends, np.nextafter(limit, np.inf), limit)
+    own, within = np.divmod(at, 1)
+    geometry = beam_geometry(np, *exact_direction(np.degrees(angle)), within[:, 0], within[:, 1], 1e30)
+    # Of the beams under way: crossings made, and the cell that each is in, relative to that of the robot.
+    nx = ny = row = col = np.zeros(len(limit))
+
+    def add(counts, which):
+        rows, cols = own[which, 1] + row[which], own[which, 0] + col[which]
+        inside = (rows >= 0) & (rows < counts.shape[0]) & (cols >= 0) & (cols < counts.shape[1])
+        np.add.at(counts, (rows[inside].astype(np.int64), cols[inside].astype(np.int64)), 1)
+
+    for step in range(n_steps(limit.max(initial=0))):
+        (nx, ny), (next_row, next_col, entry) = advance_beams(np, (nx, ny), geometry)
+        goes_on = entry < limit
+        if step:
+            add(hits, ends & ~goes_on)
+            add(misses, goes_on | ~ends)
+        nx, ny, row, col, own, limit, ends = (a[goes_on] for a in (nx, ny, next_row, next_col, own, limit, ends))
+        geometry = tuple(a[goes_on] for a in geometry)
+        if not len(limit):
+            break

@@ -1,0 +1,412 @@
+"""Scans that real robots recorded: CARMEN logs, and the reflection maps that they make."""
+
+import dataclasses
+import itertools
+import math
+import re
+from fractions import Fraction
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from PIL import Image
+from scipy import ndimage
+
+from jexplore import raycast
+from jexplore.config import InputError, Lidar
+from jexplore.grid import empty_grid, is_occupied
+from jexplore.worlds import load_world
+from jexplore.worlds.readers import scans
+from jexplore.worlds.readers.carmen import read_carmen
+from jexplore.worlds.readers.scans import ScanLog, fold_scans
+
+LINE = "FLASER 3 1.5 2 81.83 0.35 -0.25 {heading} 1 2 3 10.5 pippo 10.6"
+INTEL = "intel.gfs.log"
+
+
+@pytest.fixture(scope="module")
+def logs():
+    folder = Path(__file__).resolve().parents[2] / "shared" / "logs"
+    if not (folder / INTEL).is_file():
+        pytest.skip(f"the recorded scans are not there: no file {folder / INTEL}")
+    return folder
+
+
+def write(tmp_path, *lines, name="scans.log"):
+    path = tmp_path / name
+    path.write_text("\n".join(lines) + "\n")
+    return str(path)
+
+
+def log_of(ranges, poses=((0.5, 0.5, 0),), angles_rad=(0.0,), max_range_m=80.0):
+    ranges, poses = np.array(ranges, float), np.array(poses, float)
+    return ScanLog(poses, poses, ranges, np.array(angles_rad, float), np.zeros(len(poses)), max_range_m)
+
+
+def counts(made):
+    return np.asarray(made.grid.hits).tolist(), np.asarray(made.grid.misses).tolist()
+
+
+# --- the text
+
+
+def test_lines_by_pencil(tmp_path):
+    text = (
+        "# a comment",
+        "PARAM robot_length 1",
+        "ODOM 0 0 0 0 0 0 10.4 pippo 10.4",
+        LINE.format(heading=0),
+        "",
+        LINE.format(heading=-0.5),
+        "RLASER 1 1 1 1 1 1 1 1 1 pippo 1",
+    )
+    log = read_carmen(write(tmp_path, *text))
+    assert log.poses.tolist() == [[0.35, -0.25, 0], [0.35, -0.25, -0.5]]
+    assert log.odometry.tolist() == [[1, 2, 3], [1, 2, 3]]
+    assert log.ranges.tolist() == [[1.5, 2, 81.83]] * 2
+    np.testing.assert_allclose(np.degrees(log.angles_rad), [-90, 0, 90])
+    assert log.times.tolist() == [10.5, 10.5]
+    assert log.max_range_m == 80
+    assert repr(log) == "<ScanLog of 2 scans of 3 readings below 80 m>"
+
+
+@pytest.mark.parametrize(
+    ("n", "last_deg"), [(180, 89), (181, 90), (360, 89.5), (361, 90), (401, 10), (5, 90), (1, -90)]
+)
+def test_directions_that_a_line_does_not_tell(tmp_path, n, last_deg):
+    log = read_carmen(write(tmp_path, f"FLASER {n} {'2 ' * n} 0 0 0 0 0 0 1 h 1"))
+    assert math.degrees(log.angles_rad[0]) == pytest.approx(-90)
+    assert math.degrees(log.angles_rad[-1]) == pytest.approx(last_deg)
+
+
+def test_a_robotlaser_line_tells_its_scanner(tmp_path):
+    head, tail = "ROBOTLASER1 0 -0.75 1.5 0.75 20 0.01 0", "7 8 0.5 1 2 3 0 0 0.1 0.1 0.2 99.5 host 1.5"
+    log = read_carmen(write(tmp_path, f"{head} 3 4 20 6 0 {tail}", f"{head} 3 1 2 3 3 50 51 52 {tail}"))
+    assert log.ranges.tolist() == [[4, 20, 6], [1, 2, 3]]
+    assert log.angles_rad.tolist() == [-0.75, 0, 0.75]
+    assert log.poses.tolist() == [[7, 8, 0.5]] * 2
+    assert log.odometry.tolist() == [[1, 2, 3]] * 2
+    assert log.times.tolist() == [99.5] * 2
+    assert log.max_range_m == 20
+
+
+def test_the_longest_range(tmp_path):
+    near = write(tmp_path, LINE.format(heading=0).replace("81.83", "8.183"))
+    assert read_carmen(near).max_range_m == 8
+    assert read_carmen(near, max_range_m=50).max_range_m == 50
+    assert read_carmen(write(tmp_path, LINE.format(heading=0).replace("81.83", "8.21"))).max_range_m == 80
+
+
+GOOD = LINE.format(heading=0)
+ROBOT = "ROBOTLASER1 0 -1.57 3.14 0.0174 80 0.01 0 1 2 0 0 0 0 0 0 0 0 0 0 0 0 1 h 1"
+
+
+@pytest.mark.parametrize(
+    ("lines", "said"),
+    [
+        ([GOOD, GOOD.replace("1.5 2", "1.5")], "line 2: has 'pippo' where a number must be"),
+        ([GOOD, "FLASER 3 1.5 2 8"], "line 2: is cut short"),
+        ([GOOD.replace("FLASER 3", "FLASER 300")], "line 1: is cut short"),
+        ([GOOD + " 1 2"], "line 1: has too many words"),
+        (["FLASER"], "line 1: word 2 must be the number of readings, got ''"),
+        ([GOOD.replace("FLASER 3", "FLASER 0")], "must be the number of readings, got '0'"),
+        ([GOOD.replace("FLASER 3", "FLASER -3")], "must be the number of readings, got '-3'"),
+        ([GOOD.replace("FLASER 3", "FLASER 1000000")], "must be the number of readings"),
+        ([GOOD.replace("81.83", "nan")], "line 1: has 'nan' where a number must be"),
+        ([GOOD.replace("81.83", "inf")], "has 'inf' where"),
+        ([GOOD.replace("81.83", "-1")], "a reading must be at least 0, got -1"),
+        ([GOOD.replace("0.35", "1e9")], r"a pose must lie within 1e\+06 m of 0, got 1e\+09"),
+        (
+            [GOOD, "FLASER 2 1.5 2 0 0 0 1 2 3 1 h 1"],
+            "line 2 has 2 readings from -90 degrees by 180, line 1 3",
+        ),
+        ([GOOD, ROBOT], "line 2 has 1 readings below 80 m .* keep the lines of one scanner"),
+        ([ROBOT.replace("0.0174", "0")], "step and the longest range of a scanner must be above 0"),
+        ([ROBOT.replace(" 80 ", " 0 ")], "step and the longest range of a scanner must be above 0"),
+        (["ODOM 0 0 0 0 0 0 1 h 1"], "has no FLASER or ROBOTLASER1 line, so no scan with a pose$"),
+        (["RAWLASER1 0 0"], "no scan with a pose; RAWLASER lines have no pose"),
+        (["[a log] of something else"], "has no FLASER"),
+    ],
+)
+def test_bad_logs_are_refused_by_file_and_line(tmp_path, lines, said):
+    path = write(tmp_path, *lines)
+    with pytest.raises(InputError, match=said) as error:
+        load_world(path)
+    assert str(error.value).startswith(repr(path))
+    assert "\n" not in str(error.value)
+
+
+def test_files_that_are_no_text_are_refused(tmp_path):
+    (tmp_path / "a.log").touch()
+    with pytest.raises(InputError, match=r"a.log': is empty"):
+        load_world(tmp_path / "a.log")
+    (tmp_path / "b.log").write_bytes(b"FLASER \xff")
+    with pytest.raises(InputError, match="is not UTF-8 text"):
+        load_world(tmp_path / "b.log")
+    with pytest.raises(InputError, match="there is no such file"):
+        load_world(tmp_path / "c.log")
+
+
+# --- the map
+
+
+def test_a_scan_by_pencil():
+    """Cells of 1 m; right and left one and two cells, ahead nothing."""
+    log = log_of([[1.2, 90, 2]], [(0.5, 2.5, 0)], np.radians([-90, 0, 90]))
+    made = fold_scans(log, cell_m=1)
+    assert made.origin_m == (-1, 0)
+    assert made.start == (2, 1, 0)
+    hits, misses = counts(made)
+    assert hits == [[0, 0, 0], [0, 1, 0], [0, 0, 0], [0, 0, 0], [0, 1, 0], [0, 0, 0]]
+    assert misses == [[0, 0, 0], [0, 0, 0], [0, 1, 0], [0, 1, 0], [0, 0, 0], [0, 0, 0]]
+    # What has no echo is believed to be free for as long as one says, within the map.
+    assert counts(fold_scans(log, cell_m=1, no_echo_m=0.5)) == (hits, misses)
+    misses[2][2] = 1
+    assert counts(fold_scans(log, cell_m=1, no_echo_m=0.51)) == (hits, misses)
+    assert counts(fold_scans(log, cell_m=1, no_echo_m=20)) == (hits, misses)
+
+
+def test_an_echo_from_beyond_the_range_is_free_up_to_there():
+    """Ahead 4.5 m, behind 2.4 m, which alone says how far the map goes."""
+    log = log_of([[4.5, 2.4]], angles_rad=[0, math.pi])
+    hits, misses = counts(fold_scans(log, cell_m=1, range_m=3))
+    assert (hits[1], misses[1]) == ([0, 1, 0, 0, 0], [0, 0, 1, 1, 1])
+    # The cells ahead are entered at 0.5, 1.5, 2.5 and 3.5 m: 4.4 m end in the last of them, below 4.5 all are missed.
+    log = log_of([[4.5], [4.4]], [(0.5, 0.5, 0)] * 2)
+    hits, misses = counts(fold_scans(log, cell_m=1, range_m=4.5))
+    assert (hits[1], misses[1]) == ([0, 0, 0, 0, 0, 1, 0], [0, 2, 2, 2, 2, 1, 0])
+
+
+def test_what_ends_in_the_robots_own_cell_counts_nothing():
+    hits, misses = counts(fold_scans(log_of([[0.3, 0, 0.5, 0.49]], angles_rad=[0, 1, 0, 0]), cell_m=1))
+    assert hits == [[0, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 0]]  # 0.5 m is the edge of the next cell, which it enters
+    assert misses == [[0, 0, 0, 0], [0, 1, 0, 0], [0, 0, 0, 0]]
+    assert counts(fold_scans(log_of([[0.0]]), cell_m=1)) == ([[0] * 3] * 3, [[0, 0, 0], [0, 1, 0], [0, 0, 0]])
+
+
+def cells_of(x, y, angle, length):
+    """The cells that a beam passes, in order, from the crossings' exact order: a plain loop over sorted crossings."""
+    x, y, dx, dy = (Fraction(float(v)) for v in (x, y, math.cos(angle), math.sin(angle)))
+    length = Fraction(float(length))
+    at = {Fraction(0), length}
+    for start, direction in ((x, dx), (y, dy)):
+        if direction:
+            end = start + direction * length
+            low, high = min(start, end), max(start, end)
+            at |= {(k - start) / direction for k in range(math.floor(low), math.ceil(high) + 1)}
+    at = sorted(t for t in at if 0 <= t <= length)
+    middles = [(a + b) / 2 for a, b in itertools.pairwise(at)]
+    found = [(math.floor(y + dy * t), math.floor(x + dx * t)) for t in middles]
+    return [cell for i, cell in enumerate(found) if i == 0 or cell != found[i - 1]]
+
+
+def folded_slowly(log, cell_m, range_m, no_echo_m):
+    """{cell: (hits, misses)}, cells counted from the frame's own 0, 0."""
+    hits, misses = {}, {}
+    for (x, y, heading), readings in zip(log.poses, log.ranges):
+        own = math.floor(y / cell_m), math.floor(x / cell_m)
+        misses[own] = misses.get(own, 0) + 1
+        for angle, reading in zip(log.angles_rad, readings):
+            echo = reading < log.max_range_m
+            ends = echo and reading < range_m
+            length = reading if ends else range_m if echo else no_echo_m
+            *passed, last = cells_of(x / cell_m, y / cell_m, heading + angle, length / cell_m) or [own]
+            for cell in (passed if ends else [*passed, last])[1:]:
+                misses[cell] = misses.get(cell, 0) + 1
+            if ends and passed:
+                hits[last] = hits.get(last, 0) + 1
+    return hits, misses
+
+
+@settings(max_examples=60)
+@given(seed=st.integers(0, 10**6), cell_m=st.sampled_from([0.1, 0.25, 1.0]), no_echo_m=st.sampled_from([0.0, 2.0]))
+def test_any_pose_as_a_slow_plain_loop(seed, cell_m, no_echo_m):
+    draw = np.random.default_rng(seed)
+    poses = np.column_stack([draw.uniform(-3, 3, (4, 2)), draw.uniform(-9, 9, 4)])
+    ranges = np.where(draw.random((4, 7)) < 0.2, 5.0, draw.uniform(0.01, 4, (4, 7)))
+    log = log_of(ranges, poses, draw.uniform(-4, 4, 7), max_range_m=5.0)
+    made = fold_scans(log, cell_m=cell_m, range_m=3.0, no_echo_m=no_echo_m)
+    expected = folded_slowly(log, cell_m, 3.0, no_echo_m)
+    shift = [round(v / cell_m) for v in made.origin_m]
+    for found, of_cells in zip((made.grid.hits, made.grid.misses), expected):
+        array = np.zeros(found.shape, int)
+        for (row, col), n in of_cells.items():
+            row, col = row - shift[1], col - shift[0]
+            if 0 <= row < array.shape[0] and 0 <= col < array.shape[1]:
+                array[row, col] = n
+        np.testing.assert_array_equal(found, array)
+    assert sum(expected[0].values()) == int(made.grid.hits.sum())  # every end lies on the map
+
+
+def test_on_the_lattice_it_counts_as_the_robots_own_kernel():
+    """Ranges that a simulated scanner measures, folded in here and by `raycast.fold`."""
+    lidar, cell_m = Lidar(n_beams=60, fov_deg=170, range_m=1.55), 0.1  # no beam through the corners of cells
+    occupied = np.random.default_rng(3).random((40, 44)) < 0.04
+    occupied[[0, -1]] = occupied[:, [0, -1]] = True
+    occupied[20, 20] = False
+    beams = raycast.beam_table(lidar, cell_m, occupied.shape[1])
+    grid, ranges, poses = empty_grid(occupied.shape), [], []
+    for heading in range(8):
+        seen = raycast.scan(jnp.asarray(occupied), 20, 20, heading, beams)
+        grid = raycast.fold(grid, 20, 20, heading, seen, beams)
+        end, hit = np.asarray(seen.end), np.asarray(seen.hit)
+        entry = np.asarray(beams.entry)[heading, np.minimum(end, beams.entry.shape[1] - 1), np.arange(60)]
+        ranges.append(np.where(hit, entry * cell_m + 1e-6, 9))
+        poses.append((2.05, 2.05, heading * math.pi / 4))
+    log = log_of(ranges, poses, np.radians(raycast.beam_angles_deg(lidar)), max_range_m=8.0)
+    made = fold_scans(log, cell_m=cell_m, no_echo_m=lidar.range_m)
+    col, row = (round(v / cell_m) for v in made.origin_m)
+    rows, cols = made.grid.hits.shape
+    for found, expected in ((made.grid.hits, grid.hits), (made.grid.misses, grid.misses)):
+        np.testing.assert_array_equal(found, np.asarray(expected)[row : row + rows, col : col + cols])
+    assert int(made.grid.hits.sum()) == int(grid.hits.sum()) > 100
+
+
+@pytest.fixture
+def drive():
+    draw = np.random.default_rng(8)
+    poses = np.column_stack([draw.uniform(0, 3, (20, 2)), draw.uniform(-9, 9, 20)])
+    return log_of(draw.uniform(0.01, 4, (20, 30)), poses, np.linspace(-2, 2, 30), max_range_m=3.5)
+
+
+def test_beams_are_counted_alike_however_many_at_a_time(drive, monkeypatch):
+    expected = counts(fold_scans(drive, no_echo_m=1))
+    monkeypatch.setattr(scans, "_TOGETHER", 70)
+    assert counts(fold_scans(drive, no_echo_m=1)) == expected
+
+
+def test_a_drive_moved_by_whole_cells_makes_the_same_map(drive):
+    made = fold_scans(drive)
+    moved = fold_scans(dataclasses.replace(drive, poses=np.add(drive.poses, [1.7, -40, 0])))
+    assert counts(moved) == counts(made)
+    np.testing.assert_allclose(np.subtract(moved.origin_m, made.origin_m), [1.7, -40])
+
+
+def test_a_drive_turned_by_a_quarter_makes_the_map_turned(drive):
+    x, y, heading = drive.poses.T
+    made = fold_scans(drive)
+    turned = fold_scans(dataclasses.replace(drive, poses=np.column_stack([-y, x, heading + math.pi / 2])))
+    for one, other in ((made.grid.hits, turned.grid.hits), (made.grid.misses, turned.grid.misses)):
+        np.testing.assert_array_equal(np.rot90(one, -1), other)  # row 0 is the bottom
+
+
+def test_two_drives_count_what_each_of_them_counts(drive):
+    halves = [
+        dataclasses.replace(drive, **{k: getattr(drive, k)[part] for k in ("poses", "odometry", "ranges", "times")})
+        for part in (slice(0, 10), slice(10, 20))
+    ]
+    whole, total = fold_scans(drive), np.zeros((2, *fold_scans(drive).grid.hits.shape), int)
+    for half in halves:
+        made = fold_scans(half)
+        col, row = (round((a - b) / 0.1) for a, b in zip(made.origin_m, whole.origin_m))
+        rows, cols = made.grid.hits.shape
+        total[:, row : row + rows, col : col + cols] += [made.grid.hits, made.grid.misses]
+    np.testing.assert_array_equal(total[0], whole.grid.hits)
+    assert (total[1] <= np.asarray(whole.grid.misses)).all()  # a half's map may end before a beam does
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"cell_m": 0}, "cell_m must be a number at least 0.001"),
+        ({"range_m": 0}, "range_m must be a number above 0"),
+        ({"no_echo_m": -1}, "no_echo_m must be a number at least 0"),
+        ({"cell_m": 0.001}, "'scans': .* cells are more than 4096 a side"),
+    ],
+)
+def test_bad_numbers_are_refused(drive, changes, said):
+    with pytest.raises(InputError, match=said):
+        fold_scans(drive, **changes)
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"ranges": np.ones(3)}, r"ranges of a ScanLog must be readings \[N, B\], got float64 \[3\]"),
+        ({"ranges": np.empty((0, 3))}, r"must be readings \[N, B\], got float64 \[0, 3\]"),
+        ({"ranges": -np.ones((20, 30))}, "ranges of a ScanLog must be at least 0, got -1"),
+        ({"poses": np.ones((20, 2))}, r"poses of a ScanLog must be finite numbers of shape \[20, 3\], got float64"),
+        ({"poses": np.full((20, 3), np.nan)}, "poses of a ScanLog must be finite"),
+        ({"angles_rad": np.ones(29)}, r"angles_rad of a ScanLog must be finite numbers of shape \[30\]"),
+        ({"times": np.array(["a"] * 20)}, r"times of a ScanLog must be finite numbers of shape \[20\], got <U1"),
+        ({"max_range_m": 0}, "max_range_m of a ScanLog must be a number above 0"),
+    ],
+)
+def test_bad_scans_are_refused(drive, changes, said):
+    with pytest.raises(InputError, match=said):
+        dataclasses.replace(drive, **changes)
+
+
+# --- the world
+
+
+def test_a_world_by_its_name(tmp_path):
+    """Cells of 1 m. A second look sees through what the first one hit: 1 of 2 beams."""
+    lines = [f"FLASER 1 {reading} 2.5 0.5 1.6 0 0 0 1 h 1" for reading in (2.3, 3.3)]
+    path = write(tmp_path, *lines)  # looks down, -90 degrees from about +90
+    world = load_world(path, cell_m=1)
+    assert world.name == path
+    assert world.occupied.astype(int).tolist() == [[1] * 6, [1, 0, 0, 1, 1, 1], [1] * 6]
+    assert world.start == (1, 1, 90)
+    assert world.origin_m == (1, -1)
+    free = load_world(path + ":p_free=0.5", cell_m=1)
+    assert free.occupied.astype(int).tolist()[1] == [1, 0, 0, 0, 1, 1]
+    short = load_world(path + ":range_m=1.2", cell_m=1)  # free up to the edge of the map, which gets a ring
+    assert short.occupied.astype(int).tolist()[2] == [1, 1, 0, 0, 1]
+    assert (short.start, short.origin_m) == ((2, 2, 90), (0, -2))
+    far = load_world(path + ":max_range_m=3,no_echo_m=2", cell_m=1)
+    assert far.occupied.astype(int).tolist()[1] == [1, 0, 0, 1, 1]
+
+
+@pytest.mark.parametrize(
+    ("tail", "said"),
+    [
+        (":p_free=1", "p_free must be a number at least 0 and below 1"),
+        (":p_free=x", "p_free must be a number"),
+        (":free=3", "there is no parameter 'free'; it takes p_free, range_m, no_echo_m, max_range_m"),
+        (":max_range_m=0", "max_range_m must be a number above 0"),
+        ("@0.1", "a CARMEN file has its own scale; leave out what follows the '@'"),
+    ],
+)
+def test_bad_parameters_are_refused(tmp_path, tail, said):
+    with pytest.raises(InputError, match=said):
+        load_world(write(tmp_path, GOOD) + tail)
+
+
+def test_the_intel_lab(logs, maps):
+    """The walls of a map that others made of the same building, after a turn and a shift."""
+    log = read_carmen(logs / INTEL)
+    assert log.ranges.shape == (910, 180)
+    made = fold_scans(log)
+    world = load_world(str(logs / INTEL))
+    assert 480 < world.free_m2 < 560
+    assert world.start == made.start
+    theirs = np.asarray(Image.open(maps / "radish" / "intel.png").convert("L"))[::-1] < 128
+    away_m = ndimage.distance_transform_edt(~theirs) * 0.05
+    rows, cols = np.nonzero(is_occupied(made.grid, 0.25))
+    points = (np.column_stack([cols, rows]) + 0.5) * made.cell_m + made.origin_m
+
+    def near(deg, mirror=1):
+        """Share of our walls that lie within 0.3 m of theirs, turned about their middle."""
+        middle = points.mean(axis=0)
+        angle = math.radians(12.634)
+        home = np.array([[math.cos(angle), math.sin(angle)], [-math.sin(angle), math.cos(angle)]])
+        more = math.radians(deg)
+        turn = np.array([[math.cos(more), math.sin(more)], [-math.sin(more), math.cos(more)]])
+        there = (((points - middle) * [mirror, 1]) @ turn + middle) @ home + [15.929, 28.388]
+        at = np.clip((there / 0.05).astype(int), 0, np.array(theirs.shape[::-1]) - 1)
+        return np.mean(away_m[at[:, 1], at[:, 0]] <= 0.3)
+
+    assert near(0) > 0.9
+    assert max(near(90), near(180), near(270), near(0, mirror=-1)) < 0.5
+
+
+def test_errors_name_the_real_file(logs, tmp_path):
+    lines = (logs / INTEL).read_text().splitlines()[:200]
+    at = next(i for i, line in enumerate(lines) if line.startswith("FLASER"))
+    lines[at] = lines[at][:300]
+    with pytest.raises(InputError, match=re.escape(f"line {at + 1}: is cut short")):
+        read_carmen(write(tmp_path, *lines))

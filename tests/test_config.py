@@ -1,0 +1,73 @@
+"""Settings, and messages about values of any kind: one short line, whatever was given."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from jexplore.config import InputError, Lidar, Rules, require_kind, require_number, require_whole, shown
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        (0.1, "0.1"),
+        ("cave", "'cave'"),
+        ({"range_m": 3}, "{'range_m': 3}"),
+        (10**400, "1000000000000000000000000000...00000000000000000000000000000"),
+        (np.eye(2), "array([[1., 0.], [0., 1.]])"),
+        ([[1]] * 1000, "[[1], [1], [1], [1], [1], [1], ...]"),
+        ("a\nb", "'a\\nb'"),
+    ],
+)
+def test_what_a_message_shows_of_a_value(value, text):
+    assert shown(value) == text
+
+
+def test_more_digits_than_python_writes_are_shown_as_what_they_are():
+    assert shown(10**5000).startswith("<int")
+    with pytest.raises(InputError, match="n must be an integer from 0 to 9, got <int"):
+        require_whole("n", 10**5000, 0, 9)
+
+
+def test_a_value_of_many_copies_of_itself_is_shown_at_once():
+    value = [1]
+    for _ in range(60):
+        value = [value] * 9
+    assert len(shown(value)) == 200
+
+
+values = st.recursive(
+    st.none() | st.booleans() | st.integers(-(10**500), 10**500) | st.floats() | st.text() | st.builds(lambda: 10**400),
+    lambda inner: st.lists(inner) | st.dictionaries(st.text(), inner),
+)
+
+
+@given(values)
+def test_any_value_is_taken_or_refused_in_one_short_line(value):
+    for check in (
+        lambda: require_number("n", value, high=10),
+        lambda: require_number("n", value, low=-(10.0**300)),
+        lambda: require_whole("n", value, 0, 10),
+        lambda: require_kind("lidar", value, Lidar),
+    ):
+        try:
+            said = ("taken", check())
+        except InputError as error:
+            said = (str(error), None)
+        assert len(said[0]) < 600
+        assert len(said[0].splitlines()) == 1
+
+
+def test_a_dict_of_fields_shows_how_the_record_is_written():
+    require_kind("lidar", Lidar(), Lidar)
+    for value, line in (
+        ({"range_m": 3}, r"lidar must be a jx.Lidar, such as jx.Lidar\(range_m=3\), got \{'range_m': 3\}$"),
+        ({"range_m": 3, "n_beams": 7}, r"such as jx.Lidar\(range_m=3, n_beams=7\), got"),
+        ({"rang_m": 3}, r"such as jx.Lidar\(n_beams=181\), got"),
+        ({}, r"such as jx.Lidar\(n_beams=181\), got \{\}$"),
+        (Lidar, r"such as jx.Lidar\(n_beams=181\), got <class"),
+        (Rules(), r"such as jx.Lidar\(n_beams=181\), got Rules\("),
+    ):
+        with pytest.raises(InputError, match=line):
+            require_kind("lidar", value, Lidar)

@@ -1,0 +1,211 @@
+"""Maps in recordings of ROS, written here by rosbags itself."""
+
+import builtins
+import math
+
+import numpy as np
+import pytest
+
+from jexplore.config import InputError
+from jexplore.worlds import load_world
+from jexplore.worlds.readers.bags import read_bag
+
+rosbag1 = pytest.importorskip("rosbags.rosbag1", reason="rosbags is not installed (the extra ros)")
+rosbag2 = pytest.importorskip("rosbags.rosbag2")
+typesys = pytest.importorskip("rosbags.typesys")
+
+GRID = "nav_msgs/msg/OccupancyGrid"
+MAP = np.array([[0, 25, -1], [0, 100, 26]])
+LEVEL = (0.0, 0.0, 0.0, 1.0)
+
+
+def message(store, occupancy, *, resolution=0.05, origin=(1.0, 2.0), turn=LEVEL, values=None):
+    """A message nav_msgs/OccupancyGrid in the types of a store."""
+
+    def make(name, **fields):
+        return store.types[name](**fields)
+
+    time = make("builtin_interfaces/msg/Time", sec=1, nanosec=0)
+    seq = {"seq": 0} if "seq" in store.types["std_msgs/msg/Header"].__dataclass_fields__ else {}
+    header = make("std_msgs/msg/Header", stamp=time, frame_id="map", **seq)
+    point = make("geometry_msgs/msg/Point", x=origin[0], y=origin[1], z=0.0)
+    x, y, z, w = turn
+    pose = make(
+        "geometry_msgs/msg/Pose", position=point, orientation=make("geometry_msgs/msg/Quaternion", x=x, y=y, z=z, w=w)
+    )
+    occupancy = np.asarray(occupancy)
+    height, width = occupancy.shape
+    info = make(
+        "nav_msgs/msg/MapMetaData", map_load_time=time, resolution=resolution, width=width, height=height, origin=pose
+    )
+    data = occupancy.ravel() if values is None else values
+    return make(GRID, header=header, info=info, data=np.asarray(data, np.int8))
+
+
+def text(store, said):
+    return store.types["std_msgs/msg/String"](data=said)
+
+
+def write(path, topics, **changes):
+    """A recording: topic -> occupancies, or texts, one a second.
+
+    Returns:
+      The path of the file that was written.
+    """
+    store = typesys.get_typestore(typesys.Stores.ROS1_NOETIC if path.suffix == ".bag" else typesys.Stores.ROS2_HUMBLE)
+    if path.suffix == ".bag":
+        writer, serialise, file = rosbag1.Writer(path), store.serialize_ros1, path
+    else:
+        folder = path.with_suffix("")
+        plugin = rosbag2.StoragePlugin.MCAP if path.suffix == ".mcap" else rosbag2.StoragePlugin.SQLITE3
+        writer, serialise = rosbag2.Writer(folder, version=9, storage_plugin=plugin), store.serialize_cdr
+        file = folder / path.name
+    with writer:
+        for topic, contents in topics.items():
+            kind = "std_msgs/msg/String" if contents and isinstance(contents[0], str) else GRID
+            connection = writer.add_connection(topic, kind, typestore=store)
+            for second, content in enumerate(contents):
+                own = text(store, content) if kind != GRID else message(store, content, **changes)
+                writer.write(connection, second * 10**9, serialise(own, kind))
+    return file
+
+
+@pytest.fixture(params=["a.bag", "a.db3", "a.mcap"])
+def name(request, tmp_path):
+    return tmp_path / request.param
+
+
+def test_a_map_by_pencil(name):
+    grid = read_bag(write(name, {"/chatter": ["hello"], "/map": [np.full((5, 5), -1), MAP]}))
+    assert grid.topic == "/map"
+    assert grid.occupancy.tolist() == MAP.tolist()
+    assert grid.occupancy.dtype == np.int8
+    assert (grid.resolution_m, grid.origin_m) == (0.05, (1.0, 2.0))
+
+
+def test_a_world_by_its_name(name):
+    path = str(write(name, {"/map": [np.zeros((1, 1), int), MAP]}))
+    world = load_world(path, cell_m=0.05)
+    assert world.name == path
+    assert world.occupied.astype(int).tolist() == [[1] * 5, [1, 0, 0, 1, 1], [1, 0, 1, 1, 1], [1] * 5]
+    np.testing.assert_allclose(world.origin_m, (0.95, 1.95))
+    assert load_world(path, cell_m=0.025).shape == (6, 8)
+    for first in ("message=0", "message=-2", "topic=/map,message=0"):
+        assert load_world(f"{path}:{first}", cell_m=0.05).free_m2 == pytest.approx(0.0025)
+
+
+@pytest.mark.parametrize("suffix", [".db3", ".mcap"])
+def test_a_folder_of_ros_2_is_its_recording(tmp_path, suffix, monkeypatch):
+    folder = write(tmp_path / f"run{suffix}", {"/map": [MAP]}).parent
+    monkeypatch.chdir(tmp_path)
+    for path in (str(folder), "run", "./run/"):
+        assert load_world(f"{path}:topic=/map", cell_m=0.05).shape == (4, 5)
+        assert load_world(path, cell_m=0.05).name == path
+    assert read_bag(folder).occupancy.tolist() == read_bag(folder / "metadata.yaml").occupancy.tolist()
+    with pytest.raises(InputError, match="a ROS bag file has its own scale"):
+        load_world(f"run/run{suffix}@0.1")
+
+
+def test_of_several_topics(name):
+    both = write(name, {"/costmap": [np.zeros((2, 2), int)], "/map": [MAP], "/said": ["x"]})
+    assert read_bag(both).topic == "/map"
+    assert read_bag(both, topic="/costmap").occupancy.shape == (2, 2)
+    other = write(name.with_stem("b"), {"/global": [MAP], "/local": [MAP]})
+    with pytest.raises(InputError, match="has maps on /global, /local; append :topic=/global for one of them"):
+        read_bag(other)
+    assert load_world(f"{other}:topic=/local", cell_m=0.05).shape == (4, 5)
+    with pytest.raises(InputError, match="no map on the topic '/map'; there are maps on /global, /local"):
+        load_world(f"{other}:topic=/map")
+    one = write(name.with_stem("c"), {"/only": [MAP]})
+    assert read_bag(one).topic == "/only"
+
+
+def test_no_map_at_all(name):
+    with pytest.raises(InputError, match=r"has no message of the type nav_msgs/OccupancyGrid \(its topics: /said\)"):
+        read_bag(write(name, {"/said": ["x"]}))
+    with pytest.raises(InputError, match="has no message -1 on the topic /map"):
+        read_bag(write(name.with_stem("b"), {"/map": []}))
+
+
+@pytest.mark.parametrize("number", [2, -3, 10**9, -(10**9)])
+def test_a_message_that_is_not_there(name, number):
+    path = write(name, {"/map": [MAP, MAP]})
+    with pytest.raises(InputError, match=f"has no message {number} on the topic /map; -1 is the last, 0 the first"):
+        read_bag(path, message=number)
+
+
+@pytest.mark.parametrize("yaw", [0.3, -math.pi / 2, math.pi])
+def test_a_turned_map_is_refused(name, yaw):
+    path = write(name, {"/map": [MAP]}, turn=(0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2)))
+    with pytest.raises(InputError, match=r"the map on /map: is turned by yaw = -?\d\.\d+; save it by map_saver, turn"):
+        read_bag(path)
+
+
+@pytest.mark.parametrize("turn", [(0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, -1.0), (0.0, 0.0, 1e-8, 1.0)])
+def test_what_is_no_turn_is_read(name, turn):
+    assert read_bag(write(name, {"/map": [MAP]}, turn=turn)).occupancy.tolist() == MAP.tolist()
+
+
+@pytest.mark.parametrize(
+    ("occupancy", "changes", "said"),
+    [
+        (MAP, {"turn": (0.1, 0.0, 0.0, 1.0)}, "is tilted; the orientation of its origin must be a yaw of 0"),
+        (MAP, {"turn": (0.0, 0.0, math.nan, 1.0)}, "the orientation of its origin must be finite"),
+        (MAP, {"values": [0] * 5}, "is 2 x 3 cells and has 5 values; expected one for each"),
+        (np.zeros((0, 3), int), {}, "is 0 x 3 cells and has 0 values"),
+        (MAP, {"resolution": 0.0}, "resolution must be a number above 0 and at most 100, got 0.0"),
+        (MAP, {"resolution": math.nan}, "resolution must be a number"),
+        (MAP, {"origin": (math.inf, 0.0)}, "origin must be a finite number, got inf"),
+        (np.array([[0, 101]]), {}, r"occupancy must lie from -1 \(unknown\) to 100, got 0 to 101"),
+        (np.array([[0, -2]]), {}, "got -2 to 0"),
+        (np.array([[-1, 26]]), {}, r"no cell is free \(occupancy 0 to 25\)"),
+    ],
+)
+def test_bad_maps_are_refused(name, occupancy, changes, said):
+    path = write(name, {"/map": [occupancy]}, **changes)
+    with pytest.raises(InputError, match=said) as error:
+        load_world(path)
+    assert str(error.value).startswith(f"{str(path)!r}: the map on /map: ")
+    assert "\n" not in str(error.value)
+
+
+def test_damaged_files_are_refused(name):
+    path = write(name, {"/map": [MAP, MAP]})
+    content = path.read_bytes()
+    bad = name.with_stem("damaged")
+    for damaged in (content[:50], content[: len(content) // 2], b"something else"):
+        bad.write_bytes(damaged)
+        with pytest.raises(InputError, match="is damaged or no recording of ROS") as error:
+            load_world(bad)
+        assert "\n" not in str(error.value)
+    with pytest.raises(InputError, match="there is no such file"):
+        load_world(name.with_stem("absent"))
+
+
+@pytest.mark.parametrize(
+    ("tail", "said"),
+    [
+        (":message=0.5", "message must be an integer"),
+        (":message=last", "message must be an integer"),
+        (":topic=3", "topic must be the name of one, as /map, got 3"),
+        (":free=3", "there is no parameter 'free'; it takes topic, message"),
+        ("@0.1", "a ROS bag file has its own scale"),
+    ],
+)
+def test_bad_parameters_are_refused(name, tail, said):
+    path = write(name, {"/map": [MAP]})
+    with pytest.raises(InputError, match=said):
+        load_world(f"{path}{tail}")
+
+
+def test_without_the_package_it_says_what_to_install(name, monkeypatch):
+    path, load = write(name, {"/map": [MAP]}), builtins.__import__
+
+    def without(module, *args, **kwargs):
+        if module.startswith("rosbags"):
+            raise ModuleNotFoundError(f"No module named {module!r}", name=module)
+        return load(module, *args, **kwargs)
+
+    monkeypatch.setattr(builtins, "__import__", without)
+    with pytest.raises(InputError, match=r"reading it takes rosbags: pip install 'jexplore\[ros\]'"):
+        load_world(path)
