@@ -5,12 +5,12 @@ import dataclasses
 import html
 import json
 import re
-import shutil
 import struct
-import subprocess
 
 import numpy as np
 import pytest
+from ref import browser
+from ref.browser import TIMERS
 
 from jexplore.report.operator_view import Recording, page
 from jexplore.tracemap.record import NOWHERE, BtmMap, Link, Node
@@ -240,8 +240,6 @@ def test_no_frames_are_refused():
         recording(**none)
 
 
-# Virtual time draws no frames of its own accord.
-TIMERS = "<script>window.requestAnimationFrame = (f) => setTimeout(() => f(performance.now()), 16);</script>"
 SCENARIO = """
 <script>
 const seen = {}, note = (name) => { seen[name] = replay.state(); };
@@ -281,21 +279,7 @@ const text = (id) => document.getElementById(id).textContent;
 @pytest.fixture(scope="module")
 def body(tmp_path_factory):
     """A function that opens a page in headless Chromium and gives the data attributes of its body."""
-    browser = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-    if browser is None:
-        pytest.skip("no chromium, chromium-browser or google-chrome on the path")
-    folder = tmp_path_factory.mktemp("browser")
-
-    def opened(text, fragment=""):
-        path = folder / "page.html"
-        path.write_text(text, encoding="ascii")
-        command = [browser, "--headless=new", "--no-sandbox", "--disable-gpu", f"--user-data-dir={folder / 'profile'}"]
-        command += ["--virtual-time-budget=10000", "--dump-dom", path.as_uri() + fragment]
-        dom = subprocess.run(command, capture_output=True, text=True, check=True, timeout=120).stdout
-        (tag,) = re.findall(r"<body[^>]*>", dom)
-        return {name: html.unescape(value) for name, value in re.findall(r'data-(\w+)="(.*?)"', tag)}
-
-    return opened
+    return browser.opener(tmp_path_factory.mktemp("browser"))
 
 
 def test_it_replays_in_a_browser(body):
@@ -400,5 +384,5 @@ def test_one_frame_and_an_empty_map_open_too(body):
 
 
 def test_an_error_in_the_page_would_show(body):
-    found = body(page(recording()).replace("seek(0);\nfromHash", "seek(0); missing();\nfromHash"))
+    found = body(page(recording()).replace("time.fromHash();", "time.fromHash(); missing();"))
     assert "missing is not defined" in found["error"]

@@ -1,14 +1,11 @@
 """The operator's view: one run with a Behavioral Trace Map as a web page that replays offline, all in one file."""
 
-import base64
 import dataclasses
-import html
-import importlib.resources
-import json
-import re
 
 import numpy as np
 
+from jexplore.report.page.assemble import assembled, plain, script_data
+from jexplore.report.page.packing import packed
 from jexplore.report.store import jsonable
 from jexplore.tracemap.record import BtmMap
 
@@ -139,20 +136,6 @@ def _present(recording):
     return np.isfinite(recording.triangles_m).all(axis=(2, 3))
 
 
-def _packed(name, values):
-    """An array as little-endian whole multiples of a step, in base64; the type's extremes are NaN and +infinity."""
-    step = _STEPS.get(name, 1)
-    scaled = np.round(np.asarray(values, dtype=np.float64) / step)
-    most = np.abs(scaled[np.isfinite(scaled)]).max(initial=0)
-    kind = np.int16 if most < np.iinfo(np.int16).max else np.int32
-    low, high = np.iinfo(kind).min, np.iinfo(kind).max
-    if most >= high:
-        raise ValueError(f"expected {name} below {high * step:.10g}, got {most * step:.10g}")
-    whole = np.nan_to_num(scaled, nan=low, posinf=high, neginf=low).astype(np.dtype(kind).newbyteorder("<"))
-    text = base64.b64encode(whole.tobytes()).decode("ascii")
-    return {"type": f"i{whole.itemsize}", "step": step, "shape": list(whole.shape), "base64": text}
-
-
 def _data(recording):
     """What the page reads: packed arrays by name, and the rest as it is. Triangles lie end to end, without the NaN."""
     arrays = {name: getattr(recording, name) for name in _SHAPES}
@@ -174,7 +157,7 @@ def _data(recording):
         "robot_m": [float(size) for size in recording.robot_m],
         "nodes": rows_of(recording.map.nodes),
         "links": rows_of(recording.map.links),
-        "arrays": {name: _packed(name, values) for name, values in arrays.items()},
+        "arrays": {name: packed(values, _STEPS.get(name, 1), name) for name, values in arrays.items()},
     }
 
 
@@ -193,10 +176,6 @@ def page(recording: Recording) -> str:
     Raises:
       ValueError: a number too large to be kept.
     """
-    text = json.dumps(_data(recording), separators=(",", ":"), allow_nan=False)
-    for character in "<>&":  # so that no text can end the script
-        text = text.replace(character, f"\\u{ord(character):04x}")
-    title = html.escape(str(recording.title)).encode("ascii", "xmlcharrefreplace").decode("ascii")
-    parts = {"title": title, "data": text}
-    template = importlib.resources.files("jexplore").joinpath("operator_view.html").read_text(encoding="utf-8")
-    return re.sub(r"\{\{(title|data)\}\}", lambda match: parts[match[1]], template)
+    modes = '<div id="modekey" aria-label="Colours of the run modes"></div>'
+    title, data = plain(recording.title), script_data(_data(recording))
+    return assembled("trace.html", title=title, data=data, own_controls=modes)

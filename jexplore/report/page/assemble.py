@@ -1,0 +1,39 @@
+"""Pages that are one file: templates, styles and scripts of this folder put together, with what they show."""
+
+import html
+import importlib.resources
+import json
+import re
+from typing import Any
+
+
+def plain(text: object) -> str:
+    """Any text for HTML, in plain ASCII, so that a page may be written in any encoding."""
+    return html.escape(str(text)).encode("ascii", "xmlcharrefreplace").decode("ascii")
+
+
+def script_data(found: Any) -> str:
+    """JSON that stands in a script of a page: no text in it can end the script."""
+    text = json.dumps(found, separators=(",", ":"), allow_nan=False)
+    for character in "<>&":
+        text = text.replace(character, f"\\u{ord(character):04x}")
+    return text
+
+
+def assembled(template: str, **parts: str) -> str:
+    """A file of this folder, with what stands in it in double braces filled in.
+
+    Args:
+      template: name of the file.
+      **parts: what is filled in by name, HTML; never looked into. What is no part's name is the name of another file of
+        this folder, filled in likewise.
+
+    Returns:
+      The page, text.
+    """
+
+    def fill(match):
+        return parts[match[1]] if match[1] in parts else assembled(match[1], **parts)
+
+    text = importlib.resources.files("jexplore.report.page").joinpath(template).read_text(encoding="utf-8")
+    return re.sub(r"\{\{([a-z][a-z._]*)\}\}", fill, text.rstrip("\n"))

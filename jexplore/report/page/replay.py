@@ -1,0 +1,144 @@
+"""A replay: one episode as the frames of a page."""
+
+import dataclasses
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Any
+
+import numpy as np
+
+from jexplore.report.page.packing import base64_of, change, packed, runs
+
+STATE, FRONTIER, OWN_ROOM = 3, 4, 8
+"""Of the code of a cell: the bits of its state (0 unknown, 1 free, 2 occupied); whether it is a frontier cell that can
+be reached; whether the strategy takes it for a part of the room that the robot is in."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class ReplayData:
+    """An episode of n steps as F frames. Numpy arrays, on the host; what the page shows besides is made from them.
+
+    Raises:
+      ValueError: a shape or a number that does not fit.
+    """
+
+    world: str
+    strategy: str
+    which: str
+    """Of the episode: its number, its seed, or whatever tells it from others."""
+    outcome: str
+    cell_m: float
+    truth: np.ndarray
+    """`[H, W]` bool, True where the world is occupied."""
+    rooms: np.ndarray | None
+    """`[H, W]` int, number of the true room; -1 outside rooms. None for a world without."""
+    rows: np.ndarray
+    """`[n + 1]` int, the robot's cell at the start and after each step."""
+    cols: np.ndarray
+    """`[n + 1]` int"""
+    steps: np.ndarray
+    """`[F]` int, steps made before each frame, increasing; the last one n."""
+    heading_deg: np.ndarray
+    """`[F]` int"""
+    target: np.ndarray
+    """`[F, 2]` int, row and col of what the robot goes to next; -1 for none."""
+    until: np.ndarray
+    """`[F]` int, steps made when it has ended to go there."""
+    known_m2: np.ndarray
+    """`[F]`"""
+    changes: tuple[bytes, ...]
+    """`[F]` what changed in the map of codes, see `packing.runs`; at first from all 0."""
+    has_own_room: bool = False
+    """Whether the strategy has a room of its own."""
+
+    def __post_init__(self) -> None:
+        frames, steps = len(self.steps), len(self.rows) - 1
+        shapes = {
+            **{"cols": (steps + 1,), "heading_deg": (frames,), "target": (frames, 2), "until": (frames,)},
+            **{"known_m2": (frames,), "changes": (frames,), "rooms": self.truth.shape},
+        }
+        for name, wanted in shapes.items():
+            value = getattr(self, name)
+            found = (len(value),) if isinstance(value, tuple) else np.shape(value)
+            if value is not None and found != wanted:
+                raise ValueError(f"expected {name} of shape {list(wanted)}, got {list(found)}")
+        if not frames or (np.diff(self.steps) <= 0).any() or self.steps[0] < 0 or self.steps[-1] != steps:
+            raise ValueError(f"expected steps that increase up to {steps}, got {list(self.steps)[:20]}")
+        if np.abs(np.diff([self.rows, self.cols])).max(initial=0) > 1:
+            raise ValueError("expected rows and cols of neighbouring cells, got a jump")
+
+    def maps(self) -> Iterator[np.ndarray]:
+        """The codes of all cells, frame by frame: `[H, W]` uint8. The same array, changed in place."""
+        image = np.zeros(self.truth.shape, np.uint8)
+        for found in self.changes:
+            change(image, found)
+            yield image
+
+    def thinned(self, most: int) -> "ReplayData":
+        """The same with at most so many frames, evenly chosen, the last among them."""
+        frames = len(self.steps)
+        if frames <= most:
+            return self
+        chosen = np.unique(np.linspace(frames - 1, 0, most).round().astype(int))
+        wanted = set(chosen.tolist())
+        changes = tuple(changes_of(image for i, image in enumerate(self.maps()) if i in wanted))
+        parts = {name: getattr(self, name)[chosen] for name in ("steps", "heading_deg", "target", "until", "known_m2")}
+        return dataclasses.replace(self, changes=changes, **parts)
+
+
+def changes_of(images: Iterable[np.ndarray]) -> Iterator[bytes]:
+    """`ReplayData.changes` of maps of codes, uint8, which may be one array that changes."""
+    before = None
+    for image in images:
+        before = np.zeros_like(image) if before is None else before
+        yield runs(before, image)
+        before[...] = image
+
+
+def evenly(steps: int, most: int) -> list[int]:
+    """At most so many of the numbers from 0 to `steps`, evenly spaced, the last one among them."""
+    return np.unique(np.linspace(steps, 0, min(most, steps + 1)).round().astype(int)).tolist()
+
+
+def _image(codes):
+    return base64_of(runs(np.zeros_like(codes), codes))
+
+
+def _world(replay):
+    rooms = None if replay.rooms is None else np.where(replay.rooms < 0, 0, 1 + replay.rooms % 15).astype(np.uint8)
+    return {
+        "name": str(replay.world),
+        "shape": list(replay.truth.shape),
+        "cell_m": float(replay.cell_m),
+        "truth": _image(replay.truth.astype(np.uint8)),
+        "rooms": None if rooms is None or not rooms.any() else _image(rooms),
+    }
+
+
+def page_data(replays: Sequence[ReplayData]) -> dict[str, Any]:
+    """What the page reads: `worlds`, each once, and `replays`, plain JSON types.
+
+    A replay's `moves` are a byte a step, 3 * (1 + rows up) + (1 + cols right); its `changes` lie end to end, `sizes`
+    bytes a frame.
+    """
+    worlds, numbers, found = [], {}, []
+    for replay in replays:
+        # One world's name may stand for two worlds, if they came as objects.
+        key = replay.world, replay.cell_m, replay.truth.shape, replay.truth.tobytes()
+        if key not in numbers:
+            numbers[key] = len(worlds)
+            worlds.append(_world(replay))
+        moves = 3 * (1 + np.diff(replay.rows)) + 1 + np.diff(replay.cols)
+        found.append(
+            {
+                "world": numbers[key],
+                **{name: str(getattr(replay, name)) for name in ("strategy", "which", "outcome")},
+                "start": [int(replay.rows[0]), int(replay.cols[0])],
+                "moves": base64_of(moves.astype(np.uint8).tobytes()),
+                **{name: packed(getattr(replay, name)) for name in ("steps", "heading_deg", "target", "until")},
+                "known_m2": packed(replay.known_m2, 0.01, "known_m2"),
+                "sizes": packed([len(part) for part in replay.changes]),
+                "changes": base64_of(b"".join(replay.changes)),
+                "has_own_room": bool(replay.has_own_room),
+            }
+        )
+    return {"worlds": worlds, "replays": found}

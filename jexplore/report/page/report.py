@@ -1,0 +1,198 @@
+"""The report of a run: what was asked, tables, plots and replays as one web page that needs no other file."""
+
+import json
+import math
+import numbers
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+from jexplore.report.page.assemble import assembled, plain, script_data
+from jexplore.report.page.packing import base64_of
+from jexplore.report.page.replay import ReplayData, page_data
+from jexplore.report.store import jsonable
+
+MOST_BYTES = 10_000_000
+MOST_ROWS = 200  # of a table that are shown
+LONGEST_TEXT = 400  # characters of a setting
+FEW_FRAMES = 60  # of a replay; rather than fewer, fewer replays
+MANY_FRAMES = 300
+
+
+def report_page(
+    title: str,
+    asked: Mapping[str, Any],
+    tables: Iterable[tuple[str, Any]] = (),
+    figures: Iterable[tuple[str, bytes, str]] = (),
+    replays: Sequence[ReplayData] = (),
+    warnings: Iterable[str] = (),
+    *,
+    notes: Iterable[str] = (),
+    max_bytes: int = MOST_BYTES,
+) -> str:
+    """The report of a run, one HTML file: no network, no server, no other file; replays need JavaScript.
+
+    Figures take up to half of the page; the largest are left out where they would take more. Where the page would be
+    too large, replays lose frames, then the last ones are left out. The page says so. It is plain ASCII, so it may be
+    written in any encoding.
+
+    Args:
+      title: of the page.
+      asked: name -> value, nested as one likes: settings, versions. `command`, a text or a list of words, stands first.
+      tables: pairs of a heading and a DataFrame, whose index is not shown, or a list of mappings with the same keys,
+        or of rows the first of which has the names of the columns.
+      figures: name, the bytes of a PNG or SVG file, and a text that says what is to be seen.
+      replays: list of `ReplayData`.
+      warnings: lines.
+      notes: lines about the replays.
+      max_bytes: of the page.
+
+    Returns:
+      The page, text.
+
+    Raises:
+      ValueError: a figure that is neither PNG nor SVG, or a page that is too large without any replay.
+    """
+    replays, warnings, notes = list(replays), list(warnings), list(notes)
+    above = [_asked(asked), _warnings(warnings), _tables(tables), _plots(figures, max_bytes // 2)]
+    frames, shown = MANY_FRAMES, [replay.thinned(MANY_FRAMES) for replay in replays]
+    while True:
+        text = _page(title, above, shown, [*notes, *_cut(replays, shown, frames)])
+        if len(text) <= max_bytes:
+            return text
+        if not shown:
+            raise ValueError(f"expected a page of at most {max_bytes} bytes, got {len(text)} without any replay")
+        if frames > FEW_FRAMES:
+            frames = max(FEW_FRAMES, frames // 2)
+            shown = [replay.thinned(frames) for replay in replays]
+        else:
+            shown = shown[:-1]
+
+
+def _cut(replays, shown, frames):
+    """Lines about what replays have lost for want of room."""
+    if len(shown) < len(replays):
+        yield f"To keep the page small, the last {len(replays) - len(shown)} of {len(replays)} replays are left out."
+    if frames < MANY_FRAMES:
+        yield f"To keep the page small, replays have at most {frames} frames."
+
+
+def _page(title, above, replays, notes):
+    lines = "".join(f"<li>{plain(note)}</li>" for note in notes)
+    below = f'<ul class="notes">{lines}</ul>' if lines else ""
+    if replays:
+        below = assembled("replays.html", own_controls="", notes=below)
+    elif below:
+        below = f"<section>{below}</section>"
+    data = script_data(page_data(replays))
+    return assembled("report.html", title=plain(title), sections="\n".join(filter(None, [*above, below])), data=data)
+
+
+def _asked(asked):
+    asked = {str(name): value for name, value in jsonable(dict(asked)).items()}
+    command = asked.pop("command", None)
+    shown = command if command is None or isinstance(command, str) else " ".join(map(str, command))
+    head = "" if shown is None else f"<pre>{plain(_cut_text(shown))}</pre>"
+    entries = list(_flat(asked))
+    rows = "".join(
+        f"<div><dt>{plain(name)}</dt><dd>{plain(_cut_text(text))}</dd></div>" for name, text in entries[:MOST_ROWS]
+    )
+    more = f'<p class="soft">The first {MOST_ROWS} of {len(entries)} settings.</p>' if len(entries) > MOST_ROWS else ""
+    return f"<section><h2>What was asked</h2>{head}<dl>{rows}</dl>{more}</section>" if head or rows else ""
+
+
+def _cut_text(text):
+    return text if len(text) <= LONGEST_TEXT else text[:LONGEST_TEXT] + "…"
+
+
+def _flat(value, name=""):
+    """Nested settings as pairs of dotted names and texts."""
+    if isinstance(value, dict):
+        for key, item in value.items():
+            yield from _flat(item, f"{name}.{key}" if name else key)
+    elif isinstance(value, list) and not any(isinstance(item, (dict, list)) for item in value):
+        yield name, ", ".join(_text(item) for item in value) or "-"
+    elif isinstance(value, list):
+        yield name, json.dumps(value, ensure_ascii=False)
+    else:
+        yield name, _text(value)
+
+
+def _warnings(lines):
+    if not lines:
+        return ""
+    items = "".join(f"<li>{plain(line)}</li>" for line in lines)
+    return f'<section class="warnings"><h2>Warnings</h2><ul>{items}</ul></section>'
+
+
+def _tables(tables):
+    made = [f"<h3>{plain(heading)}</h3>{_table(heading, *_cells(found))}" for heading, found in tables]
+    return f"<section><h2>Tables</h2>{''.join(made)}</section>" if made else ""
+
+
+def _cells(found):
+    """Names of the columns, and rows of values."""
+    if hasattr(found, "columns"):  # a DataFrame
+        return list(found.columns), found.itertuples(index=False, name=None)
+    rows = list(found)
+    if rows and isinstance(rows[0], Mapping):
+        return list(rows[0]), [list(row.values()) for row in rows]
+    return (rows[0], rows[1:]) if rows else ([], [])
+
+
+def _table(heading, head, rows):
+    rows = [[_plain_value(cell) for cell in row] for row in rows]
+    kept = rows[:MOST_ROWS]
+    is_right = [all(_is_number(row[i]) or row[i] is None for row in kept) for i in range(len(head))]
+
+    def line(tag, cells):
+        parts = (f"<{tag}{' class=right' if right else ''}>{cell}</{tag[:2]}>" for cell, right in zip(cells, is_right))
+        return f"<tr>{''.join(parts)}</tr>"
+
+    names = line('th scope="col"', (plain(str(name).replace("_", " ")) for name in head))
+    body = "".join(line("td", (plain(_text(cell)) for cell in row)) for row in kept)
+    more = f'<p class="soft">The first {MOST_ROWS} of {len(rows)} rows.</p>' if len(rows) > len(kept) else ""
+    region = f'<div class="table" tabindex="0" role="region" aria-label="{plain(heading)}">'
+    return f"{region}<table><thead>{names}</thead><tbody>{body}</tbody></table></div>{more}"
+
+
+def _plain_value(value):
+    """A number, a truth value, text or None."""
+    value = value.item() if hasattr(value, "item") else value
+    if value is None or type(value).__name__ in ("NAType", "NaTType") or (isinstance(value, float) and value != value):
+        return None
+    return value if isinstance(value, (bool, numbers.Real)) else str(value)
+
+
+def _is_number(value):
+    return isinstance(value, numbers.Real) and not isinstance(value, bool)
+
+
+def _text(value):
+    if value is None:
+        return "-"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, float) and math.isfinite(value):
+        return f"{value:.0f}" if abs(value) >= 1000 else f"{value:.4g}"
+    return str(value)
+
+
+def _plots(figures, max_bytes):
+    made = {name: _figure(name, raw, alt) for name, raw, alt in figures}
+    kept = dict(made)
+    while sum(map(len, kept.values())) > max_bytes:
+        del kept[max(kept, key=lambda name: len(kept[name]))]
+    shown = (kept.get(name, f"<p>{plain(name)} is too large for this page.</p>") for name in made)
+    return f'<section class="plots"><h2>Plots</h2>{"".join(shown)}</section>' if made else ""
+
+
+def _figure(name, raw, alt):
+    """A picture as an image whose bytes stand in the page: nothing in it is run or fetched."""
+    if raw.startswith(b"\x89PNG\r\n\x1a\n"):
+        kind = "png"
+    elif b"<svg" in raw[:2000]:
+        kind = "svg+xml"
+    else:
+        raise ValueError(f"expected {name} as the bytes of a PNG or SVG file, got {raw[:8]!r}")
+    caption = f"<figcaption>{plain(name)}</figcaption>"
+    return f'<figure><img src="data:image/{kind};base64,{base64_of(raw)}" alt="{plain(alt)}">{caption}</figure>'

@@ -1,0 +1,197 @@
+"""Replays for a page: episodes that have been run, as frames."""
+
+from collections.abc import Callable, Sequence
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jexplore.config import InputError, Lidar, Rules
+from jexplore.engine.backend import use_compilation_cache
+from jexplore.exploration import batch
+from jexplore.exploration.batch import Job, Outcomes
+from jexplore.exploration.site import Kernels, prepare_site
+from jexplore.exploration.state import Outcome
+from jexplore.exploration.stops import stops
+from jexplore.exploration.trail import Final
+from jexplore.grid import is_free, is_occupied
+from jexplore.planning import field
+from jexplore.policies import Strategy, room_wise
+from jexplore.report.page.replay import FRONTIER, OWN_ROOM, ReplayData, changes_of, evenly
+from jexplore.studies.explore import Episode
+from jexplore.worlds.world import World
+
+MAX_PAIRS = 12  # of world and strategy that are replayed on one page
+MAX_FRAMES = 300  # of a replay
+
+
+@jax.jit
+def _codes(belief):
+    grid, p_free = belief.grid, belief.model.p_free
+    state = is_free(grid, p_free) + 2 * is_occupied(grid, p_free)
+    return (state + FRONTIER * field(belief).candidates).astype(jnp.uint8)
+
+
+@jax.jit
+def _own_room(params, belief):
+    mine, is_room, _ = room_wise.own_segment(params, belief)
+    return mine & is_room
+
+
+def replay_data(
+    world: World,
+    strategy: Strategy,
+    final: Final,
+    *,
+    start: tuple[int, int, int],
+    seed: int,
+    number: int,
+    lidar: Lidar,
+    rules: Rules,
+    outcome: str = "",
+    max_frames: int = MAX_FRAMES,
+) -> ReplayData:
+    """One episode as the frames of a page.
+
+    Args:
+      world: `World`.
+      strategy: `Strategy`.
+      final: what the episode left.
+      start: row, col, heading in degrees.
+      seed: of the run.
+      number: of the episode.
+      lidar: `Lidar`.
+      rules: `Rules`.
+      outcome: how it ended, a word.
+      max_frames: at most so many, evenly spaced over the steps; the last step is always one.
+
+    Returns:
+      `ReplayData`: the maps after the last scan at each place that is shown.
+
+    Raises:
+      InputError: the episode made more plans than are kept.
+    """
+    if final.plans is None:
+        raise InputError(f"{strategy.name} in {world.name}: an episode of so many plans cannot be played again")
+    shown = evenly(len(final.rows) - 1, max_frames)
+    site = prepare_site(world, lidar, rules, Kernels())
+    found, headings = stops(site, strategy, start, seed, number, final, shown), []
+    changes = tuple(changes_of(_images(world, strategy, found, headings)))
+    target, until = _aims(final, shown)
+    return ReplayData(
+        world=world.name,
+        strategy=strategy.name,
+        which=f"episode {number}, seed {seed}",
+        outcome=outcome,
+        cell_m=world.cell_m,
+        truth=world.occupied,
+        rooms=world.rooms,
+        rows=final.rows,
+        cols=final.cols,
+        steps=np.array(shown),
+        heading_deg=np.array(headings),
+        target=target,
+        until=until,
+        known_m2=final.known[shown] * world.cell_m**2,
+        changes=changes,
+        has_own_room=_has_own_room(strategy),
+    )
+
+
+def _has_own_room(strategy):
+    return isinstance(strategy.policy.params, room_wise.Params)
+
+
+def _images(world, strategy, found, headings):
+    """The codes of all cells at some stops; notes how the robot was turned there."""
+    height, width = world.shape
+    for stop in found:
+        codes = np.array(_codes(stop.belief))
+        if _has_own_room(strategy):
+            params = strategy.policy.params._replace(inner=())
+            codes += np.uint8(OWN_ROOM) * np.asarray(_own_room(params, stop.belief))
+        headings.append(45 * stop.heading)
+        yield codes[:height, :width]
+
+
+def _aims(final, shown):
+    """What the robot goes to after some numbers of steps, `[F, 2]`, and the steps made when that has ended, `[F]`."""
+    steps = len(final.rows) - 1
+    made = [plan.step for plan in final.plans]
+    ends = [*made[1:], steps]
+    targets, until = [], []
+    for step, plan in zip(shown, np.searchsorted(made, shown, side="right") - 1):  # the last one made by then
+        targets.append((final.plans[plan].target if plan >= 0 else None) or (-1, -1))
+        until.append(max(ends[plan], step) if plan >= 0 else step)
+    return np.array(targets), np.array(until)
+
+
+def replay_of(episode: Episode, *, max_frames: int = MAX_FRAMES) -> ReplayData:
+    """An `Episode` as the frames of a page; see `replay_data`."""
+    return replay_data(
+        *(episode.world, episode.asked, episode.final),
+        start=episode.start,
+        seed=episode.seed,
+        number=episode.number,
+        lidar=episode.lidar,
+        rules=episode.rules,
+        outcome=episode.measures["outcome"],
+        max_frames=max_frames,
+    )
+
+
+def replays_of(
+    jobs: Sequence[Job],
+    lidar: Lidar,
+    rules: Rules,
+    *,
+    outcomes: Sequence[Outcomes] | None = None,
+    max_pairs: int = MAX_PAIRS,
+    max_frames: int = MAX_FRAMES,
+    on_progress: Callable[[int], object] | None = None,
+) -> tuple[list[ReplayData], list[str]]:
+    """Episode 0 of the first jobs, for a page.
+
+    Args:
+      jobs: of a run, in its order.
+      lidar: `Lidar` of the jobs that have none of their own.
+      rules: `Rules`, likewise.
+      outcomes: what the jobs left; None: episode 0 of those that are shown is run, which costs little where what it
+        needs is compiled.
+      max_pairs: so many jobs are shown, the first ones.
+      max_frames: of a replay.
+      on_progress: called with the number of replays made so far.
+
+    Returns:
+      `(replays, notes)`: a `ReplayData` for each job that is shown; a list of lines, what is missing and why.
+    """
+    notes = []
+    if len(jobs) > max_pairs:
+        notes.append(f"Replays show the first {max_pairs} of {len(jobs)} pairs of world and strategy.")
+    jobs = list(jobs[:max_pairs])
+    if outcomes is None:
+        use_compilation_cache()
+        outcomes = batch.run_jobs(jobs, lidar, rules, only=0).outcomes
+    made = []
+    for done, (job, found) in enumerate(zip(jobs, outcomes), 1):
+        title = f"{job.strategy.name} in {job.world.name}"
+        if found.first is None:
+            notes.append(f"{title}: no replay, the run was interrupted before its first episode ended.")
+        elif found.first.plans is None:
+            notes.append(f"{title}: no replay, its episode made more plans than are kept.")
+        else:
+            made.append(
+                replay_data(
+                    *(job.world, job.strategy, found.first),
+                    start=tuple(int(value) for value in job.starts[0]),  # type: ignore[arg-type]  # three
+                    seed=job.seed,
+                    number=job.first,
+                    lidar=job.lidar or lidar,
+                    rules=job.rules or rules,
+                    outcome=Outcome(int(found.result.outcome[0])).name,
+                    max_frames=max_frames,
+                )
+            )
+        if on_progress is not None:
+            on_progress(done)
+    return made, notes

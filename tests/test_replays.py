@@ -1,0 +1,113 @@
+"""Replays: the frames of a page are the episode that was run."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from ref.worlds import two_rooms
+
+from jexplore.config import InputError, Lidar, Rules
+from jexplore.exploration import batch
+from jexplore.exploration.results import map_state
+from jexplore.policies.room_wise import own_segment
+from jexplore.report.page.replay import FRONTIER, OWN_ROOM, STATE
+from jexplore.studies import explore
+from jexplore.studies.replays import replay_of, replays_of
+
+LIDAR = Lidar(n_beams=37, range_m=1.0)
+
+
+def ran(strategy, **settings):
+    return explore.explore(two_rooms(), strategy, seed=3, lidar=LIDAR, **settings)
+
+
+@pytest.mark.jit
+@pytest.mark.parametrize("max_frames", [1, 20, 10**6])
+def test_frames_are_those_of_the_episode(max_frames):
+    """Against the frames of the animation, which are made scan by scan."""
+    episode = ran("closest+recheck", episode=1)
+    replay, frames = replay_of(episode, max_frames=max_frames), list(explore.frames(episode, max_frames=max_frames))
+    assert replay.steps.tolist() == [frame.step for frame in frames]
+    assert replay.heading_deg.tolist() == [frame.heading_deg for frame in frames]
+    assert replay.target.tolist() == [list(frame.target or (-1, -1)) for frame in frames]
+    for codes, frame in zip(replay.maps(), frames, strict=True):
+        np.testing.assert_array_equal(codes & STATE, map_state(frame.hits, frame.misses, Rules().p_free))
+        np.testing.assert_array_equal((codes & FRONTIER) > 0, frame.frontier)
+        assert not (codes & OWN_ROOM).any()
+    np.testing.assert_allclose(replay.known_m2, episode.final.known[replay.steps] * 0.01)
+    assert (replay.world, replay.strategy, replay.which) == ("two rooms", "closest+recheck", "episode 1, seed 3")
+    assert (replay.outcome, replay.cell_m) == (episode.measures["outcome"], 0.1)
+    np.testing.assert_array_equal(replay.truth, episode.world.occupied)
+
+
+@pytest.mark.jit
+def test_the_way_ahead_ends_where_the_next_plan_is_made():
+    episode = ran("closest")
+    replay = replay_of(episode, max_frames=10**6)
+    made = [plan.step for plan in episode.final.plans]
+    n = episode.measures["steps"]
+    for step, until in zip(replay.steps.tolist(), replay.until.tolist()):
+        assert until == next((other for other in made if other > step), n)
+
+
+@pytest.mark.jit
+def test_the_own_room_is_the_strategys():
+    episode = ran("closest+segment")
+    replay = replay_of(episode, max_frames=5)
+    moments = {moment.step: moment for moment in explore.steps_of(episode)}
+    assert replay.has_own_room
+    (height, width), some = episode.world.shape, 0
+    for codes, step in zip(replay.maps(), replay.steps.tolist()):
+        mine, is_room, _ = own_segment(episode.asked.policy.params, moments[step].belief)
+        wanted = (np.asarray(mine) & bool(is_room))[:height, :width]
+        np.testing.assert_array_equal((codes & OWN_ROOM) > 0, wanted)
+        some += wanted.any()
+    assert some > 0
+
+
+@pytest.fixture(scope="module")
+def jobs(jit_on):
+    with jit_on():
+        settings = {"seed": 3, "cell_m": 0.1, "start": "random", "lidar": LIDAR, "rules": Rules()}
+        return [explore.prepare_job(two_rooms(), name, **settings) for name in ("closest", "random", "closest+recheck")]
+
+
+@pytest.mark.jit
+def test_jobs_are_replayed_from_what_they_left_or_run_again(jobs):
+    outcomes = batch.run_jobs(jobs, LIDAR, Rules()).outcomes
+    seen = []
+    kept, notes = replays_of(jobs, LIDAR, Rules(), outcomes=outcomes, max_frames=30, on_progress=seen.append)
+    anew, _ = replays_of(jobs, LIDAR, Rules(), max_frames=30)
+    assert (notes, seen) == ([], [1, 2, 3])
+    assert [replay.strategy for replay in kept] == ["closest", "random", "closest+recheck"]
+    for one, other, name in zip(kept, anew, ("closest", "random", "closest+recheck"), strict=True):
+        assert one.changes == other.changes == replay_of(ran(name), max_frames=30).changes
+        assert one.outcome == other.outcome == "COMPLETE"
+
+
+@pytest.mark.jit
+def test_what_is_missing_is_said(jobs):
+    outcomes = batch.run_jobs(jobs, LIDAR, Rules()).outcomes
+    assert outcomes[1].first is not None
+    cut = [
+        outcomes[0]._replace(first=None),
+        outcomes[1]._replace(first=outcomes[1].first._replace(plans=None)),
+        outcomes[2],
+    ]
+    found, notes = replays_of(jobs, LIDAR, Rules(), outcomes=cut, max_frames=3)
+    assert [replay.strategy for replay in found] == ["closest+recheck"]
+    assert notes == [
+        "closest in two rooms: no replay, the run was interrupted before its first episode ended.",
+        "random in two rooms: no replay, its episode made more plans than are kept.",
+    ]
+    found, notes = replays_of(jobs, LIDAR, Rules(), outcomes=outcomes, max_pairs=1, max_frames=3)
+    assert [replay.strategy for replay in found] == ["closest"]
+    assert notes == ["Replays show the first 1 of 3 pairs of world and strategy."]
+
+
+@pytest.mark.jit
+def test_an_episode_of_more_plans_than_are_kept_is_refused():
+    episode = ran("closest")
+    lost = dataclasses.replace(episode, final=episode.final._replace(plans=None))
+    with pytest.raises(InputError, match="closest in two rooms: an episode of so many plans cannot be played again"):
+        replay_of(lost)

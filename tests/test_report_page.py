@@ -1,0 +1,522 @@
+"""The report: what the page holds, read by another decoder and by a browser."""
+
+import base64
+import dataclasses
+import html.parser
+import io
+import json
+import re
+import struct
+
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as arrays
+from PIL import Image
+from ref import browser
+from ref.browser import TIMERS
+
+from jexplore.report.page.assemble import plain, script_data
+from jexplore.report.page.packing import change, runs
+from jexplore.report.page.replay import ReplayData, changes_of, evenly
+from jexplore.report.page.report import MOST_BYTES, report_page
+
+NASTY = "</script><script>window.ran = 1</script><img src=x onerror=boom()> \"T\" & 'q' {{data}} <!-- ü 通路 \u2028"
+SVG = b'<?xml version="1.0"?><svg xmlns="http://www.w3.org/2000/svg"><script>window.ran = 1</script></svg>'
+
+
+def png(height=2, width=3):
+    rng = np.random.default_rng(0)
+    file = io.BytesIO()
+    Image.fromarray(rng.integers(0, 256, (height, width, 3), dtype=np.uint8)).save(file, format="PNG")
+    return file.getvalue()
+
+
+def replay(n=40, side=20, frames=300, seed=0, **changes):
+    """A robot that goes to and fro along a diagonal, in a world of random walls, and random codes of cells."""
+    rng = np.random.default_rng(seed)
+    rows = 1 + np.abs((np.arange(n + 1) + side - 3) % (2 * side - 6) - (side - 3))
+    shown = np.array(evenly(n, frames))
+    maps = []
+    for _ in shown:
+        before = maps[-1] if maps else np.zeros((side, side), np.uint8)
+        some = rng.random((side, side)) < 0.05
+        maps.append(np.where(some, rng.choice([1, 2, 5, 9, 13], (side, side)), before).astype(np.uint8))
+    fields = {
+        **{
+            "world": "cave",
+            "strategy": "closest",
+            "which": "episode 0, seed 0",
+            "outcome": "STEP_LIMIT",
+            "cell_m": 0.5,
+        },
+        "truth": rng.random((side, side)) < 0.2,
+        "rooms": rng.integers(-1, 40, (side, side)),
+        **{"rows": rows, "cols": rows, "steps": shown, "heading_deg": 45 * (shown % 8)},
+        "target": np.where(shown[:, None] < n, [[3, 4]], -1),
+        "until": np.minimum(shown + 3, n),
+        "known_m2": 0.25 * np.arange(len(shown)),
+        "changes": tuple(changes_of(maps)),
+        "has_own_room": True,
+    }
+    return ReplayData(**fields | changes)
+
+
+def many(how_many, **settings):
+    return [replay(seed=i, strategy=f"s{i}", **settings) for i in range(how_many)]
+
+
+# ---- packing
+
+
+def test_runs_by_hand():
+    before, after = np.zeros((2, 5), np.uint8), np.array([[0, 0, 1, 1, 2], [2, 0, 0, 0, 3]], np.uint8)
+    # two cells passed, two of code 1; none passed, two of code 2, into the next row; three passed, one of code 3
+    assert list(runs(before, after)) == [2, 0x21, 0, 0x22, 3, 0x13]
+    assert runs(after, after) == b""
+    # a gap of 200 = 72 + 128 takes two bytes; twenty cells are a run of fifteen and one of five
+    long = np.zeros(300, np.uint8)
+    long[200:220] = 9
+    assert list(runs(np.zeros_like(long), long)) == [128 + 72, 1, 0xF9, 0, 0x59]
+    # a cell that becomes 0 again is a change like others; what stays is passed over
+    assert list(runs(np.array([4, 4, 4], np.uint8), np.array([4, 0, 4], np.uint8))) == [1, 0x10]
+
+
+@given(arrays.arrays(np.uint8, (2, 3, 200), elements=st.integers(0, 15)), st.integers(0, 15))
+def test_changes_come_back(images, most):
+    before, after = np.minimum(images, most)
+    image = before.copy()
+    change(image, runs(before, after))
+    np.testing.assert_array_equal(image, after)
+
+
+def decoded(packed):
+    """An array of the page, by `struct`."""
+    raw = base64.b64decode(packed["base64"])
+    letter, size = {"i2": ("h", 2), "i4": ("i", 4)}[packed["type"]]
+    whole = struct.unpack(f"<{len(raw) // size}{letter}", raw)
+    return (np.array(whole) * packed["step"]).reshape(packed["shape"])
+
+
+def images_of(raw, sizes, shape):
+    """The images that runs of changes lead to, cell by cell."""
+    flat, at, out = [0] * (shape[0] * shape[1]), 0, []
+    for size in sizes:
+        cell, gap, bits = 0, 0, 0
+        part, at = list(raw[at : at + int(size)]), at + int(size)
+        while part:
+            byte = part.pop(0)
+            gap, bits = gap + (byte % 128) * 2**bits, bits + 7
+            if byte < 128:
+                head = part.pop(0)
+                cell += gap
+                for _ in range(head // 16):
+                    flat[cell] = head % 16
+                    cell += 1
+                gap = bits = 0
+        out.append(np.array(flat).reshape(shape))
+    return out
+
+
+def data_of(text):
+    (found,) = re.findall(r'<script id="data" type="application/json">(.*?)</script>', text, re.S)
+    return json.loads(found)
+
+
+def test_what_the_page_holds_is_the_replay():
+    one, two = replay(), replay(n=5, side=9, rooms=None, world="maze", seed=1)
+    data = data_of(report_page("r", {}, replays=[one, two, one]))
+    assert [world["name"] for world in data["worlds"]] == ["cave", "maze"]  # each once
+    assert [found["world"] for found in data["replays"]] == [0, 1, 0]
+    for want, found in zip((one, two), data["replays"]):
+        world = data["worlds"][found["world"]]
+        assert (world["shape"], world["cell_m"]) == (list(want.truth.shape), 0.5)
+        raw = base64.b64decode(world["truth"])
+        np.testing.assert_array_equal(images_of(raw, [len(raw)], world["shape"])[0], want.truth)
+        if want.rooms is None:
+            assert world["rooms"] is None
+        else:
+            raw = base64.b64decode(world["rooms"])
+            shown = np.where(want.rooms < 0, 0, want.rooms % 15 + 1)
+            np.testing.assert_array_equal(images_of(raw, [len(raw)], world["shape"])[0], shown)
+        for name in ("steps", "heading_deg", "target", "until"):
+            np.testing.assert_array_equal(decoded(found[name]), getattr(want, name), err_msg=name)
+        np.testing.assert_allclose(decoded(found["known_m2"]), want.known_m2, atol=0.005001)
+        maps = images_of(base64.b64decode(found["changes"]), decoded(found["sizes"]), world["shape"])
+        for codes, wanted in zip(maps, want.maps(), strict=True):
+            np.testing.assert_array_equal(codes, wanted)
+        up, right = np.divmod(np.frombuffer(base64.b64decode(found["moves"]), np.uint8), 3)
+        np.testing.assert_array_equal(found["start"][0] + np.cumsum(up.astype(int) - 1), want.rows[1:])
+        np.testing.assert_array_equal(found["start"][1] + np.cumsum(right.astype(int) - 1), want.cols[1:])
+
+
+def test_two_worlds_of_one_name_stay_two():
+    data = data_of(report_page("r", {}, replays=[replay(), replay(truth=np.ones((20, 20), bool))]))
+    assert [found["world"] for found in data["replays"]] == [0, 1]
+
+
+def test_fewer_frames_are_the_same_maps():
+    full = replay(n=99)
+    few = full.thinned(7)
+    assert (len(few.steps), few.steps[0], few.steps[-1]) == (7, 0, 99)
+    maps = [codes.copy() for codes in full.maps()]
+    for codes, step in zip(few.maps(), few.steps, strict=True):
+        np.testing.assert_array_equal(codes, maps[int(np.flatnonzero(full.steps == step)[0])])
+    np.testing.assert_array_equal(few.until, full.until[np.isin(full.steps, few.steps)])
+    assert full.thinned(100) is full
+    assert full.thinned(1).steps.tolist() == [99]
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"cols": np.zeros(3, int)}, r"expected cols of shape \[41\], got \[3\]"),
+        ({"target": np.zeros((41, 3))}, r"expected target of shape \[41, 2\], got \[41, 3\]"),
+        ({"rooms": np.zeros((2, 2))}, r"expected rooms of shape \[20, 20\], got \[2, 2\]"),
+        ({"changes": (b"",)}, r"expected changes of shape \[41\], got \[1\]"),
+        ({"steps": np.arange(41)[::-1]}, "expected steps that increase up to 40, got"),
+        ({"steps": np.arange(41) - 1}, "expected steps that increase up to 40, got"),
+        ({"rows": np.arange(41) * 2}, "expected rows and cols of neighbouring cells, got a jump"),
+    ],
+)
+def test_what_does_not_fit_is_refused(changes, message):
+    with pytest.raises(ValueError, match=message):
+        replay(**changes)
+
+
+# ---- the page
+
+
+class Reader(html.parser.HTMLParser):
+    """Tags with their attributes, text by the innermost open tag, and what a browser would fetch or run."""
+
+    VOID = ("meta", "img", "input", "br")
+
+    def __init__(self, text):
+        super().__init__()
+        self.tags, self.open, self.text = [], [], {}
+        self.feed(text)
+        self.close()
+        assert self.open == [], "tags that stay open"
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append((tag, dict(attrs)))
+        if tag not in self.VOID:
+            self.open.append(tag)
+            self.text.setdefault(tag, []).append("")
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        if self.open:
+            self.text[self.open[-1]][-1] += data
+
+    def attributes(self, tag):
+        return [attrs for name, attrs in self.tags if name == tag]
+
+
+def page(text="closest", **changes):
+    table = pd.DataFrame({"world": [text, "b"], "mean": [12.3456, 1234.5], "sd": [np.nan, 0.5], "n": [3, 4]})
+    rows = [{"strategy": text, "ok": True, "p": None}, {"strategy": "b", "ok": False, "p": 0.25}]
+    given = {
+        "title": text,
+        "asked": {
+            "command": ["jexplore", text],
+            "lidar": {"range_m": 4.0, "beams": [1, 2]},
+            "note": text,
+            "none": None,
+        },
+        "tables": [(text, table), ("Rows", rows), ("Lists", [["a", "b"], [1, text]])],
+        "figures": [(text, png(), f"alt {text}"), ("plot.svg", SVG, "a plot")],
+        "replays": [replay(world=text, strategy=text, which=text, outcome=text), replay(strategy="b", seed=2)],
+        "warnings": [f"warning {text}"],
+        "notes": [f"note {text}"],
+    }
+    return report_page(**given | changes)
+
+
+def test_structure():
+    text = page()
+    read = Reader(text)
+    assert (read.attributes("html")[0]["lang"], read.text["title"]) == ("en", ["closest"])
+    assert read.text["h1"] == ["closest"]
+    assert read.text["h2"] == ["What was asked", "Warnings", "Tables", "Plots", "Replays"]
+    assert read.text["h3"] == ["closest", "Rows", "Lists"]
+    assert read.text["pre"] == ["jexplore closest"]
+    assert list(zip(read.text["dt"], read.text["dd"])) == [
+        *(("lidar.range_m", "4"), ("lidar.beams", "1, 2"), ("note", "closest"), ("none", "-"))
+    ]
+    assert read.text["th"] == ["world", "mean", "sd", "n", "strategy", "ok", "p", "a", "b"]
+    assert read.text["td"][:8] == ["closest", "12.35", "-", "3", "b", "1234", "0.5", "4"]
+    assert read.text["td"][8:] == ["closest", "yes", "-", "b", "no", "0.25", "1", "closest"]
+    assert [attrs["alt"] for attrs in read.attributes("img")] == ["alt closest", "a plot"]
+    kinds = [attrs["src"].split(",")[0] for attrs in read.attributes("img")]
+    assert kinds == ["data:image/png;base64", "data:image/svg+xml;base64"]
+    assert base64.b64decode(read.attributes("img")[1]["src"].split(",")[1]) == SVG
+    assert read.text["li"] == ["warning closest", "note closest"]
+    ids = [attrs["id"] for _, attrs in read.tags if "id" in attrs]
+    assert len(ids) == len(set(ids))
+    assert {"play", "seek", "speed", "layers", "measure", "world", "known"} <= set(ids)
+    for tag in ("canvas", "button", "select"):  # all have a name for those who cannot see them
+        for attrs in read.attributes(tag):
+            assert attrs.get("aria-label") or attrs.get("title") or tag == "select", attrs
+
+
+def test_nothing_outside_is_asked_for():
+    text = page("run")
+    assert text.isascii()
+    text = re.sub(r'(?<="application/json">).*?(?=</script>)', "", text, flags=re.S)
+    text = re.sub(r"base64,[A-Za-z0-9+/=]*", "", text)
+    sources = re.findall(r'src="(.*?)"', text)
+    assert sources == ["data:image/png;", "data:image/svg+xml;"]
+    assert not re.findall(
+        r"""https?:|(?<![\w.:])//\w|\bhref\s*=|@import|@font-face|url\(|fetch\(|XMLHttp|import\(|DecompressionStream""",
+        text,
+    )
+    assert "default-src 'none'; img-src data:" in text
+    assert "{{" not in text
+
+
+def test_no_text_leaves_its_place():
+    tame, nasty = Reader(page()), Reader(page(NASTY))
+    assert [tag for tag, _ in nasty.tags] == [tag for tag, _ in tame.tags]
+    shown = NASTY.replace("\r", "")
+    assert nasty.text["title"] == nasty.text["h1"] == [shown]
+    assert nasty.text["td"][0] == shown
+    assert nasty.attributes("img")[0]["alt"] == f"alt {shown}"
+    found = data_of(page(NASTY))
+    assert (found["worlds"][0]["name"], found["replays"][0]["strategy"]) == (NASTY, NASTY)
+    assert plain("\ud800<") == "&#55296;&lt;"
+    assert script_data({"a": "<!--</script>&"}) == '{"a":"\\u003c!--\\u003c/script\\u003e\\u0026"}'
+
+
+def test_without_replays_figures_or_tables():
+    read = Reader(report_page("plain", {}))
+    assert read.text["h1"] == ["plain"]
+    assert "h2" not in read.text
+    assert Reader(report_page("plain", {"seed": 3}, notes=["none kept"])).text["li"] == ["none kept"]
+    assert data_of(report_page("plain", {})) == {"worlds": [], "replays": []}
+
+
+def test_long_tables_and_settings_are_cut_and_say_so():
+    read = Reader(
+        report_page("r", {f"k{i}": "x" * 999 for i in range(300)}, [("t", [["n"], *([i] for i in range(1000))])])
+    )
+    assert (len(read.text["td"]), len(read.text["dd"])) == (200, 200)
+    assert read.text["dd"][0] == "x" * 400 + "…"
+    assert read.text["p"] == ["The first 200 of 300 settings.", "The first 200 of 1000 rows."]
+    assert Reader(report_page("r", {}, [("t", [])])).text["h3"] == ["t"]
+
+
+def test_what_is_no_picture_is_refused():
+    with pytest.raises(ValueError, match=r"expected a.gif as the bytes of a PNG or SVG file, got b'GIF89a'"):
+        report_page("r", {}, figures=[("a.gif", b"GIF89a", "")])
+
+
+def test_a_large_run_fits():
+    """Twelve replays of 20,000 steps in 512 x 512 cells of rubble, all of them seen, with a ring of frontier cells."""
+    side, frames = 512, 300
+    blank = replay(n=20_000, side=side, frames=frames, changes=(b"",) * frames)
+    row, col = np.ogrid[:side, :side]
+    state, maps = np.where(blank.truth, 2, 1), np.zeros((frames, side, side), np.uint8)
+    for i in range(1, frames):
+        turn, at = divmod(i * 10, side)  # up and down, a lane to the right each time
+        d2 = (row - (at if turn % 2 else side - at)) ** 2 + (col - 90 * turn) ** 2
+        maps[i] = np.where(d2 < 70**2, state, maps[i - 1] & 3)
+        maps[i][(maps[i] == 1) & (d2 >= 68**2) & (d2 < 70**2)] = 5
+    one = dataclasses.replace(blank, changes=tuple(changes_of(maps)))
+    assert (maps[-1] > 0).mean() > 0.9
+    text = report_page("large", {}, replays=[dataclasses.replace(one, strategy=f"s{i}") for i in range(12)])
+    assert len(text) <= MOST_BYTES
+    assert len(data_of(text)["replays"]) == 12
+    assert "li" not in Reader(text).text
+
+
+def test_the_page_keeps_to_its_size_and_says_how():
+    replays = many(4, n=200, side=40)
+    whole = report_page("r", {}, replays=replays)
+    assert "li" not in Reader(whole).text
+    fewer = report_page("r", {}, replays=replays, max_bytes=len(whole) - 1)
+    assert Reader(fewer).text["li"] == ["To keep the page small, replays have at most 150 frames."]
+    assert [len(decoded(found["steps"])) for found in data_of(fewer)["replays"]] == [150] * 4
+    bare = report_page("r", {}, notes=["x" * 200])
+    room = len(bare) + (len(report_page("r", {}, replays=[replays[0].thinned(60)])) - len(report_page("r", {})))
+    tight = report_page("r", {}, replays=replays, max_bytes=room)
+    assert len(tight) <= room
+    assert [found["strategy"] for found in data_of(tight)["replays"]] == ["s0"]
+    assert Reader(tight).text["li"][0] == "To keep the page small, the last 3 of 4 replays are left out."
+    with pytest.raises(ValueError, match=r"expected a page of at most 1000 bytes, got [0-9]+ without any replay"):
+        report_page("r", {}, replays=replays, max_bytes=1000)
+
+
+def test_pictures_take_half_of_the_page():
+    large, small = png(300, 300), png()
+    text = report_page("r", {}, figures=[("large", large, ""), ("small", small, "")], max_bytes=300_000)
+    read = Reader(text)
+    assert len(read.attributes("img")) == 1
+    assert read.text["p"] == ["large is too large for this page."]
+
+
+# ---- in a browser
+
+SCENARIO = """
+<script>
+const seen = {ran: window.ran ?? 0, playing: replay.state().playing}, note = (name) => { seen[name] = replay.state(); };
+const canvases = document.querySelectorAll("#tiles canvas"), id = (name) => document.getElementById(name);
+const key = (key, more) => canvases[0].dispatchEvent(new KeyboardEvent("keydown", {key, bubbles: true, ...more}));
+const wait = (ms) => new Promise((done) => setTimeout(done, ms));
+const pick = (name, value) => { id(name).value = value; id(name).dispatchEvent(new Event("change")); };
+const codes = (i) => replay.codes(i).join("");
+const captions = () => [...document.querySelectorAll("#tiles figure:not([hidden]) .now")].map((now) => now.textContent);
+(async () => {
+  note("hash");
+  seen.options = [...document.querySelectorAll("#world option")].map((option) => option.textContent);
+  pick("world", -1); note("all");
+  pick("measure", "steps");
+  replay.seek(0); seen.codes0 = codes(0);
+  replay.seek(30); note("thirty"); seen.codes30 = codes(0); seen.other30 = codes(1);
+  seen.captions = captions();
+  replay.seek(7); seen.codes7 = codes(0);
+  key("ArrowRight"); note("right"); key("ArrowLeft"); note("left"); key("End"); note("end"); key("Home"); note("home");
+  key("ArrowRight", {shiftKey: true}); note("second");
+  document.body.dispatchEvent(new KeyboardEvent("keydown", {key: "End", bubbles: true})); note("elsewhere");
+  key(" "); note("started"); await wait(2000); note("later"); key(" "); note("paused");
+  replay.seek(40); seen.over = captions();
+  for (const box of document.querySelectorAll("#layers input")) box.click();
+  await wait(50); note("layers");
+  for (const box of document.querySelectorAll("#layers input")) box.click();
+  key("+"); await wait(50); note("zoomed"); key("w"); await wait(50); note("whole");
+  document.querySelectorAll("#tiles button")[1].click(); await wait(50); note("large");
+  key("Escape"); await wait(50); note("small");
+  id("theme").click(); await wait(50);
+  pick("measure", "metres"); location.hash = "#t=0.25"; await wait(50); note("quarter");
+  const pen = canvases[0].getContext("2d"), {width, height} = canvases[0];
+  seen.colours = new Set(new Uint32Array(pen.getImageData(0, 0, width, height).data.buffer)).size;
+  seen.bold = document.querySelectorAll("#tiles b, #tiles script, #tiles img").length;
+  document.body.dataset.test = JSON.stringify(seen);
+})();
+</script>
+"""
+
+
+@pytest.fixture(scope="module")
+def body(tmp_path_factory):
+    """A function that opens a page in headless Chromium and gives the data attributes of its body."""
+    return browser.opener(tmp_path_factory.mktemp("browser"))
+
+
+def joined(codes):
+    return "".join(map(str, codes.ravel().tolist()))
+
+
+def test_it_replays_in_a_browser(body):
+    nasty = NASTY.replace("\u2028", "")
+    one, other = (
+        replay(world=nasty, strategy=nasty),
+        replay(world=nasty, strategy="b", seed=2, n=20, truth=replay().truth),
+    )
+    text = page(nasty, replays=[one, other, replay(world="maze", strategy="b", seed=3)])
+    found = body(text.replace("<style>", TIMERS + "<style>").replace("</body>", SCENARIO + "</body>"), "#t=0.5")
+    assert "error" not in found, found["error"]
+    seen = json.loads(found["test"])
+    frames = {name: value["frame"] for name, value in seen.items() if isinstance(value, dict)}
+    assert (seen["ran"], seen["playing"], seen["bold"]) == (0, False, 0)
+    assert (frames["hash"], seen["hash"]["frames"], seen["hash"]["measure"]) == (20, 41, "metres")
+    assert [tile["strategy"] for tile in seen["hash"]["tiles"]] == [nasty, "b"]  # of the first world
+    assert len(seen["all"]["tiles"]) == 3
+    assert seen["options"] == ["all", nasty, "maze"]
+    assert [tile["step"] for tile in seen["thirty"]["tiles"]] == [30, 20, 30]  # the second one is over by then
+    maps, others = [codes.copy() for codes in one.maps()], [codes.copy() for codes in other.maps()]
+    assert [seen[f"codes{i}"] for i in (0, 30, 7)] == [joined(maps[i]) for i in (0, 30, 7)]
+    assert seen["other30"] == joined(others[-1])
+    # 30 diagonal steps of half a metre are 21.2 m, 40 are 28.3 m
+    assert seen["captions"][0] == "21.2 of 28.3 m · step 30 of 40 · 7.5 m² known"
+    assert seen["captions"][1] == "14.1 m · 20 steps · 5.0 m² known · step limit"
+    assert [frames[name] for name in ("right", "left", "end", "home", "elsewhere")] == [8, 7, 40, 0, 2]
+    assert frames["second"] == 2  # 40 steps in 30 seconds
+    assert seen["started"]["playing"]
+    assert 3 <= frames["later"] <= 6
+    assert not seen["paused"]["playing"]
+    assert seen["over"][0] == "28.3 m · 40 steps · 10.0 m² known · step limit"
+    assert seen["layers"]["layers"] == {name: not on for name, on in seen["hash"]["layers"].items()}
+    assert seen["hash"]["layers"]["rooms"] is False
+    assert seen["hash"]["layers"]["own"] is True
+    kinds = [{tile["view"]["kind"] for tile in seen[name]["tiles"]} for name in ("hash", "zoomed", "whole")]
+    assert kinds == [{"whole"}, {"free"}, {"whole"}]
+    assert [len(seen[name]["tiles"]) for name in ("large", "small")] == [1, 3]
+    assert frames["quarter"] == 10
+    assert seen["colours"] > 5
+
+
+LOG = """
+<script>
+const drawn = {};
+for (const name of ["arc", "rotate", "translate", "moveTo", "lineTo"]) {
+  const real = CanvasRenderingContext2D.prototype[name];
+  CanvasRenderingContext2D.prototype[name] = function (...values) {
+    if (this.canvas.tabIndex === 0) (drawn[name] ??= []).push(values);
+    return real.apply(this, values);
+  };
+}
+</script>
+"""
+LOGGED = """
+<script>
+const canvas = document.querySelector("#tiles canvas"), size = [canvas.width, canvas.height];
+const layer = (name) => document.querySelector(`[name=${name}]`).click();
+if (document.documentElement.dataset.theme === "dark") document.getElementById("theme").click();
+for (const name in drawn) drawn[name].length = 0;
+replay.seek(3);
+const seen = JSON.parse(JSON.stringify(drawn));
+const scale = replay.state().tiles[0].view.scale;
+for (const name of ["truth", "path", "ahead", "target", "robot", "own"]) layer(name);
+replay.seek(3);
+const at = (row, col) => {
+  const place = [(col + 0.5) / 20 * size[0], (19.5 - row) / 20 * size[1]];
+  return [...canvas.getContext("2d").getImageData(...place, 1, 1).data].slice(0, 3);
+};
+const cells = [at(17, 2), at(17, 12), at(2, 12), at(2, 2)];
+layer("map"); replay.seek(3);
+document.body.dataset.test = JSON.stringify({seen, size, scale, cells, bare: [at(17, 2), at(17, 12)]});
+</script>
+"""
+
+
+def test_things_are_drawn_where_they_are(body):
+    codes = np.zeros((20, 20), np.uint8)
+    codes[17, 2], codes[17, 12], codes[2, 12] = 2, 5, 1
+    run = replay(n=8, changes=(*changes_of([codes] * 9),), rooms=None, target=np.tile([[4, 6]], (9, 1)))
+    text = report_page("r", {}, replays=[run])
+    found = body(text.replace("<style>", LOG + "<style>").replace("</body>", LOGGED + "</body>"))
+    assert "error" not in found, found["error"]
+    seen = json.loads(found["test"])
+    drawn, scale = seen["seen"], seen["scale"]
+    assert scale == pytest.approx(seen["size"][0] / 10, rel=0.01)  # 20 cells of half a metre
+    assert seen["size"][0] == seen["size"][1]
+
+    def pixel(row, col):
+        return [(col + 0.5) * 0.5 * scale, (20 - row - 0.5) * 0.5 * scale]
+
+    rings = [values[:2] for values in drawn["arc"]]
+    np.testing.assert_allclose(rings[0], pixel(run.rows[0], run.cols[0]), atol=1)  # the start
+    np.testing.assert_allclose(rings[1], pixel(4, 6), atol=1)  # the target
+    assert drawn["rotate"] == [[pytest.approx(-np.pi * 3 / 4)]]  # up and to the left, as a canvas has it
+    np.testing.assert_allclose(drawn["translate"][-1], pixel(run.rows[3], run.cols[3]), atol=1)  # the robot
+    ends = np.array(drawn["lineTo"])
+    for step in (1, 3, 6):  # driven, and, as `until` is 3 steps on, ahead
+        assert np.abs(ends - pixel(run.rows[step], run.cols[step])).max(axis=1).min() < 1
+    assert np.abs(ends - pixel(run.rows[7], run.cols[7])).max(axis=1).min() > 1
+    wall, frontier, floor, unknown = [48, 54, 61], [213, 94, 0], [250, 251, 252], [195, 201, 207]
+    assert seen["cells"] == [wall, frontier, floor, unknown]
+    assert seen["bare"] == [floor, frontier]
+
+
+def test_one_frame_opens_too(body):
+    still = replay(n=0)
+    found = body(report_page("r", {}, replays=[still]), "#t=1")
+    assert "error" not in found, found["error"]
+    assert json.loads(found["state"])["frames"] == 1
+    assert "error" not in body(report_page("r", {}))
