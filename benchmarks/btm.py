@@ -14,7 +14,7 @@ import numpy as np
 from jexplore.driving.settings import Noise, Tuning
 from jexplore.engine.backend import start_backend, use_compilation_cache
 from jexplore.report.trace_tables import share
-from jexplore.studies.traces import tracing
+from jexplore.studies.traces import job, tracing
 from jexplore.tracemap import record
 from jexplore.tracemap.record import BtmMap
 from jexplore.tracemap.similarity import code
@@ -25,7 +25,7 @@ WORKERS = os.cpu_count() or 1
 
 
 def traced(world, **options):
-    return tracing.execute(tracing.prepare_trace(world, **options), workers=WORKERS)
+    return tracing.execute(job.prepare_trace(world, **options), workers=WORKERS)
 
 
 def row(*cells):
@@ -68,7 +68,7 @@ def ablation(runs):
 def variances(world, runs, sigma):
     """Residual variances of all obstacle nodes of some runs."""
     found = traced(world, runs=runs, noise=Noise(range_m=sigma))
-    maps = [tracing.map_of(found.plan, found.report.result, i) for i in range(runs)]
+    maps = [found.maps[i] for i in range(runs)]
     nodes = [node for m in maps for node in m.nodes if node.type == "obstacle"]
     return np.array([node.attributes.get("profile_variance_m2", np.nan) for node in nodes]), nodes
 
@@ -152,7 +152,7 @@ def robots(runs):
             maps = {}
             for width in (0.39, 0.60):
                 found = traced(world, runs=runs, robot=f"kamui:width_m={width}", noise=Noise(range_m=sigma))
-                results = [tracing.map_of(found.plan, found.report.result, i) for i in range(runs)]
+                results = [found.maps[i] for i in range(runs)]
                 maps[width] = [code(m).replace("O:slope", "O") for m in results]
                 true = code(found.truth).replace("O:slope", "O")
                 right = sum(c == true for c in maps[width])
@@ -163,9 +163,9 @@ def robots(runs):
 def speed(runs):
     head("runs", "noise m", "runs/s", "steps a run", "us a step and core", "compiling s")
     found = traced("course", runs=runs, noise=Noise(range_m=0.01))
-    steps, rate = found.table["steps"].mean(), runs / found.report.costs.run_s
+    steps, rate = found.table["steps"].mean(), runs / found.costs.run_s
     each = f"{1e6 * WORKERS / rate / steps:.0f}"
-    row(runs, 0.01, f"{rate:.1f}", f"{steps:.0f}", each, f"{found.report.costs.compile_s:.1f}")
+    row(runs, 0.01, f"{rate:.1f}", f"{steps:.0f}", each, f"{found.costs.compile_s:.1f}")
 
 
 def main():

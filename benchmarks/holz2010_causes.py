@@ -11,7 +11,7 @@ import sys
 from jexplore import Lidar, Rules, compare
 from jexplore.bench.tables import markdown
 from jexplore.report.tables import ratio_text
-from jexplore.studies.stats import paired_ratio
+from jexplore.studies.statistics.paired import paired_ratio
 
 CLOSEST, RECHECK = "closest", "closest+recheck"
 SEGMENT, LITERAL, THEORETIC = "closest+recheck+segment", "closest+recheck+segment:prominence_m=0", "decision-theoretic"

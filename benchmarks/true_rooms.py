@@ -20,7 +20,7 @@ from jexplore.exploration.results import columns
 from jexplore.policies import Strategy, parse_strategy
 from jexplore.policies.policy import Policy
 from jexplore.report.tables import ratio_text
-from jexplore.studies.stats import paired_ratio
+from jexplore.studies.statistics.paired import paired_ratio
 from jexplore.worlds import load_world
 from jexplore.worlds.starts import draw_starts
 

@@ -16,6 +16,7 @@ from jexplore.version import __version__
 
 _MODULE_OF = {
     "InputError": "config",
+    "InputWarning": "config",
     "Lidar": "config",
     "Rules": "config",
     "Policy": "policies",
@@ -34,6 +35,13 @@ _MODULE_OF = {
     "clusters": "policies",
     "views": "policies",
     "Outcome": "exploration.state",
+    "GymEnv": "studies.gym.single",
+    "GymVectorEnv": "studies.gym.lanes",
+    "ScanLog": "worlds.readers.scans",
+    "ScanMap": "worlds.readers.scans",
+    "fold_scans": "worlds.readers.scans",
+    "read_carmen": "worlds.readers.carmen",
+    "read_bag": "worlds.readers.bags",
     "Environment": "studies.environment",
     "EnvState": "studies.environment",
     "World": "worlds.world",
@@ -48,6 +56,11 @@ _MODULE_OF = {
     "Episode": "studies.explore",
     "reproduce": "studies.reproduction",
     "Reproduction": "studies.reproduction",
+    "sweep": "studies.sweeps.run",
+    "Swept": "studies.sweeps.run",
+    "Sweep": "studies.sweeps.spec",
+    "Range": "studies.sweeps.spec",
+    "load": "studies.results.loading",
     "segment_maps": "studies.segmentation",
     "Segmentation": "studies.segmentation",
     "trace": "studies.traces.tracing",
@@ -71,16 +84,24 @@ __all__ = [
     "Environment",
     "Episode",
     "Field",
+    "GymEnv",
+    "GymVectorEnv",
     "InputError",
+    "InputWarning",
     "Lidar",
     "Noise",
     "Outcome",
     "Policy",
+    "Range",
     "Reproduction",
     "Robot",
     "Rules",
+    "ScanLog",
+    "ScanMap",
     "Segmentation",
     "Strategy",
+    "Sweep",
+    "Swept",
     "Traced",
     "Tuning",
     "View",
@@ -91,22 +112,27 @@ __all__ = [
     "compare",
     "explore",
     "field",
+    "fold_scans",
     "frontier_clusters",
+    "load",
     "load_world",
     "metres",
     "nearest_frontier",
     "occupancy_to_world",
+    "read_bag",
     "read_btm",
+    "read_carmen",
     "register",
     "reproduce",
     "segment_maps",
     "strategy",
+    "sweep",
     "trace",
     "views",
 ]
 
 if TYPE_CHECKING:
-    from jexplore.config import InputError, Lidar, Rules
+    from jexplore.config import InputError, InputWarning, Lidar, Rules
     from jexplore.driving.settings import Noise, Robot, Tuning
     from jexplore.exploration.state import Outcome
     from jexplore.frontier import frontier_clusters
@@ -115,12 +141,20 @@ if TYPE_CHECKING:
     from jexplore.studies.comparison import Comparison, compare
     from jexplore.studies.environment import Environment, EnvState
     from jexplore.studies.explore import Episode, explore
+    from jexplore.studies.gym.lanes import GymVectorEnv
+    from jexplore.studies.gym.single import GymEnv
     from jexplore.studies.reproduction import Reproduction, reproduce
+    from jexplore.studies.results.loading import load
     from jexplore.studies.segmentation import Segmentation, segment_maps
+    from jexplore.studies.sweeps.run import Swept, sweep
+    from jexplore.studies.sweeps.spec import Range, Sweep
     from jexplore.studies.traces.tracing import Traced, trace
     from jexplore.tracemap.json_form import read_btm
     from jexplore.tracemap.record import BtmMap
     from jexplore.worlds import GENERATORS, load_world
+    from jexplore.worlds.readers.bags import read_bag
+    from jexplore.worlds.readers.carmen import read_carmen
+    from jexplore.worlds.readers.scans import ScanLog, ScanMap, fold_scans
     from jexplore.worlds.world import World, occupancy_to_world
 
 

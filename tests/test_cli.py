@@ -1,7 +1,10 @@
 """The command line: what it writes, what it says, what it refuses, how it ends."""
 
+import contextlib
+import io
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -17,7 +20,7 @@ from jexplore.cli import main, options
 from jexplore.config import InputError
 from jexplore.exploration import batch
 from jexplore.report import store
-from jexplore.studies.comparison import COLUMNS
+from jexplore.studies.results.units import COLUMNS
 
 LIDAR = ("--lidar.n-beams", "37", "--lidar.range-m", "1")
 
@@ -69,7 +72,7 @@ def refused(capsys, arguments, message):
 
 
 def test_compare_writes_a_whole_run(ran, world):
-    assert files(ran) == ["compare.png", "episodes.parquet", "paths.png", "run.json"]
+    assert files(ran) == ["compare.png", "details.npz", "episodes.parquet", "paths.png", "run.json"]
     table = pd.read_parquet(ran / "episodes.parquet")
     assert list(table.columns) == list(COLUMNS)
     assert table["world"].tolist() == [world] * 9
@@ -116,7 +119,8 @@ def test_compare_again_is_the_same_and_prints_the_table(ran, world, tmp_path, ca
     assert "| random " in said
     (folder,) = (tmp_path / "runs").iterdir()
     assert folder.name.endswith("Z-compare")
-    assert said.splitlines()[-1] == f"wrote episodes.parquet, compare.png, paths.png, run.json to runs/{folder.name}/"
+    wrote = "episodes.parquet, details.npz, run.json, compare.png, paths.png"
+    assert said.splitlines()[-1] == f"wrote {wrote} to runs/{folder.name}/"
     again, whole = (pd.read_parquet(at / "episodes.parquet") for at in (folder, ran))
     pd.testing.assert_frame_equal(again, whole[(whole["episode"] < 2)][:4].reset_index(drop=True))
 
@@ -259,6 +263,19 @@ def test_the_defaults_are_smaller_on_request(monkeypatch):
         ("worlds --cell-m nan cave", "cell_m must be a number"),
         ("worlds cavern", "did you mean 'cave'"),
         ("strategies closest", "unknown option closest"),
+        ("trace --noise-m x", "--noise-m must be a number, got 'x'"),
+        (
+            "compare --worlds cave --worlds maze",
+            "--worlds is given twice, and can be given once; it takes all its values",
+        ),
+        ("compare --worlds=cave --seed 1 --worlds maze", "it takes all its values at once: --worlds A B"),
+        ("compare --seed 1 --seed 2 --seed 2", "--seed is given 3 times, and can be given once"),
+        ("compare --overwrite --overwrite", "--overwrite is given twice"),
+        ("explore --lidar.range_m 3 --lidar.range-m 4", "--lidar.range-m is given twice"),
+        ("explore --rules.no-look-around --rules.no-look-around", "--rules.no-look-around is given twice"),
+        ("segment a --variant holz --variant wurm", "--variant is given twice"),
+        ("bench --sides 64 --sides 128", "--sides is given twice"),
+        ("worlds cave --out a --out b", "--out is given twice"),
     ],
 )
 def test_bad_input_is_one_line(command, message, capsys, tmp_path, monkeypatch):
@@ -313,6 +330,44 @@ def test_tyro_boxes_become_lines():
     assert options.one_line("plain words") == "plain words"
 
 
+@pytest.mark.parametrize("command", main.COMMANDS)
+def test_no_option_of_any_command_may_be_repeated(command):
+    page = io.StringIO()
+    with contextlib.redirect_stdout(page), pytest.raises(SystemExit):
+        options.parse([command, "--help"], main.COMMANDS)
+    values = {"INT": ["3"], "FLOAT": ["0.5"], "X": ["1", "2", "3"]}
+    found = re.findall(r"^[│| ]+(--[\w.-]+)(?: ([A-Z]+|\{\w+))?", page.getvalue(), re.MULTILINE)
+    assert len(found) > 1 or command == "strategies"
+    for option, kind in found:
+        text = values.get(kind, [kind[1:]] if kind.startswith("{") else ["3"] if kind else [])
+        with pytest.raises(InputError, match=f"^{option} is given twice, and can be given once"):
+            options.parse([command, *(["map"] if command == "segment" else []), *[option, *text] * 2], main.COMMANDS)
+
+
+def test_without_a_home(tmp_path):
+    program = """
+import os, pwd, sys
+def nobody(*_):
+    raise KeyError("uid not found")
+pwd.getpwuid = pwd.getpwnam = nobody
+from jexplore.cli import main
+from jexplore.engine.backend import use_compilation_cache
+use_compilation_cache()
+import jax
+assert jax.config.values["jax_compilation_cache_dir"] is None
+status = main.main(["worlds", "rooms:width_m=6,height_m=5", "--out", "run"])
+import matplotlib
+assert os.path.isdir(matplotlib.get_configdir())
+raise SystemExit(status)
+"""
+    no_home = ("HOME", "XDG_", "MPLCONFIGDIR", "JAX_COMPILATION_CACHE_DIR")
+    own = {name: value for name, value in os.environ.items() if not name.startswith(no_home)}
+    done = subprocess.run([sys.executable, "-c", program], cwd=tmp_path, env=own, capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert files(tmp_path) == ["run"]
+    assert files(tmp_path / "run") == ["run.json", "worlds.png"]
+
+
 def test_python_m_and_exit_status():
     command = [sys.executable, "-m", "jexplore"]
     done = subprocess.run([*command, "--version"], capture_output=True, text=True)
@@ -327,7 +382,7 @@ def test_control_c_ends_a_run_and_keeps_what_is_finished(world, tmp_path):
     process = subprocess.Popen([*command, "--out", "run"], cwd=tmp_path, stderr=subprocess.PIPE, text=True)
     try:
         deadline = time.monotonic() + 120
-        while "episodes/s" not in process.stderr.readline(40):  # the bar: work has begun
+        while "episodes/s" not in process.stderr.readline():  # work has begun
             assert time.monotonic() < deadline
             assert process.poll() is None
         process.send_signal(signal.SIGINT)
@@ -366,3 +421,14 @@ raise SystemExit(main.main())
     assert found.stdout == "went on\n"  # the first was dropped
     assert found.stderr == "jexplore: interrupted, nothing was written\n"
     assert found.returncode == 130
+
+
+def test_a_map_that_hardly_means_what_it_says_is_told_in_one_line(tmp_path, capsys):
+    Image.fromarray(np.array([[205, 254, 0]], np.uint8)).save(tmp_path / "m.pgm")
+    text = "image: m.pgm\nresolution: 0.5\norigin: [0, 0, 0]\nnegate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.25\n"
+    (tmp_path / "m.yaml").write_text(text)
+    assert main.main(["worlds", str(tmp_path / "m.yaml"), "--out", str(tmp_path / "run")]) == 0
+    said = capsys.readouterr().err
+    assert said.startswith("warning: ")
+    assert said.count("\n") == 1
+    assert "33% of its pixels are grey 205" in said

@@ -4,6 +4,7 @@ import dataclasses
 import math
 
 import numpy as np
+import pandas as pd
 import pytest
 from matplotlib.figure import Figure
 from ref.results import result
@@ -13,8 +14,10 @@ from jexplore.config import InputError, Lidar, Rules
 from jexplore.engine.runner import Costs
 from jexplore.exploration import batch
 from jexplore.exploration.trail import Final
-from jexplore.studies import checks, stats
-from jexplore.studies.comparison import COLUMNS, assemble, compare, prepare_jobs
+from jexplore.studies import checks
+from jexplore.studies.comparison import assemble, compare, prepare_jobs
+from jexplore.studies.results.units import COLUMNS, Ran, cut, piece_of
+from jexplore.studies.statistics import by_world, league, sizes
 from jexplore.worlds.world import occupancy_to_world
 
 LIDAR = Lidar(n_beams=37, range_m=1.0)
@@ -81,18 +84,30 @@ def test_summary_markdown_and_warnings(found):
     assert found.summary["n"].tolist() == [4] * 6
     assert found.summary["ratio"][0] == 1.0
     assert found.summary["mean"][0] == pytest.approx(found.episodes["path_m"][:4].mean())
-    assert found.to_markdown() == stats.markdown_table(found.summary) == found._repr_markdown_()
-    assert found.warnings == stats.warnings_of(found.episodes, found.progress)
+    text = found.to_markdown()
+    assert text == found._repr_markdown_()
+    assert text.endswith(f"\nIn each world:\n\n{by_world.markdown_table(found.summary)}")
+    assert text.startswith("Over 2 worlds, ")
+    assert league.standings_table(found.standings) in text
+    assert found.warnings == by_world.warnings_of(found.episodes, found.progress)
     assert found.episodes_per_s == pytest.approx(24 / found.run_s)
     assert "3 strategies in 2 worlds, 24 episodes" in repr(found)
 
 
+def test_sizes(found):
+    table = found.sample_sizes(within=0.1)
+    pd.testing.assert_frame_equal(table, sizes.sample_sizes(found.episodes, within=0.1))
+    assert table["world"].tolist() == [*found.summary["world"][[1, 2, 4, 5]], "all worlds", "all worlds"]
+
+
 def test_figures(found):
     ax = Figure().add_subplot()
-    container = found.plot(ax, "with rooms/two rooms")
-    assert [bar.get_width() for bar in container] == found.summary["mean"][3:].tolist()
-    assert found.plot(Figure().add_subplot())[0].get_width() == found.summary["mean"][0]
-    assert len(found.compare_figure().axes) == 2
+    bars = found.plot(ax, "with rooms/two rooms")
+    assert [bar.lines[0].get_xdata().item() for bar in bars] == found.summary["mean"][3:].tolist()
+    assert found.plot(Figure().add_subplot())[0].lines[0].get_xdata().item() == found.summary["mean"][0]
+    assert len(found.compare_figure().axes) == 6  # the two worlds together, and each: paths and ratios
+    assert len(found.coverage_figure().axes) == 2
+    assert len(found.profile_figure().axes[0].lines) == 3
     assert len(found.paths_figure().axes) == 7  # two worlds of three strategies, and the colour bar
     with pytest.raises(InputError, match="two rooms, with rooms/two rooms, got 'x'"):
         found.plot(ax, "x")
@@ -141,7 +156,8 @@ def stub(outcomes, **fields):
     )
     final = Final(*(np.zeros(world.shape, np.int32) for _ in range(2)), *(np.zeros(1, np.int32) for _ in range(4)), [])
     made = [batch.Outcomes(result(2, outcome=outcome, **fields), final) for outcome in outcomes]
-    return assemble(jobs, batch.Finished(made, Costs(compile_s=1.0, run_s=2.0)), Rules())
+    pieces = [piece_of(jobs[unit.job], unit, made[unit.job]) for unit in cut(jobs)]
+    return assemble(jobs, Ran(pieces, Costs(compile_s=1.0, run_s=2.0), 0, {}))
 
 
 def test_a_comparison_by_hand():

@@ -203,11 +203,11 @@ def test_a_run_stopped_before_anything_is_finished_says_so(engine, monkeypatch):
 def test_memory_that_runs_out_halves_the_lanes_once(want, monkeypatch):
     whole_run, tried = lockstep.Group.run, []
 
-    def run(self, n_lanes, costs, on_progress):
+    def run(self, n_lanes, costs, on_progress, collect):
         tried.append(n_lanes)
         if n_lanes > 7:
             raise jax.errors.JaxRuntimeError("RESOURCE_EXHAUSTED: Out of memory while trying to allocate 1 bytes.")
-        return whole_run(self, n_lanes, costs, on_progress)
+        return whole_run(self, n_lanes, costs, on_progress, collect)
 
     monkeypatch.setattr(lockstep.Group, "run", run)
     with pytest.warns(UserWarning, match="out of device memory with 14 lanes: going on with 7"):
@@ -245,7 +245,7 @@ def test_memory_that_runs_out_half_way_costs_nothing_that_was_finished(want, mon
 def test_lanes_fit_the_memory(monkeypatch):
     job = some_jobs()[0]
     site = prepare_site(job.world, LIDAR, RULES, KERNELS["lockstep"])
-    line = line_of(site, job.strategy, np.zeros((9999, 3)), 0, np.arange(9999))
+    line = line_of(site, site.with_strategy(job.strategy), np.zeros((9999, 3)), 0, np.arange(9999))
     group = lockstep.Group([line], jax.local_devices()[:1])
 
     class Device:

@@ -17,7 +17,7 @@ from jexplore.driving.mission import Outcome
 from jexplore.driving.settings import ROBOTS, Noise, Tuning
 from jexplore.driving.vehicle import DT_S
 from jexplore.extraction.extract import extract
-from jexplore.studies.traces import tracing
+from jexplore.studies.traces import job, tracing
 from jexplore.studies.traces.extraction import matched
 from jexplore.tracemap.similarity import code
 from jexplore.worlds import load_world
@@ -37,14 +37,14 @@ def ran(plan):
 def course(jit_on, whole_runs):
     """`kamui` on `course` without noise."""
     with jit_on():
-        return ran(tracing.prepare_trace("course", noise=STILL))
+        return ran(job.prepare_trace("course", noise=STILL))
 
 
 @pytest.fixture(scope="module")
 def noisy(jit_on, whole_runs):
     """Eight runs at 1 cm, of two settings."""
     with jit_on():
-        return ran(tracing.prepare_trace("course", noise=Noise(range_m=0.01), runs=4, sweep=["votes=5,3"], seed=5))
+        return ran(job.prepare_trace("course", noise=Noise(range_m=0.01), runs=4, sweep=["votes=5,3"], seed=5))
 
 
 def kinds(found):
@@ -122,14 +122,14 @@ def test_the_middle_of_passages_is_kept_within_five_centimetres(course):
 
 @pytest.mark.jit
 def test_the_wheeled_robot_without_the_slope():
-    found = ran(tracing.prepare_trace("course:obstacle=none", robot="wheeled", noise=STILL))
+    found = ran(job.prepare_trace("course:obstacle=none", robot="wheeled", noise=STILL))
     assert kinds(found.first) == "TDFFDT"
     assert code(found.first) == code(found.truth)
 
 
 @pytest.mark.jit
 def test_the_wheeled_robot_cannot_pass_the_slope():
-    found = ran(tracing.prepare_trace("course", robot="wheeled", noise=STILL))
+    found = ran(job.prepare_trace("course", robot="wheeled", noise=STILL))
     assert kinds(found.first) == "TO"
     assert found.table["outcome"].tolist() == ["EXHAUSTED"]
     assert found.table["refused"].tolist() == [0]  # it has seen it
@@ -141,7 +141,7 @@ def test_the_wheeled_robot_cannot_pass_the_slope():
 
 @pytest.mark.jit
 def test_the_wheeled_robot_cannot_pass_stairs():
-    found = ran(tracing.prepare_trace("course:obstacle=stairs", robot="wheeled", noise=Noise(range_m=0.01)))
+    found = ran(job.prepare_trace("course:obstacle=stairs", robot="wheeled", noise=Noise(range_m=0.01)))
     assert kinds(found.first) == "TO"
     assert found.first.nodes[1].obstacle == "stairs"
     assert abs(found.first.nodes[1].step_m - 0.10) < 0.02
@@ -150,7 +150,7 @@ def test_the_wheeled_robot_cannot_pass_stairs():
 
 @pytest.mark.jit
 def test_a_riser_that_the_ground_refuses_is_an_obstacle():
-    found = ran(tracing.prepare_trace("course:obstacle=stairs,riser_m=0.25", noise=Noise(range_m=0.01)))
+    found = ran(job.prepare_trace("course:obstacle=stairs,riser_m=0.25", noise=Noise(range_m=0.01)))
     assert kinds(found.first) == "TO"
     assert found.table["outcome"].tolist() == ["EXHAUSTED"]
     (onward,) = (link for link in found.first.links if link.status == "un-searched")
@@ -178,7 +178,7 @@ def test_ends_by_name(course):
 
 @pytest.mark.jit
 def test_stairs_are_stairs():
-    found = ran(tracing.prepare_trace("course:obstacle=stairs", noise=Noise(range_m=0.01)))
+    found = ran(job.prepare_trace("course:obstacle=stairs", noise=Noise(range_m=0.01)))
     (world,) = {found.plan.world.name}
     stairs = [node for node in found.first.nodes if node.type == "obstacle"]
     assert [node.obstacle for node in stairs] == ["stairs"] * len(stairs), world
@@ -187,13 +187,13 @@ def test_stairs_are_stairs():
 
 @pytest.mark.jit
 def test_a_wider_robot_makes_the_same_map(course):
-    found = ran(tracing.prepare_trace("course", robot="kamui:width_m=0.6", noise=STILL))
+    found = ran(job.prepare_trace("course", robot="kamui:width_m=0.6", noise=STILL))
     assert code(found.first) == code(course.first)
 
 
 def test_a_run_depends_on_its_number_and_settings_alone(noisy, jit_on):
     with jit_on():
-        lone = tracing.prepare_trace("course", noise=Noise(range_m=0.01), runs=3, tuning=Tuning(votes=3), seed=5)
+        lone = job.prepare_trace("course", noise=Noise(range_m=0.01), runs=3, tuning=Tuning(votes=3), seed=5)
         again = ran(lone)
     ours = noisy.table[(noisy.table["setting"] == 1) & (noisy.table["run"] < 3)].reset_index(drop=True)
     for name in ("outcome", "steps", "path_m", "drift_m", "code", "inclination_deg"):
@@ -243,21 +243,21 @@ def box(height_m=1.6, width_m=1.6):
     ("change", "outcome"), [({"noise": Noise(invalid=1.0)}, "BLIND"), ({"max_steps": 100}, "STEP_LIMIT")]
 )
 def test_how_runs_may_end(change, outcome):
-    found = ran(tracing.prepare_trace("course", **{"noise": STILL, **change}))
+    found = ran(job.prepare_trace("course", **{"noise": STILL, **change}))
     assert found.table["outcome"].tolist() == [outcome]
     assert found.table["steps"][0] == {"BLIND": mission.BLIND_STEPS, "STEP_LIMIT": 100}[outcome]
 
 
 @pytest.mark.jit
 def test_a_room_without_a_passage():
-    found = ran(tracing.prepare_trace(box(), start=(1.0, 1.0, 0), noise=STILL))
+    found = ran(job.prepare_trace(box(), start=(1.0, 1.0, 0), noise=STILL))
     assert found.table["outcome"].tolist()[0] in ("STUCK", "EXHAUSTED")
     assert found.table["steps"][0] < 1000
 
 
 @pytest.mark.jit
 def test_without_a_goal_what_lies_behind_the_start_is_searched_as_well():
-    found = ran(tracing.prepare_trace(box(2.0, 14.0), start=(6.0, 1.2, 0), noise=STILL))
+    found = ran(job.prepare_trace(box(2.0, 14.0), start=(6.0, 1.2, 0), noise=STILL))
     assert kinds(found.first) == "TDD"
     assert found.table["outcome"].tolist() == ["EXHAUSTED"]
     links = [(link.start, link.end, link.status) for link in found.first.links]
@@ -296,17 +296,17 @@ def test_without_a_goal_what_lies_behind_the_start_is_searched_as_well():
 )
 def test_what_is_refused(arguments, says):
     with pytest.raises(InputError, match=says.replace("(", r"\(").replace("[", r"\[")):
-        tracing.prepare_trace("course", **arguments)
+        job.prepare_trace("course", **arguments)
 
 
 def test_sweeps():
-    values = tracing.swept_values(["votes=1,3", "circle=1.2,1.5"], 100, 0)
+    values = job.swept_values(["votes=1,3", "circle=1.2,1.5"], 100, 0)
     assert {name: v.tolist() for name, v in values.items()} == {"votes": [1, 1, 3, 3], "circle": [1.2, 1.5, 1.2, 1.5]}
-    values = tracing.swept_values(["votes=1:9", "circle=1.1:2.0", "noise.range_m=0,0.03"], 64, 0)
+    values = job.swept_values(["votes=1:9", "circle=1.1:2.0", "noise.range_m=0,0.03"], 64, 0)
     assert set(values["votes"]) <= set(range(1, 10))
     assert len(set(np.floor((values["circle"] - 1.1) / 0.9 * 64))) == 64  # one in every 64th: Latin
     assert sorted(set(values["noise.range_m"])) == [0, 0.03]
-    assert tracing.swept_values([], 100, 0) == {}
+    assert job.swept_values([], 100, 0) == {}
 
 
 def test_a_step_without_jit_is_the_step_with_and_uses_no_key_twice(noisy, jit_on):
@@ -351,4 +351,4 @@ def test_withdrawn_links_are_left_out():
 
 
 def test_robots_are_told_apart():
-    assert tracing.robot_of("kamui:width_m=0.6") == dataclasses.replace(KAMUI, name="kamui:width_m=0.6", width_m=0.6)
+    assert job.robot_of("kamui:width_m=0.6") == dataclasses.replace(KAMUI, name="kamui:width_m=0.6", width_m=0.6)

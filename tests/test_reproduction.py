@@ -16,10 +16,12 @@ from jexplore.config import InputError, Lidar
 from jexplore.exploration import batch
 from jexplore.policies import parse_strategy
 from jexplore.report import plot
-from jexplore.studies import papers, stats
-from jexplore.studies.comparison import COLUMNS, Comparison
+from jexplore.studies import papers
+from jexplore.studies.comparison import Comparison
 from jexplore.studies.reproduction import Reproduction, prepare_paper, reproduce, verdict, world_names
-from jexplore.studies.stats import PairedRatio
+from jexplore.studies.results.units import COLUMNS
+from jexplore.studies.statistics import paired
+from jexplore.studies.statistics.paired import PairedRatio
 
 LIDAR, CLI_LIDAR = Lidar(n_beams=37, range_m=2.0), ("--lidar.n-beams", "37", "--lidar.range-m", "2")
 HERE = ("random", "closest", "closest+recheck")
@@ -304,7 +306,7 @@ def test_a_small_run(ran):
         ours = table[(table["world"] == row.world) & (table["strategy"] == row.strategy)]["path_m"]
         theirs = table[(table["world"] == row.world) & (table["strategy"] == "closest")]["path_m"]
         assert row.mean == pytest.approx(ours.mean())
-        assert row.ratio == pytest.approx(stats.paired_ratio(ours, theirs).ratio)
+        assert row.ratio == pytest.approx(paired.paired_ratio(ours, theirs).ratio)
     assert ran.orderings["pairs"].tolist() == [3] * 4
     assert "NOT the paper's maps" in ran.to_markdown()
     assert "18 episodes" in repr(ran)
@@ -318,7 +320,7 @@ def test_the_command_writes_a_whole_run(ran, small, tmp_path, capsys):
     assert main.main(command) == 0
     said = capsys.readouterr().out
     assert said.startswith(ran.to_markdown())
-    assert said.splitlines()[-1] == f"wrote episodes.parquet, reproduce.png, run.json to {out}/"
+    assert said.splitlines()[-1] == f"wrote episodes.parquet, details.npz, run.json, reproduce.png to {out}/"
     pd.testing.assert_frame_equal(pd.read_parquet(out / "episodes.parquet"), ran.to_pandas())
     record = json.loads((out / "run.json").read_text())
     assert [row["paper_mean"] for row in record["tables"]] == ran.tables["paper_mean"].tolist()
@@ -336,7 +338,7 @@ def test_an_interruption_keeps_pairs(small, tmp_path, capsys, monkeypatch):
     run = batch.run_jobs
 
     def interrupted(jobs, *rest, **options):
-        report = run(jobs, *rest, **options)
+        report = run(jobs, *rest, **{**options, "on_job": None})
         for found in report.outcomes[3:]:  # of the second world nothing has finished
             found.result.outcome[:] = 0
         report.outcomes[2].result.outcome[1] = 0

@@ -166,10 +166,25 @@ def test_unreadable_parquet(tmp_path):
 ONE = {"run.json": lambda path: path.write_text("new")}
 
 
+def write_run(path, writers, overwrite=False):
+    with folders.claimed(path, overwrite=overwrite) as run:
+        return run.write(writers)
+
+
+def write_new_run(paths, writers):
+    with folders.claimed_new(paths) as run:
+        return run.write(writers)
+
+
+def check_out(path, overwrite=False):
+    with folders.claimed(path, overwrite=overwrite):
+        pass
+
+
 @pytest.mark.parametrize("name", ["run.json", "episodes.parquet", "compare.png"])
 def test_a_folder_with_a_run_is_refused(tmp_path, name):
     (tmp_path / name).write_text("old")
-    for take in (folders.check_out, lambda path: folders.write_run(path, ONE)):
+    for take in (check_out, lambda path: write_run(path, ONE)):
         with pytest.raises(InputError, match=rf"holds a run \({name}\)"):
             take(tmp_path)
     assert (tmp_path / name).read_text() == "old"
@@ -180,7 +195,7 @@ def test_overwrite_removes_only_our_files(tmp_path):
     for name in ("run.json", "compare.png", "notes.txt", "photo.png"):
         (tmp_path / name).write_text(name)
     (tmp_path / "paths.png").symlink_to(tmp_path / "photo.png")
-    assert folders.write_run(tmp_path, ONE, overwrite=True) == tmp_path
+    assert write_run(tmp_path, ONE, overwrite=True) == tmp_path
     assert files(tmp_path) == ["notes.txt", "photo.png", "run.json"]
     assert (tmp_path / "photo.png").read_text() == "photo.png"
     assert (tmp_path / "run.json").read_text() == "new"
@@ -190,7 +205,7 @@ def test_overwrite_does_not_remove_folders(tmp_path):
     (tmp_path / "run.json").write_text("old")
     (tmp_path / "worlds.png").mkdir()
     with pytest.raises(InputError, match=r"worlds\.png must be a file"):
-        folders.write_run(tmp_path, ONE, overwrite=True)
+        write_run(tmp_path, ONE, overwrite=True)
     assert files(tmp_path) == ["run.json", "worlds.png"]
 
 
@@ -200,7 +215,7 @@ def test_what_is_no_folder_is_refused(tmp_path):
     bad = [tmp_path / "file", tmp_path / "file" / "below", tmp_path / "dangling", "", f"{tmp_path}/nul\0l"]
     for path in bad:
         for overwrite in (False, True):
-            for take in (folders.check_out, lambda path, overwrite: folders.write_run(path, ONE, overwrite)):
+            for take in (check_out, lambda path, overwrite: write_run(path, ONE, overwrite)):
                 with pytest.raises(InputError) as caught:
                     take(path, overwrite)
                 assert "\n" not in str(caught.value)
@@ -208,7 +223,7 @@ def test_what_is_no_folder_is_refused(tmp_path):
 
 
 def test_nothing_is_left_half_made(tmp_path):
-    for take in (folders.check_out, lambda path: folders.write_run(path, ONE)):
+    for take in (check_out, lambda path: write_run(path, ONE)):
         with pytest.raises(InputError, match="must be a folder that can be written: File name too long"):
             take(tmp_path / "a" / "b" / ("x" * 300))
     assert files(tmp_path) == []
@@ -217,14 +232,14 @@ def test_nothing_is_left_half_made(tmp_path):
 def test_a_folder_that_cannot_be_written(tmp_path, monkeypatch):
     (tmp_path / "run.json").write_text("old")
 
-    def refuse(self, **options):
+    def refuse(*_):
         raise PermissionError(13, "Permission denied")
 
-    monkeypatch.setattr(Path, "touch", refuse)
+    monkeypatch.setattr(folders.os, "open", refuse)
     with pytest.raises(InputError, match="must be a folder that can be written: Permission denied"):
-        folders.write_run(tmp_path, ONE, overwrite=True)
+        write_run(tmp_path, ONE, overwrite=True)
     with pytest.raises(InputError, match="Permission denied"):
-        folders.write_run(tmp_path / "new" / "run", ONE)
+        write_run(tmp_path / "new" / "run", ONE)
     assert files(tmp_path) == ["run.json"]
 
 
@@ -234,13 +249,13 @@ def test_a_read_only_folder(tmp_path):
     folder.mkdir(mode=0o555)
     for path in (folder, folder / "run"):
         with pytest.raises(InputError, match="Permission denied"):
-            folders.check_out(path)
+            check_out(path)
 
 
 def test_default_outs_are_unused(tmp_path):
     now = datetime.datetime(2026, 11, 21, 9, 30, 42)
     assert next(folders.default_outs("compare", now)) == Path("runs/20261121T093042Z-compare")
-    names = [folders.write_new_run(folders.default_outs("compare", now, root=tmp_path), ONE).name for _ in range(3)]
+    names = [write_new_run(folders.default_outs("compare", now, root=tmp_path), ONE).name for _ in range(3)]
     assert names == ["20261121T093042Z-compare", "20261121T093042Z-compare-2", "20261121T093042Z-compare-3"]
     assert sorted(path.name for path in tmp_path.iterdir()) == names
     assert all((tmp_path / name / "run.json").read_text() == "new" for name in names)
@@ -248,14 +263,16 @@ def test_default_outs_are_unused(tmp_path):
 
 def test_a_name_that_another_run_takes_meanwhile_is_left_to_it(tmp_path):
     now = datetime.datetime(2026, 11, 21, 9, 30, 42)
-    taken = tmp_path / "20261121T093042Z-compare"
 
-    def late(path):
-        path.write_text("mine")
-        folders.write_run(taken, {"run.json": lambda path: path.write_text("theirs")})
+    def names():
+        for path in folders.default_outs("compare", now, root=tmp_path):
+            if path.name.endswith("compare"):
+                write_run(path, {"run.json": lambda path: path.write_text("theirs")})
+            yield path
 
-    made = folders.write_new_run(folders.default_outs("compare", now, root=tmp_path), {"run.json": late})
+    made = write_new_run(names(), {"run.json": lambda path: path.write_text("mine")})
     assert made.name == "20261121T093042Z-compare-2"
+    taken = tmp_path / "20261121T093042Z-compare"
     assert [(folder / "run.json").read_text() for folder in (taken, made)] == ["theirs", "mine"]
 
 
@@ -267,7 +284,8 @@ now = datetime.datetime(2026, 1, 1)
 for i in range(8):
     text = f"{sys.argv[1]} {i}"
     writers = {"run.json": lambda path: path.write_text(text)}
-    folders.write_new_run(folders.default_outs("x", now, root=sys.argv[2]), writers)
+    with folders.claimed_new(folders.default_outs("x", now, root=sys.argv[2])) as run:
+        run.write(writers)
 """
     many = [subprocess.Popen([sys.executable, "-c", code, str(k), str(tmp_path)]) for k in range(3)]
     assert [process.wait(timeout=120) for process in many] == [0, 0, 0]
@@ -301,24 +319,24 @@ def test_a_missing_package_is_none():
 
 
 def test_check_leaves_everything_as_it_is(tmp_path):
-    folders.check_out(tmp_path / "a" / "b")
+    check_out(tmp_path / "a" / "b")
     assert list(tmp_path.iterdir()) == []
     (tmp_path / "run.json").write_text("{}")
     with pytest.raises(InputError, match="holds a run"):
-        folders.check_out(tmp_path)
-    folders.check_out(tmp_path, overwrite=True)
+        check_out(tmp_path)
+    check_out(tmp_path, overwrite=True)
     assert [path.name for path in tmp_path.iterdir()] == ["run.json"]
 
 
 def test_a_run_is_written_whole(tmp_path):
     out = tmp_path / "a" / "b"
     writers = {"run.json": lambda path: path.write_text("new"), "paths.png": lambda path: path.write_text("new")}
-    assert folders.write_run(out, writers) == out
+    assert write_run(out, writers) == out
     (out / "compare.png").write_text("old")
     (out / "notes.txt").write_text("mine")
     with pytest.raises(InputError, match="holds a run"):
-        folders.write_run(out, writers)
-    folders.write_run(str(out), {"run.json": lambda path: path.write_text("newer")}, overwrite=True)
+        write_run(out, writers)
+    write_run(str(out), {"run.json": lambda path: path.write_text("newer")}, overwrite=True)
     assert {path.name: path.read_text() for path in out.iterdir()} == {"run.json": "newer", "notes.txt": "mine"}
 
 
@@ -330,11 +348,11 @@ def test_a_run_that_fails_in_the_middle_leaves_everything_as_it_was(tmp_path, er
 
     writers = {"run.json": lambda path: path.write_text("new"), "paths.png": fails}
     with pytest.raises(error):
-        folders.write_run(tmp_path / "new" / "run", writers)
+        write_run(tmp_path / "new" / "run", writers)
     assert list(tmp_path.iterdir()) == []
     (tmp_path / "run.json").write_text("old")
     with pytest.raises(error):
-        folders.write_run(tmp_path, writers, overwrite=True)
+        write_run(tmp_path, writers, overwrite=True)
     assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {"run.json": "old"}
 
 
@@ -355,7 +373,7 @@ def test_an_interruption_while_files_are_moved_undoes_all_of_it(tmp_path, monkey
     names = ("run.json", "compare.png", "episodes.parquet")
     writers = dict.fromkeys(names, lambda path: path.write_text("new"))
     with pytest.raises(KeyboardInterrupt):
-        folders.write_run(tmp_path, writers, overwrite=True)
+        write_run(tmp_path, writers, overwrite=True)
     found = {path.name: path.read_text() for path in tmp_path.iterdir()}
     assert found == {"run.json": "old", "episodes.parquet": "old", "paths.png": "old"}
     assert made[0] == "run.json"  # it goes first and comes last
@@ -381,7 +399,7 @@ def test_an_old_run_that_cannot_be_moved_back_is_not_lost(tmp_path, monkeypatch,
     names = ("run.json", "compare.png", "episodes.parquet")
     writers = dict.fromkeys(names, lambda path: path.write_text("new"))
     with pytest.raises(InputError, match=r"could not be replaced; its files are in .*old$") as caught:
-        folders.write_run(tmp_path, writers, overwrite=True)
+        write_run(tmp_path, writers, overwrite=True)
     kept = Path(str(caught.value).rpartition(" ")[2])
     assert {path.name: path.read_text() for path in kept.iterdir()} == dict.fromkeys(
         ("run.json", "episodes.parquet", "paths.png"), "old"
@@ -402,7 +420,7 @@ def test_a_second_interruption_does_not_stop_the_way_back(tmp_path, monkeypatch)
     monkeypatch.setattr(os, "replace", replace)
     writers = dict.fromkeys(("run.json", "compare.png"), lambda path: path.write_text("new"))
     with pytest.raises(KeyboardInterrupt):
-        folders.write_run(tmp_path, writers, overwrite=True)
+        write_run(tmp_path, writers, overwrite=True)
     assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {
         "run.json": "old",
         "episodes.parquet": "old",
@@ -410,13 +428,22 @@ def test_a_second_interruption_does_not_stop_the_way_back(tmp_path, monkeypatch)
 
 
 def test_two_that_write_into_one_folder_leave_one_whole_run(tmp_path):
-    """Each overwrites what the other has written, again and again; in the end everything is of one of them."""
+    """Each overwrites what the other has written, again and again, and is refused while the other does; in the end
+    everything is of one of them.
+    """
     code = """
 import sys
+from jexplore.config import InputError
 from jexplore.report import folders
-for i in range(15):
-    writers = {name: (lambda path: path.write_text(f"{sys.argv[1]} {i}")) for name in ("run.json", "episodes.parquet")}
-    folders.write_run(sys.argv[2], writers, overwrite=True)
+done = 0
+while done < 15:
+    writers = {name: (lambda path: path.write_text(f"{sys.argv[1]} {done}")) for name in ("run.json", "episodes.parquet")}
+    try:
+        with folders.claimed(sys.argv[2], overwrite=True) as run:
+            run.write(writers)
+        done += 1
+    except InputError as error:
+        assert "is being written by process" in str(error), error
 """
     many = [subprocess.Popen([sys.executable, "-c", code, str(k), str(tmp_path)]) for k in range(2)]
     assert [process.wait(timeout=120) for process in many] == [0, 0]
@@ -429,5 +456,5 @@ def test_a_run_on_a_full_disk_is_one_line(tmp_path):
         raise OSError(28, "No space left on device")
 
     with pytest.raises(InputError, match="No space left on device"):
-        folders.write_run(tmp_path / "new", {"run.json": fails})
+        write_run(tmp_path / "new", {"run.json": fails})
     assert list(tmp_path.iterdir()) == []

@@ -43,7 +43,7 @@ def test_a_call_takes_about_a_second():
     work, *_ = squares(1000, 64, n_devices=2)
     assert work.take(2) == (0, 2)  # one a device, to begin with
     for piece_s, n in ((0.1, 20), (2.0, 2), (1e-9, 128)):
-        work.piece_s = piece_s
+        work.pace.piece_s = piece_s
         assert work.take(2)[1] == n
     work.next = 990
     assert [work.take(2), work.take(2), work.take(2)] == [(990, 6), (996, 2), (998, 2)]  # shared to the end

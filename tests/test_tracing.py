@@ -9,7 +9,7 @@ from PIL import Image
 from jexplore.cli import main
 from jexplore.driving import batch
 from jexplore.report import trace_tables
-from jexplore.studies.traces import extraction, tracing
+from jexplore.studies.traces import extraction, job, tracing
 from jexplore.tracemap import json_form
 from jexplore.tracemap.record import BtmMap, Link, Node
 from jexplore.tracemap.similarity import code
@@ -116,9 +116,9 @@ def test_an_interruption_keeps_what_is_finished(tmp_path, capsys):
         if len(calls) == 2:
             raise KeyboardInterrupt
 
-    plan = tracing.prepare_trace("course", runs=40, seed=3)
+    plan = job.prepare_trace("course", runs=40, seed=3)
     found = tracing.execute(plan, workers=1, on_progress=interrupt)
-    assert found.report.costs.interrupted
+    assert found.costs.interrupted
     assert 1 <= len(found.table) < 40
     assert found.table["run"].tolist() == list(range(len(found.table)))
     assert set(found.table["outcome"]) == {"GOAL"}

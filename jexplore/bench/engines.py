@@ -184,7 +184,7 @@ class Compiler:
 def _line(world, strategy, engine, starts):
     """A world's `Site` and the `Line` of a strategy's episodes in it, with the engine's own kernels."""
     site = prepare_site(world, LIDAR, RULES, KERNELS[engine])
-    return site, line_of(site, strategy, starts, SEED, np.arange(len(starts)))
+    return site, line_of(site, site.with_strategy(strategy), starts, SEED, np.arange(len(starts)))
 
 
 def _about(engine, world, strategy, site):

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 
 from jexplore.cli.console import Out, progress_of
 from jexplore.cli.options import Number, Numbers, OutFolder, OwnNames
+from jexplore.cli.terminal import show_table
 
 
 @dataclasses.dataclass(frozen=True)
@@ -17,25 +18,26 @@ class Bench:
     """
 
     worlds: OwnNames = None
-    """Worlds in which episodes are run, as for `jexplore compare` (default: cave office hospital)."""
+    """Run episodes in these worlds, named as for `jexplore compare` (default: cave office hospital)."""
     strategies: OwnNames = None
-    """Strategies (default: closest+recheck)."""
+    """Measure these strategies (default: closest+recheck)."""
     batch_sizes: Numbers = None
-    """Episodes of the serial engine, lanes in lockstep (default: 1 4 16 64; up to 4096 lanes on an accelerator)."""
+    """Run so many episodes by the serial engine, and so many lanes in lockstep (default: 1 4 16 64; up to 4096 lanes on
+    an accelerator)."""
     sides: Numbers = None
-    """Maps of so many cells a side, 32 to 2048, by which cost is measured (default: 64 128 256 512)."""
+    """Measure how the cost grows by maps of so many cells a side, 32 to 2048 (default: 64 128 256 512)."""
     engine: OwnNames = None
-    """Engines: serial, lockstep or both (default: what suits the machine)."""
+    """Measure these engines: serial, lockstep or both (default: what suits the machine)."""
     episodes: Number = None
-    """Least number of episodes in lockstep, and that of the serial engine by map size (default: 16)."""
+    """Run at least so many episodes in lockstep, and so many by the serial engine for each map size (default: 16)."""
     repeat: Number = None
-    """Turns of every measurement (default: 5)."""
+    """Take every measurement so many times (default: 5)."""
     quick: bool = False
-    """Smaller defaults: the cave, batches of 1 and 4, sides 64 and 128, 4 episodes, 2 turns."""
+    """Take smaller defaults: the cave, batches of 1 and 4, sides 64 and 128, 4 episodes, 2 turns."""
     cache: bool = False
     """Use compiled programs that earlier commands have kept: times of compiling are then those of loading."""
     out: OutFolder = None
-    """Folder to write."""
+    """Write into this folder."""
     overwrite: bool = False
     """Replace the run that the folder holds."""
 
@@ -45,28 +47,28 @@ class Bench:
         from jexplore.bench import plots, tables
         from jexplore.report import plot, store
 
-        out = Out(self, "bench")
-        plan = bench.prepare_bench(
-            worlds=self.worlds,
-            strategies=self.strategies,
-            engine=self.engine,
-            batch_sizes=self.batch_sizes,
-            sides=self.sides,
-            episodes=self.episodes,
-            repeat=self.repeat,
-            quick=self.quick,
-        )
-        with progress_of(plan.total, "measurements") as progress:
-            progress.update(0)
-            report = bench.run_bench(plan, cache=self.cache, on_progress=progress.update)
-        figure = plots.figure(report)
-        record = out.record(arguments, self, measured=report["settings"])
-        wrote = out.write(
-            {
-                "bench.json": lambda path: store.write_json(report, path),
-                "bench.png": lambda path: plot.save_figure(figure, path),
-                "run.json": lambda path: store.write_json(record, path),
-            }
-        )
-        print(tables.tables(report))
-        print(f"\n{wrote}")
+        with Out(self, "bench") as out:
+            plan = bench.prepare_bench(
+                worlds=self.worlds,
+                strategies=self.strategies,
+                engine=self.engine,
+                batch_sizes=self.batch_sizes,
+                sides=self.sides,
+                episodes=self.episodes,
+                repeat=self.repeat,
+                quick=self.quick,
+            )
+            with progress_of(plan.total, "measurements") as progress:
+                progress.update(0)
+                report = bench.run_bench(plan, cache=self.cache, on_progress=progress.update)
+            figure = plots.figure(report)
+            record = out.record(arguments, self, measured=report["settings"])
+            wrote = out.write(
+                {
+                    "bench.json": lambda path: store.write_json(report, path),
+                    "bench.png": lambda path: plot.save_figure(figure, path),
+                    "run.json": lambda path: store.write_json(record, path),
+                }
+            )
+            show_table(tables.tables(report))
+            print(f"\n{wrote}")

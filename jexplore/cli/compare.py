@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+import os
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Literal
@@ -9,13 +10,15 @@ from typing import TYPE_CHECKING, Any, Literal
 from jexplore.cli.console import Out, note, say, working
 from jexplore.cli.listings import describe
 from jexplore.cli.options import STRATEGIES, EngineName, OutFolder, OwnNames, default_worlds, is_small
+from jexplore.cli.terminal import show_table
 from jexplore.config import InputError, Lidar, Rules
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from jexplore.exploration.batch import Finished, Job
+    from jexplore.exploration.batch import Job
     from jexplore.studies.comparison import Comparison
+    from jexplore.studies.results.units import Ran
 
 FINISHING = "jexplore: computing statistics and drawing"
 
@@ -28,82 +31,93 @@ def default_episodes() -> int:
 class Compare:
     """Compare strategies in worlds, all from the same starts.
 
-    Prints a Markdown table and writes episodes.parquet, run.json, compare.png and paths.png.
+    Prints a table and writes episodes.parquet, details.npz, run.json, compare.png, coverage.png, paths.png and
+    report.html. What is finished is kept on the way: a run that was ended, in whatever way, goes on with --resume.
     """
 
     worlds: OwnNames = None
-    """Worlds: names of generators such as cave#3, or map files; see `jexplore worlds` (default: cave office
-    hospital)."""
+    """Run in these worlds: names of generators such as cave#3, or map files; see `jexplore worlds` (default: cave
+    office hospital)."""
     strategies: OwnNames = None
-    """Strategies; the others are compared with the first. See `jexplore strategies` (default: closest closest+recheck
+    """Compare these strategies, the others with the first; see `jexplore strategies` (default: closest closest+recheck
     random)."""
     episodes: int = dataclasses.field(default_factory=default_episodes)
-    """Episodes of each strategy in each world."""
+    """Run so many episodes of each strategy in each world."""
     seed: int = 0
-    """Seed of starts and draws."""
+    """Draw starts and all that is random from this seed."""
     cell_m: float = 0.1
-    """Edge of a cell, metres."""
+    """Make the edge of a cell this long, in metres."""
     start: Literal["random", "world"] = "random"
-    """Starts drawn from the seed, or every world's own start for all episodes."""
+    """Draw the starts from the seed, or take every world's own start for all episodes."""
     league: bool = False
-    """Every strategy in 48 worlds of six kinds (in cells over 0.2 m: 40 of five), unless --worlds and --strategies say
-    otherwise: prints who ranks where over all worlds, and what a plan costs, and writes league.png instead of the
+    """Run every strategy in 48 worlds of six kinds (in cells over 0.2 m: 40 of five), unless --worlds and --strategies
+    say otherwise. Print who ranks where over all worlds, and what a plan costs, and write league.png instead of the
     pictures of single worlds."""
     engine: EngineName = "auto"
-    """How episodes run: one after the other on each core, or many in lockstep, as suits a GPU. The results are equal.
-    By default what suits the machine."""
+    """Run episodes one after the other on each core, or many in lockstep, as suits a GPU. The results are equal; by
+    default the machine decides."""
     lanes: int | None = None
-    """Episodes at a time in lockstep; by default as many as the memory holds."""
+    """Run so many episodes at a time in lockstep; by default as many as the memory holds."""
+    workers: int | None = None
+    """Run episodes on so many cores, one each, with the engine serial; by default on all that this process may use."""
     out: OutFolder = None
-    """Folder to write."""
+    """Write into this folder."""
     overwrite: bool = False
     """Replace the run that the folder holds."""
+    report: bool = dataclasses.field(default=True, metadata={"off": "Leave out report.html."})
+    """Write report.html, the whole run in one page with replays."""
+    resume: bool = False
+    """Go on with the run that the folder holds, if there is one: what is finished is not computed again."""
     lidar: Lidar = dataclasses.field(default_factory=Lidar)
     rules: Rules = dataclasses.field(default_factory=Rules)
 
     def execute(self, arguments: Sequence[str]) -> int | None:
         """Runs the command; returns the exit status, None for 0."""
         from jexplore.studies.comparison import assemble, prepare_jobs
-        from jexplore.studies.league import LEAGUE_STRATEGIES, league_worlds
+        from jexplore.studies.statistics.league import LEAGUE_STRATEGIES, league_worlds
 
-        out = Out(self, "compare")
         worlds, strategies = (
             (league_worlds(self.cell_m), LEAGUE_STRATEGIES) if self.league else (default_worlds(), STRATEGIES)
         )
         worlds = worlds if self.worlds is None else self.worlds
         strategies = strategies if self.strategies is None else self.strategies
         self = dataclasses.replace(self, worlds=worlds, strategies=strategies)
-        jobs = prepare_jobs(
-            worlds,
-            strategies,
-            episodes=self.episodes,
-            seed=self.seed,
-            cell_m=self.cell_m,
-            start=self.start,
-            lidar=self.lidar,
-            rules=self.rules,
-        )
-        report = run_with_bar(self, jobs)
-        with note(FINISHING):
-            found = assemble(jobs, report, self.rules)
-            if self.league:
-                return _finish_league(out, found, report, functools.partial(out.record, arguments, self))
-            # Without any episode 0, as after an early interruption, there is no path to draw.
-            figures = {"compare.png": found.compare_figure()} | (
-                {"paths.png": found.paths_figure()} if found.first else {}
+        with Out(self, "compare") as out:
+            jobs = prepare_jobs(
+                worlds,
+                strategies,
+                episodes=self.episodes,
+                seed=self.seed,
+                cell_m=self.cell_m,
+                start=self.start,
+                lidar=self.lidar,
+                rules=self.rules,
             )
-            record = functools.partial(out.record, arguments, self)
-            return finish(out, found, report, found.to_markdown(), figures, record)
+            ran = run_with_bar(self, jobs, out)
+            if ran is None:
+                return show_finished(out)
+            with note(FINISHING):
+                found = assemble(jobs, ran)
+                record = functools.partial(out.record, arguments, self)
+                if self.league:
+                    text, figures, entries = _league(found, ran)
+                    record = functools.partial(record, **entries)
+                else:
+                    text, figures = found.to_markdown(), {"compare.png": found.compare_figure}
+                    figures |= {"coverage.png": found.coverage_figure}
+                    # Without any episode 0, as after an early interruption, there is no path to draw.
+                    figures |= {"paths.png": found.paths_figure} if found.first else {}
+                return finish(out, found, ran, text, figures, record, jobs if self.report else None)
 
 
-def _finish_league(out, found, report, record):
-    """Measures what a plan costs, and writes and prints the standings. Returns the exit status."""
+def _league(found, ran):
+    """Standings, and what a plan costs: `(text, figures, entries of run.json)`."""
     from jexplore.bench.plans import plan_costs
     from jexplore.report import plot_league
-    from jexplore.studies.league import standings_table
+    from jexplore.studies.statistics.league import standings_table
 
     world, names, plan_ms = found.worlds[0], list(dict.fromkeys(found.episodes["strategy"])), {}
-    if not report.costs.interrupted:
+    if not ran.costs.interrupted:
         try:
             with note("jexplore: measuring what a plan costs; Ctrl-C leaves that out"):
                 plan_ms = plan_costs(world, names)
@@ -115,44 +129,59 @@ def _finish_league(out, found, report, record):
             f"\nms a plan: on one core, in {world.name}, {world.shape[1]} x {world.shape[0]} cells, every strategy on\n"
         )
         text += "the same maps, with the default scanner and rules\n"
-    record = functools.partial(record, standings=found.standings.to_dict("records"), plan_ms=plan_ms)
-    return finish(out, found, report, text, {"league.png": plot_league.figure(found.standings)}, record)
+    entries = {"standings": found.standings.to_dict("records"), "plan_ms": plan_ms}
+    return text, {"league.png": lambda: plot_league.figure(found.standings)}, entries
 
 
-def run_with_bar(options: Any, jobs: "Sequence[Job]") -> "Finished":
-    """Compiles and runs, with a note and a bar: a `batch.Finished`."""
+def run_with_bar(options: Any, jobs: "Sequence[Job]", out: Out) -> "Ran | None":
+    """Compiles and runs what is not finished yet, with a note and a bar: a `Ran`; None if nothing is left to do."""
     from jexplore.engine.backend import use_compilation_cache
-    from jexplore.exploration import batch
+    from jexplore.studies.results import provenance, units
 
     use_compilation_cache()
+    ledger = out.keep(provenance.asked(jobs), len(units.cut(jobs)))
+    if ledger is None:
+        return None
     engine = None if options.engine == "auto" else options.engine
+    how = {"engine": engine, "lanes": options.lanes, "workers": options.workers}
     with working(sum(len(job.starts) for job in jobs), "episodes") as on_progress:
-        return batch.run_jobs(
-            jobs, options.lidar, options.rules, engine=engine, lanes=options.lanes, on_progress=on_progress
-        )
+        return units.run_units(jobs, ledger=ledger, **how, on_progress=on_progress)
+
+
+def show_finished(out: Out) -> int:
+    """What `--resume` says of a run that is finished. Returns the exit status."""
+    from jexplore.studies.results.loading import load
+
+    found = load(out.run.path)
+    show_table(found.to_markdown())
+    print(f"{out.run.path}{os.sep} holds all of it: nothing was left to do")
+    return 0
 
 
 def finish(
     out: Out,
     found: "Comparison",
-    report: "Finished",
+    ran: "Ran",
     text: str,
-    figures: "Mapping[str, Figure]",
+    figures: "Mapping[str, Callable[[], Figure]]",
     record: Callable[..., Any],
+    jobs: "Sequence[Job] | None" = None,
 ) -> int:
-    """Writes and prints what comparisons and reproductions have in common. Returns the exit status.
+    """Writes, prints and draws what comparisons and reproductions have in common. Returns the exit status.
 
     Args:
       out: `Out`.
       found: `Comparison`.
-      report: `batch.Finished`.
+      ran: `Ran`.
       text: the tables.
-      figures: `{name: Figure}`.
+      figures: `{name: function}`, which draws it.
       record: called with more entries of run.json, returns all.
+      jobs: of the run, for a report; None for none.
     """
     from jexplore.report import plot, store
+    from jexplore.studies.results import loading
 
-    costs = report.costs
+    costs = ran.costs
     record = record(
         episodes_per_s=found.episodes_per_s,
         compile_s=found.compile_s,
@@ -163,21 +192,45 @@ def finish(
         useful=costs.useful,
         useful_plans=costs.useful_decisions,
         interrupted=found.interrupted,
+        resumed=found.resumed,
         worlds=[describe(world) for world in found.worlds],
         summary=found.summary.to_dict("records"),
         warnings=found.warnings,
     )
-    wrote = out.write(
-        {
-            "episodes.parquet": lambda path: store.write_parquet(found.episodes, path),
-            **{name: functools.partial(plot.save_figure, figure) for name, figure in figures.items()},
-            "run.json": lambda path: store.write_json(record, path),
-        }
-    )
-    print(text)
-    for line in found.warnings:
-        print(f"warning: {line}")
-    print(wrote)
+    files = {
+        "episodes.parquet": lambda path: store.write_parquet(found.episodes, path),
+        loading.DETAILS: lambda path: loading.write_details(found, path),
+        "run.json": lambda path: store.write_json(record, path),
+    }
+    out.write(files, is_finished=not costs.interrupted)
+
+    def picture(make, path):
+        plot.save_figure(make(), path)
+
+    try:
+        show_table(text)
+        for line in found.warnings:
+            print(f"warning: {line}")
+        sys.stdout.flush()
+    finally:  # a reader of the output who goes away costs no pictures
+        drawn = out.draw({name: functools.partial(picture, make) for name, make in figures.items()})
+        if jobs is not None and not costs.interrupted:
+            page = functools.partial(_report, out, found, ran, record, jobs, drawn)
+            drawn += out.draw({"report.html": page})
+    print(f"wrote {', '.join([*files, *drawn])} to {out.run.path}{os.sep}")
     if costs.interrupted:
+        out.say_kept()
         return say("jexplore: interrupted, what was finished was written", 130)
     return 0
+
+
+def _report(out, found, ran, record, jobs, drawn, path):
+    """Writes the page of a comparison."""
+    from jexplore.studies.results.report import replays_for, write_report
+
+    replays, notes = replays_for(jobs, ran.firsts)
+    tables = [("In each world", found.summary)]
+    if len(found.worlds) > 1:
+        tables.insert(0, ("Over all worlds", found.standings))
+    pictures = [out.run.path / name for name in drawn]
+    write_report(path, f"jexplore {record['command'][1]}", record, tables, pictures, replays, notes)

@@ -8,11 +8,19 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+from jexplore.config import InputError
+
+if TYPE_CHECKING:
+    from jexplore.report.folders import RunFolder
+    from jexplore.report.ledger import Ledger
 
 COMPILING = "jexplore: compiling (kept for later runs)"
 LONGEST = 400  # characters of a message; a name or a file may be quoted in it
 PATIENCE_S = 2.0  # work that lasts longer shows how far it is
+TENTH = 0.1  # of all work, and
+SILENCE_S = 30.0  # the time after which a log gets another line
 
 
 def say(line: str, status: int) -> int:
@@ -21,7 +29,11 @@ def say(line: str, status: int) -> int:
 
 
 class Progress:
-    """A bar on stderr once work has lasted two seconds: how much is done, how fast it goes, how long it will take."""
+    """How much is done, how fast it goes, how long it will take, on stderr, once work has lasted two seconds.
+
+    A bar on a terminal; elsewhere (a log, a pipe) a line of its own, at first and then whenever another tenth is done
+    or half a minute has gone by.
+    """
 
     total: int
     unit: str
@@ -31,19 +43,9 @@ class Progress:
         self.total, self.unit, self.bar = total, unit, None
 
     def update(self, done: int) -> None:
-        from tqdm import tqdm
-
         if self.bar is None:  # the clock starts when work does, not when compiling does
-            self.bar = tqdm(
-                total=self.total,
-                initial=done,
-                unit=f" {self.unit}",
-                bar_format="{l_bar}{bar}| {n_fmt}/{total_fmt}{unit} [{elapsed}<{remaining}, {rate_noinv_fmt}]",
-                delay=PATIENCE_S,
-                mininterval=0.5,
-                leave=False,
-                dynamic_ncols=True,
-            )
+            on_terminal = sys.stderr is not None and sys.stderr.isatty()
+            self.bar = (_bar if on_terminal else _Lines)(self.total, done, self.unit)
         self.bar.update(done - self.bar.n)
 
     def step(self, n: int = 1) -> None:
@@ -52,6 +54,54 @@ class Progress:
     def close(self) -> None:
         if self.bar is not None:
             self.bar.close()
+
+
+def _bar(total, done, unit):
+    from tqdm import tqdm
+
+    return tqdm(
+        total=total,
+        initial=done,
+        unit=f" {unit}",
+        bar_format="{l_bar}{bar}| {n_fmt}/{total_fmt}{unit} [{elapsed}<{remaining}, {rate_noinv_fmt}]",
+        delay=PATIENCE_S,
+        mininterval=0.5,
+        leave=False,
+        dynamic_ncols=True,
+    )
+
+
+class _Lines:
+    """What a log gets in place of a bar."""
+
+    def __init__(self, total, done, unit):
+        self.total, self.n, self.unit = total, done, unit
+        self.first, self.began = done, time.monotonic()
+        self.said, self.said_at = None, 0.0  # done and when at the last line
+
+    def update(self, n):
+        self.n += n
+        now = time.monotonic()
+        spent = now - self.began
+        if spent < PATIENCE_S or self.n <= self.first:
+            return
+        new = self.n if self.said is None else self.n - self.said
+        if self.said is None or new >= TENTH * self.total or (new > 0 and now - self.said_at >= SILENCE_S):
+            self.said, self.said_at = self.n, now
+            rate = (self.n - self.first) / spent
+            left = datetime.timedelta(seconds=round((self.total - self.n) / rate))
+            speed = f"{rate:.0f}" if rate >= 10 else f"{rate:.2g}"
+            share = f"{self.n} of {self.total} {self.unit} ({100 * self.n // max(self.total, 1)} %)"
+            _tell(f"jexplore: {share}, {speed} {self.unit}/s, {left} left")
+
+    def close(self):
+        pass
+
+
+def _tell(line):
+    """A line on stderr, if there is one."""
+    if sys.stderr is not None:
+        print(line, file=sys.stderr, flush=True)
 
 
 @contextlib.contextmanager
@@ -66,7 +116,7 @@ def progress_of(total: int, unit: str) -> Iterator[Progress]:
 @contextlib.contextmanager
 def note(text: str) -> Iterator[Callable[[], None]]:
     """Says on stderr what takes so long, once, if it takes long; the block gets a function that calls it off."""
-    timer = threading.Timer(PATIENCE_S, lambda: print(text, file=sys.stderr, flush=True))
+    timer = threading.Timer(PATIENCE_S, lambda: _tell(text))
     timer.daemon = True
     timer.start()
     try:
@@ -88,27 +138,70 @@ def working(total: int, unit: str) -> Iterator[Callable[[int], None]]:
 
 
 class Out:
-    """Where a command writes. Refused before anything is computed, written when everything is."""
+    """Where a command writes: a folder that it has to itself from beginning to end. A context."""
 
-    given: str | None
-    overwrite: bool
-    command: str
+    run: "RunFolder"
+    ledger: "Ledger | None"
+    asked: dict[str, Any] | None
+    units: int
     began: float
     now: datetime.datetime
 
     def __init__(self, options: Any, command: str) -> None:
+        self.given = None if options.out is None else os.path.expanduser(options.out)
+        self.overwrite, self.resume = options.overwrite, getattr(options, "resume", False)
+        self.command, self.ledger, self.asked, self.units = command, None, None, 0
+        if self.resume and self.overwrite:
+            raise InputError("--resume goes on with a run and --overwrite replaces it: give one of them")
+        if self.resume and self.given is None:
+            raise InputError("--resume goes on with the run in a folder: name it with --out DIR")
+
+    def __enter__(self) -> "Out":
         from jexplore.report import folders
 
-        self.given = None if options.out is None else os.path.expanduser(options.out)
-        self.overwrite, self.command = options.overwrite, command
         self.began = time.perf_counter()
         self.now = datetime.datetime.now(datetime.UTC)
-        folders.check_out(next(self._defaults()) if self.given is None else self.given, self.overwrite)
+        if self.given is None:
+            claim = folders.claimed_new(folders.default_outs(self.command, self.now))
+        else:
+            claim = folders.claimed(self.given, overwrite=self.overwrite, resume=self.resume)
+        self._stack = contextlib.ExitStack()
+        self.run = self._stack.enter_context(claim)
+        return self
 
-    def _defaults(self):
-        from jexplore.report import folders
+    def __exit__(self, *error: Any) -> None:
+        self._stack.close()
+        if error[0] is not None:
+            self.say_kept()
 
-        return folders.default_outs(self.command, self.now)
+    def say_kept(self) -> None:
+        """Says how to go on with a run that was ended, if anything of it is kept."""
+        if self.ledger is not None and self.ledger.done and self.run.unfinished.exists():
+            done = f"{len(self.ledger.done)} of {self.ledger.units} units"
+            print(f"jexplore: {done} are kept; --out {self.run.path} --resume goes on with them", file=sys.stderr)
+
+    def keep(self, asked: Mapping[str, Any], units: int) -> "Ledger | None":
+        """Keeps what the run finishes on its way, or goes on with what is there.
+
+        Args:
+          asked: all that the results depend on.
+          units: how many units the run has.
+
+        Returns:
+          `Ledger`; None where the run is finished.
+
+        Raises:
+          InputError: the folder holds a run that is asked something else.
+        """
+        from jexplore.report.ledger import Ledger, is_finished
+
+        self.asked, self.units = {"command": self.command, **asked}, units
+        if self.resume and is_finished(self.run, self.asked, units):
+            return None
+        self.ledger = Ledger(self.run, self.asked, units, resume=self.resume)
+        for name in self.ledger.damaged:
+            print(f"warning: {name} was damaged, and its unit is made again", file=sys.stderr)
+        return self.ledger
 
     def record(self, arguments: Sequence[str], options: Any, **found: Any) -> dict[str, Any]:
         """What run.json holds."""
@@ -122,16 +215,32 @@ class Out:
             "wall_s": wall_s,
             "configuration": options,
             "environment": store.environment(),
-        }
+        } | ({} if self.asked is None else {"asked": self.asked, "units": self.units})
 
-    def write(self, writers: Mapping[str, Callable[[Path], Any]]) -> str:
+    def write(self, writers: Mapping[str, Callable[[Path], Any]], *, is_finished: bool = True) -> str:
         """Writes the files, all or none. Returns a line that says where; said last, so that a reader of the output who
         goes away costs no results.
         """
-        from jexplore.report import folders
-
-        if self.given is None:
-            folder = folders.write_new_run(self._defaults(), writers)
-        else:
-            folder = folders.write_run(self.given, writers, self.overwrite)
+        folder = self.run.write(writers, is_finished=is_finished)
         return f"wrote {', '.join(writers)} to {os.fspath(folder)}{os.sep}"
+
+    def draw(self, writers: Mapping[str, Callable[[Path], Any]]) -> list[str]:
+        """Adds pictures to what is written. One that fails costs a warning, an interruption those that are left.
+        Returns the names of those written.
+        """
+        drawn = []
+        for name, write in writers.items():
+            try:
+                self.run.add(name, write)
+                drawn.append(name)
+            except KeyboardInterrupt:
+                print(f"warning: interrupted, {name} was left out", file=sys.stderr)
+                break
+            except Exception as error:
+                print(f"warning: {name} could not be drawn: {first_line(error)}", file=sys.stderr)
+        return drawn
+
+
+def first_line(error: BaseException) -> str:
+    """What an error says, in one line."""
+    return (str(error).splitlines() or [type(error).__name__])[0]

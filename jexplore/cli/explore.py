@@ -1,6 +1,7 @@
 """The command `jexplore explore`."""
 
 import dataclasses
+import os
 from collections.abc import Sequence
 from typing import Annotated
 
@@ -15,67 +16,86 @@ from jexplore.config import InputError, Lidar, Rules, require_whole
 class Explore:
     """Run one episode and draw it.
 
-    Writes episode.png, episode.gif (known map, frontiers, target, path) and run.json. It is one of the episodes of a
-    comparison with the same options.
+    Writes episode.png, episode.gif (known map, frontiers, target, path), report.html and
+    run.json. It is one of the episodes of a comparison with the same options.
     """
 
     world: OneWorld = "cave"
-    """World: a generator's name such as cave#3, or a map file; see `jexplore worlds`."""
+    """Explore this world: a generator's name such as cave#3, or a map file; see `jexplore worlds`."""
     strategy: OneStrategy = "closest+recheck"
-    """Strategy; see `jexplore strategies`."""
+    """Explore by this strategy; see `jexplore strategies`."""
     seed: int = 0
-    """Seed of the start and the draws."""
+    """Draw the start and all that is random from this seed."""
     episode: int = 0
-    """Number of the episode in a comparison with the same options, from 0."""
+    """Run the episode of this number, from 0, of a comparison with the same options."""
     cell_m: float = 0.1
-    """Edge of a cell, metres."""
+    """Make the edge of a cell this long, in metres."""
     start: Annotated[str, tyro.conf.arg(metavar="{random,world,ROW,COL,HEADING_DEG}")] = "random"
-    """A start drawn from the seed, the world's own, or a cell and a heading that is a multiple of 45."""
+    """Start where the seed says, at the world's own start, or in a cell with a heading that is a multiple of 45."""
     frames: int = 300
-    """Frames of the animation at most, evenly spaced."""
+    """Give the animation at most so many frames, evenly spaced."""
     out: OutFolder = None
-    """Folder to write."""
+    """Write into this folder."""
     overwrite: bool = False
     """Replace the run that the folder holds."""
+    report: bool = dataclasses.field(default=True, metadata={"off": "Leave out report.html."})
+    """Write report.html, one page with a replay of the episode."""
     lidar: Lidar = dataclasses.field(default_factory=Lidar)
     rules: Rules = dataclasses.field(default_factory=Rules)
 
     def execute(self, arguments: Sequence[str]) -> int | None:
         """Runs the command; returns the exit status, None for 0."""
-        from jexplore.report import plot, store
+        from jexplore.report import store
         from jexplore.studies.checks import MAX_EPISODES
         from jexplore.studies.explore import prepare_job, run_job
 
-        out = Out(self, "explore")
-        require_whole("frames", self.frames, 1, 10_000)
-        require_whole("episode", self.episode, 0, MAX_EPISODES - 1)
-        job = prepare_job(
-            self.world,
-            self.strategy,
-            seed=self.seed,
-            episode=self.episode,
-            cell_m=self.cell_m,
-            start=_start(self.start),
-            lidar=self.lidar,
-            rules=self.rules,
-        )
-        with note(COMPILING):
-            found = run_job(job, self.lidar, self.rules)
-        measures = {"world": found.world.name, "strategy": found.strategy, **found.measures}
-        record = out.record(arguments, self, result=measures, compile_s=found.compile_s, run_s=found.run_s)
-        with progress_of(min(len(found.final.rows), self.frames), "frames") as progress:
-            files = {"episode.png": lambda path: plot.save_figure(found.figure(), path)}
-            if found.final.plans is not None:
-                files["episode.gif"] = lambda path: found.save_gif(
-                    path, max_frames=self.frames, on_progress=progress.step
-                )
-            wrote = out.write({**files, "run.json": lambda path: store.write_json(record, path)})
-        for name, value in measures.items():
-            text = "-" if value is None else f"{value:.3f}" if isinstance(value, float) else str(value)
-            print(f"{name:<18} {text}")
-        if found.final.plans is None:
-            print(f"warning: an episode of {found.measures['plans']} plans cannot be played again: no animation")
-        print(wrote)
+        with Out(self, "explore") as out:
+            require_whole("frames", self.frames, 1, 10_000)
+            require_whole("episode", self.episode, 0, MAX_EPISODES - 1)
+            job = prepare_job(
+                self.world,
+                self.strategy,
+                seed=self.seed,
+                episode=self.episode,
+                cell_m=self.cell_m,
+                start=_start(self.start),
+                lidar=self.lidar,
+                rules=self.rules,
+            )
+            with note(COMPILING):
+                found = run_job(job, self.lidar, self.rules)
+            measures = {"world": found.world.name, "strategy": found.strategy, **found.measures}
+            record = out.record(arguments, self, result=measures, compile_s=found.compile_s, run_s=found.run_s)
+            out.write({"run.json": lambda path: store.write_json(record, path)})
+            for name, value in measures.items():
+                text = "-" if value is None else f"{value:.3f}" if isinstance(value, float) else str(value)
+                print(f"{name:<18} {text}")
+            if found.final.plans is None:
+                print(f"warning: an episode of {found.measures['plans']} plans cannot be played again: no animation")
+            print(f"wrote {', '.join([*self._draw(out, found, record), 'run.json'])} to {out.run.path}{os.sep}")
+
+    def _draw(self, out, found, record):
+        """Pictures, animation and page. Returns the names of those written."""
+        from jexplore.report import plot
+        from jexplore.studies.replays import replay_of
+        from jexplore.studies.results.report import write_report
+
+        def picture(path):
+            plot.save_figure(found.figure(), path)
+
+        def animation(path):
+            with progress_of(min(len(found.final.rows), self.frames), "frames") as progress:
+                found.save_gif(path, max_frames=self.frames, on_progress=progress.step)
+
+        def page(path):
+            replays = [] if found.final.plans is None else [replay_of(found)]
+            tables = [("What it measured", [["", ""], *([name, value] for name, value in record["result"].items())])]
+            write_report(path, "jexplore explore", record, tables, [out.run.path / "episode.png"], replays)
+
+        writers = {"episode.png": picture}
+        if found.final.plans is not None:
+            writers["episode.gif"] = animation
+        return out.draw(writers | ({"report.html": page} if self.report else {}))
 
 
 def _start(text):

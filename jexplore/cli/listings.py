@@ -8,6 +8,7 @@ import tyro
 
 from jexplore.cli.console import Out, note, working
 from jexplore.cli.options import OutFolder
+from jexplore.cli.terminal import show_line, show_table
 
 if TYPE_CHECKING:
     from jexplore.studies.geometry import Geometry
@@ -18,21 +19,21 @@ if TYPE_CHECKING:
 class Worlds:
     """List the built-in worlds, or measure and picture some.
 
-    Without names, --geometry and --out, lists the generators and what they take. Else prints a table of the worlds
-    named (by default every generator) and writes worlds.png.
+    Without names, --geometry and --out, it lists the generators and what they take. Otherwise it prints a table of the
+    worlds named, by default of every generator, and writes worlds.png.
     """
 
     worlds: Annotated[tyro.conf.Positional[tuple[str, ...]], tyro.conf.arg(metavar="[NAME ...]")] = ()
-    """Generators such as cave#3, or map files: map.yaml (ROS), map.png@16x16 (metres), map.png@0.05 (metres a pixel),
-    map.map (MovingAI), plan.json (HouseExpo)."""
+    """Measure these worlds: generators such as cave#3, or map files: map.yaml (ROS), map.png@16x16 (metres),
+    map.png@0.05 (metres a pixel), map.map (MovingAI), plan.json (HouseExpo), scans.log (CARMEN), run.bag (ROS)."""
     cell_m: float = 0.1
-    """Edge of a cell, metres."""
+    """Make the edge of a cell this long, in metres."""
     geometry: bool = False
     """Also measure rooms, openings, corridors, ways round and furniture; rooms that are not known are found first."""
     clearance_m: float = 0.30
-    """Clearance of the robot whose share of the free area --geometry tells, metres."""
+    """Let --geometry tell the share of the free area that a robot of this clearance reaches, in metres."""
     out: OutFolder = None
-    """Folder to write."""
+    """Write into this folder."""
     overwrite: bool = False
     """Replace the run that the folder holds."""
 
@@ -41,47 +42,49 @@ class Worlds:
         from jexplore.worlds import GENERATORS, generator_parameters
 
         if not self.worlds and self.out is None and not self.geometry:
-            print("Built-in worlds. A name may carry a seed and parameters: hospital#3:width_m=60,height_m=25\n")
+            show_line("Built-in worlds. A name may carry a seed and parameters: hospital#3:width_m=60,height_m=25")
+            print()
             for name in GENERATORS:
                 defaults = " ".join(f"{key}={value}" for key, value in generator_parameters(name).items())
-                print(f"  {name:<10}{defaults}")
-            print(
-                "\nMap files: map.yaml (ROS), map.png@16x16 (metres), map.png@0.05 (metres a pixel), map.map, plan.json"
+                show_line(f"  {name:<10}{defaults}", indent=12)
+            print()
+            show_line(
+                "Map files: map.yaml (ROS), map.png@16x16 (metres), map.png@0.05 (metres a pixel), map.map, plan.json, "
+                "scans.log, run.bag, run.mcap"
             )
             return
         from jexplore.report import plot, store
-        from jexplore.report.tables import aligned_table
         from jexplore.studies.checks import ready_worlds
 
-        out = Out(self, "worlds")
-        with note("jexplore: loading worlds"):
-            worlds = ready_worlds(self.worlds or tuple(GENERATORS), self.cell_m)
-        described = [describe(world) for world in worlds]
-        rows = []
-        for world, about in zip(worlds, described):
-            height, width = world.shape
-            start = "-" if world.start is None else "{},{},{}".format(*world.start)
-            size = f"{width * world.cell_m:.1f} x {height * world.cell_m:.1f}"
-            n_rooms = "-" if about["rooms"] is None else str(about["rooms"])
-            rows.append((world.name, f"{width} x {height}", size, f"{world.free_m2:.1f}", n_rooms, start))
-        measured = measure(worlds, self.clearance_m) if self.geometry else []
-        for about, one in zip(described, measured):
-            about["geometry"] = dataclasses.asdict(one)
-        record = out.record(arguments, self, worlds=described)
-        figure = plot.worlds_figure([(world.name, world) for world in worlds])
-        wrote = out.write(
-            {
-                "worlds.png": lambda path: plot.save_figure(figure, path),
-                "run.json": lambda path: store.write_json(record, path),
-            }
-        )
-        head = ["world", "cells", "metres", "free m²", "rooms", "start"]
-        print(aligned_table(head, rows, left=head))
-        if self.geometry:
-            from jexplore.studies.geometry import geometry_table
+        with Out(self, "worlds") as out:
+            with note("jexplore: loading worlds"):
+                worlds = ready_worlds(self.worlds or tuple(GENERATORS), self.cell_m)
+            described = [describe(world) for world in worlds]
+            rows = []
+            for world, about in zip(worlds, described):
+                height, width = world.shape
+                start = "-" if world.start is None else "{},{},{}".format(*world.start)
+                size = f"{width * world.cell_m:.1f} x {height * world.cell_m:.1f}"
+                n_rooms = "-" if about["rooms"] is None else str(about["rooms"])
+                rows.append((world.name, f"{width} x {height}", size, f"{world.free_m2:.1f}", n_rooms, start))
+            measured = measure(worlds, self.clearance_m) if self.geometry else []
+            for about, one in zip(described, measured):
+                about["geometry"] = dataclasses.asdict(one)
+            record = out.record(arguments, self, worlds=described)
+            figure = plot.worlds_figure([(world.name, world) for world in worlds])
+            wrote = out.write(
+                {
+                    "worlds.png": lambda path: plot.save_figure(figure, path),
+                    "run.json": lambda path: store.write_json(record, path),
+                }
+            )
+            head = ["world", "cells", "metres", "free m²", "rooms", "start"]
+            show_table(head, rows, left=head)
+            if self.geometry:
+                from jexplore.studies.geometry import geometry_table
 
-            print(f"\n{geometry_table(measured)}")
-        print(wrote)
+                show_table(f"\n{geometry_table(measured)}")
+            print(wrote)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -92,15 +95,14 @@ class Strategies:
         """Runs the command; returns the exit status, None for 0."""
         from jexplore.policies import MODIFIERS
         from jexplore.policies.catalogue.grammar import listing
-        from jexplore.report.tables import aligned_table
 
         rows = [(one.name, one.summary, one.parameters or "-", one.source) for one in listing()]
         head = ["strategy", "goes to", "parameters", "source"]
-        print(aligned_table(head, rows, left=head))
+        show_table(head, rows, left=head)
         head = ["modifier", "meaning"]
-        print(aligned_table(head, [(f"+{name}", text) for name, text in MODIFIERS.items()], left=head))
-        print("Names are put together as strategy+modifier:parameter=value,..., such as closest+recheck")
-        print("One's own: module:function+modifier:parameter=value,..., of a module here or installed")
+        show_table(head, [(f"+{name}", text) for name, text in MODIFIERS.items()], left=head)
+        show_line("Names are put together as strategy+modifier:parameter=value,..., such as closest+recheck")
+        show_line("One's own: module:function+modifier:parameter=value,..., of a module here or installed")
 
 
 def measure(worlds: "Sequence[World]", clearance_m: float) -> "list[Geometry]":

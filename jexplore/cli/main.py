@@ -21,13 +21,20 @@ from jexplore.cli.listings import Strategies, Worlds
 from jexplore.cli.options import help_text, parse
 from jexplore.cli.reproduce import Reproduce
 from jexplore.cli.segment import Segment
+from jexplore.cli.sweep import Merge, Sweep
+from jexplore.cli.terminal import plain_warnings
 from jexplore.cli.trace import Trace
 from jexplore.config import InputError
 from jexplore.version import __version__
 
+INTERRUPTED = 130  # exit status of a run that was ended
+_ENDED_BY = [int(signal.SIGINT)]  # signals that have ended this process, the last one at the end
+
 COMMANDS: dict[str, type] = {
     "compare": Compare,
     "explore": Explore,
+    "sweep": Sweep,
+    "merge": Merge,
     "reproduce": Reproduce,
     "segment": Segment,
     "trace": Trace,
@@ -45,7 +52,8 @@ def main(argv: Sequence[str] | None = None) -> int:
       argv: list of text; by default the arguments of this process.
 
     Returns:
-      The exit status: 0; 2 for wrong input; 1 where memory or the reader of the output is gone; 130 if interrupted.
+      The exit status: 0; 2 for wrong input; 1 where memory or the reader of the output is gone; 130 if
+        interrupted, 143 by SIGTERM, 129 by SIGHUP.
     """
     own = argv is None
     if sys.stdout is None:  # closed by the shell
@@ -55,12 +63,15 @@ def main(argv: Sequence[str] | None = None) -> int:
     arguments = sys.argv[1:] if own else list(argv)
     if own:
         sys.unraisablehook = _repeat_interrupt
+        _end_like_control_c()
     try:
-        return _dispatch(arguments)
+        with plain_warnings():
+            status = _dispatch(arguments)
+        return _ENDED_BY[-1] + 128 if status == INTERRUPTED else status
     except InputError as error:
         return say(f"jexplore: error: {' '.join(str(error).split())}", 2)
     except KeyboardInterrupt:
-        status = say("jexplore: interrupted, nothing was written", 130)
+        status = say("jexplore: interrupted, nothing was written", _ENDED_BY[-1] + 128)
         if own:
             os._exit(status)  # at once: a program that is being compiled cannot be stopped in another way
         return status
@@ -72,6 +83,21 @@ def main(argv: Sequence[str] | None = None) -> int:
     except OSError as error:  # files are checked below: this is the standard output
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
         return say(f"jexplore: error: cannot write the output: {error.strerror or error}", 1)
+
+
+def _end_like_control_c():
+    """What a batch system (SIGTERM) or a lost connection (SIGHUP) sends ends a run like Ctrl-C, unless it is ignored,
+    as under nohup.
+    """
+
+    def end(number, frame):
+        _ENDED_BY.append(number)
+        raise KeyboardInterrupt
+
+    for name in ("SIGTERM", "SIGHUP"):
+        number = getattr(signal, name, None)
+        if number is not None and signal.getsignal(number) == signal.SIG_DFL:
+            signal.signal(number, end)
 
 
 def _repeat_interrupt(unraisable):

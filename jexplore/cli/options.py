@@ -1,14 +1,26 @@
 """What the options of commands have in common, and their parsing: every mistake becomes one line."""
 
+import ast
+import codecs
+import collections
 import contextlib
+import dataclasses
 import difflib
+import inspect
 import io
+import itertools
 import os
 import re
+import shutil
+import sys
+import textwrap
+import types
+import typing
 from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, Literal
 
 import tyro
+from tyro.constructors import ConstructorRegistry, StructConstructorSpec, StructFieldSpec, StructTypeInfo
 
 from jexplore.config import InputError
 
@@ -44,8 +56,8 @@ def help_text(commands: Mapping[str, type]) -> str:
     lines = ["usage: jexplore {" + ",".join(commands) + "} [options]", ""]
     lines += ["A laboratory for mobile-robot exploration.", "", "commands:"]
     lines += [f"  {name:<12}{(command.__doc__ or '').splitlines()[0]}" for name, command in commands.items()]
-    lines += ["", "options:", "  -h, --help  show this, or the options of a command: jexplore compare --help"]
-    return "\n".join([*lines, "  --version   show the version", ""])
+    lines += ["", "options:", "  -h, --help  Show this, or the options of a command: jexplore compare --help."]
+    return "\n".join([*lines, "  --version   Show the version.", ""])
 
 
 def parse(arguments: Sequence[str], commands: Mapping[str, type]) -> Any:
@@ -59,7 +71,7 @@ def parse(arguments: Sequence[str], commands: Mapping[str, type]) -> Any:
       A record of one of these classes.
 
     Raises:
-      InputError: an unknown command or option, a value of the wrong kind or out of bounds.
+      InputError: an unknown command or option, one that is repeated, a value of the wrong kind or out of bounds.
       SystemExit: with status 0, once help has been printed.
     """
     name, *rest = arguments
@@ -70,22 +82,116 @@ def parse(arguments: Sequence[str], commands: Mapping[str, type]) -> Any:
         raise InputError(f"{what}: {name!r}; there are {', '.join(commands)}{hint}")
 
     def read():
-        return tyro.cli(commands[name], prog=f"jexplore {name}", args=rest, config=(tyro.conf.FlagCreatePairsOff,))
+        return tyro.cli(
+            commands[name],
+            prog=f"jexplore {name}",
+            args=rest,
+            config=(tyro.conf.FlagCreatePairsOff,),
+            registry=_REGISTRY,
+        )
 
     said = _Page()
     try:
         with contextlib.redirect_stderr(said), contextlib.redirect_stdout(said):
-            return read()
+            options = read()
     except SystemExit as end:
         if end.code:
             raise InputError(one_line(said.getvalue()) or f"wrong options for {name}") from None
-    return read()  # help was asked for: once more, now in the terminal's width and colours
+        _show_help(read)
+        raise
+    _require_once(rest, commands[name])
+    return options
+
+
+def _show_help(read):
+    """Prints the help that was asked for: once more, now with the colours and the characters of the standard output."""
+    page = _Page()
+    page.encoding = codecs.lookup(sys.stdout.encoding or "utf-8").name  # some say UTF-8, which tyro does not know
+    page.coloured = sys.stdout.isatty() and not os.environ.get("NO_COLOR")
+    with contextlib.redirect_stdout(page), contextlib.suppress(SystemExit):
+        read()
+    width = shutil.get_terminal_size().columns
+    for line in page.getvalue().splitlines():
+        is_paragraph = len(line) > width and line[0].isalpha()  # all else has been folded
+        print(textwrap.fill(line, width) if is_paragraph else line)
+
+
+def _require_once(arguments, command):
+    """Refuse an option that is given again: the parser would take the last and drop what came before."""
+    options = itertools.takewhile(lambda text: text != "--", arguments)
+    given = collections.Counter(text.partition("=")[0].replace("_", "-") for text in options if text[:2] == "--")
+    for option, n in given.items():
+        if n > 1:
+            kind = _hints(command).get(option[2:].replace("-", "_"))
+            hint = f"; it takes all its values at once: {option} A B" if ", ..." in str(kind) else ""
+            raise InputError(f"{option} is given {'twice' if n == 2 else f'{n} times'}, and can be given once{hint}")
+
+
+_REGISTRY = ConstructorRegistry()
+
+
+@_REGISTRY.struct_rule
+def _records(info: StructTypeInfo) -> StructConstructorSpec | None:
+    """How a record becomes options: its docstrings as running text, and no defaults that say nothing."""
+    if not dataclasses.is_dataclass(info.type):
+        return None
+    kind: Any = info.type
+    hints, texts, fields = _hints(kind), field_texts(kind), []
+    for field in dataclasses.fields(kind):
+        default = field.default
+        if dataclasses.is_dataclass(field.default_factory):
+            default = tyro.MISSING_NONPROP
+        elif field.default_factory is not dataclasses.MISSING:
+            default = field.default_factory()
+        hint = hints[field.name]
+        kinds = [one for one in typing.get_args(hint) if one is not type(None)]
+        metavar = kinds[0].__name__.upper() if isinstance(hint, types.UnionType) and kinds[0] in (int, float) else None
+        text = field.metadata.get("off") if default is True else None
+        fields.append(
+            StructFieldSpec(
+                name=field.name,
+                type=_with(hint, tyro.conf.arg(metavar=metavar, help_behavior_hint=_default_text)),
+                default=default,
+                helptext=text or texts.get(field.name),
+            )
+        )
+    return StructConstructorSpec(instantiate=kind, fields=tuple(fields))
+
+
+def _hints(kind):
+    return typing.get_type_hints(kind, include_extras=True)
+
+
+def _with(hint: Any, settings: Any) -> Any:
+    """A type with settings for its option, those that it has already before these."""
+    inner, *own = typing.get_args(hint) if typing.get_origin(hint) is Annotated else (hint,)
+    return Annotated[inner, settings, *own]
+
+
+def _default_text(default):
+    return "" if default in ("", "None", "True", "False") else f"(default: {default})"
+
+
+def field_texts(kind: type) -> dict[str, str]:
+    """The docstrings below the fields of a record, `{name: text}`, each on one line."""
+    body = ast.parse(textwrap.dedent(inspect.getsource(kind))).body[0]
+    assert isinstance(body, ast.ClassDef)
+    texts = {}
+    for field, below in zip(body.body, body.body[1:]):
+        match field, below:
+            case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(value=ast.Constant(value=str(text))):
+                texts[name] = " ".join(text.split())
+    return texts
 
 
 class _Page(io.StringIO):
     """Takes what tyro prints, for which it looks like a file: no colours, and the frames that `one_line` knows."""
 
     encoding = "utf-8"
+    coloured = False
+
+    def isatty(self):
+        return self.coloured
 
 
 _REWORDED = (
@@ -95,6 +201,10 @@ _REWORDED = (
     (
         r"^Error parsing (\S+): no type matching \{None\}\|INT .*? from \[(.*?)\]\. .*$",
         r"\1 must be an integer, got \2",
+    ),
+    (
+        r"^Error parsing (\S+): no type matching \{None\}\|FLOAT .*? from \[(.*?)\]\. .*$",
+        r"\1 must be a number, got \2",
     ),
     (
         r"^Error parsing (\S+): no type matching \{None\}\|\{\[INT .*? from (\[.*?\])\. .*$",

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import tyro
 
-from jexplore.cli.compare import FINISHING, finish, run_with_bar
+from jexplore.cli.compare import FINISHING, finish, run_with_bar, show_finished
 from jexplore.cli.console import Out, note
 from jexplore.cli.options import EngineName, OutFolder, is_small
 from jexplore.config import Lidar, Rules
@@ -26,24 +26,29 @@ class Reproduce:
     """
 
     paper: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="[PAPER]")] = "holz2010"
-    """The paper: holz2010 (Holz, Basilico, Amigoni, Behnke 2010)."""
+    """Reproduce this paper: holz2010 (Holz, Basilico, Amigoni, Behnke 2010)."""
     maps: Annotated[str | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")] = None
-    """Folder of the paper's maps: stage/cave_filled.png, avz/avz5floor_open.yaml, stage/hospital_section.png.
-    By default built-in counterparts stand in for them."""
+    """Read the paper's maps from this folder: stage/cave_filled.png, avz/avz5floor_open.yaml,
+    stage/hospital_section.png. By default built-in counterparts stand in for them."""
     episodes: int = dataclasses.field(default_factory=default_paper_episodes)
-    """Episodes of each strategy in each environment; the first are also reported alone, as many as the paper's runs."""
+    """Run so many episodes of each strategy in each environment. The first are also reported alone, as many as the
+    paper's runs."""
     seed: int = 0
-    """Seed of starts and draws."""
+    """Draw starts and all that is random from this seed."""
     cell_m: float = 0.1
-    """Edge of a cell, metres."""
+    """Make the edge of a cell this long, in metres."""
     engine: EngineName = "auto"
-    """How episodes run, as for `jexplore compare`."""
+    """Run episodes by this engine, as for `jexplore compare`."""
     lanes: int | None = None
-    """Episodes at a time in lockstep; by default as many as the memory holds."""
+    """Run so many episodes at a time in lockstep; by default as many as the memory holds."""
+    workers: int | None = None
+    """Run episodes on so many cores, as for `jexplore compare`."""
     out: OutFolder = None
-    """Folder to write."""
+    """Write into this folder."""
     overwrite: bool = False
     """Replace the run that the folder holds."""
+    resume: bool = False
+    """Go on with the run that the folder holds, if there is one: what is finished is not computed again."""
     lidar: Lidar = dataclasses.field(default_factory=Lidar)
     rules: Rules = dataclasses.field(default_factory=Rules)
 
@@ -51,21 +56,22 @@ class Reproduce:
         """Runs the command; returns the exit status, None for 0."""
         from jexplore.studies import reproduction
 
-        out = Out(self, "reproduce")
-        jobs = reproduction.prepare_paper(
-            self.paper,
-            maps=self.maps,
-            episodes=self.episodes,
-            seed=self.seed,
-            cell_m=self.cell_m,
-            lidar=self.lidar,
-            rules=self.rules,
-        )
-        report = run_with_bar(self, jobs)
-        with note(FINISHING):
-            found = reproduction.assemble(self.paper, self.maps, jobs, report, self.rules)
-            tables, orderings = (table.to_dict("records") for table in (found.tables, found.orderings))
-            entries = {"notes": found.notes, "tables": tables, "orderings": orderings}
-            record = functools.partial(out.record, arguments, self, **entries)
-            figures = {"reproduce.png": found.figure()}
-            return finish(out, found.comparison, report, found.to_markdown(), figures, record)
+        with Out(self, "reproduce") as out:
+            jobs = reproduction.prepare_paper(
+                self.paper,
+                maps=self.maps,
+                episodes=self.episodes,
+                seed=self.seed,
+                cell_m=self.cell_m,
+                lidar=self.lidar,
+                rules=self.rules,
+            )
+            ran = run_with_bar(self, jobs, out)
+            if ran is None:
+                return show_finished(out)
+            with note(FINISHING):
+                found = reproduction.assemble(self.paper, self.maps, jobs, ran)
+                tables, orderings = (table.to_dict("records") for table in (found.tables, found.orderings))
+                entries = {"notes": found.notes, "tables": tables, "orderings": orderings}
+                record = functools.partial(out.record, arguments, self, **entries)
+                return finish(out, found.comparison, ran, found.to_markdown(), {"reproduce.png": found.figure}, record)

@@ -8,6 +8,7 @@ import tyro
 
 from jexplore.cli.console import Out, working
 from jexplore.cli.options import OutFolder
+from jexplore.cli.terminal import show_table
 from jexplore.config import InputError
 
 
@@ -19,29 +20,31 @@ class Segment:
     """
 
     maps: Annotated[tyro.conf.Positional[tuple[str, ...]], tyro.conf.arg(metavar="MAP [MAP ...]")] = ()
-    """Maps, as for `jexplore worlds`: map.png@0.05 (metres a pixel), map.yaml, or generators such as office#3."""
+    """Divide these maps, named as for `jexplore worlds`: map.png@0.05 (metres a pixel), map.yaml, or generators such as
+    office#3."""
     truth: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="GT [GT ...]", help_behavior_hint="")] = None
-    """Pictures of the maps with doorways closed by lines, in the same order and size; generators know their rooms."""
+    """Score against these pictures of the maps with doorways closed by lines, in the same order and size. Generators
+    know their rooms."""
     variant: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME [NAME ...]", help_behavior_hint="")] = (
         *("thrun", "wurm", "holz"),
     )
-    """Variants: thrun, wurm, holz (default: all)."""
+    """Divide by these variants: thrun, wurm, holz (default: all)."""
     partial: bool = False
     """Also segment the maps that an exploring robot has when it first knows 25, 50 and 75 % of what it will know."""
     cell_m: float = 0.05
-    """Edge of a cell, metres."""
+    """Make the edge of a cell this long, in metres."""
     prominence_m: float = 0.15
-    """How much the clearance must rise on both sides of a critical point, metres; 0: any local minimum."""
+    """The clearance must rise by this much on both sides of a critical point, in metres; 0 takes any local minimum."""
     gamma: float = 3.0
-    """How far apart two obstacle cells must be to have a Voronoi edge between them, cells."""
+    """Two obstacle cells must be this far apart, in cells, to have a Voronoi edge between them."""
     metric: Literal["geodesic", "euclidean"] = "geodesic"
-    """What "closest segment" means: along paths, or as the crow flies (the paper's letter)."""
+    """Give a cell to the segment that is closest along paths, or as the crow flies (the paper's letter)."""
     lines: bool = False
     """Split along the line between the two nearest obstacles (Thrun 1998)."""
     seed: int = 0
-    """Seed of the episodes that partial maps come from."""
+    """Draw the episodes that make partial maps from this seed."""
     out: OutFolder = None
-    """Folder to write."""
+    """Write into this folder."""
     overwrite: bool = False
     """Replace the run that the folder holds."""
 
@@ -53,36 +56,38 @@ class Segment:
         from jexplore.report.plot_rooms import figure
         from jexplore.studies.segmentation import SHARES, segment_maps
 
-        out = Out(self, "segment")
-        if not self.maps:
-            raise InputError("expected a map: map.png@0.05 (metres a pixel), map.yaml, or a generator such as office#3")
-        require_whole("seed", self.seed, 0, 2**32 - 1)
-        use_compilation_cache()
-        with working(len(self.maps) * (1 + len(SHARES) * self.partial), "maps") as on_progress:
-            found = segment_maps(
-                self.maps,
-                truth=self.truth,
-                variants=self.variant,
-                partial=self.partial,
-                cell_m=self.cell_m,
-                prominence_m=self.prominence_m,
-                gamma=self.gamma,
-                metric=self.metric,
-                lines=self.lines,
-                seed=self.seed,
-                on_progress=on_progress,
+        with Out(self, "segment") as out:
+            if not self.maps:
+                raise InputError(
+                    "expected a map: map.png@0.05 (metres a pixel), map.yaml, or a generator such as office#3"
+                )
+            require_whole("seed", self.seed, 0, 2**32 - 1)
+            use_compilation_cache()
+            with working(len(self.maps) * (1 + len(SHARES) * self.partial), "maps") as on_progress:
+                found = segment_maps(
+                    self.maps,
+                    truth=self.truth,
+                    variants=self.variant,
+                    partial=self.partial,
+                    cell_m=self.cell_m,
+                    prominence_m=self.prominence_m,
+                    gamma=self.gamma,
+                    metric=self.metric,
+                    lines=self.lines,
+                    seed=self.seed,
+                    on_progress=on_progress,
+                )
+            record = out.record(arguments, self, scores=found.scores.to_dict("records"))
+            wrote = out.write(
+                {
+                    "scores.parquet": lambda path: store.write_parquet(found.scores, path),
+                    "segments.png": lambda path: plot.save_figure(figure(found.pictures, found.scores), path),
+                    "run.json": lambda path: store.write_json(record, path),
+                }
             )
-        record = out.record(arguments, self, scores=found.scores.to_dict("records"))
-        wrote = out.write(
-            {
-                "scores.parquet": lambda path: store.write_parquet(found.scores, path),
-                "segments.png": lambda path: plot.save_figure(figure(found.pictures, found.scores), path),
-                "run.json": lambda path: store.write_json(record, path),
-            }
-        )
-        print(found.to_markdown())
-        overflow = found.scores[found.scores["overflow"] > 0]
-        for _, row in overflow.iterrows():
-            what = f"{row['overflow']} Voronoi nodes or critical points did not fit"
-            print(f"warning: {row['map']}: {row['variant']}: {what}")
-        print(wrote)
+            show_table(found.to_markdown())
+            overflow = found.scores[found.scores["overflow"] > 0]
+            for _, row in overflow.iterrows():
+                what = f"{row['overflow']} Voronoi nodes or critical points did not fit"
+                print(f"warning: {row['map']}: {row['variant']}: {what}")
+            print(wrote)

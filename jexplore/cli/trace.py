@@ -1,7 +1,9 @@
 """The command `jexplore trace`."""
 
 import dataclasses
+import functools
 import math
+import os
 import sys
 from collections.abc import Sequence
 from typing import Annotated
@@ -10,6 +12,7 @@ import tyro
 
 from jexplore.cli.console import COMPILING, Out, note, say, working
 from jexplore.cli.options import EngineName, OneStrategy, OneWorld, OutFolder
+from jexplore.cli.terminal import show_table
 from jexplore.config import InputError
 from jexplore.driving.settings import Noise, Tuning
 
@@ -23,95 +26,113 @@ class Trace:
     """
 
     world: OneWorld = "course"
-    """A course such as course#3 or course:obstacle=stairs, or any world: see `jexplore worlds`."""
+    """Drive through this course, such as course#3 or course:obstacle=stairs, or any world; see `jexplore worlds`."""
     robot: Annotated[str, tyro.conf.arg(metavar="ROBOT")] = "kamui"
-    """kamui (a crawler) or wheeled; with other measures kamui:width_m=0.6,max_slope_deg=8."""
+    """Drive this robot: kamui (a crawler) or wheeled; with other measures kamui:width_m=0.6,max_slope_deg=8."""
     runs: int = 1
-    """Runs, of every setting if some are swept."""
+    """Make so many runs, of every setting if some are swept."""
     noise_m: Annotated[float | None, tyro.conf.arg(metavar="M", help_behavior_hint="")] = None
-    """Standard deviation of the scanners' ranges, metres: the same as --noise.range-m."""
+    """Give the scanners' ranges this standard deviation, in metres, as --noise.range-m does."""
     sweep: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUES [...]", help_behavior_hint="")] = ()
-    """Thresholds to vary, all in one batch: votes=1,3,5 (a list), circle=1.1:2.0 (a range), noise.range_m=0,0.03.
-    Lists make every combination; with a range, --settings draws by Latin hypercube."""
+    """Vary these thresholds, all in one batch: votes=1,3,5 (a list), circle=1.1:2.0 (a range), noise.range_m=0,0.03.
+    Lists make every combination; with a range, --settings are drawn by Latin hypercube."""
     settings: int = 100
-    """Draws of a sweep over ranges."""
+    """Draw so many settings of a sweep over ranges."""
     start: Annotated[tuple[float, float, float] | None, tyro.conf.arg(metavar="X Y DEG", help_behavior_hint="")] = None
-    """Start in metres and degrees (default: the world's own)."""
+    """Start here, in metres and degrees (default: the world's own start)."""
     seed: int = 0
-    """Seed of the noise."""
+    """Draw the noise from this seed."""
     engine: EngineName = "auto"
-    """How runs are made: one after the other on each core, or many in lockstep, as suits a GPU."""
+    """Make runs one after the other on each core, or many in lockstep, as suits a GPU. The results are equal; by
+    default the machine decides."""
     lanes: int | None = None
-    """Runs at a time in lockstep; by default as many as the memory holds."""
+    """Make so many runs at a time in lockstep; by default as many as the memory holds."""
+    workers: int | None = None
+    """Make runs on so many cores, one each, with the engine serial; by default on all that this process may use."""
     cell_m: float = 0.1
-    """Edge of a cell, metres."""
+    """Make the edge of a cell this long, in metres."""
     max_steps: int = 6000
-    """Steps of 0.1 s after which a run ends as STEP_LIMIT."""
+    """End a run as STEP_LIMIT after so many steps of 0.1 s."""
     animate: bool = False
-    """Also write btm.html: what the operator sees of run 0, one file that replays without a network."""
+    """Also write btm.html, one file that replays without a network what the operator sees of run 0."""
     from_episode: bool = False
     """Instead of driving so, run an exploration episode and read the map off what it has seen (Voronoi graph)."""
     strategy: OneStrategy = "closest+recheck"
-    """Of that episode."""
+    """Let the episode of --from-episode use this strategy."""
     out: OutFolder = None
-    """Folder to write."""
+    """Write into this folder."""
     overwrite: bool = False
     """Replace the run that the folder holds."""
+    resume: bool = False
+    """Go on with the run that the folder holds, if there is one: what is finished is not computed again."""
     tuning: Tuning = dataclasses.field(default_factory=Tuning)
     noise: Noise = dataclasses.field(default_factory=Noise)
 
     def execute(self, arguments: Sequence[str]) -> int | None:
         """Runs the command; returns the exit status, None for 0."""
+        from jexplore.studies.traces import tracing
+        from jexplore.studies.traces.job import prepare_trace
+
+        if not self.from_episode and self.strategy != type(self)().strategy:
+            raise InputError("--strategy goes with --from-episode")
+        with Out(self, "trace") as out:
+            if self.from_episode:
+                return _trace_episode(out, self, arguments)
+            noise = self.noise if self.noise_m is None else dataclasses.replace(self.noise, range_m=self.noise_m)
+            plan = prepare_trace(
+                self.world,
+                robot=self.robot,
+                runs=self.runs,
+                seed=self.seed,
+                tuning=self.tuning,
+                noise=noise,
+                start=self.start,
+                sweep=self.sweep,
+                settings=self.settings,
+                cell_m=self.cell_m,
+                max_steps=self.max_steps,
+            )
+            ledger = out.keep(tracing.asked(plan), len(tracing.blocks_of(plan)))
+            if ledger is None:
+                print(f"{out.run.path}{os.sep} holds all of it: nothing was left to do")
+                return 0
+            return self._run(out, plan, ledger, arguments)
+
+    def _run(self, out, plan, ledger, arguments):
         from jexplore.engine.backend import use_compilation_cache
-        from jexplore.report import trace_tables
+        from jexplore.report import store, trace_tables
         from jexplore.studies.traces import tracing
 
-        out = Out(self, "trace")
-        noise = self.noise if self.noise_m is None else dataclasses.replace(self.noise, range_m=self.noise_m)
-        if self.from_episode:
-            return _trace_episode(out, self, arguments)
-        if self.strategy != type(self)().strategy:
-            raise InputError("--strategy goes with --from-episode")
-        plan = tracing.prepare_trace(
-            self.world,
-            robot=self.robot,
-            runs=self.runs,
-            seed=self.seed,
-            tuning=self.tuning,
-            noise=noise,
-            start=self.start,
-            sweep=self.sweep,
-            settings=self.settings,
-            cell_m=self.cell_m,
-            max_steps=self.max_steps,
-        )
         use_compilation_cache()
-        engine = None if self.engine == "auto" else self.engine
+        how = {"engine": None if self.engine == "auto" else self.engine, "lanes": self.lanes, "workers": self.workers}
         with working(plan.runs * plan.settings, "runs") as on_progress:
-            found = tracing.execute(plan, engine=engine, lanes=self.lanes, on_progress=on_progress)
-        if found.driven is None:
-            raise KeyboardInterrupt  # before the first run was finished
-        files = _drawn(found)
-        if self.animate and not found.report.costs.interrupted:
-            from jexplore.report import operator_view
-            from jexplore.studies.traces import recording
-
-            try:
-                with working(len(found.driven.truth), "steps") as on_progress:
-                    page = operator_view.page(recording.record(plan, on_progress))
-                files["btm.html"] = lambda path: path.write_text(page, encoding="utf-8")
-            except KeyboardInterrupt:
-                print("warning: interrupted, btm.html was left out", file=sys.stderr)
-        text = trace_tables.tables(found.first) + "\n" + "\n".join(trace_tables.summary(found))
-        costs = found.report.costs
+            found = tracing.execute(plan, **how, on_progress=on_progress, ledger=ledger)
+        costs = found.costs
         names = ("compile_s", "run_s", "engine", "devices", "lanes", "useful")
-        entries = {"runs_per_s": len(found.table) / costs.run_s, **{name: getattr(costs, name) for name in names}}
-        return _finish_trace(out, out.record(arguments, self, **entries), files, text, costs.interrupted)
+        runs_per_s = (len(found.table) - found.resumed) / costs.run_s if costs.run_s else None
+        entries = {"runs_per_s": runs_per_s, "resumed": found.resumed}
+        record = out.record(arguments, self, **entries, **{name: getattr(costs, name) for name in names})
+        files = {**_exchanged(found.first), "runs.parquet": lambda path: store.write_parquet(found.table, path)}
+        text = trace_tables.tables(found.first) + "\n" + "\n".join(trace_tables.summary(found))
+        pictures = {"btm.png": functools.partial(_draw, found)}
+        if self.animate and not costs.interrupted:
+            pictures["btm.html"] = functools.partial(_write_view, found)
+        return _finish_trace(out, record, files, text, pictures, costs.interrupted)
 
 
-def _drawn(found):
-    """The pictures and tables of a `Traced`: `{name: writer}`."""
-    from jexplore.report import plot, plot_traces, store
+def _write_view(found, path):
+    """The operator's page of run 0."""
+    from jexplore.report import operator_view
+    from jexplore.studies.traces import recording
+
+    with working(len(found.driven.truth), "steps") as on_progress:
+        page = operator_view.page(recording.record(found.plan, on_progress))
+    path.write_text(page, encoding="utf-8")
+
+
+def _draw(found, path):
+    """The picture of a `Traced`."""
+    from jexplore.report import plot, plot_traces
     from jexplore.studies.traces import recording
 
     plan, track = found.plan, found.driven
@@ -125,11 +146,7 @@ def _drawn(found):
         f"{plan.robot.name} in {plan.world.name}",
         pitch_deg=track.pitch * (180 / math.pi),
     )
-    return {
-        **_exchanged(found.first),
-        "btm.png": lambda path: plot.save_figure(figure, path),
-        "runs.parquet": lambda path: store.write_parquet(found.table, path),
-    }
+    plot.save_figure(figure, path)
 
 
 def _exchanged(found):
@@ -145,13 +162,19 @@ def _exchanged(found):
     return {**files, "btm.graphml": lambda path: path.write_text(graph, encoding="utf-8")}
 
 
-def _finish_trace(out, record, files, text, interrupted=False):
+def _finish_trace(out, record, files, text, pictures, interrupted=False):
     from jexplore.report import store
 
-    wrote = out.write({**files, "run.json": lambda path: store.write_json(record, path)})
-    print(text)
-    print(wrote)
+    files = {**files, "run.json": lambda path: store.write_json(record, path)}
+    out.write(files, is_finished=not interrupted)
+    try:
+        show_table(text)
+        sys.stdout.flush()
+    finally:  # a reader of the output who goes away costs no pictures
+        drawn = out.draw(pictures)
+    print(f"wrote {', '.join([*files, *drawn])} to {out.run.path}{os.sep}")
     if interrupted:
+        out.say_kept()
         return say("jexplore: interrupted, what was finished was written", 130)
     return 0
 
@@ -174,7 +197,7 @@ def _trace_episode(out, options, arguments):
             cell_m=options.cell_m,
             tuning=options.tuning,
         )
-    files = {**_exchanged(found.map), "btm.png": lambda path: plot.save_figure(found.figure(), path)}
+    pictures = {"btm.png": lambda path: plot.save_figure(found.figure(), path)}
     text = trace_tables.tables(found.map) + "\n" + "\n".join(found.agreement())
     record = out.record(arguments, options, result=found.measures, agreement=found.agreement())
-    return _finish_trace(out, record, files, text)
+    return _finish_trace(out, record, _exchanged(found.map), text, pictures)

@@ -5,7 +5,7 @@ them is one program.
 """
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, TypeVar
 
 import jax
@@ -25,6 +25,7 @@ from jexplore.engine.runner import Costs, find_resources, run_all
 from jexplore.worlds.world import World
 
 MAX_STEPS = 6000
+NO_RUN = -1  # number of a run that none has
 MULTIPLE = 64  # sides of the ground are padded to multiples of this, so that similar buildings share a program
 
 _Settings = TypeVar("_Settings", Robot, Tuning, Noise)
@@ -42,8 +43,8 @@ class Driven(NamedTuple):
 class Finished(NamedTuple):
     """What `run_missions` returns."""
 
-    result: Result  # numpy, with a leading axis; outcome RUNNING where it was interrupted before
-    driven: Driven | None  # the way of run 0
+    result: Result  # numpy, with a leading axis; outcome RUNNING where it was interrupted before, or not asked for
+    driven: Driven | None  # the way of run 0, if that was made
     costs: Costs
 
 
@@ -121,6 +122,8 @@ def run_missions(
     workers: int | None = None,
     max_steps: int = MAX_STEPS,
     on_progress: Callable[[int], Any] | None = None,
+    blocks: Sequence[tuple[int, int]] | None = None,
+    on_block: Callable[[int, Result, Driven | None], object] | None = None,
 ) -> Finished:
     """Makes runs, each with its own robot, thresholds and noise.
 
@@ -132,6 +135,9 @@ def run_missions(
       engine, lanes, workers: see `runner.find_resources`.
       max_steps: steps after which a run ends as STEP_LIMIT.
       on_progress: called with the number of runs finished so far.
+      blocks: list of `(first, n)`: the runs that are to be made, in this order; by default all.
+      on_block: called with the number of a block, its `Result` and the way of run 0, if it has it, once its runs have
+        ended, soon after, from the calling thread.
 
     Returns:
       `Finished`. After Ctrl-C it holds what was finished.
@@ -145,11 +151,36 @@ def run_missions(
     draws = np.asarray(draws, np.int32)
     settings = dataclasses.replace(robots, name=""), tunings, noises  # a name would make another program
     program = program_of(max(max_steps, MAX_STEPS))
-    line = Line(program, (), building, np.int32(max_steps), seed, settings, resources.own(len(draws)), draws=draws)
-    costs = run_all([line], resources, on_progress)
-    kept = line.kept
-    driven = None if kept is None else Driven(*(np.asarray(a)[: int(line.results.steps[0])] for a in kept))
-    return Finished(line.results, driven, costs)
+    limit, lines = np.int32(max_steps), []
+    for turn, (first, n) in enumerate([(0, len(draws))] if blocks is None else blocks):
+        own = jax.tree.map(lambda a, at=slice(first, first + n): a[at], (settings, draws))
+        lines.append(
+            Line(
+                *(program, (), building, limit, seed, own[0], resources.own(n)),
+                keeps=0 if first == 0 else NO_RUN,
+                draws=own[1],
+                turn=turn,
+            )
+        )
+    tell = None if on_block is None else (lambda i: on_block(i, lines[i].results, _driven(lines[i])))
+    costs = run_all(lines, resources, on_progress, tell)
+    return _together(lines, blocks or [(0, len(draws))], len(draws), costs)
+
+
+def _together(lines, blocks, n, costs):
+    """What blocks of n runs have found, as one."""
+    result = jax.tree.map(lambda a: np.zeros((n, *a.shape[1:]), a.dtype), lines[0].results)
+    for (first, some), line in zip(blocks, lines):
+        jax.tree.map(lambda whole, own, at=slice(first, first + some): whole.__setitem__(at, own), result, line.results)
+    driven = [_driven(line) for line in lines if line.keeps == 0]
+    return Finished(result, driven[0] if driven else None, costs)
+
+
+def _driven(line):
+    """The way of run 0; None where the line does not have it, or it was interrupted before."""
+    if line.kept is None:
+        return None
+    return Driven(*(np.asarray(a)[: int(line.results.steps[0])] for a in line.kept))
 
 
 def outcome_names(result: Result) -> list[str]:

@@ -6,7 +6,7 @@ one batch. The docstrings are the command line's help texts.
 
 import dataclasses
 
-from jexplore.config import InputError, require_number, require_whole
+from jexplore.config import InputError, require_kind, require_number, require_whole
 
 
 @dataclasses.dataclass(frozen=True)
@@ -43,17 +43,18 @@ class Noise:
     """Errors of the sensors."""
 
     range_m: float = 0.0
-    """Standard deviation of both scanners' ranges, metres."""
+    """The ranges of both scanners have this standard deviation, in metres."""
     invalid: float = 0.0
-    """Probability that a beam gives no number (NaN)."""
+    """A beam gives no number (NaN) with this probability."""
     attitude_deg: float = 0.1
-    """Standard deviation of the attitude sensor, degrees."""
+    """The attitude sensor has this standard deviation, in degrees."""
     odometry: float = 0.01
-    """Standard deviation of an encoder step, relative to the step."""
+    """An encoder step has this standard deviation, relative to the step."""
     heading_deg_sqrt_m: float = 0.5
-    """Standard deviation of the odometry's heading after one metre, degrees; it grows with the root of the path."""
+    """The odometry's heading has this standard deviation after one metre, in degrees; it grows with the root of the
+    path."""
     slip: float = 0.02
-    """Share of every turn that the tracks lose to slip, which the encoders do not notice."""
+    """The tracks lose this share of every turn to slip, which the encoders do not notice."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -61,41 +62,42 @@ class Tuning:
     """Thresholds of perception and behaviour. Letters in brackets are those of Mano et al."""
 
     width_m: float = 0.39
-    """Reference width [W]: what is narrower is no opening, and no side of a triangle. That of the narrowest robot, so
-    that every robot makes the same map."""
+    """What is narrower than this reference width [W], in metres, is no opening, and no side of a triangle. The default
+    is that of the narrowest robot, so that every robot makes the same map."""
     near_m: float = 0.3
-    """Scan points nearer ahead than this are left out of the triangles [D1], metres."""
+    """Scan points nearer ahead than this [D1], in metres, are left out of the triangles."""
     far_m: float = 4.0
-    """Scan points farther ahead than this are left out of the triangles [D2], metres; less where the beams are too far
-    apart on the walls."""
+    """Scan points farther ahead than this [D2], in metres, are left out of the triangles; less where the beams are too
+    far apart on the walls."""
     ahead_m: float = 1.0
-    """Look-ahead: distance of the target point and of the middle of the region that is watched [L], metres."""
+    """The target point and the middle of the region that is watched lie this far ahead [L], in metres."""
     region_m: float = 2.4
-    """Length of the region that is watched for walls (the gray one), metres: more than the widest side passage."""
+    """The region that is watched for walls (the gray one) is this long, in metres: more than the widest side
+    passage."""
     open_m: float = 2.5
-    """A side without a wall within this is free space [C1], metres."""
+    """A side without a wall within this [C1], in metres, is free space."""
     dead_end_m: float = 0.39
-    """The way ahead is closed if both walls together are no farther than this [C2], metres."""
+    """The way ahead is closed if both walls together are no farther than this [C2], in metres."""
     arrive_m: float = 0.3
-    """A target is reached within this [C3], metres."""
+    """A target is reached within this [C3], in metres."""
     leave_m: float = 0.5
-    """A branch is taken this far beyond the radius of its triangle's circle [C4 less that radius], metres."""
+    """A branch is taken this far beyond the radius of its triangle's circle [C4 less that radius], in metres."""
     circle: float = 1.5
-    """Radius of the search circle for links, in radii of the triangle's circle [k]."""
+    """The search circle for links has this radius, in radii of the triangle's circle [k]."""
     obtuse_tol_deg: float = 10.0
     """A triangle is kept if no angle is more than this above 90 degrees; the paper's letter is 0."""
     votes: int = 5
-    """Scans of the last nine that must show a triangle before it is believed, 1 to 9; 1: no voting."""
+    """So many of the last nine scans, 1 to 9, must show a triangle before it is believed; 1 means no voting."""
     same_m: float = 0.4
-    """Two circle centres nearer than this are one, metres."""
+    """Two circle centres nearer than this, in metres, are one."""
     variance_max_m2: float = 3e-4
-    """Residual variance of a height profile above which an obstacle is stairs [Vmax], square metres."""
+    """An obstacle is stairs if its height profile has a residual variance above this [Vmax], in square metres."""
     inclination_deg: float = 5.0
-    """A change of the ground's inclination by more than this is an obstacle, degrees."""
+    """A change of the ground's inclination by more than this, in degrees, is an obstacle."""
     speed_m_s: float = 0.4
-    """Speed of approach [Vc], metres a second."""
+    """The robot approaches a target at this speed [Vc], in metres a second."""
     turn_gain: float = 1.5
-    """Turn rate a radian of bearing of the target point [kw], 1 / s."""
+    """The robot turns at this rate for each radian of bearing of the target point [kw], in 1/s."""
 
 
 def require_tuning(tuning: Tuning) -> None:
@@ -105,8 +107,9 @@ def require_tuning(tuning: Tuning) -> None:
       tuning: `Tuning` of numbers.
 
     Raises:
-      InputError: naming the threshold and its value.
+      InputError: no `Tuning`, or naming the threshold and its value.
     """
+    require_kind("tuning", tuning, Tuning)
     for field in dataclasses.fields(tuning):
         value = getattr(tuning, field.name)
         if field.name == "votes":
@@ -129,6 +132,7 @@ def require_noise(noise: Noise) -> None:
     Raises:
       InputError: naming the number.
     """
+    require_kind("noise", noise, Noise)
     for name, high in (("range_m", 1), ("invalid", 1), ("attitude_deg", 10), ("odometry", 0.5), ("slip", 0.5)):
         require_number(f"noise.{name}", getattr(noise, name), high=high)
     require_number("noise.heading_deg_sqrt_m", noise.heading_deg_sqrt_m, high=45)

@@ -29,6 +29,8 @@ class Table:
     scene: Array  # [J] int32, which of the M scenes
     seed: Array  # [J] uint32
     keeps: Array  # [J] int32, number of the run of which more than the result is kept
+    slot: Array  # [J] int32, where that is kept; K where there is no such run
+    slots: Array  # [K] int32, the line of each
     scalars: Any  # list of `[J]`, the scalars among the lines' numbers
 
 
@@ -74,7 +76,7 @@ class Lanes:
     done: Array  # int32, runs that are done
     ended: Array  # [N] bool, runs that have a result
     results: Any  # [N, ...]
-    kept: Any  # [J, ...], what is kept of one run of each line
+    kept: Any  # [K, ...], what is kept of one run of each line that has such a run
     replace: ClassVar[Callable[..., Self]]
 
 
@@ -147,7 +149,7 @@ class Engine:
             done=zero,
             ended=jnp.zeros(n, bool),
             results=blank(result, n),
-            kept=blank(kept, common.table.seed.shape[0]),
+            kept=blank(kept, common.table.slots.shape[0]),
         )
 
     def lane_bytes(self, lanes: Lanes, shared: Any) -> int:
@@ -183,15 +185,15 @@ class Engine:
         real = which < lanes.at.shape[0]
         at = jnp.maximum(take(lanes.at, which), 0)
         result, kept = self._on_lanes(common, queue, at, self._finish, take(lanes.state, which))
-        line = queue.line[at]
-        line = jnp.where(real & (queue.number[at] == common.table.keeps[line]), line, common.table.seed.shape[0])
+        table, line = common.table, queue.line[at]
+        slot = jnp.where(real & (queue.number[at] == table.keeps[line]), table.slot[line], table.slots.shape[0])
         at = jnp.where(real, at, n)
         return lanes.replace(
             at=lanes.at.at[which].set(-1, mode="drop"),
             done=lanes.done + _count(real),
             ended=lanes.ended.at[at].set(True, mode="drop"),
             results=put(lanes.results, at, result),
-            kept=put(lanes.kept, line, kept),
+            kept=put(lanes.kept, slot, kept),
         )
 
     def _start(self, queue, common, lanes, m):

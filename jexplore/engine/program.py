@@ -82,6 +82,7 @@ class Line:
     which: np.ndarray  # [n] int32, numbers of the runs that are to be made here; ascending
     keeps: int = 0  # number of the run of which more than the result is kept; where it is made, it is the first
     draws: Any = None  # [N] int32, what makes a run's key, with the seed; by default its number
+    turn: int = 0  # lines of a later turn are begun when all of this one has been, where runs come one after the other
     # (result, record) -> what is kept of a run on the host; of numpy arrays
     trim: Callable[[Any, Any], Any] | None = None
     # number of a run -> what `trim` made of it

@@ -71,6 +71,11 @@ class Resources(NamedTuple):
         return np.arange(self.process, n, self.processes)
 
 
+def own_cores() -> int:
+    """CPU cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
 def find_resources(*, engine: str | None = None, lanes: int | None = None, workers: int | None = None) -> Resources:
     """What there is to run with, and what is asked of it. Starts JAX.
 
@@ -92,7 +97,7 @@ def find_resources(*, engine: str | None = None, lanes: int | None = None, worke
     for name, value in (("lanes", lanes), ("workers", workers)):
         if value is not None and value < 1:
             raise InputError(f"{name} must be at least 1, got {value}")
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    cores = own_cores()
     start_backend(workers or cores)  # before anything else asks JAX for its devices
     devices = jax.local_devices()
     engine = engine or ("serial" if devices[0].platform == "cpu" else "lockstep")
@@ -102,7 +107,12 @@ def find_resources(*, engine: str | None = None, lanes: int | None = None, worke
     return Resources(engine, devices, workers, lanes, jax.process_index(), jax.process_count())
 
 
-def run_all(lines: Sequence[Line], resources: Resources, on_progress: Callable[[int], object] | None = None) -> Costs:
+def run_all(
+    lines: Sequence[Line],
+    resources: Resources,
+    on_progress: Callable[[int], object] | None = None,
+    on_line: Callable[[int], object] | None = None,
+) -> Costs:
     """Makes every run of every line.
 
     A run's result depends on its scene, program, numbers, task and key, not on what else runs, nor on the engine, or
@@ -114,6 +124,8 @@ def run_all(lines: Sequence[Line], resources: Resources, on_progress: Callable[[
       lines: list of `Line`, each with at least one run. In every process the same, but for `which`.
       resources: `Resources`.
       on_progress: called with the number of runs finished so far, now and then, from the calling thread.
+      on_line: called, likewise, with the number of a line once all its runs have come back: soon after, or, where
+        several processes share the work, at the end.
 
     Returns:
       `Costs`.
@@ -121,14 +133,27 @@ def run_all(lines: Sequence[Line], resources: Resources, on_progress: Callable[[
     Raises:
       MemoryError: a device's memory does not suffice, not even for half the lanes.
     """
+    told = set()
+
+    def tell():
+        for i, line in enumerate(lines):
+            if on_line is not None and i not in told and line.finished[line.which].all():
+                told.add(i)
+                on_line(i)
+
+    def progress(done):
+        if on_progress is not None:
+            on_progress(done)
+        if resources.processes == 1:
+            tell()
+
     costs = Costs(engine=resources.engine, devices=len(resources.devices) * resources.processes)
-    on_progress = on_progress or (lambda done: None)
     try:
         if resources.engine == "serial":
             costs.lanes = resources.workers
-            serial.run_lines(lines, resources.devices, resources.workers, costs, on_progress)
+            serial.run_lines(lines, resources.devices, resources.workers, costs, progress)
         else:
-            lockstep.run_lines(lines, resources.devices, resources.lanes, costs, on_progress)
+            lockstep.run_lines(lines, resources.devices, resources.lanes, costs, progress, on_line is not None)
     except KeyboardInterrupt:
         if resources.processes > 1 or not any(line.finished.any() for line in lines):
             raise
@@ -137,15 +162,24 @@ def run_all(lines: Sequence[Line], resources: Resources, on_progress: Callable[[
         if "RESOURCE_EXHAUSTED" in str(error):
             raise MemoryError(str(error)) from error
         raise
-    for line in lines:
-        if line.results is None or (resources.processes > 1 and line.kept is None):
-            shapes = line.shapes()
-            line.make_room(shapes[0])
-            if resources.processes > 1:
-                line.kept = jax.tree.map(lambda a: np.zeros(a.shape, a.dtype), shapes[1])
+    _make_room(lines, resources.processes > 1)
     if resources.processes > 1:
         _across_processes(lines)
+    tell()
     return costs
+
+
+def _make_room(lines, with_kept):
+    """Room for the results of lines of which nothing has come back; and for what is kept of them."""
+    known = {}
+    for line in lines:
+        if line.results is None or (with_kept and line.kept is None):
+            if line.kind not in known:
+                known[line.kind] = line.shapes()
+            shapes = known[line.kind]
+            line.make_room(shapes[0])
+            if with_kept:
+                line.kept = jax.tree.map(lambda a: np.zeros(a.shape, a.dtype), shapes[1])
 
 
 def _across_processes(lines):

@@ -16,7 +16,7 @@ from jax import Array, lax
 
 from jexplore.engine.devices import compiled, on_devices, whole
 from jexplore.engine.program import Given, Line, Program
-from jexplore.engine.threads import Pieces, share_out
+from jexplore.engine.threads import Pace, Pieces, share_out
 
 CHUNK = 64  # most runs in one call of the compiled program on one device
 
@@ -81,7 +81,7 @@ def compile_chunk(line: Line, devices: Sequence[Any]) -> tuple[Callable[..., Any
     return call, jax.tree.map(lambda a: jax.ShapeDtypeStruct(a.shape[2:], a.dtype), shapes[0])
 
 
-def _pieces(line, call, place, d):
+def _pieces(line, call, place, d, pace):
     """The runs of a line as `Pieces`: device i takes runs i, i + d, ..., so the first comes alone on device 0."""
     arguments, size = (np.uint32(line.seed), *place, line.numbers), CHUNK
 
@@ -106,7 +106,7 @@ def _pieces(line, call, place, d):
         for i, some in enumerate(mine):
             line.put(some, jax.tree.map(lambda a, i=i, some=some: a[i, : len(some)], results))
 
-    return Pieces(total=len(line.which), most=size, call=make, keep=keep, n_devices=d)
+    return Pieces(total=len(line.which), most=size, call=make, keep=keep, n_devices=d, turn=line.turn, pace=pace)
 
 
 def run_lines(
@@ -132,14 +132,15 @@ def run_lines(
     kinds, places = {line.kind: line for line in lines}, {}
     with ThreadPoolExecutor(workers) as pool:
         programs = dict(zip(kinds, pool.map(lambda line: compile_chunk(line, devices), kinds.values())))
-    work = []
+    work, paces = [], {}
     for line in lines:
         place = id(line.scene), id(line.shared)
         if place not in places:
             places[place] = whole((jax.tree.map(lambda a: a[None], line.scene), line.shared), devices)
         call, shapes = programs[line.kind]
         line.make_room(shapes)
-        work.append(_pieces(line, call, places[place], len(devices)))
+        pace = paces.setdefault((line.kind, id(line.scene), id(line.numbers)), Pace())
+        work.append(_pieces(line, call, places[place], len(devices), pace))
     costs.compile_s += time.perf_counter() - began
     began = time.perf_counter()
     try:

@@ -3,12 +3,20 @@
 XLA lets go of the interpreter lock while a program runs.
 """
 
+import collections
 import dataclasses
 from collections.abc import Callable, Iterable
 from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
 from typing import Any
 
 CALL_S = 1.0  # seconds that a call should take: how often progress moves, and how long Ctrl-C waits
+
+
+@dataclasses.dataclass
+class Pace:
+    """How long a piece takes; shared by work of one sort."""
+
+    piece_s: float | None = None  # seconds a piece and device, once known
 
 
 @dataclasses.dataclass(kw_only=True)
@@ -21,13 +29,15 @@ class Pieces:
     # (first, n, found): keeps what a call has found; the thread that calls `share_out` calls it
     keep: Callable[[int, int, Any], object]
     n_devices: int = 1
+    turn: int = 0  # nothing of a later turn is begun before all of this one is
+    pace: Pace = dataclasses.field(default_factory=Pace)
     next: int = dataclasses.field(default=0, init=False)
-    piece_s: float | None = dataclasses.field(default=None, init=False)  # seconds a piece and device, once known
 
     def take(self, workers: int) -> tuple[int, int]:
         """The next pieces, `(first, number)`: one a device at first, then as many as take about a second."""
         left, d = self.total - self.next, self.n_devices
-        n = 1 if self.piece_s is None else int(CALL_S / max(self.piece_s, 1e-6))
+        piece_s = self.pace.piece_s
+        n = 1 if piece_s is None else int(CALL_S / max(piece_s, 1e-6))
         n = min(left, d * max(1, min(n, self.most, -(-left // (workers * d)))))
         first = self.next
         self.next += n
@@ -35,7 +45,7 @@ class Pieces:
 
 
 def share_out(kinds: Iterable[Pieces], workers: int, on_progress: Callable[[int], object]) -> None:
-    """Does all pieces of some kinds, all kinds in turn, so that what is interrupted has done a part of each.
+    """Does all pieces of some kinds: those of a turn in rotation, so that what is interrupted has done a part of each.
 
     Args:
       kinds: list of `Pieces`.
@@ -45,20 +55,23 @@ def share_out(kinds: Iterable[Pieces], workers: int, on_progress: Callable[[int]
     Raises:
       KeyboardInterrupt: after the calls under way have ended; what they found has been kept.
     """
-    waiting, running, done = [pieces for pieces in kinds if pieces.total], {}, 0
+    waiting, running, done = collections.deque(), {}, 0
+    later = collections.deque(sorted((pieces for pieces in kinds if pieces.total), key=lambda pieces: pieces.turn))
     pool = ThreadPoolExecutor(workers)
 
     def finish(future):
         pieces, first, n = running.pop(future)
         found, seconds = future.result()
         pieces.keep(first, n, found)
-        pieces.piece_s = seconds * pieces.n_devices / n
+        pieces.pace.piece_s = seconds * pieces.n_devices / n
         return n
 
     try:
-        while waiting or running:
-            while waiting and len(running) < workers:
-                pieces = waiting.pop(0)
+        while waiting or running or later:
+            while (waiting or later) and len(running) < workers:
+                while later and (not waiting or later[0].turn == waiting[0].turn):
+                    waiting.append(later.popleft())
+                pieces = waiting.popleft()
                 first, n = pieces.take(workers)
                 running[pool.submit(pieces.call, first, n)] = pieces, first, n
                 if pieces.next < pieces.total:

@@ -15,6 +15,8 @@ from jexplore.policies import Strategy
 from jexplore.policies.catalogue.joined import joined
 from jexplore.worlds.world import World
 
+NO_RUN = -1  # number of a run that none has
+
 
 class Job(NamedTuple):
     """Episodes of one strategy in one world."""
@@ -22,14 +24,19 @@ class Job(NamedTuple):
     world: World
     strategy: Strategy
     starts: np.ndarray  # [N, 3] int, row, col, heading_deg (multiples of 45)
-    seed: int = 0  # with the number of the episode (its place in `starts`) it fixes every draw
+    seed: int = 0  # with the number of the episode (its place in `starts`, plus `first`) it fixes every draw
+    first: int = 0  # number of the first of these episodes
+    lidar: Lidar | None = None  # None: that of the run
+    rules: Rules | None = None  # None: those of the run
+    turn: int = 0  # jobs of a later turn are begun when all of this one have been
 
 
 class Outcomes(NamedTuple):
     """What `run_jobs` returns for one job."""
 
     result: Result  # numpy, with a leading axis N; outcome RUNNING where the run was interrupted before
-    first: Final | None  # the map and the way of episode 0, or of the only one; None where it was interrupted before
+    # the map and the way of episode 0, or of the only one; None where that is not here, or was interrupted before
+    first: Final | None
     records: dict[int, Record] | None = None  # of every episode that has ended, if they were to be kept
 
 
@@ -43,7 +50,8 @@ class Finished(NamedTuple):
 def run_jobs(
     jobs: Sequence[Job], lidar: Lidar, rules: Rules, *, engine: str | None = None, kernels: Kernels | None = None,
     lanes: int | None = None, workers: int | None = None, on_progress: Callable[[int], object] | None = None,
-    only: int | None = None, keep: str | None = None,
+    only: int | None = None, keep: str | None = None, on_job: Callable[[int, Outcomes], object] | None = None,
+    alike: Sequence[tuple[Lidar, Rules]] = (),
 ) -> Finished:  # fmt: skip
     """Runs every episode of every job.
 
@@ -65,6 +73,9 @@ def run_jobs(
       on_progress: called with the number of episodes finished so far, now and then, from the calling thread.
       only: number of the one episode of every job that is run; None: all are.
       keep: one of `trail.RECORDS`, what is kept of every episode; None: nothing but results.
+      on_job: called with the number of a job and its `Outcomes` once all its episodes have ended, soon after, from the
+        calling thread.
+      alike: scanners and rules of other runs that are to share this one's programs, see `site.prepare_site`.
 
     Returns:
       `Finished`.
@@ -80,16 +91,30 @@ def run_jobs(
         raise InputError(f"keep={keep!r} is for one process, and {resources.processes} share the work")
     kernels = kernels or KERNELS[resources.engine]
     jobs = [_checked(job) for job in jobs]
-    sites = {}
-    for job in jobs:
-        if id(job.world) not in sites:
-            sites[id(job.world)] = prepare_site(job.world, lidar, rules, kernels)
-    lines = []
-    for job, strategy in zip(jobs, joined([job.strategy for job in jobs])):
-        which = resources.own(len(job.starts)) if only is None else [only] * (resources.process == 0)
-        lines.append(line_of(sites[id(job.world)], strategy, job.starts, job.seed, which, keeps=only or 0, keep=keep))
-    costs = run_all(lines, resources, on_progress)
+    lines = _lines_of(jobs, lidar, rules, resources, kernels, only, keep, alike)
+    tell = None if on_job is None else (lambda i: on_job(i, _outcomes(jobs[i], lines[i])))
+    costs = run_all(lines, resources, on_progress, tell)
     return Finished([_outcomes(job, line) for job, line in zip(jobs, lines)], costs)
+
+
+def _lines_of(jobs, lidar, rules, resources, kernels, only, keep, alike):
+    """A `Line` for every job. What jobs have in common is made once."""
+    settings = [(job.lidar or lidar, job.rules or rules) for job in jobs]
+    alike = [*alike, *dict.fromkeys(settings)]
+    sites, fitted, lines = {}, {}, []
+    for job, strategy, own in zip(jobs, joined([job.strategy for job in jobs]), settings):
+        place = id(job.world), own
+        if place not in sites:
+            sites[place] = prepare_site(job.world, *own, kernels, alike=alike)
+        if (place, id(job.strategy)) not in fitted:
+            fitted[place, id(job.strategy)] = sites[place].with_strategy(strategy)
+        which = resources.own(len(job.starts)) if only is None else [only] * (resources.process == 0)
+        keeps = only or (0 if job.first == 0 else NO_RUN)
+        numbers = fitted[place, id(job.strategy)]
+        line = line_of(sites[place], numbers, job.starts, job.seed, which, keeps=keeps, keep=keep)
+        line.draws, line.turn = line.draws + np.int32(job.first), job.turn
+        lines.append(line)
+    return lines
 
 
 def _checked(job):

@@ -80,7 +80,9 @@ def turns(site: Site, strategy: Strategy, start: ArrayLike, seed: int, number: i
     Yields:
       `Turn`s, whose moments must be taken before the next turn is.
     """
-    line = line_of(site, strategy, np.tile(np.asarray(start, np.int32), (number + 1, 1)), seed, [number])
+    line = line_of(
+        site, site.with_strategy(strategy), np.tile(np.asarray(start, np.int32), (number + 1, 1)), seed, [number]
+    )
     given, setup = jax.device_put(given_of(line, number)), line.program.setup
     state = _begin(setup, given)
     yield Turn(None, None, iter([_moment(state, state)]))

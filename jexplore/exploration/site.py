@@ -3,6 +3,7 @@
 import dataclasses
 import functools
 import math
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -85,7 +86,13 @@ def _check(site, strategy, numbers):
 
 
 def prepare_site(
-    world: World, lidar: Lidar, rules: Rules, kernels: Kernels, shape: tuple[int, int] | None = None
+    world: World,
+    lidar: Lidar,
+    rules: Rules,
+    kernels: Kernels,
+    shape: tuple[int, int] | None = None,
+    *,
+    alike: Sequence[tuple[Lidar, Rules]] = (),
 ) -> Site:
     """Pads a world and traces the scanner's beams.
 
@@ -95,6 +102,8 @@ def prepare_site(
       rules: `Rules`.
       kernels: `Kernels`.
       shape: `(H, W)` to which the world is padded; by default the next that many worlds share.
+      alike: scanners and rules of other runs. What is fixed before compiling then suits all of them whose scanner has
+        as many beams, so that they share a program; results are the same.
 
     Returns:
       `Site` of numpy arrays.
@@ -114,14 +123,7 @@ def prepare_site(
         extent=np.asarray(world.shape, np.int32),  # type: ignore[arg-type]
     )
     limit = max(LEAST_LIMIT, height * width)
-    max_steps = rules.max_steps or limit
-    setup = Setup(
-        policy=None,
-        first_scans=scans_all_round(lidar.fov_deg),
-        window=math.ceil(in_cells(lidar.range_m + 4 * lidar.sigma_m, world.cell_m)) + 1,
-        noisy=lidar.sigma_m > 0 or lidar.dropout > 0,
-        capacity=max(LEAST_LIMIT, shape[0] * shape[1]) if max_steps <= limit else max_steps,
-    )
+    everyone = [(lidar, rules), *(pair for pair in alike if pair[0].n_beams == lidar.n_beams)]
     model = MapModel(
         p_free=np.float32(rules.p_free),  # type: ignore[arg-type]
         near_d2=np.int32(radius_d2(rules.near_m, world.cell_m)),  # type: ignore[arg-type]
@@ -135,23 +137,52 @@ def prepare_site(
         model=model,
         look_around=np.bool_(rules.look_around),  # type: ignore[arg-type]
         recheck=np.bool_(False),  # type: ignore[arg-type]
-        max_steps=np.int32(max_steps),  # type: ignore[arg-type]
+        max_steps=np.int32(rules.max_steps or limit),  # type: ignore[arg-type]
         max_plans=np.int32(rules.max_plans or limit),  # type: ignore[arg-type]
         sigma_cells=np.float32(lidar.sigma_m / world.cell_m),  # type: ignore[arg-type]
         dropout=np.float32(lidar.dropout),  # type: ignore[arg-type]
         params=(),
     )
-    return Site(truth, beam_table(lidar, world.cell_m, shape[1]), setup, numbers)
+    plain = Lidar(lidar.n_beams, lidar.fov_deg, lidar.range_m)
+    beams = _beams(plain, world.cell_m, shape[1], max(one.range_m for one, _ in everyone))
+    return Site(truth, beams, _setup(everyone, world.cell_m, shape, limit), numbers)
+
+
+def _setup(everyone, cell_m, shape, limit):
+    """What is fixed before compiling, such that it suits several scanners and rules, those of the site first."""
+    lidar, _ = everyone[0]
+    max_steps = max(rules.max_steps or limit for _, rules in everyone)
+    farthest_m = max(one.range_m + 4 * one.sigma_m for one, _ in everyone)
+    return Setup(
+        policy=None,
+        first_scans=scans_all_round(lidar.fov_deg),
+        window=math.ceil(in_cells(farthest_m, cell_m)) + 1,
+        noisy=any(one.sigma_m > 0 or one.dropout > 0 for one, _ in everyone),
+        capacity=max(LEAST_LIMIT, shape[0] * shape[1]) if max_steps <= limit else max_steps,
+    )
+
+
+@functools.lru_cache(maxsize=8)
+def _beams(lidar, cell_m, width, longest_m):
+    """The same table for all rules and noise: megabytes."""
+    return beam_table(lidar, cell_m, width, longest_m)
 
 
 def line_of(
-    site: Site, strategy: Strategy, starts: ArrayLike, seed: int, which: Any, *, keeps: int = 0, keep: str | None = None
+    site: Site,
+    fitted: tuple[Setup, Numbers],
+    starts: ArrayLike,
+    seed: int,
+    which: Any,
+    *,
+    keeps: int = 0,
+    keep: str | None = None,
 ) -> Line:
     """The `Line` of a strategy's episodes.
 
     Args:
       site: `Site`.
-      strategy: `Strategy`.
+      fitted: what `site.with_strategy` made of the strategy.
       starts: `[N, 3]` int, row, col, heading_deg (multiples of 45).
       seed: int.
       which: `[n]` int, numbers of the episodes to be run here.
@@ -160,7 +191,7 @@ def line_of(
     """
     starts = np.array(starts, np.int32)
     starts[:, 2] //= 45
-    setup, numbers = site.with_strategy(strategy)
+    setup, numbers = fitted
     trim = None
     if keep is not None:
         shape, width = tuple(int(n) for n in site.truth.extent), site.truth.occupied.shape[1]

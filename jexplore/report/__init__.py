@@ -1,0 +1,20 @@
+"""Pictures, tables, files. All that draws is imported below this package, which finds matplotlib a folder first."""
+
+import atexit
+import os
+import shutil
+import tempfile
+from pathlib import Path
+
+
+def _find_folder():
+    """Without a home folder matplotlib could not be imported, or would complain: it gets a folder for this process."""
+    try:
+        Path.home()
+    except RuntimeError:
+        if not os.environ.get("MPLCONFIGDIR"):
+            os.environ["MPLCONFIGDIR"] = tempfile.mkdtemp(prefix="matplotlib-")
+            atexit.register(shutil.rmtree, os.environ["MPLCONFIGDIR"], ignore_errors=True)
+
+
+_find_folder()

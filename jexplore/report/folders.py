@@ -1,4 +1,4 @@
-"""Folders that hold one run each: what is refused, and how a run's files come into one, all of them or none."""
+"""Folders that hold one run each: claimed before a run begins, and given its files all at once, or none."""
 
 import contextlib
 import datetime
@@ -6,6 +6,7 @@ import itertools
 import os
 import secrets
 import shutil
+import socket
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -14,47 +15,187 @@ from jexplore.config import InputError
 from jexplore.report.store import reason, sync_folder
 
 OUR_FILES = (
-    *("run.json", "episodes.parquet", "compare.png", "paths.png", "league.png"),  # compare
+    *("run.json", "episodes.parquet", "details.npz", "report.html"),
+    *("compare.png", "coverage.png", "paths.png", "league.png"),  # compare
     *("episode.png", "episode.gif", "worlds.png"),  # explore, worlds
     *("bench.json", "bench.png"),  # bench
     *("scores.parquet", "segments.png"),  # segment
     "reproduce.png",  # reproduce
+    *("sweep.yaml", "summary.csv", "sweep.png", "sweep-map.png"),  # sweep
     *("btm.json", "btm.geojson", "btm.graphml", "btm.png", "btm.html", "runs.parquet"),  # trace
 )
 """Names that a run writes into its folder: their presence marks it as taken, and only they are ever replaced."""
 
-OLD = "old"  # folder for the files of a run that is being replaced
+UNFINISHED = ".unfinished"  # folder for what a run has finished so far, in its own
+LOCK = ".lock"  # file that is locked while a process has the folder to itself
+PART = ".part"  # ending of hidden folders in which files are written before they are moved
+OLD = "old"  # folder for the files of a run that is being replaced, in such a one
 
 
-def _writable(path, overwrite, names):
-    """Makes the folder, proves that it can be written and that it may hold a run: `(taken files, folders made)`."""
+class RunFolder:
+    """A folder that this process has to itself, for the files of one run."""
+
+    path: Path
+    overwrite: bool
+
+    def __init__(self, path: Path, overwrite: bool, made: list[Path], lock: int | None) -> None:
+        self.path, self.overwrite = path, overwrite
+        self._made, self._lock, self._keeps = made, lock, False
+
+    @property
+    def unfinished(self) -> Path:
+        """Folder for what a run has finished so far."""
+        return self.path / UNFINISHED
+
+    def write(self, writers: Mapping[str, Callable[[Path], Any]], *, is_finished: bool = True) -> Path:
+        """Write the files of a run: all of them, or none.
+
+        They are first written into a hidden folder and moved when all are there, `run.json` last: where it stands, the
+        rest does. If one fails, or the user interrupts, also while they are moved, the folder is as before.
+
+        Args:
+          writers: `{name: function}`, each called with the path that it is to write.
+          is_finished: whether the run is, so that what was kept of it on the way can go.
+
+        Returns:
+          `Path` of the folder.
+
+        Raises:
+          InputError: a file cannot be written; or files of an old run could be moved neither forth nor back: says where
+            they are.
+        """
+        with _staged(self.path, writers) as stage:
+            _exchange(stage, self.path, _taken(self.path, True), writers)
+            sync_folder(self.path)
+        self._keeps, self.overwrite = True, True
+        if is_finished:
+            shutil.rmtree(self.unfinished, ignore_errors=True)
+        return self.path
+
+    def add(self, name: str, write: Callable[[Path], Any]) -> None:
+        """One more file of a run that has been written, whole or not at all.
+
+        Raises:
+          InputError: it cannot be written.
+        """
+        with _staged(self.path, {name: write}) as stage:
+            os.replace(stage / name, self.path / name)
+
+    def require_free(self) -> None:
+        """Refuse a folder that holds a run.
+
+        Raises:
+          InputError: naming a file of it.
+        """
+        _taken(self.path, False)
+
+    def release(self) -> None:
+        """Gives the folder back; where nothing was kept, folders that were made for it go."""
+        with contextlib.suppress(OSError):
+            self.unfinished.rmdir()  # if it is empty
+        if self._lock is not None:
+            with contextlib.suppress(OSError):
+                os.unlink(self.path / LOCK)
+            os.close(self._lock)
+            self._lock = None
+        if not self._keeps:
+            _remove_folders(self._made)
+
+
+@contextlib.contextmanager
+def claimed(path: str | os.PathLike[str], *, overwrite: bool = False, resume: bool = False) -> Iterator[RunFolder]:
+    """A folder for one run, which no other process may claim meanwhile; missing parents are made.
+
+    Nothing in it is changed before the run is written. The claim dies with its holder, however that ends.
+
+    Args:
+      path: the folder.
+      overwrite: whether it may hold a run, which is then replaced by the new one as a whole. Files of other names
+        than a run's are never touched.
+      resume: whether it may hold a run, finished or not, that is to be gone on with.
+
+    Yields:
+      `RunFolder`.
+
+    Raises:
+      InputError: it holds a run, finished or not, or another process writes to it; it is a file, or cannot be made or
+        written.
+    """
+    folder = _claim(path, overwrite, resume)
+    try:
+        yield folder
+    finally:
+        folder.release()
+
+
+@contextlib.contextmanager
+def claimed_new(paths: Iterable[str | os.PathLike[str]]) -> Iterator[RunFolder]:
+    """As `claimed`, the first of some folders that is not there yet. Of several processes each gets one of its own."""
+    for path in map(Path, paths):
+        parents = _make(path.parent)
+        try:
+            path.mkdir()
+        except FileExistsError:
+            continue
+        except (OSError, ValueError) as error:
+            _remove_folders(parents)
+            raise _unwritable(path, error) from error
+        folder = _claim(path, False, False)
+        folder._made = [*parents, path]
+        try:
+            yield folder
+        finally:
+            folder.release()
+        return
+
+
+def _claim(path, overwrite, resume):
     if not os.fspath(path):
         raise InputError("the output folder must have a name, got an empty one")
-    path, made = Path(path), []
+    path = Path(path)
+    made = _make(path)
+    try:
+        lock = _locked(path)
+    except BaseException:
+        _remove_folders(made)
+        raise
+    folder = RunFolder(path, overwrite, made, lock)
+    try:
+        _mend(path)
+        _taken(path, overwrite or resume)
+        if folder.unfinished.exists() and not (overwrite or resume):
+            raise InputError(
+                f"{path} holds a run that was not finished: go on with it (--resume), replace it (--overwrite) or "
+                "choose another folder"
+            )
+    except BaseException as error:
+        folder.release()
+        if isinstance(error, OSError):
+            raise _unwritable(path, error) from error
+        raise
+    return folder
+
+
+def _unwritable(path, error):
+    return InputError(f"{str(path)!r} must be a folder that can be written: {reason(error)}")
+
+
+def _make(path):
+    """Makes a folder and its parents: a list of those that were not there."""
+    made = []
     try:
         if path.exists() and not path.is_dir():
             raise InputError(f"{path} must be a folder, got a file")
-        taken = [path / name for name in names if os.path.lexists(path / name)]
-        for file in taken:
-            if not overwrite:
-                raise InputError(
-                    f"{path} holds a run ({file.name}): choose another folder or allow overwriting (--overwrite)"
-                )
-            if file.is_dir():
-                raise InputError(f"{file} must be a file to be overwritten, got a folder")
         for folder in reversed([path, *path.parents]):
             if not folder.is_dir():
-                folder.mkdir()
+                folder.mkdir(exist_ok=True)
                 made.append(folder)
-        probe = path / f".probe.{os.getpid()}-{secrets.token_hex(4)}.part"
-        probe.touch(exist_ok=False)
-        probe.unlink()
     except InputError:
         raise
     except (OSError, ValueError) as error:
         _remove_folders(made)
-        raise InputError(f"{str(path)!r} must be a folder that can be written: {reason(error)}") from error
-    return taken, made
+        raise _unwritable(path, error) from error
+    return made
 
 
 def _remove_folders(made):
@@ -63,50 +204,93 @@ def _remove_folders(made):
             folder.rmdir()
 
 
-def check_out(path: str | os.PathLike[str], overwrite: bool = False) -> None:
-    """Refuse a folder that cannot hold a run, and leave everything as it is.
+def _taken(path, allowed):
+    """The files of a run in a folder: a list of `Path`s; refuses them unless they are allowed."""
+    taken = [path / name for name in OUR_FILES if os.path.lexists(path / name)]
+    for file in taken:
+        if not allowed:
+            raise InputError(
+                f"{path} holds a run ({file.name}): choose another folder or allow overwriting (--overwrite)"
+            )
+        if file.is_dir():
+            raise InputError(f"{file} must be a file to be overwritten, got a folder")
+    return taken
 
-    Args:
-      path: the folder; it need not be there.
-      overwrite: whether the folder may hold a run.
+
+def _locked(path):
+    """Locks a folder for this process, until it ends: a file descriptor; None where the system has no locks.
 
     Raises:
-      InputError: the folder holds a run and `overwrite` is off, is a file, or cannot be made or written.
+      InputError: another process has it, or the folder cannot be written.
     """
-    _remove_folders(_writable(path, overwrite, OUR_FILES)[1])
+    name = path / LOCK
+    while True:
+        try:
+            handle = os.open(name, os.O_RDWR | os.O_CREAT, 0o644)
+        except (OSError, ValueError) as error:
+            raise _unwritable(path, error) from error
+        try:
+            if not _lock(handle):
+                who = os.read(handle, 200).decode(errors="replace").strip() or "another process"
+                raise InputError(f"{path} is being written by {who}: wait for it, or choose another folder")
+            if os.path.samestat(os.fstat(handle), os.stat(name)):  # else its holder has just removed it
+                os.ftruncate(handle, 0)
+                os.write(handle, f"process {os.getpid()} on {socket.gethostname()}\n".encode())
+                return handle
+        except FileNotFoundError:
+            pass
+        except OSError as error:
+            os.close(handle)
+            raise _unwritable(path, error) from error
+        except BaseException:
+            os.close(handle)
+            raise
+        os.close(handle)
+
+
+def _lock(handle):
+    """Whether the lock of an open file could be had; True as well where there are no locks."""
+    try:
+        import fcntl
+    except ImportError:
+        return True
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError:  # a file system without locks
+        return True
+    return True
+
+
+def _mend(path):
+    """Puts a folder in order whose last holder was killed while files were written or moved: the old run is whole again
+    unless the new one is.
+    """
+    for stage in path.glob(f".*{PART}"):
+        old = stage / OLD
+        if stage.is_dir() and old.is_dir() and not (path / "run.json").exists():
+            for file in sorted(old.iterdir(), key=lambda file: file.name == "run.json"):
+                os.replace(file, path / file.name)
+        shutil.rmtree(stage, ignore_errors=True)
+        with contextlib.suppress(OSError):
+            stage.unlink()
 
 
 @contextlib.contextmanager
 def _staged(folder, writers):
     """The files of a run, written into a hidden folder inside `folder` that is gone afterwards."""
-    stage = Path(folder) / f".{os.getpid()}-{secrets.token_hex(4)}.part"
+    stage = Path(folder) / f".{os.getpid()}-{secrets.token_hex(4)}{PART}"
     try:
         stage.mkdir()
         for name, write in writers.items():
             write(stage / name)
         yield stage
     except OSError as error:
-        raise InputError(f"{str(folder)!r} must be a folder that can be written: {reason(error)}") from error
+        raise _unwritable(folder, error) from error
     finally:
         if not (stage / OLD).is_dir() or not any((stage / OLD).iterdir()):  # else what is there is there only
             shutil.rmtree(stage, ignore_errors=True)
-
-
-@contextlib.contextmanager
-def _locked(folder):
-    """Keeps other processes that ask for the same lock waiting; where the system has none, does nothing."""
-    try:
-        import fcntl
-    except ImportError:
-        yield
-        return
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        with contextlib.suppress(OSError):  # a file system without locks
-            fcntl.flock(handle, fcntl.LOCK_EX)
-        yield
-    finally:
-        os.close(handle)
 
 
 def _exchange(stage, folder, taken, names):
@@ -145,75 +329,6 @@ def _done(act, *paths):
             continue
         except OSError:
             return None
-
-
-def write_run(
-    path: str | os.PathLike[str], writers: Mapping[str, Callable[[Path], Any]], overwrite: bool = False
-) -> Path:
-    """Write the files of a run into its folder: all of them, or none.
-
-    They are first written into a hidden folder inside it and moved when all are there, `run.json` last: where it
-    stands, the rest does. If one fails, or the user interrupts, also while they are moved, the folder is as before: an
-    earlier run is still whole, and folders that were made are gone.
-
-    Args:
-      path: the folder; missing parents are made too. Files of other names than a run's are never touched.
-      writers: `{name: function}`, each called with the path that it is to write.
-      overwrite: whether the folder may hold a run.
-
-    Returns:
-      `Path` of the folder.
-
-    Raises:
-      InputError: as `check_out`, or a file cannot be written; or files of the old run could be moved neither forth nor
-        back: says where they are.
-    """
-    _, made = _writable(path, overwrite, OUR_FILES)
-    path = Path(path)
-    try:
-        with _staged(path, writers) as stage, _locked(path):
-            taken, _ = _writable(path, overwrite, OUR_FILES)
-            _exchange(stage, path, taken, writers)
-            sync_folder(path)
-            made = []
-    finally:
-        _remove_folders(made)
-    return path
-
-
-def write_new_run(paths: Iterable[str | os.PathLike[str]], writers: Mapping[str, Callable[[Path], Any]]) -> Path:
-    """Write the files of a run into the first of some folders that is not there yet, as one: all of them, or none.
-
-    Of several processes that write at once, each gets a folder of its own.
-
-    Args:
-      paths: folders, all in one folder.
-      writers: as for `write_run`.
-
-    Returns:
-      `Path` of the folder.
-
-    Raises:
-      InputError: the folder cannot be made, or a file cannot be written.
-    """
-    names = map(Path, paths)
-    path = next(names)
-    _, made = _writable(path.parent, True, ())
-    try:
-        with _staged(path.parent, writers) as stage:
-            while True:
-                try:
-                    os.rename(stage, path)  # fails where a folder with something in it is there
-                    break
-                except OSError:
-                    if not os.path.lexists(path):
-                        raise
-                    path = next(names)
-            sync_folder(path.parent)
-            made = []
-    finally:
-        _remove_folders(made)
-    return path
 
 
 def default_outs(

@@ -5,20 +5,17 @@ pandas and matplotlib are imported by the functions that need them.
 
 import dataclasses
 import functools
-import os
+import itertools
 from collections.abc import Callable, Iterable, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from jexplore.config import MAX_SEED, InputError, Lidar, Rules, require_whole
 from jexplore.engine.backend import use_compilation_cache
-from jexplore.exploration import batch
 from jexplore.exploration.batch import Job
-from jexplore.exploration.results import columns, map_state, progress_m
 from jexplore.exploration.state import Outcome
 from jexplore.exploration.trail import RECORDS
-from jexplore.studies import stats
 from jexplore.studies.checks import (
     LIDAR,
     MAX_EPISODES,
@@ -31,31 +28,14 @@ from jexplore.studies.checks import (
     require_memory,
     require_settings,
 )
-from jexplore.studies.league import standings
+from jexplore.studies.results.units import Piece, Ran, Seen, run_units
+from jexplore.studies.statistics import by_world, figures, sizes
+from jexplore.studies.statistics.league import over_worlds_text, standings
 from jexplore.worlds.world import World
 
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
-
-COLUMNS = (
-    *("world", "strategy", "episode", "seed", "start_row", "start_col", "path_m", "turning_rad"),
-    *("steps", "scans", "plans", "outcome", "exhausted", "explored_fraction"),
-    *("path_m_at_50", "path_m_at_90", "path_m_at_95", "path_m_at_99", "room_entries"),
-    *("start_heading_deg", "refused", "saturated", "overflow"),
-)
-"""Columns of a table of episodes. `stats` and `plot` read them by these names."""
-
-
-class Seen(NamedTuple):
-    """How episode 0 of a strategy in a world ended: its map and its way."""
-
-    strategy: str
-    state: object  # [H, W] uint8, 0 unknown, 1 free, 2 occupied
-    rows: object  # [n + 1] int32, cells driven
-    cols: object  # [n + 1] int32
-    cell_m: float
-    path_m: float
 
 
 @dataclasses.dataclass(frozen=True)
@@ -63,7 +43,7 @@ class Comparison:
     """What `compare` found. Tables are pandas DataFrames."""
 
     episodes: "pd.DataFrame"
-    """One row an episode, ordered by world, strategy, episode; columns `COLUMNS`."""
+    """One row an episode, ordered by world, strategy, episode; columns `units.COLUMNS`."""
     worlds: tuple[World, ...]
     """The worlds, in order."""
     first: dict[str, list[Seen]]
@@ -74,6 +54,8 @@ class Comparison:
     """Seconds in which compiled programs ran."""
     interrupted: int = 0
     """Episodes that are missing because the run was interrupted; of the others, those that every strategy finished."""
+    resumed: int = 0
+    """Episodes that an earlier run had finished, with which this one went on."""
     progress: dict[tuple[str, str], np.ndarray] = dataclasses.field(default_factory=dict)
     """(world, strategy) -> `[N, 100]` float64: metres driven when each episode in the table first knew 1, 2, ... 100 %
     of the cells that can be known in its world; NaN where it never did."""
@@ -86,8 +68,8 @@ class Comparison:
 
     @functools.cached_property
     def summary(self) -> "pd.DataFrame":
-        """One row a world and strategy: see `stats.summarise`."""
-        return stats.summarise(self.episodes)
+        """One row a world and strategy: see `by_world.summarise`."""
+        return by_world.summarise(self.episodes)
 
     @functools.cached_property
     def standings(self) -> "pd.DataFrame":
@@ -98,47 +80,57 @@ class Comparison:
     def warnings(self) -> list[str]:
         """What makes the comparison unfair or inexact: a list of lines."""
         lines = [f"interrupted: {self.interrupted} episodes are missing"] if self.interrupted else []
-        return [*lines, *stats.warnings_of(self.episodes, self.progress), *_bounds_met(self.episodes)]
+        return [*lines, *by_world.warnings_of(self.episodes, self.progress), *_bounds_met(self.episodes)]
 
     @property
     def episodes_per_s(self) -> float:
-        """Episodes over the seconds in which compiled programs ran."""
-        return len(self.episodes) / self.run_s
+        """Episodes that were run over the seconds in which compiled programs ran; 0 if none were."""
+        return max(len(self.episodes) - self.resumed, 0) / self.run_s if self.run_s else 0.0
 
     def to_pandas(self) -> "pd.DataFrame":
         """The table of episodes."""
         return self.episodes
 
     def to_markdown(self) -> str:
-        """The summary as a Markdown table."""
-        return stats.markdown_table(self.summary)
+        """The summary as a Markdown table; with two worlds or more, before it, what all of them say together."""
+        text = by_world.markdown_table(self.summary)
+        together = len(self.worlds) > 1 and max(self.standings["worlds"], default=0) > 1
+        return f"{over_worlds_text(self.standings)}\nIn each world:\n\n{text}" if together else text
+
+    def sample_sizes(self, *, within: float = 0.02, assurance: float = 0.8) -> "pd.DataFrame":
+        """How many episodes, and how many worlds, would tell every ratio `± within`: see `sizes.sample_sizes`."""
+        return sizes.sample_sizes(self.episodes, within=within, assurance=assurance)
 
     def plot(self, ax: Any, world: str | None = None) -> Any:
-        """Mean path lengths in one world as bars.
+        """Path lengths in one world: every episode as a dot, and the means with their 95 % intervals.
 
         Args:
           ax: matplotlib `Axes`.
           world: its name; by default the first.
 
         Returns:
-          The `BarContainer`.
+          One `ErrorbarContainer` a strategy.
 
         Raises:
           InputError: no such world in this comparison.
         """
-        from jexplore.report import plot
-
         world = self.worlds[0].name if world is None else world
-        rows = self.summary[self.summary["world"] == world]
-        if not len(rows):
+        if world not in self.episodes["world"].to_numpy():
             raise InputError(f"world must be one of {', '.join(w.name for w in self.worlds)}, got {world!r}")
-        return plot.bars(ax, rows["strategy"].tolist(), rows["mean"], rows["sd"], world)
+        return figures.draw_world(ax, self.episodes, self.summary, world)
 
     def compare_figure(self) -> "Figure":
-        """Bars of mean path lengths, one panel a world: a matplotlib `Figure`."""
-        from jexplore.report import plot
+        """Every episode's path, means, intervals and paired ratios: see `figures.compare_figure`."""
+        table = self.standings if len(self.worlds) > 1 else None
+        return figures.compare_figure(self.episodes, summary=self.summary, table=table)
 
-        return plot.compare_figure(self.summary)
+    def coverage_figure(self) -> "Figure":
+        """The share of what can be known along the path, one panel a world: see `figures.coverage_figure`."""
+        return figures.coverage_figure(self.progress)
+
+    def profile_figure(self, *, over: str = "best") -> "Figure":
+        """Performance profiles of the strategies: see `figures.profile_figure`."""
+        return figures.profile_figure(self.episodes, over=over)
 
     def paths_figure(self) -> "Figure":
         """The map as each strategy saw it in episode 0, with its path: a matplotlib `Figure`."""
@@ -223,8 +215,7 @@ def compare(
         raise InputError(f"keep must be None, {' or '.join(RECORDS)}, got {keep!r}")
     use_compilation_cache()
     how = {"engine": engine, "lanes": lanes, "workers": workers, "on_progress": on_progress}
-    report = batch.run_jobs(jobs, lidar, rules, **how, keep=keep)
-    return assemble(jobs, report, rules)
+    return assemble(jobs, run_units(jobs, **how, keep=keep))
 
 
 def prepare_jobs(
@@ -249,12 +240,12 @@ def prepare_jobs(
     for world in ready_worlds(worlds, cell_m):
         require_memory(world, lidar, rules)
         starts = ready_starts(world, start, episodes, seed=seed, rules=rules)
-        jobs += [Job(world, strategy, starts, seed) for strategy in strategies]
+        jobs += [Job(world, strategy, starts, seed, lidar=lidar, rules=rules) for strategy in strategies]
     return jobs
 
 
-def assemble(jobs: Sequence[Job], report: batch.Finished, rules: Rules) -> Comparison:
-    """The `Comparison` of jobs that have run.
+def assemble(jobs: Sequence[Job], ran: Ran) -> Comparison:
+    """The `Comparison` of jobs whose units have run.
 
     Of a run that was interrupted it holds the episodes that every strategy has finished in a world.
 
@@ -263,38 +254,38 @@ def assemble(jobs: Sequence[Job], report: batch.Finished, rules: Rules) -> Compa
     """
     import pandas as pd
 
-    finished = {}
-    for job, (result, *_) in zip(jobs, report.outcomes):
-        ended = result.outcome != Outcome.RUNNING
-        finished[job.world.name] = finished.get(job.world.name, True) & ended
+    of_job: dict[int, list[Piece]] = {}
+    for piece in sorted(ran.pieces, key=lambda piece: piece.table["episode"].min() if len(piece.table) else 0):
+        of_job.setdefault(piece.job, []).append(piece)
+    have = {i: pd.concat([piece.table for piece in pieces], ignore_index=True) for i, pieces in of_job.items()}
+    finished: dict[Any, set[int]] = {}
+    for i, job in enumerate(jobs):
+        own = set(have[i]["episode"]) if i in have else set()
+        finished[job.world.name] = finished.get(job.world.name, own) & own
     tables, worlds, first, progress, paths, maps = [], {}, {}, {}, {}, {}
-    for job, (result, final, records) in zip(jobs, report.outcomes):
-        world, strategy, kept = job.world, job.strategy.name, finished[job.world.name]
-        if not kept.any():
+    for i, job in enumerate(jobs):
+        world, key = job.world, (job.world.name, job.strategy.name)
+        if not finished[world.name]:
             continue
-        found = columns(result, job.starts, seed=job.seed, cell_m=world.cell_m, has_rooms=world.rooms is not None)
-        table = pd.DataFrame({"world": os.fspath(world.name), "strategy": strategy, **found})
-        table["room_entries"] = table["room_entries"].astype("Int64")
-        tables.append(table[kept])
+        pieces, kept = of_job[i], have[i]["episode"].isin(sorted(finished[world.name])).to_numpy()
+        tables.append(have[i][kept])
         worlds[world.name] = world
-        progress[world.name, strategy] = progress_m(result, world.cell_m)[kept]
-        if records:
-            own = [records[i] for i in np.flatnonzero(kept).tolist()]
-            paths[world.name, strategy] = [record.path for record in own]
-            states = [record.state for record in own if record.state is not None]
-            if states:
-                maps[world.name, strategy] = np.stack(states)
-        if kept[0] and final is not None:
-            state = map_state(final.hits, final.misses, rules.p_free)
-            seen = Seen(strategy, state, final.rows, final.cols, world.cell_m, float(found["path_m"][0]))
-            first.setdefault(world.name, []).append(seen)
+        progress[key] = np.concatenate([piece.progress for piece in pieces])[kept]
+        if all(piece.paths is not None for piece in pieces):
+            own = itertools.chain.from_iterable(piece.paths or () for piece in pieces)
+            paths[key] = [path for path, is_kept in zip(own, kept) if is_kept]
+        states = [piece.maps for piece in pieces if piece.maps is not None]
+        if states:
+            maps[key] = np.concatenate(states)[kept]
+        if pieces[0].seen is not None and kept[0]:
+            first.setdefault(world.name, []).append(pieces[0].seen)
     if not tables:
         raise KeyboardInterrupt
-    table = pd.concat(tables, ignore_index=True).loc[:, list(COLUMNS)]
+    table = pd.concat(tables, ignore_index=True)
     missing = sum(len(job.starts) for job in jobs) - len(table)
-    costs = report.costs
+    costs = ran.costs
     return Comparison(
-        *(table, tuple(worlds.values()), first, costs.compile_s, costs.run_s, missing),
+        *(table, tuple(worlds.values()), first, costs.compile_s, costs.run_s, missing, ran.resumed),
         progress=progress,
         paths=paths,
         maps=maps,

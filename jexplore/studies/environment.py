@@ -3,6 +3,7 @@
 The rules are those of an episode: `exploration.environment`, one decision at a time.
 """
 
+import copy
 import functools
 import math
 from collections.abc import Callable
@@ -201,6 +202,21 @@ class Environment:
             raise InputError("this environment keeps no paths: jx.Environment(..., paths=True)")
         spots = np.asarray(state.episode.trail)[: int(state.episode.steps) + 1, Trail.SPOT]
         return np.stack(np.divmod(spots // LOOKS, self.shape[1]), axis=1)
+
+    @property
+    def arrays(self) -> Any:
+        """A pytree of all its arrays: worlds, beams, numbers.
+
+        A function compiled around `env.step` has them as constants; one that is given them and calls
+        `env.with_arrays(arrays).step` has not, and compiles faster where worlds are many.
+        """
+        return self._bank, self._cells, self._n_cells
+
+    def with_arrays(self, arrays: Any) -> Self:
+        """The same environment with other arrays, which may be traced; see `arrays`."""
+        other = copy.copy(self)
+        other._bank, other._cells, other._n_cells = arrays
+        return other
 
     def _require_one(self, state, taker):
         if not isinstance(state, EnvState):

@@ -12,12 +12,14 @@ from typing import TYPE_CHECKING, Any
 
 from jexplore.config import InputError, Lidar, Rules, unknown
 from jexplore.engine.backend import use_compilation_cache
-from jexplore.exploration import batch
+from jexplore.exploration.batch import Job
 from jexplore.report import tables
-from jexplore.studies import comparison, stats
+from jexplore.studies import comparison
 from jexplore.studies.checks import LIDAR, RULES
 from jexplore.studies.comparison import Comparison
 from jexplore.studies.papers import PAPERS, Paper
+from jexplore.studies.results.units import Ran, run_units
+from jexplore.studies.statistics import paired
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -57,16 +59,16 @@ def require_maps(paper: Paper, maps: str | os.PathLike[str]) -> None:
             raise InputError(f"maps must be a folder that holds {', '.join(files)}; there is no file {path}")
 
 
-def verdict(direction: str, ours: stats.PairedRatio, than: stats.PairedRatio | float = 1.0) -> str:
+def verdict(direction: str, ours: paired.PairedRatio, than: paired.PairedRatio | float = 1.0) -> str:
     """Whether a ratio's interval lies wholly on the claimed side of a number, or of another ratio's interval.
 
     Returns:
       "holds", "does not hold", or "undecided" where the intervals meet, one is missing, or one is of fewer than
-        `stats.MIN_PAIRS` pairs.
+        `paired.MIN_PAIRS` pairs.
     """
-    is_ratio = isinstance(than, stats.PairedRatio)
+    is_ratio = isinstance(than, paired.PairedRatio)
     low, high = (than.low, than.high) if is_ratio else (than, than)
-    if min(ours.n, than.n if is_ratio else ours.n) < stats.MIN_PAIRS:
+    if min(ours.n, than.n if is_ratio else ours.n) < paired.MIN_PAIRS:
         return "undecided"
     below, above = ours.high < low, ours.low > high
     holds, fails = (below, above) if direction == "shorter" else (above, below)
@@ -86,7 +88,8 @@ class Reproduction:
 
     @functools.cached_property
     def tables(self) -> "pd.DataFrame":
-        """One row an environment and strategy, in the paper's order; columns as in `stats.summarise`, and the paper's.
+        """One row an environment and strategy, in the paper's order; columns as in `by_world.summarise`, and the
+        paper's.
 
         `ratio` is ours to the paper's reference strategy, paired; `first_mean` and `first_sd` are over the first
         episodes, `first_n` of them: as many as the paper has runs, or fewer where fewer have run.
@@ -122,10 +125,10 @@ class Reproduction:
         def versus(environment, a, b):
             pair = [(self.worlds[environment], a), (self.worlds[environment], b)]
             if not set(pair) <= set(paths_m.columns):
-                return stats.PairedRatio(math.nan, math.nan, math.nan, math.nan, 0), 0
+                return paired.PairedRatio(math.nan, math.nan, math.nan, math.nan, 0), 0
             both = paths_m[pair].dropna()
             n_complete = int((outcomes.loc[both.index, pair] == "COMPLETE").all(axis=1).sum())
-            return stats.paired_ratio(both[pair[0]], both[pair[1]]), n_complete
+            return paired.paired_ratio(both[pair[0]], both[pair[1]]), n_complete
 
         rows = []
         for claim in self.paper.claims:
@@ -216,7 +219,7 @@ def prepare_paper(
     cell_m: float,
     lidar: Lidar,
     rules: Rules,
-) -> list[batch.Job]:
+) -> list[Job]:
     """Everything that `reproduce` refuses or loads before it runs: a list of `Job`. Arguments as there."""
     paper, jobs = find(name), []
     if maps is not None:
@@ -229,13 +232,15 @@ def prepare_paper(
     return jobs
 
 
-def assemble(
-    name: str, maps: str | os.PathLike[str] | None, jobs: Sequence[batch.Job], report: batch.Finished, rules: Rules
-) -> Reproduction:
+def notes_of(paper: Paper, maps: str | os.PathLike[str] | None) -> tuple[str, ...]:
+    """What must be known to read the tables of a paper that was run on maps, or on counterparts."""
+    return (COUNTERPARTS if maps is None else MAPS, paper.remark)
+
+
+def assemble(name: str, maps: str | os.PathLike[str] | None, jobs: Sequence[Job], ran: Ran) -> Reproduction:
     """The `Reproduction` of jobs that have run. Of an interrupted run it holds what `comparison.assemble` keeps."""
     paper = find(name)
-    notes = (COUNTERPARTS if maps is None else MAPS, paper.remark)
-    return Reproduction(paper, comparison.assemble(jobs, report, rules), world_names(paper, maps), notes)
+    return Reproduction(paper, comparison.assemble(jobs, ran), world_names(paper, maps), notes_of(paper, maps))
 
 
 def reproduce(
@@ -268,5 +273,5 @@ def reproduce(
     """
     jobs = prepare_paper(paper, maps=maps, episodes=episodes, seed=seed, cell_m=cell_m, lidar=lidar, rules=rules)
     use_compilation_cache()
-    report = batch.run_jobs(jobs, lidar, rules, engine=engine, lanes=lanes, workers=workers, on_progress=on_progress)
-    return assemble(paper, maps, jobs, report, rules)
+    ran = run_units(jobs, engine=engine, lanes=lanes, workers=workers, on_progress=on_progress)
+    return assemble(paper, maps, jobs, ran)

@@ -1,59 +1,31 @@
 """Runs that write Behavioral Trace Maps: how many alike, how near to the truth, over which settings."""
 
 import dataclasses
-import itertools
-import math
+import io
+import json
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
+import jax
 import numpy as np
 
 from jexplore import btm
-from jexplore.config import MAX_SEED, InputError, require_number, require_whole
 from jexplore.driving import batch, vehicle
-from jexplore.driving.batch import (
-    MAX_STEPS,
-    Driven,
-    Finished,
-    building_of,
-    numbers_of,
-    outcome_names,
-    require_start,
-)
-from jexplore.driving.settings import ROBOTS, Noise, Robot, Tuning, require_noise, require_robot, require_tuning
-from jexplore.studies import checks
+from jexplore.driving.batch import Driven, numbers_of, outcome_names
+from jexplore.engine.runner import Costs
+from jexplore.report import store
+from jexplore.report.ledger import Ledger
+from jexplore.studies.results.provenance import digest
+from jexplore.studies.results.units import LEAST, MOST_UNITS
+from jexplore.studies.traces.job import TraceJob, prepare_trace, with_values
+from jexplore.tracemap import json_form
 from jexplore.tracemap.record import BtmMap
 from jexplore.tracemap.similarity import code
-from jexplore.worlds.starts import draw_start
+from jexplore.version import __version__
 from jexplore.worlds.world import World
 
-MAX_RUNS = 1_000_000
-NOISE = "noise."  # names of noise begin so in a sweep
-
-
-@dataclasses.dataclass(frozen=True)
-class TraceJob:
-    """Runs that are to be made."""
-
-    world: World
-    building: vehicle.Building
-    robot: Any
-    tuning: Tuning
-    """Numbers, or arrays `[S]` where a threshold is swept."""
-    noise: Noise
-    runs: int
-    """Of every setting."""
-    seed: int
-    swept: dict[str, np.ndarray]
-    """Name of a threshold -> `[S]` values."""
-    settings: int
-    max_steps: int
-
-    def first_settings(self) -> tuple[Any, Tuning, Noise]:
-        """Robot, thresholds and noise of run 0: `(Robot, Tuning, Noise)`."""
-        own = {name: int(v[0]) if name == "votes" else float(v[0]) for name, v in self.swept.items()}
-        return self.robot, *_with(self.tuning, self.noise, own)
+FIRST = "_first"  # column of a unit's file: map and way of run 0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -65,9 +37,14 @@ class Traced:
     """pandas DataFrame, a row a run."""
     first: BtmMap
     """Map of run 0."""
-    driven: Driven | None
+    driven: Driven
     """Way of run 0."""
-    report: Finished
+    costs: Costs
+    """What the runs cost that were made here."""
+    maps: dict[int, BtmMap] = dataclasses.field(default_factory=dict)
+    """Number of a run, in the order of the table -> its map; of the runs that were made here."""
+    resumed: int = 0
+    """Runs that were there before, with which this one went on."""
 
     @property
     def truth(self) -> BtmMap | None:
@@ -76,164 +53,22 @@ class Traced:
         return None if course is None else course.topology
 
 
-def robot_of(name: str) -> Robot:
-    """A robot by name, with other measures where they are given: `kamui`, `kamui:width_m=0.6`.
-
-    Raises:
-      InputError: no such robot or measure, or a value out of range.
-    """
-    base, _, rest = name.partition(":")
-    if base not in ROBOTS:
-        raise InputError(f"robot must be one of {', '.join(ROBOTS)}, got {base!r}")
-    changed = {}
-    numbers = [field.name for field in dataclasses.fields(ROBOTS[base]) if field.name != "name"]
-    for part in rest.split(",") if rest else ():
-        key, _, value = part.partition("=")
-        if key not in numbers:
-            raise InputError(f"robot {name!r}: there is no {key!r}; there are {', '.join(numbers)}")
-        try:
-            changed[key] = float(value)
-        except ValueError:
-            raise InputError(f"robot {name!r}: {key} must be a number, got {value!r}") from None
-    robot = dataclasses.replace(ROBOTS[base], name=name, **changed)
-    require_robot(robot)
-    return robot
+def blocks_of(plan: TraceJob) -> list[tuple[int, int]]:
+    """The units of a plan: a list of `(first run, number of runs)`."""
+    n = plan.runs * plan.settings
+    size = max(LEAST, -(-n // MOST_UNITS))
+    return [(first, min(size, n - first)) for first in range(0, n, size)]
 
 
-def swept_values(sweep: Sequence[str], settings: int, seed: int) -> dict[str, np.ndarray]:
-    """Values of thresholds to be swept.
-
-    Lists alone make every combination; with a range among them, `settings` draws by Latin hypercube.
-
-    Args:
-      sweep: list of text: `votes=1,3,5` a list, `circle=1.1:2.0` a range.
-      settings: how many draws, where there is a range.
-      seed: of the draws.
-
-    Returns:
-      `{name: [S] values}`, S = 1 without a sweep.
-
-    Raises:
-      InputError: no such threshold, or a value that is none.
-    """
-    known = {field.name: field.type for field in dataclasses.fields(Tuning)} | {
-        f"{NOISE}{field.name}": field.type for field in dataclasses.fields(Noise)
+def asked(plan: TraceJob) -> dict[str, Any]:
+    """All that the results of a plan depend on, as plain values."""
+    return {
+        "version": __version__,
+        "world": os.fspath(plan.world.name),
+        **{name: getattr(plan, name) for name in ("robot", "tuning", "noise", "runs", "seed", "swept", "max_steps")},
+        "start": plan.building.start,
+        "digest": digest(plan.world),
     }
-    lists, ranges = {}, {}
-    for text in sweep:
-        name, equals, values = text.partition("=")
-        if name in lists or name in ranges:
-            raise InputError(f"sweep names {name} more than once")
-        if name not in known or not equals:
-            names = ", ".join(known)
-            raise InputError(f"sweep must be NAME=A,B,... or NAME=LOW:HIGH, got {text!r}; there are {names}")
-        try:
-            if ":" in values:
-                low, high = (float(v) for v in values.split(":", 1))
-                if not low < high:
-                    raise InputError(f"sweep {text!r}: a range must rise, as in {name}={high:g}:{low:g}")
-                ranges[name] = (low, high)
-            else:
-                lists[name] = [float(v) for v in values.split(",")]
-                if name == "votes" and any(value != int(value) for value in lists[name]):
-                    raise InputError(f"sweep {text!r}: votes must be integers")
-        except InputError:
-            raise
-        except (ValueError, OverflowError):
-            raise InputError(f"sweep {text!r}: values must be numbers") from None
-    if not ranges:
-        if math.prod(len(values) for values in lists.values()) > MAX_RUNS:
-            raise InputError(f"sweep: more than {MAX_RUNS} combinations; use fewer values")
-        rows = list(itertools.product(*lists.values()))
-        return {name: np.array([row[i] for row in rows]) for i, name in enumerate(lists)}
-    from scipy.stats import qmc
-
-    names = [*ranges, *lists]
-    draws = qmc.LatinHypercube(len(names), rng=np.random.default_rng(seed)).random(settings)
-    values = {name: low + draws[:, i] * (high - low) for i, (name, (low, high)) in enumerate(ranges.items())}
-    for i, (name, given) in enumerate(lists.items(), len(ranges)):
-        values[name] = np.asarray(given)[np.minimum((draws[:, i] * len(given)).astype(int), len(given) - 1)]
-    return {name: np.round(value) if name == "votes" else value for name, value in values.items()}
-
-
-def prepare_trace(
-    world: str | os.PathLike[str] | World = "course",
-    *,
-    robot: str | Robot = "kamui",
-    runs: int = 1,
-    seed: int = 0,
-    tuning: Tuning | None = None,
-    noise: Noise | None = None,
-    start: tuple[float, float, float] | None = None,
-    sweep: Sequence[str] = (),
-    settings: int = 100,
-    cell_m: float = 0.1,
-    max_steps: int = MAX_STEPS,
-) -> TraceJob:
-    """Checks everything before anything is compiled.
-
-    Args:
-      world: name or `World`. A course has its own start and goal; in others the robot starts at `start` and the run
-        ends when nothing is left to follow.
-      robot: name, see `robot_of`.
-      runs: of every setting.
-      seed: of the draws; run i of every setting draws alike.
-      tuning, noise: `Tuning`, `Noise`.
-      start: x, y, metres; heading, degrees; by default the world's own, else drawn.
-      sweep, settings: see `swept_values`.
-      cell_m: edge of a cell, metres.
-      max_steps: steps after which a run ends as STEP_LIMIT.
-
-    Returns:
-      `TraceJob`.
-
-    Raises:
-      InputError: what cannot be run, in one line.
-    """
-    (world,) = checks.ready_worlds([world], cell_m)
-    runs = require_whole("runs", runs, 1, MAX_RUNS)
-    seed = require_whole("seed", seed, 0, MAX_SEED)
-    settings = require_whole("settings", settings, 1, MAX_RUNS)
-    max_steps = require_whole("max_steps", max_steps, 100, 100_000)
-    robot = robot_of(robot) if isinstance(robot, str) else robot
-    tuning, noise = tuning or Tuning(), noise or Noise()
-    require_robot(robot)
-    require_tuning(tuning)
-    require_noise(noise)
-    swept = swept_values(sweep, settings, seed)
-    count = len(next(iter(swept.values()))) if swept else 1
-    if count * runs > MAX_RUNS:
-        raise InputError(f"{count} settings x {runs} runs are more than {MAX_RUNS}; use fewer")
-    for i in range(count):
-        own = {name: int(v[i]) if name == "votes" else float(v[i]) for name, v in swept.items()}
-        tuned, noisy = _with(tuning, noise, own)
-        require_tuning(tuned)
-        require_noise(noisy)
-    pose, goal = _ends(world, start, seed)
-    building = building_of(world, pose, goal)
-    require_start(world, building, robot)
-    return TraceJob(world, building, robot, tuning, noise, runs, seed, swept, count, max_steps)
-
-
-def _with(tuning, noise, values):
-    """Thresholds and noise with some values replaced; those of the noise have names like `noise.range_m`."""
-    thresholds = {name: value for name, value in values.items() if not name.startswith(NOISE)}
-    errors = {name.removeprefix(NOISE): value for name, value in values.items() if name.startswith(NOISE)}
-    return dataclasses.replace(tuning, **thresholds), dataclasses.replace(noise, **errors)
-
-
-def _ends(world, start, seed) -> tuple[Any, Any]:
-    """Where a run starts and ends, in the world's frame."""
-    goal = None if world.course is None else world.course.goal_m
-    if start is not None:
-        for name, value in zip(("x", "y", "heading"), start):
-            require_number(f"start {name}", value, low=-1e6, high=1e6)
-        return tuple(start), goal
-    if world.course is not None:
-        return world.course.start_pose, goal
-    row, col, heading = world.start or draw_start(world, seed, 0, 0.5)
-    x_m, y_m = world.origin_m
-    return (x_m + (col + 0.5) * world.cell_m, y_m + (row + 0.5) * world.cell_m, float(heading)), goal
 
 
 def execute(
@@ -243,39 +78,109 @@ def execute(
     lanes: int | None = None,
     workers: int | None = None,
     on_progress: Callable[[int], Any] | None = None,
+    ledger: Ledger | None = None,
 ) -> Traced:
-    """Makes the runs of a plan.
+    """Makes the runs of a plan that the ledger does not have.
 
     Args:
       plan: `TraceJob`.
       engine, lanes, workers: see `runner.find_resources`; results are equal.
-      on_progress: called with the number of runs finished so far.
+      on_progress: called with the number of runs finished so far, those that were there before included.
+      ledger: where units, those of `blocks_of`, are kept as soon as they are finished.
 
     Returns:
-      `Traced`.
+      `Traced`. After Ctrl-C it holds what was finished.
+
+    Raises:
+      KeyboardInterrupt: run 0 has not been finished.
     """
-    n = plan.runs * plan.settings
-    setting = np.repeat(np.arange(plan.settings), plan.runs)
-    which = np.tile(np.arange(plan.runs, dtype=np.int32), plan.settings)
-    chosen = {name: values[setting] for name, values in plan.swept.items()}
-    if "votes" in chosen:
-        chosen["votes"] = chosen["votes"].astype(np.int32)
-    tuning, noise = _with(plan.tuning, plan.noise, chosen)
-    report = batch.run_missions(
-        plan.building,
-        numbers_of(plan.robot, n),
-        numbers_of(tuning, n),
-        numbers_of(noise, n),
-        plan.seed,
-        which,
-        engine=engine,
-        lanes=lanes,
-        workers=workers,
-        max_steps=plan.max_steps,
-        on_progress=on_progress,
-    )
-    table, first = _table(plan, report.result, setting, which, chosen)
-    return Traced(plan, table, first, report.driven, report)
+    import pandas as pd
+
+    made = _Made(plan, ledger)
+    resumed = sum(map(len, made.tables.values()))
+    costs = Costs()
+    if made.left:
+        n, (tuning, noise) = len(made.which), made.tuning_and_noise
+        report = batch.run_missions(
+            plan.building,
+            numbers_of(plan.robot, n),
+            numbers_of(tuning, n),
+            numbers_of(noise, n),
+            plan.seed,
+            made.which,
+            engine=engine,
+            lanes=lanes,
+            workers=workers,
+            max_steps=plan.max_steps,
+            on_progress=None if on_progress is None else (lambda done: on_progress(done + resumed)),
+            blocks=[made.blocks[i] for i in made.left],
+            on_block=made.put,
+        )
+        costs = report.costs
+        made.add_rest(report)
+    if made.first is None:
+        raise KeyboardInterrupt
+    table = pd.concat([made.tables[i] for i in sorted(made.tables)], ignore_index=True)
+    return Traced(plan, table, *made.first, costs, made.maps, resumed)
+
+
+class _Made:
+    """What has been made of a plan."""
+
+    def __init__(self, plan, ledger):
+        self.plan, self.ledger, self.blocks = plan, ledger, blocks_of(plan)
+        self.setting = np.repeat(np.arange(plan.settings), plan.runs)
+        self.which = np.tile(np.arange(plan.runs, dtype=np.int32), plan.settings)
+        self.chosen = {name: values[self.setting] for name, values in plan.swept.items()}
+        if "votes" in self.chosen:
+            self.chosen["votes"] = self.chosen["votes"].astype(np.int32)
+        self.tables: dict[int, Any] = {}
+        self.maps: dict[int, BtmMap] = {}
+        self.first: tuple[BtmMap, Driven] | None = None  # map and way of run 0
+        if ledger is not None:
+            self.tables = {i: ledger.get(i) for i in sorted(ledger.done)}
+            self.first = _read_first(self.tables[0].pop(FIRST).iloc[0]) if 0 in self.tables else None
+        self.left = [i for i in range(len(self.blocks)) if i not in self.tables]
+
+    @property
+    def tuning_and_noise(self):
+        """`(Tuning, Noise)` of arrays, a value a run where one is swept."""
+        return with_values(self.plan.tuning, self.plan.noise, self.chosen)
+
+    def put(self, place, result, driven, keep=True):
+        """Takes the runs of a block, the one at this place in `left`."""
+        unit = self.left[place]
+        at = slice(self.blocks[unit][0], sum(self.blocks[unit]))
+        own = {name: values[at] for name, values in self.chosen.items()}
+        self.tables[unit], found = _table(self.plan, result, self.setting[at], self.which[at], own)
+        self.maps.update(enumerate(found, at.start))
+        if unit == 0 and driven is not None:
+            self.first = found[0], driven
+        if self.ledger is not None and keep:
+            extra = {FIRST: [_written_first(self.first), *[None] * (len(found) - 1)]} if unit == 0 else {}
+            self.ledger.put(unit, self.tables[unit].assign(**extra))
+
+    def add_rest(self, report):
+        """Takes what has ended of blocks that have not, because the run was interrupted; it is not kept."""
+        for place, unit in enumerate(self.left):
+            if unit not in self.tables:
+                at = slice(self.blocks[unit][0], sum(self.blocks[unit]))
+                self.put(place, jax.tree.map(lambda a, at=at: a[at], report.result), report.driven, keep=False)
+
+
+def _written_first(first):
+    """Map and way of run 0 as bytes, from which `_read_first` makes them again."""
+    found, driven = first
+    file = io.BytesIO()
+    page = json.dumps(store.jsonable(json_form.to_json(found)))
+    np.savez_compressed(file, map=np.str_(page), **{f"way/{name}": a for name, a in driven._asdict().items()})
+    return file.getvalue()
+
+
+def _read_first(data):
+    with np.load(io.BytesIO(data)) as file:
+        found = json_form.parse(str(file["map"]), "the map of run 0")
+        return found, Driven(*(file[f"way/{name}"] for name in Driven._fields))
 
 
 def trace(
@@ -349,4 +254,4 @@ def _table(plan, result, setting, which, chosen):
             "true": pd.array([None if truth is None else found == truth for found in codes], dtype="boolean"),
         }
     )
-    return table[table["outcome"] != "RUNNING"].reset_index(drop=True), maps[0]
+    return table[table["outcome"] != "RUNNING"].reset_index(drop=True), maps

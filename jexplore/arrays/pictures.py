@@ -1,0 +1,78 @@
+"""How objects show themselves in a notebook: small PNG pictures, and HTML of a picture, a line and a table.
+
+Plain Python: importing this loads neither numpy nor Pillow.
+"""
+
+import base64
+import functools
+import html
+import io
+import math
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any
+
+LONG_PX = 400
+"""Longer side of a picture of cells, about."""
+MOST_ROWS = 24
+"""Of a table that is shown."""
+_GOLDEN = 0.618034  # of a turn: hues of neighbours in number lie far apart
+
+
+def or_text(method: Callable[[Any], Any]) -> Callable[[Any], Any]:
+    """A method that shows an object: where it fails it returns None, and a notebook shows the object's text."""
+
+    @functools.wraps(method)
+    def shown(self):
+        try:
+            return method(self)
+        except Exception:  # whatever is wrong with an object, it can be looked at
+            return None
+
+    return shown
+
+
+def html_of(picture: bytes, caption: str, head: Sequence[str] = (), lines: Iterable[Sequence[str]] = ()) -> str:
+    """A PNG picture, a line below it, and a table, as HTML that needs no other file.
+
+    Args:
+      picture: the bytes of the PNG.
+      caption: text.
+      head: `[K]` texts, names of columns.
+      lines: lists of `[K]` texts; only the first `MOST_ROWS` are shown.
+    """
+    source = base64.b64encode(picture).decode("ascii")
+    parts = [f'<img src="data:image/png;base64,{source}" alt="{html.escape(caption)}" style="max-width: 100%">']
+    parts.append(f"<div>{html.escape(caption)}</div>")
+    lines = list(lines)
+    if lines:
+        rows = [_row("th", head), *(_row("td", line) for line in lines[:MOST_ROWS])]
+        parts.append(f"<table>{''.join(rows)}</table>")
+    if len(lines) > MOST_ROWS:
+        parts.append(f"<div>... and {len(lines) - MOST_ROWS:,} more rows</div>")
+    return f"<div>{''.join(parts)}</div>"
+
+
+def _row(tag, cells):
+    return f"<tr>{''.join(f'<{tag}>{html.escape(cell)}</{tag}>' for cell in cells)}</tr>"
+
+
+def png_of(figure: Any, *, dpi: float = 72) -> bytes:
+    """A matplotlib `Figure` as the bytes of a small PNG."""
+    from PIL import Image
+
+    file = io.BytesIO()
+    figure.savefig(file, format="png", dpi=dpi)
+    return written(Image.open(file))
+
+
+def written(image: Any) -> bytes:
+    """A Pillow image as the bytes of a PNG of at most 128 colours."""
+    file = io.BytesIO()
+    image.convert("RGB").quantize(128).save(file, format="png", optimize=True)
+    return file.getvalue()
+
+
+def soft_colours(count: int) -> list[tuple[int, int, int]]:
+    """`count` soft colours, red, green and blue from 0 to 255; neighbours in number are far apart in hue."""
+    turns = [[i * _GOLDEN + third / 3 for third in range(3)] for i in range(count)]
+    return [tuple(round(215 + 30 * math.cos(math.tau * turn)) for turn in own) for own in turns]  # type: ignore[misc]

@@ -1,0 +1,207 @@
+"""The commands `jexplore sweep` and `jexplore merge`."""
+
+import dataclasses
+import functools
+import os
+import re
+import sys
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import tyro
+
+from jexplore.cli.console import Out, note, say, working
+from jexplore.cli.options import OutFolder
+from jexplore.cli.terminal import show_table
+from jexplore.config import InputError
+
+if TYPE_CHECKING:
+    from jexplore.studies.sweeps.run import Swept
+
+Folders = Annotated[tuple[str, ...], tyro.conf.arg(metavar="DIR [DIR ...]", help_behavior_hint="")]
+LONG_S = 3600.0  # a sweep that is expected to take longer wants --yes
+SHOWN = 24  # rows of the summary that are printed, and
+REPORTED = 200  # on the page
+FINISHING = "jexplore: computing statistics and drawing"
+
+
+@dataclasses.dataclass(frozen=True)
+class Sweep:
+    """Compare strategies over many settings of scanner, rules, worlds and parameters.
+
+    Reads what is varied from a YAML file, in which a list is an axis of the product: worlds: [cave, office],
+    strategies: [closest, closest+recheck], episodes: 20, lidar: {range_m: [4, 8]}, rules: {clearance_m: [0.2, 0.3]}.
+    Prints a table and writes episodes.parquet (a row an episode, settings as columns), summary.csv, sweep.yaml,
+    run.json and sweep.png. What is finished is kept on the way: a run that was ended, in whatever way, goes on with
+    --resume.
+    """
+
+    spec: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="SPEC.yaml", help_behavior_hint="")] = ""
+    """The file that says what is varied."""
+    dry_run: bool = False
+    """Only say how much work it is: units, compiled programs, time."""
+    yes: bool = False
+    """Begin although it will take more than an hour."""
+    shard: Annotated[str | None, tyro.conf.arg(metavar="I/N", help_behavior_hint="")] = None
+    """Make only part I of N (1/4 to 4/4), each in a folder of its own; `jexplore merge` puts the parts together."""
+    engine: Literal["auto", "serial", "lockstep", "ray"] = "auto"
+    """How episodes run: as for `jexplore compare`, or as tasks of a Ray cluster."""
+    lanes: int | None = None
+    """Episodes at a time in lockstep; by default as many as the memory holds."""
+    workers: int | None = None
+    """Cores that run episodes, one each, with the engine serial; by default all that this process may use."""
+    out: OutFolder = None
+    """Folder to write."""
+    overwrite: bool = False
+    """Replace the run that the folder holds."""
+    report: bool = dataclasses.field(default=True, metadata={"off": "Leave out report.html."})
+    """Write report.html, the whole run in one page with replays."""
+    resume: bool = False
+    """Go on with the run that the folder holds, if there is one: what is finished is not computed again."""
+
+    def execute(self, arguments: Sequence[str]) -> int | None:
+        """Runs the command; returns the exit status, None for 0."""
+        from jexplore.engine.runner import own_cores
+        from jexplore.studies.sweeps import plan as plans
+        from jexplore.studies.sweeps.run import run_sweep
+        from jexplore.studies.sweeps.spec import read_spec
+
+        if not self.spec:
+            raise InputError("expected a file that says what is varied: jexplore sweep SPEC.yaml")
+        shard = shard_of(self.shard)
+        spec = read_spec(self.spec)
+        with note("jexplore: loading worlds"):
+            plan = plans.prepare_sweep(spec)
+        numbers = plans.in_shard(len(plan.units), shard)
+        if not numbers:
+            raise InputError(f"--shard {self.shard}: the sweep has only {len(plan.units)} units; use fewer parts")
+        cores = self.workers or own_cores()
+        lines = plans.summary_lines(plan, cores, numbers)
+        if self.dry_run:
+            print("\n".join(lines))
+            return 0
+        seconds = plan.seconds(cores) * len(numbers) / len(plan.units)
+        if seconds > LONG_S and not self.yes:
+            raise InputError(f"this will take {plans.duration(seconds)} or so ({lines[0]}): give --yes to begin")
+        with Out(self, "sweep") as out:
+            ledger = out.keep(plan.asked(shard), len(plan.units))
+            if ledger is None:
+                return _show_finished(out)
+            engine = None if self.engine == "auto" else self.engine
+            how: dict[str, Any] = {"engine": engine, "lanes": self.lanes, "workers": self.workers}
+            total = sum(block.n for number in numbers for block in plan.units[number])
+            with working(total, "episodes") as on_progress:
+                found = run_sweep(plan, ledger=ledger, shard=shard, **how, on_progress=on_progress)
+            with note(FINISHING):
+                return _finish(out, found, arguments, self, shard, plan if self.report else None)
+
+
+def shard_of(text: str | None) -> tuple[int, int] | None:
+    """`(i, n)` of `I/N`, i from 0; None for None.
+
+    Raises:
+      InputError: not of this form.
+    """
+    if text is None:
+        return None
+    match = re.fullmatch(r"(\d{1,9})/(\d{1,9})", text)
+    if match is None or not 1 <= int(match[1]) <= int(match[2]):
+        raise InputError(f"--shard must be I/N with I from 1 to N, such as 1/4, got {text!r}")
+    return int(match[1]) - 1, int(match[2])
+
+
+def _show_finished(out):
+    from jexplore.studies.results.loading import load
+
+    show_table(load(out.run.path).to_markdown(SHOWN))
+    print(f"{out.run.path}{os.sep} holds all of it: nothing was left to do")
+    return 0
+
+
+def _finish(
+    out: Out, found: "Swept", arguments: Sequence[str], options: Any, shard: Any, plan: Any, **entries: Any
+) -> int:
+    """Writes, prints and draws. Returns the exit status."""
+    import yaml
+
+    from jexplore.report import plot, store
+    from jexplore.studies.sweeps.spec import plain
+
+    costs = found.costs
+    ran = len(found.episodes) - found.resumed
+    record = out.record(
+        arguments,
+        options,
+        episodes_per_s=ran / costs.run_s if costs.run_s else None,
+        **{name: getattr(costs, name) for name in ("compile_s", "run_s", "engine", "devices", "lanes")},
+        interrupted=found.missing,
+        resumed=found.resumed,
+        shard=shard,
+        columns=found.columns,
+        **entries,
+    )
+    files = {
+        "episodes.parquet": lambda path: store.write_parquet(found.episodes, path),
+        "summary.csv": lambda path: found.summary.to_csv(path, index=False),
+        "sweep.yaml": lambda path: path.write_text(yaml.safe_dump(plain(found.spec), sort_keys=False)),
+        "run.json": lambda path: store.write_json(record, path),
+    }
+    out.write(files, is_finished=not found.missing)
+    try:
+        show_table(found.to_markdown(SHOWN))
+        sys.stdout.flush()
+    finally:  # a reader of the output who goes away costs no pictures
+        pictures = {f"sweep{tail}.png": make for tail, make in found.figures().items()}
+        drawn = out.draw(
+            {name: (lambda path, make=make: plot.save_figure(make(), path)) for name, make in pictures.items()}
+        )
+        if plan is not None and not found.missing:
+            page = functools.partial(_report, out, found, record, plan, drawn)
+            drawn += out.draw({"report.html": page})
+    if found.missing:
+        print(f"warning: {found.missing} episodes are missing")
+    print(f"wrote {', '.join([*files, *drawn])} to {out.run.path}{os.sep}")
+    if found.missing:
+        out.say_kept()
+        return say("jexplore: interrupted, what was finished was written", 130)
+    return 0
+
+
+def _report(out, found, record, plan, drawn, path):
+    """Writes the page of a sweep."""
+    from jexplore.studies.results.report import replays_for, write_report
+    from jexplore.studies.sweeps.run import labelled
+
+    jobs = plan.first_jobs()
+    replays, notes = replays_for([job for job, _ in jobs])
+    shown = found.summary.head(REPORTED)
+    tables = [(f"The first {len(shown)} of {len(found.summary)} rows of summary.csv", shown)]
+    pictures = [out.run.path / name for name in drawn]
+    write_report(path, "jexplore sweep", record, tables, pictures, labelled(replays, jobs), notes)
+
+
+@dataclasses.dataclass(frozen=True)
+class Merge:
+    """Put the parts of a sweep together that were made with --shard.
+
+    Writes what the sweep as a whole would have written.
+    """
+
+    parts: tyro.conf.Positional[Folders] = ()
+    """Folders of all the parts."""
+    out: OutFolder = None
+    """Folder to write."""
+    overwrite: bool = False
+    """Replace the run that the folder holds."""
+    report: bool = dataclasses.field(default=True, metadata={"off": "Leave out report.html."})
+    """Write report.html, the whole run in one page with replays."""
+
+    def execute(self, arguments: Sequence[str]) -> int | None:
+        """Runs the command; returns the exit status, None for 0."""
+        from jexplore.studies.results.loading import merge
+
+        with Out(self, "sweep") as out:
+            with note("jexplore: reading the parts"):
+                found, plan = merge(self.parts)
+            out.asked, out.units = {"command": "sweep", **plan.asked()}, len(plan.units)
+            return _finish(out, found, arguments, self, None, plan if self.report else None, parts=self.parts)

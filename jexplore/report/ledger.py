@@ -1,0 +1,155 @@
+"""What a run has finished so far: a Parquet file for every unit of its work, so that nothing is computed twice.
+
+pandas and pyarrow are imported by the functions that need them.
+"""
+
+import contextlib
+import json
+import os
+import shutil
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from jexplore.config import InputError
+from jexplore.report.folders import RunFolder
+from jexplore.report.store import jsonable, write_json, write_parquet
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+ASKED = "asked.json"  # what the run is asked, in the folder of its units
+
+
+class Ledger:
+    """Units of a run that are finished, each a file of its own in the run's folder."""
+
+    folder: Path
+    done: set[int]
+    """Numbers of the units that are finished."""
+    damaged: list[str]
+    """Files that were found cut short; their units are made again."""
+
+    def __init__(self, run: RunFolder, asked: Mapping[str, Any], units: int, *, resume: bool = False) -> None:
+        """Opens the ledger of a run, or goes on with one.
+
+        Args:
+          run: the run's folder.
+          asked: what the run is asked, all that its results depend on; plain JSON, see `store.jsonable`.
+          units: how many units the whole run has.
+          resume: whether to go on with what is there. Else it is thrown away.
+
+        Raises:
+          InputError: the folder holds a run that is asked something else, or cannot be written.
+        """
+        self.folder, self.done, self.damaged, self.units = run.unfinished, set(), [], units
+        page = {"asked": jsonable(dict(asked)), "units": units}
+        if not resume:
+            shutil.rmtree(self.folder, ignore_errors=True)
+        page_file = self.folder / ASKED
+        if page_file.exists():
+            require_same(run.path, _read(page_file), page)
+        else:
+            try:
+                self.folder.mkdir(exist_ok=True)
+            except OSError as error:
+                raise InputError(f"{os.fspath(self.folder)!r} must be a folder that can be written: {error}") from error
+            write_json(page, page_file)
+        for file in self.folder.glob("*.parquet"):
+            if file.stem.isdigit() and int(file.stem) < units:
+                self._count(file)
+        for file in self.folder.glob(".*.part"):  # of a holder that was killed while it wrote
+            with contextlib.suppress(OSError):
+                file.unlink()
+
+    def _count(self, file):
+        import pyarrow.parquet as pq
+
+        try:
+            pq.read_metadata(file)
+        except Exception:  # pyarrow raises many kinds of errors for a broken file
+            self.damaged.append(file.name)
+            with contextlib.suppress(OSError):
+                file.unlink()
+            return
+        self.done.add(int(file.stem))
+
+    def put(self, unit: int, table: "pd.DataFrame") -> None:
+        """Keeps a unit that is finished: on the disk when this returns.
+
+        Raises:
+          InputError: it cannot be written.
+        """
+        write_parquet(table, self._file(unit))
+        self.done.add(unit)
+
+    def get(self, unit: int) -> "pd.DataFrame":
+        """The table of a unit that is finished.
+
+        Raises:
+          InputError: its file is gone or damaged.
+        """
+        import pandas as pd
+
+        try:
+            return pd.read_parquet(self._file(unit))
+        except Exception as error:  # pyarrow raises many kinds of errors for a broken file
+            raise InputError(
+                f"{self._file(unit)} must be a unit of this run: {str(error).splitlines()[0]}; remove it and go on "
+                "with --resume"
+            ) from error
+
+    @property
+    def left(self) -> list[int]:
+        """Numbers of the units that are not finished."""
+        return [unit for unit in range(self.units) if unit not in self.done]
+
+    def _file(self, unit):
+        return self.folder / f"{unit:06d}.parquet"
+
+
+def is_finished(run: RunFolder, asked: Mapping[str, Any], units: int) -> bool:
+    """Whether a folder holds a run that is finished and was asked this.
+
+    Raises:
+      InputError: it holds one that was asked something else, or another command's files.
+    """
+    page = run.path / "run.json"
+    if run.unfinished.exists():
+        return False
+    if not page.exists():
+        run.require_free()
+        return False
+    require_same(run.path, _read(page), {"asked": jsonable(dict(asked)), "units": units})
+    return True
+
+
+def _read(file):
+    try:
+        return json.loads(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise InputError(
+            f"{os.fspath(file)} must say what the run is asked, and cannot be read: {error}; use --overwrite"
+        ) from error
+
+
+def require_same(path: Path, there: Any, here: Mapping[str, Any]) -> None:
+    """Refuse to go on with a run that is asked something else.
+
+    Raises:
+      InputError: naming the first difference.
+    """
+    pages = (page if isinstance(page, dict) else {} for page in (there, here))
+    old, new = ({**page.get("asked", {}), "units": page.get("units")} for page in pages)
+    for key in dict.fromkeys((*new, *old)):
+        if old.get(key) != new.get(key):
+            was, is_ = (_short(page.get(key)) for page in (old, new))
+            raise InputError(
+                f"{path} holds another run: its {key} is {was}, not {is_}; choose another folder or allow overwriting "
+                "(--overwrite)"
+            )
+
+
+def _short(value):
+    text = json.dumps(value, ensure_ascii=False)
+    return text if len(text) <= 80 else text[:77] + "..."

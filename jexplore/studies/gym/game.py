@@ -1,0 +1,172 @@
+"""What the single environment and the vector environment share: worlds, spaces, and what a state looks like."""
+
+import functools
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from gymnasium import spaces  # type: ignore[import-not-found]
+from jax import Array, lax
+from numpy.typing import ArrayLike
+
+from jexplore.config import InputError, Rules, require_whole, unknown
+from jexplore.exploration.environment import outcome_of
+from jexplore.exploration.results import FREE, OCCUPIED, UNKNOWN, path_m
+from jexplore.exploration.state import Outcome
+from jexplore.grid import is_free, is_known
+from jexplore.planning import metres
+from jexplore.reach import FAR, STRAIGHT
+from jexplore.studies.environment import Environment, EnvState
+from jexplore.worlds.starts import check_start
+
+TARGETS = ("frontier", "reachable")
+MAX_DECISIONS = 20_000
+TERMINAL = (Outcome.COMPLETE, Outcome.BLOCKED, Outcome.STUCK, Outcome.BAD_TARGET)
+"""Outcomes that terminate an episode; limits of the rules truncate it."""
+_OPTIONS = ("start", "world", "episode")
+_SIDE = 256  # pixels that the longer side of a rendered map has at least
+_GREYS = np.array([160, 255, 0], np.uint8)  # of unknown, free, occupied
+_FRONTIER, _ROBOT = (230, 159, 0), (0, 114, 178)
+_INTS = -(2**31), 2**31 - 1
+
+
+class Game:
+    """Worlds that may be explored, and the spaces of gymnasium that they have."""
+
+    def __init__(
+        self, worlds: Any, *, rules: Rules, targets: str, max_decisions: int, render_mode: str | None, **settings: Any
+    ) -> None:
+        """Loads the worlds. Arguments as of `GymEnv`.
+
+        Raises:
+          InputError: as there.
+        """
+        if targets not in TARGETS:
+            raise InputError(f"targets must be {' or '.join(TARGETS)}, got {targets!r}")
+        if render_mode not in (None, "rgb_array"):
+            raise InputError(f"render_mode must be None or 'rgb_array', got {render_mode!r}")
+        self.max_decisions = require_whole("max_decisions", max_decisions, 1, _INTS[1])
+        self.env, self.rules, self.targets = Environment(worlds, rules=rules, **settings), rules, targets
+        height, width = self.env.shape
+        self.n_cells = height * width
+        self.action_space = spaces.Discrete(self.n_cells)
+        most_m = float(np.float32(FAR / STRAIGHT * self.env.cell_m))
+        most = np.array([height - 1, width - 1, 7], np.int32)
+        self.observation_space = spaces.Dict(
+            {
+                "map": spaces.Box(0, 2, (height, width), np.uint8),
+                "frontier": spaces.MultiBinary((height, width)),
+                "path_m": spaces.Box(-1.0, most_m, (height, width), np.float32),
+                "robot": spaces.Box(np.zeros(3, np.int32), most, dtype=np.int32),
+            }
+        )
+
+    def options(self, options: dict[str, Any] | None, n: int) -> tuple[np.ndarray | None, ...]:
+        """Starts, worlds and numbers of the episodes of n lanes, from the options of a reset.
+
+        Returns:
+          `(start, world, episode)`, `[n, 3]`, `[n]` and `[n]` int32; None for what is not given.
+
+        Raises:
+          InputError: an option that there is not, or that cannot be one.
+        """
+        options = {} if options is None else dict(options)
+        for name in options:
+            if name not in _OPTIONS:
+                raise unknown("option", str(name), _OPTIONS)
+        start, world, episode = (options.get(name) for name in _OPTIONS)
+        n_worlds = len(self.env.worlds)
+        if world is not None:
+            world = whole("option world", world, (n,), 0, n_worlds - 1)
+        if episode is not None:
+            episode = whole("option episode", episode, (n,), 0, _INTS[1])
+        if start is not None:
+            if world is None and n_worlds > 1:
+                raise InputError("option start takes the option world as well: there are several worlds")
+            world = np.zeros(n, np.int32) if world is None else world
+            start = whole("option start", start, (n, 3), *_INTS)
+            for own, (row, col, heading_deg) in zip(world.tolist(), start.tolist()):
+                place = row, col, heading_deg
+                check_start(self.env.worlds[own], place, self.rules.clearance_m, self.rules.near_m)
+        return start, world, episode
+
+    def ends(self, outcome: ArrayLike, decisions: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+        """Whether episodes terminate, and whether they are truncated, never both: `(terminated, truncated)`, bool."""
+        terminated = np.isin(outcome, TERMINAL)
+        stopped = np.not_equal(outcome, Outcome.RUNNING) | np.greater_equal(decisions, self.max_decisions)
+        return terminated, ~terminated & stopped
+
+    def fetched(self, seen: Any, info: Any) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+        """What `look` returned, on the host, steps as metres: `(seen, info)`."""
+        seen, info = jax.device_get((seen, info))
+        driven_m = path_m(info.pop("straight"), info.pop("diagonal"), self.env.cell_m)
+        return seen, info | {"path_m": driven_m}
+
+    def picture(self, seen: dict[str, np.ndarray], world: int) -> np.ndarray:
+        """The map of an observation: `[h, w, 3]` uint8, row 0 at the top, a square of pixels for every cell."""
+        height, width = self.env.worlds[world].shape
+        image = np.repeat(_GREYS[seen["map"][:height, :width], None], 3, axis=2)
+        image[seen["frontier"][:height, :width] > 0] = _FRONTIER
+        row, col, _ = seen["robot"]
+        image[max(row - 1, 0) : row + 2, max(col - 1, 0) : col + 2] = _ROBOT
+        scale = -(-_SIDE // max(height, width))
+        return image[::-1].repeat(scale, axis=0).repeat(scale, axis=1)
+
+
+def mask_of(state: EnvState, targets: str) -> Array:
+    """The cells that an action may name: `[H, W]` bool; none once the episode is over."""
+    allowed = state.known.candidates if targets == "frontier" else state.known.cost < FAR
+    return allowed & (state.episode.outcome == Outcome.RUNNING)
+
+
+@functools.partial(jax.jit, static_argnames="targets")
+def look(state: EnvState, *, targets: str) -> tuple[dict[str, Array], dict[str, Array]]:
+    """Observation and info of a state, before `Game.fetched`."""
+    episode, known = state.episode, state.known
+    belief, shape = episode.belief, known.cost.shape
+    rows, cols = (lax.broadcasted_iota(jnp.int32, shape, axis) for axis in (0, 1))
+    outside = (rows >= belief.extent[0]) | (cols >= belief.extent[1])
+    free = jnp.where(is_free(belief.grid, belief.model.p_free), FREE, OCCUPIED)
+    seen = {
+        "map": jnp.where(outside, OCCUPIED, jnp.where(is_known(belief.grid), free, UNKNOWN)).astype(jnp.uint8),
+        "frontier": known.candidates.astype(jnp.int8),
+        "path_m": jnp.where(known.cost < FAR, metres(known.cost, belief.model.cell_m), -1.0),
+        "robot": jnp.stack([belief.row, belief.col, belief.heading]).astype(jnp.int32),
+    }
+    info = {
+        "action_mask": mask_of(state, targets).reshape(-1).astype(jnp.int8),
+        "outcome": outcome_of(episode),
+        "straight": episode.straight,
+        "diagonal": episode.diagonal,
+        "known_m2": episode.known * belief.model.cell_m**2,
+    }
+    return seen, info
+
+
+def copied(arrays: dict[str, Any]) -> dict[str, np.ndarray]:
+    """Arrays that whoever gets them may write to."""
+    return {name: np.array(array) for name, array in arrays.items()}
+
+
+def whole(name: str, value: Any, shape: tuple[int, ...], low: int, high: int) -> np.ndarray:
+    """Whole numbers of a shape, within bounds, both inclusive: int32.
+
+    Raises:
+      InputError: saying what would be right.
+    """
+    expected = f"{name} must be {f'integers {list(shape)}' if shape else 'an integer'} from {low} to {high}"
+    try:
+        array = np.asarray(value)
+    except ValueError:
+        raise InputError(f"{expected}, got {value!r}") from None
+    if array.dtype.kind not in "iu" or array.shape != shape:
+        raise InputError(f"{expected}, got {value if array.ndim == 0 else f'{list(array.shape)} {array.dtype}'}")
+    if array.min() < low or array.max() > high:
+        raise InputError(f"{expected}, got {array.min() if array.min() < low else array.max()}")
+    return array.astype(np.int32)
+
+
+def drawn_seed(env: Any) -> int:
+    """A seed from the generator of an environment of gymnasium."""
+    return int(env.np_random.integers(2**32))

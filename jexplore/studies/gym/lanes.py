@@ -1,0 +1,168 @@
+"""Many environments in step, as a vector environment of gymnasium."""
+
+import functools
+import operator
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from gymnasium.vector import AutoresetMode, VectorEnv  # type: ignore[import-not-found]
+from gymnasium.vector.utils import batch_space  # type: ignore[import-not-found]
+
+from jexplore.arrays.loops import alone_on_cpu, run_if
+from jexplore.config import MAX_SEED, InputError, Lidar, Rules, require_whole
+from jexplore.studies.checks import LIDAR, RULES
+from jexplore.studies.environment import Environment, EnvState
+from jexplore.studies.gym.game import MAX_DECISIONS, Game, copied, drawn_seed, look, mask_of, whole
+from jexplore.studies.gym.single import GymEnv
+
+
+class GymVectorEnv(VectorEnv):
+    """Many environments in step, each with an episode of its own: `jx.GymVectorEnv(["rooms#1", "maze"], num_envs=64)`.
+
+    As `GymEnv`, with a leading axis of `num_envs` everywhere. Lane i of `reset(seed=s)` is a `GymEnv` of the seed
+    s + i; `seed` may be a list of seeds, one a lane, and the options have a leading axis as well. The step after the
+    one that ends an episode begins the next one, whatever the action, with a reward of 0 (`AutoresetMode.NEXT_STEP`).
+
+    All lanes are one compiled program: on a CPU they run one after the other, on an accelerator together.
+    """
+
+    metadata = {**GymEnv.metadata, "autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012
+
+    def __init__(
+        self,
+        worlds: Any,
+        num_envs: int = 1,
+        *,
+        cell_m: float = 0.1,
+        lidar: Lidar = LIDAR,
+        rules: Rules = RULES,
+        recheck: bool = False,
+        targets: str = "frontier",
+        max_decisions: int = MAX_DECISIONS,
+        render_mode: str | None = None,
+    ) -> None:
+        """Loads the worlds. Arguments as of `GymEnv`, and `num_envs`, the number of lanes.
+
+        Raises:
+          InputError: as `GymEnv`.
+        """
+        self.num_envs = require_whole("num_envs", num_envs, 1, 2**20)
+        settings = {"cell_m": cell_m, "lidar": lidar, "rules": rules, "recheck": recheck}
+        self._game = Game(worlds, targets=targets, max_decisions=max_decisions, render_mode=render_mode, **settings)
+        self.single_action_space = self._game.action_space
+        self.single_observation_space = self._game.observation_space
+        self.action_space = batch_space(self.single_action_space, self.num_envs)
+        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
+        self.render_mode = render_mode
+        self._bases: Any = None  # the keys of the lanes' seeds
+        self._numbers, self._decisions = np.full(num_envs, -1, np.int32), np.zeros(num_envs, np.int32)
+        self._over = np.zeros(num_envs, bool)
+        self._states: EnvState | None = None
+        self._begin = jax.jit(functools.partial(_begun, self._game))
+        self._turn = jax.jit(functools.partial(_turned, self._game))
+
+    @property
+    def environment(self) -> Environment:
+        """The `Environment` below."""
+        return self._game.env
+
+    @property
+    def states(self) -> EnvState | None:
+        """The `EnvState`s of the episodes under way, with a leading axis; None before the first reset."""
+        return self._states
+
+    def reset(
+        self, *, seed: Any = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+        """Begins an episode in every lane: `(observations, infos)`. The class says what seeds and options there are.
+
+        Raises:
+          InputError: a seed or an option that cannot be one.
+        """
+        seeds = None if seed is None else self._seeds(seed)
+        start, world, episode = self._game.options(options, self.num_envs)
+        if seeds is not None:
+            super().reset(seed=seeds[0])
+        elif self._bases is None:
+            seeds = [drawn_seed(self) for _ in range(self.num_envs)]
+        if seeds is not None:
+            self._bases = jnp.stack([jax.random.key(one) for one in seeds])
+            self._numbers = np.full(self.num_envs, -1, np.int32)
+        self._numbers = self._numbers + np.int32(1) if episode is None else episode
+        self._states, seen, info = self._begin(self.environment.arrays, self._bases, self._numbers, start, world)
+        self._decisions, self._over = np.zeros_like(self._decisions), np.zeros_like(self._over)
+        return self._told(seen, info | {"valid": jnp.ones(self.num_envs, bool)})
+
+    def step(self, actions: Any) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
+        """Drives to a cell in every lane: `(observations, rewards, terminations, truncations, infos)`.
+
+        Raises:
+          InputError: actions that are no cells of the map, or no episodes to make them in.
+        """
+        if self._states is None:
+            raise InputError("there are no episodes yet; call reset first")
+        actions, over = whole("actions", actions, (self.num_envs,), 0, self._game.n_cells - 1), self._over
+        self._numbers = self._numbers + over.astype(np.int32)
+        self._states, rewards, seen, info = self._turn(
+            self.environment.arrays, self._bases, self._numbers, self._states, actions, over
+        )
+        seen, info = self._told(seen, info)
+        self._decisions = np.where(over, 0, self._decisions + 1)
+        # An episode that is over as it begins says so with its first step.
+        terminated, truncated = (end & ~over for end in self._game.ends(info["outcome"], self._decisions))
+        self._over = terminated | truncated
+        return seen, np.array(rewards, np.float64) + 0.0, terminated, truncated, info
+
+    def render(self) -> Any:
+        """The maps as the robots know them, a tuple of `[h, w, 3]` uint8, in the mode "rgb_array"; else None."""
+        if self.render_mode is None or self._states is None:
+            return None
+        worlds = np.asarray(self._states.world).tolist()
+        lanes = [{name: a[i] for name, a in self._seen.items()} for i in range(self.num_envs)]
+        return tuple(self._game.picture(seen, world) for seen, world in zip(lanes, worlds))
+
+    def _seeds(self, seed):
+        """One for each lane."""
+        try:
+            first = operator.index(seed)
+            seeds = [first + i for i in range(self.num_envs)]
+        except TypeError:
+            seeds = list(seed) if isinstance(seed, (list, tuple, np.ndarray)) else [seed]
+        if len(seeds) != self.num_envs:
+            raise InputError(f"seed must be one, or one for each of {self.num_envs} lanes, got {len(seeds)}")
+        return [require_whole("seed", one, 0, MAX_SEED) for one in seeds]
+
+    def _told(self, seen, info):
+        """Observations and infos; each info has a mask of the lanes that have it, as gymnasium wants it."""
+        self._seen, info = self._game.fetched(seen, info)
+        masks = {f"_{name}": np.ones(self.num_envs, bool) for name in info}
+        return copied(self._seen), copied(info) | masks
+
+
+def _begun(game, arrays, bases, numbers, starts, worlds):
+    """The first state of every lane, and what it looks like."""
+    env = game.env.with_arrays(arrays)
+
+    def begin(base, number, start, world):
+        state, _ = env.reset(jax.random.fold_in(base, number), start, world)
+        return state, *look(state, targets=game.targets)
+
+    return jax.vmap(begin)(bases, numbers, starts, worlds)
+
+
+def _turned(game, arrays, bases, numbers, states, actions, over):
+    """The next state of every lane, and what it looks like: after a decision, or the first of the next episode."""
+    env = game.env.with_arrays(arrays)
+
+    def turn(base, number, state, action, over):
+        key = jax.random.fold_in(base, number)
+        row, col = action // env.shape[1], action % env.shape[1]
+        allowed = mask_of(state, game.targets)[row, col] & ~over
+        state, _, reward, _, known = env.step(key, state, jnp.where(allowed, jnp.stack([row, col]), -1))
+        state = run_if(over, lambda _: env.reset(key)[0], state)
+        seen, info = look(state, targets=game.targets)
+        return state, reward, seen, info | {"valid": known["valid"] | over}
+
+    return jax.vmap(alone_on_cpu(turn))(bases, numbers, states, actions, over)

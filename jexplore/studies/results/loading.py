@@ -1,0 +1,208 @@
+"""Results of a run read from its folder again.
+
+pandas is imported by the functions that need it.
+"""
+
+import json
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from jexplore.config import InputError
+from jexplore.engine.runner import Costs
+from jexplore.report import store
+from jexplore.report.folders import UNFINISHED
+from jexplore.studies.comparison import Comparison
+from jexplore.studies.papers import PAPERS
+from jexplore.studies.reproduction import Reproduction, notes_of, world_names
+from jexplore.studies.results.units import COLUMNS, Seen
+from jexplore.studies.sweeps.plan import Plan, prepare_sweep
+from jexplore.studies.sweeps.run import Swept, ordered
+from jexplore.studies.sweeps.spec import read_spec
+from jexplore.worlds.world import World
+
+if TYPE_CHECKING:
+    pass
+
+DETAILS = "details.npz"
+
+
+def write_details(found: Comparison, path: Path) -> None:
+    """Writes what a table of episodes cannot hold: worlds, first episodes, progress."""
+    arrays: dict[str, Any] = {}
+    for i, world in enumerate(found.worlds):
+        arrays[f"world/{i}/occupied"] = world.occupied
+        arrays[f"world/{i}/cell_m"] = np.float64(world.cell_m)
+        arrays[f"world/{i}/origin_m"] = np.asarray(world.origin_m, np.float64)
+        arrays[f"world/{i}/name"] = np.str_(os.fspath(world.name))
+        if world.rooms is not None:
+            arrays[f"world/{i}/rooms"] = world.rooms
+        if world.start is not None:
+            arrays[f"world/{i}/start"] = np.asarray(world.start, np.int64)
+        for k, seen in enumerate(found.first.get(world.name, [])):
+            at = f"first/{i}/{k}"
+            arrays[f"{at}/strategy"] = np.str_(seen.strategy)
+            arrays[f"{at}/state"], arrays[f"{at}/rows"], arrays[f"{at}/cols"] = seen.state, seen.rows, seen.cols
+            arrays[f"{at}/path_m"] = np.float64(seen.path_m)
+    if found.progress:
+        arrays["progress"] = np.concatenate(list(found.progress.values()))
+    np.savez_compressed(path, **arrays)
+
+
+def _details(path, episodes):
+    """Worlds, first episodes and progress: `(worlds, first, progress)`."""
+    try:
+        with np.load(path) as file:
+            arrays = dict(file)
+    except (OSError, ValueError, EOFError) as error:
+        raise InputError(f"{path} must be a file that jexplore wrote: {store.reason(error)}") from error
+    worlds, first = [], {}
+    while f"world/{len(worlds)}/occupied" in arrays:
+        at = f"world/{len(worlds)}"
+        start = arrays.get(f"{at}/start")
+        world = World(
+            occupied=arrays[f"{at}/occupied"],
+            rooms=arrays.get(f"{at}/rooms"),
+            start=None if start is None else tuple(start.tolist()),
+            cell_m=float(arrays[f"{at}/cell_m"]),
+            name=str(arrays[f"{at}/name"]),
+            origin_m=tuple(arrays[f"{at}/origin_m"].tolist()),
+        )
+        own, i = [], len(worlds)
+        while f"first/{i}/{len(own)}/state" in arrays:
+            at = f"first/{i}/{len(own)}"
+            state, rows, cols = (arrays[f"{at}/{name}"] for name in ("state", "rows", "cols"))
+            strategy, path_m = str(arrays[f"{at}/strategy"]), float(arrays[f"{at}/path_m"])
+            own.append(Seen(strategy, state, rows, cols, world.cell_m, path_m))
+        worlds.append(world)
+        if own:
+            first[world.name] = own
+    progress, at = {}, 0
+    if "progress" in arrays:
+        for pair, rows in episodes.groupby(["world", "strategy"], sort=False):
+            progress[pair] = arrays["progress"][at : at + len(rows)]
+            at += len(rows)
+    return tuple(worlds), first, progress
+
+
+def load(path: str | os.PathLike[str]) -> Any:
+    """The results of a run, from the folder that it has written.
+
+    Args:
+      path: folder of a `jexplore` command.
+
+    Returns:
+      What the function of that name returned: a `Comparison` for compare, a `Reproduction` for reproduce, a `Swept` for
+        sweep and merge. For other commands a `pandas.DataFrame`, the table that they wrote.
+
+    Raises:
+      InputError: no folder of a run, a run that was not finished, a file that is gone or damaged.
+    """
+    folder = Path(os.path.expanduser(path))
+    record = _record(folder)
+    command = record["command"][1]
+    if record.get("asked", {}).get("command") == "sweep":
+        return _sweep(folder, record)
+    for name, read in READERS.items():
+        if (folder / name).is_file():
+            return read(folder, record, command)
+    raise InputError(f"{os.fspath(path)}: `jexplore {command}` leaves no table to be read")
+
+
+def _record(folder):
+    """The run.json of a run."""
+    page = folder / "run.json"
+    if not page.is_file():
+        is_begun = (folder / UNFINISHED).is_dir()
+        hint = "; it holds a run that was not finished: go on with --resume" if is_begun else ""
+        raise InputError(f"{os.fspath(folder)} must be the folder of a run, with a run.json{hint}")
+    try:
+        record = json.loads(page.read_text(encoding="utf-8"))
+        assert isinstance(record["command"][1], str)
+    except (OSError, ValueError, KeyError, IndexError, TypeError, AssertionError) as error:
+        raise InputError(f"{page} must be the record of a run: {store.reason(error)}") from error
+    return record
+
+
+def _comparison(folder, record, command):
+    episodes = store.read_parquet(folder / "episodes.parquet", required=COLUMNS)
+    worlds, first, progress = _details(folder / DETAILS, episodes)
+    found = Comparison(
+        *(episodes, worlds, first, record["compile_s"], record["run_s"], record["interrupted"], record["resumed"]),
+        progress=progress,
+    )
+    if command != "reproduce":
+        return found
+    paper, maps = PAPERS[record["configuration"]["paper"]], record["configuration"]["maps"]
+    return Reproduction(paper, found, world_names(paper, maps), notes_of(paper, maps))
+
+
+def _sweep(folder, record):
+    episodes = store.read_parquet(folder / "episodes.parquet", required=[*COLUMNS, *record["columns"]])
+    costs = Costs(compile_s=record["compile_s"] or 0.0, run_s=record["run_s"] or 0.0, engine=record["engine"])
+    spec, columns = read_spec(folder / "sweep.yaml"), tuple(record["columns"])
+    return Swept(spec, episodes, columns, costs, record["interrupted"], record["resumed"])
+
+
+def merge(parts: Sequence[str | os.PathLike[str]]) -> tuple[Swept, Plan]:
+    """The parts of a sweep put together.
+
+    Args:
+      parts: folders of all parts.
+
+    Returns:
+      `(Swept, Plan)`.
+
+    Raises:
+      InputError: a folder that holds no finished part, parts of different sweeps, one that is missing or there twice.
+    """
+    import pandas as pd
+
+    if not parts:
+        raise InputError("expected the folders of all parts, got none")
+    pages, tables, places = {}, [], {}
+    for part in parts:
+        folder = Path(os.path.expanduser(part))
+        page = _record(folder)
+        asked = page.get("asked", {})
+        if asked.get("command") != "sweep" or not asked.get("shard"):
+            raise InputError(f"{part} must hold a part of a sweep, made with --shard")
+        if page["interrupted"]:
+            raise InputError(f"{part} holds a part that was not finished: go on with --resume")
+        first = next(iter(pages.values()), asked)
+        for key in ("version", "spec", "digests"):
+            if asked[key] != first[key]:
+                raise InputError(f"{part} must be a part of the sweep in {next(iter(pages))}: another {key}")
+        i, n = asked["shard"]
+        if n != first["shard"][1]:
+            raise InputError(f"{part} is part {i + 1}/{n}, and {next(iter(pages))} one of {first['shard'][1]}")
+        if i in places:
+            raise InputError(f"{part} is part {i + 1}/{n}, and so is {places[i]}")
+        pages[part], places[i] = asked, part
+        tables.append(_sweep(folder, page))
+    n = next(iter(pages.values()))["shard"][1]
+    missing = [f"{i + 1}/{n}" for i in range(n) if i not in places]
+    if missing:
+        raise InputError(f"all parts must be given, and {', '.join(missing)} are not")
+    plan = prepare_sweep(tables[0].spec)
+    asked = plan.asked()
+    if any(store.jsonable(asked[key]) != next(iter(pages.values()))[key] for key in ("version", "spec", "digests")):
+        raise InputError("the sweep's worlds or jexplore itself have changed since the parts were made")
+    table = ordered(pd.concat([found.episodes for found in tables], ignore_index=True), plan)
+    costs = Costs(
+        compile_s=sum(found.costs.compile_s for found in tables),
+        run_s=sum(found.costs.run_s for found in tables),
+        engine=tables[0].costs.engine,
+    )
+    return Swept(plan.spec, table, tuple(plan.columns), costs), plan
+
+
+READERS = {
+    "episodes.parquet": _comparison,
+    "runs.parquet": lambda folder, record, command: store.read_parquet(folder / "runs.parquet"),
+    "scores.parquet": lambda folder, record, command: store.read_parquet(folder / "scores.parquet"),
+}
+"""Table of a run -> `(folder, record, command)`: what reads it."""

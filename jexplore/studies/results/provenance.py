@@ -1,0 +1,106 @@
+"""What results were made from: the worlds to the bit, the files of maps, the commit of this package."""
+
+import functools
+import hashlib
+import importlib.metadata
+import json
+import os
+import subprocess
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jexplore.exploration.batch import Job
+from jexplore.version import __version__
+from jexplore.worlds.world import World
+
+GIT_S = 5.0  # seconds that git may take
+
+
+def digest(world: World) -> str:
+    """SHA-256 of everything in a world that an episode depends on, in hexadecimal digits."""
+    found = hashlib.sha256(np.float64(world.cell_m).tobytes())
+    for array in (world.occupied, world.rooms, world.elevation, world.start):
+        some = np.zeros(0) if array is None else np.ascontiguousarray(array)
+        found.update(f"{some.dtype.str}{some.shape}".encode())
+        found.update(some.tobytes())
+    return found.hexdigest()
+
+
+def files_of(world: World) -> dict[str, str]:
+    """The files that a world was read from, the picture that a yaml names among them: path -> SHA-256 in hexadecimal
+    digits; empty for other worlds.
+    """
+    name = os.fspath(world.name)
+    for text in (name, name.rpartition("@")[0]):
+        path = Path(os.path.expanduser(text))
+        if text and path.is_file():
+            return {os.fspath(file): _file_hash(file) for file in (path, *_named_in(path))}
+    return {}
+
+
+def _named_in(path):
+    """The picture of a ROS map, if this is one."""
+    if path.suffix in (".yaml", ".yml"):
+        import yaml
+
+        with open(path, encoding="utf-8") as file:
+            page = yaml.safe_load(file)
+        if isinstance(page, dict) and isinstance(page.get("image"), str):
+            picture = path.parent / page["image"]
+            if picture.is_file():
+                yield picture
+
+
+def _file_hash(path):
+    with open(path, "rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+@functools.cache
+def commit() -> str | None:
+    """The commit that this package was installed from, with `+changed` where the files have changed since; None where
+    that is not known.
+    """
+    folder = Path(__file__).resolve().parents[3]
+    if (folder / ".git").exists():
+        try:
+            found = [
+                subprocess.run(
+                    ["git", "-C", os.fspath(folder), *arguments],
+                    capture_output=True,
+                    text=True,
+                    timeout=GIT_S,
+                    check=True,
+                ).stdout.strip()
+                for arguments in (["rev-parse", "HEAD"], ["status", "--porcelain", "--", "jexplore"])
+            ]
+            return found[0] + ("+changed" if found[1] else "")
+        except (OSError, subprocess.SubprocessError):
+            return None
+    try:
+        page = importlib.metadata.distribution("jexplore").read_text("direct_url.json")
+        return json.loads(page or "{}").get("vcs_info", {}).get("commit_id")
+    except (importlib.metadata.PackageNotFoundError, ValueError):
+        return None
+
+
+def asked(jobs: Sequence[Job]) -> dict[str, Any]:
+    """All that the results of some jobs depend on, as plain values: of two runs with equal ones the units are equal."""
+    worlds = {os.fspath(job.world.name): job.world for job in jobs}
+    strategies = list(dict.fromkeys(job.strategy.name for job in jobs))
+    settings = list(dict.fromkeys((job.lidar, job.rules) for job in jobs))
+    starts = hashlib.sha256(b"".join(np.ascontiguousarray(job.starts, np.int32).tobytes() for job in jobs))
+    return {
+        "version": __version__,
+        "worlds": list(worlds),
+        "strategies": strategies,
+        "episodes": sum(len(job.starts) for job in jobs),
+        "seed": list(dict.fromkeys(job.seed for job in jobs)),
+        "lidar": list(dict.fromkeys(lidar for lidar, _ in settings)),
+        "rules": list(dict.fromkeys(rules for _, rules in settings)),
+        "starts": starts.hexdigest(),
+        "digests": {name: digest(world) for name, world in worlds.items()},
+    }

@@ -1,0 +1,223 @@
+"""Units of a comparison's work: some episodes of one strategy in one world, run, kept and put together again.
+
+pandas is imported by the functions that need it.
+"""
+
+import io
+import os
+import zlib
+from collections.abc import Callable, Iterable, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from jexplore.config import Lidar, Rules
+from jexplore.engine.runner import Costs
+from jexplore.exploration import batch
+from jexplore.exploration.batch import Job, Outcomes
+from jexplore.exploration.results import columns, map_state, progress_m
+from jexplore.exploration.state import MARKS, Outcome
+from jexplore.report.ledger import Ledger
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+COLUMNS = (
+    *("world", "strategy", "episode", "seed", "start_row", "start_col", "path_m", "turning_rad"),
+    *("steps", "scans", "plans", "outcome", "exhausted", "explored_fraction"),
+    *("path_m_at_50", "path_m_at_90", "path_m_at_95", "path_m_at_99", "room_entries"),
+    *("start_heading_deg", "refused", "saturated", "overflow"),
+)
+"""Columns of a table of episodes. `stats` and `plot` read them by these names."""
+LEAST = 8  # episodes of a unit, if there are so many
+FIRSTS = 12  # jobs of which what the first episode left is kept, for a report
+MOST_UNITS = 256  # of one strategy in one world
+PROGRESS, SEEN, WAY, MAP = "_progress_m", "_seen", "_way", "_map"  # columns of a unit's file besides `COLUMNS`
+
+
+class Seen(NamedTuple):
+    """How episode 0 of a strategy in a world ended: its map and its way."""
+
+    strategy: str
+    state: np.ndarray  # [H, W] uint8, 0 unknown, 1 free, 2 occupied
+    rows: np.ndarray  # [n + 1] int32, cells driven
+    cols: np.ndarray  # [n + 1] int32
+    cell_m: float
+    path_m: float
+
+
+class Unit(NamedTuple):
+    """Some episodes of a job."""
+
+    job: int  # number of the job
+    first: int  # number of the first episode
+    n: int
+    turn: int  # units of a later turn come later
+
+
+class Piece(NamedTuple):
+    """Episodes of a job that have ended, in order."""
+
+    job: int
+    table: "pd.DataFrame"  # columns `COLUMNS`
+    progress: np.ndarray  # [n, MARKS] float64, metres
+    seen: Seen | None  # of episode 0, where that is among them
+    paths: list[np.ndarray] | None  # if they are kept
+    maps: np.ndarray | None  # [n, H, W] uint8, if they are kept
+
+
+def cut(jobs: Sequence[Job]) -> list[Unit]:
+    """The units of some jobs, in the order in which they are worth doing: the first episodes of all jobs first."""
+    units = []
+    for i, job in enumerate(jobs):
+        n = len(job.starts)
+        size = max(LEAST, -(-n // MOST_UNITS))
+        units += [Unit(i, first, min(size, n - first), first // size) for first in range(0, n, size)]
+    return sorted(units, key=lambda unit: (unit.turn, unit.job, unit.first))
+
+
+def job_of(job: Job, unit: Unit) -> Job:
+    """The episodes of a unit as a `Job`."""
+    starts = job.starts[unit.first : unit.first + unit.n]
+    return job._replace(starts=starts, first=unit.first, turn=unit.turn)
+
+
+def piece_of(job: Job, unit: Unit, found: Outcomes) -> Piece:
+    """What has ended of a unit. `job` is the whole one, with its scanner and rules."""
+    import pandas as pd
+
+    assert job.rules is not None
+    result, world, strategy = found.result, job.world, job.strategy.name
+    ended = np.asarray(result.outcome) != Outcome.RUNNING
+    starts = job.starts[unit.first : unit.first + unit.n]
+    values = columns(result, starts, seed=job.seed, cell_m=world.cell_m, has_rooms=world.rooms is not None)
+    values["episode"] = values["episode"] + unit.first
+    table = pd.DataFrame({"world": os.fspath(world.name), "strategy": strategy, **values})
+    table["room_entries"] = table["room_entries"].astype("Int64")
+    seen = None
+    if unit.first == 0 and ended[0] and found.first is not None:
+        final = found.first
+        state = map_state(final.hits, final.misses, job.rules.p_free)
+        seen = Seen(strategy, state, final.rows, final.cols, world.cell_m, float(values["path_m"][0]))
+    paths = maps = None
+    if found.records is not None and (found.records or not ended.any()):
+        own = [found.records[i] for i in np.flatnonzero(ended).tolist()]
+        paths = [record.path for record in own]
+        states = [record.state for record in own if record.state is not None]
+        maps = np.stack(states) if states else None
+    table = table[ended].loc[:, list(COLUMNS)].reset_index(drop=True)
+    return Piece(unit.job, table, progress_m(result, world.cell_m)[ended], seen, paths, maps)
+
+
+def _packed(**arrays):
+    file = io.BytesIO()
+    np.savez(file, **arrays)
+    return zlib.compress(file.getvalue(), 1)
+
+
+def _unpacked(data):
+    return np.load(io.BytesIO(zlib.decompress(data)))
+
+
+def to_table(piece: Piece) -> "pd.DataFrame":
+    """A piece as a table for a file, from which `of_table` makes it again."""
+    n, extra = len(piece.table), {}
+    extra[PROGRESS] = [row.tobytes() for row in piece.progress]
+    if piece.seen is not None:
+        seen = piece.seen
+        first = _packed(state=seen.state, rows=seen.rows, cols=seen.cols)
+        extra[SEEN] = [first, *[None] * (n - 1)]
+    if piece.paths is not None:
+        extra[WAY] = [_packed(way=path) for path in piece.paths]
+    if piece.maps is not None:
+        extra[MAP] = [_packed(map=state) for state in piece.maps]
+    return piece.table.assign(**extra)
+
+
+def of_table(table: "pd.DataFrame", job: int, cell_m: float) -> Piece:
+    """The piece that `to_table` made a table of."""
+    rows = table.loc[:, list(COLUMNS)]
+    marks = np.frombuffer(b"".join(table[PROGRESS]), np.float64).reshape(len(table), MARKS)
+    seen = paths = maps = None
+    if SEEN in table:
+        with _unpacked(table[SEEN].iloc[0]) as first:
+            seen = Seen(
+                *(rows["strategy"].iloc[0], first["state"], first["rows"], first["cols"], cell_m),
+                float(rows["path_m"].iloc[0]),
+            )
+    if WAY in table:
+        paths = [_unpacked(data)["way"] for data in table[WAY]]
+    if MAP in table:
+        maps = np.stack([_unpacked(data)["map"] for data in table[MAP]])
+    return Piece(job, rows, marks, seen, paths, maps)
+
+
+class Ran(NamedTuple):
+    """What `run_units` returns."""
+
+    pieces: list[Piece]  # in the order of the units
+    costs: Costs
+    resumed: int  # episodes that were there before
+    firsts: dict[int, Outcomes]  # number of a job, one of the first -> what its first unit left, if that was run here
+
+
+def run_units(
+    jobs: Sequence[Job],
+    *,
+    ledger: Ledger | None = None,
+    units: Iterable[int] | None = None,
+    engine: str | None = None,
+    lanes: int | None = None,
+    workers: int | None = None,
+    on_progress: Callable[[int], object] | None = None,
+    keep: str | None = None,
+    alike: Sequence[tuple[Lidar, Rules]] = (),
+) -> Ran:
+    """Runs every episode of every job that the ledger does not have.
+
+    Args:
+      jobs: list of `Job`, each with its scanner and rules.
+      ledger: where units are kept as soon as they are finished.
+      units: numbers of the units to be run or read; by default all.
+      engine, lanes, workers, on_progress, keep, alike: as in `batch.run_jobs`. Progress counts episodes that were there
+        before as well.
+
+    Returns:
+      `Ran`. After Ctrl-C it holds what had been finished.
+
+    Raises:
+      InputError: as `batch.run_jobs`; a unit cannot be written or read.
+      KeyboardInterrupt: nothing had been finished.
+    """
+    cuts = cut(jobs)
+    wanted = list(range(len(cuts))) if units is None else sorted(units)
+    pieces: dict[int, Piece] = {}
+    for i in wanted:
+        if ledger is not None and i in ledger.done:
+            job = jobs[cuts[i].job]
+            pieces[i] = of_table(ledger.get(i), cuts[i].job, job.world.cell_m)
+    resumed = sum(len(piece.table) for piece in pieces.values())
+    left = [i for i in wanted if i not in pieces]
+    firsts: dict[int, Outcomes] = {}
+
+    def on_job(place: int, found: Outcomes) -> None:
+        number = left[place]
+        if cuts[number].first == 0 and cuts[number].job < FIRSTS:
+            firsts[cuts[number].job] = found
+        piece = piece_of(jobs[cuts[number].job], cuts[number], found)
+        if ledger is not None:
+            ledger.put(number, to_table(piece))
+        pieces[number] = piece
+
+    costs = Costs()
+    if left:
+        some = [job_of(jobs[cuts[i].job], cuts[i]) for i in left]
+        progress = None if on_progress is None else (lambda done: on_progress(done + resumed))
+        how: dict[str, Any] = {"engine": engine, "lanes": lanes, "workers": workers, "keep": keep, "alike": alike}
+        found = batch.run_jobs(some, Lidar(), Rules(), **how, on_progress=progress, on_job=on_job)
+        costs = found.costs
+        for place, outcomes in enumerate(found.outcomes):
+            if left[place] not in pieces:
+                unit = cuts[left[place]]
+                pieces[left[place]] = piece_of(jobs[unit.job], unit, outcomes)
+    return Ran([pieces[i] for i in sorted(pieces)], costs, resumed, firsts)

@@ -1,0 +1,250 @@
+"""A sweep made ready: its settings checked, its work cut into units that share compiled programs."""
+
+import collections
+import dataclasses
+import functools
+import os
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from jexplore.arrays.padding import bucket
+from jexplore.config import InputError, Lidar, Rules
+from jexplore.exploration.batch import Job
+from jexplore.exploration.site import COARSE_M
+from jexplore.grid import radius_d2
+from jexplore.policies import Strategy
+from jexplore.policies.catalogue.joined import joined
+from jexplore.raycast import scans_all_round
+from jexplore.studies.checks import ready_starts, ready_strategies, ready_worlds, require_different, require_memory
+from jexplore.studies.results.provenance import digest
+from jexplore.studies.sweeps.spec import MAX_TOTAL, Sweep, plain
+from jexplore.version import __version__
+from jexplore.worlds.world import World
+
+UNIT = 256  # episodes of a unit, about; one file each
+MOST_UNITS = 4096  # larger sweeps have larger units
+COMPILE_S = 12.0  # processor seconds of compiling a program, about (benchmarks/RESULTS.md, Programs)
+CELL_S = 1.3e-6  # seconds of an episode of closest+recheck, for every cell of the world, about (likewise, Episodes)
+COSTS = {
+    **{"closest": 1.0, "random": 3.0, "utility": 2.5, "distance-advantage": 3.0, "tour": 3.5, "mcdm": 4.0},
+    **{"decision-theoretic": 12.0, "gain-rate": 20.0},
+}
+"""An episode of a strategy beside one of closest, about; `+segment` comes on top."""
+SEGMENT_COST = 8.0
+
+
+class Block(NamedTuple):
+    """Some episodes of one strategy in one world and setting."""
+
+    setting: int
+    world: int
+    strategy: int
+    first: int
+    n: int
+
+
+@dataclasses.dataclass(frozen=True)
+class Plan:
+    """A sweep that can be run."""
+
+    spec: Sweep
+    settings: list[dict[str, Any]]
+    records: list[tuple[int, float, Lidar, Rules]]
+    strategies: list[Strategy]
+    parameters: list[dict[str, Any]]
+    """Of every strategy, those of its parameters that are settings."""
+    shapes: dict[tuple[int, float], tuple[int, int]]
+    """(world, cell size) -> shape of the world."""
+    digests: list[str]
+    """Of every world and cell size."""
+    units: list[list[Block]]
+    programs: int
+    """Programs that are compiled for it."""
+
+    @functools.cached_property
+    def together(self) -> list[Strategy]:
+        """The strategies, such that they share a program."""
+        return joined(self.strategies)
+
+    @functools.cached_property
+    def alike(self) -> list[tuple[Lidar, Rules]]:
+        """Scanners and rules that bound those of all settings, see `site.prepare_site`."""
+        widest: dict[int, Lidar] = {}
+        for _, _, lidar, _ in self.records:
+            one = widest.get(lidar.n_beams, lidar)
+            widest[lidar.n_beams] = dataclasses.replace(
+                lidar,
+                range_m=max(one.range_m, lidar.range_m),
+                sigma_m=max(one.sigma_m, lidar.sigma_m),
+                dropout=max(one.dropout, lidar.dropout),
+            )
+        limits = {rules.max_steps for *_, rules in self.records}
+        return [(lidar, Rules(max_steps=limit)) for lidar in widest.values() for limit in limits]
+
+    @property
+    def episodes(self) -> int:
+        """Of the whole sweep."""
+        return self.spec.episodes * len(self.settings) * len(self.spec.worlds) * len(self.strategies)
+
+    @property
+    def columns(self) -> list[str]:
+        """Columns of settings in the table of episodes."""
+        own = dict.fromkeys(f"strategy.{key}" for parameters in self.parameters for key in parameters)
+        return ["setting", *(key for key in self.settings[0] if key != "seed"), *own]
+
+    def seconds(self, workers: int) -> float:
+        """About how long it takes on so many cores, compiling included."""
+        each = [_cost(strategy.name) for strategy in self.strategies]
+        cells = {key: height * width for key, (height, width) in self.shapes.items()}
+        total = 0.0
+        for _, cell_m, _, _ in self.records:
+            for world in range(len(self.spec.worlds)):
+                total += CELL_S * cells[world, cell_m] * sum(each) * self.spec.episodes
+        return (total + COMPILE_S * self.programs) / max(workers, 1)
+
+    def asked(self, shard: tuple[int, int] | None = None) -> dict[str, Any]:
+        """All that the results depend on, as plain values."""
+        return {
+            "version": __version__,
+            "spec": plain(self.spec),
+            "digests": self.digests,
+            "shard": None if shard is None else list(shard),
+        }
+
+    def world(self, number: int, cell_m: float) -> World:
+        """A world, loaded."""
+        return _loaded(os.fspath(self.spec.worlds[number]), cell_m)
+
+    def starts(self, world: World, seed: int, clearance_m: float, near_m: float) -> np.ndarray:
+        """The starts of all episodes in a world."""
+        return _starts(world.name, world.cell_m, seed, clearance_m, near_m, self.spec.episodes, self.spec.start)
+
+    def first_jobs(self, most: int = 12) -> list[tuple[Job, dict[str, Any]]]:
+        """Episode 0 of the first settings, worlds and strategies, and the setting of each."""
+        found = []
+        for setting in range(len(self.settings)):
+            for world in range(len(self.spec.worlds)):
+                for strategy in range(len(self.strategies)):
+                    if len(found) == most:
+                        return found
+                    job = self.job(Block(setting, world, strategy, 0, 1), 0)
+                    found.append((job, self.settings[setting]))
+        return found
+
+    def job(self, block: Block, turn: int) -> Job:
+        """The `Job` of a block."""
+        seed, cell_m, lidar, rules = self.records[block.setting]
+        world = self.world(block.world, cell_m)
+        starts = self.starts(world, seed, rules.clearance_m, rules.near_m)[block.first : block.first + block.n]
+        strategy = self.together[block.strategy]
+        return Job(world, strategy, starts, seed, block.first, lidar, rules, turn)
+
+
+@functools.lru_cache(maxsize=256)
+def _loaded(name, cell_m):
+    return ready_worlds([name], cell_m)[0]
+
+
+@functools.lru_cache(maxsize=4096)
+def _starts(name, cell_m, seed, clearance_m, near_m, n, start):
+    rules = Rules(clearance_m=clearance_m, near_m=near_m)
+    return ready_starts(_loaded(name, cell_m), start, n, seed=seed, rules=rules)
+
+
+def _cost(name):
+    head = name.partition(":")[0].split("+")
+    return COSTS.get(head[0], 3.0) + SEGMENT_COST * any(word.startswith("segment") for word in head[1:])
+
+
+def prepare_sweep(spec: Sweep) -> Plan:
+    """Checks everything that a sweep is asked, and cuts its work, before anything is compiled.
+
+    Raises:
+      InputError: what cannot be run, in one line.
+    """
+    require_different("worlds", [os.fspath(world) for world in spec.worlds])
+    settings, records, listed = spec.expanded(), spec.records(), spec.strategy_list()
+    strategies = ready_strategies([name for name, _ in listed])
+    total = spec.episodes * len(settings) * len(spec.worlds) * len(strategies)
+    if total > MAX_TOTAL:
+        raise InputError(f"a sweep may have {MAX_TOTAL:,} episodes, got {total:,}; use fewer settings or episodes")
+    shapes, digests = {}, []
+    for world in range(len(spec.worlds)):
+        for cell_m in dict.fromkeys(cell_m for _, cell_m, _, _ in records):
+            loaded = _loaded(os.fspath(spec.worlds[world]), cell_m)
+            shapes[world, cell_m] = loaded.shape
+            digests.append(digest(loaded))
+    checked = set()
+    for _, cell_m, lidar, rules in records:
+        for world in range(len(spec.worlds)):
+            loaded = _loaded(os.fspath(spec.worlds[world]), cell_m)
+            if (world, cell_m, rules.clearance_m, rules.near_m) not in checked:
+                checked.add((world, cell_m, rules.clearance_m, rules.near_m))
+                ready_starts(loaded, spec.start, 1, seed=0, rules=rules)
+            if (world, cell_m, lidar, rules.max_steps) not in checked:
+                checked.add((world, cell_m, lidar, rules.max_steps))
+                require_memory(loaded, lidar, rules)
+    units, programs = _cut(spec, records, shapes, len(strategies), total)
+    return Plan(spec, settings, records, strategies, [own for _, own in listed], shapes, digests, units, programs)
+
+
+def program_key(shape: tuple[int, int], cell_m: float, lidar: Lidar, rules: Rules) -> tuple[Any, ...]:
+    """What settings must have in common to share a compiled program: shape of the padded map, clearance in cells,
+    number of beams, looks all round.
+    """
+    padded = tuple(bucket(side) for side in shape)
+    clearance, around = radius_d2(rules.clearance_m, cell_m), scans_all_round(lidar.fov_deg)
+    return padded, clearance, lidar.n_beams, around, cell_m > COARSE_M
+
+
+def _cut(spec, records, shapes, n_strategies, total):
+    """Blocks of work, those that share a program together: `(units, number of programs)`."""
+    by_key = collections.defaultdict(list)
+    for i, (_, cell_m, lidar, rules) in enumerate(records):
+        for world in range(len(spec.worlds)):
+            by_key[program_key(shapes[world, cell_m], cell_m, lidar, rules)].append((i, world))
+    size, units = max(UNIT, -(-total // MOST_UNITS)), []
+    for pairs in by_key.values():
+        unit, room = [], size
+        for block in _blocks(pairs, n_strategies, spec.episodes, size):
+            if unit and block.n > room:
+                units.append(unit)
+                unit, room = [], size
+            unit.append(block)
+            room -= block.n
+        units.append(unit)
+    return units, len(by_key)
+
+
+def _blocks(pairs, n_strategies, episodes, size) -> Iterator[Block]:
+    for setting, world in pairs:
+        for first in range(0, episodes, size):
+            for strategy in range(n_strategies):
+                yield Block(setting, world, strategy, first, min(size, episodes - first))
+
+
+def in_shard(units: int, shard: tuple[int, int] | None) -> list[int]:
+    """Numbers of the units that a shard `(i, n)` makes, i from 0."""
+    return list(range(units)) if shard is None else list(range(shard[0], units, shard[1]))
+
+
+def summary_lines(plan: Plan, workers: int, units: Sequence[int]) -> list[str]:
+    """What `--dry-run` says."""
+    seconds = plan.seconds(workers) * len(units) / max(len(plan.units), 1)
+    what = f"{len(plan.settings):,} settings x {len(plan.spec.worlds)} worlds x {len(plan.strategies)} strategies"
+    return [
+        f"{what} x {plan.spec.episodes:,} episodes = {plan.episodes:,} episodes",
+        f"{len(units):,} units of about {plan.episodes / max(len(plan.units), 1):,.0f} episodes",
+        f"{plan.programs:,} compiled programs, one for every size of map, clearance in cells and number of beams",
+        f"about {duration(seconds)} on {workers} cores, within a factor of three",
+    ]
+
+
+def duration(seconds: float) -> str:
+    """Seconds in a unit that suits them."""
+    for most, unit, each in ((120, "s", 1), (7200, "min", 60), (172800, "h", 3600)):
+        if seconds < most:
+            return f"{seconds / each:.0f} {unit}"
+    return f"{seconds / 86400:.0f} days"

@@ -1,0 +1,346 @@
+"""A sweep run, unit by unit, and its results.
+
+pandas is imported by the functions that need it.
+"""
+
+import dataclasses
+import functools
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from jexplore.config import InputError, Lidar, Rules
+from jexplore.engine.backend import use_compilation_cache
+from jexplore.engine.runner import Costs
+from jexplore.exploration import batch
+from jexplore.report.ledger import Ledger
+from jexplore.report.tables import aligned_table, number_text, ratio_text, spread_text
+from jexplore.studies.results.units import COLUMNS, Unit, piece_of
+from jexplore.studies.statistics.paired import paired_ratio
+from jexplore.studies.sweeps.plan import Plan, in_shard, prepare_sweep
+from jexplore.studies.sweeps.spec import Sweep, read_spec, sweep_from
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+WINDOW_EPISODES = 8192  # of units that are run together
+WINDOW_SITES = 32  # worlds made ready at a time
+SHOWN = 24  # rows of the table that is printed
+
+
+@dataclasses.dataclass(frozen=True)
+class Swept:
+    """What a sweep found. Tables are pandas DataFrames."""
+
+    spec: Sweep
+    episodes: "pd.DataFrame"
+    """One row an episode, ordered by setting, world, strategy, episode; columns `units.COLUMNS`, and the settings:
+    `setting` (its number), `lidar.range_m`, `strategy.weight`, ..."""
+    columns: tuple[str, ...]
+    """Names of the columns of settings."""
+    costs: Costs
+    missing: int = 0
+    """Episodes that are missing because the run was interrupted."""
+    resumed: int = 0
+    """Episodes that an earlier run had finished."""
+
+    @functools.cached_property
+    def summary(self) -> "pd.DataFrame":
+        """One row a setting, world and strategy: `n`, `mean` and `sd` of the path, metres, the paired `ratio` to the
+        first strategy with `ratio_low` and `ratio_high` (95 %, see `paired.paired_ratio`), mean `explored_fraction`,
+        share `complete`; and the columns of settings.
+        """
+        return summarise(self.episodes, self.columns)
+
+    def to_pandas(self) -> "pd.DataFrame":
+        """The table of episodes."""
+        return self.episodes
+
+    def to_markdown(self, rows: int | None = None) -> str:
+        """The summary as a Markdown table, only so many rows of it."""
+        shown = self.summary if rows is None else self.summary.head(rows)
+        text = summary_table(shown, self.varied)
+        left = len(self.summary) - len(shown)
+        return text + (f"\n... and {left:,} more rows: summary.csv, or jx.load(DIR).summary\n" if left else "")
+
+    @property
+    def varied(self) -> list[str]:
+        """Columns of settings that have more than one value."""
+        some = [name for name in self.columns if name != "setting"]
+        return [name for name in some if len(self.episodes[name].drop_duplicates()) > 1]
+
+    def figures(self) -> dict[str, Callable[[], Any]]:
+        """Pictures of the sweep, of the first numbers that are varied: end of a file's name -> what draws it."""
+        from jexplore.studies.statistics import figures
+
+        numbers = [name for name in self.varied if self.episodes[name].dtype.kind in "iuf"]
+        drawn: dict[str, Callable[[], Any]] = (
+            {"": functools.partial(figures.response_figure, self.episodes, numbers[0])} if numbers else {}
+        )
+        if len(numbers) > 1:
+            drawn["-map"] = functools.partial(figures.heat_figure, self.episodes, *numbers[:2])
+        return drawn
+
+    def _repr_markdown_(self):
+        return self.to_markdown(SHOWN)
+
+    def __repr__(self) -> str:
+        return f"<Sweep of {self.episodes['setting'].nunique()} settings, {len(self.episodes)} episodes>"
+
+
+def summarise(episodes: "pd.DataFrame", columns: Sequence[str]) -> "pd.DataFrame":
+    """The `Swept.summary` of a table of episodes whose settings are in these columns."""
+    import pandas as pd
+
+    rows, own = [], [name for name in columns if name != "setting"]
+    for pair, group in episodes.groupby(["setting", "world"], sort=False):
+        setting, world = pair  # type: ignore[misc]
+        reference = None
+        for strategy, some in group.groupby("strategy", sort=False):
+            path_m = some.set_index("episode")["path_m"]
+            reference = path_m if reference is None else reference
+            both = path_m.index.intersection(reference.index)
+            is_first = path_m is reference
+            ratio = None if is_first or not len(both) else paired_ratio(path_m[both], reference[both])
+            rows.append(
+                {
+                    **{"setting": setting, "world": world, "strategy": strategy},
+                    **{name: some[name].iloc[0] for name in own},
+                    **{"n": len(some), "mean": path_m.mean(), "sd": path_m.std(ddof=1)},
+                    "ratio": 1.0 if is_first else np.nan if ratio is None else ratio.ratio,
+                    "ratio_low": np.nan if ratio is None else ratio.low,
+                    "ratio_high": np.nan if ratio is None else ratio.high,
+                    "explored_fraction": some["explored_fraction"].mean(),
+                    "complete": (some["outcome"] == "COMPLETE").mean(),
+                }
+            )
+    return pd.DataFrame(rows)
+
+
+def summary_table(summary: Any, varied: Sequence[str]) -> str:
+    """Rows of `Swept.summary` as Markdown."""
+    head = ["world", *varied, "strategy", "n", "path m", "ratio to the first", "explored", "COMPLETE"]
+    lines = []
+    for _, row in summary.iterrows():
+        line = [row["world"], *(_value_text(row[name]) for name in varied), row["strategy"], str(row["n"])]
+        line += [spread_text(row["mean"], row["sd"]), ratio_text(row["ratio"], row["ratio_low"], row["ratio_high"])]
+        lines.append([*line, number_text(row["explored_fraction"], 3), f"{100 * row['complete']:.0f}%"])
+    return aligned_table(head, lines, left=("world", "strategy"))
+
+
+def _value_text(value):
+    if value is None or value != value:
+        return "-"
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def run_block_units(
+    plan: Plan,
+    numbers: Sequence[int],
+    on_unit: Callable[[int, "pd.DataFrame"], object],
+    *,
+    engine: str | None = None,
+    lanes: int | None = None,
+    workers: int | None = None,
+    on_progress: Callable[[int], object] | None = None,
+) -> Costs:
+    """Runs units of a sweep.
+
+    Args:
+      plan: `Plan`.
+      numbers: of the units, in order.
+      on_unit: called with the number of a unit and its table, once all its episodes have ended.
+      engine, lanes, workers, on_progress: as in `batch.run_jobs`.
+
+    Returns:
+      `Costs`, added up; `interrupted` after Ctrl-C.
+    """
+    costs, done = Costs(), 0
+    for window in _windows(plan, numbers):
+        blocks = [(number, block) for number in window for block in plan.units[number]]
+        left = {number: len(plan.units[number]) for number in window}
+        tables: dict[int, list[Any]] = {number: [] for number in window}
+        jobs = [plan.job(block, window.index(number)) for number, block in blocks]
+
+        def on_job(place, found, blocks=blocks, left=left, tables=tables, jobs=jobs):
+            number, block = blocks[place]
+            tables[number].append((place, _table(plan, block, jobs[place], found)))
+            left[number] -= 1
+            if not left[number]:
+                on_unit(number, _joined(plan, [table for _, table in sorted(tables.pop(number), key=lambda t: t[0])]))
+
+        progress = None if on_progress is None else (lambda n, done=done: on_progress(done + n))
+        how: dict[str, Any] = {"engine": engine, "lanes": lanes, "workers": workers, "alike": plan.alike}
+        try:
+            found = batch.run_jobs(jobs, Lidar(), Rules(), **how, on_progress=progress, on_job=on_job).costs
+        except KeyboardInterrupt:
+            costs.interrupted = True
+            return costs
+        costs = _added(costs, found)
+        done += sum(block.n for _, block in blocks)
+        if costs.interrupted:
+            break
+    return costs
+
+
+def _added(one, other):
+    """`Costs` of two runs, one after the other."""
+    total = dataclasses.replace(other)
+    for name in ("compile_s", "run_s", "advanced", "room", "decided", "group_room"):
+        setattr(total, name, getattr(one, name) + getattr(other, name))
+    total.interrupted = one.interrupted or other.interrupted
+    return total
+
+
+def _windows(plan: Plan, numbers: Sequence[int]) -> Iterator[list[int]]:
+    """Units that are run together: few enough that what they need fits into the memory."""
+    window, sites, episodes = [], set(), 0
+    for number in numbers:
+        own = {(block.setting, block.world) for block in plan.units[number]}
+        n = sum(block.n for block in plan.units[number])
+        if window and (episodes + n > WINDOW_EPISODES or len(sites | own) > WINDOW_SITES):
+            yield window
+            window, sites, episodes = [], set(), 0
+        window.append(number)
+        sites |= own
+        episodes += n
+    if window:
+        yield window
+
+
+def _table(plan, block, job, found):
+    """The rows of a block."""
+    strategy = plan.strategies[block.strategy]
+    # The job's own starts begin with the block's first episode.
+    piece = piece_of(job._replace(strategy=strategy), Unit(0, 0, block.n, 0), found)
+    table = piece.table.copy()
+    table["episode"] += block.first
+    setting = plan.settings[block.setting]
+    table.insert(0, "setting", block.setting)
+    for name in plan.columns[1:]:
+        kind, _, key = name.partition(".")
+        table[name] = plan.parameters[block.strategy].get(key) if kind == "strategy" else setting[name]
+    return table
+
+
+def _joined(plan, tables):
+    import pandas as pd
+
+    table = pd.concat(tables, ignore_index=True)
+    for name in plan.columns[1:]:  # a parameter that some strategies do not have is missing there
+        if name.startswith("strategy.") and all(
+            isinstance(own.get(name.partition(".")[2], 0), (int, float)) for own in plan.parameters
+        ):
+            table[name] = table[name].astype("float64")
+    return table
+
+
+def run_sweep(
+    plan: Plan,
+    *,
+    ledger: Ledger | None = None,
+    shard: tuple[int, int] | None = None,
+    engine: str | None = None,
+    lanes: int | None = None,
+    workers: int | None = None,
+    on_progress: Callable[[int], object] | None = None,
+) -> Swept:
+    """Runs the units of a sweep that the ledger does not have.
+
+    Args:
+      plan: `Plan`.
+      ledger: where units are kept as soon as they are finished.
+      shard: `(i, n)`: only every n-th unit, from the i-th on.
+      engine: as in `batch.run_jobs`, or "ray": units are tasks of a Ray cluster.
+      lanes, workers: as in `batch.run_jobs`.
+      on_progress: called with the number of episodes finished, those that were there before included.
+
+    Returns:
+      `Swept`. After Ctrl-C it holds the units that were finished.
+
+    Raises:
+      KeyboardInterrupt: none was.
+    """
+    import pandas as pd
+
+    numbers, tables = in_shard(len(plan.units), shard), {}
+    if ledger is not None:
+        tables = {i: ledger.get(i) for i in numbers if i in ledger.done}
+    resumed = sum(map(len, tables.values()))
+
+    def on_unit(number, table):
+        if ledger is not None:
+            ledger.put(number, table)
+        tables[number] = table
+
+    left = [number for number in numbers if number not in tables]
+    progress = None if on_progress is None else (lambda done: on_progress(done + resumed))
+    if engine == "ray":
+        from jexplore.studies.sweeps import cluster
+
+        costs = cluster.run_units(plan, left, on_unit, on_progress=progress)
+    else:
+        use_compilation_cache()
+        how: dict[str, Any] = {"engine": engine, "lanes": lanes, "workers": workers}
+        costs = run_block_units(plan, left, on_unit, **how, on_progress=progress) if left else Costs()
+    if not tables:
+        raise KeyboardInterrupt
+    table = ordered(pd.concat([tables[i] for i in sorted(tables)], ignore_index=True), plan)
+    wanted = sum(block.n for number in numbers for block in plan.units[number])
+    return Swept(plan.spec, table, tuple(plan.columns), costs, wanted - len(table), resumed)
+
+
+def labelled(replays: Sequence[Any], jobs: Sequence[tuple[Any, Mapping[str, Any]]]) -> list[Any]:
+    """Replays of a sweep's first jobs with what tells their settings apart."""
+    varied = [key for key in jobs[0][1] if len({str(setting[key]) for _, setting in jobs}) > 1]
+    texts = {}
+    for job, setting in jobs:
+        texts.setdefault((job.world.name, job.strategy.name), []).append(
+            ", ".join(f"{key.rpartition('.')[2]} {_value_text(setting[key])}" for key in varied)
+        )
+    return [dataclasses.replace(one, which=texts[one.world, one.strategy].pop(0)) for one in replays]
+
+
+def ordered(table: "pd.DataFrame", plan: Plan) -> "pd.DataFrame":
+    """Rows by setting, world, strategy, episode, in the order of the spec."""
+    worlds = {os.fspath(name): i for i, name in enumerate(plan.spec.worlds)}
+    names = {strategy.name: i for i, strategy in enumerate(plan.strategies)}
+    strategy, world = [names[name] for name in table["strategy"]], [worlds[name] for name in table["world"]]
+    keys: Any = [table["episode"].to_numpy(), strategy, world, table["setting"].to_numpy()]
+    order = np.lexsort(keys)
+    return table.iloc[order].reset_index(drop=True)
+
+
+def sweep(
+    spec: Sweep | Mapping[str, Any] | str | os.PathLike[str],
+    *,
+    engine: str | None = None,
+    lanes: int | None = None,
+    workers: int | None = None,
+    on_progress: Callable[[int], object] | None = None,
+) -> Swept:
+    """Compares strategies over many settings.
+
+    Args:
+      spec: a `Sweep`, a mapping of its fields, or a YAML file. `jexplore sweep` keeps what it finishes; this does not.
+      engine, lanes, workers, on_progress: as in `run_sweep`.
+
+    Returns:
+      `Swept`.
+
+    Raises:
+      InputError: what cannot be run, in one line. Raised before anything is compiled.
+    """
+    if isinstance(spec, (str, os.PathLike)):
+        spec = read_spec(spec)
+    elif isinstance(spec, Mapping):
+        spec = sweep_from(spec)
+    if not isinstance(spec, Sweep):
+        raise InputError(f"a sweep must be a jx.Sweep, a mapping or a YAML file, got {spec!r}")
+    how: dict[str, Any] = {"engine": engine, "lanes": lanes, "workers": workers}
+    return run_sweep(prepare_sweep(spec), **how, on_progress=on_progress)
+
+
+__all__ = ["COLUMNS", "Swept", "run_block_units", "run_sweep", "summarise", "summary_table", "sweep"]

@@ -1,0 +1,331 @@
+"""What a sweep is asked: lists are axes of a product, ranges are drawn from."""
+
+import dataclasses
+import difflib
+import itertools
+import math
+import os
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jexplore.config import MAX_SEED, InputError, Lidar, Rules, require_number, require_whole, unknown
+from jexplore.report.store import reason
+
+MAX_SETTINGS = 100_000
+MAX_TOTAL = 100_000_000  # episodes
+DRAWS = ("random", "sobol")
+RANGE = ("low", "high", "log")
+_LIDAR, _RULES = ({field.name: field for field in dataclasses.fields(kind)} for kind in (Lidar, Rules))
+
+
+@dataclasses.dataclass(frozen=True)
+class Range:
+    """Numbers from low to high that are drawn from."""
+
+    low: float
+    high: float
+    log: bool = False
+    """Whether their logarithms are drawn evenly."""
+
+    def at(self, share: float) -> float:
+        """The number that a share of them lies below."""
+        if self.log:
+            return math.exp(math.log(self.low) + share * (math.log(self.high) - math.log(self.low)))
+        return self.low + share * (self.high - self.low)
+
+
+@dataclasses.dataclass(frozen=True)
+class Sweep:
+    """A sweep of comparisons. A list is an axis of the product; a `Range`, or `{low: 1, high: 4}`, is drawn from."""
+
+    worlds: tuple[str, ...]
+    """Names of worlds, as `jx.load_world` takes them."""
+    strategies: tuple[Any, ...] = ("closest", "closest+recheck", "random")
+    """Names; or mappings with `name` and parameters, of which lists are axes: `{name: gain-rate, samples: [50, 100]}`.
+    In every setting the others are compared with the first."""
+    episodes: int = 20
+    """Of each strategy in each world and setting."""
+    seed: Any = 0
+    """Of starts and draws."""
+    cell_m: Any = 0.1
+    """Edge of a cell of the worlds, metres."""
+    start: str = "random"
+    """"random", or "world" for every world's own start."""
+    lidar: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    """Fields of `jx.Lidar`."""
+    rules: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    """Fields of `jx.Rules`."""
+    settings: tuple[Mapping[str, Any], ...] = ()
+    """Settings one by one instead of a product: mappings such as `{lidar.range_m: 4, rules.clearance_m: 0.2}`; with the
+    product of the rest."""
+    draws: int | None = None
+    """How many settings are drawn, where there are ranges; axes of lists are drawn from as well."""
+    draw: str = "sobol"
+    """How: "sobol" (scrambled, even) or "random"."""
+
+    def __post_init__(self) -> None:
+        for name in ("worlds", "strategies", "settings"):
+            given = getattr(self, name)
+            if isinstance(given, (str, os.PathLike)) or (name == "strategies" and isinstance(given, Mapping)):
+                given = (given,)
+            if not isinstance(given, Iterable) or isinstance(given, Mapping):
+                raise InputError(f"{name} must be a list, got {given!r}")
+            object.__setattr__(self, name, tuple(given))
+        if not self.worlds:
+            raise InputError("worlds must name at least one, got none")
+        if not self.strategies:
+            raise InputError("strategies must name at least one, got none")
+        for world in self.worlds:
+            if not isinstance(world, (str, os.PathLike)):
+                raise InputError(f"worlds must be names or files, got {world!r}")
+        require_whole("episodes", self.episodes, 1, MAX_TOTAL)
+        if self.start not in ("random", "world"):
+            raise InputError(f"start must be random or world, got {self.start!r}")
+        if self.draw not in DRAWS:
+            raise unknown("draw", str(self.draw), DRAWS)
+        if self.draws is not None:
+            require_whole("draws", self.draws, 1, MAX_SETTINGS)
+        for name, known in (("lidar", _LIDAR), ("rules", _RULES)):
+            given = getattr(self, name)
+            if not isinstance(given, Mapping):
+                raise InputError(f"{name} must be a mapping such as {{{next(iter(known))}: ...}}, got {given!r}")
+            for key in given:
+                if key not in known:
+                    raise unknown(f"field of {name}", str(key), known)
+        for one in self.settings:
+            if not isinstance(one, Mapping) or not one:
+                raise InputError(f"settings must be mappings such as {{lidar.range_m: 4}}, got {one!r}")
+            for key in one:
+                _require_key(key)
+
+    @property
+    def axes(self) -> dict[str, Any]:
+        """What is varied: dotted name -> list of values, or a `Range`."""
+        given = {"seed": self.seed, "cell_m": self.cell_m}
+        given |= {f"lidar.{key}": value for key, value in self.lidar.items()}
+        given |= {f"rules.{key}": value for key, value in self.rules.items()}
+        return {key: _axis(key, value) for key, value in given.items()}
+
+    def expanded(self) -> list[dict[str, Any]]:
+        """The settings: a list of `{dotted name: value}`, all with the same names, all different.
+
+        Raises:
+          InputError: none, too many, ranges without `draws`, `draws` without a range.
+        """
+        axes, explicit = self.axes, [dict(one) for one in self.settings]
+        for one in explicit:
+            for key in one:
+                if key in axes and key not in ("seed", "cell_m"):
+                    raise InputError(f"{key} is given twice, in settings and in its own place")
+                axes.pop(key, None)
+        ranges = [key for key, axis in axes.items() if isinstance(axis, Range)]
+        if ranges and self.draws is None:
+            raise InputError(f"{ranges[0]} is a range: say how many settings are drawn, as in draws: 64")
+        if self.draws is not None and not ranges:
+            raise InputError("draws goes with a range, such as lidar: {range_m: {low: 4, high: 12}}, and there is none")
+        n = (self.draws or math.prod(len(axis) for axis in axes.values())) * max(len(explicit), 1)
+        if n > MAX_SETTINGS:
+            raise InputError(f"a sweep may have {MAX_SETTINGS:,} settings, got {n:,}; use fewer values, or draws")
+        drawn = self._drawn(axes) if ranges else [dict(zip(axes, row)) for row in itertools.product(*axes.values())]
+        names = dict.fromkeys([*axes, *(key for one in explicit for key in one)])
+        found = []
+        for one in explicit or [{}]:
+            for row in drawn:
+                setting = {**row, **one}
+                found.append({key: setting.get(key, _default(key)) for key in names})
+        if len({tuple(setting.values()) for setting in found}) < len(found):
+            raise InputError("settings must differ, got one of them more than once")
+        return found
+
+    def _drawn(self, axes):
+        """Draws from the axes, each evenly: a list of `{name: value}`."""
+        from scipy.stats import qmc
+
+        seed = self.seed if isinstance(self.seed, int) else 0
+        if self.draw == "sobol":
+            source = qmc.Sobol(len(axes), rng=np.random.default_rng(seed))
+            shares = source.random_base2(max(0, (int(self.draws or 1) - 1).bit_length()))[: self.draws]
+        else:
+            shares = np.random.default_rng(seed).random((int(self.draws or 1), len(axes)))
+        return [{key: _taken(key, axis, float(s)) for (key, axis), s in zip(axes.items(), row)} for row in shares]
+
+    def records(self) -> list[tuple[int, float, Lidar, Rules]]:
+        """Of every setting of `expanded` seed, cell size, scanner and rules.
+
+        Raises:
+          InputError: a value that cannot be used, naming it.
+        """
+        found = []
+        for setting in self.expanded():
+            seed = require_whole("seed", setting["seed"], 0, MAX_SEED)
+            cell_m = require_number("cell_m", setting["cell_m"], low_open=True)
+            parts = {kind: _part(setting, kind) for kind in ("lidar", "rules")}
+            found.append((seed, float(cell_m), Lidar(**parts["lidar"]), Rules(**parts["rules"])))
+        return found
+
+    def strategy_list(self) -> list[tuple[str, dict[str, Any]]]:
+        """The strategies, lists of parameters taken apart: a list of `(name, parameters that are settings)`.
+
+        Raises:
+          InputError: a mapping that is none of a strategy, a strategy twice.
+        """
+        found = []
+        for given in self.strategies:
+            if isinstance(given, str):
+                found.append((given, {}))
+                continue
+            if not isinstance(given, Mapping) or not isinstance(given.get("name"), str):
+                raise InputError(f"a strategy must be a name, or a mapping with one: {{name: closest}}, got {given!r}")
+            axes: dict[str, Any] = {key: _axis(key, value) for key, value in given.items() if key != "name"}
+            for key, axis in axes.items():
+                if isinstance(axis, Range):
+                    raise InputError(f"{given['name']}: {key} must be a list of values, got a range")
+            for row in itertools.product(*axes.values()):
+                own = dict(zip(axes, row))
+                text = ",".join(f"{key}={_text(value)}" for key, value in own.items())
+                joint = "," if ":" in given["name"].rpartition("+")[2] else ":"
+                found.append((given["name"] + (joint + text if text else ""), own))
+        names = [name for name, _ in found]
+        for name in names:
+            if names.count(name) > 1:
+                raise InputError(f"strategies must differ, got {name!r} more than once")
+        return found
+
+
+def _require_key(key):
+    kind, _, name = str(key).partition(".")
+    known = {"lidar": _LIDAR, "rules": _RULES}.get(kind)
+    if key in ("seed", "cell_m") or (known is not None and name in known):
+        return
+    names = ["seed", "cell_m", *(f"lidar.{name}" for name in _LIDAR), *(f"rules.{name}" for name in _RULES)]
+    raise unknown("setting", str(key), names)
+
+
+def _default(key):
+    kind, _, name = key.partition(".")
+    return {"seed": 0, "cell_m": 0.1}[key] if not name else {"lidar": _LIDAR, "rules": _RULES}[kind][name].default
+
+
+def _part(setting, kind):
+    return {key.partition(".")[2]: value for key, value in setting.items() if key.startswith(f"{kind}.")}
+
+
+def _axis(key, value) -> Any:
+    """Values of an axis: a list, or a `Range`."""
+    if isinstance(value, Range):
+        value = dataclasses.asdict(value)
+    if isinstance(value, Mapping):
+        for name in value:
+            if name not in RANGE:
+                raise unknown(f"word in the range of {key}:", str(name), RANGE)
+        if not {"low", "high"} <= set(value):
+            raise InputError(f"{key}: a range has low and high, got {dict(value)!r}")
+        log = value.get("log", False)
+        low = require_number(f"{key}: low", value["low"], low=-math.inf if not log else 0, low_open=bool(log))
+        high = require_number(f"{key}: high", value["high"], low=low, low_open=True)
+        if not isinstance(log, bool):
+            raise InputError(f"{key}: log must be true or false, got {log!r}")
+        return Range(low, high, log)
+    if isinstance(value, np.ndarray):
+        value = value.tolist()
+    if isinstance(value, (list, tuple)):
+        if not value:
+            raise InputError(f"{key} must have at least one value, got none")
+        return list(value)
+    return [value]
+
+
+def _taken(key, axis, share):
+    if isinstance(axis, list):
+        return axis[min(int(share * len(axis)), len(axis) - 1)]
+    kind, _, name = key.partition(".")
+    field = {"lidar": _LIDAR, "rules": _RULES}.get(kind, {}).get(name)
+    whole = key == "seed" or (field is not None and field.type in (int, int | None))
+    return round(axis.at(share)) if whole else axis.at(share)
+
+
+def _text(value):
+    return str(value).lower() if isinstance(value, bool) else str(value)
+
+
+_FIELDS = [field.name for field in dataclasses.fields(Sweep)]
+
+
+def sweep_from(page: Any, name: str = "the sweep") -> Sweep:
+    """A `Sweep` from plain values, as a YAML file has them.
+
+    Raises:
+      InputError: no mapping, an unknown key, a value that cannot be used.
+    """
+    if not isinstance(page, Mapping):
+        raise InputError(f"{name} must be a mapping with worlds: [...], got {type(page).__name__}")
+    for key in page:
+        if key not in _FIELDS:
+            near = difflib.get_close_matches(str(key), _FIELDS, n=1, cutoff=0.5)
+            hint = f"; did you mean {near[0]!r}?" if near else ""
+            raise InputError(f"{name}: unknown key {key!r}{hint} (there are: {', '.join(_FIELDS)})")
+    if "worlds" not in page:
+        raise InputError(f"{name}: worlds must name at least one: worlds: [cave, office]")
+    try:
+        return Sweep(**{key: _plain(value) for key, value in page.items()})
+    except InputError as error:
+        raise InputError(f"{name}: {error}") from None
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, list):
+        return tuple(_plain(one) for one in value)
+    return value
+
+
+def read_spec(path: str | os.PathLike[str]) -> Sweep:
+    """A `Sweep` from a YAML file.
+
+    Raises:
+      InputError: no such file, broken YAML (with line and column), or what `sweep_from` refuses.
+    """
+    import yaml
+
+    try:
+        text = Path(os.path.expanduser(path)).read_text(encoding="utf-8")
+    except (OSError, ValueError) as error:
+        raise InputError(f"{os.fspath(path)} must be a readable YAML file: {reason(error)}") from error
+    try:
+        page = yaml.safe_load(text)
+    except yaml.YAMLError as error:
+        mark = getattr(error, "problem_mark", None)
+        where = "" if mark is None else f", line {mark.line + 1}, column {mark.column + 1}"
+        what = getattr(error, "problem", None) or str(error).splitlines()[0]
+        raise InputError(f"{os.fspath(path)}{where}: {what}") from error
+    return sweep_from(page, os.fspath(path))
+
+
+def plain(spec: Sweep) -> dict[str, Any]:
+    """A `Sweep` as plain values, from which `sweep_from` makes it again."""
+
+    def simple(value):
+        if isinstance(value, Range):
+            return {"low": value.low, "high": value.high, **({"log": True} if value.log else {})}
+        if isinstance(value, Mapping):
+            return {str(key): simple(one) for key, one in value.items()}
+        if isinstance(value, np.ndarray):
+            return value.tolist()
+        if isinstance(value, (list, tuple)):
+            return [simple(one) for one in value]
+        if isinstance(value, os.PathLike):
+            return os.fspath(value)
+        return value.item() if isinstance(value, np.generic) else value
+
+    return {
+        field.name: simple(getattr(spec, field.name))
+        for field in dataclasses.fields(Sweep)
+        if getattr(spec, field.name) not in ({}, (), None) or field.name == "worlds"
+    }
+
+
+def listed(strategies: Sequence[Any]) -> list[str]:
+    """Names of strategies, for a message."""
+    return [given if isinstance(given, str) else str(given.get("name")) for given in strategies]

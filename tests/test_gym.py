@@ -1,0 +1,412 @@
+"""Environments of gymnasium: its own checker, episodes as they are without it, and what ends, resets and is refused."""
+
+import importlib
+import sys
+
+import numpy as np
+import pytest
+from ref.worlds import two_rooms
+
+import jexplore as jx
+from jexplore.config import InputError, Lidar, Rules
+from jexplore.exploration.results import map_state
+from jexplore.reach import FAR, STRAIGHT
+from jexplore.worlds.world import occupancy_to_world
+
+gymnasium = pytest.importorskip("gymnasium", reason="gymnasium is not installed (the extra gym)")
+
+from gymnasium.utils.env_checker import check_env  # noqa: E402
+from gymnasium.utils.passive_env_checker import check_action_space, check_observation_space  # noqa: E402
+from gymnasium.vector import AutoresetMode, SyncVectorEnv  # noqa: E402
+from gymnasium.wrappers.vector import RecordEpisodeStatistics  # noqa: E402
+
+from jexplore.studies.gym import ID  # noqa: E402
+from jexplore.studies.gym.lanes import GymVectorEnv  # noqa: E402
+from jexplore.studies.gym.single import GymEnv  # noqa: E402
+
+LIDAR = Lidar(n_beams=37, range_m=1.0, sigma_m=0.03, dropout=0.02)
+SEED = 2
+pytestmark = pytest.mark.jit
+
+
+@pytest.fixture(scope="module")
+def compared(jit_on):
+    """`closest` in two rooms: episodes, and their starts."""
+    with jit_on():
+        table = jx.compare(two_rooms(), "closest", episodes=4, seed=SEED, lidar=LIDAR).episodes
+        return table, table[["start_row", "start_col", "start_heading_deg"]].to_numpy(np.int32)
+
+
+@pytest.fixture(scope="module")
+def env(jit_on):
+    with jit_on():
+        return GymEnv(two_rooms(), lidar=LIDAR, render_mode="rgb_array")
+
+
+@pytest.fixture(scope="module")
+def envs(jit_on):
+    with jit_on():
+        return GymVectorEnv([two_rooms(), two_rooms("low", rows=20)], 4, lidar=LIDAR, render_mode="rgb_array")
+
+
+def nearest(seen):
+    """What `closest` would choose, from an observation, or from many."""
+    cost = np.where(seen["frontier"] > 0, seen["path_m"], np.inf)
+    return np.argmin(cost.reshape(*cost.shape[:-2], -1), axis=-1)
+
+
+def same(one, other):
+    """Dicts of equal keys and arrays."""
+    assert one.keys() == other.keys()
+    for name in one:
+        np.testing.assert_array_equal(one[name], other[name], err_msg=name)
+
+
+# --- as gymnasium wants them
+
+
+def test_gymnasiums_checker_has_nothing_to_say():
+    """It makes environments of its own by their name; any warning is an error here."""
+    made = gymnasium.make(ID, worlds=two_rooms(), lidar=LIDAR)
+    check_env(made.unwrapped)
+    made.close()
+
+
+def test_the_spaces_of_many_are_those_of_one(env, envs):
+    check_action_space(envs.single_action_space)
+    check_observation_space(envs.single_observation_space)
+    assert envs.single_action_space == env.action_space == gymnasium.spaces.Discrete(64 * 64)
+    assert envs.single_observation_space == env.observation_space
+    assert envs.action_space.shape == (4,)
+    assert envs.metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP
+    seen, info = envs.reset(seed=1)
+    assert seen in envs.observation_space
+    for step in range(12):
+        seen, reward, terminated, truncated, info = envs.step(envs.action_space.sample(tuple(info["action_mask"])))
+        assert seen in envs.observation_space, step
+        assert (reward.dtype, terminated.dtype, truncated.dtype) == (np.float64, bool, bool)
+        assert {f"_{name}" for name in info if name[0] != "_"} == {name for name in info if name[0] == "_"}
+
+
+def test_many_in_step_are_what_gymnasium_makes_of_single_ones(envs):
+    """The observations, rewards, ends and infos of `SyncVectorEnv`, over several episodes a lane."""
+    worlds = [two_rooms(), two_rooms("low", rows=20)]
+    theirs = SyncVectorEnv([lambda: GymEnv(worlds, lidar=LIDAR)] * 4, autoreset_mode=AutoresetMode.NEXT_STEP)
+    assert theirs.observation_space == envs.observation_space
+    assert theirs.action_space == envs.action_space
+    (seen, info), (other, other_info) = envs.reset(seed=7), theirs.reset(seed=7)
+    same(seen, other)
+    same(info, other_info)
+    ends = np.zeros(4, int)
+    for step in range(60):
+        actions = nearest(seen)
+        if step % 5 == 2:
+            actions[step % 4] = 0  # a wall
+        (seen, *rest), (other, *other_rest) = envs.step(actions), theirs.step(actions)
+        same(seen, other)
+        for one, another in zip(rest[:3], other_rest[:3]):
+            np.testing.assert_allclose(one, another)
+        same(rest[3], other_rest[3])
+        ends += rest[1]
+    assert ends.min() >= 2
+    theirs.close()
+
+
+def test_made_by_name_and_wrapped():
+    made = gymnasium.make_vec(ID, num_envs=2, worlds=two_rooms(), lidar=LIDAR)
+    assert isinstance(made.unwrapped, GymVectorEnv)
+    made = RecordEpisodeStatistics(made)
+    seen, info = made.reset(seed=3)
+    total = np.zeros(2)
+    for _ in range(40):
+        seen, reward, terminated, truncated, info = made.step(nearest(seen))
+        total += reward
+        if terminated[0]:
+            break
+    assert info["episode"]["r"][0] == pytest.approx(total[0])
+    assert total[0] == pytest.approx(-info["path_m"][0])
+    assert not truncated[0]
+
+
+# --- as they are without it
+
+
+def test_closest_by_actions_is_closest_to_the_bit(env, compared):
+    """The scanner's noise included, by the episode's number."""
+    table, starts = compared
+    for i, start in enumerate(starts):
+        seen, info = env.reset(seed=SEED if i == 0 else None, options={"start": start})
+        decisions, total, terminated = 0, 0.0, False
+        assert info["path_m"] == 0
+        while not terminated:
+            assert info["action_mask"][nearest(seen)] == 1
+            seen, reward, terminated, truncated, info = env.step(nearest(seen))
+            decisions, total = decisions + 1, total + reward
+            assert not truncated
+        row = table.iloc[i]
+        assert info["path_m"] == pytest.approx(row["path_m"], abs=1e-12)
+        assert total == pytest.approx(-row["path_m"])
+        assert (jx.Outcome(info["outcome"]).name, decisions + 1) == (row["outcome"], row["plans"])
+        assert (int(env.state.episode.scans), int(env.state.episode.plans)) == (row["scans"], row["plans"])
+
+
+def test_closest_in_lanes_is_closest_to_the_bit(compared):
+    table, starts = compared
+    envs = GymVectorEnv(two_rooms(), 4, lidar=LIDAR)
+    seen, info = envs.reset(seed=[SEED] * 4, options={"start": starts, "episode": range(4)})
+    ended = np.zeros(4, int)
+    for step in range(1, 60):
+        seen, _, terminated, truncated, info = envs.step(nearest(seen))
+        for i in np.flatnonzero(terminated & (ended == 0)):
+            ended[i] = step
+            assert info["path_m"][i] == pytest.approx(table["path_m"].iloc[i], abs=1e-12)
+            assert jx.Outcome(info["outcome"][i]).name == table["outcome"].iloc[i]
+        assert not truncated.any()
+    assert (ended + 1).tolist() == table["plans"].tolist()
+
+
+def test_an_observation_is_what_the_robot_believes(envs):
+    seen, info = envs.reset(seed=5)
+    for _ in range(3):
+        seen, _, _, _, info = envs.step(nearest(seen))
+    for i in range(4):
+        belief = envs.states.episode.belief
+        world = envs.environment.worlds[int(envs.states.world[i])]
+        rows, cols = world.shape
+        grid = belief.grid
+        expected = np.full(envs.environment.shape, 2)
+        expected[:rows, :cols] = map_state(np.asarray(grid.hits[i]), np.asarray(grid.misses[i]), 0.25)[:rows, :cols]
+        np.testing.assert_array_equal(seen["map"][i], expected)
+        cost = np.asarray(envs.states.known.cost[i])
+        np.testing.assert_allclose(
+            seen["path_m"][i], np.where(cost < FAR, cost.astype(np.float64) / STRAIGHT * 0.1, -1), rtol=1e-6
+        )
+        assert seen["robot"][i].tolist() == [int(belief.row[i]), int(belief.col[i]), int(belief.heading[i])]
+        assert seen["path_m"][i][tuple(seen["robot"][i][:2])] == 0
+        np.testing.assert_array_equal(info["action_mask"][i], seen["frontier"][i].ravel())
+        assert info["known_m2"][i] == pytest.approx(((expected > 0)[:rows, :cols]).sum() * 0.01)
+
+
+def test_by_pencil():
+    """A closet that one look all round shows whole: over as it begins, which the first step says."""
+    closet = occupancy_to_world(np.zeros((3, 4), bool), name="closet")
+    rules = Rules(clearance_m=0.1)  # a corner of the closet is no place to look from
+    one = GymEnv(closet, lidar=Lidar(n_beams=721, fov_deg=360, range_m=2), rules=rules)
+    seen, info = one.reset(options={"start": (2, 2, 90)})
+    edge, room = [0, 2, 2, 2, 2, 0, 2], [2, 1, 1, 1, 1, 2, 2]  # the ring's corners are never seen
+    assert seen["map"][:6, :7].tolist() == [edge, room, room, room, edge, [2] * 7]
+    assert seen["robot"].tolist() == [2, 2, 2]
+    np.testing.assert_allclose(
+        seen["path_m"][:4, :4],
+        [[-1] * 4, [-1, 0.1 * 2**0.5, 0.1, 0.1 * 2**0.5], [-1, 0.1, 0, 0.1], [-1, 0.1 * 2**0.5, 0.1, 0.1 * 2**0.5]],
+        rtol=1e-4,
+    )
+    assert not seen["frontier"].any()
+    assert not info["action_mask"].any()
+    assert info["known_m2"] == pytest.approx(0.26)
+    _, reward, terminated, truncated, info = one.step(0)
+    assert (reward, terminated, truncated) == (0, True, False)
+    assert info["outcome"] == jx.Outcome.COMPLETE
+    many = GymVectorEnv(closet, 1, lidar=Lidar(n_beams=721, fov_deg=360, range_m=2), rules=rules)
+    many.reset(options={"start": [(2, 2, 90)]})
+    assert [bool(many.step([0])[2][0]) for _ in range(4)] == [True, False, True, False]  # every other step begins anew
+
+
+def test_what_is_got_can_be_written_to(env):
+    seen, info = env.reset(seed=0)
+    kept = {name: array.copy() for name, array in seen.items()}
+    action = nearest(seen)
+    for array in (*seen.values(), info["action_mask"]):
+        array[:] = 0
+    again, _, _, _, info = env.step(action)
+    assert info["valid"]
+    fresh, _ = env.reset(seed=0)
+    same(fresh, kept)
+    assert not np.array_equal(again["map"], fresh["map"])
+
+
+# --- ends
+
+
+@pytest.mark.parametrize(
+    ("settings", "outcome"),
+    [
+        ({"rules": Rules(max_plans=2)}, jx.Outcome.PLAN_LIMIT),
+        ({"rules": Rules(max_steps=3)}, jx.Outcome.STEP_LIMIT),
+        ({"max_decisions": 2}, jx.Outcome.RUNNING),
+    ],
+)
+def test_limits_truncate(settings, outcome):
+    one = GymEnv(two_rooms(), lidar=LIDAR, **settings)
+    many = GymVectorEnv(two_rooms(), 2, lidar=LIDAR, **settings)
+    seen, _ = one.reset(seed=4)
+    both, _ = many.reset(seed=4)
+    for _ in range(9):
+        seen, _, terminated, truncated, info = one.step(nearest(seen))
+        both, _, dead, cut, infos = many.step(nearest(both))
+        assert (terminated, truncated) == (dead[0], cut[0])
+        if truncated:
+            break
+    assert truncated
+    assert not terminated
+    assert info["outcome"] == infos["outcome"][0] == outcome
+    assert int(one.state.episode.plans) == 2 or outcome == jx.Outcome.STEP_LIMIT
+    assert bool(info["action_mask"].any()) == (outcome == jx.Outcome.RUNNING)
+    both, reward, dead, cut, infos = many.step(nearest(both))  # whatever the action
+    assert (infos["path_m"][0], reward[0], dead[0], cut[0]) == (0, 0, False, False)
+    seen, _ = one.reset()
+    np.testing.assert_array_equal(seen["map"], both["map"][0])
+
+
+def test_wrong_actions_move_nothing_and_count(env):
+    seen, info = env.reset(seed=1)
+    mask = info["action_mask"]
+    for action in (0, int(np.flatnonzero(mask == 0)[-1]), int(seen["robot"][0] * 64 + seen["robot"][1])):
+        after, reward, terminated, truncated, info = env.step(action)
+        same(after, seen)
+        assert (reward, terminated, truncated, info["valid"], info["path_m"]) == (0, False, False, False, 0)
+    one = GymEnv(two_rooms(), lidar=LIDAR, max_decisions=3)
+    one.reset(seed=1)
+    assert [one.step(0)[3] for _ in range(3)] == [False, False, True]
+
+
+def test_any_cell_that_can_be_reached():
+    one = GymEnv(two_rooms(), lidar=LIDAR, targets="reachable")
+    seen, info = one.reset(seed=1)
+    np.testing.assert_array_equal(info["action_mask"], (seen["path_m"] >= 0).ravel())
+    far = int(np.argmax(np.where(seen["frontier"] > 0, -1, seen["path_m"])))
+    after, reward, _, _, info = one.step(far)
+    assert info["valid"]
+    assert reward == pytest.approx(-seen["path_m"].ravel()[far])
+    assert divmod(far, 64) == tuple(after["robot"][:2])
+
+
+# --- seeds and options
+
+
+def test_seeds(env, envs):
+    first, _ = env.reset(seed=11)
+    second, _ = env.reset()
+    same(env.reset(seed=11)[0], first)
+    same(env.reset()[0], second)
+    same(env.reset(seed=11, options={"episode": 1})[0], second)
+    same(env.reset(options={"episode": 0})[0], first)
+    assert not np.array_equal(first["robot"], second["robot"])
+    lanes, _ = envs.reset(seed=11)
+    again, _ = envs.reset(seed=[11, 12, 13, 14])
+    same(lanes, again)
+    assert len({tuple(robot) for robot in lanes["robot"].tolist()}) == 4
+    unseeded = [GymEnv(two_rooms(), lidar=LIDAR).reset()[0]["robot"].tolist() for _ in range(4)]
+    assert len(set(map(tuple, unseeded))) > 1
+
+
+def test_starts_and_worlds(envs):
+    start = [[5, 5, 0], [6, 5, 45], [7, 5, 90], [8, 5, 315]]
+    seen, _ = envs.reset(seed=0, options={"start": start, "world": [0, 1, 0, 1]})
+    np.testing.assert_array_equal(seen["robot"], np.array(start) // [1, 1, 45])
+    assert envs.states.world.tolist() == [0, 1, 0, 1]
+    envs.reset(options={"world": [1, 1, 1, 0]})
+    assert envs.states.world.tolist() == [1, 1, 1, 0]
+
+
+def test_a_picture(env, envs):
+    env.reset(seed=0)
+    picture = env.render()
+    assert (picture.shape, picture.dtype) == ((24 * 8, 36 * 8, 3), np.uint8)
+    row, col, _ = env.unwrapped._seen["robot"]
+    assert picture[(23 - row) * 8, col * 8].tolist() == [0, 114, 178]
+    envs.reset(seed=0, options={"world": [0, 1, 0, 1]})
+    assert [one.shape[0] for one in envs.render()] == [24 * 8, 22 * 8] * 2
+    assert GymEnv(two_rooms(), lidar=LIDAR).render() is None
+
+
+# --- wrong input
+
+
+@pytest.mark.parametrize(
+    ("settings", "said"),
+    [
+        ({"targets": "all"}, "targets must be frontier or reachable, got 'all'"),
+        ({"max_decisions": 0}, "max_decisions must be an integer from 1"),
+        ({"render_mode": "human"}, "render_mode must be None or 'rgb_array', got 'human'"),
+        ({"recheck": 1}, "recheck must be True or False"),
+        ({"worlds": "caev"}, "there is no world 'caev'"),
+        ({"worlds": []}, "worlds must name at least one"),
+    ],
+)
+def test_bad_settings_are_refused(settings, said):
+    settings = {"worlds": two_rooms(), "lidar": LIDAR} | settings
+    for make in (GymEnv, GymVectorEnv):
+        with pytest.raises(InputError, match=said):
+            make(**settings)
+    with pytest.raises(InputError, match="num_envs must be an integer from 1"):
+        GymVectorEnv(two_rooms(), 0)
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"seed": -1}, "seed must be an integer from 0 to 4294967295, got -1"),
+        ({"seed": 2**32 + 1}, "seed must be an integer"),
+        ({"seed": 0.5}, "seed must be"),
+        ({"options": {"strat": [(1, 1, 0)] * 4}}, "unknown option 'strat'; did you mean 'start'"),
+        ({"options": {"start": [(0, 0, 0)] * 4}}, "several worlds|lies in a wall"),
+        ({"options": {"start": [(0, 0, 0)] * 4, "world": [0] * 4}}, "lies in a wall"),
+        ({"options": {"start": [(5, 5)] * 4, "world": [0] * 4}}, r"option start must be integers \[\d, 3\]"),
+        ({"options": {"start": [(5, 5), 3] * 2, "world": [0] * 4}}, r"option start must be integers \[\d, 3\]"),
+        ({"options": {"world": [2] * 4}}, r"option world must be integers \[\d\] from 0 to \d, got 2"),
+        ({"options": {"episode": [-1] * 4}}, "option episode must be integers .* got -1"),
+    ],
+)
+def test_bad_resets_are_refused_and_change_nothing(env, envs, given, said):
+    alone = {name: {k: v[0] for k, v in value.items()} if name == "options" else value for name, value in given.items()}
+    for one, own in ((env, alone), (envs, given)):
+        one.reset(seed=5)
+        with pytest.raises(InputError, match=said):
+            one.reset(**own)
+        seen, _ = one.reset()
+        one.reset(seed=5)
+        same(one.reset()[0], seen)
+
+
+def test_bad_seeds_for_lanes_are_refused(envs):
+    with pytest.raises(InputError, match="seed must be one, or one for each of 4 lanes, got 3"):
+        envs.reset(seed=[1, 2, 3])
+    with pytest.raises(InputError, match="seed must be an integer"):
+        envs.reset(seed=[1, 2, 3, "x"])
+
+
+@pytest.mark.parametrize(
+    ("action", "said"),
+    [
+        (64 * 64, "must be .* from 0 to 4095, got 4096"),
+        (-1, "must be .* from 0 to 4095, got -1"),
+        (0.5, r"must be .* got (0.5|\[4\] float64)"),
+        ("x", r"must be .* got (x|\[4\] <U1)"),
+        ([1, 2, 3], r"must be .* got (\[4, 3\]|\[3\]) int64"),
+    ],
+)
+def test_bad_actions_are_refused(env, envs, action, said):
+    env.reset(seed=0)
+    with pytest.raises(InputError, match="action " + said):
+        env.step(action)
+    envs.reset(seed=0)
+    with pytest.raises(InputError, match="actions " + said):
+        envs.step([action] * 4)
+    with pytest.raises(InputError, match=r"actions must be integers \[4\]"):
+        envs.step(3)
+
+
+def test_a_step_before_a_reset_is_refused():
+    with pytest.raises(InputError, match="there is no episode yet; call reset first"):
+        GymEnv(two_rooms(), lidar=LIDAR).step(0)
+    with pytest.raises(InputError, match="there are no episodes yet; call reset first"):
+        GymVectorEnv(two_rooms(), 2, lidar=LIDAR).step([0, 0])
+
+
+def test_without_the_package_it_says_what_to_install(monkeypatch):
+    for name in [name for name in sys.modules if name.startswith("jexplore.studies.gym")]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "gymnasium", None)
+    with pytest.raises(ImportError, match=r"need gymnasium 1.1 or later: pip install 'jexplore\[gym\]'"):
+        importlib.import_module("jexplore.studies.gym.single")

@@ -1,0 +1,173 @@
+"""Runs that are ended in every way, and gone on with: nothing is lost, nothing is made twice."""
+
+import json
+import os
+import re
+import shlex
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from jexplore.cli import main
+from jexplore.config import Lidar
+from jexplore.studies import comparison
+from jexplore.studies.results import units
+from jexplore.studies.results.loading import load
+
+pytestmark = [pytest.mark.jit, pytest.mark.skipif(os.name != "posix", reason="signals")]
+WORLD, STRATEGIES = "rooms:width_m=5,height_m=5", ["closest", "random+recheck"]
+OPTIONS = ["--lidar.n-beams", "31", "--lidar.range-m", "2"]
+COMMAND = ["compare", "--worlds", WORLD, "--strategies", *STRATEGIES, *OPTIONS]
+
+
+def begin(folder, *options):
+    command = [sys.executable, "-m", "jexplore", *COMMAND, "--out", str(folder), *options]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+def shards(folder):
+    return sorted(path.name for path in (folder / ".unfinished").glob("*.parquet"))
+
+
+def wait_for(process, folder, n):
+    deadline = time.monotonic() + 300
+    while len(shards(folder)) < n:
+        assert time.monotonic() < deadline
+        assert process.poll() is None, process.communicate()[1]
+        time.sleep(0.01)
+
+
+def files(folder):
+    return sorted(path.name for path in Path(folder).iterdir())
+
+
+@pytest.fixture(scope="module")
+def want(jit_on):
+    with jit_on():
+        return comparison.compare(WORLD, STRATEGIES, episodes=240, lidar=Lidar(n_beams=31, range_m=2))
+
+
+def test_a_run_that_is_killed_again_and_again_comes_out_the_same(want, tmp_path):
+    folder, before = tmp_path / "run", 0
+    for _ in range(3):
+        process = begin(folder, "--episodes", "240", "--resume")
+        wait_for(process, folder, before + 5)
+        process.kill()
+        process.communicate()
+        before = len(shards(folder))
+        assert "run.json" not in files(folder)
+    kept = {name: (folder / ".unfinished" / name).stat().st_mtime_ns for name in shards(folder)}
+    process = begin(folder, "--episodes", "240", "--resume")
+    wait_for(process, folder, before + 1)
+    now = {name: (folder / ".unfinished" / name).stat().st_mtime_ns for name in kept}
+    assert now == kept  # none is made twice
+    said, complained = process.communicate(timeout=300)
+    assert process.returncode == 0, complained
+    assert files(folder) == ["compare.png", "details.npz", "episodes.parquet", "paths.png", "run.json"]
+    pd.testing.assert_frame_equal(pd.read_parquet(folder / "episodes.parquet"), want.episodes)
+    assert json.loads((folder / "run.json").read_text())["resumed"] >= 8 * before
+    assert said.startswith(want.to_markdown())
+    found = load(folder)
+    for key, rows in want.progress.items():
+        np.testing.assert_array_equal(found.progress[key], rows)
+    (ours,), (theirs,) = found.first.values(), want.first.values()
+    for one, other in zip(ours, theirs):
+        assert [one.strategy, one.cell_m, one.path_m] == [other.strategy, other.cell_m, other.path_m]
+        for name in ("state", "rows", "cols"):
+            np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+    assert found.to_markdown() == want.to_markdown()
+    assert found.worlds[0].occupied.tolist() == want.worlds[0].occupied.tolist()
+
+
+@pytest.mark.parametrize(("name", "status"), [("SIGINT", 130), ("SIGTERM", 143), ("SIGHUP", 129)])
+def test_signals_keep_what_is_finished(want, name, status, tmp_path, capsys):
+    folder = tmp_path / "run"
+    process = begin(folder, "--episodes", "2000")
+    wait_for(process, folder, 2)
+    process.send_signal(getattr(signal, name))
+    _, said = process.communicate(timeout=60)
+    assert process.returncode == status, said
+    assert "Traceback" not in said
+    *_, kept, end = said.splitlines()
+    assert kept.endswith(f"are kept; --out {folder} --resume goes on with them")
+    assert end == "jexplore: interrupted, what was finished was written"
+    table = pd.read_parquet(folder / "episodes.parquet")
+    assert 0 < len(table) < 4000
+    few = table[(table["strategy"] == "closest") & (table["episode"] < 240)]
+    assert len(few)
+    pd.testing.assert_frame_equal(few.reset_index(drop=True), want.episodes.iloc[few["episode"]].reset_index(drop=True))
+    assert main.main([*COMMAND, "--episodes", "60000", "--out", str(folder), "--resume"]) == 2
+    assert "its episodes is 4000, not 6000" in capsys.readouterr().err
+    assert main.main([*COMMAND, "--episodes", "2000", "--out", str(folder)]) == 2
+    assert "holds a run" in capsys.readouterr().err
+
+
+def test_a_full_disk_costs_what_comes_after(tmp_path):
+    """Files may grow to 8 KiB only: that of episode 0, with its map, does not fit."""
+    folder = tmp_path / "run"
+    command = shlex.join([sys.executable, "-m", "jexplore", *COMMAND, "--out", str(folder), "--episodes", "500"])
+    limited = ["bash", "-c", f"ulimit -f 8; exec {command}"]
+    process = subprocess.Popen(limited, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    _, said = process.communicate(timeout=300)
+    assert process.returncode == 2, said
+    assert re.search(r"00000[01].parquet must be a file that can be written: .*File too large", said)
+    assert "Traceback" not in said
+    process = begin(folder, "--episodes", "500", "--resume")
+    _, said = process.communicate(timeout=300)
+    assert process.returncode == 0, said
+
+
+def test_two_processes_on_one_folder(tmp_path, capsys):
+    folder = tmp_path / "run"
+    process = begin(folder, "--episodes", "2000")
+    try:
+        wait_for(process, folder, 1)
+        for more in ([], ["--overwrite"], ["--resume"]):
+            assert main.main([*COMMAND, "--episodes", "2000", "--out", str(folder), *more]) == 2
+            assert f"is being written by process {process.pid}" in capsys.readouterr().err
+    finally:
+        process.kill()
+        process.communicate()
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--resume"], "--resume goes on with the run in a folder: name it with --out DIR"),
+        (["--resume", "--overwrite", "--out", "x"], "--resume goes on with a run and --overwrite replaces it"),
+    ],
+)
+def test_what_resume_needs(options, message, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert main.main([*COMMAND, *options]) == 2
+    assert message in capsys.readouterr().err
+    assert files(tmp_path) == []
+
+
+def test_a_finished_run_is_not_run_again(tmp_path, capsys, monkeypatch):
+    command = [*COMMAND, "--episodes", "3", "--out", str(tmp_path / "run"), "--resume"]
+    assert main.main(command) == 0
+    table = capsys.readouterr().out.split("\n\n")[0]
+    monkeypatch.setattr(units, "run_units", lambda *_, **__: pytest.fail("it began"))
+    assert main.main(command) == 0
+    said = capsys.readouterr().out
+    assert said.startswith(table)
+    assert said.splitlines()[-1].endswith("nothing was left to do")
+
+
+def test_a_picture_that_fails_costs_no_data(tmp_path, capsys, monkeypatch):
+    def fails(self):
+        raise RuntimeError("no ink\nat all")
+
+    monkeypatch.setattr(comparison.Comparison, "compare_figure", fails)
+    assert main.main([*COMMAND, "--episodes", "3", "--out", str(tmp_path)]) == 0
+    said = capsys.readouterr()
+    assert "warning: compare.png could not be drawn: no ink\n" in said.err
+    assert said.out.splitlines()[-1].startswith("wrote episodes.parquet, details.npz, run.json, paths.png to ")
+    assert "compare.png" not in files(tmp_path)

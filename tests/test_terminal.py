@@ -1,0 +1,330 @@
+"""What commands print: tables that fit a terminal, Markdown elsewhere, bars and lines, help texts, warnings."""
+
+import io
+import os
+import re
+import struct
+import subprocess
+import sys
+import warnings
+
+import pandas as pd
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from rich.cells import cell_len
+
+from jexplore.cli import console, main, options, terminal
+from jexplore.config import InputWarning
+from jexplore.report.tables import aligned_table
+
+HEAD = ["world", "strategy", "path m", "95 % interval", "outcomes"]
+ROWS = [
+    ["cave:width_m=6.4,height_m=6.4", "closest", "6.81", "[2.0, 23.5]", "COMPLETE 3"],
+    ["cave:width_m=6.4,height_m=6.4", "closest+recheck", "4.27", "[0.9, 21.3]", "COMPLETE 2, STEP_LIMIT 1"],
+]
+LEFT = ["world", "strategy", "outcomes"]
+
+
+class Screen(io.StringIO):
+    """A terminal."""
+
+    encoding = "utf-8"
+
+    def isatty(self):
+        return True
+
+
+@pytest.fixture
+def shown(monkeypatch):
+    """A function: what a terminal of so many columns gets to see, without colours."""
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.setenv("NO_COLOR", "1")
+
+    def show(width, *args, **kwargs):
+        monkeypatch.setenv("COLUMNS", str(width))
+        screen = Screen()
+        terminal.show_table(*args, file=screen, **kwargs)
+        return [line.rstrip() for line in re.sub(r"\x1b\[\d*m", "", screen.getvalue()).splitlines()]
+
+    return show
+
+
+def test_a_table_that_fits_is_drawn_as_it_is(shown):
+    assert shown(100, HEAD, ROWS, left=LEFT) == [
+        "world                          strategy         path m  95 % interval  outcomes",
+        "─" * 95,
+        "cave:width_m=6.4,height_m=6.4  closest            6.81    [2.0, 23.5]  COMPLETE 3",
+        "cave:width_m=6.4,height_m=6.4  closest+recheck    4.27    [0.9, 21.3]  COMPLETE 2, STEP_LIMIT 1",
+        "",
+        "",
+    ]
+
+
+def test_first_headings_fold_and_text_behind_its_separators(shown):
+    assert shown(62, HEAD, ROWS, left=LEFT) == [
+        "                               path         95 %",
+        "world         strategy            m     interval  outcomes",
+        "─" * 62,
+        "cave:         closest          6.81  [2.0, 23.5]  COMPLETE 3",
+        "width_m=6.4,",
+        "height_m=6.4",
+        "              closest+recheck  4.27  [0.9, 21.3]  COMPLETE 2,",
+        "                                                  STEP_LIMIT 1",
+        "",
+        "",
+    ]
+
+
+def test_then_the_table_is_cut_into_parts_that_begin_alike(shown):
+    assert shown(50, HEAD, ROWS, left=LEFT) == [
+        "                                              95 %",
+        "world         strategy         path m     interval",
+        "─" * 50,
+        "cave:         closest            6.81  [2.0, 23.5]",
+        "width_m=6.4,",
+        "height_m=6.4",
+        "              closest+recheck    4.27  [0.9, 21.3]",
+        "",
+        "world             strategy         outcomes",
+        "─" * 50,
+        "cave:             closest          COMPLETE 3",
+        "width_m=6.4,",
+        "height_m=6.4",
+        "                  closest+recheck  COMPLETE 2,",
+        "                                   STEP_LIMIT 1",
+        "",
+        "",
+    ]
+
+
+def test_lines_between_tables_stay_and_headings_lose_their_hashes(shown):
+    table = aligned_table(["a"], [["1"]], left=[])
+    assert shown(30, f"## Orderings\n\nA [bold] claim of eight words that holds :smile:\n\n{table}\nend") == [
+        "Orderings",
+        "",
+        "A [bold] claim of eight words",
+        "that holds :smile:",
+        "",
+        "a",
+        "─",
+        "1",
+        "",
+        "end",
+        "",
+    ]
+    assert shown(30, "| no table |\n|") == ["| no table |", "|", ""]
+
+
+def test_elsewhere_it_is_the_markdown_itself(capsys):
+    markdown = aligned_table(HEAD, ROWS, left=LEFT)
+    terminal.show_table(markdown)
+    assert capsys.readouterr().out == markdown + "\n"
+    terminal.show_table(HEAD, ROWS, left=LEFT)
+    assert capsys.readouterr().out == markdown + "\n"
+    terminal.show_table(pd.DataFrame({"name": ["a|b", "c"], "n": [1, 20], "x": [0.123456, float("nan")]}))
+    assert capsys.readouterr().out.splitlines() == [
+        "| name |   n |      x |",
+        "| ---- | --: | -----: |",
+        "| a\\|b |   1 | 0.1235 |",
+        "| c    |  20 |      - |",
+        "",
+    ]
+
+
+cells = st.text(st.sampled_from("ab 1+,:=[]/|-_é漢#*"), max_size=30)
+
+
+@settings(deadline=None, max_examples=200)
+@given(st.data(), st.integers(20, 90))
+def test_no_table_is_wider_than_the_terminal_or_loses_a_character(data, width):
+    n = data.draw(st.integers(1, 6))
+    head = [data.draw(cells.filter(str.strip)) for _ in range(n)]
+    rows = data.draw(st.lists(st.lists(cells, min_size=n, max_size=n), min_size=1, max_size=4))
+    text = aligned_table(head, rows, left=data.draw(st.sets(st.sampled_from(head))))
+    with pytest.MonkeyPatch.context() as patch:
+        for name, value in (("COLUMNS", str(width)), ("TERM", "xterm"), ("NO_COLOR", "1")):
+            patch.setenv(name, value)
+        screen = Screen()
+        terminal.show_table(text, file=screen)
+    seen = re.sub(r"\x1b\[\d*m", "", screen.getvalue())
+    assert max(cell_len(line) for line in seen.splitlines()) <= width
+    expected = "".join([*head, *dict.fromkeys(row[0] for row in rows), *("".join(row[1:]) for row in rows)])
+    for character in set(expected) - set(" "):  # the first column is said once for rows that agree in it
+        assert seen.count(character) >= expected.count(character)
+
+
+def on_terminal(columns, *command, **environment):
+    """What a command writes on a terminal of so many columns: its status, and all lines."""
+    pty, fcntl, termios = (pytest.importorskip(name) for name in ("pty", "fcntl", "termios"))
+    ours, theirs = pty.openpty()
+    fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 50, columns, 0, 0))
+    own = {name: value for name, value in os.environ.items() if name not in ("COLUMNS", "NO_COLOR")}
+    process = subprocess.Popen(
+        [sys.executable, "-m", "jexplore", *command],
+        stdin=theirs,
+        stdout=theirs,
+        stderr=theirs,
+        env=own | {"TERM": "xterm-256color"} | environment,
+    )
+    os.close(theirs)
+    said = b""
+    while True:
+        try:
+            piece = os.read(ours, 65536)
+        except OSError:  # the other end is closed
+            piece = b""
+        if not piece:
+            break
+        said += piece
+    os.close(ours)
+    return process.wait(), said.decode().replace("\r\n", "\n")
+
+
+def visible(text):
+    return re.sub(r"\x1b\[[\d;]*m", "", text)
+
+
+@pytest.mark.parametrize("columns", [60, 80, 120, 200])
+def test_a_command_fits_a_real_terminal(columns):
+    status, said = on_terminal(columns, "strategies")
+    assert status == 0
+    lines = visible(said).splitlines()
+    assert max(map(len, lines)) <= columns
+    assert any(set(line) == {"─"} for line in lines)
+    assert "|" not in said
+    assert "\x1b[" in said
+    wider = max(map(len, visible(on_terminal(columns, "strategies", COLUMNS="70")[1]).splitlines()))
+    assert wider <= 70
+
+
+def test_no_color_is_honoured_in_tables_and_in_help():
+    for command in (["strategies"], ["explore", "--help"]):
+        _, plain = on_terminal(80, *command, NO_COLOR="1")
+        _, coloured = on_terminal(80, *command)
+        colours = re.compile(r"\x1b\[(?:[\d;]*;)?3[0-7]")
+        assert not colours.search(plain)
+        assert visible(plain) == visible(coloured)
+    assert colours.search(coloured)
+
+
+# --- progress
+
+
+@pytest.fixture
+def clock(monkeypatch):
+    """A clock that stands still: a list of one number, the seconds."""
+    now = [100.0]
+    monkeypatch.setattr(console.time, "monotonic", lambda: now[0])
+    return now
+
+
+def test_a_log_gets_lines_and_no_carriage_returns(clock, capsys):
+    with console.progress_of(200, "episodes") as progress:
+        done_at = {0: 0, 1: 10, 2: 20, 3: 30, 4: 39, 5: 40, 20: 45, 35: 46, 36: 47, 40: 200}
+        for seconds, done in done_at.items():
+            clock[0] = 100.0 + seconds
+            progress.update(done)
+    assert capsys.readouterr().err.splitlines() == [
+        "jexplore: 20 of 200 episodes (10 %), 10 episodes/s, 0:00:18 left",
+        "jexplore: 40 of 200 episodes (20 %), 8 episodes/s, 0:00:20 left",
+        "jexplore: 46 of 200 episodes (23 %), 1.3 episodes/s, 0:01:57 left",
+        "jexplore: 200 of 200 episodes (100 %), 5 episodes/s, 0:00:00 left",
+    ]
+
+
+def test_quick_work_and_work_that_stands_still_say_nothing(clock, capsys):
+    with console.progress_of(10, "maps") as progress:
+        for _ in range(10):
+            progress.step()
+    with console.progress_of(10, "maps") as progress:
+        for seconds in range(0, 100, 10):
+            clock[0] = 100.0 + seconds
+            progress.update(3)
+    assert capsys.readouterr().err == ""
+
+
+def test_a_terminal_gets_a_bar(monkeypatch):
+    screen = Screen()
+    monkeypatch.setattr(sys, "stderr", screen)
+    monkeypatch.setattr(console, "PATIENCE_S", 0)
+    with console.progress_of(3, "maps") as progress:
+        for _ in range(3):
+            progress.step()
+    assert "\r" in screen.getvalue()
+    assert "maps/s" in screen.getvalue()
+
+
+def test_without_stderr_there_is_no_progress(monkeypatch, clock, capsys):
+    monkeypatch.setattr(sys, "stderr", None)
+    with console.progress_of(3, "maps") as progress:
+        progress.update(0)
+        clock[0] += 5
+        progress.update(2)
+    assert capsys.readouterr().out == ""
+
+
+# --- warnings
+
+
+def test_a_warning_about_what_was_given_is_one_line_and_said_once(capsys):
+    with terminal.plain_warnings():
+        for text in ("the map\nis odd", "the map\nis odd", "another"):
+            warnings.warn(text, InputWarning, stacklevel=1)
+    assert capsys.readouterr() == ("", "warning: the map is odd\nwarning: another\n")
+    with pytest.warns(InputWarning, match="as before"):
+        warnings.warn("as before", InputWarning, stacklevel=1)
+    with terminal.plain_warnings(), pytest.raises(UserWarning, match="not ours"):  # an error in tests, shown elsewhere
+        warnings.warn("not ours", UserWarning, stacklevel=1)
+
+
+# --- help
+
+
+def help_of(command, capsys, monkeypatch, columns=100):
+    """`{option: its text on one line}`, and the whole page."""
+    monkeypatch.setenv("COLUMNS", str(columns))
+    assert main.main([command, "--help"]) == 0
+    page = capsys.readouterr().out
+    assert "╭─ options ─" in page
+    lines = [line.strip("│").rstrip() for line in page.splitlines() if line.startswith("│")]
+    texts, option = {}, ""
+    for line in lines:
+        found = re.match(r" (--[\w.-]+)(?: \S.*?)?(?:  +(?=\S)|$)", line)
+        if found:
+            option = found[1]
+            texts[option] = line[found.end() :].strip()
+        elif texts and line.startswith("    ") and not set(line.strip()) <= {"─"}:
+            texts[option] = f"{texts[option]} {line.strip()}".strip()
+    return texts, page
+
+
+@pytest.mark.parametrize("command", main.COMMANDS)
+def test_every_option_is_explained_in_whole_sentences(command, capsys, monkeypatch):
+    texts, page = help_of(command, capsys, monkeypatch)
+    assert len(texts) > 4 or command == "strategies"
+    assert max(map(len, page.splitlines())) <= 100
+    for option, text in texts.items():
+        said = re.sub(r" \(default: [^()]*(\([^()]*\))?[^()]*\)$", "", text).strip()
+        assert said, option
+        assert said.endswith((".", ")")), (option, said)
+        assert said[0].isupper(), (option, said)
+        assert len(said.split()) > 2, (option, said)
+    for nothing in ("default: None", "default: True", "default: False", "default: )", "{None}"):
+        assert nothing not in page
+
+
+def test_an_option_that_switches_off_says_what_it_does(capsys, monkeypatch):
+    texts, _ = help_of("explore", capsys, monkeypatch)
+    negative = {option: text for option, text in texts.items() if ".no-" in option or option.startswith("--no-")}
+    assert negative == {
+        "--rules.no-look-around": "A robot that arrives at a live target does not turn to look all round."
+    }
+    assert not options.parse(["explore", "--rules.no-look-around"], main.COMMANDS).rules.look_around
+
+
+def test_a_text_over_several_lines_is_one_paragraph():
+    texts = options.field_texts(main.COMMANDS["explore"])
+    assert texts["world"].startswith("Explore this world: ")
+    assert "lidar" not in texts
+    assert all("\n" not in text and "  " not in text for text in texts.values())
