@@ -69,7 +69,9 @@ def test_a_run_that_is_killed_again_and_again_comes_out_the_same(want, tmp_path)
     assert now == kept  # none is made twice
     said, complained = process.communicate(timeout=300)
     assert process.returncode == 0, complained
-    assert files(folder) == ["compare.png", "details.npz", "episodes.parquet", "paths.png", "run.json"]
+    assert files(folder) == [
+        *("compare.png", "coverage.png", "details.npz", "episodes.parquet", "paths.png", "report.html", "run.json")
+    ]
     pd.testing.assert_frame_equal(pd.read_parquet(folder / "episodes.parquet"), want.episodes)
     assert json.loads((folder / "run.json").read_text())["resumed"] >= 8 * before
     assert said.startswith(want.to_markdown())
@@ -103,7 +105,7 @@ def test_signals_keep_what_is_finished(want, name, status, tmp_path, capsys):
     assert len(few)
     pd.testing.assert_frame_equal(few.reset_index(drop=True), want.episodes.iloc[few["episode"]].reset_index(drop=True))
     assert main.main([*COMMAND, "--episodes", "60000", "--out", str(folder), "--resume"]) == 2
-    assert "its episodes is 4000, not 6000" in capsys.readouterr().err
+    assert "its episodes is 2000, not 60000" in capsys.readouterr().err
     assert main.main([*COMMAND, "--episodes", "2000", "--out", str(folder)]) == 2
     assert "holds a run" in capsys.readouterr().err
 
@@ -169,5 +171,7 @@ def test_a_picture_that_fails_costs_no_data(tmp_path, capsys, monkeypatch):
     assert main.main([*COMMAND, "--episodes", "3", "--out", str(tmp_path)]) == 0
     said = capsys.readouterr()
     assert "warning: compare.png could not be drawn: no ink\n" in said.err
-    assert said.out.splitlines()[-1].startswith("wrote episodes.parquet, details.npz, run.json, paths.png to ")
+    assert said.out.splitlines()[-1].startswith(
+        "wrote episodes.parquet, details.npz, run.json, coverage.png, paths.png, report"
+    )
     assert "compare.png" not in files(tmp_path)

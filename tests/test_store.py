@@ -437,7 +437,8 @@ from jexplore.config import InputError
 from jexplore.report import folders
 done = 0
 while done < 15:
-    writers = {name: (lambda path: path.write_text(f"{sys.argv[1]} {done}")) for name in ("run.json", "episodes.parquet")}
+    names = "run.json", "episodes.parquet"
+    writers = {name: (lambda path: path.write_text(f"{sys.argv[1]} {done}")) for name in names}
     try:
         with folders.claimed(sys.argv[2], overwrite=True) as run:
             run.write(writers)

@@ -206,6 +206,7 @@ class Out:
     def record(self, arguments: Sequence[str], options: Any, **found: Any) -> dict[str, Any]:
         """What run.json holds."""
         from jexplore.report import store
+        from jexplore.studies.results import provenance
 
         wall_s = time.perf_counter() - self.began
         return {
@@ -214,7 +215,7 @@ class Out:
             **found,
             "wall_s": wall_s,
             "configuration": options,
-            "environment": store.environment(),
+            "environment": {**store.environment(), "commit": provenance.commit()},
         } | ({} if self.asked is None else {"asked": self.asked, "units": self.units})
 
     def write(self, writers: Mapping[str, Callable[[Path], Any]], *, is_finished: bool = True) -> str:

@@ -16,8 +16,8 @@ from jexplore.config import InputError, Lidar, Rules, require_whole
 class Explore:
     """Run one episode and draw it.
 
-    Writes episode.png, episode.gif (known map, frontiers, target, path), report.html and
-    run.json. It is one of the episodes of a comparison with the same options.
+    Writes episode.png, episode.gif (known map, frontiers, target, path), map.yaml and map.pgm (the map at the end, for
+    ROS's map_server), report.html and run.json. It is one of the episodes of a comparison with the same options.
     """
 
     world: OneWorld = "cave"
@@ -76,9 +76,11 @@ class Explore:
 
     def _draw(self, out, found, record):
         """Pictures, animation and page. Returns the names of those written."""
+        from jexplore.exploration.results import map_state, to_occupancy
         from jexplore.report import plot
         from jexplore.studies.replays import replay_of
         from jexplore.studies.results.report import write_report
+        from jexplore.worlds.readers.ros import write_ros
 
         def picture(path):
             plot.save_figure(found.figure(), path)
@@ -92,7 +94,12 @@ class Explore:
             tables = [("What it measured", [["", ""], *([name, value] for name, value in record["result"].items())])]
             write_report(path, "jexplore explore", record, tables, [out.run.path / "episode.png"], replays)
 
-        writers = {"episode.png": picture}
+        def explored(path):
+            final, world = found.final, found.world
+            state = map_state(final.hits, final.misses, self.rules.p_free)
+            write_ros(to_occupancy(state), path, cell_m=world.cell_m, origin_m=world.origin_m)
+
+        writers = {"episode.png": picture, "map.yaml": explored}
         if found.final.plans is not None:
             writers["episode.gif"] = animation
         return out.draw(writers | ({"report.html": page} if self.report else {}))

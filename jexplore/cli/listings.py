@@ -121,6 +121,8 @@ def measure(worlds: "Sequence[World]", clearance_m: float) -> "list[Geometry]":
 
 def describe(world: "World") -> dict[str, Any]:
     """What a table of worlds says about one."""
+    from jexplore.studies.results import provenance
+
     rows, cols = world.shape
     rooms = None if world.rooms is None else int(world.rooms.max()) + 1
     return {
@@ -131,4 +133,6 @@ def describe(world: "World") -> dict[str, Any]:
         "free_m2": world.free_m2,
         "rooms": rooms,
         "start": world.start,
+        "sha256": provenance.digest(world),
+        "files": provenance.files_of(world),
     }

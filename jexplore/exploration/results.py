@@ -60,6 +60,11 @@ def map_state(hits: np.ndarray, misses: np.ndarray, p_free: float) -> np.ndarray
     return np.where(seen == 0, UNKNOWN, np.where(free, FREE, OCCUPIED)).astype(np.uint8)
 
 
+def to_occupancy(state: np.ndarray) -> np.ndarray:
+    """A map of `map_state` as ROS counts: `[H, W]` int8, -1 unknown, 0 free, 100 occupied."""
+    return np.array([-1, 0, 100], np.int8)[state]
+
+
 def columns(result: Result, starts: np.ndarray, *, seed: int, cell_m: float, has_rooms: bool) -> dict[str, Any]:
     """The columns of a table of episodes: one entry an episode.
 

@@ -17,7 +17,7 @@ from jexplore.report.store import reason, sync_folder
 OUR_FILES = (
     *("run.json", "episodes.parquet", "details.npz", "report.html"),
     *("compare.png", "coverage.png", "paths.png", "league.png"),  # compare
-    *("episode.png", "episode.gif", "worlds.png"),  # explore, worlds
+    *("episode.png", "episode.gif", "map.yaml", "map.pgm", "worlds.png"),  # explore, worlds
     *("bench.json", "bench.png"),  # bench
     *("scores.parquet", "segments.png"),  # segment
     "reproduce.png",  # reproduce
@@ -73,13 +73,14 @@ class RunFolder:
         return self.path
 
     def add(self, name: str, write: Callable[[Path], Any]) -> None:
-        """One more file of a run that has been written, whole or not at all.
+        """One more file of a run that has been written, whole or not at all; `write` may put others beside it.
 
         Raises:
           InputError: it cannot be written.
         """
         with _staged(self.path, {name: write}) as stage:
-            os.replace(stage / name, self.path / name)
+            for file in sorted(stage.iterdir(), reverse=True):
+                os.replace(file, self.path / file.name)
 
     def require_free(self) -> None:
         """Refuse a folder that holds a run.

@@ -6,16 +6,22 @@ pandas and matplotlib are imported by the functions that need them.
 import dataclasses
 import functools
 import itertools
+import os
+import re
 from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from jexplore.arrays.pictures import MOST_ROWS, html_of, or_text, png_of
 from jexplore.config import MAX_SEED, InputError, Lidar, Rules, require_whole
 from jexplore.engine.backend import use_compilation_cache
 from jexplore.exploration.batch import Job
+from jexplore.exploration.results import to_occupancy
 from jexplore.exploration.state import Outcome
 from jexplore.exploration.trail import RECORDS
+from jexplore.report.tables import number_text, p_text, ratio_text, spread_text
 from jexplore.studies.checks import (
     LIDAR,
     MAX_EPISODES,
@@ -97,6 +103,39 @@ class Comparison:
         together = len(self.worlds) > 1 and max(self.standings["worlds"], default=0) > 1
         return f"{over_worlds_text(self.standings)}\nIn each world:\n\n{text}" if together else text
 
+    def to_xarray(self) -> Any:
+        """All of it as an `xarray.Dataset` with labelled dimensions: see `labelled.of_comparison`."""
+        from jexplore.studies.results import labelled
+
+        return labelled.of_comparison(self)
+
+    def save_maps(self, folder: str | os.PathLike[str]) -> list[Path]:
+        """Writes the last map of every episode as files of ROS's map_server, with `keep="maps"`.
+
+        Args:
+          folder: where to; it is made. Files are named world-strategy-episode.yaml, with a picture each.
+
+        Returns:
+          Paths of the yaml files; `jx.load_world` reads them, and their cells are those of the maps.
+
+        Raises:
+          InputError: no maps were kept, or a file cannot be written.
+        """
+        from jexplore.worlds.readers.ros import write_ros
+
+        if not self.maps:
+            raise InputError('no maps were kept: compare(..., keep="maps")')
+        Path(folder).mkdir(parents=True, exist_ok=True)
+        of_name, files = {world.name: world for world in self.worlds}, []
+        for (world, strategy), states in self.maps.items():
+            rows = self.episodes[(self.episodes["world"] == world) & (self.episodes["strategy"] == strategy)]
+            for episode, state in zip(rows["episode"], states):
+                name = re.sub(r"[^\w.+=#-]+", "_", f"{Path(world).name}-{strategy}-{episode}")
+                files.append(Path(folder) / f"{name}.yaml")
+                one = of_name[world]
+                write_ros(to_occupancy(state), files[-1], cell_m=one.cell_m, origin_m=one.origin_m)
+        return files
+
     def sample_sizes(self, *, within: float = 0.02, assurance: float = 0.8) -> "pd.DataFrame":
         """How many episodes, and how many worlds, would tell every ratio `± within`: see `sizes.sample_sizes`."""
         return sizes.sample_sizes(self.episodes, within=within, assurance=assurance)
@@ -141,9 +180,40 @@ class Comparison:
     def _repr_markdown_(self):
         return self.to_markdown()
 
+    @functools.cached_property
+    def _picture(self):
+        return png_of(self.compare_figure())
+
+    @or_text
+    def _repr_png_(self):
+        return self._picture
+
+    @or_text
+    def _repr_html_(self):
+        n = len(self.warnings)
+        more = f"; {n} warning{'s' if n > 1 else ''}, see .warnings" if n else ""
+        return html_of(self._picture, repr(self)[1:-1] + more, *self._short_table())
+
+    def _short_table(self):
+        """Names of the columns and rows of text: every world's, or, where they are many, what all say together."""
+        if len(self.worlds) > 1 and len(self.summary) > MOST_ROWS:
+            head = ("strategy", "ratio to the first", "p (Holm)", "best in")
+            rows = self.standings.to_dict("records")
+            return head, [(row["strategy"], *_beside_first(row), f"{row['best']} of {row['worlds']}") for row in rows]
+        lines = []
+        for row in self.summary.to_dict("records"):
+            line = (row["world"], row["strategy"], str(row["n"]), spread_text(row["mean"], row["sd"]))
+            lines.append((*line, *_beside_first(row), number_text(row["explored_fraction"], 3), row["outcomes"]))
+        return ("world", "strategy", "n", "path m", "ratio to the first", "p (Holm)", "explored", "outcomes"), lines
+
     def __repr__(self) -> str:
         n_strategies = self.episodes["strategy"].nunique()
         return f"<Comparison of {n_strategies} strategies in {len(self.worlds)} worlds, {len(self.episodes)} episodes>"
+
+
+def _beside_first(row):
+    """The ratio to the first strategy with its interval, and the corrected p, as texts."""
+    return ratio_text(row["ratio"], row["ratio_low"], row["ratio_high"]), p_text(row["p_holm"])
 
 
 BOUNDS = {

@@ -1,12 +1,14 @@
 """One episode to look at: run it, play it again scan by scan, and draw it."""
 
 import dataclasses
+import functools
 import os
 from collections.abc import Callable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from jexplore.arrays.pictures import html_of, or_text, png_of
 from jexplore.config import MAX_SEED, InputError, Lidar, Rules, require_whole
 from jexplore.engine.backend import use_compilation_cache
 from jexplore.exploration import batch, replay
@@ -91,6 +93,30 @@ class Episode:
             known_cells=final.known,
             title=self.title,
         )
+
+    @functools.cached_property
+    def _picture(self):
+        return png_of(self.figure())
+
+    def __repr__(self) -> str:
+        return f"<Episode {self.title}>"
+
+    @or_text
+    def _repr_png_(self):
+        return self._picture
+
+    @or_text
+    def _repr_html_(self):
+        measures = self.measures
+        row, col, heading_deg = self.start
+        found = {
+            "path": f"{measures['path_m']:.1f} m",
+            "explored": f"{measures['explored_fraction']:.1%}",
+            "95 % known after": f"{measures['path_m_at_95']:.1f} m",
+            **{name: f"{measures[name]}" for name in ("plans", "scans", "outcome")},
+        }
+        caption = f"episode {self.number} of seed {self.seed}, from row {row}, col {col}, heading {heading_deg}°"
+        return html_of(self._picture, caption, list(found), [list(found.values())])
 
     def save_gif(
         self,

@@ -10,7 +10,9 @@ import reprlib
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from jexplore.arrays.pictures import html_of, or_text
 from jexplore.config import InputError
+from jexplore.tracemap.picture import MARKS, nodes_and_links
 
 NODE_TYPES = ("terminal", "divergence", "free_space", "obstacle")
 OBSTACLES = ("slope", "stairs")
@@ -90,6 +92,26 @@ class BtmMap:
         """Angles between adjacent links of a node, counter-clockwise: as many as links, their sum is 360 degrees."""
         found = self.bearings_deg(node_id)
         return [after - before for before, after in zip(found, [*found[1:], *(bearing + 360 for bearing in found[:1])])]
+
+    def __repr__(self) -> str:
+        searched = sum(link.end != NOWHERE for link in self.links)
+        return f"<BtmMap of {len(self.nodes)} nodes and {len(self.links)} links, {searched} of them searched>"
+
+    @or_text
+    def _repr_png_(self):
+        return nodes_and_links(self)
+
+    @or_text
+    def _repr_html_(self):
+        kinds = [node.obstacle or node.type for node in self.nodes]
+        lines = [(MARKS[node.type], kind.replace("_", " "), kinds.count(kind)) for node, kind in zip(self.nodes, kinds)]
+        searched = [link for link in self.links if link.end != NOWHERE]
+        length_m = sum(link.length_m or 0.0 for link in searched)
+        lines = [*dict.fromkeys(lines), ("—", f"searched link, {length_m:.1f} m in all", len(searched))]
+        if len(searched) < len(self.links):
+            lines.append(("-", "un-searched link", len(self.links) - len(searched)))
+        rows = [(mark, what, str(number)) for mark, what, number in lines]
+        return html_of(nodes_and_links(self), repr(self)[1:-1], ("", "what", "how many"), rows)
 
 
 def check(btm: BtmMap, where: Callable[..., str] = lambda member, index=None: '"map"') -> BtmMap:

@@ -10,8 +10,10 @@ import numpy as np
 from flax import struct
 from numpy.typing import ArrayLike
 
+from jexplore.arrays.pictures import html_of, or_text
 from jexplore.config import InputError, require_number
 from jexplore.tracemap.record import BtmMap
+from jexplore.worlds.picture import floor_plan
 
 MAX_SIDE = 4096  # cells along the longer side, ring included
 
@@ -66,6 +68,27 @@ class World:
     def free_m2(self) -> float:
         """Area of the free cells, square metres."""
         return float((~self.occupied).sum()) * self.cell_m**2
+
+    def __repr__(self) -> str:
+        return f"<World {self._told()}>"
+
+    def _told(self):
+        name = " ".join(str(self.name).split()) or "without a name"
+        if not isinstance(self.occupied, np.ndarray):  # on its way through jax
+            return f"{name}; occupied: {type(self.occupied).__name__}"
+        sides = " x ".join(map(str, self.shape))
+        text = f"{name}; {sides} cells of {self.cell_m:g} m, {self.free_m2:.0f} m² free"
+        rooms = [] if self.rooms is None else np.unique(self.rooms)
+        n_rooms = sum(room >= 0 for room in rooms)
+        return text + (f", {n_rooms} room{'s' if n_rooms > 1 else ''}" if n_rooms else "")
+
+    @or_text
+    def _repr_png_(self):
+        return floor_plan(self.occupied, self.rooms, self.start)
+
+    @or_text
+    def _repr_html_(self):
+        return html_of(floor_plan(self.occupied, self.rooms, self.start), self._told())
 
 
 def _as_mask(name, occupied):

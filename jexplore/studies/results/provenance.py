@@ -92,13 +92,15 @@ def asked(jobs: Sequence[Job]) -> dict[str, Any]:
     worlds = {os.fspath(job.world.name): job.world for job in jobs}
     strategies = list(dict.fromkeys(job.strategy.name for job in jobs))
     settings = list(dict.fromkeys((job.lidar, job.rules) for job in jobs))
+    episodes = list(dict.fromkeys(len(job.starts) for job in jobs))
+    seeds = list(dict.fromkeys(job.seed for job in jobs))
     starts = hashlib.sha256(b"".join(np.ascontiguousarray(job.starts, np.int32).tobytes() for job in jobs))
     return {
         "version": __version__,
         "worlds": list(worlds),
         "strategies": strategies,
-        "episodes": sum(len(job.starts) for job in jobs),
-        "seed": list(dict.fromkeys(job.seed for job in jobs)),
+        "episodes": episodes[0] if len(episodes) == 1 else episodes,
+        "seed": seeds[0] if len(seeds) == 1 else seeds,
         "lidar": list(dict.fromkeys(lidar for lidar, _ in settings)),
         "rules": list(dict.fromkeys(rules for _, rules in settings)),
         "starts": starts.hexdigest(),

@@ -58,6 +58,12 @@ class Swept:
         """The table of episodes."""
         return self.episodes
 
+    def to_xarray(self) -> Any:
+        """The table as an `xarray.Dataset` with labelled dimensions: see `labelled.of_sweep`."""
+        from jexplore.studies.results import labelled
+
+        return labelled.of_sweep(self)
+
     def to_markdown(self, rows: int | None = None) -> str:
         """The summary as a Markdown table, only so many rows of it."""
         shown = self.summary if rows is None else self.summary.head(rows)

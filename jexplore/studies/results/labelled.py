@@ -1,0 +1,156 @@
+"""Results as labelled arrays: xarray datasets, for netCDF and zarr. Needs xarray, the extra `xarray`."""
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from jexplore.config import InputError
+from jexplore.studies.results.units import COLUMNS
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from jexplore.studies.comparison import Comparison
+    from jexplore.studies.sweeps.run import Swept
+
+UNITS = {
+    **dict.fromkeys(("path_m", "path_m_at_50", "path_m_at_90", "path_m_at_95", "path_m_at_99", "progress_m"), "m"),
+    **{"turning_rad": "rad", "start_heading_deg": "degree", "explored_fraction": "1", "cell_m": "m"},
+    **{"lidar.range_m": "m", "lidar.sigma_m": "m", "lidar.fov_deg": "degree", "rules.clearance_m": "m"},
+    **{"rules.near_m": "m", "lidar.dropout": "1", "rules.p_free": "1"},
+}
+"""Name of a variable -> its unit, as UDUNITS writes it; others are counts or words."""
+MISSING = {"i": -1, "f": np.nan, "O": "", "b": False}  # kind of an array -> what stands where there is no episode
+
+
+def _xarray():
+    try:
+        import xarray
+    except ImportError as error:
+        raise InputError("labelled arrays need xarray: pip install 'jexplore[xarray]'") from error
+    return xarray
+
+
+def _variable(column: Any, at: tuple[np.ndarray, ...], shape: tuple[int, ...]) -> np.ndarray:
+    """A column of a table as an array of the dimensions."""
+    is_nullable = column.dtype == "Int64"
+    values = column.astype("float64").to_numpy(na_value=np.nan) if is_nullable else column.to_numpy()
+    if values.dtype.kind not in "ifb":
+        values = values.astype(object)
+    array = np.full(shape, MISSING[values.dtype.kind], values.dtype)
+    array[at] = values
+    return array if array.dtype != object else array.astype(str)
+
+
+def _dataset(table: "pd.DataFrame", dims: Mapping[str, Sequence[Any]], names: Sequence[str]) -> Any:
+    """A dataset of some columns of a table, whose rows are told apart by the dimensions."""
+    xarray = _xarray()
+    places = {name: {value: i for i, value in enumerate(values)} for name, values in dims.items()}
+    at = tuple(np.array([places[name][value] for value in table[name]], np.int64) for name in dims)
+    shape = tuple(len(values) for values in dims.values())
+    found = xarray.Dataset(coords={name: list(values) for name, values in dims.items()})
+    for name in names:
+        found[name] = tuple(dims), _variable(table[name], at, shape)
+    return found
+
+
+def _with_units(found: Any) -> Any:
+    for name in found.variables:
+        if name in UNITS:
+            found[name].attrs["units"] = UNITS[name]
+    return found
+
+
+def of_comparison(found: "Comparison") -> Any:
+    """A `Comparison` as an `xarray.Dataset`.
+
+    Args:
+      found: `Comparison`.
+
+    Returns:
+      A `Dataset` with the dimensions `world`, `strategy`, `episode`: the columns of the table of episodes;
+        `progress_m`, with the dimension `percent` besides (metres driven when each per cent of what can be known was;
+        NaN: never).
+        Where they were kept, the ways, `way_row`, `way_col` and `way_known`, with the dimension `step` (-1 beyond the
+        end), and the maps, `map`, with the dimensions `row` and `col` (0 unknown, 1 free, 2 occupied; 255 beyond a
+        world's edge). Where an episode is missing: NaN, -1 or no text. Units are attributes.
+
+    Raises:
+      InputError: xarray is not installed.
+    """
+    table = found.episodes
+    dims = {
+        "world": [world.name for world in found.worlds],
+        "strategy": list(dict.fromkeys(table["strategy"])),
+        "episode": sorted(table["episode"].unique().tolist()),
+    }
+    made = _dataset(table, dims, [name for name in COLUMNS if name not in dims])
+    shape = tuple(len(values) for values in dims.values())
+    place = {value: i for i, value in enumerate(dims["episode"])}
+    ends = {"progress_m": (100,), "way": _longest(found), "map": _largest(found)}
+    arrays = {"progress_m": np.full((*shape, 100), np.nan)}
+    if found.paths:
+        arrays |= {name: np.full((*shape, *ends["way"]), -1, np.int32) for name in ("way_row", "way_col", "way_known")}
+    if found.maps:
+        arrays["map"] = np.full((*shape, *ends["map"]), 255, np.uint8)
+    for (world, strategy), rows in groups(table):
+        pair = world, strategy
+        at = dims["world"].index(world), dims["strategy"].index(strategy)
+        for i, episode in enumerate(rows["episode"]):
+            here = (*at, place[episode])
+            if pair in found.progress:
+                arrays["progress_m"][here] = found.progress[pair][i]
+            if pair in found.paths:
+                way = found.paths[pair][i]
+                for k, name in enumerate(("way_row", "way_col", "way_known")):
+                    arrays[name][here][: len(way)] = way[:, k]
+            if pair in found.maps:
+                state = found.maps[pair][i]
+                arrays["map"][here][: state.shape[0], : state.shape[1]] = state
+    more = {"progress_m": ("percent",), "map": ("row", "col")}
+    for name, array in arrays.items():
+        made[name] = (*dims, *more.get(name, ("step",))), array
+    made = made.assign_coords(percent=np.arange(1, 101), cell_m=("world", [world.cell_m for world in found.worlds]))
+    return _with_units(made)
+
+
+def groups(table: Any) -> Any:
+    """Pairs of world and strategy and their rows."""
+    return table.groupby(["world", "strategy"], sort=False)
+
+
+def _longest(found):
+    return (max((len(way) for ways in found.paths.values() for way in ways), default=0),)
+
+
+def _largest(found):
+    shapes = [maps.shape[1:] for maps in found.maps.values()]
+    return tuple(max((shape[axis] for shape in shapes), default=0) for axis in (0, 1))
+
+
+def of_sweep(found: "Swept") -> Any:
+    """A `Swept` as an `xarray.Dataset`.
+
+    Args:
+      found: `Swept`.
+
+    Returns:
+      A `Dataset` with the dimensions `setting`, `world`, `strategy`, `episode`: the columns of the table of episodes.
+        The settings are coordinates: `lidar.range_m` and the like along `setting`, `strategy.weight` and the like along
+        `strategy`. Where an episode is missing: NaN, -1 or no text. Units are attributes.
+
+    Raises:
+      InputError: xarray is not installed.
+    """
+    table = found.episodes
+    dims = {name: list(dict.fromkeys(table[name])) for name in ("setting", "world", "strategy", "episode")}
+    dims["episode"].sort()
+    made = _dataset(table, dims, [name for name in COLUMNS if name not in dims])
+    coordinates = {}
+    for name in found.columns[1:]:
+        along = "strategy" if name.startswith("strategy.") else "setting"
+        values = table.drop_duplicates(along).set_index(along)[name].loc[dims[along]]
+        numbers = values.astype("float64") if values.isna().any() or values.dtype.kind in "if" else values.astype(str)
+        coordinates[name] = along, numbers.to_numpy()
+    return _with_units(made.assign_coords(coordinates))

@@ -1,0 +1,121 @@
+"""The work of a sweep: its units, run block by block, by whatever engine.
+
+pandas is imported by the functions that need it.
+"""
+
+import dataclasses
+from collections.abc import Callable, Iterator, Sequence
+from typing import TYPE_CHECKING, Any
+
+from jexplore.config import Lidar, Rules
+from jexplore.engine.runner import Costs
+from jexplore.exploration import batch
+from jexplore.studies.results.units import Unit, piece_of
+from jexplore.studies.sweeps.plan import Plan
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+WINDOW_EPISODES = 8192  # of units that are run together
+WINDOW_SITES = 32  # worlds made ready at a time
+
+
+def run_block_units(
+    plan: Plan,
+    numbers: Sequence[int],
+    on_unit: Callable[[int, "pd.DataFrame"], object],
+    *,
+    engine: str | None = None,
+    lanes: int | None = None,
+    workers: int | None = None,
+    on_progress: Callable[[int], object] | None = None,
+) -> Costs:
+    """Runs units of a sweep.
+
+    Args:
+      plan: `Plan`.
+      numbers: of the units, in order.
+      on_unit: called with the number of a unit and its table, once all its episodes have ended.
+      engine, lanes, workers, on_progress: as in `batch.run_jobs`.
+
+    Returns:
+      `Costs`, added up; `interrupted` after Ctrl-C.
+    """
+    costs, done = Costs(), 0
+    for window in windows(plan, numbers):
+        blocks = [(number, block) for number in window for block in plan.units[number]]
+        left = {number: len(plan.units[number]) for number in window}
+        tables: dict[int, list[Any]] = {number: [] for number in window}
+        jobs = [plan.job(block, window.index(number)) for number, block in blocks]
+
+        def on_job(place, found, blocks=blocks, left=left, tables=tables, jobs=jobs):
+            number, block = blocks[place]
+            tables[number].append((place, _table(plan, block, jobs[place], found)))
+            left[number] -= 1
+            if not left[number]:
+                on_unit(number, _joined(plan, [table for _, table in sorted(tables.pop(number), key=lambda t: t[0])]))
+
+        progress = None if on_progress is None else (lambda n, done=done: on_progress(done + n))
+        how: dict[str, Any] = {"engine": engine, "lanes": lanes, "workers": workers, "alike": plan.alike}
+        try:
+            found = batch.run_jobs(jobs, Lidar(), Rules(), **how, on_progress=progress, on_job=on_job).costs
+        except KeyboardInterrupt:
+            costs.interrupted = True
+            return costs
+        costs = added(costs, found)
+        done += sum(block.n for _, block in blocks)
+        if costs.interrupted:
+            break
+    return costs
+
+
+def added(one: Costs, other: Costs) -> Costs:
+    """`Costs` of two runs, one after the other."""
+    total = dataclasses.replace(other)
+    for name in ("compile_s", "run_s", "advanced", "room", "decided", "group_room"):
+        setattr(total, name, getattr(one, name) + getattr(other, name))
+    total.interrupted = one.interrupted or other.interrupted
+    return total
+
+
+def windows(plan: Plan, numbers: Sequence[int]) -> Iterator[list[int]]:
+    """Units that are run together: few enough that what they need fits into the memory."""
+    window, sites, episodes = [], set(), 0
+    for number in numbers:
+        own = {(block.setting, block.world) for block in plan.units[number]}
+        n = sum(block.n for block in plan.units[number])
+        if window and (episodes + n > WINDOW_EPISODES or len(sites | own) > WINDOW_SITES):
+            yield window
+            window, sites, episodes = [], set(), 0
+        window.append(number)
+        sites |= own
+        episodes += n
+    if window:
+        yield window
+
+
+def _table(plan, block, job, found):
+    """The rows of a block."""
+    strategy = plan.strategies[block.strategy]
+    # The job's own starts begin with the block's first episode.
+    piece = piece_of(job._replace(strategy=strategy), Unit(0, 0, block.n, 0), found)
+    table = piece.table.copy()
+    table["episode"] += block.first
+    setting = plan.settings[block.setting]
+    table.insert(0, "setting", block.setting)
+    for name in plan.columns[1:]:
+        kind, _, key = name.partition(".")
+        table[name] = plan.parameters[block.strategy].get(key) if kind == "strategy" else setting[name]
+    return table
+
+
+def _joined(plan, tables):
+    import pandas as pd
+
+    table = pd.concat(tables, ignore_index=True)
+    for name in plan.columns[1:]:  # a parameter that some strategies do not have is missing there
+        if name.startswith("strategy.") and all(
+            isinstance(own.get(name.partition(".")[2], 0), (int, float)) for own in plan.parameters
+        ):
+            table[name] = table[name].astype("float64")
+    return table

@@ -1,0 +1,344 @@
+"""Sweeps: what they may be asked, how they are cut, and that every row is the one that a comparison has."""
+
+import itertools
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import jexplore as jx
+from jexplore.cli import main
+from jexplore.config import InputError, Lidar, Rules
+from jexplore.engine import devices
+from jexplore.exploration import batch
+from jexplore.studies.results.units import COLUMNS
+from jexplore.studies.sweeps.plan import Block, in_shard, prepare_sweep
+from jexplore.studies.sweeps.run import sweep
+from jexplore.studies.sweeps.spec import Range, Sweep, plain, read_spec, sweep_from
+
+WORLDS = ["rooms:width_m=5,height_m=5", "maze:width_m=5,height_m=5"]
+SMALL = {"n_beams": 31}
+
+
+def test_lists_are_axes_of_the_product():
+    spec = Sweep(["a"], seed=[0, 1], lidar={"range_m": [4, 8], "n_beams": 31}, rules={"clearance_m": [0.2, 0.3]})
+    assert spec.expanded() == [
+        {"seed": seed, "cell_m": 0.1, "lidar.range_m": far, "lidar.n_beams": 31, "rules.clearance_m": clear}
+        for seed, far, clear in itertools.product([0, 1], [4, 8], [0.2, 0.3])
+    ]
+    assert spec.records()[1] == (0, 0.1, Lidar(n_beams=31, range_m=4), Rules(clearance_m=0.3))
+    assert Sweep(["a"]).expanded() == [{"seed": 0, "cell_m": 0.1}]
+
+
+def test_settings_one_by_one():
+    spec = Sweep(["a"], seed=[5, 6], settings=[{"lidar.range_m": 4, "rules.clearance_m": 0.2}, {"lidar.range_m": 8}])
+    assert spec.expanded() == [
+        {"seed": seed, "cell_m": 0.1, "lidar.range_m": far, "rules.clearance_m": clear}
+        for far, clear in ((4, 0.2), (8, 0.3))  # 0.3 is the default
+        for seed in (5, 6)
+    ]
+    assert [one["cell_m"] for one in Sweep(["a"], settings=[{"cell_m": 0.2}]).expanded()] == [0.2]
+
+
+@pytest.mark.parametrize("draw", ["sobol", "random"])
+def test_ranges_are_drawn_from(draw):
+    asked = {"lidar": {"range_m": {"low": 2, "high": 10}}, "rules": {"near_m": Range(0.01, 1.0, log=True)}}
+    spec = sweep_from({"worlds": ["a"], "cell_m": [0.1, 0.2], "draws": 200, "draw": draw, **asked})
+    found = spec.expanded()
+    assert len(found) == 200
+    far, near = (np.array([one[name] for one in found]) for name in ("lidar.range_m", "rules.near_m"))
+    for values, low, high in ((far, 2, 10), (np.log(near), np.log(0.01), 0)):
+        assert low <= values.min() <= values.max() <= high
+        counts, _ = np.histogram(values, 4, (low, high))
+        assert counts.min() >= (48 if draw == "sobol" else 30)  # of 50: sobol is even
+    assert {one["cell_m"] for one in found} == {0.1, 0.2}
+    assert found == sweep_from(plain(spec)).expanded()  # drawn again the same
+    whole = Sweep(["a"], draws=8, rules={"max_steps": Range(100, 200)}).expanded()
+    assert all(isinstance(one["rules.max_steps"], int) for one in whole)
+
+
+def test_parameters_of_strategies_are_axes():
+    spec = Sweep(["a"], ["closest", {"name": "distance-advantage+recheck", "weight": [0.5, 2]}, {"name": "gain-rate"}])
+    assert spec.strategy_list() == [
+        ("closest", {}),
+        ("distance-advantage+recheck:weight=0.5", {"weight": 0.5}),
+        ("distance-advantage+recheck:weight=2", {"weight": 2}),
+        ("gain-rate", {}),
+    ]
+    assert Sweep(["a"], {"name": "tour"}).strategy_list() == [("tour", {})]
+
+
+@pytest.mark.parametrize(
+    ("page", "message"),
+    [
+        ([], "must be a mapping with worlds"),
+        ({}, "worlds must name at least one"),
+        ({"worlds": []}, "worlds must name at least one"),
+        ({"worlds": {"a": 1}}, "worlds must be a list"),
+        ({"worlds": [3]}, "worlds must be names or files, got 3"),
+        ({"worlds": ["a"], "strategies": []}, "strategies must name at least one"),
+        ({"worlds": ["a"], "strategys": ["closest"]}, "unknown key 'strategys'; did you mean 'strategies'?"),
+        ({"worlds": ["a"], "lidar": {"rang_m": 3}}, "unknown field of lidar 'rang_m'; did you mean 'range_m'?"),
+        ({"worlds": ["a"], "lidar": 3}, "lidar must be a mapping"),
+        ({"worlds": ["a"], "rules": {"clearance_m": []}}, "rules.clearance_m must have at least one value"),
+        ({"worlds": ["a"], "rules": {"clearance_m": -1}}, "rules.clearance_m must be a number at least 0"),
+        ({"worlds": ["a"], "rules": {"clearance_m": "x"}}, "rules.clearance_m must be a number"),
+        ({"worlds": ["a"], "cell_m": 0}, "cell_m must be a number above 0"),
+        ({"worlds": ["a"], "seed": -1}, "seed must be an integer from 0"),
+        ({"worlds": ["a"], "episodes": 0}, "episodes must be an integer from 1"),
+        ({"worlds": ["a"], "start": "here"}, "start must be random or world"),
+        ({"worlds": ["a"], "draws": 3}, "draws goes with a range"),
+        ({"worlds": ["a"], "draw": "halton"}, "unknown draw 'halton'"),
+        ({"worlds": ["a"], "lidar": {"range_m": {"low": 1, "high": 3}}}, "say how many settings are drawn"),
+        ({"worlds": ["a"], "draws": 3, "lidar": {"range_m": {"low": 1}}}, "a range has low and high"),
+        ({"worlds": ["a"], "draws": 3, "lidar": {"range_m": {"low": 3, "high": 1}}}, "high must be a number above 3"),
+        ({"worlds": ["a"], "draws": 3, "lidar": {"range_m": {"low": 0, "high": 1, "log": True}}}, "low must be"),
+        ({"worlds": ["a"], "draws": 3, "lidar": {"range_m": {"lo": 1, "high": 3}}}, "unknown word in the range"),
+        (
+            {"worlds": ["a"], "settings": [{"lidar.rangem": 3}]},
+            "unknown setting 'lidar.rangem'; did you mean 'li",
+        ),
+        ({"worlds": ["a"], "settings": [3]}, "settings must be mappings"),
+        ({"worlds": ["a"], "settings": [{"lidar.range_m": 3}] * 2}, "settings must differ"),
+        ({"worlds": ["a"], "seed": [1, 1]}, "settings must differ"),
+        (
+            {"worlds": ["a"], "lidar": {"range_m": 2}, "settings": [{"lidar.range_m": 3}]},
+            "lidar.range_m is given twice",
+        ),
+        (
+            {"worlds": ["a"], "seed": list(range(1000)), "cell_m": [0.1 + i for i in range(101)]},
+            "100,000 settings",
+        ),
+        ({"worlds": ["a"], "strategies": [{"nam": "x"}]}, "a strategy must be a name, or a mapping"),
+        ({"worlds": ["a"], "strategies": ["closest", "closest"]}, "strategies must differ"),
+    ],
+)
+def test_what_no_sweep_may_be_asked(page, message):
+    def read():
+        spec = sweep_from(page, "s.yaml")
+        return spec.strategy_list(), spec.records()
+
+    with pytest.raises(InputError) as caught:
+        read()
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_what_a_plan_refuses():
+    small = {"worlds": WORLDS[:1], "strategies": ["closest"]}
+    for change, message in (
+        ({"worlds": ["nowhere"]}, "nowhere"),
+        ({"worlds": WORLDS[:1] * 2}, "worlds must differ"),
+        ({"strategies": ["closets"]}, "did you mean 'closest'?"),
+        ({"strategies": [{"name": "closest", "speed": 3}]}, "speed"),
+        ({"rules": {"clearance_m": 3.0}}, "clearance"),
+        ({"start": "world"}, "has no start of its own"),
+        ({"episodes": 90_000_000, "strategies": ["closest", "random"]}, "100,000,000 episodes, got 180,000,000"),
+    ):
+        with pytest.raises(InputError, match=message):
+            prepare_sweep(sweep_from({**small, **change}))
+    for bad in (3, [WORLDS]):
+        with pytest.raises(InputError, match=r"must be a jx\.Sweep, a mapping or a YAML file"):
+            sweep(bad)  # type: ignore[arg-type]
+
+
+def test_broken_yaml_is_told_with_its_place(tmp_path):
+    path = tmp_path / "s.yaml"
+    path.write_text("worlds: [cave\nepisodes: 3\n")
+    with pytest.raises(InputError, match=r"s.yaml, line 2, column 9: "):
+        read_spec(path)
+    path.write_bytes(b"worlds: [\xff]")
+    with pytest.raises(InputError, match=r"s.yaml must be a readable YAML file"):
+        read_spec(path)
+    with pytest.raises(InputError, match=r"none.yaml must be a readable YAML file: No such file"):
+        read_spec(tmp_path / "none.yaml")
+
+
+def test_units_share_programs_and_miss_nothing():
+    spec = Sweep(
+        WORLDS, ["closest", "random"], episodes=40, lidar={"range_m": [1, 2]}, rules={"clearance_m": [0.2, 0.3]}
+    )
+    plan = prepare_sweep(spec)
+    assert plan.programs == 2  # one a clearance; both worlds have one size
+    blocks = [block for unit in plan.units for block in unit]
+    want = {Block(s, w, k, 0, 40) for s in range(4) for w in range(2) for k in range(2)}
+    assert len(blocks) == len(set(blocks)) == len(want)
+    assert set(blocks) == want
+    for unit in plan.units:
+        assert len({plan.records[block.setting][3].clearance_m for block in unit}) == 1
+        assert sum(block.n for block in unit) <= 256
+    large = prepare_sweep(Sweep(WORLDS[:1], ["closest"], episodes=1000))
+    assert [(block.first, block.n) for unit in large.units for block in unit] == [
+        *((first, 256) for first in (0, 256, 512)),
+        (768, 232),
+    ]
+    parts = [in_shard(len(plan.units), (i, 3)) for i in range(3)]
+    assert sorted(itertools.chain(*parts)) == in_shard(len(plan.units), None) == list(range(len(plan.units)))
+    assert plan.episodes == 4 * 2 * 2 * 40
+    assert 0 < plan.seconds(2) < plan.seconds(1)
+
+
+@pytest.fixture(scope="module")
+def asked():
+    return {
+        "worlds": WORLDS,
+        "strategies": ["closest+recheck", {"name": "distance-advantage", "weight": [0.5, 2]}, "random"],
+        "episodes": 3,
+        "lidar": {**SMALL, "range_m": [1, 2.5], "sigma_m": [0, 0.03]},
+        "rules": {"p_free": [0.2, 0.3], "clearance_m": 0.2, "max_steps": [None, 60]},
+    }
+
+
+@pytest.fixture(scope="module")
+def found(asked, jit_on):
+    with jit_on():
+        before = devices._compiled.cache_info().misses
+        result = sweep(asked, workers=2)
+        return result, devices._compiled.cache_info().misses - before
+
+
+@pytest.mark.jit
+def test_every_row_is_that_of_a_comparison(found, asked):
+    result, _ = found
+    table = result.to_pandas()
+    assert len(table) == 16 * 2 * 4 * 3
+    assert result.columns[1:] == (
+        *("cell_m", "lidar.n_beams", "lidar.range_m", "lidar.sigma_m", "rules.p_free", "rules.clearance_m"),
+        *("rules.max_steps", "strategy.weight"),
+    )
+    for setting in (0, 3, 9, 14):
+        own = table[table["setting"] == setting]
+        row = own.iloc[0]
+        lidar = Lidar(n_beams=31, range_m=row["lidar.range_m"], sigma_m=row["lidar.sigma_m"])
+        most = None if pd.isna(row["rules.max_steps"]) else int(row["rules.max_steps"])
+        rules = Rules(p_free=row["rules.p_free"], clearance_m=0.2, max_steps=most)
+        names = list(dict.fromkeys(own["strategy"]))
+        alone = jx.compare(WORLDS, names, episodes=3, lidar=lidar, rules=rules).to_pandas()
+        pd.testing.assert_frame_equal(own[list(COLUMNS)].reset_index(drop=True), alone)
+    assert table.groupby("strategy")["strategy.weight"].agg(lambda w: w.iloc[0]).to_dict() == {
+        "closest+recheck": pytest.approx(np.nan, nan_ok=True),
+        "distance-advantage:weight=0.5": 0.5,
+        "distance-advantage:weight=2": 2.0,
+        "random": pytest.approx(np.nan, nan_ok=True),
+    }
+
+
+@pytest.mark.jit
+def test_settings_that_differ_in_numbers_share_one_program(found):
+    assert found[1] == 1
+
+
+@pytest.mark.jit
+def test_summary(found):
+    result, _ = found
+    table, summary = result.to_pandas(), result.summary
+    assert len(summary) == 16 * 2 * 4
+    row = summary.iloc[1]
+    own, first = (
+        table[(table["setting"] == 0) & (table["world"] == WORLDS[0]) & (table["strategy"] == name)]["path_m"]
+        for name in (row["strategy"], "closest+recheck")
+    )
+    assert row["mean"] == pytest.approx(own.mean())
+    assert row["ratio"] == pytest.approx(own.mean() / first.mean())
+    assert row["strategy.weight"] == 0.5
+    assert result.varied == ["lidar.range_m", "lidar.sigma_m", "rules.p_free", "rules.max_steps", "strategy.weight"]
+    text = result.to_markdown(5)
+    assert text.count("\n| ") == 6
+    assert "... and 123 more rows" in text
+    assert set(result.figures()) == {"", "-map"}
+
+
+@pytest.mark.jit
+def test_interruption_keeps_whole_units(asked, monkeypatch):
+    run = batch.run_jobs
+
+    def stop(jobs, *rest, **how):
+        def on_job(place, outcomes, on_job=how["on_job"]):
+            if place >= 100:
+                raise KeyboardInterrupt
+            on_job(place, outcomes)
+
+        return run(jobs, *rest, **{**how, "on_job": on_job})
+
+    monkeypatch.setattr(batch, "run_jobs", stop)
+    few = {**asked, "episodes": 6}
+    found = sweep(few, workers=1)
+    assert found.costs.interrupted
+    assert found.missing > 0
+    assert len(found.episodes) % 6 == 0
+    monkeypatch.setattr(batch, "run_jobs", lambda *_, **__: (_ for _ in ()).throw(KeyboardInterrupt))
+    with pytest.raises(KeyboardInterrupt):
+        sweep(few)
+
+
+YAML = """
+worlds: ["rooms:width_m=5,height_m=5"]
+strategies: [closest+recheck, {name: distance-advantage, weight: [0.5, 2]}]
+episodes: 60
+lidar: {n_beams: 31, range_m: [1, 2.5]}
+rules: {clearance_m: 0.2, p_free: [0.2, 0.3]}
+"""
+
+
+@pytest.mark.jit
+def test_the_command_and_its_parts(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "s.yaml").write_text(YAML)
+    assert main.main(["sweep", "s.yaml", "--dry-run"]) == 0
+    said = capsys.readouterr().out
+    assert said.startswith("4 settings x 1 worlds x 3 strategies x 60 episodes = 720 episodes\n3 units of about 240")
+    assert "1 compiled programs" in said
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["s.yaml"]
+    assert main.main(["sweep", "s.yaml", "--out", "whole"]) == 0
+    said = capsys.readouterr().out
+    assert "| rooms:width_m=5,height_m=5 |" in said
+    names = "episodes.parquet, summary.csv, sweep.yaml, run.json, sweep.png, sweep-map.png, report.html"
+    assert said.splitlines()[-1] == f"wrote {names} to whole/"
+    assert sorted(path.name for path in (tmp_path / "whole").iterdir()) == sorted(names.split(", "))
+    whole = jx.load("whole")
+    assert whole.spec == read_spec("s.yaml")
+    pd.testing.assert_frame_equal(pd.read_csv("whole/summary.csv"), whole.summary, check_dtype=False)
+    for i in (1, 2, 3):
+        assert main.main(["sweep", "s.yaml", "--shard", f"{i}/3", "--out", f"part{i}", "--no-report"]) == 0
+    assert len(jx.load("part2").episodes) == 240
+    for given, message in (
+        (["part1", "part3"], "all parts must be given, and 2/3 are not"),
+        (["part1", "part1", "part2"], "part1 is part 1/3, and so is part1"),
+        (["part1", "whole"], "whole must hold a part of a sweep"),
+        (["nowhere"], "nowhere must be the folder of a run"),
+        ([], "expected the folders of all parts, got none"),
+    ):
+        capsys.readouterr()
+        assert main.main(["merge", *given, "--out", "merged"]) == 2
+        assert message in capsys.readouterr().err
+    assert main.main(["merge", "part3", "part1", "part2", "--out", "merged"]) == 0
+    pd.testing.assert_frame_equal(jx.load("merged").episodes, whole.episodes)
+    assert json.loads((tmp_path / "merged" / "run.json").read_text())["parts"] == ["part3", "part1", "part2"]
+    (tmp_path / "s.yaml").write_text(YAML.replace("60", "61"))
+    assert main.main(["sweep", "s.yaml", "--out", "whole", "--resume"]) == 2
+    assert "holds another run" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ([], "expected a file that says what is varied: jexplore sweep SPEC.yaml"),
+        (["no.yaml"], "no.yaml must be a readable YAML file: No such file or directory"),
+        (["s.yaml", "--shard", "0/3"], "--shard must be I/N with I from 1 to N, such as 1/4, got '0/3'"),
+        (["s.yaml", "--shard", "4/3"], "--shard must be I/N"),
+        (["s.yaml", "--shard", "half"], "--shard must be I/N"),
+        (["s.yaml", "--shard", "9/9"], "the sweep has only 3 units"),
+        (["long.yaml"], "give --yes to begin"),
+        (["s.yaml", "--engine", "slurm"], "--engine must be one of"),
+    ],
+)
+def test_bad_commands_are_one_line(options, message, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "s.yaml").write_text(YAML)
+    (tmp_path / "long.yaml").write_text(YAML.replace("60", "5000000"))
+    assert main.main(["sweep", *options]) == 2
+    said = capsys.readouterr().err
+    assert message in said
+    assert said.count("\n") == 1
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["long.yaml", "s.yaml"]
