@@ -8,8 +8,8 @@ killed so often; then lets it finish, and looks whether every unit is there exac
 """
 
 import argparse
-import contextlib
 import collections
+import contextlib
 import json
 import random
 import signal

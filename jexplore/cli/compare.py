@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from jexplore.studies.comparison import Comparison
     from jexplore.studies.results.units import Ran
 
+VECTORS = ("compare.png", "coverage.png", "league.png", "reproduce.png")  # written as SVG as well
 FINISHING = "jexplore: computing statistics and drawing"
 
 
@@ -181,22 +182,7 @@ def finish(
     from jexplore.report import plot, store
     from jexplore.studies.results import loading
 
-    costs = ran.costs
-    record = record(
-        episodes_per_s=found.episodes_per_s,
-        compile_s=found.compile_s,
-        run_s=found.run_s,
-        engine=costs.engine,
-        devices=costs.devices,
-        lanes=costs.lanes,
-        useful=costs.useful,
-        useful_plans=costs.useful_decisions,
-        interrupted=found.interrupted,
-        resumed=found.resumed,
-        worlds=[describe(world) for world in found.worlds],
-        summary=found.summary.to_dict("records"),
-        warnings=found.warnings,
-    )
+    costs, record = ran.costs, record(**_entries(found, ran))
     files = {
         "episodes.parquet": lambda path: store.write_parquet(found.episodes, path),
         loading.DETAILS: lambda path: loading.write_details(found, path),
@@ -205,7 +191,10 @@ def finish(
     out.write(files, is_finished=not costs.interrupted)
 
     def picture(make, path):
-        plot.save_figure(make(), path)
+        figure = make()
+        plot.save_figure(figure, path)
+        if path.name in VECTORS:
+            plot.save_figure(figure, path.with_suffix(".svg"))
 
     try:
         show_table(text)
@@ -222,6 +211,26 @@ def finish(
         out.say_kept()
         return say("jexplore: interrupted, what was finished was written", 130)
     return 0
+
+
+def _entries(found, ran):
+    """What run.json says of a comparison."""
+    costs = ran.costs
+    return {
+        "episodes_per_s": found.episodes_per_s,
+        "compile_s": found.compile_s,
+        "run_s": found.run_s,
+        "engine": costs.engine,
+        "devices": costs.devices,
+        "lanes": costs.lanes,
+        "useful": costs.useful,
+        "useful_plans": costs.useful_decisions,
+        "interrupted": found.interrupted,
+        "resumed": found.resumed,
+        "worlds": [describe(world) for world in found.worlds],
+        "summary": found.summary.to_dict("records"),
+        "warnings": found.warnings,
+    }
 
 
 def _report(out, found, ran, record, jobs, drawn, path):

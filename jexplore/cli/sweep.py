@@ -124,7 +124,7 @@ def _finish(
     """Writes, prints and draws. Returns the exit status."""
     import yaml
 
-    from jexplore.report import plot, store
+    from jexplore.report import store
     from jexplore.studies.sweeps.spec import plain
 
     costs = found.costs
@@ -152,9 +152,7 @@ def _finish(
         sys.stdout.flush()
     finally:  # a reader of the output who goes away costs no pictures
         pictures = {f"sweep{tail}.png": make for tail, make in found.figures().items()}
-        drawn = out.draw(
-            {name: (lambda path, make=make: plot.save_figure(make(), path)) for name, make in pictures.items()}
-        )
+        drawn = out.draw({name: functools.partial(_picture, make) for name, make in pictures.items()})
         if plan is not None and not found.missing:
             page = functools.partial(_report, out, found, record, plan, drawn)
             drawn += out.draw({"report.html": page})
@@ -165,6 +163,15 @@ def _finish(
         out.say_kept()
         return say("jexplore: interrupted, what was finished was written", 130)
     return 0
+
+
+def _picture(make, path):
+    """Draws a picture, as PNG and as SVG."""
+    from jexplore.report import plot
+
+    figure = make()
+    plot.save_figure(figure, path)
+    plot.save_figure(figure, path.with_suffix(".svg"))
 
 
 def _report(out, found, record, plan, drawn, path):

@@ -108,18 +108,15 @@ def prepare_site(
     Returns:
       `Site` of numpy arrays.
     """
-    from scipy import ndimage
-
     height, width = world.shape
     shape = shape or (bucket(height), bucket(width))
     pad = [(0, full - n) for full, n in zip(shape, world.shape)]
     rooms = world.rooms if world.rooms is not None else np.full(world.shape, -1, np.int32)
-    # Ignored types: of scipy, which says too little; numpy on the host, where the record says what it is on the device.
-    region = ndimage.label(~world.occupied)[0].astype(np.int32)  # type: ignore[index]
+    # Ignored types: numpy on the host, where the record says what it is on the device.
     truth = Truth(
         occupied=np.pad(world.occupied, pad, constant_values=True),  # type: ignore[arg-type]
         rooms=np.pad(rooms, pad, constant_values=-1),  # type: ignore[arg-type]
-        region=np.pad(region, pad),  # type: ignore[arg-type]
+        region=np.pad(_regions(world.occupied), pad),  # type: ignore[arg-type]
         extent=np.asarray(world.shape, np.int32),  # type: ignore[arg-type]
     )
     limit = max(LEAST_LIMIT, height * width)
@@ -143,9 +140,16 @@ def prepare_site(
         dropout=np.float32(lidar.dropout),  # type: ignore[arg-type]
         params=(),
     )
-    plain = Lidar(lidar.n_beams, lidar.fov_deg, lidar.range_m)
-    beams = _beams(plain, world.cell_m, shape[1], max(one.range_m for one, _ in everyone))
+    longest_m = max(one.range_m for one, _ in everyone)
+    beams = _beams(lidar.n_beams, lidar.fov_deg, lidar.range_m, world.cell_m, shape[1], longest_m)
     return Site(truth, beams, _setup(everyone, world.cell_m, shape, limit), numbers)
+
+
+def _regions(occupied):
+    """Number of each 4-connected region of free cells: `[H, W]` int32."""
+    from scipy import ndimage
+
+    return ndimage.label(~occupied)[0].astype(np.int32)  # type: ignore[index]  # scipy says too little
 
 
 def _setup(everyone, cell_m, shape, limit):
@@ -163,9 +167,9 @@ def _setup(everyone, cell_m, shape, limit):
 
 
 @functools.lru_cache(maxsize=8)
-def _beams(lidar, cell_m, width, longest_m):
+def _beams(n_beams, fov_deg, range_m, cell_m, width, longest_m):
     """The same table for all rules and noise: megabytes."""
-    return beam_table(lidar, cell_m, width, longest_m)
+    return beam_table(Lidar(n_beams, fov_deg, range_m), cell_m, width, longest_m)
 
 
 def line_of(

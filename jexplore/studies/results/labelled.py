@@ -11,9 +11,6 @@ from jexplore.studies.results.units import COLUMNS
 if TYPE_CHECKING:
     import pandas as pd
 
-    from jexplore.studies.comparison import Comparison
-    from jexplore.studies.sweeps.run import Swept
-
 UNITS = {
     **dict.fromkeys(("path_m", "path_m_at_50", "path_m_at_90", "path_m_at_95", "path_m_at_99", "progress_m"), "m"),
     **{"turning_rad": "rad", "start_heading_deg": "degree", "explored_fraction": "1", "cell_m": "m"},
@@ -62,7 +59,7 @@ def _with_units(found: Any) -> Any:
     return found
 
 
-def of_comparison(found: "Comparison") -> Any:
+def of_comparison(found: Any) -> Any:
     """A `Comparison` as an `xarray.Dataset`.
 
     Args:
@@ -129,7 +126,7 @@ def _largest(found):
     return tuple(max((shape[axis] for shape in shapes), default=0) for axis in (0, 1))
 
 
-def of_sweep(found: "Swept") -> Any:
+def of_sweep(found: Any) -> Any:
     """A `Swept` as an `xarray.Dataset`.
 
     Args:

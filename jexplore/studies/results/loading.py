@@ -96,19 +96,30 @@ def load(path: str | os.PathLike[str]) -> Any:
 
     Returns:
       What the function of that name returned: a `Comparison` for compare, a `Reproduction` for reproduce, a `Swept` for
-        sweep and merge. For other commands a `pandas.DataFrame`, the table that they wrote.
+        sweep and merge. For trace, segment, explore and worlds a `pandas.DataFrame`: a row a run, a score, the
+        episode, a world. For bench what bench.json holds, a dict.
 
     Raises:
       InputError: no folder of a run, a run that was not finished, a file that is gone or damaged.
     """
+    import pandas as pd
+
     folder = Path(os.path.expanduser(path))
     record = _record(folder)
     command = record["command"][1]
     if record.get("asked", {}).get("command") == "sweep":
         return _sweep(folder, record)
-    for name, read in READERS.items():
+    if (folder / "episodes.parquet").is_file():
+        return _comparison(folder, record, command)
+    for name in ("runs.parquet", "scores.parquet"):
         if (folder / name).is_file():
-            return read(folder, record, command)
+            return store.read_parquet(folder / name)
+    for name, entry in (("explore", "result"), ("worlds", "worlds")):
+        if command == name and entry in record:
+            found = record[entry]
+            return pd.DataFrame(found if isinstance(found, list) else [found])
+    if (folder / "bench.json").is_file():
+        return json.loads((folder / "bench.json").read_text(encoding="utf-8"))
     raise InputError(f"{os.fspath(path)}: `jexplore {command}` leaves no table to be read")
 
 
@@ -198,11 +209,3 @@ def merge(parts: Sequence[str | os.PathLike[str]]) -> tuple[Swept, Plan]:
         engine=tables[0].costs.engine,
     )
     return Swept(plan.spec, table, tuple(plan.columns), costs), plan
-
-
-READERS = {
-    "episodes.parquet": _comparison,
-    "runs.parquet": lambda folder, record, command: store.read_parquet(folder / "runs.parquet"),
-    "scores.parquet": lambda folder, record, command: store.read_parquet(folder / "scores.parquet"),
-}
-"""Table of a run -> `(folder, record, command)`: what reads it."""
