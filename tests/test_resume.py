@@ -70,7 +70,8 @@ def test_a_run_that_is_killed_again_and_again_comes_out_the_same(want, tmp_path)
     said, complained = process.communicate(timeout=300)
     assert process.returncode == 0, complained
     assert files(folder) == [
-        *("compare.png", "coverage.png", "details.npz", "episodes.parquet", "paths.png", "report.html", "run.json")
+        *("compare.png", "compare.svg", "coverage.png", "coverage.svg", "details.npz", "episodes.parquet"),
+        *("paths.png", "report.html", "run.json"),
     ]
     pd.testing.assert_frame_equal(pd.read_parquet(folder / "episodes.parquet"), want.episodes)
     assert json.loads((folder / "run.json").read_text())["resumed"] >= 8 * before

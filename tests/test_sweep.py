@@ -2,6 +2,7 @@
 
 import itertools
 import json
+import re
 
 import numpy as np
 import pandas as pd
@@ -14,7 +15,7 @@ from jexplore.engine import devices
 from jexplore.exploration import batch
 from jexplore.studies.results.units import COLUMNS
 from jexplore.studies.sweeps.plan import Block, in_shard, prepare_sweep
-from jexplore.studies.sweeps.run import sweep
+from jexplore.studies.sweeps.run import ready, sweep
 from jexplore.studies.sweeps.spec import Range, Sweep, plain, read_spec, sweep_from
 
 WORLDS = ["rooms:width_m=5,height_m=5", "maze:width_m=5,height_m=5"]
@@ -295,7 +296,8 @@ def test_the_command_and_its_parts(tmp_path, capsys, monkeypatch):
     assert "| rooms:width_m=5,height_m=5 |" in said
     names = "episodes.parquet, summary.csv, sweep.yaml, run.json, sweep.png, sweep-map.png, report.html"
     assert said.splitlines()[-1] == f"wrote {names} to whole/"
-    assert sorted(path.name for path in (tmp_path / "whole").iterdir()) == sorted(names.split(", "))
+    files = [*names.split(", "), "sweep.svg", "sweep-map.svg"]
+    assert sorted(path.name for path in (tmp_path / "whole").iterdir()) == sorted(files)
     whole = jx.load("whole")
     assert whole.spec == read_spec("s.yaml")
     pd.testing.assert_frame_equal(pd.read_csv("whole/summary.csv"), whole.summary, check_dtype=False)
@@ -342,3 +344,62 @@ def test_bad_commands_are_one_line(options, message, tmp_path, capsys, monkeypat
     assert message in said
     assert said.count("\n") == 1
     assert sorted(path.name for path in tmp_path.iterdir()) == ["long.yaml", "s.yaml"]
+
+
+ROBOTS = """
+worlds: [course]
+robots: [kamui, wheeled]
+episodes: 3
+noise: {range_m: [0.01, 0.03]}
+tuning: {votes: [1, 5]}
+"""
+
+
+@pytest.mark.jit
+def test_robots_that_write_maps(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "r.yaml").write_text(ROBOTS)
+    assert main.main(["sweep", "r.yaml", "--dry-run"]) == 0
+    assert capsys.readouterr().out.startswith(
+        "4 settings x 1 worlds x 2 robots x 3 runs = 24 runs\n2 units of about 12"
+    )
+    assert main.main(["sweep", "r.yaml", "--out", "whole", "--workers", "1"]) == 0
+    assert "| course | kamui " in capsys.readouterr().out
+    found = jx.load("whole")
+    table = found.to_pandas()
+    assert table[["setting", "robot", "run"]].to_numpy().tolist() == [
+        [setting, robot, run] for setting in range(4) for robot in ("kamui", "wheeled") for run in range(3)
+    ]
+    assert found.varied == ["tuning.votes", "noise.range_m"]
+    for setting, (votes, range_m) in enumerate(itertools.product([1, 5], [0.01, 0.03])):
+        own = table[(table["setting"] == setting) & (table["robot"] == "kamui")]
+        assert own[["tuning.votes", "noise.range_m"]].drop_duplicates().to_numpy().tolist() == [[votes, range_m]]
+        alone = jx.trace("course", runs=3, tuning=jx.Tuning(votes=votes), noise=jx.Noise(range_m=range_m)).table
+        for name in ("path_m", "code", "steps", "outcome", "drift_m"):
+            assert own[name].tolist() == alone[name].tolist()
+    assert found.summary["n"].tolist() == [3] * 8
+    assert found.summary["goal"].iloc[0] == 1
+    with pytest.raises(InputError, match="use to_pandas"):
+        found.to_xarray()
+    for i in (1, 2):
+        assert main.main(["sweep", "r.yaml", "--shard", f"{i}/2", "--out", f"part{i}", "--workers", "1"]) == 0
+    assert main.main(["merge", "part1", "part2", "--out", "merged"]) == 0
+    pd.testing.assert_frame_equal(jx.load("merged").episodes, table)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"lidar": {"range_m": 4}}, "lidar is for strategies, not for robots"),
+        ({"robots": [], "noise": {"range_m": 0.1}}, "noise is for robots, such as robots: [kamui]"),
+        ({"robots": ["r2d2"]}, "robot must be one of kamui, wheeled, got 'r2d2'"),
+        ({"robots": ["kamui", "kamui"]}, "robots must differ"),
+        ({"tuning": {"vote": 3}}, "unknown field of tuning 'vote'; did you mean 'votes'?"),
+        ({"tuning": {"votes": 0}}, "votes"),
+        ({"noise": {"range_m": -1}}, "noise.range_m must be"),
+        ({"start": "world"}, "start is for strategies"),
+    ],
+)
+def test_what_robots_are_not_asked(change, message):
+    with pytest.raises(InputError, match=re.escape(message)):
+        ready(sweep_from({"worlds": ["course"], "robots": ["kamui"], **change}))

@@ -63,7 +63,7 @@ class Sweep:
         """Runs the command; returns the exit status, None for 0."""
         from jexplore.engine.runner import own_cores
         from jexplore.studies.sweeps import plan as plans
-        from jexplore.studies.sweeps.run import run_sweep
+        from jexplore.studies.sweeps.run import ready, run_sweep
         from jexplore.studies.sweeps.spec import read_spec
 
         if not self.spec:
@@ -71,7 +71,7 @@ class Sweep:
         shard = shard_of(self.shard)
         spec = read_spec(self.spec)
         with note("jexplore: loading worlds"):
-            plan = plans.prepare_sweep(spec)
+            plan = ready(spec)
         numbers = plans.in_shard(len(plan.units), shard)
         if not numbers:
             raise InputError(f"--shard {self.shard}: the sweep has only {len(plan.units)} units; use fewer parts")
@@ -89,8 +89,8 @@ class Sweep:
                 return _show_finished(out)
             engine = None if self.engine == "auto" else self.engine
             how: dict[str, Any] = {"engine": engine, "lanes": self.lanes, "workers": self.workers}
-            total = sum(block.n for number in numbers for block in plan.units[number])
-            with working(total, "episodes") as on_progress:
+            total = sum(plan.size(number) for number in numbers)
+            with working(total, "runs" if spec.robots else "episodes") as on_progress:
                 found = run_sweep(plan, ledger=ledger, shard=shard, **how, on_progress=on_progress)
             with note(FINISHING):
                 return _finish(out, found, arguments, self, shard, plan if self.report else None)
@@ -153,7 +153,7 @@ def _finish(
     finally:  # a reader of the output who goes away costs no pictures
         pictures = {f"sweep{tail}.png": make for tail, make in found.figures().items()}
         drawn = out.draw({name: functools.partial(_picture, make) for name, make in pictures.items()})
-        if plan is not None and not found.missing:
+        if plan is not None and not found.missing and not found.spec.robots:
             page = functools.partial(_report, out, found, record, plan, drawn)
             drawn += out.draw({"report.html": page})
     if found.missing:

@@ -45,6 +45,14 @@ class Costs:
         self.room += int(np.sum(usage.turns)) * n_lanes
         self.group_room += int(np.sum(usage.groups)) * deciders
 
+    def plus(self, later: "Costs") -> "Costs":
+        """Those of two runs, one after the other."""
+        total = dataclasses.replace(later)
+        for name in ("compile_s", "run_s", "advanced", "room", "decided", "group_room"):
+            setattr(total, name, getattr(self, name) + getattr(later, name))
+        total.interrupted = self.interrupted or later.interrupted
+        return total
+
     @property
     def useful(self) -> float | None:
         """Share of the lanes that advanced, over all turns; None if none could, as in the serial engine."""

@@ -19,9 +19,10 @@ from jexplore.studies.comparison import Comparison
 from jexplore.studies.papers import PAPERS
 from jexplore.studies.reproduction import Reproduction, notes_of, world_names
 from jexplore.studies.results.units import COLUMNS, Seen
-from jexplore.studies.sweeps.plan import Plan, prepare_sweep
-from jexplore.studies.sweeps.run import Swept, ordered
+from jexplore.studies.sweeps.plan import Plan
+from jexplore.studies.sweeps.run import Swept, ordered, ready
 from jexplore.studies.sweeps.spec import read_spec
+from jexplore.studies.sweeps.traces import TracePlan
 from jexplore.worlds.world import World
 
 if TYPE_CHECKING:
@@ -152,13 +153,13 @@ def _comparison(folder, record, command):
 
 
 def _sweep(folder, record):
-    episodes = store.read_parquet(folder / "episodes.parquet", required=[*COLUMNS, *record["columns"]])
+    episodes = store.read_parquet(folder / "episodes.parquet", required=record["columns"])
     costs = Costs(compile_s=record["compile_s"] or 0.0, run_s=record["run_s"] or 0.0, engine=record["engine"])
     spec, columns = read_spec(folder / "sweep.yaml"), tuple(record["columns"])
     return Swept(spec, episodes, columns, costs, record["interrupted"], record["resumed"])
 
 
-def merge(parts: Sequence[str | os.PathLike[str]]) -> tuple[Swept, Plan]:
+def merge(parts: Sequence[str | os.PathLike[str]]) -> tuple[Swept, Plan | TracePlan]:
     """The parts of a sweep put together.
 
     Args:
@@ -198,7 +199,7 @@ def merge(parts: Sequence[str | os.PathLike[str]]) -> tuple[Swept, Plan]:
     missing = [f"{i + 1}/{n}" for i in range(n) if i not in places]
     if missing:
         raise InputError(f"all parts must be given, and {', '.join(missing)} are not")
-    plan = prepare_sweep(tables[0].spec)
+    plan = ready(tables[0].spec)
     asked = plan.asked()
     if any(store.jsonable(asked[key]) != next(iter(pages.values()))[key] for key in ("version", "spec", "digests")):
         raise InputError("the sweep's worlds or jexplore itself have changed since the parts were made")

@@ -51,7 +51,7 @@ class Plan:
 
     spec: Sweep
     settings: list[dict[str, Any]]
-    records: list[tuple[int, float, Lidar, Rules]]
+    records: list[tuple[Any, ...]]
     strategies: list[Strategy]
     parameters: list[dict[str, Any]]
     """Of every strategy, those of its parameters that are settings."""
@@ -72,7 +72,8 @@ class Plan:
     def alike(self) -> list[tuple[Lidar, Rules]]:
         """Scanners and rules that bound those of all settings, see `site.prepare_site`."""
         widest: dict[int, Lidar] = {}
-        for _, _, lidar, _ in self.records:
+        for record in self.records:
+            lidar: Lidar = record[2]
             one = widest.get(lidar.n_beams, lidar)
             widest[lidar.n_beams] = dataclasses.replace(
                 lidar,
@@ -112,6 +113,10 @@ class Plan:
             "digests": self.digests,
             "shard": None if shard is None else list(shard),
         }
+
+    def size(self, unit: int) -> int:
+        """Episodes of a unit."""
+        return sum(block.n for block in self.units[unit])
 
     def world(self, number: int, cell_m: float) -> World:
         """A world, loaded."""
@@ -230,13 +235,16 @@ def in_shard(units: int, shard: tuple[int, int] | None) -> list[int]:
     return list(range(units)) if shard is None else list(range(shard[0], units, shard[1]))
 
 
-def summary_lines(plan: Plan, workers: int, units: Sequence[int]) -> list[str]:
-    """What `--dry-run` says."""
+def summary_lines(plan: Any, workers: int, units: Sequence[int]) -> list[str]:
+    """What `--dry-run` says of a `Plan` or a `TracePlan`."""
     seconds = plan.seconds(workers) * len(units) / max(len(plan.units), 1)
-    what = f"{len(plan.settings):,} settings x {len(plan.spec.worlds)} worlds x {len(plan.strategies)} strategies"
+    n_who, who, what = len(plan.spec.robots or plan.strategies), "robots", "runs"
+    if not plan.spec.robots:
+        who, what = "strategies", "episodes"
+    head = f"{len(plan.settings):,} settings x {len(plan.spec.worlds)} worlds x {n_who} {who}"
     return [
-        f"{what} x {plan.spec.episodes:,} episodes = {plan.episodes:,} episodes",
-        f"{len(units):,} units of about {plan.episodes / max(len(plan.units), 1):,.0f} episodes",
+        f"{head} x {plan.spec.episodes:,} {what} = {plan.episodes:,} {what}",
+        f"{len(units):,} units of about {plan.episodes / max(len(plan.units), 1):,.0f} {what}",
         f"{plan.programs:,} compiled programs, one for every size of map, clearance in cells and number of beams",
         f"about {duration(seconds)} on {workers} cores, within a factor of three",
     ]

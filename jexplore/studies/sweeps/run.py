@@ -21,6 +21,7 @@ from jexplore.studies.results.units import COLUMNS, Unit, piece_of
 from jexplore.studies.statistics.paired import paired_ratio
 from jexplore.studies.sweeps.plan import Plan, in_shard, prepare_sweep
 from jexplore.studies.sweeps.spec import Sweep, read_spec, sweep_from
+from jexplore.studies.sweeps.traces import TracePlan, prepare_traces, run_traces, summarise_traces, traces_table
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -37,7 +38,8 @@ class Swept:
     spec: Sweep
     episodes: "pd.DataFrame"
     """One row an episode, ordered by setting, world, strategy, episode; columns `units.COLUMNS`, and the settings:
-    `setting` (its number), `lidar.range_m`, `strategy.weight`, ..."""
+    `setting` (its number), `lidar.range_m`, `strategy.weight`, ... Of robots one row a run, as in
+    `jx.trace(...).table`, with `tuning.votes`, ..."""
     columns: tuple[str, ...]
     """Names of the columns of settings."""
     costs: Costs
@@ -50,9 +52,13 @@ class Swept:
     def summary(self) -> "pd.DataFrame":
         """One row a setting, world and strategy: `n`, `mean` and `sd` of the path, metres, the paired `ratio` to the
         first strategy with `ratio_low` and `ratio_high` (95 %, see `paired.paired_ratio`), mean `explored_fraction`,
-        share `complete`; and the columns of settings.
+        share `complete`; and the columns of settings. Of robots: see `traces.summarise_traces`.
         """
-        return summarise(self.episodes, self.columns)
+        return (
+            summarise_traces(self.episodes, self.columns)
+            if self.spec.robots
+            else summarise(self.episodes, self.columns)
+        )
 
     def to_pandas(self) -> "pd.DataFrame":
         """The table of episodes."""
@@ -62,12 +68,14 @@ class Swept:
         """The table as an `xarray.Dataset` with labelled dimensions: see `labelled.of_sweep`."""
         from jexplore.studies.results import labelled
 
+        if self.spec.robots:
+            raise InputError("runs of robots have no labelled arrays: use to_pandas()")
         return labelled.of_sweep(self)
 
     def to_markdown(self, rows: int | None = None) -> str:
         """The summary as a Markdown table, only so many rows of it."""
         shown = self.summary if rows is None else self.summary.head(rows)
-        text = summary_table(shown, self.varied)
+        text = (traces_table if self.spec.robots else summary_table)(shown, self.varied)
         left = len(self.summary) - len(shown)
         return text + (f"\n... and {left:,} more rows: summary.csv, or jx.load(DIR).summary\n" if left else "")
 
@@ -81,6 +89,8 @@ class Swept:
         """Pictures of the sweep, of the first numbers that are varied: end of a file's name -> what draws it."""
         from jexplore.studies.statistics import figures
 
+        if self.spec.robots:
+            return {}
         numbers = [name for name in self.varied if self.episodes[name].dtype.kind in "iuf"]
         drawn: dict[str, Callable[[], Any]] = (
             {"": functools.partial(figures.response_figure, self.episodes, numbers[0])} if numbers else {}
@@ -184,20 +194,11 @@ def run_block_units(
         except KeyboardInterrupt:
             costs.interrupted = True
             return costs
-        costs = _added(costs, found)
+        costs = costs.plus(found)
         done += sum(block.n for _, block in blocks)
         if costs.interrupted:
             break
     return costs
-
-
-def _added(one, other):
-    """`Costs` of two runs, one after the other."""
-    total = dataclasses.replace(other)
-    for name in ("compile_s", "run_s", "advanced", "room", "decided", "group_room"):
-        setattr(total, name, getattr(one, name) + getattr(other, name))
-    total.interrupted = one.interrupted or other.interrupted
-    return total
 
 
 def _windows(plan: Plan, numbers: Sequence[int]) -> Iterator[list[int]]:
@@ -244,7 +245,7 @@ def _joined(plan, tables):
 
 
 def run_sweep(
-    plan: Plan,
+    plan: Plan | TracePlan,
     *,
     ledger: Ledger | None = None,
     shard: tuple[int, int] | None = None,
@@ -256,7 +257,7 @@ def run_sweep(
     """Runs the units of a sweep that the ledger does not have.
 
     Args:
-      plan: `Plan`.
+      plan: from `ready`.
       ledger: where units are kept as soon as they are finished.
       shard: `(i, n)`: only every n-th unit, from the i-th on.
       engine: as in `batch.run_jobs`, or "ray": units are tasks of a Ray cluster.
@@ -283,18 +284,23 @@ def run_sweep(
 
     left = [number for number in numbers if number not in tables]
     progress = None if on_progress is None else (lambda done: on_progress(done + resumed))
-    if engine == "ray":
+    if isinstance(plan, TracePlan):
+        if engine == "ray":
+            raise InputError("engine ray is for strategies: a sweep of robots runs on this machine, or by --shard")
+        how: dict[str, Any] = {"engine": engine, "lanes": lanes, "workers": workers}
+        costs = run_traces(plan, left, on_unit, **how, on_progress=progress) if left else Costs()
+    elif engine == "ray":
         from jexplore.studies.sweeps import cluster
 
         costs = cluster.run_units(plan, left, on_unit, on_progress=progress)
     else:
         use_compilation_cache()
-        how: dict[str, Any] = {"engine": engine, "lanes": lanes, "workers": workers}
+        how = {"engine": engine, "lanes": lanes, "workers": workers}
         costs = run_block_units(plan, left, on_unit, **how, on_progress=progress) if left else Costs()
     if not tables:
         raise KeyboardInterrupt
     table = ordered(pd.concat([tables[i] for i in sorted(tables)], ignore_index=True), plan)
-    wanted = sum(block.n for number in numbers for block in plan.units[number])
+    wanted = sum(plan.size(number) for number in numbers)
     return Swept(plan.spec, table, tuple(plan.columns), costs, wanted - len(table), resumed)
 
 
@@ -309,8 +315,10 @@ def labelled(replays: Sequence[Any], jobs: Sequence[tuple[Any, Mapping[str, Any]
     return [dataclasses.replace(one, which=texts[one.world, one.strategy].pop(0)) for one in replays]
 
 
-def ordered(table: "pd.DataFrame", plan: Plan) -> "pd.DataFrame":
-    """Rows by setting, world, strategy, episode, in the order of the spec."""
+def ordered(table: "pd.DataFrame", plan: Plan | TracePlan) -> "pd.DataFrame":
+    """Rows by setting, world, strategy or robot, and episode or run, in the order of the spec."""
+    if isinstance(plan, TracePlan):
+        return plan.ordered(table)
     worlds = {os.fspath(name): i for i, name in enumerate(plan.spec.worlds)}
     names = {strategy.name: i for i, strategy in enumerate(plan.strategies)}
     strategy, world = [names[name] for name in table["strategy"]], [worlds[name] for name in table["world"]]
@@ -346,7 +354,12 @@ def sweep(
     if not isinstance(spec, Sweep):
         raise InputError(f"a sweep must be a jx.Sweep, a mapping or a YAML file, got {spec!r}")
     how: dict[str, Any] = {"engine": engine, "lanes": lanes, "workers": workers}
-    return run_sweep(prepare_sweep(spec), **how, on_progress=on_progress)
+    return run_sweep(ready(spec), **how, on_progress=on_progress)
+
+
+def ready(spec: Sweep) -> Plan | TracePlan:
+    """What `run_sweep` takes of a sweep of episodes, or of one of robots that write maps. Raises as `prepare_sweep`."""
+    return prepare_traces(spec) if spec.robots else prepare_sweep(spec)
 
 
 __all__ = ["COLUMNS", "Swept", "run_block_units", "run_sweep", "summarise", "summary_table", "sweep"]

@@ -12,13 +12,15 @@ from typing import Any
 import numpy as np
 
 from jexplore.config import MAX_SEED, InputError, Lidar, Rules, require_number, require_whole, unknown
+from jexplore.driving.settings import Noise, Tuning
 from jexplore.report.store import reason
 
 MAX_SETTINGS = 100_000
 MAX_TOTAL = 100_000_000  # episodes
 DRAWS = ("random", "sobol")
 RANGE = ("low", "high", "log")
-_LIDAR, _RULES = ({field.name: field for field in dataclasses.fields(kind)} for kind in (Lidar, Rules))
+PARTS = {"lidar": Lidar, "rules": Rules, "tuning": Tuning, "noise": Noise}
+_FIELDS_OF = {name: {field.name: field for field in dataclasses.fields(kind)} for name, kind in PARTS.items()}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -58,6 +60,13 @@ class Sweep:
     """Fields of `jx.Lidar`."""
     rules: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     """Fields of `jx.Rules`."""
+    robots: tuple[str, ...] = ()
+    """Robots that write Behavioral Trace Maps, as `jx.trace` takes them: then runs of these are made instead of
+    episodes of strategies, `episodes` of each."""
+    tuning: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    """Fields of `jx.Tuning`, for robots."""
+    noise: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    """Fields of `jx.Noise`, for robots."""
     settings: tuple[Mapping[str, Any], ...] = ()
     """Settings one by one instead of a product: mappings such as `{lidar.range_m: 4, rules.clearance_m: 0.2}`; with the
     product of the rest."""
@@ -67,7 +76,7 @@ class Sweep:
     """How: "sobol" (scrambled, even) or "random"."""
 
     def __post_init__(self) -> None:
-        for name in ("worlds", "strategies", "settings"):
+        for name in ("worlds", "strategies", "settings", "robots"):
             given = getattr(self, name)
             if isinstance(given, (str, os.PathLike)) or (name == "strategies" and isinstance(given, Mapping)):
                 given = (given,)
@@ -88,7 +97,12 @@ class Sweep:
             raise unknown("draw", str(self.draw), DRAWS)
         if self.draws is not None:
             require_whole("draws", self.draws, 1, MAX_SETTINGS)
-        for name, known in (("lidar", _LIDAR), ("rules", _RULES)):
+        others = ("lidar", "rules") if self.robots else ("tuning", "noise")
+        for name in others:
+            if getattr(self, name):
+                need = "strategies, not for robots" if self.robots else "robots, such as robots: [kamui]"
+                raise InputError(f"{name} is for {need}")
+        for name, known in _FIELDS_OF.items():
             given = getattr(self, name)
             if not isinstance(given, Mapping):
                 raise InputError(f"{name} must be a mapping such as {{{next(iter(known))}: ...}}, got {given!r}")
@@ -105,8 +119,8 @@ class Sweep:
     def axes(self) -> dict[str, Any]:
         """What is varied: dotted name -> list of values, or a `Range`."""
         given = {"seed": self.seed, "cell_m": self.cell_m}
-        given |= {f"lidar.{key}": value for key, value in self.lidar.items()}
-        given |= {f"rules.{key}": value for key, value in self.rules.items()}
+        for part in PARTS:
+            given |= {f"{part}.{key}": value for key, value in getattr(self, part).items()}
         return {key: _axis(key, value) for key, value in given.items()}
 
     def expanded(self) -> list[dict[str, Any]]:
@@ -152,8 +166,8 @@ class Sweep:
             shares = np.random.default_rng(seed).random((int(self.draws or 1), len(axes)))
         return [{key: _taken(key, axis, float(s)) for (key, axis), s in zip(axes.items(), row)} for row in shares]
 
-    def records(self) -> list[tuple[int, float, Lidar, Rules]]:
-        """Of every setting of `expanded` seed, cell size, scanner and rules.
+    def records(self, *parts: str) -> list[tuple[Any, ...]]:
+        """Of every setting of `expanded` seed, cell size and, by default, scanner and rules; else these of `PARTS`.
 
         Raises:
           InputError: a value that cannot be used, naming it.
@@ -162,8 +176,8 @@ class Sweep:
         for setting in self.expanded():
             seed = require_whole("seed", setting["seed"], 0, MAX_SEED)
             cell_m = require_number("cell_m", setting["cell_m"], low_open=True)
-            parts = {kind: _part(setting, kind) for kind in ("lidar", "rules")}
-            found.append((seed, float(cell_m), Lidar(**parts["lidar"]), Rules(**parts["rules"])))
+            made = [PARTS[part](**_part(setting, part)) for part in parts or ("lidar", "rules")]
+            found.append((seed, float(cell_m), *made))
         return found
 
     def strategy_list(self) -> list[tuple[str, dict[str, Any]]]:
@@ -196,17 +210,15 @@ class Sweep:
 
 
 def _require_key(key):
-    kind, _, name = str(key).partition(".")
-    known = {"lidar": _LIDAR, "rules": _RULES}.get(kind)
-    if key in ("seed", "cell_m") or (known is not None and name in known):
-        return
-    names = ["seed", "cell_m", *(f"lidar.{name}" for name in _LIDAR), *(f"rules.{name}" for name in _RULES)]
-    raise unknown("setting", str(key), names)
+    part, _, name = str(key).partition(".")
+    if key not in ("seed", "cell_m") and name not in _FIELDS_OF.get(part, {}):
+        names = ["seed", "cell_m", *(f"{part}.{name}" for part, fields in _FIELDS_OF.items() for name in fields)]
+        raise unknown("setting", str(key), names)
 
 
 def _default(key):
-    kind, _, name = key.partition(".")
-    return {"seed": 0, "cell_m": 0.1}[key] if not name else {"lidar": _LIDAR, "rules": _RULES}[kind][name].default
+    part, _, name = key.partition(".")
+    return {"seed": 0, "cell_m": 0.1}[key] if not name else _FIELDS_OF[part][name].default
 
 
 def _part(setting, kind):
@@ -242,7 +254,7 @@ def _taken(key, axis, share):
     if isinstance(axis, list):
         return axis[min(int(share * len(axis)), len(axis) - 1)]
     kind, _, name = key.partition(".")
-    field = {"lidar": _LIDAR, "rules": _RULES}.get(kind, {}).get(name)
+    field = _FIELDS_OF.get(kind, {}).get(name)
     whole = key == "seed" or (field is not None and field.type in (int, int | None))
     return round(axis.at(share)) if whole else axis.at(share)
 

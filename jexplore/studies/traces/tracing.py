@@ -152,7 +152,7 @@ class _Made:
         unit = self.left[place]
         at = slice(self.blocks[unit][0], sum(self.blocks[unit]))
         own = {name: values[at] for name, values in self.chosen.items()}
-        self.tables[unit], found = _table(self.plan, result, self.setting[at], self.which[at], own)
+        self.tables[unit], found = table_of(self.plan, result, self.setting[at], self.which[at], own)
         self.maps.update(enumerate(found, at.start))
         if unit == 0 and driven is not None:
             self.first = found[0], driven
@@ -219,7 +219,15 @@ def map_of(plan: TraceJob, result: Any, i: int) -> BtmMap:
     return btm.to_map(own, origin_m=plan.world.origin_m, **about)
 
 
-def _table(plan, result, setting, which, chosen):
+def table_of(plan: TraceJob, result: Any, setting: Any, which: Any, chosen: dict[str, Any]) -> tuple[Any, list[BtmMap]]:
+    """The table of runs that have ended, and the maps of all.
+
+    Args:
+      plan: `TraceJob`.
+      result: `Result` of n runs.
+      setting, which: `[n]` int, numbers of setting and run.
+      chosen: name -> `[n]`, further columns.
+    """
     import pandas as pd
 
     maps = [map_of(plan, result, i) for i in range(len(which))]

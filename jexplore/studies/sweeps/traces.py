@@ -1,0 +1,241 @@
+"""Sweeps of robots that write Behavioral Trace Maps: thresholds and noise as settings.
+
+pandas is imported by the functions that need it.
+"""
+
+import dataclasses
+import os
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from jexplore.config import InputError
+from jexplore.driving import batch
+from jexplore.driving.batch import MAX_STEPS, numbers_of
+from jexplore.driving.settings import Noise, Tuning, require_noise, require_tuning
+from jexplore.engine.backend import use_compilation_cache
+from jexplore.engine.runner import Costs
+from jexplore.report.tables import aligned_table, number_text, spread_text
+from jexplore.studies.checks import require_different
+from jexplore.studies.results.provenance import digest
+from jexplore.studies.sweeps.spec import MAX_TOTAL, Sweep, plain
+from jexplore.studies.traces.job import NOISE, TraceJob, prepare_trace, with_values
+from jexplore.studies.traces.tracing import table_of
+from jexplore.version import __version__
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+UNIT = 256  # runs of a unit, about
+MOST_UNITS = 4096  # larger sweeps have larger units
+RUN_S = 0.1  # processor seconds of a run of the course, about (benchmarks/RESULTS.md, Behavioral Trace Maps)
+COMPILE_S = 25.0  # of compiling a program
+
+
+@dataclasses.dataclass(frozen=True)
+class Group:
+    """Runs of one robot in one world with one seed: one call of the engine, whatever the thresholds."""
+
+    world: int
+    robot: int
+    settings: list[int]
+    """Numbers of the settings, in order."""
+    job: TraceJob
+
+
+@dataclasses.dataclass(frozen=True)
+class TracePlan:
+    """A sweep of robots that can be run."""
+
+    spec: Sweep
+    settings: list[dict[str, Any]]
+    groups: list[Group]
+    units: list[tuple[int, int, int]]
+    """Of every unit group, first run and number of runs."""
+
+    @property
+    def episodes(self) -> int:
+        """Runs of the whole sweep."""
+        return sum(n for *_, n in self.units)
+
+    @property
+    def programs(self) -> int:
+        """Programs that are compiled: one for each size of world."""
+        return len({group.job.world.shape for group in self.groups})
+
+    @property
+    def columns(self) -> list[str]:
+        """Columns of settings in the table of runs."""
+        return ["setting", *(key for key in self.settings[0] if key != "seed")]
+
+    def size(self, unit: int) -> int:
+        """Runs of a unit."""
+        return self.units[unit][2]
+
+    def seconds(self, workers: int) -> float:
+        """About how long it takes on so many cores, compiling included."""
+        return (RUN_S * self.episodes + COMPILE_S * self.programs) / max(workers, 1)
+
+    def asked(self, shard: tuple[int, int] | None = None) -> dict[str, Any]:
+        """All that the results depend on, as plain values."""
+        return {
+            "version": __version__,
+            "spec": plain(self.spec),
+            "digests": [digest(group.job.world) for group in self.groups],
+            "shard": None if shard is None else list(shard),
+        }
+
+    def ordered(self, table: "pd.DataFrame") -> "pd.DataFrame":
+        """Rows by setting, world, robot and run, in the order of the spec."""
+        worlds = {os.fspath(name): i for i, name in enumerate(self.spec.worlds)}
+        robots = {name: i for i, name in enumerate(self.spec.robots)}
+        robot, world = [robots[name] for name in table["robot"]], [worlds[name] for name in table["world"]]
+        keys: Any = [table["run"].to_numpy(), robot, world, table["setting"].to_numpy()]
+        return table.iloc[np.lexsort(keys)].reset_index(drop=True)
+
+
+def prepare_traces(spec: Sweep) -> TracePlan:
+    """Checks everything that a sweep of robots is asked, and cuts its work.
+
+    Raises:
+      InputError: what cannot be run, in one line.
+    """
+    require_different("worlds", [os.fspath(world) for world in spec.worlds])
+    require_different("robots", list(spec.robots))
+    settings, records = spec.expanded(), spec.records("tuning", "noise")
+    for *_, tuning, noise in records:
+        require_tuning(tuning)
+        require_noise(noise)
+    total = spec.episodes * len(settings) * len(spec.worlds) * len(spec.robots)
+    if total > MAX_TOTAL:
+        raise InputError(f"a sweep may have {MAX_TOTAL:,} runs, got {total:,}; use fewer settings or runs")
+    if spec.start != "random":
+        raise InputError(f"start is for strategies: a robot starts where its world says, got {spec.start!r}")
+    together: dict[tuple[int, float], list[int]] = {}
+    for i, (seed, cell_m, *_) in enumerate(records):
+        together.setdefault((seed, cell_m), []).append(i)
+    groups = []
+    for world, name in enumerate(spec.worlds):
+        for robot, kind in enumerate(spec.robots):
+            for (seed, cell_m), own in together.items():
+                job = prepare_trace(name, robot=kind, runs=1, seed=seed, cell_m=cell_m)
+                groups.append(Group(world, robot, own, _with_settings(job, spec, records, own)))
+    size, units = max(UNIT, -(-total // MOST_UNITS)), []
+    for i, group in enumerate(groups):
+        n = len(group.settings) * spec.episodes
+        units += [(i, first, min(size, n - first)) for first in range(0, n, size)]
+    return TracePlan(spec, settings, groups, units)
+
+
+def _with_settings(job, spec, records, own):
+    """A job whose thresholds and noise are those of some settings."""
+    swept = {}
+    for part, kind, place in (("", Tuning, 2), (NOISE, Noise, 3)):
+        for field in dataclasses.fields(kind):
+            values = np.array([getattr(records[i][place], field.name) for i in own])
+            if len(set(values.tolist())) > 1 or values[0] != field.default:
+                swept[f"{part}{field.name}"] = values
+    return dataclasses.replace(job, runs=spec.episodes, swept=swept, settings=len(own), max_steps=MAX_STEPS)
+
+
+def run_traces(
+    plan: TracePlan,
+    numbers: Sequence[int],
+    on_unit: Callable[[int, "pd.DataFrame"], object],
+    *,
+    engine: str | None = None,
+    lanes: int | None = None,
+    workers: int | None = None,
+    on_progress: Callable[[int], object] | None = None,
+) -> Costs:
+    """Makes units of a sweep of robots.
+
+    Args:
+      plan: `TracePlan`.
+      numbers: of the units, in order.
+      on_unit: called with the number of a unit and its table, once all its runs have ended.
+      engine, lanes, workers, on_progress: as in `batch.run_missions`.
+
+    Returns:
+      `Costs`, added up; `interrupted` after Ctrl-C.
+    """
+    use_compilation_cache()
+    costs, done = Costs(), 0
+    for group in dict.fromkeys(plan.units[number][0] for number in numbers):
+        mine = [number for number in numbers if plan.units[number][0] == group]
+        progress = None if on_progress is None else (lambda n, done=done: on_progress(done + n))
+        how: dict[str, Any] = {"engine": engine, "lanes": lanes, "workers": workers, "on_progress": progress}
+        try:
+            found = _run_group(plan, group, mine, on_unit, how)
+        except KeyboardInterrupt:
+            costs.interrupted = True
+            return costs
+        costs = costs.plus(found)
+        done += sum(plan.size(number) for number in mine)
+        if costs.interrupted:
+            break
+    return costs
+
+
+def _run_group(plan, group, numbers, on_unit, how):
+    own, job = plan.groups[group], plan.groups[group].job
+    setting, which = np.repeat(own.settings, job.runs), np.tile(np.arange(job.runs, dtype=np.int32), len(own.settings))
+    chosen = {name: np.repeat(values, job.runs) for name, values in job.swept.items()}
+    if "votes" in chosen:
+        chosen["votes"] = chosen["votes"].astype(np.int32)
+    tuning, noise = with_values(job.tuning, job.noise, chosen)
+    blocks = [plan.units[number][1:] for number in numbers]
+
+    def on_block(place, result, driven):
+        first, n = blocks[place]
+        table, _ = table_of(job, result, setting[first : first + n], which[first : first + n], {})
+        for name in plan.columns[1:]:
+            table[name] = [plan.settings[i][name] for i in table["setting"]]
+        on_unit(numbers[place], table)
+
+    n, (robots, tunings, noises) = len(which), (job.robot, tuning, noise)
+    records = numbers_of(robots, n), numbers_of(tunings, n), numbers_of(noises, n)
+    return batch.run_missions(
+        job.building, *records, job.seed, which, max_steps=job.max_steps, blocks=blocks, on_block=on_block, **how
+    ).costs
+
+
+def summarise_traces(runs: "pd.DataFrame", columns: Sequence[str]) -> "pd.DataFrame":
+    """One row a setting, world and robot: `n` runs; `goal`, the share that reached the goal or left nothing to follow;
+    `true`, the share whose map is the world's true one (NaN without a truth); `same`, the share with the commonest map;
+    `mean` and `sd` of the path, metres; `contacts`, their mean number; and the columns of settings.
+    """
+    import pandas as pd
+
+    rows, own = [], [name for name in columns if name != "setting"]
+    for (setting, world, robot), some in runs.groupby(["setting", "world", "robot"], sort=False):  # type: ignore[misc]
+        known = some["true"].dropna()
+        rows.append(
+            {
+                **{"setting": setting, "world": world, "robot": robot},
+                **{name: some[name].iloc[0] for name in own},
+                "n": len(some),
+                "goal": some["outcome"].isin(["GOAL", "COMPLETE"]).mean(),
+                "true": known.astype(float).mean() if len(known) else np.nan,
+                "same": some["code"].value_counts().iloc[0] / len(some),
+                **{
+                    "mean": some["path_m"].mean(),
+                    "sd": some["path_m"].std(ddof=1),
+                    "contacts": some["contacts"].mean(),
+                },
+            }
+        )
+    return pd.DataFrame(rows)
+
+
+def traces_table(summary: Any, varied: Sequence[str]) -> str:
+    """Rows of `summarise_traces` as Markdown."""
+    head = ["world", "robot", *varied, "n", "reached", "true map", "commonest map", "path m", "contacts"]
+    lines = []
+    for _, row in summary.iterrows():
+        settings = [f"{row[name]:.4g}" if isinstance(row[name], float) else str(row[name]) for name in varied]
+        shares = ["-" if row[name] != row[name] else f"{100 * row[name]:.0f}%" for name in ("goal", "true", "same")]
+        path = [spread_text(row["mean"], row["sd"]), number_text(row["contacts"], 1)]
+        lines.append([row["world"], row["robot"], *settings, str(row["n"]), *shares, *path])
+    return aligned_table(head, lines, left=("world", "robot"))
