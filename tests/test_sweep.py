@@ -294,7 +294,7 @@ def test_the_command_and_its_parts(tmp_path, capsys, monkeypatch):
     assert main.main(["sweep", "s.yaml", "--out", "whole"]) == 0
     said = capsys.readouterr().out
     assert "| rooms:width_m=5,height_m=5 |" in said
-    names = "episodes.parquet, summary.csv, sweep.yaml, run.json, sweep.png, sweep-map.png, report.html"
+    names = "episodes.parquet, summary.csv, asked.yaml, run.json, sweep.png, sweep-map.png, report.html"
     assert said.splitlines()[-1] == f"wrote {names} to whole/"
     files = [*names.split(", "), "sweep.svg", "sweep-map.svg"]
     assert sorted(path.name for path in (tmp_path / "whole").iterdir()) == sorted(files)

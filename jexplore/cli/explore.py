@@ -16,8 +16,9 @@ from jexplore.config import InputError, Lidar, Rules, require_whole
 class Explore:
     """Run one episode and draw it.
 
-    Writes episode.png, episode.gif (known map, frontiers, target, path), map.yaml and map.pgm (the map at the end, for
-    ROS's map_server), report.html and run.json. It is one of the episodes of a comparison with the same options.
+    Writes episode.png, episode.gif (known map, frontiers, target, path), explored.yaml and explored.pgm (the map at the
+    end, for ROS's map_server), report.html and run.json. It is one of the episodes of a comparison with the same
+    options.
     """
 
     world: OneWorld = "cave"
@@ -99,7 +100,7 @@ class Explore:
             state = map_state(final.hits, final.misses, self.rules.p_free)
             write_ros(to_occupancy(state), path, cell_m=world.cell_m, origin_m=world.origin_m)
 
-        writers = {"episode.png": picture, "map.yaml": explored}
+        writers = {"episode.png": picture, "explored.yaml": explored}
         if found.final.plans is not None:
             writers["episode.gif"] = animation
         return out.draw(writers | ({"report.html": page} if self.report else {}))

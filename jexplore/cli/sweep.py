@@ -31,7 +31,7 @@ class Sweep:
 
     Reads what is varied from a YAML file, in which a list is an axis of the product: worlds: [cave, office],
     strategies: [closest, closest+recheck], episodes: 20, lidar: {range_m: [4, 8]}, rules: {clearance_m: [0.2, 0.3]}.
-    Prints a table and writes episodes.parquet (a row an episode, settings as columns), summary.csv, sweep.yaml,
+    Prints a table and writes episodes.parquet (a row an episode, settings as columns), summary.csv, asked.yaml,
     run.json and sweep.png. What is finished is kept on the way: a run that was ended, in whatever way, goes on with
     --resume.
     """
@@ -143,7 +143,7 @@ def _finish(
     files = {
         "episodes.parquet": lambda path: store.write_parquet(found.episodes, path),
         "summary.csv": lambda path: found.summary.to_csv(path, index=False),
-        "sweep.yaml": lambda path: path.write_text(yaml.safe_dump(plain(found.spec), sort_keys=False)),
+        "asked.yaml": lambda path: path.write_text(yaml.safe_dump(plain(found.spec), sort_keys=False)),
         "run.json": lambda path: store.write_json(record, path),
     }
     out.write(files, is_finished=not found.missing)

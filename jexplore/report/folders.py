@@ -17,11 +17,11 @@ from jexplore.report.store import reason, sync_folder
 OUR_FILES = (
     *("run.json", "episodes.parquet", "details.npz", "report.html"),
     *("compare.png", "coverage.png", "paths.png", "league.png", "compare.svg", "coverage.svg", "league.svg"),  # compare
-    *("episode.png", "episode.gif", "map.yaml", "map.pgm", "worlds.png"),  # explore, worlds
+    *("episode.png", "episode.gif", "explored.yaml", "explored.pgm", "worlds.png"),  # explore, worlds
     *("bench.json", "bench.png"),  # bench
     *("scores.parquet", "segments.png"),  # segment
     *("reproduce.png", "reproduce.svg"),  # reproduce
-    *("sweep.yaml", "summary.csv", "sweep.png", "sweep-map.png", "sweep.svg", "sweep-map.svg"),  # sweep
+    *("asked.yaml", "summary.csv", "sweep.png", "sweep-map.png", "sweep.svg", "sweep-map.svg"),  # sweep
     *("btm.json", "btm.geojson", "btm.graphml", "btm.png", "btm.html", "runs.parquet"),  # trace
 )
 """Names that a run writes into its folder: their presence marks it as taken, and only they are ever replaced."""

@@ -155,7 +155,7 @@ def _comparison(folder, record, command):
 def _sweep(folder, record):
     episodes = store.read_parquet(folder / "episodes.parquet", required=record["columns"])
     costs = Costs(compile_s=record["compile_s"] or 0.0, run_s=record["run_s"] or 0.0, engine=record["engine"])
-    spec, columns = read_spec(folder / "sweep.yaml"), tuple(record["columns"])
+    spec, columns = read_spec(folder / "asked.yaml"), tuple(record["columns"])
     return Swept(spec, episodes, columns, costs, record["interrupted"], record["resumed"])
 
 

@@ -214,7 +214,12 @@ def run_units(
         some = [job_of(jobs[cuts[i].job], cuts[i]) for i in left]
         progress = None if on_progress is None else (lambda done: on_progress(done + resumed))
         how: dict[str, Any] = {"engine": engine, "lanes": lanes, "workers": workers, "keep": keep, "alike": alike}
-        found = batch.run_jobs(some, Lidar(), Rules(), **how, on_progress=progress, on_job=on_job)
+        try:
+            found = batch.run_jobs(some, Lidar(), Rules(), **how, on_progress=progress, on_job=on_job)
+        except KeyboardInterrupt:
+            if not pieces:
+                raise
+            found = batch.Finished([], Costs(interrupted=True))
         costs = found.costs
         for place, outcomes in enumerate(found.outcomes):
             if left[place] not in pieces:

@@ -97,31 +97,38 @@ def execute(
     import pandas as pd
 
     made = _Made(plan, ledger)
-    resumed = sum(map(len, made.tables.values()))
-    costs = Costs()
+    resumed, costs = sum(map(len, made.tables.values())), Costs()
     if made.left:
-        n, (tuning, noise) = len(made.which), made.tuning_and_noise
-        report = batch.run_missions(
-            plan.building,
-            numbers_of(plan.robot, n),
-            numbers_of(tuning, n),
-            numbers_of(noise, n),
-            plan.seed,
-            made.which,
-            engine=engine,
-            lanes=lanes,
-            workers=workers,
-            max_steps=plan.max_steps,
-            on_progress=None if on_progress is None else (lambda done: on_progress(done + resumed)),
-            blocks=[made.blocks[i] for i in made.left],
-            on_block=made.put,
-        )
-        costs = report.costs
-        made.add_rest(report)
+        how = {"engine": engine, "lanes": lanes, "workers": workers}
+        if on_progress is not None:
+            how["on_progress"] = lambda done: on_progress(done + resumed)
+        try:
+            costs = _run(plan, made, how)
+        except KeyboardInterrupt:
+            costs = Costs(interrupted=True)
     if made.first is None:
         raise KeyboardInterrupt
     table = pd.concat([made.tables[i] for i in sorted(made.tables)], ignore_index=True)
     return Traced(plan, table, *made.first, costs, made.maps, resumed)
+
+
+def _run(plan, made, how):
+    """Makes what is left: `Costs`."""
+    n, (tuning, noise) = len(made.which), made.tuning_and_noise
+    report = batch.run_missions(
+        plan.building,
+        numbers_of(plan.robot, n),
+        numbers_of(tuning, n),
+        numbers_of(noise, n),
+        plan.seed,
+        made.which,
+        max_steps=plan.max_steps,
+        blocks=[made.blocks[i] for i in made.left],
+        on_block=made.put,
+        **how,
+    )
+    made.add_rest(report)
+    return report.costs
 
 
 class _Made:
