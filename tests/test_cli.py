@@ -72,7 +72,10 @@ def refused(capsys, arguments, message):
 
 
 def test_compare_writes_a_whole_run(ran, world):
-    assert files(ran) == ["compare.png", "details.npz", "episodes.parquet", "paths.png", "run.json"]
+    assert files(ran) == [
+        *("compare.png", "compare.svg", "coverage.png", "coverage.svg", "details.npz", "episodes.parquet"),
+        *("paths.png", "report.html", "run.json"),
+    ]
     table = pd.read_parquet(ran / "episodes.parquet")
     assert list(table.columns) == list(COLUMNS)
     assert table["world"].tolist() == [world] * 9
@@ -119,7 +122,7 @@ def test_compare_again_is_the_same_and_prints_the_table(ran, world, tmp_path, ca
     assert "| random " in said
     (folder,) = (tmp_path / "runs").iterdir()
     assert folder.name.endswith("Z-compare")
-    wrote = "episodes.parquet, details.npz, run.json, compare.png, paths.png"
+    wrote = "episodes.parquet, details.npz, run.json, compare.png, coverage.png, paths.png, report.html"
     assert said.splitlines()[-1] == f"wrote {wrote} to runs/{folder.name}/"
     again, whole = (pd.read_parquet(at / "episodes.parquet") for at in (folder, ran))
     pd.testing.assert_frame_equal(again, whole[(whole["episode"] < 2)][:4].reset_index(drop=True))
@@ -141,7 +144,8 @@ def test_explore_overwrites_when_told(ran, world, tmp_path, capsys):
     (tmp_path / "mine.txt").write_text("mine")
     command = ["explore", "--world", world, "--strategy", "closest", "--seed", "3", *LIDAR, "--out", str(tmp_path)]
     assert main.main([*command, "--overwrite", "--frames", "7"]) == 0
-    assert files(tmp_path) == ["episode.gif", "episode.png", "mine.txt", "run.json"]
+    own = ["episode.gif", "episode.png", "explored.pgm", "explored.yaml", "mine.txt", "report.html", "run.json"]
+    assert files(tmp_path) == own
     row = pd.read_parquet(ran / "episodes.parquet").iloc[0]
     assert json.loads((tmp_path / "run.json").read_text())["result"]["path_m"] == row["path_m"]
     assert f"path_m             {row['path_m']:.3f}" in capsys.readouterr().out
@@ -214,8 +218,8 @@ def test_the_defaults_are_smaller_on_request(monkeypatch):
         ("", "expected a command"),
         (
             "compar",
-            "unknown command: 'compar'; there are compare, explore, reproduce, segment, trace, worlds, strategies, "
-            "bench (did you mean 'compare'?)",
+            "unknown command: 'compar'; there are compare, explore, sweep, merge, reproduce, segment, trace, worlds, "
+            "strategies, bench (did you mean 'compare'?)",
         ),
         ("--worlds cave", "expected a command first"),
         ("compare --epsodes 3", "unknown option --epsodes; did you mean --episodes?"),

@@ -114,14 +114,14 @@ def test_signals_keep_what_is_finished(want, name, status, tmp_path, capsys):
 def test_a_full_disk_costs_what_comes_after(tmp_path):
     """Files may grow to 8 KiB only: that of episode 0, with its map, does not fit."""
     folder = tmp_path / "run"
-    command = shlex.join([sys.executable, "-m", "jexplore", *COMMAND, "--out", str(folder), "--episodes", "500"])
+    command = shlex.join([sys.executable, "-m", "jexplore", *COMMAND, "--out", str(folder), "--episodes", "40"])
     limited = ["bash", "-c", f"ulimit -f 8; exec {command}"]
     process = subprocess.Popen(limited, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     _, said = process.communicate(timeout=300)
     assert process.returncode == 2, said
     assert re.search(r"00000[01].parquet must be a file that can be written: .*File too large", said)
     assert "Traceback" not in said
-    process = begin(folder, "--episodes", "500", "--resume")
+    process = begin(folder, "--episodes", "40", "--resume")
     _, said = process.communicate(timeout=300)
     assert process.returncode == 0, said
 

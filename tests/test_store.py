@@ -444,7 +444,7 @@ while done < 15:
             run.write(writers)
         done += 1
     except InputError as error:
-        assert "is being written by process" in str(error), error
+        assert "is being written by" in str(error), error
 """
     many = [subprocess.Popen([sys.executable, "-c", code, str(k), str(tmp_path)]) for k in range(2)]
     assert [process.wait(timeout=120) for process in many] == [0, 0]
