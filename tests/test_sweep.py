@@ -362,7 +362,7 @@ def test_robots_that_write_maps(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "r.yaml").write_text(ROBOTS)
     assert main.main(["sweep", "r.yaml", "--dry-run"]) == 0
-    assert capsys.readouterr().out.startswith("2 settings x 1 worlds x 2 robots x 2 runs = 8 runs\n2 units of about 12")
+    assert capsys.readouterr().out.startswith("2 settings x 1 worlds x 2 robots x 2 runs = 8 runs\n2 units of about 4")
     assert main.main(["sweep", "r.yaml", "--out", "whole", "--workers", "1"]) == 0
     assert "| course | kamui " in capsys.readouterr().out
     found = jx.load("whole")
