@@ -14,7 +14,7 @@ from jexplore.config import InputError, Lidar, Rules
 from jexplore.engine.runner import Costs
 from jexplore.exploration import batch
 from jexplore.exploration.trail import Final
-from jexplore.studies import checks
+from jexplore.studies import checks, comparison
 from jexplore.studies.comparison import assemble, compare, prepare_jobs
 from jexplore.studies.results.units import COLUMNS, Ran, cut, piece_of
 from jexplore.studies.statistics import by_world, league, sizes
@@ -86,6 +86,10 @@ def test_summary_markdown_and_warnings(found):
     assert found.summary["mean"][0] == pytest.approx(found.episodes["path_m"][:4].mean())
     text = found.to_markdown()
     assert text == found._repr_markdown_()
+    assert text == by_world.markdown_table(found.summary)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(comparison, "MIN_PAIRS", 2)  # of worlds, before anything is said of all of them
+        text = found.to_markdown()
     assert text.endswith(f"\nIn each world:\n\n{by_world.markdown_table(found.summary)}")
     assert text.startswith("Over 2 worlds, ")
     assert league.standings_table(found.standings) in text
@@ -105,7 +109,7 @@ def test_figures(found):
     bars = found.plot(ax, "with rooms/two rooms")
     assert [bar.lines[0].get_xdata().item() for bar in bars] == found.summary["mean"][3:].tolist()
     assert found.plot(Figure().add_subplot())[0].lines[0].get_xdata().item() == found.summary["mean"][0]
-    assert len(found.compare_figure().axes) == 6  # the two worlds together, and each: paths and ratios
+    assert len(found.compare_figure().axes) == 4  # of each world paths and ratios
     assert len(found.coverage_figure().axes) == 2
     assert len(found.profile_figure().axes[0].lines) == 3
     assert len(found.paths_figure().axes) == 7  # two worlds of three strategies, and the colour bar

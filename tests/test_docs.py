@@ -1,36 +1,299 @@
-"""What README and CONTRIBUTING show runs as it stands."""
+"""What the documentation shows runs, its commands parse, its links lead somewhere, and its lists are complete."""
 
+import importlib.util
+import itertools
+import os
 import re
+import shlex
+import shutil
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 
 import jexplore as jx
+from jexplore.cli.main import COMMANDS, main
+from jexplore.cli.options import parse
+from jexplore.config import InputError
+from jexplore.policies.catalogue import entries
+from jexplore.report.folders import OUR_FILES
+from jexplore.studies.results.units import COLUMNS
+from jexplore.studies.sweeps.spec import sweep_from
 
 ROOT = Path(__file__).resolve().parents[1]
+TOP = ("README.md", "CONTRIBUTING.md", "benchmarks/README.md")
+PAGES = [*TOP, *sorted(page.relative_to(ROOT).as_posix() for page in (ROOT / "docs").rglob("*.md"))]
+EXCERPT = "<!-- excerpt: "
+RUN_ELSEWHERE = ("CONTRIBUTING.md", "docs/tutorial.md")  # by tests of their own, here and in test_program.py
 
 
-def blocks(file, section):
-    """The Python code of a section, in one piece."""
-    text = (ROOT / file).read_text(encoding="utf-8")
-    (own,) = re.findall(rf"^## {section}\n(.*?)^## ", text, re.S | re.M)
-    return "\n".join(re.findall(r"```python\n(.*?)```", own, re.S))
+def hooks():
+    """`docs/hooks.py`, which mkdocs runs."""
+    spec = importlib.util.spec_from_file_location("hooks_of_the_docs", ROOT / "docs" / "hooks.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def text_of(page):
+    return (ROOT / page).read_text(encoding="utf-8")
+
+
+def blocks(text):
+    """Fenced blocks: pairs of the language and what is fenced; `excerpt` as language of what says that it is one."""
+    for before, spaces, language, body in re.findall(r"([^\n]*)\n( *)```(\w*)\n(.*?)^ *```$", text, re.S | re.M):
+        body = re.sub(rf"^{spaces}", "", body, flags=re.M)
+        yield "excerpt" if before.startswith(EXCERPT) else language, body
+
+
+def python_in(page):
+    return [body for language, body in blocks(text_of(page)) if language == "python"]
+
+
+def commands_in(page):
+    """Command lines that begin with jexplore, in blocks and in the text: lists of words."""
+    text = text_of(page)
+    fenced = [body for language, body in blocks(text) if language in ("sh", "bash", "")]
+    lines = [line for body in fenced for line in body.replace("\\\n", " ").splitlines()]
+    lines += re.findall(
+        r"`(jexplore [^`]*)`", re.sub(r"^ *```.*?^ *```$", "", text, flags=re.S | re.M).replace("\n", " ")
+    )
+    for line in lines:
+        # What stands before it: variables, a launcher, the folder of an environment, another command.
+        match = re.match(r"(?:.* && )?(?:\w+=\S+ |srun )*(?:\.venv/bin/)?jexplore (.*)", line.strip())
+        if match and not match[1].startswith("-"):
+            yield shlex.split(re.sub(r"\$\w+", "7", re.sub(r"\s#\s.*", "", match[1])))
+
+
+def small(code):
+    """The same with few episodes."""
+    return re.sub(r"(episodes(?:=|: ))\d+", r"\g<1>2", code)
+
+
+def made_small(words):
+    """A command of the tutorial with one episode in two small worlds, and few frames."""
+    words = ["1" if before == "--episodes" else word for before, word in itertools.pairwise(["", *words])]
+    words = [f"{word}:width_m=8,height_m=6" if word.startswith("rooms#") else word for word in words]
+    words = [word for word in words if not re.match(r"office#|rooms#[^01]", word)]
+    return [*words, *{"explore": ("--frames", "5"), "compare": ("--no-report",)}.get(words[0], ())]
+
+
+@pytest.fixture
+def desk(tmp_path, monkeypatch):
+    """An empty folder to work in, in which modules are found, and no trace of it afterwards."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    before = set(sys.modules)
+    monkeypatch.setattr(entries, "STRATEGIES", dict(entries.STRATEGIES))
+    yield tmp_path
+    for name in set(sys.modules) - before:
+        if str(getattr(sys.modules[name], "__file__", "") or "").startswith(str(tmp_path)):
+            del sys.modules[name]
+
+
+def run_blocks(page, desk):
+    """Runs the Python of a page, block after block, and saves what has the name of a file: the last names."""
+    found = {"__name__": "page"}
+    for code in map(small, python_in(page)):
+        name = re.match(r"# (\w+\.py)\n", code)
+        if name:
+            (desk / name[1]).write_text(code, encoding="utf-8")
+        exec(compile(code, page, "exec"), found)
+    return found
 
 
 @pytest.mark.jit
-def test_ones_own_strategy_and_steps(capsys):
-    exec(blocks("README.md", "Your own"), found := {})
+@pytest.mark.parametrize("page", [page for page in PAGES if python_in(page) and page not in RUN_ELSEWHERE])
+def test_python_runs(page, desk, capsys):
+    import matplotlib.pyplot as plt
+
+    found = run_blocks(page, desk)
+    plt.close("all")
+    assert "jx" in found
+
+
+@pytest.mark.jit
+def test_the_tutorial_from_an_empty_folder_to_a_figure(desk, capsys):
+    ran = []
+    for language, body in blocks(text_of("docs/tutorial.md")):
+        name = re.match(r"# (\w+\.(?:py|yaml))\n", body)
+        if language in ("python", "yaml"):
+            assert name, "every file of the tutorial says how it is called"
+            (desk / name[1]).write_text(small(body), encoding="utf-8")
+            if language == "python":
+                exec(compile(body, name[1], "exec"), {"__name__": "__main__"})
+        elif "pip install" not in body:
+            for words in (line.split() for line in body.replace("\\\n", " ").splitlines()):
+                if words[0] == "jexplore":
+                    assert main(made_small(words[1:])) == 0, capsys.readouterr().err
+                    ran.append(words[1])
+    assert ran == ["worlds", "explore", "sweep", "sweep", "compare"]
+    assert (desk / "own_figure.png").stat().st_size > 5000
+    assert jx.load("answer").to_pandas()["strategy"].unique().tolist() == ["closest+recheck", "mine:outward+recheck"]
+    assert {"sweep.png", "report.html"} <= {file.name for file in (desk / "answer").iterdir()}
+
+
+@pytest.mark.jit
+def test_steps_are_those_of_the_strategy_that_they_say(desk, capsys):
+    found = run_blocks("docs/how-to/steps.md", desk)
     said, outcome = capsys.readouterr().out.splitlines()[-1].split()
     assert outcome == "COMPLETE"
     start = np.asarray(found["state"].episode.belief.start) * [1, 1, 45]
-    episode = jx.explore(found["world"], "closest", start=tuple(start.tolist()))
+    episode = jx.explore(found["env"].worlds[0], "closest", start=tuple(start.tolist()))
     assert float(said) == pytest.approx(episode.measures["path_m"], rel=1e-5)
     assert found["many"][0].world.shape == (256,)
 
 
 @pytest.mark.jit
 def test_the_longer_form():
-    exec(blocks("CONTRIBUTING.md", "A strategy of your own"), found := {})
+    (own,) = re.findall(r"^## A strategy of your own\n(.*?)^## ", text_of("CONTRIBUTING.md"), re.S | re.M)
+    exec("\n".join(body for language, body in blocks(own) if language == "python"), found := {})
     one = jx.compare("maze:width_m=6,height_m=6", found["restless"], episodes=1)
     assert one.episodes["outcome"].tolist() == ["COMPLETE"]
+
+
+def test_excerpts_name_what_there_is():
+    some = [(page, body) for page in PAGES for language, body in blocks(text_of(page)) if language == "excerpt"]
+    assert some
+    for page, body in some:
+        compile(body, page, "exec")
+        for name in re.findall(r"\bjx\.(\w+)", body):
+            assert name in jx.__all__, f"{page}: jx.{name}"
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_commands_parse(page):
+    for words in commands_in(page):
+        try:
+            assert isinstance(parse(words, COMMANDS), COMMANDS[words[0]])
+        except InputError as error:
+            pytest.fail(f"{page}: jexplore {' '.join(words)}: {error}")
+
+
+def test_commands_are_found():
+    found = [words for page in PAGES for words in commands_in(page)]
+    assert {words[0] for words in found} == set(COMMANDS)
+    assert ["compare"] in found  # the README's first command
+    assert ["sweep", "spec.yaml", "--shard", "7/16", "--workers", "7", "--out", "parts/7", "--resume", "--yes"] in found
+
+
+def test_specs_of_sweeps_can_be_run():
+    specs = [(page, body) for page in PAGES for language, body in blocks(text_of(page)) if language == "yaml"]
+    assert len(specs) >= 3
+    for page, body in specs:
+        spec = sweep_from(yaml.safe_load(body), page)
+        parts = ("tuning", "noise") if spec.robots else ("lidar", "rules")
+        assert len(spec.records(*parts)) == len(spec.expanded()) > 1
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_links_lead_somewhere(page):
+    text = re.sub(r"^ *```.*?^ *```$", "", text_of(page), flags=re.S | re.M)
+    for target in re.findall(r"\]\(([^)\s]+)\)", text):
+        path, _, anchor = target.partition("#")
+        if ":" in path:
+            continue
+        file = (ROOT / page).parent / path if path else ROOT / page
+        made = os.path.normpath(file) == str(ROOT / "docs" / hooks().COMMANDS_PAGE)
+        assert file.exists() or made, f"{page}: {target}"
+        if anchor and not made:
+            assert anchor in anchors(file.read_text(encoding="utf-8")), f"{page}: {target}"
+
+
+def anchors(text):
+    """Anchors of the headings of a page."""
+    headings = re.findall(r"^#+ (.*)$", re.sub(r"^```.*?^```$", "", text, flags=re.S | re.M), re.M)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).strip().replace(" ", "-") for heading in headings}
+
+
+def test_readme_is_short_and_begins_with_what_is_run():
+    text = text_of("README.md")
+    assert len(text.splitlines()) <= 150
+    first, second = [body for language, body in blocks(text) if language == "sh"][:2]
+    assert first.endswith("&& .venv/bin/jexplore compare\n")
+    assert second == ".venv/bin/pip install '.[test]' && .venv/bin/pytest -n 2\n"
+
+
+def test_every_public_name_is_in_the_reference():
+    pages = "\n".join(text_of(page) for page in PAGES if page.startswith("docs/reference/api/"))
+    named = re.findall(r"^::: jexplore\.(\w+)$", pages, re.M)
+    assert sorted(named) == sorted(set(jx.__all__) - {"__version__"})
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_option_is_in_the_reference(name, capsys, monkeypatch):
+    monkeypatch.setattr(shutil, "get_terminal_size", lambda *_: os.terminal_size((300, 100)))
+    with pytest.raises(SystemExit):
+        parse([name, "--help"], COMMANDS)
+    told = set(re.findall(r"│ (--[\w.-]+)", capsys.readouterr().out))
+    page = hooks().commands_page(COMMANDS)
+    own = re.search(rf"^## jexplore {name}\n(.*?)(?=^## )", page, re.S | re.M)[1]
+    parts = re.findall(r"\[`--(\w+)\.\*`\]\(#\1\)", own)
+    own += "".join(re.search(rf"^## Options --{part}\.\*.*?(?=^## |\Z)", page, re.S | re.M)[0] for part in parts)
+    assert set(re.findall(r"^\| `(--[\w.-]+)", own, re.M)) == told
+    assert told or name == "strategies"
+
+
+def test_files_and_columns_are_explained():
+    page = text_of("docs/reference/files.md")
+    assert [name for name in (*OUR_FILES, *COLUMNS) if f"`{name}`" not in page] == []
+
+
+def test_links_of_the_site():
+    """Files of the repository that are pages of the site are linked as such, from wherever."""
+    rewritten = hooks().rewritten
+    text = (
+        "[a](../../benchmarks/RESULTS.md#rooms) [b](own-map.md) ![c](../images/x.png) [d](https://x.y/CONTRIBUTING.md)"
+    )
+    assert rewritten(text, "docs/how-to/rooms.md") == (
+        "[a](../results/measured.md#rooms) [b](own-map.md) ![c](../images/x.png) [d](https://x.y/CONTRIBUTING.md)"
+    )
+    assert rewritten("[a](RESULTS.md)", "benchmarks/README.md") == "[a](measured.md)"
+    assert rewritten("[a](docs/tutorial.md) [b](#here)", "CONTRIBUTING.md") == "[a](tutorial.md) [b](#here)"
+    fenced = "```\n[a](docs/tutorial.md)\n```"
+    assert rewritten(fenced, "CONTRIBUTING.md") == fenced
+
+
+def test_a_commands_page_from_two_options():
+    import dataclasses
+    from typing import Literal
+
+    @dataclasses.dataclass(frozen=True)
+    class Bake:
+        """Bake bread.
+
+        Until it is <brown>.
+        """
+
+        kind: Literal["rye", "wheat"] = "rye"
+        """Of this flour, a|b."""
+        crust: bool = dataclasses.field(default=True, metadata={"off": "Without."})
+        """With."""
+
+    page = hooks().commands_page({"bake": Bake})
+    assert page.endswith(
+        "## jexplore bake\n\nBake bread.\n\nUntil it is &lt;brown>.\n\n"
+        "| option | default | meaning |\n| --- | --- | --- |\n"
+        "| `--kind {rye,wheat}` | `rye` | Of this flour, a\\|b. |\n| `--no-crust` |  | Without. |\n"
+    )
+
+
+def test_the_citation_is_of_this_version():
+    page = yaml.safe_load(text_of("CITATION.cff"))
+    assert page["version"] == jx.__version__
+    assert {"cff-version", "message", "title", "authors"} <= page.keys()
+
+
+def test_comments_of_fields_are_told():
+    pytest.importorskip("griffe", reason="of the extra docs")
+    sys.path.insert(0, str(ROOT / "docs"))
+    try:
+        from comments import comment_of
+    finally:
+        sys.path.remove(str(ROOT / "docs"))
+    lines = ["a: int  # metres", "# row, col", "# and heading", "b: int = 3  # noqa: F1", "c: int"]
+    assert comment_of(lines, 1, 1) == "metres"
+    assert comment_of(lines, 4, 4) == "row, col and heading"
+    assert comment_of(lines, 5, 5) == ""

@@ -37,6 +37,7 @@ from jexplore.studies.checks import (
 from jexplore.studies.results.units import Piece, Ran, Seen, run_units
 from jexplore.studies.statistics import by_world, figures, sizes
 from jexplore.studies.statistics.league import over_worlds_text, standings
+from jexplore.studies.statistics.paired import MIN_PAIRS
 from jexplore.worlds.world import World
 
 if TYPE_CHECKING:
@@ -98,9 +99,9 @@ class Comparison:
         return self.episodes
 
     def to_markdown(self) -> str:
-        """The summary as a Markdown table; with two worlds or more, before it, what all of them say together."""
+        """The summary as a Markdown table; with six worlds or more, before it, what all of them say together."""
         text = by_world.markdown_table(self.summary)
-        together = len(self.worlds) > 1 and max(self.standings["worlds"], default=0) > 1
+        together = len(self.worlds) >= MIN_PAIRS and max(self.standings["worlds"], default=0) >= MIN_PAIRS
         return f"{over_worlds_text(self.standings)}\nIn each world:\n\n{text}" if together else text
 
     def to_xarray(self) -> Any:
@@ -207,8 +208,9 @@ class Comparison:
         return ("world", "strategy", "n", "path m", "ratio to the first", "p (Holm)", "explored", "outcomes"), lines
 
     def __repr__(self) -> str:
-        n_strategies = self.episodes["strategy"].nunique()
-        return f"<Comparison of {n_strategies} strategies in {len(self.worlds)} worlds, {len(self.episodes)} episodes>"
+        n, m = self.episodes["strategy"].nunique(), len(self.worlds)
+        strategies, worlds = "strategy" if n == 1 else "strategies", "world" if m == 1 else "worlds"
+        return f"<Comparison of {n} {strategies} in {m} {worlds}, {len(self.episodes)} episodes>"
 
 
 def _beside_first(row):

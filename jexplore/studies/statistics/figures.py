@@ -12,6 +12,7 @@ from jexplore.config import InputError
 from jexplore.studies.statistics.aggregate import profiles
 from jexplore.studies.statistics.by_world import summarise
 from jexplore.studies.statistics.league import paths_by_world, standings
+from jexplore.studies.statistics.paired import MIN_PAIRS
 from jexplore.studies.statistics.response import response
 
 if TYPE_CHECKING:
@@ -25,12 +26,12 @@ MOST_WORLDS = 12
 def compare_figure(
     episodes: "pd.DataFrame", *, summary: "pd.DataFrame | None" = None, table: "pd.DataFrame | None" = None
 ) -> "Figure":
-    """Every episode's path with means, intervals and paired ratios: a panel a world, and one for all of them.
+    """Every episode's path with means, intervals and paired ratios: a panel a world, and one for all of six or more.
 
     Args:
       episodes: the table of episodes of a comparison, a pandas DataFrame of one row or more.
       summary: from `by_world.summarise`, if it is there already.
-      table: from `league.standings`, if it is there already; used with two worlds or more.
+      table: from `league.standings`, if it is there already; used with six worlds or more.
 
     Returns:
       A matplotlib `Figure`. With more than `MOST_WORLDS` worlds it has the panel of all of them only.
@@ -41,9 +42,9 @@ def compare_figure(
         raise InputError("episodes must be one or more to be drawn, got none")
     strategies, worlds = (list(dict.fromkeys(episodes[key])) for key in ("strategy", "world"))
     panels = []
-    if len(worlds) > 1:
+    if len(worlds) >= MIN_PAIRS:
         table = standings(episodes) if table is None else table
-        panels += [_over_worlds(episodes, table, strategies)] if max(table["worlds"], default=0) > 1 else []
+        panels += [_over_worlds(episodes, table, strategies)] if max(table["worlds"], default=0) >= MIN_PAIRS else []
     if len(worlds) <= MOST_WORLDS or not panels:
         summary = summarise(episodes) if summary is None else summary
         panels += [_in_world(world, episodes, summary, strategies) for world in worlds[:MOST_WORLDS]]
