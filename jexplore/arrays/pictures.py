@@ -68,7 +68,7 @@ def png_of(figure: Any, *, dpi: float = 72) -> bytes:
 def written(image: Any) -> bytes:
     """A Pillow image as the bytes of a PNG of at most 128 colours."""
     file = io.BytesIO()
-    image.convert("RGB").quantize(128).save(file, format="png", optimize=True)
+    image.convert("RGB").quantize(128, kmeans=1).save(file, format="png", optimize=True)
     return file.getvalue()
 
 

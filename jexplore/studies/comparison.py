@@ -208,7 +208,7 @@ class Comparison:
         return ("world", "strategy", "n", "path m", "ratio to the first", "p (Holm)", "explored", "outcomes"), lines
 
     def __repr__(self) -> str:
-        n, m = self.episodes["strategy"].nunique(), len(self.worlds)
+        n, m = len(set(self.episodes["strategy"])), len(self.worlds)
         strategies, worlds = "strategy" if n == 1 else "strategies", "world" if m == 1 else "worlds"
         return f"<Comparison of {n} {strategies} in {m} {worlds}, {len(self.episodes)} episodes>"
 

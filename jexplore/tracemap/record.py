@@ -109,7 +109,7 @@ class BtmMap:
         length_m = sum(link.length_m or 0.0 for link in searched)
         lines = [*dict.fromkeys(lines), ("—", f"searched link, {length_m:.1f} m in all", len(searched))]
         if len(searched) < len(self.links):
-            lines.append(("-", "un-searched link", len(self.links) - len(searched)))
+            lines.append(("╌", "un-searched link", len(self.links) - len(searched)))
         rows = [(mark, what, str(number)) for mark, what, number in lines]
         return html_of(nodes_and_links(self), repr(self)[1:-1], ("", "what", "how many"), rows)
 

@@ -6,24 +6,24 @@ Ray is imported by the functions that need it.
 import collections
 import contextlib
 import dataclasses
-import logging
 import os
+import pickle
 import platform
-import signal
-import threading
 import time
 import uuid
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax
 
 from jexplore.config import InputError, require_whole
 from jexplore.engine.backend import start_backend, use_compilation_cache
-from jexplore.engine.runner import Costs, own_cores
+from jexplore.engine.runner import Costs
+from jexplore.policies.catalogue.entries import STRATEGIES, offered, register
 from jexplore.policies.catalogue.own import first_line
 from jexplore.studies.checks import ready_strategies
 from jexplore.studies.results.provenance import digest
+from jexplore.studies.sweeps.connection import connected, require_ray
 from jexplore.studies.sweeps.plan import Plan
 from jexplore.studies.sweeps.work import added, run_block_units, windows
 from jexplore.version import __version__
@@ -34,7 +34,6 @@ if TYPE_CHECKING:
 RETRIES = 5  # times that a task is sent again whose worker has died
 AHEAD = 2  # tasks sent for every one that can run: the next one waits at the worker, and no more results than these
 LOOK_S = 5.0  # seconds after which it is looked again how large the cluster is
-STORE_BYTES = 256 * 2**20  # of results, in a cluster of our own
 
 
 class Order(NamedTuple):
@@ -42,7 +41,7 @@ class Order(NamedTuple):
 
     plan: Plan  # without its strategies, which workers make from their names
     strategies: list[str]
-    version: str
+    registered: dict[str, Any]  # what names that were given in the driver stand for
     folder: str  # where the driver stands: names of files and modules are meant from there
     cpus: int
     gpus: int
@@ -58,11 +57,12 @@ class Made(NamedTuple):
 _prepared: dict[str, tuple[Order, Plan]] = {}  # in a worker: the sweep it works for
 
 
-def make_units(key: str, sent: "list[Any]", numbers: Sequence[int]) -> Made:
+def make_units(key: str, version: str, sent: list[Any], numbers: Sequence[int]) -> Made:
     """Makes units of a sweep: what runs in a worker.
 
     Args:
       key: of the sweep.
+      version: of the driver's jexplore.
       sent: list of one reference to its `Order`.
       numbers: of the units.
 
@@ -74,7 +74,7 @@ def make_units(key: str, sent: "list[Any]", numbers: Sequence[int]) -> Made:
     """
     if key not in _prepared:
         _prepared.clear()
-        _prepared[key] = _prepare(sent[0])
+        _prepared[key] = _prepare(version, sent[0])
     order, plan = _prepared[key]
     _require_same_worlds(plan, numbers)
     tables: dict[int, Any] = {}
@@ -85,22 +85,29 @@ def make_units(key: str, sent: "list[Any]", numbers: Sequence[int]) -> Made:
     return Made(tables, costs)
 
 
-def _prepare(reference):
+def _prepare(version, reference):
     """A worker made ready for a sweep: its `Order` and `Plan`."""
-    import ray
-
-    order = ray.get(reference)
-    if order.version != __version__:
+    if version != __version__:
         raise InputError(
-            f"the Ray worker on {platform.node()} has jexplore {__version__}, and the sweep is one of {order.version}: "
+            f"the Ray worker on {platform.node()} has jexplore {__version__}, and the sweep is one of {version}: "
             "install the same version on every node"
         )
+    ray = require_ray()
+    try:
+        order: Order = ray.get(reference)
+    except (ImportError, ray.exceptions.RayError) as error:
+        raise InputError(
+            f"a strategy of the sweep does not come over to the Ray worker on {platform.node()}: {first_line(error)}; "
+            "put it into a module there and name it module:function"
+        ) from error
     with contextlib.suppress(OSError):  # another machine, without that folder
         os.chdir(order.folder)
     if not order.gpus:  # a node's GPU would be taken by every worker
         jax.config.update("jax_platforms", "cpu")
     start_backend(order.cpus)
     use_compilation_cache()
+    for name, make in order.registered.items():
+        register(name, make, replace=True)
     return order, dataclasses.replace(order.plan, strategies=ready_strategies(order.strategies))
 
 
@@ -135,7 +142,8 @@ def run_units(
     Args:
       plan: `Plan`.
       numbers: of the units, in order.
-      on_unit: called in this process with the number of a unit and its table, as soon as it has come back.
+      on_unit: called in this process with the number of a unit and its table, as soon as it has come back; once
+        more where Ctrl-C fell into that.
       on_progress: called with the number of episodes that have come back.
       cpus: cores of a task, which makes one unit with the engine serial.
       gpus: GPUs of a task. With 1 or more it makes as many units as fit, in lockstep.
@@ -150,13 +158,23 @@ def run_units(
       MemoryError: a worker's memory does not suffice.
     """
     cpus, gpus = require_whole("cpus", cpus, 1, 2**16), require_whole("gpus", gpus, 0, 2**10)
-    ray = _ray()
+    ray = require_ray()
     if not numbers:
         return Costs(engine="ray")
     tasks = list(windows(plan, numbers)) if gpus else [[number] for number in numbers]
     sweep = _Sweep(ray, plan, cpus, gpus, on_unit, on_progress)
-    with _connected(ray):
-        return sweep.run(tasks)
+    began = time.perf_counter()
+    try:
+        with connected(ray) as is_own:
+            began = time.perf_counter()
+            try:
+                sweep.run(tasks)
+            finally:
+                if not is_own:  # else all that runs ends with the connection
+                    sweep.cancel()
+            return sweep.total(time.perf_counter() - began)
+    except KeyboardInterrupt:
+        return sweep.total(time.perf_counter() - began, interrupted=True)
 
 
 class _Sweep:
@@ -166,43 +184,63 @@ class _Sweep:
         self.ray, self.plan, self.cpus, self.gpus = ray, plan, cpus, gpus
         self.on_unit, self.on_progress = on_unit, on_progress
         self.running: dict[Any, list[int]] = {}  # reference of a task -> its units
-        self.costs, self.done = Costs(), 0
+        self.costs, self.done, self.room = Costs(), 0, 1
 
     def run(self, tasks):
-        """Runs tasks, lists of units: `Costs`."""
-        ray, waiting, began = self.ray, collections.deque(tasks), time.perf_counter()
-        names = [strategy.name for strategy in self.plan.strategies]
-        bare = dataclasses.replace(self.plan, strategies=[])
-        room, looked = self._room(), time.perf_counter()
-        interrupted = False
+        """Runs tasks, lists of units."""
+        ray, waiting = self.ray, collections.deque(tasks)
+        self.room, looked = self._room(), time.perf_counter()
         try:
             # A list holds the reference back from being fetched anew with every task.
-            sent = [ray.put(Order(bare, names, __version__, os.getcwd(), self.cpus, self.gpus))]
+            sent = [self._sent()]
             # Without max_calls Ray begins a new process, which compiles anew, for every task that has a GPU.
             resources = {"num_cpus": self.cpus, "num_gpus": self.gpus, "max_calls": 0}
             retried = {"max_retries": RETRIES, "retry_exceptions": [OSError, MemoryError]}
             make, key = ray.remote(**resources, **retried)(make_units), uuid.uuid4().hex
             while waiting or self.running:
                 if time.perf_counter() - looked > LOOK_S:
-                    room, looked = self._room() or room, time.perf_counter()
-                while waiting and len(self.running) < AHEAD * room:
+                    self.room, looked = self._room() or self.room, time.perf_counter()
+                while waiting and len(self.running) < AHEAD * self.room:
                     units = waiting.popleft()
-                    self.running[make.remote(key, sent, units)] = units
+                    self.running[make.remote(key, __version__, sent, units)] = units
                 for reference in ray.wait(list(self.running), timeout=LOOK_S)[0]:
                     self._take(reference)
         except KeyboardInterrupt:
-            interrupted = True
             self._take_finished()
-        finally:
-            for reference in self.running:
-                with contextlib.suppress(Exception):  # the cluster may be gone
-                    ray.cancel(reference, force=True)
+            raise
+
+    def cancel(self):
+        """Ends the tasks that still run. One that has just ended must be left alone: Ray's own books would not agree,
+        and it would end this process.
+        """
+        if not self.running:
+            return
+        with contextlib.suppress(Exception):  # the cluster may be gone
+            for reference in self.ray.wait(list(self.running), num_returns=len(self.running), timeout=0)[1]:
+                self.ray.cancel(reference, force=True)
+
+    def total(self, spent_s, *, interrupted=False):
+        """`Costs` of all that has come back."""
         costs = dataclasses.replace(self.costs, engine="ray", interrupted=interrupted)
-        costs.lanes = costs.lanes if self.gpus else room
-        costs.devices = room * self.gpus if self.gpus else 1
-        costs.compile_s /= room
-        costs.run_s = max(time.perf_counter() - began - costs.compile_s, 0.0)
+        costs.lanes = costs.lanes if self.gpus else self.room
+        costs.devices = self.room * self.gpus if self.gpus else 1
+        costs.compile_s /= self.room
+        costs.run_s = max(spent_s - costs.compile_s, 0.0)
         return costs
+
+    def _sent(self):
+        names = [strategy.name for strategy in self.plan.strategies]
+        heads = {name.partition(":")[0].partition("+")[0] for name in names}
+        own = {head: entry.make for head in heads if (entry := STRATEGIES.get(head)) and entry.is_own}
+        registered = {head: make for head, make in own.items() if head not in offered()}
+        bare = dataclasses.replace(self.plan, strategies=[])
+        try:
+            return self.ray.put(Order(bare, names, registered, os.getcwd(), self.cpus, self.gpus))
+        except (TypeError, pickle.PicklingError) as error:
+            raise InputError(
+                f"strategies that were registered here cannot be sent to Ray workers ({', '.join(registered)}): put "
+                "them into a module and name them module:function"
+            ) from error
 
     def _room(self):
         """Tasks that the cluster can run at a time."""
@@ -217,8 +255,11 @@ class _Sweep:
 
     def _take(self, reference):
         """Hands over what a task has made."""
-        numbers = self.running[reference]
-        made = self._made(reference, numbers)
+        try:
+            made = self._made(reference, self.running[reference])
+        except Exception:
+            del self.running[reference]
+            raise
         for number, table in made.tables.items():
             self.on_unit(number, table)
         del self.running[reference]
@@ -230,6 +271,8 @@ class _Sweep:
     def _take_finished(self):
         """Hands over what has come back by now."""
         errors = self.ray.exceptions.RayError
+        if not self.running:
+            return
         with contextlib.suppress(errors, InputError, MemoryError):  # it is the interruption that is told
             for reference in self.ray.wait(list(self.running), num_returns=len(self.running), timeout=0)[0]:
                 self._take(reference)
@@ -248,63 +291,14 @@ class _Sweep:
             raise
         except errors.OutOfMemoryError as error:
             raise MemoryError(first_line(error)) from error
-        except errors.RayError as error:
-            which = f"unit {numbers[0]}" if len(numbers) == 1 else f"units {numbers[0]} to {numbers[-1]}"
+        except errors.WorkerCrashedError as error:
             raise InputError(
-                f"{which} could not be made, tried {RETRIES + 1} times: {first_line(error)} (the other units that are "
-                "finished are kept; is there enough memory for a worker on every core?)"
+                f"{_called(numbers)} of the sweep could not be made: {RETRIES + 1} workers have died of it; is there "
+                "enough memory for a worker on every core?"
             ) from error
+        except errors.RayError as error:
+            raise InputError(f"the Ray cluster is lost, or a part of it: {first_line(error)}") from error
 
 
-def _ray():
-    try:
-        import ray
-        import ray.exceptions
-    except ImportError:
-        raise InputError("the engine ray needs Ray: pip install 'jexplore[ray]'") from None
-    return ray
-
-
-@contextlib.contextmanager
-def _connected(ray) -> Iterator[None]:
-    """A connection to a cluster, for a while, unless there is one already."""
-    if ray.is_initialized():
-        yield
-        return
-    try:
-        with _handlers_kept():
-            _connect(ray)
-        yield
-    finally:
-        ray.shutdown()
-
-
-def _connect(ray):
-    quiet = {"log_to_driver": False, "logging_level": logging.CRITICAL, "include_dashboard": False}
-    try:
-        try:
-            ray.init(num_cpus=own_cores(), object_store_memory=STORE_BYTES, **quiet)
-        except ValueError as error:
-            if "existing cluster" not in str(error):
-                raise
-            ray.init(**quiet)  # there is one, which knows its own cores
-    except (ConnectionError, RuntimeError, ValueError, OSError) as error:
-        where = os.environ.get("RAY_ADDRESS")
-        raise InputError(
-            f"no Ray cluster {'at RAY_ADDRESS=' + where if where else 'can be reached or started here'}: "
-            f"{first_line(error)}"
-        ) from error
-
-
-@contextlib.contextmanager
-def _handlers_kept():
-    """Ray puts a handler of its own in the place of the one for SIGTERM."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = signal.getsignal(signal.SIGTERM)
-    try:
-        yield
-    finally:
-        if before is not None:
-            signal.signal(signal.SIGTERM, before)
+def _called(numbers):
+    return f"unit {numbers[0]}" if len(numbers) == 1 else f"units {numbers[0]} to {numbers[-1]}"

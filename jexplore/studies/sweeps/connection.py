@@ -1,0 +1,128 @@
+"""Ray, and a connection to a cluster of it: the one that there is, or one of our own.
+
+Ray is imported by the functions that need it.
+"""
+
+import contextlib
+import logging
+import os
+import signal
+import socket
+import sys
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from jexplore.config import InputError
+from jexplore.engine.runner import own_cores
+from jexplore.policies.catalogue.own import first_line
+
+ANSWER_S = 5.0  # seconds in which a cluster must answer
+STORE_BYTES = 256 * 2**20  # of results, in a cluster of our own
+
+
+def require_ray() -> Any:
+    """The module ray.
+
+    Raises:
+      InputError: it is not installed.
+    """
+    try:
+        import ray  # type: ignore[import-not-found]
+        import ray.exceptions
+    except ImportError:
+        raise InputError("the engine ray needs Ray: pip install 'jexplore[ray]'") from None
+    return ray
+
+
+@contextlib.contextmanager
+def connected(ray: Any) -> Iterator[bool]:
+    """A connection to a cluster. One that this process has already stays; else there is one for the block, and what has
+    been begun with it ends with it. The block gets whether that is so.
+
+    Raises:
+      InputError: there is none, and none can be had.
+    """
+    if ray.is_initialized():
+        yield False
+        return
+    try:
+        with contextlib.redirect_stdout(_Muted(sys.stdout) if sys.stdout else None):  # type: ignore[arg-type]
+            with _handlers_kept():
+                _connect(ray)
+            yield True
+    finally:
+        ray.shutdown()
+
+
+def _connect(ray):
+    own: dict[str, Any] = {"address": "local", "num_cpus": own_cores(), "object_store_memory": STORE_BYTES}
+    quiet = {"log_to_driver": False, "logging_level": logging.CRITICAL, "include_dashboard": False}
+    how = {} if is_there() else own  # one that is there knows its cores itself, and Ray finds it
+    try:
+        ray.init(**how, **quiet)
+    except (ConnectionError, ImportError, OSError, RuntimeError, ValueError) as error:
+        what = "started here" if how else "used"
+        raise InputError(f"no Ray cluster can be {what}: {first_line(error)}") from error
+
+
+def is_there() -> bool:
+    """Whether there is a cluster to be used. Ray itself would look for minutes for one that is gone.
+
+    Raises:
+      InputError: `RAY_ADDRESS` names one that does not answer.
+    """
+    given = os.environ.get("RAY_ADDRESS") or "auto"
+    if given not in ("auto", "local"):
+        if not _answers(given):
+            raise InputError(
+                f"no Ray cluster answers at RAY_ADDRESS={given}: start one (ray start --head), or unset RAY_ADDRESS to "
+                "use the cores of this machine"
+            )
+        return True
+    folder = os.environ.get("RAY_TMPDIR") or os.environ.get("TMPDIR") or "/tmp"
+    try:  # where `ray start` says what it has begun
+        begun = Path(folder, "ray", "ray_current_cluster").read_text(encoding="utf-8").strip()
+    except OSError:
+        return False
+    return given == "auto" and _answers(begun)
+
+
+def _answers(address: str) -> bool:
+    host, _, port = address.rpartition("://")[2].rpartition(":")
+    try:
+        socket.create_connection((host.strip("[]"), int(port)), ANSWER_S).close()
+    except (OSError, ValueError, OverflowError):
+        return False
+    return True
+
+
+class _Muted:
+    """A stream without what Ray's threads write there: what has become of workers, which is dealt with."""
+
+    def __init__(self, stream: Any) -> None:
+        self.stream = stream
+
+    def write(self, text: str) -> int:
+        """Writes text, whoever but Ray it comes from."""
+        if threading.current_thread().name.startswith("ray_"):
+            return len(text)
+        return self.stream.write(text)
+
+    def __getattr__(self, name):
+        return getattr(self.stream, name)
+
+
+@contextlib.contextmanager
+def _handlers_kept():
+    """Ray puts a handler of its own in the place of the one for SIGTERM."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.getsignal(signal.SIGTERM)
+    try:
+        yield
+    finally:
+        if before is not None:
+            signal.signal(signal.SIGTERM, before)
