@@ -242,3 +242,15 @@ def test_a_lock_that_cannot_be_had_is_left_out(tmp_path, monkeypatch):
     with claimed(tmp_path) as run:
         run.write(texts(run_json="{}"))
     assert names(tmp_path) == ["run.json"]
+
+
+def test_units_without_their_page_are_nobodys(tmp_path):
+    """As a process leaves them that is killed while it throws them away."""
+    leave(tmp_path, 0, 1)
+    (tmp_path / UNFINISHED / "asked.json").unlink()
+    assert begin(tmp_path, resume=True)[:2] == (set(), [0, 1, 2, 3])
+
+
+def test_what_ends_before_any_unit_leaves_nothing(tmp_path):
+    begin(tmp_path / "run")
+    assert names(tmp_path) == []

@@ -324,6 +324,45 @@ def test_the_command_and_its_parts(tmp_path, capsys, monkeypatch):
     assert "holds another run" in capsys.readouterr().err
 
 
+@pytest.mark.jit
+def test_seeds_are_an_axis_and_types_are_the_plans():
+    asked = {"worlds": WORLDS[:1], "strategies": ["closest", {"name": "tour"}], "episodes": 20}
+    asked["lidar"] = {**SMALL, "range_m": 2}
+    found = sweep({**asked, "seed": [0, 1], "rules": {"max_steps": [None, 100]}}, workers=1)
+    assert found.varied == ["rules.max_steps", "seed"]
+    assert found.episodes["rules.max_steps"].dtype == np.float64
+    assert found.summary["seed"].tolist() == [0] * 4 + [1] * 4
+    alone = jx.compare(WORLDS[:1], ["closest", "tour"], episodes=20, seed=1, lidar=Lidar(n_beams=31, range_m=2))
+    own = found.episodes[(found.episodes["seed"] == 1) & found.episodes["rules.max_steps"].isna()]
+    pd.testing.assert_frame_equal(own[list(COLUMNS)].reset_index(drop=True), alone.to_pandas())
+
+
+def test_what_settings_leave_out_is_the_sweeps_own():
+    spec = Sweep(["a"], seed=7, cell_m=0.2, settings=[{"seed": 1, "cell_m": 0.1}, {"lidar.range_m": 4}])
+    assert spec.expanded() == [
+        {"seed": 1, "cell_m": 0.1, "lidar.range_m": 8.0},
+        {"seed": 7, "cell_m": 0.2, "lidar.range_m": 4},
+    ]
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["2020-13-45", "!!int foo", "!!timestamp foo", "[" * 3000, "&a [*a]", "[a]\nworlds: [b]", "[cave]\ncell_m: {a: 1}",
+     "[a]\nsettings: [{lidar.range_m: [4, 8]}]", "[a]\nlidar: {range_m: [[4, 8]]}", "[a]\nrobots: [1]",
+     "[a]\nrobots: [kamui]\nsettings: [{lidar.range_m: 4}]", "[a]\nsettings: [{tuning.votes: 3}]",
+     "[a]\nseed: -1\ndraws: 3\nlidar: {range_m: {low: 1, high: 2}}"],
+)  # fmt: skip
+def test_odd_yaml_is_one_line(text, tmp_path):
+    (tmp_path / "s.yaml").write_text(f"worlds: {text}\n")
+
+    def read():
+        return read_spec(tmp_path / "s.yaml").records()
+
+    with pytest.raises(InputError) as caught:
+        read()
+    assert "\n" not in str(caught.value)
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [

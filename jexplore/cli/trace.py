@@ -110,7 +110,8 @@ class Trace:
         costs = found.costs
         names = ("compile_s", "run_s", "engine", "devices", "lanes", "useful")
         runs_per_s = (len(found.table) - found.resumed) / costs.run_s if costs.run_s else None
-        entries = {"runs_per_s": runs_per_s, "resumed": found.resumed}
+        missing = plan.runs * plan.settings - len(found.table)
+        entries = {"runs_per_s": runs_per_s, "resumed": found.resumed, "interrupted": missing}
         record = out.record(arguments, self, **entries, **{name: getattr(costs, name) for name in names})
         files = {**_exchanged(found.first), "runs.parquet": lambda path: store.write_parquet(found.table, path)}
         text = trace_tables.tables(found.first) + "\n" + "\n".join(trace_tables.summary(found))

@@ -106,7 +106,16 @@ def _pieces(line, call, place, d, pace):
         for i, some in enumerate(mine):
             line.put(some, jax.tree.map(lambda a, i=i, some=some: a[i, : len(some)], results))
 
-    return Pieces(total=len(line.which), most=size, call=make, keep=keep, n_devices=d, turn=line.turn, pace=pace)
+    return Pieces(
+        total=len(line.which),
+        most=size,
+        call=make,
+        keep=keep,
+        n_devices=d,
+        turn=line.turn,
+        pace=pace,
+        first_alone=line.keeps >= 0,
+    )
 
 
 def run_lines(

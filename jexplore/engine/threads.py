@@ -31,13 +31,15 @@ class Pieces:
     n_devices: int = 1
     turn: int = 0  # nothing of a later turn is begun before all of this one is
     pace: Pace = dataclasses.field(default_factory=Pace)
+    first_alone: bool = False  # whether the first call does one piece a device, whatever the pace
     next: int = dataclasses.field(default=0, init=False)
 
     def take(self, workers: int) -> tuple[int, int]:
         """The next pieces, `(first, number)`: one a device at first, then as many as take about a second."""
         left, d = self.total - self.next, self.n_devices
         piece_s = self.pace.piece_s
-        n = 1 if piece_s is None else int(CALL_S / max(piece_s, 1e-6))
+        is_alone = piece_s is None or (self.first_alone and self.next == 0)
+        n = 1 if is_alone or piece_s is None else int(CALL_S / max(piece_s, 1e-6))
         n = min(left, d * max(1, min(n, self.most, -(-left // (workers * d)))))
         first = self.next
         self.next += n

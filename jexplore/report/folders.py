@@ -29,6 +29,7 @@ OUR_FILES = (
 UNFINISHED = ".unfinished"  # folder for what a run has finished so far, in its own
 LOCK = ".lock"  # file that is locked while a process has the folder to itself
 PART = ".part"  # ending of hidden folders in which files are written before they are moved
+NAMES = ".names"  # file that lists what is moved from such a folder
 OLD = "old"  # folder for the files of a run that is being replaced, in such a one
 
 
@@ -69,8 +70,15 @@ class RunFolder:
             sync_folder(self.path)
         self._keeps, self.overwrite = True, True
         if is_finished:
-            shutil.rmtree(self.unfinished, ignore_errors=True)
+            self.forget()
         return self.path
+
+    def forget(self) -> None:
+        """Throws away what the run has finished so far: all of it at once, so that no part can be taken for a whole."""
+        gone = self.path / f".{os.getpid()}-{secrets.token_hex(4)}{PART}"
+        with contextlib.suppress(OSError):
+            os.replace(self.unfinished, gone)
+        shutil.rmtree(gone, ignore_errors=True)
 
     def add(self, name: str, write: Callable[[Path], Any]) -> None:
         """One more file of a run that has been written, whole or not at all; `write` may put others beside it.
@@ -92,8 +100,8 @@ class RunFolder:
 
     def release(self) -> None:
         """Gives the folder back; where nothing was kept, folders that were made for it go."""
-        with contextlib.suppress(OSError):
-            self.unfinished.rmdir()  # if it is empty
+        if self.unfinished.is_dir() and not any(self.unfinished.glob("*.parquet")):
+            _done(self.forget)
         if self._lock is not None:
             with contextlib.suppress(OSError):
                 os.unlink(self.path / LOCK)
@@ -270,12 +278,25 @@ def _mend(path):
     """
     for stage in path.glob(f".*{PART}"):
         old = stage / OLD
-        if stage.is_dir() and old.is_dir() and not (path / "run.json").exists():
+        is_whole = (path / "run.json").exists() and (old / "run.json").exists()  # the new one's and the old one's
+        if old.is_dir() and not is_whole:
+            for name in _names_in(stage):
+                if not (old / name).exists() and not (stage / name).exists() and not (path / "run.json").exists():
+                    with contextlib.suppress(OSError):
+                        (path / name).unlink()  # a new file, already moved
             for file in sorted(old.iterdir(), key=lambda file: file.name == "run.json"):
                 os.replace(file, path / file.name)
         shutil.rmtree(stage, ignore_errors=True)
         with contextlib.suppress(OSError):
             stage.unlink()
+
+
+def _names_in(stage):
+    """Names of the files that were to be moved from a hidden folder."""
+    try:
+        return (stage / NAMES).read_text(encoding="utf-8").splitlines()
+    except (OSError, ValueError):
+        return []
 
 
 @contextlib.contextmanager
@@ -300,6 +321,7 @@ def _exchange(stage, folder, taken, names):
     If it is interrupted, everything is moved back.
     """
     old = stage / OLD
+    (stage / NAMES).write_text("\n".join(names), encoding="utf-8")
     old.mkdir()
     late = sorted(names, key=lambda name: name == "run.json")
     early = sorted((file.name for file in taken), key=lambda name: name != "run.json")

@@ -6,7 +6,6 @@ pandas and pyarrow are imported by the functions that need them.
 import contextlib
 import json
 import os
-import shutil
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -44,9 +43,9 @@ class Ledger:
         """
         self.folder, self.done, self.damaged, self.units = run.unfinished, set(), [], units
         page = {"asked": jsonable(dict(asked)), "units": units}
-        if not resume:
-            shutil.rmtree(self.folder, ignore_errors=True)
         page_file = self.folder / ASKED
+        if not resume or not page_file.exists():
+            run.forget()
         if page_file.exists():
             require_same(run.path, _read(page_file), page)
         else:
@@ -120,8 +119,9 @@ def is_finished(run: RunFolder, asked: Mapping[str, Any], units: int) -> bool:
     if not page.exists():
         run.require_free()
         return False
-    require_same(run.path, _read(page), {"asked": jsonable(dict(asked)), "units": units})
-    return True
+    record = _read(page)
+    require_same(run.path, record, {"asked": jsonable(dict(asked)), "units": units})
+    return not record.get("interrupted")  # else its units are gone, and it begins again
 
 
 def _read(file):

@@ -157,7 +157,7 @@ def write_json(obj: Any, path: str | os.PathLike[str]) -> None:
     """
     text = json.dumps(jsonable(obj), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
     with atomic(path) as part:
-        part.write_text(text, encoding="utf-8")
+        part.write_text(text, encoding="utf-8", errors="backslashreplace")  # arguments may be no UTF-8
 
 
 def _version(package):

@@ -5,6 +5,8 @@ pandas is imported by the functions that need it.
 
 import json
 import os
+import zipfile
+import zlib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -23,6 +25,7 @@ from jexplore.studies.sweeps.plan import Plan
 from jexplore.studies.sweeps.run import Swept, ordered, ready
 from jexplore.studies.sweeps.spec import read_spec
 from jexplore.studies.sweeps.traces import TracePlan
+from jexplore.studies.sweeps.work import typed
 from jexplore.worlds.world import World
 
 if TYPE_CHECKING:
@@ -58,7 +61,7 @@ def _details(path, episodes):
     try:
         with np.load(path) as file:
             arrays = dict(file)
-    except (OSError, ValueError, EOFError) as error:
+    except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile, zlib.error) as error:
         raise InputError(f"{path} must be a file that jexplore wrote: {store.reason(error)}") from error
     worlds, first = [], {}
     while f"world/{len(worlds)}/occupied" in arrays:
@@ -203,7 +206,7 @@ def merge(parts: Sequence[str | os.PathLike[str]]) -> tuple[Swept, Plan | TraceP
     asked = plan.asked()
     if any(store.jsonable(asked[key]) != next(iter(pages.values()))[key] for key in ("version", "spec", "digests")):
         raise InputError("the sweep's worlds or jexplore itself have changed since the parts were made")
-    table = ordered(pd.concat([found.episodes for found in tables], ignore_index=True), plan)
+    table = ordered(typed(pd.concat([found.episodes for found in tables], ignore_index=True), plan), plan)
     costs = Costs(
         compile_s=sum(found.costs.compile_s for found in tables),
         run_s=sum(found.costs.run_s for found in tables),

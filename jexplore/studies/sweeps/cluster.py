@@ -25,7 +25,7 @@ from jexplore.studies.checks import ready_strategies
 from jexplore.studies.results.provenance import digest
 from jexplore.studies.sweeps.connection import connected, require_ray
 from jexplore.studies.sweeps.plan import Plan
-from jexplore.studies.sweeps.work import added, run_block_units, windows
+from jexplore.studies.sweeps.work import run_block_units, windows
 from jexplore.version import __version__
 
 if TYPE_CHECKING:
@@ -263,7 +263,7 @@ class _Sweep:
         for number, table in made.tables.items():
             self.on_unit(number, table)
         del self.running[reference]
-        self.costs = added(self.costs, made.costs)
+        self.costs = self.costs.plus(made.costs)
         self.done += sum(len(table) for table in made.tables.values())
         if self.on_progress is not None:
             self.on_progress(self.done)

@@ -95,6 +95,17 @@ class Plan:
         own = dict.fromkeys(f"strategy.{key}" for parameters in self.parameters for key in parameters)
         return ["setting", *(key for key in self.settings[0] if key != "seed"), *own]
 
+    @functools.cached_property
+    def kinds(self) -> dict[str, str]:
+        """Columns of settings and the types of their values, see `kind_of`."""
+        found = {
+            name: [setting[name] for setting in self.settings] for name in self.columns if name in self.settings[0]
+        }
+        for name in self.columns:
+            if name.startswith("strategy."):
+                found[name] = [own.get(name.partition(".")[2]) for own in self.parameters]
+        return {name: kind_of(values) for name, values in found.items()}
+
     def seconds(self, workers: int) -> float:
         """About how long it takes on so many cores, compiling included."""
         each = [_cost(strategy.name) for strategy in self.strategies]
@@ -158,6 +169,17 @@ def _starts(name, cell_m, seed, clearance_m, near_m, n, start):
     return ready_starts(_loaded(name, cell_m), start, n, seed=seed, rules=rules)
 
 
+def kind_of(values: Sequence[Any]) -> str:
+    """The type of a column that holds these values: "bool", "int64", "float64", or "text"."""
+    if all(isinstance(value, bool) for value in values):
+        return "bool"
+    if all(isinstance(value, int) and not isinstance(value, bool) for value in values):
+        return "int64"
+    if all(value is None or (isinstance(value, (int, float)) and not isinstance(value, bool)) for value in values):
+        return "float64"
+    return "text"
+
+
 def _cost(name):
     head = name.partition(":")[0].split("+")
     return COSTS.get(head[0], 3.0) + SEGMENT_COST * any(word.startswith("segment") for word in head[1:])
@@ -170,6 +192,8 @@ def prepare_sweep(spec: Sweep) -> Plan:
       InputError: what cannot be run, in one line.
     """
     require_different("worlds", [os.fspath(world) for world in spec.worlds])
+    _loaded.cache_clear()  # a file may have changed since
+    _starts.cache_clear()
     settings, records, listed = spec.expanded(), spec.records(), spec.strategy_list()
     strategies = ready_strategies([name for name, _ in listed])
     total = spec.episodes * len(settings) * len(spec.worlds) * len(strategies)

@@ -6,22 +6,22 @@ pandas is imported by the functions that need it.
 import dataclasses
 import functools
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jexplore.config import InputError, Lidar, Rules
+from jexplore.config import InputError
 from jexplore.engine.backend import use_compilation_cache
 from jexplore.engine.runner import Costs
-from jexplore.exploration import batch
 from jexplore.report.ledger import Ledger
 from jexplore.report.tables import aligned_table, number_text, ratio_text, spread_text
-from jexplore.studies.results.units import COLUMNS, Unit, piece_of
+from jexplore.studies.results.units import COLUMNS
 from jexplore.studies.statistics.paired import paired_ratio
 from jexplore.studies.sweeps.plan import Plan, in_shard, prepare_sweep
 from jexplore.studies.sweeps.spec import Sweep, read_spec, sweep_from
 from jexplore.studies.sweeps.traces import TracePlan, prepare_traces, run_traces, summarise_traces, traces_table
+from jexplore.studies.sweeps.work import run_block_units, typed
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -82,7 +82,7 @@ class Swept:
     @property
     def varied(self) -> list[str]:
         """Columns of settings that have more than one value."""
-        some = [name for name in self.columns if name != "setting"]
+        some = [name for name in dict.fromkeys((*self.columns, "seed")) if name != "setting" and name in self.episodes]
         return [name for name in some if len(self.episodes[name].drop_duplicates()) > 1]
 
     def figures(self) -> dict[str, Callable[[], Any]]:
@@ -110,7 +110,7 @@ def summarise(episodes: "pd.DataFrame", columns: Sequence[str]) -> "pd.DataFrame
     """The `Swept.summary` of a table of episodes whose settings are in these columns."""
     import pandas as pd
 
-    rows, own = [], [name for name in columns if name != "setting"]
+    rows, own = [], [name for name in dict.fromkeys((*columns, "seed")) if name != "setting"]
     for pair, group in episodes.groupby(["setting", "world"], sort=False):
         setting, world = pair  # type: ignore[misc]
         reference = None
@@ -150,98 +150,6 @@ def _value_text(value):
     if value is None or value != value:
         return "-"
     return f"{value:.4g}" if isinstance(value, float) else str(value)
-
-
-def run_block_units(
-    plan: Plan,
-    numbers: Sequence[int],
-    on_unit: Callable[[int, "pd.DataFrame"], object],
-    *,
-    engine: str | None = None,
-    lanes: int | None = None,
-    workers: int | None = None,
-    on_progress: Callable[[int], object] | None = None,
-) -> Costs:
-    """Runs units of a sweep.
-
-    Args:
-      plan: `Plan`.
-      numbers: of the units, in order.
-      on_unit: called with the number of a unit and its table, once all its episodes have ended.
-      engine, lanes, workers, on_progress: as in `batch.run_jobs`.
-
-    Returns:
-      `Costs`, added up; `interrupted` after Ctrl-C.
-    """
-    costs, done = Costs(), 0
-    for window in _windows(plan, numbers):
-        blocks = [(number, block) for number in window for block in plan.units[number]]
-        left = {number: len(plan.units[number]) for number in window}
-        tables: dict[int, list[Any]] = {number: [] for number in window}
-        jobs = [plan.job(block, window.index(number)) for number, block in blocks]
-
-        def on_job(place, found, blocks=blocks, left=left, tables=tables, jobs=jobs):
-            number, block = blocks[place]
-            tables[number].append((place, _table(plan, block, jobs[place], found)))
-            left[number] -= 1
-            if not left[number]:
-                on_unit(number, _joined(plan, [table for _, table in sorted(tables.pop(number), key=lambda t: t[0])]))
-
-        progress = None if on_progress is None else (lambda n, done=done: on_progress(done + n))
-        how: dict[str, Any] = {"engine": engine, "lanes": lanes, "workers": workers, "alike": plan.alike}
-        try:
-            found = batch.run_jobs(jobs, Lidar(), Rules(), **how, on_progress=progress, on_job=on_job).costs
-        except KeyboardInterrupt:
-            costs.interrupted = True
-            return costs
-        costs = costs.plus(found)
-        done += sum(block.n for _, block in blocks)
-        if costs.interrupted:
-            break
-    return costs
-
-
-def _windows(plan: Plan, numbers: Sequence[int]) -> Iterator[list[int]]:
-    """Units that are run together: few enough that what they need fits into the memory."""
-    window, sites, episodes = [], set(), 0
-    for number in numbers:
-        own = {(block.setting, block.world) for block in plan.units[number]}
-        n = sum(block.n for block in plan.units[number])
-        if window and (episodes + n > WINDOW_EPISODES or len(sites | own) > WINDOW_SITES):
-            yield window
-            window, sites, episodes = [], set(), 0
-        window.append(number)
-        sites |= own
-        episodes += n
-    if window:
-        yield window
-
-
-def _table(plan, block, job, found):
-    """The rows of a block."""
-    strategy = plan.strategies[block.strategy]
-    # The job's own starts begin with the block's first episode.
-    piece = piece_of(job._replace(strategy=strategy), Unit(0, 0, block.n, 0), found)
-    table = piece.table.copy()
-    table["episode"] += block.first
-    setting = plan.settings[block.setting]
-    table.insert(0, "setting", block.setting)
-    for name in plan.columns[1:]:
-        kind, _, key = name.partition(".")
-        table[name] = plan.parameters[block.strategy].get(key) if kind == "strategy" else setting[name]
-    return table
-
-
-def _joined(plan, tables):
-    import pandas as pd
-
-    table = pd.concat(tables, ignore_index=True)
-    for name in plan.columns[1:]:  # a parameter that some strategies do not have is missing there
-        if name.startswith("strategy.") and all(
-            isinstance(own.get(name.partition(".")[2], 0), (int, float)) for own in plan.parameters
-        ):
-            table[name] = table[name].astype("float64")
-    return table
 
 
 def run_sweep(
@@ -299,7 +207,7 @@ def run_sweep(
         costs = run_block_units(plan, left, on_unit, **how, on_progress=progress) if left else Costs()
     if not tables:
         raise KeyboardInterrupt
-    table = ordered(pd.concat([tables[i] for i in sorted(tables)], ignore_index=True), plan)
+    table = ordered(typed(pd.concat([tables[i] for i in sorted(tables)], ignore_index=True), plan), plan)
     wanted = sum(plan.size(number) for number in numbers)
     return Swept(plan.spec, table, tuple(plan.columns), costs, wanted - len(table), resumed)
 

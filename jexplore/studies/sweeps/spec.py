@@ -5,7 +5,7 @@ import difflib
 import itertools
 import math
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -112,8 +112,15 @@ class Sweep:
         for one in self.settings:
             if not isinstance(one, Mapping) or not one:
                 raise InputError(f"settings must be mappings such as {{lidar.range_m: 4}}, got {one!r}")
-            for key in one:
+            for key, value in one.items():
                 _require_key(key)
+                _require_plain(key, value)
+                if key.partition(".")[0] in others:
+                    need = "strategies, not for robots" if self.robots else "robots, such as robots: [kamui]"
+                    raise InputError(f"{key} is for {need}")
+        for robot in self.robots:
+            if not isinstance(robot, str):
+                raise InputError(f"robots must be names, got {robot!r}")
 
     @property
     def axes(self) -> dict[str, Any]:
@@ -130,35 +137,38 @@ class Sweep:
           InputError: none, too many, ranges without `draws`, `draws` without a range.
         """
         axes, explicit = self.axes, [dict(one) for one in self.settings]
-        for one in explicit:
-            for key in one:
-                if key in axes and key not in ("seed", "cell_m"):
-                    raise InputError(f"{key} is given twice, in settings and in its own place")
-                axes.pop(key, None)
-        ranges = [key for key, axis in axes.items() if isinstance(axis, Range)]
-        if ranges and self.draws is None:
-            raise InputError(f"{ranges[0]} is a range: say how many settings are drawn, as in draws: 64")
-        if self.draws is not None and not ranges:
+        for key in dict.fromkeys(key for one in explicit for key in one):
+            if key in axes and key not in ("seed", "cell_m"):
+                raise InputError(f"{key} is given twice, in settings and in its own place")
+        is_range = any(isinstance(axis, Range) for axis in axes.values())
+        if is_range and self.draws is None:
+            name = next(key for key, axis in axes.items() if isinstance(axis, Range))
+            raise InputError(f"{name} is a range: say how many settings are drawn, as in draws: 64")
+        if self.draws is not None and not is_range:
             raise InputError("draws goes with a range, such as lidar: {range_m: {low: 4, high: 12}}, and there is none")
-        n = (self.draws or math.prod(len(axis) for axis in axes.values())) * max(len(explicit), 1)
+        own = [{key: axis for key, axis in axes.items() if key not in one} for one in explicit or [{}]]
+        n = sum(self.draws or math.prod(map(len, some.values())) for some in own)
         if n > MAX_SETTINGS:
             raise InputError(f"a sweep may have {MAX_SETTINGS:,} settings, got {n:,}; use fewer values, or draws")
-        drawn = self._drawn(axes) if ranges else [dict(zip(axes, row)) for row in itertools.product(*axes.values())]
         names = dict.fromkeys([*axes, *(key for one in explicit for key in one)])
         found = []
-        for one in explicit or [{}]:
-            for row in drawn:
+        for one, some in zip(explicit or [{}], own):
+            for row in (
+                self._drawn(some) if is_range else [dict(zip(some, row)) for row in itertools.product(*some.values())]
+            ):
                 setting = {**row, **one}
                 found.append({key: setting.get(key, _default(key)) for key in names})
-        if len({tuple(setting.values()) for setting in found}) < len(found):
-            raise InputError("settings must differ, got one of them more than once")
+        if len({tuple(map(repr, setting.values())) for setting in found}) < len(found):
+            raise InputError(
+                "settings must differ, got one of them more than once; a range of whole numbers may be too short"
+            )
         return found
 
     def _drawn(self, axes):
         """Draws from the axes, each evenly: a list of `{name: value}`."""
         from scipy.stats import qmc
 
-        seed = self.seed if isinstance(self.seed, int) else 0
+        seed = 0 if not isinstance(self.seed, int) else require_whole("seed", self.seed, 0, MAX_SEED)
         if self.draw == "sobol":
             source = qmc.Sobol(len(axes), rng=np.random.default_rng(seed))
             shares = source.random_base2(max(0, (int(self.draws or 1) - 1).bit_length()))[: self.draws]
@@ -246,8 +256,16 @@ def _axis(key, value) -> Any:
     if isinstance(value, (list, tuple)):
         if not value:
             raise InputError(f"{key} must have at least one value, got none")
-        return list(value)
-    return [value]
+        return [_require_plain(key, one) for one in value]
+    return [_require_plain(key, value)]
+
+
+def _require_plain(key, value):
+    """Refuses what is no single value."""
+    value = value.item() if isinstance(value, np.generic) else value
+    if value is not None and not isinstance(value, (bool, int, float, str)):
+        raise InputError(f"{key} must be a number, a word or a truth value, got {value!r}")
+    return value
 
 
 def _taken(key, axis, share):
@@ -305,14 +323,28 @@ def read_spec(path: str | os.PathLike[str]) -> Sweep:
         text = Path(os.path.expanduser(path)).read_text(encoding="utf-8")
     except (OSError, ValueError) as error:
         raise InputError(f"{os.fspath(path)} must be a readable YAML file: {reason(error)}") from error
+
+    class Loader(yaml.SafeLoader):
+        def construct_mapping(self, node, deep=False):
+            seen = set()
+            for key, _ in node.value:
+                if key.value in seen:
+                    raise yaml.constructor.ConstructorError(
+                        None, None, f"the key {key.value!r} is there twice", key.start_mark
+                    )
+                seen.add(key.value)
+            return super().construct_mapping(node, deep)
+
     try:
-        page = yaml.safe_load(text)
-    except yaml.YAMLError as error:
+        page = yaml.load(text, Loader)
+        return sweep_from(page, os.fspath(path))
+    except InputError:
+        raise
+    except (yaml.YAMLError, ValueError, TypeError, AttributeError, RecursionError) as error:
         mark = getattr(error, "problem_mark", None)
         where = "" if mark is None else f", line {mark.line + 1}, column {mark.column + 1}"
         what = getattr(error, "problem", None) or str(error).splitlines()[0]
         raise InputError(f"{os.fspath(path)}{where}: {what}") from error
-    return sweep_from(page, os.fspath(path))
 
 
 def plain(spec: Sweep) -> dict[str, Any]:
@@ -334,10 +366,9 @@ def plain(spec: Sweep) -> dict[str, Any]:
     return {
         field.name: simple(getattr(spec, field.name))
         for field in dataclasses.fields(Sweep)
-        if getattr(spec, field.name) not in ({}, (), None) or field.name == "worlds"
+        if not _is_empty(getattr(spec, field.name)) or field.name == "worlds"
     }
 
 
-def listed(strategies: Sequence[Any]) -> list[str]:
-    """Names of strategies, for a message."""
-    return [given if isinstance(given, str) else str(given.get("name")) for given in strategies]
+def _is_empty(value):
+    return value is None or (isinstance(value, (Mapping, tuple)) and not len(value))

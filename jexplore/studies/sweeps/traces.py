@@ -19,6 +19,7 @@ from jexplore.engine.runner import Costs
 from jexplore.report.tables import aligned_table, number_text, spread_text
 from jexplore.studies.checks import require_different
 from jexplore.studies.results.provenance import digest
+from jexplore.studies.sweeps.plan import kind_of
 from jexplore.studies.sweeps.spec import MAX_TOTAL, Sweep, plain
 from jexplore.studies.traces.job import NOISE, TraceJob, prepare_trace, with_values
 from jexplore.studies.traces.tracing import table_of
@@ -67,7 +68,12 @@ class TracePlan:
     @property
     def columns(self) -> list[str]:
         """Columns of settings in the table of runs."""
-        return ["setting", *(key for key in self.settings[0] if key != "seed")]
+        return ["setting", *self.settings[0]]
+
+    @property
+    def kinds(self) -> dict[str, str]:
+        """Columns of settings and the types of their values, see `plan.kind_of`."""
+        return {name: kind_of([setting[name] for setting in self.settings]) for name in self.columns[1:]}
 
     def size(self, unit: int) -> int:
         """Runs of a unit."""

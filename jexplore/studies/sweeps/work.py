@@ -3,7 +3,6 @@
 pandas is imported by the functions that need it.
 """
 
-import dataclasses
 from collections.abc import Callable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -62,20 +61,11 @@ def run_block_units(
         except KeyboardInterrupt:
             costs.interrupted = True
             return costs
-        costs = added(costs, found)
+        costs = costs.plus(found)
         done += sum(block.n for _, block in blocks)
         if costs.interrupted:
             break
     return costs
-
-
-def added(one: Costs, other: Costs) -> Costs:
-    """`Costs` of two runs, one after the other."""
-    total = dataclasses.replace(other)
-    for name in ("compile_s", "run_s", "advanced", "room", "decided", "group_room"):
-        setattr(total, name, getattr(one, name) + getattr(other, name))
-    total.interrupted = one.interrupted or other.interrupted
-    return total
 
 
 def windows(plan: Plan, numbers: Sequence[int]) -> Iterator[list[int]]:
@@ -112,10 +102,16 @@ def _table(plan, block, job, found):
 def _joined(plan, tables):
     import pandas as pd
 
-    table = pd.concat(tables, ignore_index=True)
-    for name in plan.columns[1:]:  # a parameter that some strategies do not have is missing there
-        if name.startswith("strategy.") and all(
-            isinstance(own.get(name.partition(".")[2], 0), (int, float)) for own in plan.parameters
-        ):
-            table[name] = table[name].astype("float64")
+    return typed(pd.concat(tables, ignore_index=True), plan)
+
+
+def typed(table: "pd.DataFrame", plan: Any) -> "pd.DataFrame":
+    """A table of a sweep, its columns of settings of the types that the whole plan gives them, whatever part it is:
+    truth values, whole numbers, numbers (NaN where there is none), or text (empty where there is none).
+    """
+    for name, kind in plan.kinds.items():
+        if kind == "text":
+            table[name] = ["" if value is None or value != value else str(value) for value in table[name]]
+        else:
+            table[name] = table[name].astype(kind)
     return table
