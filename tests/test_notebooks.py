@@ -1,29 +1,96 @@
-"""Every notebook runs from its first cell to its last, in an empty folder, with the installed package only."""
+"""The notebooks: what is committed is small, clean and shown; and, where nbclient is installed, every one runs.
 
-import os
+Running them needs `pip install '.[notebooks]'`; without it these tests are skipped.
+"""
+
+import ast
+import base64
+import json
+import runpy
 from pathlib import Path
 
 import pytest
 
-NOTEBOOKS = sorted((Path(__file__).resolve().parents[1] / "notebooks").glob("*.ipynb"))
-SMALL = os.environ.get("JEXPLORE_SMALL", "0") not in ("", "0")
+FOLDER = Path(__file__).resolve().parents[1] / "notebooks"
+PATHS = sorted(FOLDER.glob("*.ipynb"))
+NAMES = ("first_episode", "inside_the_kernels", "own_strategy", "compare", "rooms", "traces", "sweep")
+KERNEL = {"display_name": "Python 3", "language": "python", "name": "python3"}
+MOST_BYTES = 150_000  # of a notebook
+each = pytest.mark.parametrize("path", PATHS, ids=lambda path: path.stem)
 
 
-def test_they_are_there():
-    assert [path.name[:2] for path in NOTEBOOKS] == [f"0{i}" for i in range(1, 8)]
-    assert sum(path.stat().st_size for path in NOTEBOOKS) < 1_000_000
+def outputs(notebook):
+    """All outputs of its cells."""
+    return [output for cell in notebook["cells"] for output in cell.get("outputs", ())]
 
 
-@pytest.mark.skipif(not SMALL, reason="minutes: JEXPLORE_SMALL=1 runs them, at their small size")
-@pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::pytest.PytestUnraisableExceptionWarning")
-@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
-def test_a_notebook_runs(path, tmp_path):
-    nbclient = pytest.importorskip("nbclient", reason="needs nbclient: pip install 'jexplore[notebooks]'")
-    nbformat = pytest.importorskip("nbformat", reason="needs nbformat: pip install 'jexplore[notebooks]'")
-    page = nbformat.read(path, as_version=4)
-    assert page.metadata.kernelspec.name == "python3"
-    nbclient.NotebookClient(page, timeout=300, resources={"metadata": {"path": str(tmp_path)}}).execute()
-    outputs = [output for cell in page.cells if cell.cell_type == "code" for output in cell.outputs]
-    assert outputs
-    assert [output.text for output in outputs if output.get("name") == "stderr"] == []
-    assert any("image/png" in output.get("data", {}) for output in outputs)
+def faults(notebook):
+    """What must not be among the outputs of a notebook: errors, and what goes to the error stream."""
+    for output in outputs(notebook):
+        if output["output_type"] == "error":
+            yield f"{output['ename']}: {output['evalue']}"
+        elif output.get("name") == "stderr":
+            yield "".join(output["text"])
+
+
+def pictures(notebook):
+    """The PNG files that a notebook shows."""
+    found = (output.get("data", {}).get("image/png") for output in outputs(notebook))
+    return [base64.b64decode("".join(text)) for text in found if text]
+
+
+def test_they_are_all_there():
+    assert [path.stem for path in PATHS] == [f"{i:02}_{name}" for i, name in enumerate(NAMES, 1)]
+    assert sum(path.stat().st_size for path in PATHS) < 1_000_000
+
+
+@each
+def test_what_is_committed(path):
+    assert path.stat().st_size < MOST_BYTES
+    notebook = json.loads(path.read_text(encoding="utf-8"))
+    assert notebook["metadata"] == {"kernelspec": KERNEL, "language_info": {"name": "python"}}
+    assert all(cell["metadata"] == {} for cell in notebook["cells"])
+    code = [cell for cell in notebook["cells"] if cell["cell_type"] == "code"]
+    assert [cell["execution_count"] for cell in code] == list(range(1, len(code) + 1))  # run once, from top to bottom
+    assert list(faults(notebook)) == []
+    assert len(pictures(notebook)) >= 2
+    assert all(png.startswith(b"\x89PNG") for png in pictures(notebook))
+    assert "".join(notebook["cells"][0]["source"]).startswith("# ")
+
+
+@each
+def test_they_need_only_what_is_installed_with_the_package(path):
+    cells = json.loads(path.read_text(encoding="utf-8"))["cells"]
+    lines = "".join("".join(cell["source"]) + "\n" for cell in cells if cell["cell_type"] == "code").splitlines()
+    code = "\n".join(line for line in lines if not line.startswith("%"))
+    roots = set()
+    for node in ast.walk(ast.parse(code)):
+        if isinstance(node, ast.Import):
+            roots |= {alias.name.split(".")[0] for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            roots.add(str(node.module).split(".")[0])
+    assert roots <= {"os", "jax", "jexplore", "matplotlib", "numpy", "pandas"}
+
+
+def test_faults_are_found():
+    notebook = {
+        "cells": [
+            {"outputs": [{"output_type": "stream", "name": "stdout", "text": ["fine"]}]},
+            {"outputs": [{"output_type": "stream", "name": "stderr", "text": ["a ", "warning"]}]},
+            {"outputs": [{"output_type": "error", "ename": "ValueError", "evalue": "no"}]},
+        ]
+    }
+    assert list(faults(notebook)) == ["a warning", "ValueError: no"]
+
+
+@each
+def test_it_runs(path, tmp_path):
+    """At the small size, in an empty folder, as it stands: no error, nothing on the error stream, pictures shown."""
+    pytest.importorskip("nbclient")
+    pytest.importorskip("ipykernel")
+    tool = runpy.run_path(str(FOLDER / "refresh.py"))
+    inline = "module://matplotlib_inline.backend_inline"
+    notebook = tool["stripped"](tool["executed"](path, tmp_path, JEXPLORE_SMALL="1", MPLBACKEND=inline))
+    assert list(faults(notebook)) == []
+    assert len(pictures(notebook)) == len(pictures(json.loads(path.read_text(encoding="utf-8"))))
+    assert list(tmp_path.iterdir()) == []

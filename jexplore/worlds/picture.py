@@ -25,6 +25,7 @@ def floor_plan(occupied: np.ndarray, rooms: np.ndarray | None = None, start: Any
     """
     from PIL import Image, ImageDraw
 
+    rooms = None if rooms is None else np.asarray(rooms)
     colours = np.full((*occupied.shape, 3), 255, np.uint8)
     if rooms is not None and rooms.max() >= 0:
         colours[rooms >= 0] = np.array(soft_colours(int(rooms.max()) + 1), np.uint8)[rooms[rooms >= 0]]

@@ -70,8 +70,9 @@ class World:
         return float((~self.occupied).sum()) * self.cell_m**2
 
     def __repr__(self) -> str:
-        return f"<World {self._told()}>"
+        return f"<World {self._told() or repr(self.name)}>"
 
+    @or_text
     def _told(self):
         name = " ".join(str(self.name).split()) or "without a name"
         if not isinstance(self.occupied, np.ndarray):  # on its way through jax

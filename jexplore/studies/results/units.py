@@ -161,6 +161,14 @@ class Ran(NamedTuple):
     firsts: dict[int, Outcomes]  # number of a job, one of the first -> what its first unit left, if that was run here
 
 
+def _kept(jobs, cuts, wanted, ledger) -> dict[int, Piece]:
+    """The units that a ledger has: number -> `Piece`."""
+    if ledger is None:
+        return {}
+    have = [i for i in wanted if i in ledger.done]
+    return {i: of_table(ledger.get(i), cuts[i].job, jobs[cuts[i].job].world.cell_m) for i in have}
+
+
 def run_units(
     jobs: Sequence[Job],
     *,
@@ -191,14 +199,9 @@ def run_units(
     """
     cuts = cut(jobs)
     wanted = list(range(len(cuts))) if units is None else sorted(units)
-    pieces: dict[int, Piece] = {}
-    for i in wanted:
-        if ledger is not None and i in ledger.done:
-            job = jobs[cuts[i].job]
-            pieces[i] = of_table(ledger.get(i), cuts[i].job, job.world.cell_m)
+    pieces, firsts = _kept(jobs, cuts, wanted, ledger), {}
     resumed = sum(len(piece.table) for piece in pieces.values())
     left = [i for i in wanted if i not in pieces]
-    firsts: dict[int, Outcomes] = {}
 
     def on_job(place: int, found: Outcomes) -> None:
         number = left[place]

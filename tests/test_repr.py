@@ -1,0 +1,323 @@
+"""How worlds, episodes, comparisons and trace maps show themselves: pictures by their pixels, tables, lines."""
+
+import base64
+import dataclasses
+import io
+import re
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+from PIL import Image
+from ref.traces import CRAWLER, T_LEFT
+from ref.worlds import two_rooms
+
+from jexplore.arrays import pictures
+from jexplore.config import Lidar
+from jexplore.studies.comparison import compare
+from jexplore.studies.explore import explore
+from jexplore.tracemap.record import BtmMap, Link, Node
+from jexplore.worlds.picture import ROBOT, floor_plan
+
+LIDAR = Lidar(n_beams=37, range_m=1.0)
+BLACK, WHITE = (0, 0, 0), (255, 255, 255)
+
+
+def pixels(png):
+    """A PNG as `[H, W, 3]`, row 0 at the bottom."""
+    return np.asarray(Image.open(io.BytesIO(png)).convert("RGB")).astype(int)[::-1]
+
+
+def cells(png, shape):
+    """The colour in the middle of every cell."""
+    found = pixels(png)
+    rows, cols = (((np.arange(n) + 0.5) * size / n).astype(int) for n, size in zip(shape, found.shape))
+    return [[tuple(found[row, col].tolist()) for col in cols] for row in rows]
+
+
+def shown(html):
+    """The picture in a scrap of HTML, the texts of its table, and the line below the picture."""
+    (source,) = re.findall(r'src="data:image/png;base64,([^"]+)"', html)
+    caption = re.search(r"<div>([^<]*)</div>", html)
+    assert caption is not None
+    return base64.b64decode(source), re.findall(r"<t[hd]>(.*?)</t[hd]>", html), caption[1]
+
+
+# --- worlds
+
+
+def test_a_floor_plan_by_pencil():
+    occupied = np.array([[1, 1, 1, 1], [1, 0, 0, 1], [1, 1, 0, 1]], bool)
+    rooms = np.array([[-1, -1, -1, -1], [-1, 0, -1, -1], [-1, -1, 1, -1]], np.int32)
+    first, second = pictures.soft_colours(2)
+    assert cells(floor_plan(occupied), (3, 4)) == [
+        [BLACK, BLACK, BLACK, BLACK],
+        [BLACK, WHITE, WHITE, BLACK],
+        [BLACK, BLACK, WHITE, BLACK],
+    ]
+    assert cells(floor_plan(occupied, rooms), (3, 4)) == [
+        [BLACK, BLACK, BLACK, BLACK],
+        [BLACK, first, WHITE, BLACK],
+        [BLACK, BLACK, second, BLACK],
+    ]
+
+
+def test_the_start_is_an_arrow_that_points_ahead():
+    plan = np.zeros((5, 5), bool)
+    for heading_deg, (up, right) in {0: (0, 1), 90: (1, 0), 180: (0, -1), 270: (-1, 0)}.items():
+        found = pixels(floor_plan(plan, None, (1, 3, heading_deg)))
+        side = found.shape[0] / 5
+        rows, cols = np.nonzero((found != 255).any(axis=-1))
+        middle = (rows.min() + rows.max()) / 2 - 1.5 * side, (cols.min() + cols.max()) / 2 - 3.5 * side
+        assert np.abs(middle).max() < 4  # about the middle of cell (1, 3)
+        tip = rows.mean() - (rows.min() + rows.max()) / 2, cols.mean() - (cols.min() + cols.max()) / 2
+        assert np.dot(tip, (up, right)) < -0.3  # most of an arrow head lies behind its middle
+        assert tuple(found[int(1.5 * side), int(3.5 * side)]) == ROBOT
+
+
+def test_a_turned_map_is_a_turned_picture():
+    occupied = np.random.default_rng(0).random((7, 11)) < 0.4
+    turned = np.array(cells(floor_plan(np.rot90(occupied)), (11, 7)))
+    assert np.array_equal(turned, np.rot90(np.array(cells(floor_plan(occupied), (7, 11)))))
+
+
+def test_a_thin_wall_of_a_large_map_is_grey_and_the_file_small():
+    occupied = np.zeros((1500, 3000), bool)
+    occupied[:, 1500] = True
+    png = floor_plan(occupied)
+    found = pixels(png)
+    assert max(found.shape) <= 600
+    grey = np.unique(found.min(axis=(0, 2)))
+    assert len(grey) == 2
+    assert 0 < grey[0] < 255 == grey[1]
+    assert len(png) < 5000
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 9), (4096, 1)])
+@pytest.mark.parametrize("wall", [False, True])
+def test_worlds_at_the_edge(shape, wall):
+    png = floor_plan(np.full(shape, wall), np.full(shape, -1, np.int32), (0, 0, 45) if shape == (1, 1) else None)
+    assert (pixels(png)[0, 0] == (0 if wall else 255)).all()
+
+
+def test_a_world_shows_itself():
+    world = two_rooms("a <b>\nc").replace(start=(3, 4, 90))
+    assert repr(world) == "<World a <b> c; 24 x 36 cells of 0.1 m, 7 m² free>"
+    png, table, caption = shown(world._repr_html_())
+    assert png == world._repr_png_()
+    assert not table
+    assert caption == "a &lt;b&gt; c; 24 x 36 cells of 0.1 m, 7 m² free"
+    rooms = np.where(world.occupied, -1, np.arange(36)[None] > 17)
+    assert repr(world.replace(name="", rooms=rooms)).startswith("<World without a name; ")
+    assert repr(world.replace(rooms=rooms)).endswith(", 2 rooms>")
+    assert repr(world.replace(rooms=np.where(rooms == 1, -1, rooms))).endswith(", 1 room>")
+
+
+@pytest.mark.jit
+def test_a_world_on_its_way_through_jax_is_told_in_one_line():
+    world = two_rooms()
+    told = []
+    jax.jit(lambda one: told.append((repr(one), one._repr_html_(), one._repr_png_())))(world)
+    for one in (jax.eval_shape(lambda: world), jax.tree.map(lambda _: None, world)):
+        told.append((repr(one), one._repr_html_(), one._repr_png_()))
+    for text, html, png in told:
+        assert re.fullmatch(r"<World two rooms; occupied: \w+>", text)
+        assert html is None
+        assert png is None
+    assert jax.tree.map(jnp.asarray, world)._repr_png_() == world._repr_png_()
+
+
+def test_a_world_that_nobody_has_checked_yet():
+    lists = two_rooms().replace(occupied=[[True, False]], rooms=[[-1, 0]])
+    assert repr(lists) == "<World two rooms; 1 x 2 cells of 0.1 m, 0 m² free, 1 room>"
+    assert cells(lists._repr_png_(), (1, 2)) == [[BLACK, pictures.soft_colours(1)[0]]]
+    wrong = two_rooms().replace(cell_m="a", rooms=np.zeros((2, 2), np.int32))
+    assert repr(wrong) == "<World 'two rooms'>"
+    assert wrong._repr_html_() is None
+
+
+# --- trace maps
+
+
+def test_a_trace_map_by_pencil():
+    nodes = (Node(0, 0.0, 0.0, "terminal"), Node(1, 4.0, 0.0, "divergence"))
+    links = (Link(0, 0, 1, "searched", 0.0, 180.0, 4.0), Link(1, 1, -1, "un-searched", 270.0))
+    found = BtmMap(nodes, links)
+    assert repr(found) == "<BtmMap of 2 nodes and 2 links, 1 of them searched>"
+    png, table, caption = shown(found._repr_html_())
+    assert png == found._repr_png_()
+    assert caption == repr(found)[1:-1]
+    assert table == [
+        *("", "what", "how many"),
+        *("□", "terminal", "1"),
+        *("○", "divergence", "1"),
+        *("—", "searched link, 4.0 m in all", "1"),
+        *("╌", "un-searched link", "1"),
+    ]
+    image = pixels(png)
+    height, width = image.shape[:2]
+    dark = (image < 128).all(axis=-1)
+    across = dark[height // 2 - 2 : height // 2 + 2].any(axis=0)  # rows of the link
+    assert across[width // 4 : 3 * width // 4].all()
+    below = image[: height // 2 - 12, 3 * width // 4 :].min(axis=-1)  # the stub of the link that nobody has followed
+    assert 100 < below.min() < 200
+    assert (image[:, : width // 2].max(axis=-1) - image[:, : width // 2].min(axis=-1) < 30).all()  # white, black, grey
+    yellow = image[..., 2] < image[..., 0] - 60
+    assert 3 * width / 4 < np.nonzero(yellow)[1].mean()  # the divergence
+
+
+def test_a_trace_map_lies_as_its_metres_do():
+    """North is up, east is right."""
+    nodes = (Node(0, 0.0, 0.0, "terminal"), Node(1, 0.0, 3.0, "free_space"), Node(2, 3.0, 3.0, "obstacle", "stairs"))
+    image = pixels(BtmMap(nodes, ())._repr_png_())
+    height, width = image.shape[:2]
+    blue = image[..., 0] < image[..., 2] - 60
+    pink = image[..., 1] < image[..., 0] - 40
+    for mask, upper, right in ((blue, True, False), (pink, True, True)):
+        rows, cols = np.nonzero(mask)
+        assert (rows.mean() > height / 2, cols.mean() > width / 2) == (upper, right)
+
+
+@pytest.mark.parametrize("found", [CRAWLER, T_LEFT, BtmMap((Node(7, 1.0, 1.0, "terminal"),), ())])
+def test_any_trace_map_is_shown(found):
+    png, table, _ = shown(found._repr_html_())
+    image = pixels(png)
+    assert len(png) < 20_000
+    assert max(image.shape) <= pictures.LONG_PX + 2
+    assert (image[[0, -1]] > 200).all()  # nothing is cut off
+    assert sum(int(n) for n in table[5::3]) == len(found.nodes) + len(found.links)
+
+
+def test_a_loop_and_an_empty_map():
+    loop = BtmMap((Node(0, 0.0, 0.0, "divergence"),), (Link(0, 0, 0, "searched", 0.0, 90.0),))
+    assert (pixels(loop._repr_png_()) < 100).any()
+    empty = BtmMap((), ())
+    assert repr(empty) == "<BtmMap of 0 nodes and 0 links, 0 of them searched>"
+    assert empty._repr_html_() is None
+    assert empty._repr_png_() is None
+
+
+# --- episodes and comparisons
+
+
+@pytest.fixture(scope="module")
+def episode(jit_on):
+    with jit_on():
+        return explore(two_rooms(), "closest", seed=2, lidar=LIDAR)
+
+
+@pytest.fixture(scope="module")
+def comparison(jit_on):
+    with jit_on():
+        return compare(two_rooms(), ["closest", "closest+recheck"], episodes=3, lidar=LIDAR)
+
+
+def test_an_episode_shows_itself(episode):
+    assert repr(episode) == f"<Episode {episode.title}>"
+    png, table, caption = shown(episode._repr_html_())
+    assert png == episode._repr_png_()
+    assert dict(zip(table[:6], table[6:])) == {
+        "path": f"{episode.measures['path_m']:.1f} m",
+        "explored": f"{100 * episode.measures['explored_fraction']:.1f}%",
+        "95 % known after": f"{episode.measures['path_m_at_95']:.1f} m",
+        "plans": str(episode.measures["plans"]),
+        "scans": str(episode.measures["scans"]),
+        "outcome": "COMPLETE",
+    }
+    row, col, heading_deg = episode.start
+    assert caption == f"episode 0 of seed 2, from row {row}, col {col}, heading {heading_deg}°"
+    assert len(np.unique(pixels(png).reshape(-1, 3), axis=0)) > 20
+    assert len(png) < 40_000
+
+
+def test_a_comparison_shows_itself(comparison):
+    png, table, caption = shown(comparison._repr_html_())
+    assert png == comparison._repr_png_()
+    assert caption == "Comparison of 2 strategies in 1 world, 6 episodes"
+    lines = [table[i : i + 8] for i in range(0, len(table), 8)]
+    assert lines[0][:4] == ["world", "strategy", "n", "path m"]
+    assert [line[1] for line in lines[1:]] == ["closest", "closest+recheck"]
+    for line, (_, row) in zip(lines[1:], comparison.summary.iterrows()):
+        assert line[3] == f"{row['mean']:.2f} ± {row['sd']:.2f}"
+        assert line[4].startswith(f"{row['ratio']:.3f}")
+        assert line[7] == "COMPLETE 3"
+
+
+def test_a_comparison_of_many_worlds_shows_what_they_say_together(comparison):
+    import pandas as pd
+
+    tables = [comparison.episodes.assign(world=f"room#{i}") for i in range(20)]
+    worlds = tuple(two_rooms(f"room#{i}") for i in range(20))
+    many = dataclasses.replace(comparison, episodes=pd.concat(tables, ignore_index=True), worlds=worlds, progress={})
+    _, table, caption = shown(many._repr_html_())
+    assert caption == "Comparison of 2 strategies in 20 worlds, 120 episodes"
+    assert table[:4] == ["strategy", "ratio to the first", "p (Holm)", "best in"]
+    assert set(table[4::4]) == {"closest", "closest+recheck"}
+    assert all(text.endswith(" of 20") for text in table[7::4])
+
+
+def test_warnings_are_told(comparison):
+    cut = dataclasses.replace(comparison, interrupted=2)
+    assert shown(cut._repr_html_())[2].endswith("6 episodes; 1 warning, see .warnings")
+
+
+def test_what_cannot_be_drawn_falls_back_to_text(episode, comparison):
+    broken = dataclasses.replace(episode, final=None)
+    assert repr(broken) == repr(episode)
+    assert broken._repr_html_() is None
+    assert broken._repr_png_() is None
+    empty = dataclasses.replace(comparison, episodes=comparison.episodes.iloc[:0])
+    assert repr(empty) == "<Comparison of 0 strategies in 1 world, 0 episodes>"
+    assert empty._repr_html_() is None
+    assert empty._repr_png_() is None
+
+
+# --- what they share
+
+
+def test_long_tables_are_cut_and_texts_are_no_html():
+    lines = [(str(i), "<i>") for i in range(1000)]
+    html = pictures.html_of(b"png", 'a "b" & c', ("n", "x"), lines)
+    assert html.count("<tr>") == 1 + pictures.MOST_ROWS
+    assert "... and 976 more rows" in html
+    assert "<i>" not in html
+    assert 'alt="a &quot;b&quot; &amp; c"' in html
+    assert "<table>" not in pictures.html_of(b"png", "caption")
+
+
+def test_soft_colours_are_soft_and_neighbours_differ():
+    colours = np.array(pictures.soft_colours(40))
+    assert colours.min() >= 185
+    assert colours.max() <= 245
+    assert np.abs(np.diff(colours, axis=0)).max(axis=1).min() > 25
+    assert pictures.soft_colours(0) == []
+    assert pictures.soft_colours(3) == pictures.soft_colours(5)[:3]
+
+
+def test_a_figure_becomes_a_small_file():
+    figure = Figure(figsize=(2, 1))
+    figure.add_subplot().plot([0, 1])
+    assert pixels(pictures.png_of(figure, dpi=50)).shape == (50, 100, 3)
+    assert pixels(pictures.png_of(figure)).shape == (72, 144, 3)
+
+
+def test_only_failures_are_swallowed():
+    class Thing:
+        @pictures.or_text
+        def shown(self):
+            """What it shows."""
+            return self.value
+
+        @pictures.or_text
+        def stopped(self):
+            raise KeyboardInterrupt
+
+    thing = Thing()
+    assert thing.shown() is None
+    thing.value = "a"  # type: ignore[attr-defined]
+    assert thing.shown() == "a"
+    assert Thing.shown.__doc__ == "What it shows."
+    with pytest.raises(KeyboardInterrupt):
+        thing.stopped()
