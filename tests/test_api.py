@@ -1,6 +1,7 @@
 """The package's own names: loaded when first used, and nothing heavy before."""
 
 import ast
+import importlib.util
 import subprocess
 import sys
 from pathlib import Path
@@ -40,7 +41,11 @@ def test_the_probe_sees_what_is_loaded():
 def test_every_name_exists_and_is_told():
     assert set(jexplore.__all__) == {*jexplore._MODULE_OF, "__version__"}
     for name in jexplore.__all__:
-        assert getattr(jexplore, name) is not None
+        if name in ("GymEnv", "GymVectorEnv") and importlib.util.find_spec("gymnasium") is None:  # an extra
+            with pytest.raises(ImportError, match=r"pip install 'jexplore\[gym\]'"):
+                getattr(jexplore, name)
+        else:
+            assert getattr(jexplore, name) is not None
         assert name in dir(jexplore)
     assert callable(jexplore.compare)
     with pytest.raises(AttributeError, match="no attribute 'compair'"):
