@@ -25,7 +25,7 @@ PROC = pytest.mark.skipif(not Path("/proc/self/cmdline").exists(), reason="proce
 pytestmark = pytest.mark.jit
 WORLDS = ("rooms:width_m=5,height_m=5", "rooms#3:width_m=5,height_m=5")
 LIDAR = {"n_beams": 31, "range_m": 2}
-SPEC = spec.Sweep(WORLDS, ("closest", "random"), episodes=60, lidar=LIDAR, rules={"p_free": [0.3, 0.5]})
+SPEC = spec.Sweep(WORLDS, ("closest", "closest+recheck"), episodes=60, lidar=LIDAR, rules={"p_free": [0.3, 0.5]})
 FAR = "def far(view, weight=1.0):\n    return weight * view.cost\n"
 
 
