@@ -148,7 +148,7 @@ def test_ctrl_c(tmp_path):
     process.send_signal(signal.SIGINT)
     _, said = process.communicate(timeout=120)
     assert process.returncode == 130
-    assert "interrupted, nothing was written" in said
+    assert "interrupted, no results were written" in said
     assert not out.exists()
 
 

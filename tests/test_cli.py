@@ -165,7 +165,7 @@ def test_an_interruption_is_one_line_and_leaves_the_old_run(ran, world, tmp_path
             patch.setattr(store, where, interrupted)
             assert main.main([*command, "--overwrite"]) == 130
         said = capsys.readouterr()
-        assert said.err.endswith("jexplore: interrupted, nothing was written\n")
+        assert said.err.endswith("jexplore: interrupted, no results were written\n")
         assert files(tmp_path) == ["run.json"]
         assert (tmp_path / "run.json").read_text() == "old"
 
@@ -423,7 +423,7 @@ raise SystemExit(main.main())
 """
     found = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=25, check=False)
     assert found.stdout == "went on\n"  # the first was dropped
-    assert found.stderr == "jexplore: interrupted, nothing was written\n"
+    assert found.stderr == "jexplore: interrupted, no results were written\n"
     assert found.returncode == 130
 
 

@@ -162,6 +162,24 @@ def test_a_finished_run_is_not_run_again(tmp_path, capsys, monkeypatch):
     said = capsys.readouterr().out
     assert said.startswith(table)
     assert said.splitlines()[-1].endswith("nothing was left to do")
+    for name in ("coverage.png", "coverage.svg", "report.html"):
+        (tmp_path / "run" / name).unlink()
+    assert main.main(command) == 0
+    assert capsys.readouterr().out.splitlines()[-1].endswith("drew coverage.png, report.html")
+    assert {"coverage.png", "coverage.svg", "report.html"} <= set(files(tmp_path / "run"))
+
+
+def test_a_strategy_that_was_written_anew_is_another_run(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    file, command = tmp_path / "mine_again.py", [*COMMAND, "--episodes", "2", "--out", "run", "--no-report", "--resume"]
+    command[command.index("--strategies") + 1 : command.index("--strategies") + 2] = ["mine_again:far"]
+    file.write_text("def far(view):\n    return view.cost\n")
+    assert main.main(command) == 0
+    assert main.main(command) == 0
+    file.write_text("def far(view):\n    return -view.cost  # the nearest\n")
+    assert main.main(command) == 2
+    assert "holds another run: its own, mine_again:far: is" in capsys.readouterr().err
 
 
 def test_a_picture_that_fails_costs_no_data(tmp_path, capsys, monkeypatch):

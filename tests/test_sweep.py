@@ -7,6 +7,7 @@ import re
 import numpy as np
 import pandas as pd
 import pytest
+import yaml
 
 import jexplore as jx
 from jexplore.cli import main
@@ -114,6 +115,10 @@ def test_parameters_of_strategies_are_axes():
         ),
         ({"worlds": ["a"], "strategies": [{"nam": "x"}]}, "a strategy must be a name, or a mapping"),
         ({"worlds": ["a"], "strategies": ["closest", "closest"]}, "strategies must differ"),
+        ({"worlds": ["a"], "strategies": [{"name": "x", "mode": None}]}, "x: mode must be a number, a truth value or"),
+        ({"worlds": ["a"], "strategies": [{"name": "x", "mode": ["a,b"]}]}, "a plain word, got 'a,b'"),
+        ({"worlds": ["a"], "settings": [{"seed": 3}, {"seed": 3.0}]}, "settings must differ"),
+        ({"worlds": ["a"], "strategies": ["closest"], "robots": ["kamui"]}, "cannot be compared in one sweep"),
     ],
 )
 def test_what_no_sweep_may_be_asked(page, message):
@@ -322,6 +327,43 @@ def test_the_command_and_its_parts(tmp_path, capsys, monkeypatch):
     (tmp_path / "s.yaml").write_text(YAML.replace("24", "25"))
     assert main.main(["sweep", "s.yaml", "--out", "whole", "--resume"]) == 2
     assert "holds another run" in capsys.readouterr().err
+
+
+@pytest.mark.jit
+def test_a_part_without_the_first_strategy_has_no_ratios(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(plans, "UNIT", 3)
+    asked = {"worlds": WORLDS[:1], "strategies": ["closest", "random"], "episodes": 3, "lidar": {**SMALL, "range_m": 2}}
+    (tmp_path / "s.yaml").write_text(yaml.safe_dump(asked))
+    for i in (1, 2):
+        assert main.main(["sweep", "s.yaml", "--shard", f"{i}/2", "--out", f"part{i}", "--no-report"]) == 0
+    parts = [jx.load(f"part{i}") for i in (1, 2)]
+    assert [part.reference for part in parts] == ["closest", "closest"]
+    assert [part.episodes["strategy"].unique().tolist() for part in parts] == [["closest"], ["random"]]
+    assert parts[0].summary["ratio"].tolist() == [1.0]
+    assert np.isnan(parts[1].summary[["ratio", "ratio_low", "ratio_high"]].to_numpy()).all()
+    assert main.main(["merge", "part1", "part2", "--out", "whole", "--no-report"]) == 0
+    assert jx.load("whole").summary["ratio"].tolist() == sweep(asked).summary["ratio"].tolist()
+    record = json.loads((tmp_path / "part2" / "run.json").read_text())
+    assert record["asked"]["shard"] == "2/2"
+    assert len(record["worlds"][0]["sha256"]) == 64
+    assert main.main(["sweep", "s.yaml", "--shard", "1/2", "--out", "part2", "--resume"]) == 2
+    assert 'its shard is "2/2", not "1/2"' in capsys.readouterr().err
+
+
+def test_parameters_of_ones_own_are_settings_too(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "own_swept.py").write_text("def far(view, weight=1.0):\n    return weight * view.cost\n")
+    given = ("closest", {"name": "own_swept:far", "weight": [1, 2]}, {"name": "own_swept:far+recheck", "weight": 3})
+    names = [name for name, _ in Sweep(WORLDS[:1], given).strategy_list()]
+    assert names[1:] == ["own_swept:far:weight=1", "own_swept:far:weight=2", "own_swept:far+recheck:weight=3"]
+    assert [one.name for one in plans.prepare_sweep(Sweep(WORLDS[:1], given)).strategies] == names
+
+
+def test_numbers_in_yaml(tmp_path):
+    (tmp_path / "s.yaml").write_text("worlds: [cave]\nrules: {p_free: [1e-1, 5e-1]}\nlidar: {range_m: 1E+1}\n")
+    assert read_spec(tmp_path / "s.yaml").rules == {"p_free": [0.1, 0.5]}
+    assert read_spec(tmp_path / "s.yaml").lidar == {"range_m": 10.0}
 
 
 @pytest.mark.jit

@@ -95,26 +95,40 @@ class Compare:
                 rules=self.rules,
             )
             ran = run_with_bar(self, jobs, out)
+            reported = jobs if self.report else None
             if ran is None:
-                return show_finished(out)
+                return show_finished(out, _tables, _figures, reported)
             with note(FINISHING):
                 found = assemble(jobs, ran)
-                record = functools.partial(out.record, arguments, self)
+                record, text = functools.partial(out.record, arguments, self), found.to_markdown()
                 if self.league:
-                    text, figures, entries = _league(found, ran)
+                    text, entries = _league(found, ran)
                     record = functools.partial(record, **entries)
-                else:
-                    text, figures = found.to_markdown(), {"compare.png": found.compare_figure}
-                    figures |= {"coverage.png": found.coverage_figure}
-                    # Without any episode 0, as after an early interruption, there is no path to draw.
-                    figures |= {"paths.png": found.paths_figure} if found.first else {}
-                return finish(out, found, ran, text, figures, record, jobs if self.report else None)
+                return finish(out, found, ran, text, _figures(found, self.league), record, reported)
+
+
+def _tables(found, record):
+    """The tables of a comparison that has been finished before."""
+    from jexplore.studies.statistics.league import standings_table
+
+    league = record["configuration"].get("league")
+    return standings_table(found.standings, record.get("plan_ms", {})) if league else found.to_markdown()
+
+
+def _figures(found, league):
+    """Pictures of a comparison: `{name: function}`, which draws it."""
+    from jexplore.report import plot_league
+
+    if league:
+        return {"league.png": lambda: plot_league.figure(found.standings)}
+    figures = {"compare.png": found.compare_figure, "coverage.png": found.coverage_figure}
+    # Without any episode 0, as after an early interruption, there is no path to draw.
+    return figures | ({"paths.png": found.paths_figure} if found.first else {})
 
 
 def _league(found, ran):
-    """Standings, and what a plan costs: `(text, figures, entries of run.json)`."""
+    """Standings, and what a plan costs: `(text, entries of run.json)`."""
     from jexplore.bench.plans import plan_costs
-    from jexplore.report import plot_league
     from jexplore.studies.statistics.league import standings_table
 
     world, names, plan_ms = found.worlds[0], list(dict.fromkeys(found.episodes["strategy"])), {}
@@ -131,7 +145,7 @@ def _league(found, ran):
         )
         text += "the same maps, with the default scanner and rules\n"
     entries = {"standings": found.standings.to_dict("records"), "plan_ms": plan_ms}
-    return text, {"league.png": lambda: plot_league.figure(found.standings)}, entries
+    return text, entries
 
 
 def run_with_bar(options: Any, jobs: "Sequence[Job]", out: Out) -> "Ran | None":
@@ -149,13 +163,26 @@ def run_with_bar(options: Any, jobs: "Sequence[Job]", out: Out) -> "Ran | None":
         return units.run_units(jobs, ledger=ledger, **how, on_progress=on_progress)
 
 
-def show_finished(out: Out) -> int:
-    """What `--resume` says of a run that is finished. Returns the exit status."""
-    from jexplore.studies.results.loading import load
+def show_finished(
+    out: Out,
+    tables: Callable[[Any, Mapping[str, Any]], str],
+    figures: "Callable[[Any, bool], Mapping[str, Callable[[], Figure]]]",
+    jobs: "Sequence[Job] | None" = None,
+) -> int:
+    """What `--resume` says of a run that is finished; pictures that are not there are drawn. Returns the exit status.
 
-    found = load(out.run.path)
-    show_table(found.to_markdown())
-    print(f"{out.run.path}{os.sep} holds all of it: nothing was left to do")
+    Args:
+      out: `Out`.
+      tables: called with what was found and what run.json holds.
+      figures: called with what was found and whether it is a league's, as for `finish`.
+      jobs: of the run, for a report; None for none.
+    """
+    from jexplore.studies.results.loading import load, record_of
+
+    found, record = load(out.run.path), record_of(out.run.path)
+    show_table(tables(found, record))
+    drawn = figures(found, bool(record["configuration"].get("league")))
+    out.draw_missing(_pictures(out, getattr(found, "comparison", found), {}, record, drawn, jobs))
     return 0
 
 
@@ -179,7 +206,7 @@ def finish(
       record: called with more entries of run.json, returns all.
       jobs: of the run, for a report; None for none.
     """
-    from jexplore.report import plot, store
+    from jexplore.report import store
     from jexplore.studies.results import loading
 
     costs, record = ran.costs, record(**_entries(found, ran))
@@ -190,27 +217,36 @@ def finish(
     }
     out.write(files, is_finished=not costs.interrupted)
 
-    def picture(make, path):
-        figure = make()
-        plot.save_figure(figure, path)
-        if path.name in VECTORS:
-            plot.save_figure(figure, path.with_suffix(".svg"))
-
     try:
         show_table(text)
         for line in found.warnings:
             print(f"warning: {line}")
         sys.stdout.flush()
     finally:  # a reader of the output who goes away costs no pictures
-        drawn = out.draw({name: functools.partial(picture, make) for name, make in figures.items()})
-        if jobs is not None and not costs.interrupted:
-            page = functools.partial(_report, out, found, ran, record, jobs, drawn)
-            drawn += out.draw({"report.html": page})
+        jobs = None if costs.interrupted else jobs
+        drawn = out.draw(_pictures(out, found, ran.firsts, record, figures, jobs))
     print(f"wrote {', '.join([*files, *drawn])} to {out.run.path}{os.sep}")
     if costs.interrupted:
         out.say_kept()
         return say("jexplore: interrupted, what was finished was written", 130)
     return 0
+
+
+def _pictures(out, found, firsts, record, figures, jobs):
+    """Pictures of a comparison and, with its jobs, its page: name -> what writes it."""
+    drawn = {name: functools.partial(_picture, make) for name, make in figures.items()}
+    if jobs is not None:
+        drawn["report.html"] = functools.partial(_report, out, found, firsts, record, jobs, list(drawn))
+    return drawn
+
+
+def _picture(make, path):
+    from jexplore.report import plot
+
+    figure = make()
+    plot.save_figure(figure, path)
+    if path.name in VECTORS:
+        plot.save_figure(figure, path.with_suffix(".svg"))
 
 
 def _entries(found, ran):
@@ -233,13 +269,13 @@ def _entries(found, ran):
     }
 
 
-def _report(out, found, ran, record, jobs, drawn, path):
-    """Writes the page of a comparison."""
+def _report(out, found, firsts, record, jobs, names, path):
+    """Writes the page of a comparison, with those of its pictures that are there."""
     from jexplore.studies.results.report import replays_for, write_report
 
-    replays, notes = replays_for(jobs, ran.firsts)
+    replays, notes = replays_for(jobs, firsts)
     tables = [("In each world", found.summary)]
     if len(found.worlds) > 1:
         tables.insert(0, ("Over all worlds", found.standings))
-    pictures = [out.run.path / name for name in drawn]
+    pictures = out.there(names)
     write_report(path, f"jexplore {record['command'][1]}", record, tables, pictures, replays, notes)

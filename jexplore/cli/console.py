@@ -6,7 +6,7 @@ import os
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -144,13 +144,16 @@ class Out:
     ledger: "Ledger | None"
     asked: dict[str, Any] | None
     units: int
+    wanted: int
     began: float
     now: datetime.datetime
 
     def __init__(self, options: Any, command: str) -> None:
         self.given = None if options.out is None else os.path.expanduser(options.out)
+        if self.given is not None and self.given.startswith("~"):
+            raise InputError(f"--out {self.given}: there is no such home folder; give the whole path")
         self.overwrite, self.resume = options.overwrite, getattr(options, "resume", False)
-        self.command, self.ledger, self.asked, self.units = command, None, None, 0
+        self.command, self.ledger, self.asked, self.units, self.wanted = command, None, None, 0, 0
         if self.resume and self.overwrite:
             raise InputError("--resume goes on with a run and --overwrite replaces it: give one of them")
         if self.resume and self.given is None:
@@ -177,15 +180,16 @@ class Out:
     def say_kept(self) -> None:
         """Says how to go on with a run that was ended, if anything of it is kept."""
         if self.ledger is not None and self.ledger.done and self.run.unfinished.exists():
-            done = f"{len(self.ledger.done)} of {self.ledger.units} units"
+            done = f"{len(self.ledger.done)} of {self.wanted} units"
             print(f"jexplore: {done} are kept; --out {self.run.path} --resume goes on with them", file=sys.stderr)
 
-    def keep(self, asked: Mapping[str, Any], units: int) -> "Ledger | None":
+    def keep(self, asked: Mapping[str, Any], units: int, *, wanted: int | None = None) -> "Ledger | None":
         """Keeps what the run finishes on its way, or goes on with what is there.
 
         Args:
           asked: all that the results depend on.
           units: how many units the run has.
+          wanted: how many of them are made here, by default all.
 
         Returns:
           `Ledger`; None where the run is finished.
@@ -195,7 +199,7 @@ class Out:
         """
         from jexplore.report.ledger import Ledger, is_finished
 
-        self.asked, self.units = {"command": self.command, **asked}, units
+        self.asked, self.units, self.wanted = {"command": self.command, **asked}, units, wanted or units
         if self.resume and is_finished(self.run, self.asked, units):
             return None
         self.ledger = Ledger(self.run, self.asked, units, resume=self.resume)
@@ -240,6 +244,17 @@ class Out:
             except Exception as error:
                 print(f"warning: {name} could not be drawn: {first_line(error)}", file=sys.stderr)
         return drawn
+
+    def there(self, names: Iterable[str]) -> list[Path]:
+        """Those of some files that the folder has."""
+        return [self.run.path / name for name in names if (self.run.path / name).is_file()]
+
+    def draw_missing(self, writers: Mapping[str, Callable[[Path], Any]]) -> None:
+        """Adds the pictures that a finished run does not have, and says so."""
+        have = {file.name for file in self.there(writers)}
+        drawn = self.draw({name: write for name, write in writers.items() if name not in have})
+        what = f"drew {', '.join(drawn)}" if drawn else "nothing was left to do"
+        print(f"{self.run.path}{os.sep} holds all of it: {what}")
 
 
 def first_line(error: BaseException) -> str:

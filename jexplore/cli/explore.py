@@ -8,6 +8,7 @@ from typing import Annotated
 import tyro
 
 from jexplore.cli.console import COMPILING, Out, note, progress_of
+from jexplore.cli.listings import describe
 from jexplore.cli.options import OneStrategy, OneWorld, OutFolder
 from jexplore.config import InputError, Lidar, Rules, require_whole
 
@@ -66,7 +67,8 @@ class Explore:
             with note(COMPILING):
                 found = run_job(job, self.lidar, self.rules)
             measures = {"world": found.world.name, "strategy": found.strategy, **found.measures}
-            record = out.record(arguments, self, result=measures, compile_s=found.compile_s, run_s=found.run_s)
+            times = {"compile_s": found.compile_s, "run_s": found.run_s}
+            record = out.record(arguments, self, result=measures, worlds=[describe(found.world)], **times)
             out.write({"run.json": lambda path: store.write_json(record, path)})
             for name, value in measures.items():
                 text = "-" if value is None else f"{value:.3f}" if isinstance(value, float) else str(value)

@@ -71,7 +71,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except InputError as error:
         return say(f"jexplore: error: {' '.join(str(error).split())}", 2)
     except KeyboardInterrupt:
-        status = say("jexplore: interrupted, nothing was written", _ENDED_BY[-1] + 128)
+        status = say("jexplore: interrupted, no results were written", _ENDED_BY[-1] + 128)
         if own:
             os._exit(status)  # at once: a program that is being compiled cannot be stopped in another way
         return status

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 
 from jexplore.cli.console import Out, note, say, working
+from jexplore.cli.listings import describe
 from jexplore.cli.options import OutFolder
 from jexplore.cli.terminal import show_table
 from jexplore.config import InputError
@@ -50,6 +51,8 @@ class Sweep:
     """Episodes at a time in lockstep; by default as many as the memory holds."""
     workers: int | None = None
     """Cores that run episodes, one each, with the engine serial; by default all that this process may use."""
+    gpu: bool = False
+    """Give every task of the engine ray a GPU, instead of the cores that --workers says (default: one)."""
     out: OutFolder = None
     """Folder to write."""
     overwrite: bool = False
@@ -75,7 +78,9 @@ class Sweep:
         numbers = plans.in_shard(len(plan.units), shard)
         if not numbers:
             raise InputError(f"--shard {self.shard}: the sweep has only {len(plan.units)} units; use fewer parts")
-        cores = self.workers or own_cores()
+        cores = own_cores() if self.workers is None else self.workers
+        if cores < 1:
+            raise InputError(f"workers must be at least 1, got {cores}")
         lines = plans.summary_lines(plan, cores, numbers)
         if self.dry_run:
             print("\n".join(lines))
@@ -84,16 +89,21 @@ class Sweep:
         if seconds > LONG_S and not self.yes:
             raise InputError(f"this will take {plans.duration(seconds)} or so ({lines[0]}): give --yes to begin")
         with Out(self, "sweep") as out:
-            ledger = out.keep(plan.asked(shard), len(plan.units))
+            ledger = out.keep(plan.asked(shard), len(plan.units), wanted=len(numbers))
             if ledger is None:
-                return _show_finished(out)
+                return _show_finished(out, plan if self.report else None)
             engine = None if self.engine == "auto" else self.engine
-            how: dict[str, Any] = {"engine": engine, "lanes": self.lanes, "workers": self.workers}
+            how: dict[str, Any] = {
+                "engine": engine,
+                "lanes": self.lanes,
+                "workers": self.workers,
+                "gpu": self.gpu,
+            }
             total = sum(plan.size(number) for number in numbers)
             with working(total, "runs" if spec.robots else "episodes") as on_progress:
                 found = run_sweep(plan, ledger=ledger, shard=shard, **how, on_progress=on_progress)
             with note(FINISHING):
-                return _finish(out, found, arguments, self, shard, plan if self.report else None)
+                return _finish(out, found, arguments, self, plan)
 
 
 def shard_of(text: str | None) -> tuple[int, int] | None:
@@ -110,17 +120,25 @@ def shard_of(text: str | None) -> tuple[int, int] | None:
     return int(match[1]) - 1, int(match[2])
 
 
-def _show_finished(out):
-    from jexplore.studies.results.loading import load
+def _show_finished(out, plan):
+    """What `--resume` says of a sweep that is finished; pictures that are not there are drawn."""
+    from jexplore.studies.results.loading import load, record_of
 
-    show_table(load(out.run.path).to_markdown(SHOWN))
-    print(f"{out.run.path}{os.sep} holds all of it: nothing was left to do")
+    found = load(out.run.path)
+    show_table(found.to_markdown(SHOWN))
+    out.draw_missing(_pictures(out, found, record_of(out.run.path), plan))
     return 0
 
 
-def _finish(
-    out: Out, found: "Swept", arguments: Sequence[str], options: Any, shard: Any, plan: Any, **entries: Any
-) -> int:
+def _pictures(out, found, record, plan):
+    """Pictures of a sweep and, with a plan, its page: name -> what writes it."""
+    drawn = {f"sweep{tail}.png": functools.partial(_picture, make) for tail, make in found.figures().items()}
+    if plan is not None and not found.missing and not found.spec.robots:
+        drawn["report.html"] = functools.partial(_report, out, found, record, plan, list(drawn))
+    return drawn
+
+
+def _finish(out: Out, found: "Swept", arguments: Sequence[str], options: Any, plan: Any, **entries: Any) -> int:
     """Writes, prints and draws. Returns the exit status."""
     import yaml
 
@@ -136,8 +154,9 @@ def _finish(
         **{name: getattr(costs, name) for name in ("compile_s", "run_s", "engine", "devices", "lanes")},
         interrupted=found.missing,
         resumed=found.resumed,
-        shard=shard,
         columns=found.columns,
+        reference=found.reference,
+        worlds=[describe(world) for world in plan.all_worlds()],
         **entries,
     )
     files = {
@@ -151,11 +170,7 @@ def _finish(
         show_table(found.to_markdown(SHOWN))
         sys.stdout.flush()
     finally:  # a reader of the output who goes away costs no pictures
-        pictures = {f"sweep{tail}.png": make for tail, make in found.figures().items()}
-        drawn = out.draw({name: functools.partial(_picture, make) for name, make in pictures.items()})
-        if plan is not None and not found.missing and not found.spec.robots:
-            page = functools.partial(_report, out, found, record, plan, drawn)
-            drawn += out.draw({"report.html": page})
+        drawn = out.draw(_pictures(out, found, record, plan if options.report else None))
     if found.missing:
         print(f"warning: {found.missing} episodes are missing")
     print(f"wrote {', '.join([*files, *drawn])} to {out.run.path}{os.sep}")
@@ -174,17 +189,17 @@ def _picture(make, path):
     plot.save_figure(figure, path.with_suffix(".svg"))
 
 
-def _report(out, found, record, plan, drawn, path):
-    """Writes the page of a sweep."""
+def _report(out, found, record, plan, names, path):
+    """Writes the page of a sweep, with those of its pictures that are there."""
     from jexplore.studies.results.report import replays_for, write_report
-    from jexplore.studies.sweeps.run import labelled
+    from jexplore.studies.sweeps.run import labels_of
 
-    jobs = plan.first_jobs()
-    replays, notes = replays_for([job for job, _ in jobs])
+    jobs, settings = zip(*plan.first_jobs())
+    replays, notes = replays_for(jobs, labels=labels_of(settings))
     shown = found.summary.head(REPORTED)
     tables = [(f"The first {len(shown)} of {len(found.summary)} rows of summary.csv", shown)]
-    pictures = [out.run.path / name for name in drawn]
-    write_report(path, "jexplore sweep", record, tables, pictures, labelled(replays, jobs), notes)
+    pictures = out.there(names)
+    write_report(path, "jexplore sweep", record, tables, pictures, replays, notes)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -211,4 +226,4 @@ class Merge:
             with note("jexplore: reading the parts"):
                 found, plan = merge(self.parts)
             out.asked, out.units = {"command": "sweep", **plan.asked()}, len(plan.units)
-            return _finish(out, found, arguments, self, None, plan if self.report else None, parts=self.parts)
+            return _finish(out, found, arguments, self, plan, parts=self.parts)

@@ -11,6 +11,7 @@ from typing import Annotated
 import tyro
 
 from jexplore.cli.console import COMPILING, Out, note, say, working
+from jexplore.cli.listings import describe
 from jexplore.cli.options import EngineName, OneStrategy, OneWorld, OutFolder
 from jexplore.cli.terminal import show_table
 from jexplore.config import InputError
@@ -75,6 +76,8 @@ class Trace:
 
         if not self.from_episode and self.strategy != type(self)().strategy:
             raise InputError("--strategy goes with --from-episode")
+        if self.noise_m is not None and self.noise.range_m not in (type(self)().noise.range_m, self.noise_m):
+            raise InputError("--noise-m and --noise.range-m say the same: give one of them")
         with Out(self, "trace") as out:
             if self.from_episode:
                 return _trace_episode(out, self, arguments)
@@ -112,6 +115,7 @@ class Trace:
         runs_per_s = (len(found.table) - found.resumed) / costs.run_s if costs.run_s else None
         missing = plan.runs * plan.settings - len(found.table)
         entries = {"runs_per_s": runs_per_s, "resumed": found.resumed, "interrupted": missing}
+        entries["worlds"] = [describe(plan.world)]
         record = out.record(arguments, self, **entries, **{name: getattr(costs, name) for name in names})
         files = {**_exchanged(found.first), "runs.parquet": lambda path: store.write_parquet(found.table, path)}
         text = trace_tables.tables(found.first) + "\n" + "\n".join(trace_tables.summary(found))

@@ -143,7 +143,11 @@ def require_same(path: Path, there: Any, here: Mapping[str, Any]) -> None:
     old, new = ({**page.get("asked", {}), "units": page.get("units")} for page in pages)
     for key in dict.fromkeys((*new, *old)):
         if old.get(key) != new.get(key):
-            was, is_ = (_short(page.get(key)) for page in (old, new))
+            was, is_ = old.get(key), new.get(key)
+            if isinstance(was, dict) and isinstance(is_, dict):  # of which one entry tells more than all
+                inner = next(name for name in (*is_, *was) if was.get(name) != is_.get(name))
+                key, was, is_ = f"{key}, {inner}:", was.get(inner), is_.get(inner)
+            was, is_ = _short(was), _short(is_)
             raise InputError(
                 f"{path} holds another run: its {key} is {was}, not {is_}; choose another folder or allow overwriting "
                 "(--overwrite)"

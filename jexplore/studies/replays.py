@@ -1,5 +1,6 @@
 """Replays for a page: episodes that have been run, as frames."""
 
+import dataclasses
 from collections.abc import Callable, Sequence
 
 import jax
@@ -148,6 +149,7 @@ def replays_of(
     outcomes: Sequence[Outcomes] | None = None,
     max_pairs: int = MAX_PAIRS,
     max_frames: int = MAX_FRAMES,
+    labels: Sequence[str] = (),
     on_progress: Callable[[int], object] | None = None,
 ) -> tuple[list[ReplayData], list[str]]:
     """Episode 0 of the first jobs, for a page.
@@ -160,6 +162,7 @@ def replays_of(
         needs is compiled.
       max_pairs: so many jobs are shown, the first ones.
       max_frames: of a replay.
+      labels: what tells each job from others of its world and strategy; by default the number of its episode.
       on_progress: called with the number of replays made so far.
 
     Returns:
@@ -173,25 +176,24 @@ def replays_of(
         use_compilation_cache()
         outcomes = batch.run_jobs(jobs, lidar, rules, only=0).outcomes
     made = []
-    for done, (job, found) in enumerate(zip(jobs, outcomes), 1):
+    for done, (job, found, label) in enumerate(zip(jobs, outcomes, labels or [""] * len(jobs)), 1):
         title = f"{job.strategy.name} in {job.world.name}"
         if found.first is None:
             notes.append(f"{title}: no replay, the run was interrupted before its first episode ended.")
         elif found.first.plans is None:
             notes.append(f"{title}: no replay, its episode made more plans than are kept.")
         else:
-            made.append(
-                replay_data(
-                    *(job.world, job.strategy, found.first),
-                    start=tuple(int(value) for value in job.starts[0]),  # type: ignore[arg-type]  # three
-                    seed=job.seed,
-                    number=job.first,
-                    lidar=job.lidar or lidar,
-                    rules=job.rules or rules,
-                    outcome=Outcome(int(found.result.outcome[0])).name,
-                    max_frames=max_frames,
-                )
+            replay = replay_data(
+                *(job.world, job.strategy, found.first),
+                start=tuple(int(value) for value in job.starts[0]),  # type: ignore[arg-type]  # three
+                seed=job.seed,
+                number=job.first,
+                lidar=job.lidar or lidar,
+                rules=job.rules or rules,
+                outcome=Outcome(int(found.result.outcome[0])).name,
+                max_frames=max_frames,
             )
+            made.append(dataclasses.replace(replay, which=label) if label else replay)
         if on_progress is not None:
             on_progress(done)
     return made, notes

@@ -11,7 +11,7 @@ from jax import Array, lax
 
 from jexplore.config import InputError
 from jexplore.planning import Belief, Choice, choose, field, first_at, is_open, nearest_of, view_of
-from jexplore.policies.catalogue.fingerprint import fingerprint
+from jexplore.policies.catalogue import fingerprint
 from jexplore.policies.catalogue.own import bare, call, described, is_score, parameters
 from jexplore.policies.policy import Policy
 from jexplore.policies.room_wise import rebuilt
@@ -66,7 +66,7 @@ class _Theirs:
 
     def __init__(self, function: Callable[..., Any], fixed: tuple[tuple[str, Any], ...] = ()) -> None:
         self.function, self.fixed, self.what = function, fixed, described(function)
-        self._key = type(self), fingerprint(function), fixed
+        self._key = type(self), fingerprint.fingerprint(function), fixed
 
     def anew(self) -> "_Theirs":
         """The same function, as it is now."""
@@ -249,6 +249,19 @@ def is_theirs(policy: Policy) -> bool:
     """Whether a policy, or the one that it modifies, comes from outside this package."""
     inner = getattr(policy.select, "inner", policy.select)
     return isinstance(inner, _Theirs)
+
+
+def files_of(policy: Policy) -> list[str]:
+    """Files in which somebody else's strategy is written, and what it refers to, but for what is installed: sorted."""
+    found = set()
+
+    def note(function):
+        if isinstance(function, _Theirs):
+            found.update(fingerprint.files_of(function.function))
+        return function
+
+    rebuilt(policy, note)
+    return sorted(found)
 
 
 def check(policy: Policy, params: Any, belief: Any, beams: Any, route: Any) -> None:

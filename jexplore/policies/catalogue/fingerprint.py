@@ -43,6 +43,15 @@ def fingerprint(thing: Any) -> Hashable:
     return _Itself(object()) if len(seen) > MOST else found
 
 
+def files_of(thing: Any) -> list[str]:
+    """Files that hold the code of a thing and of all that it refers to, in a user's folders: sorted."""
+    seen: dict[Any, tuple[int, Any]] = {}
+    _look(thing, (), seen)
+    codes = (found.__code__ for _, found in seen.values() if isinstance(found, types.FunctionType))
+    names = {code.co_filename for code in codes if not _is_installed(code.co_filename)}
+    return sorted(name for name in names if os.path.isfile(name))
+
+
 def _look(thing, names, seen):
     if isinstance(thing, PLAIN):
         return type(thing), thing, str(thing) if isinstance(thing, float) else None  # 0.0 and -0.0 differ

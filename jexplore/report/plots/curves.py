@@ -26,14 +26,14 @@ def quartiles(progress: Any) -> np.ndarray:
     return np.quantile(driven, [0.25, 0.5, 0.75], axis=0, method="inverted_cdf")
 
 
-def draw_progress(ax: Axes, progress: Any, look: Mapping[str, Any], *, end_m: float, band: float = 0.18) -> Line2D:
-    """The share that is known along the path: the median path to each share, in a band from quartile to quartile.
+def draw_progress(ax: Axes, progress: Any, look: Mapping[str, Any], *, band: float = 0.18) -> Line2D:
+    """The share that is known along the path: the median path to each share, in a band from quartile to quartile, which
+    ends at what a quarter of the episodes never knew.
 
     Args:
       ax: the axes, metres and per cent.
       progress: `[N, M]` float, metres at 1 / M, 2 / M, ... of what can be known, NaN where that was never known.
       look: line properties, from `looks_of`.
-      end_m: where a band ends whose last quartile never knew as much.
       band: how opaque the band is.
 
     Returns:
@@ -41,9 +41,8 @@ def draw_progress(ax: Axes, progress: Any, look: Mapping[str, Any], *, end_m: fl
     """
     low, median, high = quartiles(progress)
     share = np.arange(1, len(median) + 1) * 100 / len(median)
-    known = np.isfinite(low)
-    ends = np.where(np.isfinite(high[known]), high[known], end_m)
-    ax.fill_betweenx(share[known], low[known], ends, color=look["color"], alpha=band, linewidth=0)
+    known = np.isfinite(high)
+    ax.fill_betweenx(share[known], low[known], high[known], color=look["color"], alpha=band, linewidth=0)
     style = {"color": look["color"], "linestyle": look["linestyle"], "linewidth": 1.5}
     marked = [i for i in range(len(share) // 4 - 1, len(share), len(share) // 4) if 0 < median[i] < np.inf]
     marks = {"marker": look["marker"], "markevery": marked, "ms": 4.5, "mec": "white", "mew": 0.4}
@@ -72,7 +71,7 @@ def coverage_figure(entries: Sequence[tuple[str, Mapping[str, Any]]]) -> Figure:
         end_m = min(end_m, 1.08 * float(shown.max(initial=0.0)) or end_m)
         for name, progress in known.items():
             if np.size(progress):
-                lines[name] = draw_progress(ax, progress, looks[name], end_m=end_m, band=band_of(len(known)))
+                lines[name] = draw_progress(ax, progress, looks[name], band=band_of(len(known)))
         ax.set(xlim=(-0.01 * end_m, end_m), ylim=(0, 101))
         if not np.any(shown > 0):
             at = {"ha": "center", "va": "center", "fontsize": FONT, "color": GREY, "transform": ax.transAxes}

@@ -1,6 +1,7 @@
 """What the single environment and the vector environment share: worlds, spaces, and what a state looks like."""
 
 import functools
+from collections.abc import Mapping
 from typing import Any
 
 import jax
@@ -71,7 +72,7 @@ class Game:
         Raises:
           InputError: an option that there is not, or that cannot be one.
         """
-        options = {} if options is None else dict(options)
+        options = require_options(options)
         for name in options:
             if name not in _OPTIONS:
                 raise unknown("option", str(name), _OPTIONS)
@@ -147,6 +148,17 @@ def look(state: EnvState, *, targets: str) -> tuple[dict[str, Array], dict[str, 
 def copied(arrays: dict[str, Any]) -> dict[str, np.ndarray]:
     """Arrays that whoever gets them may write to."""
     return {name: np.array(array) for name, array in arrays.items()}
+
+
+def require_options(options: Any) -> dict[str, Any]:
+    """The options of a reset as a dict.
+
+    Raises:
+      InputError: no mapping.
+    """
+    if options is not None and not isinstance(options, Mapping):
+        raise InputError(f"options must be a mapping of {', '.join(_OPTIONS)}, got {options!r}")
+    return dict(options or {})
 
 
 def whole(name: str, value: Any, shape: tuple[int, ...], low: int, high: int) -> np.ndarray:

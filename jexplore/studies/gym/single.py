@@ -9,7 +9,7 @@ import numpy as np
 from jexplore.config import MAX_SEED, InputError, Lidar, Rules, require_whole
 from jexplore.studies.checks import LIDAR, RULES
 from jexplore.studies.environment import Environment, EnvState
-from jexplore.studies.gym.game import MAX_DECISIONS, Game, copied, drawn_seed, look, whole
+from jexplore.studies.gym.game import MAX_DECISIONS, Game, copied, drawn_seed, look, require_options, whole
 
 
 class GymEnv(gymnasium.Env):
@@ -78,7 +78,7 @@ class GymEnv(gymnasium.Env):
         """
         if seed is not None:
             seed = require_whole("seed", seed, 0, MAX_SEED)
-        given = self._game.options({name: [value] for name, value in (options or {}).items()}, 1)
+        given = self._game.options({name: [value] for name, value in require_options(options).items()}, 1)
         start, world, episode = (None if a is None else a[0] for a in given)
         super().reset(seed=seed)
         if seed is not None or self._base is None:

@@ -148,6 +148,6 @@ def of_sweep(found: Any) -> Any:
     for name in found.columns[1:]:
         along = "strategy" if name.startswith("strategy.") else "setting"
         values = table.drop_duplicates(along).set_index(along)[name].loc[dims[along]]
-        numbers = values.astype("float64") if values.dtype.kind in "if" else values.astype(str)
+        numbers = values.astype("float64") if values.dtype.kind in "if" else values.fillna("").astype(str)
         coordinates[name] = along, numbers.to_numpy()
     return _with_units(made.assign_coords(coordinates))

@@ -32,6 +32,8 @@ if TYPE_CHECKING:
     pass
 
 DETAILS = "details.npz"
+MADE_FROM = ("version", "spec", "digests")  # entries of what was asked from which a sweep is made ready again
+CHECKED = (*MADE_FROM, "own")  # that its parts have in common
 
 
 def write_details(found: Comparison, path: Path) -> None:
@@ -109,7 +111,7 @@ def load(path: str | os.PathLike[str]) -> Any:
     import pandas as pd
 
     folder = Path(os.path.expanduser(path))
-    record = _record(folder)
+    record = record_of(folder)
     command = record["command"][1]
     if record.get("asked", {}).get("command") == "sweep":
         return _sweep(folder, record)
@@ -118,7 +120,7 @@ def load(path: str | os.PathLike[str]) -> Any:
     for name in ("runs.parquet", "scores.parquet"):
         if (folder / name).is_file():
             return store.read_parquet(folder / name)
-    for name, entry in (("explore", "result"), ("worlds", "worlds")):
+    for name, entry in (("explore", "result"), ("trace", "result"), ("worlds", "worlds")):
         if command == name and entry in record:
             found = record[entry]
             return pd.DataFrame(found if isinstance(found, list) else [found])
@@ -127,7 +129,7 @@ def load(path: str | os.PathLike[str]) -> Any:
     raise InputError(f"{os.fspath(path)}: `jexplore {command}` leaves no table to be read")
 
 
-def _record(folder):
+def record_of(folder: Path) -> dict[str, Any]:
     """The run.json of a run."""
     page = folder / "run.json"
     if not page.is_file():
@@ -159,7 +161,13 @@ def _sweep(folder, record):
     episodes = store.read_parquet(folder / "episodes.parquet", required=record["columns"])
     costs = Costs(compile_s=record["compile_s"] or 0.0, run_s=record["run_s"] or 0.0, engine=record["engine"])
     spec, columns = read_spec(folder / "asked.yaml"), tuple(record["columns"])
-    return Swept(spec, episodes, columns, costs, record["interrupted"], record["resumed"])
+    return Swept(spec, episodes, columns, costs, record["interrupted"], record["resumed"], record["reference"])
+
+
+def _part_of(asked):
+    """Which part of a sweep this is, from 0, and of how many."""
+    i, _, n = asked["shard"].partition("/")
+    return int(i) - 1, int(n)
 
 
 def merge(parts: Sequence[str | os.PathLike[str]]) -> tuple[Swept, Plan | TracePlan]:
@@ -181,30 +189,30 @@ def merge(parts: Sequence[str | os.PathLike[str]]) -> tuple[Swept, Plan | TraceP
     pages, tables, places = {}, [], {}
     for part in parts:
         folder = Path(os.path.expanduser(part))
-        page = _record(folder)
+        page = record_of(folder)
         asked = page.get("asked", {})
         if asked.get("command") != "sweep" or not asked.get("shard"):
             raise InputError(f"{part} must hold a part of a sweep, made with --shard")
         if page["interrupted"]:
             raise InputError(f"{part} holds a part that was not finished: go on with --resume")
         first = next(iter(pages.values()), asked)
-        for key in ("version", "spec", "digests"):
-            if asked[key] != first[key]:
+        for key in CHECKED:
+            if asked.get(key) != first.get(key):
                 raise InputError(f"{part} must be a part of the sweep in {next(iter(pages))}: another {key}")
-        i, n = asked["shard"]
-        if n != first["shard"][1]:
-            raise InputError(f"{part} is part {i + 1}/{n}, and {next(iter(pages))} one of {first['shard'][1]}")
+        i, n = _part_of(asked)
+        if n != _part_of(first)[1]:
+            raise InputError(f"{part} is part {i + 1}/{n}, and {next(iter(pages))} one of {_part_of(first)[1]}")
         if i in places:
             raise InputError(f"{part} is part {i + 1}/{n}, and so is {places[i]}")
         pages[part], places[i] = asked, part
         tables.append(_sweep(folder, page))
-    n = next(iter(pages.values()))["shard"][1]
+    n = _part_of(next(iter(pages.values())))[1]
     missing = [f"{i + 1}/{n}" for i in range(n) if i not in places]
     if missing:
         raise InputError(f"all parts must be given, and {', '.join(missing)} are not")
     plan = ready(tables[0].spec)
     asked = plan.asked()
-    if any(store.jsonable(asked[key]) != next(iter(pages.values()))[key] for key in ("version", "spec", "digests")):
+    if any(store.jsonable(asked.get(key)) != next(iter(pages.values())).get(key) for key in MADE_FROM):
         raise InputError("the sweep's worlds or jexplore itself have changed since the parts were made")
     table = ordered(typed(pd.concat([found.episodes for found in tables], ignore_index=True), plan), plan)
     costs = Costs(
@@ -212,4 +220,4 @@ def merge(parts: Sequence[str | os.PathLike[str]]) -> tuple[Swept, Plan | TraceP
         run_s=sum(found.costs.run_s for found in tables),
         engine=tables[0].costs.engine,
     )
-    return Swept(plan.spec, table, tuple(plan.columns), costs), plan
+    return Swept(plan.spec, table, tuple(plan.columns), costs, reference=plan.reference), plan

@@ -1,18 +1,22 @@
 """What results were made from: the worlds to the bit, the files of maps, the commit of this package."""
 
+import contextlib
 import functools
 import hashlib
 import importlib.metadata
 import json
 import os
 import subprocess
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
+import jax
 import numpy as np
 
 from jexplore.exploration.batch import Job
+from jexplore.policies import Strategy
+from jexplore.policies.catalogue import adapt
 from jexplore.version import __version__
 from jexplore.worlds.world import World
 
@@ -87,6 +91,19 @@ def commit() -> str | None:
         return None
 
 
+def own_digests(strategies: Iterable[Strategy]) -> dict[str, str]:
+    """What somebody else's strategies are made of: name -> SHA-256 of files and numbers, in hexadecimal digits."""
+    digests = {}
+    for strategy in strategies:
+        if adapt.is_theirs(strategy.policy):
+            found = hashlib.sha256(repr([_file_hash(file) for file in adapt.files_of(strategy.policy)]).encode())
+            for leaf in jax.tree.leaves(strategy.policy.params):
+                with contextlib.suppress(TypeError):  # what is no number is refused elsewhere
+                    found.update(np.ascontiguousarray(leaf).tobytes())
+            digests[strategy.name] = found.hexdigest()
+    return digests
+
+
 def asked(jobs: Sequence[Job]) -> dict[str, Any]:
     """All that the results of some jobs depend on, as plain values: of two runs with equal ones the units are equal."""
     worlds = {os.fspath(job.world.name): job.world for job in jobs}
@@ -105,4 +122,5 @@ def asked(jobs: Sequence[Job]) -> dict[str, Any]:
         "rules": list(dict.fromkeys(rules for _, rules in settings)),
         "starts": starts.hexdigest(),
         "digests": {name: digest(world) for name, world in worlds.items()},
+        "own": own_digests({job.strategy.name: job.strategy for job in jobs}.values()),
     }

@@ -18,7 +18,7 @@ from jexplore.policies import Strategy
 from jexplore.policies.catalogue.joined import joined
 from jexplore.raycast import scans_all_round
 from jexplore.studies.checks import ready_starts, ready_strategies, ready_worlds, require_different, require_memory
-from jexplore.studies.results.provenance import digest
+from jexplore.studies.results.provenance import digest, own_digests
 from jexplore.studies.sweeps.spec import MAX_TOTAL, Sweep, plain
 from jexplore.version import __version__
 from jexplore.worlds.world import World
@@ -62,6 +62,11 @@ class Plan:
     units: list[list[Block]]
     programs: int
     """Programs that are compiled for it."""
+
+    @property
+    def reference(self) -> str:
+        """Name of the first strategy."""
+        return self.strategies[0].name
 
     @functools.cached_property
     def together(self) -> list[Strategy]:
@@ -122,12 +127,17 @@ class Plan:
             "version": __version__,
             "spec": plain(self.spec),
             "digests": self.digests,
-            "shard": None if shard is None else list(shard),
+            "own": own_digests(self.strategies),
+            "shard": None if shard is None else f"{shard[0] + 1}/{shard[1]}",
         }
 
     def size(self, unit: int) -> int:
         """Episodes of a unit."""
         return sum(block.n for block in self.units[unit])
+
+    def all_worlds(self) -> list[World]:
+        """Every world in every cell size."""
+        return [self.world(world, cell_m) for world, cell_m in self.shapes]
 
     def world(self, number: int, cell_m: float) -> World:
         """A world, loaded."""
@@ -206,12 +216,12 @@ def prepare_sweep(spec: Sweep) -> Plan:
             shapes[world, cell_m] = loaded.shape
             digests.append(digest(loaded))
     checked = set()
-    for _, cell_m, lidar, rules in records:
+    for seed, cell_m, lidar, rules in records:
         for world in range(len(spec.worlds)):
             loaded = _loaded(os.fspath(spec.worlds[world]), cell_m)
-            if (world, cell_m, rules.clearance_m, rules.near_m) not in checked:
-                checked.add((world, cell_m, rules.clearance_m, rules.near_m))
-                ready_starts(loaded, spec.start, 1, seed=0, rules=rules)
+            if (world, cell_m, seed, rules.clearance_m, rules.near_m) not in checked:
+                checked.add((world, cell_m, seed, rules.clearance_m, rules.near_m))
+                ready_starts(loaded, spec.start, 1, seed=seed, rules=rules)
             if (world, cell_m, lidar, rules.max_steps) not in checked:
                 checked.add((world, cell_m, lidar, rules.max_steps))
                 require_memory(loaded, lidar, rules)

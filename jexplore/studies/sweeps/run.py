@@ -5,6 +5,7 @@ pandas is imported by the functions that need it.
 
 import dataclasses
 import functools
+import itertools
 import os
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
@@ -47,6 +48,8 @@ class Swept:
     """Episodes that are missing because the run was interrupted."""
     resumed: int = 0
     """Episodes that an earlier run had finished."""
+    reference: str = ""
+    """Name of the first strategy, with which the others are compared."""
 
     @functools.cached_property
     def summary(self) -> "pd.DataFrame":
@@ -57,7 +60,7 @@ class Swept:
         return (
             summarise_traces(self.episodes, self.columns)
             if self.spec.robots
-            else summarise(self.episodes, self.columns)
+            else summarise(self.episodes, self.columns, self.reference)
         )
 
     def to_pandas(self) -> "pd.DataFrame":
@@ -95,9 +98,14 @@ class Swept:
         drawn: dict[str, Callable[[], Any]] = (
             {"": functools.partial(figures.response_figure, self.episodes, numbers[0])} if numbers else {}
         )
-        if len(numbers) > 1:
-            drawn["-map"] = functools.partial(figures.heat_figure, self.episodes, *numbers[:2])
+        pair = next((pair for pair in itertools.combinations(numbers, 2) if self._occur_together(pair)), None)
+        if pair is not None:
+            drawn["-map"] = functools.partial(figures.heat_figure, self.episodes, *pair)
         return drawn
+
+    def _occur_together(self, names):
+        """Whether some strategy has all of these settings."""
+        return bool(self.episodes[list(names)].notna().to_numpy().all(axis=1).any())
 
     def _repr_markdown_(self):
         return self.to_markdown(SHOWN)
@@ -106,19 +114,21 @@ class Swept:
         return f"<Sweep of {self.episodes['setting'].nunique()} settings, {len(self.episodes)} episodes>"
 
 
-def summarise(episodes: "pd.DataFrame", columns: Sequence[str]) -> "pd.DataFrame":
-    """The `Swept.summary` of a table of episodes whose settings are in these columns."""
+def summarise(episodes: "pd.DataFrame", columns: Sequence[str], first: str) -> "pd.DataFrame":
+    """The `Swept.summary` of a table of episodes whose settings are in these columns.
+
+    Ratios are to the strategy `first`; NaN where it has no episode, as in a part of a sweep.
+    """
     import pandas as pd
 
     rows, own = [], [name for name in dict.fromkeys((*columns, "seed")) if name != "setting"]
     for pair, group in episodes.groupby(["setting", "world"], sort=False):
         setting, world = pair  # type: ignore[misc]
-        reference = None
+        reference = group[group["strategy"] == first].set_index("episode")["path_m"]
         for strategy, some in group.groupby("strategy", sort=False):
             path_m = some.set_index("episode")["path_m"]
-            reference = path_m if reference is None else reference
             both = path_m.index.intersection(reference.index)
-            is_first = path_m is reference
+            is_first = strategy == first
             ratio = None if is_first or not len(both) else paired_ratio(path_m[both], reference[both])
             rows.append(
                 {
@@ -160,6 +170,7 @@ def run_sweep(
     engine: str | None = None,
     lanes: int | None = None,
     workers: int | None = None,
+    gpu: bool = False,
     on_progress: Callable[[int], object] | None = None,
 ) -> Swept:
     """Runs the units of a sweep that the ledger does not have.
@@ -169,7 +180,9 @@ def run_sweep(
       ledger: where units are kept as soon as they are finished.
       shard: `(i, n)`: only every n-th unit, from the i-th on.
       engine: as in `batch.run_jobs`, or "ray": units are tasks of a Ray cluster.
-      lanes, workers: as in `batch.run_jobs`.
+      lanes, workers: as in `batch.run_jobs`; of a Ray cluster every task takes so many cores as `workers` says, 1 by
+        default.
+      gpu: whether every task of a Ray cluster takes a GPU.
       on_progress: called with the number of episodes finished, those that were there before included.
 
     Returns:
@@ -180,6 +193,8 @@ def run_sweep(
     """
     import pandas as pd
 
+    if gpu and engine != "ray":
+        raise InputError("gpu is for the engine ray: others take the GPUs that they find")
     numbers, tables = in_shard(len(plan.units), shard), {}
     if ledger is not None:
         tables = {i: ledger.get(i) for i in numbers if i in ledger.done}
@@ -200,7 +215,9 @@ def run_sweep(
     elif engine == "ray":
         from jexplore.studies.sweeps import cluster
 
-        costs = cluster.run_units(plan, left, on_unit, on_progress=progress)
+        if lanes is not None:
+            raise InputError(f"lanes are for the engine lockstep, got {lanes} for ray")
+        costs = cluster.run_units(plan, left, on_unit, on_progress=progress, cpus=workers or 1, gpus=int(gpu))
     else:
         use_compilation_cache()
         how = {"engine": engine, "lanes": lanes, "workers": workers}
@@ -209,18 +226,13 @@ def run_sweep(
         raise KeyboardInterrupt
     table = ordered(typed(pd.concat([tables[i] for i in sorted(tables)], ignore_index=True), plan), plan)
     wanted = sum(plan.size(number) for number in numbers)
-    return Swept(plan.spec, table, tuple(plan.columns), costs, wanted - len(table), resumed)
+    return Swept(plan.spec, table, tuple(plan.columns), costs, wanted - len(table), resumed, plan.reference)
 
 
-def labelled(replays: Sequence[Any], jobs: Sequence[tuple[Any, Mapping[str, Any]]]) -> list[Any]:
-    """Replays of a sweep's first jobs with what tells their settings apart."""
-    varied = [key for key in jobs[0][1] if len({str(setting[key]) for _, setting in jobs}) > 1]
-    texts = {}
-    for job, setting in jobs:
-        texts.setdefault((job.world.name, job.strategy.name), []).append(
-            ", ".join(f"{key.rpartition('.')[2]} {_value_text(setting[key])}" for key in varied)
-        )
-    return [dataclasses.replace(one, which=texts[one.world, one.strategy].pop(0)) for one in replays]
+def labels_of(settings: Sequence[Mapping[str, Any]]) -> list[str]:
+    """What tells some settings apart, a line each."""
+    varied = [key for key in settings[0] if len({str(setting[key]) for setting in settings}) > 1]
+    return [", ".join(f"{key.rpartition('.')[2]} {_value_text(own[key])}" for key in varied) for own in settings]
 
 
 def ordered(table: "pd.DataFrame", plan: Plan | TracePlan) -> "pd.DataFrame":
@@ -241,13 +253,14 @@ def sweep(
     engine: str | None = None,
     lanes: int | None = None,
     workers: int | None = None,
+    gpu: bool = False,
     on_progress: Callable[[int], object] | None = None,
 ) -> Swept:
     """Compares strategies over many settings.
 
     Args:
       spec: a `Sweep`, a mapping of its fields, or a YAML file. `jexplore sweep` keeps what it finishes; this does not.
-      engine, lanes, workers, on_progress: as in `run_sweep`.
+      engine, lanes, workers, gpu, on_progress: as in `run_sweep`.
 
     Returns:
       `Swept`.
@@ -261,7 +274,7 @@ def sweep(
         spec = sweep_from(spec)
     if not isinstance(spec, Sweep):
         raise InputError(f"a sweep must be a jx.Sweep, a mapping or a YAML file, got {spec!r}")
-    how: dict[str, Any] = {"engine": engine, "lanes": lanes, "workers": workers}
+    how: dict[str, Any] = {"engine": engine, "lanes": lanes, "workers": workers, "gpu": gpu}
     return run_sweep(ready(spec), **how, on_progress=on_progress)
 
 

@@ -5,6 +5,7 @@ import difflib
 import itertools
 import math
 import os
+import re
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -118,6 +119,8 @@ class Sweep:
                 if key.partition(".")[0] in others:
                     need = "strategies, not for robots" if self.robots else "robots, such as robots: [kamui]"
                     raise InputError(f"{key} is for {need}")
+        if self.robots and self.strategies != type(self).strategies:
+            raise InputError("robots and strategies cannot be compared in one sweep: give one of them")
         for robot in self.robots:
             if not isinstance(robot, str):
                 raise InputError(f"robots must be names, got {robot!r}")
@@ -158,9 +161,10 @@ class Sweep:
             ):
                 setting = {**row, **one}
                 found.append({key: setting.get(key, _default(key)) for key in names})
-        if len({tuple(map(repr, setting.values())) for setting in found}) < len(found):
+        if len({tuple(map(_same, setting.values())) for setting in found}) < len(found):
             raise InputError(
-                "settings must differ, got one of them more than once; a range of whole numbers may be too short"
+                "settings must differ, got one of them more than once: a value is given twice, or a range of whole "
+                "numbers is too short"
             )
         return found
 
@@ -209,14 +213,19 @@ class Sweep:
                     raise InputError(f"{given['name']}: {key} must be a list of values, got a range")
             for row in itertools.product(*axes.values()):
                 own = dict(zip(axes, row))
-                text = ",".join(f"{key}={_text(value)}" for key, value in own.items())
-                joint = "," if ":" in given["name"].rpartition("+")[2] else ":"
+                text = ",".join(f"{key}={_text(given['name'], key, value)}" for key, value in own.items())
+                joint = "," if "=" in given["name"] else ":"
                 found.append((given["name"] + (joint + text if text else ""), own))
         names = [name for name, _ in found]
         for name in names:
             if names.count(name) > 1:
                 raise InputError(f"strategies must differ, got {name!r} more than once")
         return found
+
+
+def _same(value):
+    """What is equal for equal values: 3 and 3.0 are, 1 and true are not."""
+    return repr(float(value)) if isinstance(value, (int, float)) and not isinstance(value, bool) else repr(value)
 
 
 def _require_key(key):
@@ -277,7 +286,10 @@ def _taken(key, axis, share):
     return round(axis.at(share)) if whole else axis.at(share)
 
 
-def _text(value):
+def _text(name, key, value):
+    """A parameter's value as the name of a strategy has it."""
+    if value is None or (isinstance(value, str) and set(value) & set(",:+=")):
+        raise InputError(f"{name}: {key} must be a number, a truth value or a plain word, got {value!r}")
     return str(value).lower() if isinstance(value, bool) else str(value)
 
 
@@ -325,6 +337,8 @@ def read_spec(path: str | os.PathLike[str]) -> Sweep:
         raise InputError(f"{os.fspath(path)} must be a readable YAML file: {reason(error)}") from error
 
     class Loader(yaml.SafeLoader):
+        """YAML 1.1 as PyYAML reads it, but for numbers such as 1e-3 and keys that are there twice."""
+
         def construct_mapping(self, node, deep=False):
             seen = set()
             for key, _ in node.value:
@@ -335,6 +349,9 @@ def read_spec(path: str | os.PathLike[str]) -> Sweep:
                 seen.add(key.value)
             return super().construct_mapping(node, deep)
 
+    Loader.add_implicit_resolver(
+        "tag:yaml.org,2002:float", re.compile(r"[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$"), list("-+.0123456789")
+    )
     try:
         page = yaml.load(text, Loader)
         return sweep_from(page, os.fspath(path))

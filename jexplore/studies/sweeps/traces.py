@@ -24,6 +24,7 @@ from jexplore.studies.sweeps.spec import MAX_TOTAL, Sweep, plain
 from jexplore.studies.traces.job import NOISE, TraceJob, prepare_trace, with_values
 from jexplore.studies.traces.tracing import table_of
 from jexplore.version import __version__
+from jexplore.worlds.world import World
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -54,6 +55,15 @@ class TracePlan:
     groups: list[Group]
     units: list[tuple[int, int, int]]
     """Of every unit group, first run and number of runs."""
+
+    @property
+    def reference(self) -> str:
+        """Robots are compared with none."""
+        return ""
+
+    def all_worlds(self) -> list[World]:
+        """Every world in every cell size."""
+        return list({(world.name, world.cell_m): world for world in (one.job.world for one in self.groups)}.values())
 
     @property
     def episodes(self) -> int:
@@ -89,7 +99,7 @@ class TracePlan:
             "version": __version__,
             "spec": plain(self.spec),
             "digests": [digest(group.job.world) for group in self.groups],
-            "shard": None if shard is None else list(shard),
+            "shard": None if shard is None else f"{shard[0] + 1}/{shard[1]}",
         }
 
     def ordered(self, table: "pd.DataFrame") -> "pd.DataFrame":
