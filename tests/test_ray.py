@@ -39,7 +39,7 @@ def workers():
     """A cluster of two cores that is said to have a GPU as well."""
     ray = pytest.importorskip("ray", reason=NEEDED)
     own = {"address": "local", "num_cpus": 2, "num_gpus": 1, "object_store_memory": connection.STORE_BYTES}
-    ray.init(**own, include_dashboard=False, log_to_driver=False, logging_level=logging.CRITICAL)
+    connection.begin(ray, **own, include_dashboard=False, log_to_driver=False, logging_level=logging.CRITICAL)
     yield ray
     ray.shutdown()
 

@@ -24,10 +24,22 @@ pytestmark = [pytest.mark.jit, pytest.mark.skipif(os.name != "posix", reason="si
 WORLD, STRATEGIES = "rooms:width_m=5,height_m=5", ["closest", "random+recheck"]
 OPTIONS = ["--lidar.n-beams", "31", "--lidar.range-m", "2"]
 COMMAND = ["compare", "--worlds", WORLD, "--strategies", *STRATEGIES, *OPTIONS]
+SMALL_UNITS = """
+import sys
+from jexplore.cli.main import main
+from jexplore.studies.results import units
+units.UNIT_S = 0.0
+sys.exit(main())
+"""
+
+
+@pytest.fixture(autouse=True)
+def _small_units(monkeypatch):
+    monkeypatch.setattr(units, "UNIT_S", 0.0)
 
 
 def begin(folder, *options):
-    command = [sys.executable, "-m", "jexplore", *COMMAND, "--out", str(folder), *options]
+    command = [sys.executable, "-c", SMALL_UNITS, *COMMAND, "--out", str(folder), *options]
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 

@@ -4,9 +4,10 @@ pandas is imported by the functions that need it.
 """
 
 import io
+import itertools
 import os
 import zlib
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -30,6 +31,8 @@ COLUMNS = (
 )
 """Columns of a table of episodes. `stats` and `plot` read them by these names."""
 LEAST = 8  # episodes of a unit, if there are so many
+UNIT_S = 2.0  # seconds that a unit should take, about: writing it takes a hundredth of that
+CELL_S = 1.3e-6  # seconds of an episode of closest+recheck, for every cell of its world (benchmarks/RESULTS.md)
 FIRSTS = 12  # jobs of which what the first episode left is kept, for a report
 MOST_UNITS = 256  # of one strategy in one world
 PROGRESS, SEEN, WAY, MAP = "_progress_m", "_seen", "_way", "_map"  # columns of a unit's file besides `COLUMNS`
@@ -71,7 +74,8 @@ def cut(jobs: Sequence[Job]) -> list[Unit]:
     units = []
     for i, job in enumerate(jobs):
         n = len(job.starts)
-        size = max(LEAST, -(-n // MOST_UNITS))
+        cells = job.world.shape[0] * job.world.shape[1]
+        size = max(LEAST, -(-n // MOST_UNITS), round(UNIT_S / (CELL_S * cells)))
         units += [Unit(i, first, min(size, n - first), first // size) for first in range(0, n, size)]
     return sorted(units, key=lambda unit: (unit.turn, unit.job, unit.first))
 
@@ -82,30 +86,50 @@ def job_of(job: Job, unit: Unit) -> Job:
     return job._replace(starts=starts, first=unit.first, turn=unit.turn)
 
 
-def piece_of(job: Job, unit: Unit, found: Outcomes) -> Piece:
-    """What has ended of a unit. `job` is the whole one, with its scanner and rules."""
+def rows_of(job: Job, unit: Unit, found: Outcomes) -> dict[str, Any]:
+    """The episodes of a unit that have ended, as columns: an array or a list for each of `COLUMNS`."""
+    ended = np.asarray(found.result.outcome) != Outcome.RUNNING
+    starts, world = job.starts[unit.first : unit.first + unit.n], job.world
+    has_rooms = world.rooms is not None
+    rows = columns(found.result, starts, seed=job.seed, cell_m=world.cell_m, has_rooms=has_rooms)
+    rows["episode"] = rows["episode"] + unit.first
+    rows |= {"world": [os.fspath(world.name)] * len(starts), "strategy": [job.strategy.name] * len(starts)}
+    if not ended.all():
+        for name, values in rows.items():
+            rows[name] = list(itertools.compress(values, ended)) if isinstance(values, list) else values[ended]
+    return {name: rows[name] for name in COLUMNS}
+
+
+def table_of(rows: Sequence[Mapping[str, Any]]) -> "pd.DataFrame":
+    """Columns of several units, one below the other, as one table."""
     import pandas as pd
 
+    joined = {
+        name: list(itertools.chain.from_iterable(one[name] for one in rows))
+        if isinstance(rows[0][name], list)
+        else np.concatenate([one[name] for one in rows])
+        for name in rows[0]
+    }
+    return pd.DataFrame(joined).astype({"room_entries": "Int64"})
+
+
+def piece_of(job: Job, unit: Unit, found: Outcomes) -> Piece:
+    """What has ended of a unit. `job` is the whole one, with its scanner and rules."""
     assert job.rules is not None
     result, world, strategy = found.result, job.world, job.strategy.name
     ended = np.asarray(result.outcome) != Outcome.RUNNING
-    starts = job.starts[unit.first : unit.first + unit.n]
-    values = columns(result, starts, seed=job.seed, cell_m=world.cell_m, has_rooms=world.rooms is not None)
-    values["episode"] = values["episode"] + unit.first
-    table = pd.DataFrame({"world": os.fspath(world.name), "strategy": strategy, **values})
-    table["room_entries"] = table["room_entries"].astype("Int64")
+    table = table_of([rows_of(job, unit, found)])
     seen = None
     if unit.first == 0 and ended[0] and found.first is not None:
         final = found.first
         state = map_state(final.hits, final.misses, job.rules.p_free)
-        seen = Seen(strategy, state, final.rows, final.cols, world.cell_m, float(values["path_m"][0]))
+        seen = Seen(strategy, state, final.rows, final.cols, world.cell_m, float(table["path_m"].iloc[0]))
     paths = maps = None
     if found.records is not None and (found.records or not ended.any()):
         own = [found.records[i] for i in np.flatnonzero(ended).tolist()]
         paths = [record.path for record in own]
         states = [record.state for record in own if record.state is not None]
         maps = np.stack(states) if states else None
-    table = table[ended].loc[:, list(COLUMNS)].reset_index(drop=True)
     return Piece(unit.job, table, progress_m(result, world.cell_m)[ended], seen, paths, maps)
 
 

@@ -19,6 +19,7 @@ from jexplore.engine.runner import own_cores
 from jexplore.policies.catalogue.own import first_line
 
 ANSWER_S = 5.0  # seconds in which a cluster must answer
+SLOW = "timed out during startup"  # in what Ray says of a cluster that is slow to start
 STORE_BYTES = 256 * 2**20  # of results, in a cluster of our own
 
 
@@ -61,10 +62,21 @@ def _connect(ray):
     quiet = {"log_to_driver": False, "logging_level": logging.CRITICAL, "include_dashboard": False}
     how = {} if is_there() else own  # one that is there knows its cores itself, and Ray finds it
     try:
-        ray.init(**how, **quiet)
-    except (ConnectionError, ImportError, OSError, RuntimeError, ValueError) as error:
+        begin(ray, **how, **quiet)
+    except Exception as error:  # Ray raises bare ones
         what = "started here" if how else "used"
         raise InputError(f"no Ray cluster can be {what}: {first_line(error)}") from error
+
+
+def begin(ray: Any, **how: Any) -> None:
+    """`ray.init`, once more where a busy machine has let Ray's own patience of 30 s run out."""
+    try:
+        ray.init(**how)
+    except Exception as error:
+        ray.shutdown()
+        if SLOW not in str(error):
+            raise
+        ray.init(**how)
 
 
 def is_there() -> bool:

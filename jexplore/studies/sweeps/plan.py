@@ -19,6 +19,7 @@ from jexplore.policies.catalogue.joined import joined
 from jexplore.raycast import scans_all_round
 from jexplore.studies.checks import ready_starts, ready_strategies, ready_worlds, require_different, require_memory
 from jexplore.studies.results.provenance import digest, own_digests
+from jexplore.studies.results.units import CELL_S
 from jexplore.studies.sweeps.spec import MAX_TOTAL, Sweep, plain
 from jexplore.version import __version__
 from jexplore.worlds.world import World
@@ -26,7 +27,6 @@ from jexplore.worlds.world import World
 UNIT = 256  # episodes of a unit, about; one file each
 MOST_UNITS = 4096  # larger sweeps have larger units
 COMPILE_S = 12.0  # processor seconds of compiling a program, about (benchmarks/RESULTS.md, Programs)
-CELL_S = 1.3e-6  # seconds of an episode of closest+recheck, for every cell of the world, about (likewise, Episodes)
 COSTS = {
     **{"closest": 1.0, "random": 3.0, "utility": 2.5, "distance-advantage": 3.0, "tour": 3.5, "mcdm": 4.0},
     **{"decision-theoretic": 12.0, "gain-rate": 20.0},

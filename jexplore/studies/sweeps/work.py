@@ -6,10 +6,12 @@ pandas is imported by the functions that need it.
 from collections.abc import Callable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from jexplore.config import Lidar, Rules
 from jexplore.engine.runner import Costs
 from jexplore.exploration import batch
-from jexplore.studies.results.units import Unit, piece_of
+from jexplore.studies.results.units import Unit, rows_of, table_of
 from jexplore.studies.sweeps.plan import Plan
 
 if TYPE_CHECKING:
@@ -49,10 +51,11 @@ def run_block_units(
 
         def on_job(place, found, blocks=blocks, left=left, tables=tables, jobs=jobs):
             number, block = blocks[place]
-            tables[number].append((place, _table(plan, block, jobs[place], found)))
+            tables[number].append((place, _rows(plan, block, jobs[place], found)))
             left[number] -= 1
             if not left[number]:
-                on_unit(number, _joined(plan, [table for _, table in sorted(tables.pop(number), key=lambda t: t[0])]))
+                rows = [own for _, own in sorted(tables.pop(number), key=lambda own: own[0])]
+                on_unit(number, typed(table_of(rows), plan))
 
         progress = None if on_progress is None else (lambda n, done=done: on_progress(done + n))
         how: dict[str, Any] = {"engine": engine, "lanes": lanes, "workers": workers, "alike": plan.alike}
@@ -84,25 +87,18 @@ def windows(plan: Plan, numbers: Sequence[int]) -> Iterator[list[int]]:
         yield window
 
 
-def _table(plan, block, job, found):
-    """The rows of a block."""
+def _rows(plan, block, job, found):
+    """The rows of a block, as columns."""
     strategy = plan.strategies[block.strategy]
     # The job's own starts begin with the block's first episode.
-    piece = piece_of(job._replace(strategy=strategy), Unit(0, 0, block.n, 0), found)
-    table = piece.table.copy()
-    table["episode"] += block.first
-    setting = plan.settings[block.setting]
-    table.insert(0, "setting", block.setting)
+    rows = rows_of(job._replace(strategy=strategy), Unit(0, 0, block.n, 0), found)
+    rows["episode"] = rows["episode"] + block.first
+    setting, n = plan.settings[block.setting], len(rows["episode"])
+    own = {"setting": np.full(n, block.setting)}
     for name in plan.columns[1:]:
         kind, _, key = name.partition(".")
-        table[name] = plan.parameters[block.strategy].get(key) if kind == "strategy" else setting[name]
-    return table
-
-
-def _joined(plan, tables):
-    import pandas as pd
-
-    return typed(pd.concat(tables, ignore_index=True), plan)
+        rows[name] = [plan.parameters[block.strategy].get(key) if kind == "strategy" else setting[name]] * n
+    return own | rows
 
 
 def typed(table: "pd.DataFrame", plan: Any) -> "pd.DataFrame":
