@@ -56,6 +56,8 @@ _MODULE_OF = {
     "Episode": "studies.explore",
     "reproduce": "studies.reproduction",
     "Reproduction": "studies.reproduction",
+    "bound": "studies.bounds.bound",
+    "Bounds": "studies.bounds.bound",
     "sweep": "studies.sweeps.run",
     "Swept": "studies.sweeps.run",
     "Sweep": "studies.sweeps.spec",
@@ -77,6 +79,7 @@ __all__ = [
     "MODIFIERS",
     "STRATEGIES",
     "Belief",
+    "Bounds",
     "BtmMap",
     "Choice",
     "Comparison",
@@ -107,6 +110,7 @@ __all__ = [
     "View",
     "World",
     "__version__",
+    "bound",
     "choose",
     "clusters",
     "compare",
@@ -138,6 +142,7 @@ if TYPE_CHECKING:
     from jexplore.frontier import frontier_clusters
     from jexplore.planning import Belief, Choice, Field, View, choose, field, metres, nearest_frontier
     from jexplore.policies import MODIFIERS, STRATEGIES, Policy, Strategy, clusters, register, strategy, views
+    from jexplore.studies.bounds.bound import Bounds, bound
     from jexplore.studies.comparison import Comparison, compare
     from jexplore.studies.environment import Environment, EnvState
     from jexplore.studies.explore import Episode, explore

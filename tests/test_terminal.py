@@ -14,7 +14,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from rich.cells import cell_len
 
-from jexplore.cli import console, main, options, terminal
+from jexplore.cli import main, options
+from jexplore.cli.output import console, terminal
 from jexplore.config import InputWarning
 from jexplore.report.tables import aligned_table
 

@@ -3,9 +3,9 @@
 import dataclasses
 from collections.abc import Sequence
 
-from jexplore.cli.console import Out, progress_of
 from jexplore.cli.options import Number, Numbers, OutFolder, OwnNames
-from jexplore.cli.terminal import show_table
+from jexplore.cli.output.console import Out, progress_of
+from jexplore.cli.output.terminal import show_table
 
 
 @dataclasses.dataclass(frozen=True)

@@ -7,10 +7,10 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Literal
 
-from jexplore.cli.console import Out, note, say, working
 from jexplore.cli.listings import describe
 from jexplore.cli.options import STRATEGIES, EngineName, OutFolder, OwnNames, default_worlds, is_small
-from jexplore.cli.terminal import show_table
+from jexplore.cli.output.console import Out, note, say, working
+from jexplore.cli.output.terminal import show_table
 from jexplore.config import InputError, Lidar, Rules
 
 if TYPE_CHECKING:

@@ -7,9 +7,9 @@ from typing import Annotated
 
 import tyro
 
-from jexplore.cli.console import COMPILING, Out, note, progress_of
 from jexplore.cli.listings import describe
 from jexplore.cli.options import OneStrategy, OneWorld, OutFolder
+from jexplore.cli.output.console import COMPILING, Out, note, progress_of
 from jexplore.config import InputError, Lidar, Rules, require_whole
 
 

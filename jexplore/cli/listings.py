@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from jexplore.cli.console import Out, note, working
 from jexplore.cli.options import OutFolder
-from jexplore.cli.terminal import show_line, show_table
+from jexplore.cli.output.console import Out, note, working
+from jexplore.cli.output.terminal import show_line, show_table
 
 if TYPE_CHECKING:
     from jexplore.studies.geometry import Geometry

@@ -1,4 +1,4 @@
-"""The command line: `jexplore compare`, `explore`, `reproduce`, `segment`, `trace`, `worlds`,
+"""The command line: `jexplore compare`, `explore`, `bound`, `reproduce`, `segment`, `trace`, `worlds`,
 `strategies`, `bench`.
 
 Importing this loads neither jax nor numpy; every command imports what it needs when it runs. Wrong input ends with one
@@ -14,15 +14,16 @@ import threading
 from collections.abc import Sequence
 
 from jexplore.cli.bench import Bench
+from jexplore.cli.bound import Bound
 from jexplore.cli.compare import Compare
-from jexplore.cli.console import say
 from jexplore.cli.explore import Explore
 from jexplore.cli.listings import Strategies, Worlds
 from jexplore.cli.options import help_text, parse
+from jexplore.cli.output.console import say
+from jexplore.cli.output.terminal import plain_warnings
 from jexplore.cli.reproduce import Reproduce
 from jexplore.cli.segment import Segment
 from jexplore.cli.sweep import Merge, Sweep
-from jexplore.cli.terminal import plain_warnings
 from jexplore.cli.trace import Trace
 from jexplore.config import InputError
 from jexplore.version import __version__
@@ -35,6 +36,7 @@ COMMANDS: dict[str, type] = {
     "explore": Explore,
     "sweep": Sweep,
     "merge": Merge,
+    "bound": Bound,
     "reproduce": Reproduce,
     "segment": Segment,
     "trace": Trace,

@@ -8,8 +8,8 @@ from typing import Annotated
 import tyro
 
 from jexplore.cli.compare import FINISHING, finish, run_with_bar, show_finished
-from jexplore.cli.console import Out, note
 from jexplore.cli.options import EngineName, OutFolder, is_small
+from jexplore.cli.output.console import Out, note
 from jexplore.config import Lidar, Rules
 
 

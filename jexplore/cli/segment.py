@@ -6,9 +6,9 @@ from typing import Annotated, Literal
 
 import tyro
 
-from jexplore.cli.console import Out, working
 from jexplore.cli.options import OutFolder
-from jexplore.cli.terminal import show_table
+from jexplore.cli.output.console import Out, working
+from jexplore.cli.output.terminal import show_table
 from jexplore.config import InputError
 
 

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from jexplore.cli.console import Out, note, say, working
 from jexplore.cli.listings import describe
 from jexplore.cli.options import OutFolder
-from jexplore.cli.terminal import show_table
+from jexplore.cli.output.console import Out, note, say, working
+from jexplore.cli.output.terminal import show_table
 from jexplore.config import InputError
 
 if TYPE_CHECKING:

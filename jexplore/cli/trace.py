@@ -10,10 +10,10 @@ from typing import Annotated
 
 import tyro
 
-from jexplore.cli.console import COMPILING, Out, note, say, working
 from jexplore.cli.listings import describe
 from jexplore.cli.options import EngineName, OneStrategy, OneWorld, OutFolder
-from jexplore.cli.terminal import show_table
+from jexplore.cli.output.console import COMPILING, Out, note, say, working
+from jexplore.cli.output.terminal import show_table
 from jexplore.config import InputError
 from jexplore.driving.settings import Noise, Tuning
 

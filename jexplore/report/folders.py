@@ -18,6 +18,7 @@ OUR_FILES = (
     *("run.json", "episodes.parquet", "details.npz", "report.html"),
     *("compare.png", "coverage.png", "paths.png", "league.png", "compare.svg", "coverage.svg", "league.svg"),  # compare
     *("episode.png", "episode.gif", "explored.yaml", "explored.pgm", "worlds.png"),  # explore, worlds
+    *("bounds.parquet", "walks.parquet", "bounds.png"),  # bound
     *("bench.json", "bench.png"),  # bench
     *("scores.parquet", "segments.png"),  # segment
     *("reproduce.png", "reproduce.svg"),  # reproduce

@@ -102,8 +102,8 @@ def load(path: str | os.PathLike[str]) -> Any:
 
     Returns:
       What the function of that name returned: a `Comparison` for compare, a `Reproduction` for reproduce, a `Swept` for
-        sweep and merge. For trace, segment, explore and worlds a `pandas.DataFrame`: a row a run, a score, the
-        episode, a world. For bench what bench.json holds, a dict.
+        sweep and merge. For trace, segment, bound, explore and worlds a `pandas.DataFrame`: a row a run, a
+        score, a start, the episode, a world. For bench what bench.json holds, a dict.
 
     Raises:
       InputError: no folder of a run, a run that was not finished, a file that is gone or damaged.
@@ -117,7 +117,7 @@ def load(path: str | os.PathLike[str]) -> Any:
         return _sweep(folder, record)
     if (folder / "episodes.parquet").is_file():
         return _comparison(folder, record, command)
-    for name in ("runs.parquet", "scores.parquet"):
+    for name in ("runs.parquet", "scores.parquet", "bounds.parquet"):
         if (folder / name).is_file():
             return store.read_parquet(folder / name)
     for name, entry in (("explore", "result"), ("trace", "result"), ("worlds", "worlds")):

@@ -207,26 +207,29 @@ def run_sweep(
 
     left = [number for number in numbers if number not in tables]
     progress = None if on_progress is None else (lambda done: on_progress(done + resumed))
-    if isinstance(plan, TracePlan):
-        if engine == "ray":
-            raise InputError("engine ray is for strategies: a sweep of robots runs on this machine, or by --shard")
-        how: dict[str, Any] = {"engine": engine, "lanes": lanes, "workers": workers}
-        costs = run_traces(plan, left, on_unit, **how, on_progress=progress) if left else Costs()
-    elif engine == "ray":
-        from jexplore.studies.sweeps import cluster
-
-        if lanes is not None:
-            raise InputError(f"lanes are for the engine lockstep, got {lanes} for ray")
-        costs = cluster.run_units(plan, left, on_unit, on_progress=progress, cpus=workers or 1, gpus=int(gpu))
-    else:
-        use_compilation_cache()
-        how = {"engine": engine, "lanes": lanes, "workers": workers}
-        costs = run_block_units(plan, left, on_unit, **how, on_progress=progress) if left else Costs()
+    how: dict[str, Any] = {"engine": engine, "lanes": lanes, "workers": workers}
+    costs = _run_left(plan, left, on_unit, how, gpu, progress) if left else Costs()
     if not tables:
         raise KeyboardInterrupt
     table = ordered(typed(pd.concat([tables[i] for i in sorted(tables)], ignore_index=True), plan), plan)
     wanted = sum(plan.size(number) for number in numbers)
     return Swept(plan.spec, table, tuple(plan.columns), costs, wanted - len(table), resumed, plan.reference)
+
+
+def _run_left(plan, left, on_unit, how, gpu, on_progress):
+    """Runs some units of a sweep by whatever engine: `Costs`."""
+    if isinstance(plan, TracePlan):
+        if how["engine"] == "ray":
+            raise InputError("engine ray is for strategies: a sweep of robots runs on this machine, or by --shard")
+        return run_traces(plan, left, on_unit, **how, on_progress=on_progress)
+    if how["engine"] != "ray":
+        use_compilation_cache()
+        return run_block_units(plan, left, on_unit, **how, on_progress=on_progress)
+    from jexplore.studies.sweeps import cluster
+
+    if how["lanes"] is not None:
+        raise InputError(f"lanes are for the engine lockstep, got {how['lanes']} for ray")
+    return cluster.run_units(plan, left, on_unit, on_progress=on_progress, cpus=how["workers"] or 1, gpus=int(gpu))
 
 
 def labels_of(settings: Sequence[Mapping[str, Any]]) -> list[str]:

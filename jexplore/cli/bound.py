@@ -1,0 +1,97 @@
+"""The command `jexplore bound`."""
+
+import dataclasses
+import sys
+from collections.abc import Sequence
+from typing import Annotated, Literal
+
+import tyro
+
+from jexplore.cli.listings import describe
+from jexplore.cli.options import OutFolder
+from jexplore.cli.output.console import Out, note, say, working
+from jexplore.cli.output.terminal import show_table
+from jexplore.config import InputError, Lidar, Rules
+
+Names = Annotated[tuple[str, ...], tyro.conf.arg(metavar="WORLD [WORLD ...]", help_behavior_hint="")]
+
+
+@dataclasses.dataclass(frozen=True)
+class Bound:
+    """Find how short a robot that knows the map could have driven: what there is to gain for any strategy.
+
+    For each start a walk on which everything is seen, and bounds below which none is. Prints a table and writes
+    bounds.parquet, walks.parquet, bounds.png and run.json.
+    """
+
+    worlds: tyro.conf.Positional[Names] = ()
+    """Worlds, as for `jexplore compare`."""
+    starts: int = 5
+    """Bound so many starts in each world: those of the first episodes of `jexplore compare`."""
+    seed: int = 0
+    """Draw the starts from this seed."""
+    seconds: float = 10.0
+    """Spend so many seconds on each start, compiling apart."""
+    max_floods: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="")] = None
+    """Spend so many shortest-path maps on each start instead of seconds: then results are the same everywhere."""
+    cell_m: float = 0.1
+    """Make the edge of a cell this long, in metres."""
+    start: Literal["random", "world"] = "random"
+    """Draw the starts from the seed, or take every world's own start."""
+    workers: int | None = None
+    """Work on so many cores; by default on all that this process may use."""
+    out: OutFolder = None
+    """Write into this folder."""
+    overwrite: bool = False
+    """Replace the run that the folder holds."""
+    resume: bool = False
+    """Go on with the run that the folder holds, if there is one: what is finished is not computed again."""
+    lidar: Lidar = dataclasses.field(default_factory=Lidar)
+    rules: Rules = dataclasses.field(default_factory=Rules)
+
+    def execute(self, arguments: Sequence[str]) -> int | None:
+        """Runs the command; returns the exit status, None for 0."""
+        from jexplore.report import plot, store
+        from jexplore.studies.bounds import bound
+
+        if not self.worlds:
+            raise InputError("expected worlds: jexplore bound cave maze#3")
+        with Out(self, "bound") as out:
+            with note("jexplore: loading worlds"):
+                tasks = bound.prepare_bounds(
+                    self.worlds,
+                    starts=self.starts,
+                    seed=self.seed,
+                    cell_m=self.cell_m,
+                    start=self.start,
+                    seconds=self.seconds,
+                    max_floods=self.max_floods,
+                    lidar=self.lidar,
+                    rules=self.rules,
+                )
+            ledger = out.keep(bound.asked(tasks), len(tasks))
+            if ledger is None:
+                table = store.read_parquet(out.run.path / "bounds.parquet")
+                show_table(bound.bounds_table(table))
+                print(f"{out.run.path} holds all of it: nothing was left to do")
+                return 0
+            with working(len(tasks), "starts") as on_progress:
+                found = bound.run_bounds(tasks, ledger=ledger, workers=self.workers, on_progress=on_progress)
+            entries = {"interrupted": found.interrupted, "settings": found.settings}
+            record = out.record(arguments, self, **entries, worlds=[describe(world) for world in found.worlds])
+            files = {
+                "bounds.parquet": lambda path: store.write_parquet(found.table, path),
+                "walks.parquet": lambda path: store.write_parquet(found.walks, path),
+                "run.json": lambda path: store.write_json(record, path),
+            }
+            out.write(files, is_finished=not found.interrupted)
+            try:
+                show_table(found.to_markdown())
+                sys.stdout.flush()
+            finally:  # a reader of the output who goes away costs no pictures
+                drawn = out.draw({"bounds.png": lambda path: plot.save_figure(found.figure(), path)})
+            print(f"wrote {', '.join([*files, *drawn])} to {out.run.path}/")
+            if found.interrupted:
+                out.say_kept()
+                return say("jexplore: interrupted, what was finished was written", 130)
+        return 0

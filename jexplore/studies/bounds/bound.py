@@ -1,0 +1,388 @@
+"""Bounds: for each start how short a walk is that sees everything, and how short none is.
+
+pandas and matplotlib are imported by the functions that need them.
+"""
+
+import concurrent.futures
+import ctypes
+import dataclasses
+import hashlib
+import json
+import math
+import multiprocessing
+import os
+import signal
+import sys
+from collections.abc import Callable, Iterable, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from jexplore.config import MAX_SEED, InputError, Lidar, Rules, require_number, require_whole
+from jexplore.engine.backend import start_backend, use_compilation_cache
+from jexplore.engine.runner import own_cores
+from jexplore.exploration.results import path_m
+from jexplore.raycast import scans_all_round
+from jexplore.reach import DIAGONAL, FAR, STRAIGHT
+from jexplore.report.ledger import Ledger
+from jexplore.report.tables import aligned_table, number_text
+from jexplore.studies.bounds.scene import Scene, prepare_scene
+from jexplore.studies.bounds.search import Budget, Found, search
+from jexplore.studies.checks import (
+    LIDAR,
+    MAX_EPISODES,
+    RULES,
+    WorldLike,
+    ready_starts,
+    ready_worlds,
+    require_settings,
+)
+from jexplore.studies.results.provenance import digest
+from jexplore.version import __version__
+from jexplore.worlds.world import World
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.figure import Figure
+
+COLUMNS = (
+    *("world", "start_row", "start_col", "low_m", "low_any_m", "high_m", "status", "witnesses", "seconds"),
+    *("method", "start_heading_deg", "sha256"),
+)
+"""Columns of a table of bounds."""
+OPTIMAL, BOUNDED, WEAK, STUCK = "OPTIMAL", "BOUNDED", "WEAK", "STUCK"
+"""What a row is: the walk is the shortest; it is between two bounds; no walk was found in the time, and the lower bound
+is a weak one; the start is enclosed."""
+WALK, WITNESSES = "_walk", "_witnesses"  # columns of a unit's file besides
+
+
+class Task(NamedTuple):
+    """One start to be bounded."""
+
+    world: World
+    start: tuple[int, int, int]  # row, col, heading in degrees
+    lidar: Lidar
+    rules: Rules
+    seconds: float | None
+    max_floods: int | None
+
+
+class Solved(NamedTuple):
+    """What became of a task."""
+
+    row: dict[str, Any]  # `COLUMNS`
+    walk: np.ndarray  # [K, 2] int32, row and col
+    witnesses: np.ndarray  # [N, 2] int32
+
+
+@dataclasses.dataclass(frozen=True)
+class Bounds:
+    """What `bound` found. Tables are pandas DataFrames."""
+
+    table: "pd.DataFrame"
+    """One row a world and start: `low_m`, `low_any_m`, `high_m`, metres; `status`; see `COLUMNS`.
+
+    `high_m` is the length of a walk on which the reference robot, which knows the map, stands on clear cells and turns
+    for nothing, sees all that an episode must see. None of its walks is shorter than `low_m`; none of any robot that
+    crosses free cells is shorter than `low_any_m`, so no complete episode of any strategy is."""
+    walks: "pd.DataFrame"
+    """One row a step: `world`, `start` (number of the row in `table`), `step`, `row`, `col`."""
+    worlds: tuple[World, ...]
+    """The worlds, in order."""
+    witnesses: dict[int, np.ndarray]
+    """Number of a row -> `[N, 2]` int32, row and col of the cells that make its lower bound."""
+    settings: dict[str, Any]
+    """What bounds depend on besides world and start."""
+    interrupted: int = 0
+    """Starts that are missing because the run was interrupted."""
+
+    def to_pandas(self) -> "pd.DataFrame":
+        """The table."""
+        return self.table
+
+    def to_markdown(self) -> str:
+        """The table, with ratios, as Markdown."""
+        return bounds_table(self.table)
+
+    def figure(self) -> "Figure":
+        """The walks and the witnesses of the first starts: a matplotlib `Figure`."""
+        from jexplore.report.plots import bounds
+
+        return bounds.figure(self)
+
+    def _repr_markdown_(self):
+        return self.to_markdown()
+
+    def __repr__(self) -> str:
+        return f"<Bounds of {len(self.table)} starts in {len(self.worlds)} worlds>"
+
+
+def bounds_table(table: "pd.DataFrame") -> str:
+    """Rows of `Bounds.table` as Markdown."""
+    head = ["world", "start", "low any m", "low m", "high m", "high / low", "status", "witnesses", "s"]
+    lines = []
+    for row in table.to_dict("records"):
+        ratio = row["high_m"] / row["low_m"] if row["low_m"] else math.nan
+        lengths = [number_text(row[name], 2) for name in ("low_any_m", "low_m", "high_m")]
+        place = f"{row['start_row']},{row['start_col']}"
+        line = [row["world"], place, *lengths, number_text(ratio, 3), row["status"]]
+        lines.append([*line, str(row["witnesses"]), number_text(row["seconds"], 1)])
+    return aligned_table(head, lines, left=("world", "start", "status"))
+
+
+def low_metres(cost: int, cell_m: float) -> float:
+    """Metres that a walk of at least this cost has at least: rounded down to a millimetre.
+
+    A diagonal step costs a millionth more than sqrt(2) straight ones, so a walk may be that much shorter than its cost.
+    """
+    shortest = cost / STRAIGHT * (STRAIGHT * math.sqrt(2) / DIAGONAL) * cell_m
+    return math.floor(shortest * 1000 * (1 - 1e-12)) / 1000
+
+
+def solve(task: Task) -> Solved:
+    """Bounds one start: a `Solved`."""
+    world, start = task.world, task.start
+    scene = prepare_scene(world, start, task.lidar, task.rules, scans_all_round(task.lidar.fov_deg))
+    own = {"world": os.fspath(world.name), "start_row": start[0], "start_col": start[1]}
+    own |= {"start_heading_deg": start[2], "sha256": digest(world)}
+    nothing = np.zeros((0, 2), np.int32)
+    if scene is None:
+        row = {"low_m": 0.0, "low_any_m": 0.0, "high_m": math.nan, "status": STUCK, "witnesses": 0, "seconds": 0.0}
+        return Solved(_row(own | row | {"method": "-"}), nothing, nothing)
+    if scene.must_see.any():
+        search(scene, Budget(None, 1))  # compiles
+    budget = Budget(task.seconds, task.max_floods)
+    found = search(scene, budget) if scene.must_see.any() else _nothing_to_see(scene)
+    status = OPTIMAL if found.optimal else WEAK if found.high >= FAR else BOUNDED
+    high_m = math.nan if status == WEAK else _length_m(scene, found.walk, world.cell_m)
+    row = {
+        **{"low_m": low_metres(found.low, world.cell_m), "low_any_m": low_metres(found.low_any, world.cell_m)},
+        **{"high_m": high_m, "status": status, "witnesses": len(found.witnesses)},
+        **{"seconds": budget.elapsed_s, "method": found.method},
+    }
+    walk, witnesses = (np.stack(scene.cells(cells), axis=1).astype(np.int32) for cells in (found.walk, found.witnesses))
+    return Solved(_row(own | row), walk, witnesses.reshape(-1, 2))
+
+
+def _row(values):
+    return {name: values[name] for name in COLUMNS}
+
+
+def _nothing_to_see(scene: Scene) -> Found:
+    """All was seen at the start."""
+    return Found(np.array([scene.start]), 0, 0, 0, True, [], "subsets")
+
+
+def _length_m(scene, walk, cell_m):
+    rows, cols = scene.cells(walk)
+    diagonal = int(np.sum((np.diff(rows) != 0) & (np.diff(cols) != 0)))
+    return float(path_m(len(walk) - 1 - diagonal, diagonal, cell_m))
+
+
+def bound(
+    worlds: WorldLike | Iterable[WorldLike],
+    *,
+    starts: int = 5,
+    seed: int = 0,
+    cell_m: float = 0.1,
+    start: str = "random",
+    seconds: float = 10.0,
+    max_floods: int | None = None,
+    lidar: Lidar = LIDAR,
+    rules: Rules = RULES,
+    workers: int = 1,
+    on_progress: Callable[[int], object] | None = None,
+) -> Bounds:
+    """The shortest walks that a robot with the map could drive, from the starts that `compare` has.
+
+    Args:
+      worlds: names or `World`s, as for `compare`.
+      starts: how many in each world: those of the first episodes.
+      seed: of the starts.
+      cell_m: edge of a cell of the worlds that are loaded by name, metres.
+      start: "random", or "world" for every world's own start.
+      seconds: for each start, compiling apart; a smaller gap takes more.
+      max_floods: instead of seconds so many shortest-path maps, for results that are the same on every machine.
+      lidar: `Lidar`, without noise and drop-out.
+      rules: `Rules`.
+      workers: processes that work at a time. With more than one a script needs `if __name__ == "__main__":`.
+      on_progress: called with the number of starts finished.
+
+    Returns:
+      `Bounds`.
+
+    Raises:
+      InputError: a name, number, map or start that cannot be used; noise; no time.
+    """
+    tasks = prepare_bounds(
+        worlds,
+        starts=starts,
+        seed=seed,
+        cell_m=cell_m,
+        start=start,
+        seconds=seconds,
+        max_floods=max_floods,
+        lidar=lidar,
+        rules=rules,
+    )
+    return run_bounds(tasks, workers=workers, on_progress=on_progress)
+
+
+def prepare_bounds(
+    worlds: WorldLike | Iterable[WorldLike],
+    *,
+    starts: int,
+    seed: int,
+    cell_m: float,
+    start: str,
+    seconds: float,
+    max_floods: int | None,
+    lidar: Lidar,
+    rules: Rules,
+) -> list[Task]:
+    """Everything that `bound` refuses or loads before it runs: a list of `Task`. Arguments as there."""
+    require_settings(lidar, rules)
+    if lidar.sigma_m or lidar.dropout:
+        raise InputError("bounds are of a scanner without noise: lidar.sigma_m and lidar.dropout must be 0")
+    starts = require_whole("starts", starts, 1, MAX_EPISODES)
+    seed = require_whole("seed", seed, 0, MAX_SEED)
+    seconds = require_number("seconds", seconds, low_open=True)
+    if max_floods is not None:
+        require_whole("max_floods", max_floods, 1, 10**9)
+    if start not in ("random", "world"):
+        raise InputError(f"start must be random or world, got {start!r}")
+    tasks = []
+    for world in ready_worlds(worlds, cell_m):
+        places = ready_starts(world, start, starts if start == "random" else 1, seed=seed, rules=rules)
+        tasks += [
+            Task(world, (int(r), int(c), int(h)), lidar, rules, None if max_floods else seconds, max_floods)
+            for r, c, h in places
+        ]
+    return tasks
+
+
+def tasks_of(
+    pairs: Iterable[tuple[World, tuple[int, int, int]]], lidar: Lidar, rules: Rules, seconds: float
+) -> list[Task]:
+    """The tasks of some starts, each once."""
+    if lidar.sigma_m or lidar.dropout:
+        raise InputError("bounds are of a scanner without noise: lidar.sigma_m and lidar.dropout must be 0")
+    found = {(world.name, *start): Task(world, start, lidar, rules, seconds, None) for world, start in pairs}
+    return list(found.values())
+
+
+def settings_of(task: Task) -> dict[str, Any]:
+    """What bounds depend on besides world and start."""
+    own = {"n_beams": task.lidar.n_beams, "fov_deg": task.lidar.fov_deg, "range_m": task.lidar.range_m}
+    return own | {"clearance_m": task.rules.clearance_m, "near_m": task.rules.near_m}
+
+
+def asked(tasks: Sequence[Task]) -> dict[str, Any]:
+    """All that the results of some tasks depend on, as plain values."""
+    starts = hashlib.sha256(json.dumps([task.start for task in tasks]).encode())
+    worlds = {os.fspath(task.world.name): task.world for task in tasks}
+    return {
+        "version": __version__,
+        "worlds": list(worlds),
+        "digests": {name: digest(world) for name, world in worlds.items()},
+        "starts": starts.hexdigest(),
+        "seconds": tasks[0].seconds,
+        "max_floods": tasks[0].max_floods,
+        **settings_of(tasks[0]),
+    }
+
+
+def run_bounds(
+    tasks: Sequence[Task],
+    *,
+    ledger: Ledger | None = None,
+    workers: int | None = None,
+    on_progress: Callable[[int], object] | None = None,
+) -> Bounds:
+    """Bounds all starts that the ledger does not have. Arguments as of `bound`.
+
+    Raises:
+      KeyboardInterrupt: none was finished.
+    """
+    workers = min(own_cores() if workers is None else require_whole("workers", workers, 1, 2**16), len(tasks))
+    done: dict[int, Solved] = {}
+    if ledger is not None:
+        done = {i: _of_table(ledger.get(i)) for i in range(len(tasks)) if i in ledger.done}
+
+    def take(number, found):
+        if ledger is not None:
+            ledger.put(number, _to_table(found))
+        done[number] = found
+        if on_progress is not None:
+            on_progress(len(done))
+
+    try:
+        _run([i for i in range(len(tasks)) if i not in done], tasks, workers, take)
+    except KeyboardInterrupt:
+        if not done:
+            raise
+    return assemble(tasks, done)
+
+
+def _run(left, tasks, workers, take):
+    if workers == 1 or len(left) < 2:
+        use_compilation_cache()
+        start_backend(1)
+        for i in left:
+            take(i, solve(tasks[i]))
+        return
+    context = multiprocessing.get_context("spawn")
+    with concurrent.futures.ProcessPoolExecutor(workers, context, _begin_worker) as pool:
+        futures = {pool.submit(solve, tasks[i]): i for i in left}
+        try:
+            for future in concurrent.futures.as_completed(futures):
+                take(futures[future], future.result())
+        except BaseException:
+            for process in list((pool._processes or {}).values()):
+                process.terminate()
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+
+
+def _begin_worker():
+    """A worker made ready: it ends with its parent, and leaves Ctrl-C to it."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG
+    use_compilation_cache()
+    start_backend(1)
+
+
+def _to_table(found):
+    import pandas as pd
+
+    packed = {WALK: [found.walk.tobytes()], WITNESSES: [found.witnesses.tobytes()]}
+    return pd.DataFrame([found.row]).assign(**packed)
+
+
+def _of_table(table):
+    walk, witnesses = (np.frombuffer(table[name].iloc[0], np.int32).reshape(-1, 2) for name in (WALK, WITNESSES))
+    return Solved(table.loc[:, list(COLUMNS)].to_dict("records")[0], walk, witnesses)
+
+
+def assemble(tasks: Sequence[Task], done: dict[int, Solved]) -> Bounds:
+    """The `Bounds` of the tasks that are done.
+
+    Raises:
+      KeyboardInterrupt: there are none.
+    """
+    import pandas as pd
+
+    if not done:
+        raise KeyboardInterrupt
+    numbers = sorted(done)
+    rows, steps = [done[i].row for i in numbers], []
+    for k, i in enumerate(numbers):
+        walk = done[i].walk
+        own = {"world": done[i].row["world"], "start": k, "step": np.arange(len(walk))}
+        steps.append(pd.DataFrame({**own, "row": walk[:, 0], "col": walk[:, 1]}))
+    worlds = {os.fspath(tasks[i].world.name): tasks[i].world for i in numbers}
+    witnesses = {k: done[i].witnesses for k, i in enumerate(numbers)}
+    walks = pd.concat(steps, ignore_index=True)
+    missing = len(tasks) - len(done)
+    return Bounds(pd.DataFrame(rows), walks, tuple(worlds.values()), witnesses, settings_of(tasks[0]), missing)

@@ -1,0 +1,139 @@
+"""The shortest walk through the regions of some witnesses, exactly: over subsets, by floods.
+
+A witness is a cell that must be seen; its region is where it is seen from. With g(S, v) the cost of the shortest walk
+from the start to v that visits the regions of all witnesses in S, g(S, .) are the shortest paths from all cells of the
+region of some j in S, each begun at g(S without j, .) (Dreyfus and Wagner's recursion for walks). Costs are integers,
+those of `reach`.
+"""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from jexplore.reach import FAR
+from jexplore.studies.bounds.floor import Floor, edge_of
+
+
+class Subsets:
+    """The shortest walks through the regions of witnesses, of which more can be added."""
+
+    witnesses: list[int]
+    """Cells, in the order in which they were added."""
+    low: int
+    """Cost of the shortest walk through all their regions."""
+    order: list[int]
+    """The witnesses in the order in which the last `walk` sees them."""
+
+    def __init__(self, floor: Floor, most: int = FAR) -> None:
+        self.floor, self.most = floor, most
+        self.start = int(floor.numbers(np.array([floor.scene.start]))[0])
+        self.witnesses, self.low, self.order = [], 0, []
+        self._edges: list[np.ndarray] = []
+        self._away: list[np.ndarray] = []  # cost to each region
+        self._costs: dict[int, np.ndarray | None] = {0: floor.away_from(np.array([self.start]))}
+
+    @property
+    def bytes(self) -> int:
+        """Memory that is held."""
+        return 4 * len(self.floor.cells) * sum(costs is not None for costs in self._costs.values())
+
+    def add(self, cell: int, region: np.ndarray) -> Iterator[None]:
+        """Adds a witness; the caller may look at the clock after each flood, and stop: then nothing has changed.
+
+        Args:
+          cell: the witness.
+          region: numbers of the cells that see it.
+        """
+        places = self.floor.numbers(region)
+        assert len(places), "a witness that nobody can see"
+        n = len(self.witnesses)
+        edges = [*self._edges, edge_of(self.floor, places)]
+        away = [*self._away, self.floor.away_from(edges[-1])]
+        apart = np.array([[far[edge].min() for edge in edges] for far in away])
+        onward, everything = _onward(apart), (1 << n + 1) - 1
+        new: dict[int, np.ndarray | None] = {}
+        # Only sets of which some witness could have been the last: their number grows by one from layer to layer.
+        layers: list[set[int]] = [set() for _ in range(n + 2)]
+        for old, costs in self._costs.items():
+            if costs is not None:
+                layers[old.bit_count() + 1].add(old | 1 << n)
+        for layer in layers:
+            for mask in sorted(layer):
+                seeds = np.full(len(self.floor.cells), FAR, np.int32)
+                for i in range(n + 1):
+                    before = mask & ~(1 << i)
+                    costs = (new if before >> n else self._costs).get(before)
+                    if mask >> i & 1 and costs is not None:
+                        at = edges[i]
+                        least = costs[at] + _ahead(everything & ~mask, away, onward, at)
+                        at = at[least <= self.most]
+                        seeds[at] = np.minimum(seeds[at], costs[at])
+                if np.any(seeds < FAR):
+                    new[mask] = self.floor.flood(seeds)
+                    for i in range(n):
+                        if not mask >> i & 1:
+                            layers[mask.bit_count() + 1].add(mask | 1 << i)
+                    yield
+        self._costs.update(new)
+        self._edges, self._away = edges, away
+        self.witnesses.append(cell)
+        whole = self._costs.get((1 << (n + 1)) - 1)
+        self.low = FAR if whole is None else int(whole.min())
+
+    def walk(self) -> np.ndarray:
+        """The shortest walk: `[k]` int, numbers of cells from the start on."""
+        mask, order = (1 << len(self.witnesses)) - 1, []
+        way = [int(np.argmin(self._costs_of(mask)))]
+        while mask:
+            costs, before = self._costs_of(mask), self._before(mask)
+
+            def came_from(place, costs=costs, before=before):
+                """The witness that was seen here first, or None."""
+                found = (i for i, edge, other in before if place in edge and other[place] == costs[place])
+                return next(found, None)
+
+            way += self.floor.back(costs, way[-1], lambda place: came_from(place) is not None)[1:]
+            seen = came_from(way[-1])
+            assert seen is not None
+            order.append(self.witnesses[seen])
+            mask &= ~(1 << seen)
+        way += self.floor.back(self._costs_of(0), way[-1], lambda place: place == self.start)[1:]
+        self.order = order[::-1]
+        return self.floor.cells[way[::-1]]
+
+    def _costs_of(self, mask) -> np.ndarray:
+        costs = self._costs[mask]
+        assert costs is not None
+        return costs
+
+    def _before(self, mask):
+        """Witnesses that may be the last of a set to be seen: number, edge, costs without it."""
+        rest = [(i, self._costs.get(mask & ~(1 << i))) for i in range(len(self.witnesses)) if mask >> i & 1]
+        return [(i, set(self._edges[i].tolist()), costs) for i, costs in rest if costs is not None]
+
+
+def _ahead(rest, away, onward, at):
+    """What a walk from some places costs at least that has still to see some witnesses: the shortest way from edge to
+    edge in the best order, and the farthest edge.
+    """
+    members = [i for i in range(len(away)) if rest >> i & 1]
+    if not members:
+        return 0
+    far = np.array([away[i][at] for i in members])
+    return np.maximum((far + onward[rest, members][:, None]).min(axis=0), far.max(axis=0))
+
+
+def _onward(apart):
+    """What it costs at least to see some witnesses from the edge of the first on, in the best order of the others:
+    `[2**n, n]` int64, over sets and their first ones (Held and Karp, over the distances between edges).
+    """
+    n = len(apart)
+    found, masks = np.full((1 << n, n), FAR, np.int64), np.arange(1 << n)
+    size = np.array([mask.bit_count() for mask in range(1 << n)])
+    for layer in range(1, n + 1):
+        own = masks[size == layer]
+        for i in range(n):
+            some = own[own >> i & 1 == 1]
+            rest = some & ~(1 << i)
+            found[some, i] = np.where(rest == 0, 0, (apart[i] + found[rest]).min(axis=1))
+    return found

@@ -1,0 +1,241 @@
+"""Bounds: the exact search is brute force's, no episode is shorter than a lower bound, walks see everything."""
+
+import math
+import time
+
+import numpy as np
+import pandas as pd
+import pytest
+from ref import bounds as ref
+from scipy import ndimage
+
+import jexplore as jx
+from jexplore.cli import main
+from jexplore.config import InputError, Lidar, Rules
+from jexplore.reach import FAR, STRAIGHT
+from jexplore.studies.bounds import bound as study
+from jexplore.studies.bounds import pieces, scene, search, subsets
+from jexplore.studies.bounds.floor import Floor, cost_of, edge_of
+from jexplore.studies.checks import ready_starts
+from jexplore.worlds.world import World
+
+pytestmark = pytest.mark.jit
+LIDAR, RULES = Lidar(n_beams=31, range_m=0.35), Rules(clearance_m=0.1, near_m=0.2)
+ROOMS = "rooms:width_m=5,height_m=5"
+NEAR = Lidar(n_beams=61, range_m=1.5)
+
+
+def random_world(seed, side=9, share=0.22):
+    """A pencil-sized map, and a start on it."""
+    rng = np.random.default_rng(seed)
+    occupied = rng.random((side, side)) < share
+    occupied[[0, -1]] = occupied[:, [0, -1]] = True
+    labels, _ = ndimage.label(~occupied)
+    largest = np.argwhere(labels == 1 + np.argmax(np.bincount(labels[labels > 0])[1:]))
+    row, col = largest[rng.integers(len(largest))].tolist()
+    return World(occupied=occupied, cell_m=0.1, name=f"random {seed}"), (row, col, 45 * int(rng.integers(8)))
+
+
+def ready(world, start, lidar=LIDAR, rules=RULES):
+    return scene.prepare_scene(world, start, lidar, rules, 2)
+
+
+def as_map(made, flat):
+    """A mask of the padded map, cut to the world."""
+    return flat.reshape(made.padded)[made.pad : -made.pad, made.pad : -made.pad]
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_what_is_to_be_seen_and_from_where_is_the_episodes(seed):
+    world, start = random_world(seed)
+    rules = Rules(clearance_m=0.0, near_m=0.2) if seed % 2 else RULES
+    made = ready(world, start, rules=rules)
+    if made is None:
+        pytest.skip("an enclosed start")
+    goal, known = ref.begun(world, start, LIDAR, rules)
+    np.testing.assert_array_equal(as_map(made, made.must_see), goal & ~known)
+    look = ref.seen_all_round(world.occupied, LIDAR, world.cell_m)
+    labels, _ = ndimage.label(~world.occupied)
+    np.testing.assert_array_equal(as_map(made, made.any), labels == labels[start[:2]])
+    free = np.argwhere(labels == labels[start[:2]])
+    seen = {tuple(cell): look(*cell) for cell in free.tolist()}
+    for cell, known in seen.items():
+        mine = as_map(made, made.seen_from(made.flat(*cell)))
+        np.testing.assert_array_equal(mine & ~world.occupied, known & ~world.occupied)
+    for cell in free[:: max(1, len(free) // 6)].tolist():
+        rows, cols = made.cells(made.region(int(made.flat(*cell))))
+        assert sorted(zip(rows.tolist(), cols.tolist())) == [own for own in seen if seen[own][tuple(cell)]]
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_the_exact_search_is_brute_force(seed):
+    world, start = random_world(seed, side=8 + seed % 3)
+    rules = Rules(clearance_m=0.0, near_m=0.2) if seed % 2 else RULES
+    made = ready(world, start, rules=rules)
+    if made is None or not made.must_see.any():
+        return
+    found = search.search(made, search.Budget(None, 4000))
+    look = ref.seen_all_round(world.occupied, LIDAR, world.cell_m)
+    left = as_map(made, made.must_see)
+    clear, wide = (ref.shortest(as_map(made, stand), start[:2], left, look) for stand in (made.clear, made.any))
+    assert found.optimal
+    assert found.high == found.low == clear == cost_of(found.walk, made.width)
+    assert found.low_any <= wide <= clear
+    budget = search.Budget(None, 4000)
+    sight = search.Sight(made)
+    exact, walk = search.Search(made, made.any, budget, sight, {}).shortest(1.0, FAR)
+    assert walk is not None
+    assert exact.low == wide
+
+
+def test_the_walk_sees_everything_and_keeps_to_the_corner_rule():
+    world = jx.load_world("cave:width_m=6,height_m=6", cell_m=0.1)
+    found = jx.bound(world, starts=2, lidar=NEAR, max_floods=400)
+    for number, row in enumerate(found.table.to_dict("records")):
+        start = int(row["start_row"]), int(row["start_col"]), int(row["start_heading_deg"])
+        walk = found.walks[found.walks["start"] == number][["row", "col"]].to_numpy()
+        assert tuple(walk[0]) == start[:2]
+        goal, known = ref.begun(world, start, NEAR, Rules())
+        look = ref.seen_all_round(world.occupied, NEAR, world.cell_m)
+        seen = np.any([look(*cell) for cell in walk.tolist()], axis=0)
+        assert not (goal & ~known & ~seen).any()
+        for one, other in zip(walk[:-1].tolist(), walk[1:].tolist()):
+            assert tuple(other) in [cell for cell, _ in ref.neighbours(~world.occupied, one)]
+        steps = np.abs(np.diff(walk, axis=0)).sum(axis=1)
+        assert row["high_m"] == pytest.approx(0.1 * ((steps == 1).sum() + math.sqrt(2) * (steps == 2).sum()))
+        assert row["low_any_m"] <= row["low_m"] <= row["high_m"]
+        assert row["low_any_m"] > 0.5 * row["high_m"]
+
+
+@pytest.mark.parametrize("kind", ["rooms", "cave", "maze"])
+def test_no_episode_is_shorter_than_the_bound_of_any_robot(kind):
+    world = jx.load_world(f"{kind}:width_m=7,height_m=7", cell_m=0.1)
+    episodes = jx.compare(world, ["closest", "closest+recheck", "random"], episodes=4, lidar=NEAR).to_pandas()
+    table = jx.bound(world, starts=4, lidar=NEAR, max_floods=800).table
+    np.testing.assert_array_equal(table[["start_row", "start_col"]], episodes[["start_row", "start_col"]][:4])
+    done = episodes[episodes["outcome"] == "COMPLETE"]
+    assert len(done) > 8
+    low = done["episode"].map(table["low_any_m"])
+    assert (low <= done["path_m"] + 1e-9).all()
+    assert (table["low_any_m"] > 0.3 * table["high_m"]).all()
+
+
+def test_low_never_falls_as_witnesses_are_added_and_pieces_are_no_better_than_the_truth():
+    world = jx.load_world(ROOMS, cell_m=0.1)
+    start = tuple(int(v) for v in ready_starts(world, "random", 1, seed=0, rules=Rules())[0])
+    made = scene.prepare_scene(world, start, NEAR, Rules(), 2)
+    budget = search.Budget(None, 10**6)
+    own = search.Search(made, made.clear, budget, search.Sight(made), {})
+    exact, rng = subsets.Subsets(own.floor, FAR), np.random.default_rng(0)
+    cells = rng.choice(np.flatnonzero(made.must_see), 8, replace=False).tolist()
+    lows = []
+    for cell in cells:
+        if own.from_start[own.floor.numbers(own.region(cell))].min() == 0:
+            continue
+        for _ in exact.add(cell, own.region(cell)):
+            pass
+        lows.append(exact.low)
+        regions = [own.floor.numbers(own.region(other)) for other in exact.witnesses]
+        for most in (8, 60):
+            until = time.monotonic() + 1.0
+            how = {"left_s": lambda: 0.5, "over": lambda until=until: time.monotonic() > until}
+            bound = pieces.bound_by_pieces(own.floor, regions, own.from_start, FAR, most=most, **how)
+            assert 0 <= bound <= exact.low
+    assert len(lows) > 4
+    assert lows == sorted(lows)
+    walk = exact.walk()
+    assert cost_of(walk, made.width) == exact.low
+    assert sorted(exact.order) == sorted(exact.witnesses)
+    for cell in exact.witnesses:
+        assert made.seen_from(walk)[cell]
+
+
+def test_a_corridor_by_hand():
+    """A dead-end corridor of 3 x 30 cells: what is nearest its ends must be driven up to."""
+    occupied = np.ones((5, 32), bool)
+    occupied[1:4, 1:31] = False
+    world = World(occupied=occupied, cell_m=0.1, name="corridor")
+    made = ready(world, (2, 11, 0), rules=Rules(clearance_m=0.1, near_m=0.0))
+    found = search.search(made, search.Budget(None, 2000))
+    # Clear cells are 2..29 of the middle row; the scanner sees cells 1 to 3 ahead.
+    assert made.must_see.sum() == 28 - 7
+    assert found.optimal
+    assert found.high == (2 * 6 + 15) * STRAIGHT
+    assert np.array(found.low_any) <= found.high
+    edge = edge_of(Floor(made, made.clear, search.Budget(None, 1)), np.arange(4))
+    assert edge.tolist() == [3]
+
+
+def test_metres_are_rounded_down():
+    assert study.low_metres(65536 * 10, 0.1) == 0.999  # ten diagonal steps would cost more than they measure
+    assert study.low_metres(0, 0.1) == 0.0
+    assert study.low_metres(92682 * 1000, 0.1) <= 100 * math.sqrt(2)
+
+
+def test_the_same_twice_under_max_floods():
+    one, two = (jx.bound(ROOMS, starts=2, lidar=NEAR, max_floods=300) for _ in range(2))
+    pd.testing.assert_frame_equal(one.table.drop(columns="seconds"), two.table.drop(columns="seconds"))
+    pd.testing.assert_frame_equal(one.walks, two.walks)
+    assert repr(one) == "<Bounds of 2 starts in 1 worlds>"
+
+
+def test_an_enclosed_start_and_nothing_to_see():
+    occupied = np.ones((9, 9), bool)
+    occupied[4, 4] = False
+    found = study.solve(
+        study.Task(World(occupied=occupied, cell_m=0.1, name="cell"), (4, 4, 0), LIDAR, RULES, 1.0, None)
+    )
+    assert (found.row["status"], found.row["low_m"]) == (study.STUCK, 0.0)
+    occupied[3:6, 3:6] = False
+    far = Lidar(n_beams=181, range_m=2.0)
+    found = study.solve(study.Task(World(occupied=occupied, cell_m=0.1, name="hut"), (4, 4, 0), far, RULES, 1.0, None))
+    assert found.row["status"] == study.STUCK  # one clear cell, the start's own
+    occupied = np.ones((11, 11), bool)
+    occupied[2:9, 2:9] = False
+    found = study.solve(study.Task(World(occupied=occupied, cell_m=0.1, name="hall"), (5, 5, 0), far, RULES, 1.0, None))
+    assert (found.row["status"], found.row["high_m"], found.row["low_any_m"]) == (study.OPTIMAL, 0.0, 0.0)
+
+
+def test_no_time_for_a_walk_leaves_a_weak_bound():
+    world = jx.load_world("office", cell_m=0.1)
+    start = tuple(int(v) for v in ready_starts(world, "random", 1, seed=0, rules=Rules())[0])
+    found = study.solve(study.Task(world, start, Lidar(), Rules(), None, 3)).row
+    assert found["status"] == study.WEAK
+    assert math.isnan(found["high_m"])
+    assert 0 < found["low_any_m"] <= found["low_m"]
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"seconds": 0}, "seconds must be"),
+        ({"starts": 0}, "starts must be"),
+        ({"lidar": Lidar(sigma_m=0.1)}, "without noise"),
+        ({"lidar": Lidar(dropout=0.1)}, "without noise"),
+        ({"start": "here"}, "start must be random or world"),
+        ({"max_floods": 0}, "max_floods must be"),
+        ({"workers": 0}, "workers must be"),
+        ({"start": "world"}, "has no start of its own"),
+    ],
+)
+def test_what_cannot_be_bounded(options, message):
+    with pytest.raises(InputError, match=message):
+        jx.bound(ROOMS, **options)
+
+
+def test_the_command(tmp_path, capsys):
+    out = tmp_path / "run"
+    command = ["bound", ROOMS, "--starts", "2", "--max-floods", "200", "--lidar.range-m", "1.5", "--out", str(out)]
+    assert main.main(command) == 0
+    said = capsys.readouterr().out
+    assert said.splitlines()[-1].startswith("wrote bounds.parquet, walks.parquet, run.json, bounds.png")
+    table = jx.load(out)
+    assert list(table.columns) == list(study.COLUMNS)
+    assert len(table) == 2
+    assert (table["high_m"] >= table["low_m"]).all()
+    assert main.main([*command, "--resume"]) == 0
+    assert "nothing was left to do" in capsys.readouterr().out
+    assert main.main([*command, "--resume", "--seed", "1"]) == 2
+    assert "holds another run" in capsys.readouterr().err
+    assert main.main(["bound", "--out", str(out)]) == 2
+    assert "expected worlds" in capsys.readouterr().err
