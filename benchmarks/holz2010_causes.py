@@ -25,6 +25,12 @@ SETTINGS = {
     "range 30 m": {"lidar": Lidar(range_m=30.0)},
     "field of view 360 degrees": {"lidar": Lidar(n_beams=360, fov_deg=360)},
     "no look around on arrival": {"rules": Rules(look_around=False)},
+    "a scan every 0.5 m": {"rules": Rules(scan_every_m=0.5)},
+    "a scan every 1 m": {"rules": Rules(scan_every_m=1.0)},
+    "a scan every 2 m": {"rules": Rules(scan_every_m=2.0)},
+    "arrival within 0.5 m": {"rules": Rules(arrival_m=0.5)},
+    "arrival within 1 m": {"rules": Rules(arrival_m=1.0)},
+    "a scan every 1 m, arrival within 0.5 m": {"rules": Rules(scan_every_m=1.0, arrival_m=0.5)},
 }
 SCALES = {"hospital_section.png@49.3x20.1": "hospital_section.png@40x18"}
 

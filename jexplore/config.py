@@ -148,6 +148,11 @@ class Rules:
     )
     """A robot that arrives at a live target turns in place, with scans at +90, +180 and +270 degrees; at every 45 where
     the field of view is below 90 degrees."""
+    scan_every_m: float = 0.0
+    """A robot on its way makes a scan whenever it has driven this far since the last one, in metres; 0 is after every
+    step. It also scans at its target, where it looks round, and where a step is refused."""
+    arrival_m: float = 0.0
+    """A target within this distance, in metres, that is no longer live counts as reached, also without +recheck."""
     max_steps: int | None = None
     """An episode ends as STEP_LIMIT after this many steps; by default the larger of 20000 and the number of cells."""
     max_plans: int | None = None
@@ -156,6 +161,8 @@ class Rules:
     def __post_init__(self) -> None:
         require_number("rules.clearance_m", self.clearance_m, high=10)
         require_number("rules.near_m", self.near_m, high=10)
+        for name in ("scan_every_m", "arrival_m"):
+            require_number(f"rules.{name}", getattr(self, name), high=1000)
         require_number("rules.p_free", self.p_free, high=1, high_open=True)
         if not isinstance(self.look_around, bool):
             raise InputError(f"rules.look_around must be True or False, got {self.look_around!r}")

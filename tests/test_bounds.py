@@ -239,3 +239,28 @@ def test_the_command(tmp_path, capsys):
     assert "holds another run" in capsys.readouterr().err
     assert main.main(["bound", "--out", str(out)]) == 2
     assert "expected worlds" in capsys.readouterr().err
+
+
+def test_a_comparison_beside_its_bounds(tmp_path, capsys):
+    out, floods = tmp_path / "run", {"max_floods": 300}
+    command = ["compare", "--worlds", ROOMS, "--strategies", "closest", "random", "--episodes", "2", "--no-report"]
+    command += ["--lidar.n-beams", "61", "--lidar.range-m", "1.5", "--out", str(out)]
+    assert main.main([*command, "--bounds", "--bound-seconds", "1"]) == 0
+    assert "path / low any" in capsys.readouterr().out
+    episodes = jx.load(out).to_pandas()
+    assert (episodes["path_over_low_any"] >= 1).all()
+    assert (episodes["path_over_low_any"] >= episodes["path_over_high"] - 1e-9).all()
+    assert len(pd.read_parquet(out / "bounds.parquet")) == 2
+    assert main.main([*command, "--overwrite", "--bounds", "--bound-seconds", "0"]) == 2
+    assert main.main([*command, "--overwrite", "--bounds", "--lidar.sigma-m", "0.1"]) == 2
+    assert "without noise" in capsys.readouterr().err
+    found = jx.bound(ROOMS, starts=1, lidar=NEAR, **floods)
+    compared = jx.compare(ROOMS, "closest", episodes=2, lidar=NEAR)
+    table = found.beside(compared)
+    assert np.isnan(table["path_over_high"][1])
+    assert table["path_over_low_any"][0] == table["path_m"][0] / found.table["low_any_m"][0]
+    other = compared.worlds[0].replace(occupied=compared.worlds[0].occupied | (np.arange(50) == 20))
+    with pytest.raises(InputError, match="another world of that name"):
+        found.beside(jx.compare(other, "closest", episodes=1, lidar=NEAR))
+    with pytest.raises(InputError, match="have none of them"):
+        found.beside(jx.compare(ROOMS, "closest", episodes=1, seed=5, lidar=NEAR))

@@ -50,6 +50,11 @@ PENCIL = {
     "bend": ("##### #...# #.#.# #S#.# #####", CROSS, ONE_CELL),
     "narrow view": ("##### #S..# #...# #####", Lidar(n_beams=1, fov_deg=40, range_m=1.6), ONE_CELL),
     "no look around": ("##### #S..# #...# #####", CROSS, Rules(clearance_m=0.0, near_m=1.0, look_around=False)),
+    "scans now and then": (
+        "######### #S......# #########",
+        CROSS,
+        Rules(clearance_m=0.0, near_m=1.0, scan_every_m=2.5),
+    ),
     "step limit": ("####### #S....# #######", CROSS, Rules(clearance_m=0.0, near_m=0.0, max_steps=1)),
     "plan limit": ("####### #S....# #######", CROSS, Rules(clearance_m=0.0, near_m=0.0, max_plans=2)),
     "stuck": ("##### #S#.# #####", CROSS, ONE_CELL),
@@ -97,6 +102,9 @@ WORLDS = [
     (9, (64, 64), "closest", Lidar(range_m=2.0), Rules(max_plans=7)),
     (10, (45, 33), "closest+recheck", Lidar(range_m=4.0, n_beams=12, fov_deg=30), Rules(near_m=0.0)),
     (11, (48, 48), "closest", Lidar(range_m=0.55, n_beams=37), Rules(near_m=1.0)),
+    (12, (48, 48), "closest+recheck", Lidar(range_m=2.0), Rules(scan_every_m=1.0)),
+    (13, (48, 48), "closest", Lidar(range_m=2.0), Rules(scan_every_m=0.45, arrival_m=0.5)),
+    (14, (44, 40), "closest", Lidar(range_m=1.0, n_beams=45), Rules(arrival_m=1.2, look_around=False)),
 ]
 
 

@@ -5,6 +5,7 @@ import functools
 import os
 import sys
 from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Literal
 
 from jexplore.cli.listings import describe
@@ -54,6 +55,13 @@ class Compare:
     """Run every strategy in 48 worlds of six kinds (in cells over 0.2 m: 40 of five), unless --worlds and --strategies
     say otherwise. Print who ranks where over all worlds, and what a plan costs, and write league.png instead of the
     pictures of single worlds."""
+    waste: bool = False
+    """Also say where path is wasted: what shows nothing new, and visits to leftovers; keeps every way until then."""
+    bounds: bool = False
+    """Also find how short a robot that knows the map could have driven from each start, as `jexplore bound` does, and
+    set every path beside it; writes bounds.parquet."""
+    bound_seconds: float = 10.0
+    """Spend so many seconds on the bounds of each start."""
     engine: EngineName = "auto"
     """Run episodes one after the other on each core, or many in lockstep, as suits a GPU. The results are equal; by
     default the machine decides."""
@@ -94,8 +102,8 @@ class Compare:
                 lidar=self.lidar,
                 rules=self.rules,
             )
+            tasks, reported = self._bound_tasks(jobs), jobs if self.report else None
             ran = run_with_bar(self, jobs, out)
-            reported = jobs if self.report else None
             if ran is None:
                 return show_finished(out, _tables, _figures, reported)
             with note(FINISHING):
@@ -104,7 +112,40 @@ class Compare:
                 if self.league:
                     text, entries = _league(found, ran)
                     record = functools.partial(record, **entries)
-                return finish(out, found, ran, text, _figures(found, self.league), record, reported)
+            found, more, files = self._beside(found, [] if ran.costs.interrupted else tasks)
+            text += more
+            with note(FINISHING):
+                return finish(out, found, ran, text, _figures(found, self.league), record, reported, files)
+
+    def _bound_tasks(self, jobs):
+        """What is to be bounded, if bounds are asked for."""
+        from jexplore.config import require_number
+        from jexplore.studies.bounds.bound import tasks_of
+
+        if not self.bounds:
+            return []
+        require_number("bound_seconds", self.bound_seconds, low_open=True)
+        pairs = [(job.world, (int(r), int(c), int(h))) for job in jobs for r, c, h in job.starts]
+        return tasks_of(pairs, self.lidar, self.rules, self.bound_seconds)
+
+    def _beside(self, found, tasks):
+        """A comparison with what is asked besides, and the tables and files of that: `(found, text, files)`."""
+        from jexplore.report import store
+        from jexplore.studies.bounds.beside import beside_table
+        from jexplore.studies.bounds.bound import run_bounds
+        from jexplore.studies.statistics.waste import waste_table
+
+        text, files = "", {}
+        if self.waste:
+            found = dataclasses.replace(found, episodes=found.wasted)
+            text += f"\nWhere path is wasted:\n\n{waste_table(found.episodes)}"
+        if tasks:
+            with working(len(tasks), "starts") as on_progress:
+                bounds = run_bounds(tasks, workers=self.workers, on_progress=on_progress)
+            found = dataclasses.replace(found, episodes=bounds.beside(found))
+            text += f"\nBeside the shortest walks of a robot that knows the map:\n\n{beside_table(found.episodes)}"
+            files["bounds.parquet"] = lambda path: store.write_parquet(bounds.table, path)
+        return found, text, files
 
 
 def _tables(found, record):
@@ -122,6 +163,7 @@ def _figures(found, league):
     if league:
         return {"league.png": lambda: plot_league.figure(found.standings)}
     figures = {"compare.png": found.compare_figure, "coverage.png": found.coverage_figure}
+    figures |= {"waste.png": found.waste_figure} if found.paths else {}
     # Without any episode 0, as after an early interruption, there is no path to draw.
     return figures | ({"paths.png": found.paths_figure} if found.first else {})
 
@@ -154,13 +196,14 @@ def run_with_bar(options: Any, jobs: "Sequence[Job]", out: Out) -> "Ran | None":
     from jexplore.studies.results import provenance, units
 
     use_compilation_cache()
-    ledger = out.keep(provenance.asked(jobs), len(units.cut(jobs)))
+    keep = "paths" if getattr(options, "waste", False) else None
+    ledger = out.keep(provenance.asked(jobs) | ({"keep": keep} if keep else {}), len(units.cut(jobs)))
     if ledger is None:
         return None
     engine = None if options.engine == "auto" else options.engine
     how = {"engine": engine, "lanes": options.lanes, "workers": options.workers}
     with working(sum(len(job.starts) for job in jobs), "episodes") as on_progress:
-        return units.run_units(jobs, ledger=ledger, **how, on_progress=on_progress)
+        return units.run_units(jobs, ledger=ledger, **how, on_progress=on_progress, keep=keep)
 
 
 def show_finished(
@@ -194,6 +237,7 @@ def finish(
     figures: "Mapping[str, Callable[[], Figure]]",
     record: Callable[..., Any],
     jobs: "Sequence[Job] | None" = None,
+    more: Mapping[str, Callable[..., Any]] = MappingProxyType({}),
 ) -> int:
     """Writes, prints and draws what comparisons and reproductions have in common. Returns the exit status.
 
@@ -205,6 +249,7 @@ def finish(
       figures: `{name: function}`, which draws it.
       record: called with more entries of run.json, returns all.
       jobs: of the run, for a report; None for none.
+      more: files besides: name -> what writes it.
     """
     from jexplore.report import store
     from jexplore.studies.results import loading
@@ -213,6 +258,7 @@ def finish(
     files = {
         "episodes.parquet": lambda path: store.write_parquet(found.episodes, path),
         loading.DETAILS: lambda path: loading.write_details(found, path),
+        **more,
         "run.json": lambda path: store.write_json(record, path),
     }
     out.write(files, is_finished=not costs.interrupted)

@@ -22,7 +22,7 @@ from jexplore.frontier import disc
 from jexplore.grid import count, empty_grid, is_known
 from jexplore.planning import Belief, Choice, is_live, is_open
 from jexplore.raycast import disturb, fold, scan
-from jexplore.reach import FAR, NO_MOTION, flood
+from jexplore.reach import DIAGONAL, FAR, NO_MOTION, STRAIGHT, flood
 
 STRIDE = 16  # cells by which the square moves in which known cells are counted
 BAD_TARGETS = 3  # targets in a row that no path leads to, and an episode ends
@@ -119,6 +119,7 @@ def _move(setup, given, state):
         bumped=jnp.where(state.walking, jnp.where(refused, motion, NO_MOTION), state.bumped).astype(jnp.int32),
         walking=state.walking & ~at_limit,
         outcome=jnp.where(at_limit, Outcome.STEP_LIMIT, state.outcome),
+        unscanned=state.unscanned + steps * jnp.where(diagonal, DIAGONAL, STRAIGHT),
         turns=state.turns + turn_between(state.heading, turned(state.heading)),
         straight=state.straight + (steps & ~diagonal),
         diagonal=state.diagonal + diagonal,
@@ -170,18 +171,21 @@ def advance(setup: Setup, given: Given, state: State) -> State:
         jnp.stack([belief.col, state.came_from[1], belief.col]),
     )
     state = state.replace(belief=belief.replace(driven=_mark(belief.driven, *beside, walking)))
-    state = trail.note_step(_sense(setup, given, state, walking), walking)
-    here = (belief.row == state.target[0]) & (belief.col == state.target[1])
+    row, col = state.target[0] - belief.row, state.target[1] - belief.col
+    here, near = (row == 0) & (col == 0), row * row + col * col <= numbers.arrival_d2
+    due = walking & (here | (state.bumped >= 0) | (state.unscanned >= numbers.scan_every))
+    state = state.replace(unscanned=jnp.where(due, 0, state.unscanned))
+    state = trail.note_step(_sense(setup, given, state, due), walking)
     live = is_live(state.belief, *state.target)
     if setup.policy.live is not None:
-        asked = state.is_view & state.walking & (numbers.recheck | here)
+        asked = state.is_view & state.walking & (numbers.recheck | near)
 
         def look(_):
             return setup.policy.live(numbers.params, state.belief, given.shared, *state.target)
 
         live = run_if(asked, look, live)
     bumped = state.bumped >= 0
-    given_up = bumped | (numbers.recheck & ~live & ~here)
+    given_up = bumped | ((numbers.recheck | near) & ~live & ~here)
     state = state.replace(walking=walking & ~given_up)
     state = _arrive(setup, state, walking & here & ~bumped & (state.looking == 0), live, numbers)
     return _limit_plans(numbers, _move(setup, given, state))

@@ -134,6 +134,8 @@ def prepare_site(
         model=model,
         look_around=np.bool_(rules.look_around),  # type: ignore[arg-type]
         recheck=np.bool_(False),  # type: ignore[arg-type]
+        scan_every=np.int32(cost_of(rules.scan_every_m, world.cell_m)),  # type: ignore[arg-type]
+        arrival_d2=np.int32(radius_d2(rules.arrival_m, world.cell_m)),  # type: ignore[arg-type]
         max_steps=np.int32(rules.max_steps or limit),  # type: ignore[arg-type]
         max_plans=np.int32(rules.max_plans or limit),  # type: ignore[arg-type]
         sigma_cells=np.float32(lidar.sigma_m / world.cell_m),  # type: ignore[arg-type]
@@ -143,6 +145,11 @@ def prepare_site(
     longest_m = max(one.range_m for one, _ in everyone)
     beams = _beams(lidar.n_beams, lidar.fov_deg, lidar.range_m, world.cell_m, shape[1], longest_m)
     return Site(truth, beams, _setup(everyone, world.cell_m, shape, limit), numbers)
+
+
+def cost_of(length_m: float, cell_m: float) -> int:
+    """A length as a cost of `reach`, rounded; at most FAR."""
+    return round(min(in_cells(length_m, cell_m) * reach.STRAIGHT, reach.FAR))
 
 
 def _regions(occupied):

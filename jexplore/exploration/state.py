@@ -62,6 +62,8 @@ class Numbers:
     model: MapModel
     look_around: Array  # bool
     recheck: Array  # bool
+    scan_every: Array  # int32, cost of the way after which a robot scans, see `reach`
+    arrival_d2: Array  # int32, cells^2, distance at which a target that is not live counts as reached
     max_steps: Array  # int32
     max_plans: Array  # int32
     sigma_cells: Array  # float32
@@ -116,6 +118,7 @@ class State:
     walking: Array  # bool, whether the plan is still being carried out
     bumped: Array  # int32, the motion that was refused just now, index into `reach.MOTIONS`; -1 for none
     came_from: Array  # [2] int32, row and col of the belief before the last motion
+    unscanned: Array  # int32, cost of the way driven since the last scan
     known: Array  # int32, known cells
     corner: Array  # [2] int32, row and col of the square in which known cells are counted, see `environment`
     outside: Array  # int32, known cells outside it
@@ -148,5 +151,5 @@ class State:
 def no_counts() -> Any:
     """The counts of a `State` in which nothing has been done: dict."""
     names = "straight diagonal turns scans plans exhausted saturated refused overflow bad_targets"
-    names += " known looking looked outside"
+    names += " known looking looked outside unscanned"
     return dict.fromkeys(names.split(), jnp.int32(0))

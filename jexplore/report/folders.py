@@ -16,7 +16,16 @@ from jexplore.report.store import reason, sync_folder
 
 OUR_FILES = (
     *("run.json", "episodes.parquet", "details.npz", "report.html"),
-    *("compare.png", "coverage.png", "paths.png", "league.png", "compare.svg", "coverage.svg", "league.svg"),  # compare
+    *(
+        "compare.png",
+        "coverage.png",
+        "paths.png",
+        "waste.png",
+        "league.png",
+        "compare.svg",
+        "coverage.svg",
+        "league.svg",
+    ),  # compare
     *("episode.png", "episode.gif", "explored.yaml", "explored.pgm", "worlds.png"),  # explore, worlds
     *("bounds.parquet", "walks.parquet", "bounds.png"),  # bound
     *("bench.json", "bench.png"),  # bench

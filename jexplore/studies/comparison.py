@@ -35,7 +35,7 @@ from jexplore.studies.checks import (
     require_settings,
 )
 from jexplore.studies.results.units import Piece, Ran, Seen, run_units
-from jexplore.studies.statistics import by_world, figures, sizes
+from jexplore.studies.statistics import by_world, figures, sizes, waste
 from jexplore.studies.statistics.league import over_worlds_text, standings
 from jexplore.studies.statistics.paired import MIN_PAIRS
 from jexplore.worlds.world import World
@@ -82,6 +82,11 @@ class Comparison:
     def standings(self) -> "pd.DataFrame":
         """One row a strategy, over all worlds: see `league.standings`."""
         return standings(self.episodes)
+
+    @functools.cached_property
+    def wasted(self) -> "pd.DataFrame":
+        """The table of episodes with what of each path was wasted, with `keep="paths"`: see `waste.wasted`."""
+        return waste.wasted(self.episodes, self.paths, {world.name: world.cell_m for world in self.worlds})
 
     @functools.cached_property
     def warnings(self) -> list[str]:
@@ -171,6 +176,19 @@ class Comparison:
     def profile_figure(self, *, over: str = "best") -> "Figure":
         """Performance profiles of the strategies: see `figures.profile_figure`."""
         return figures.profile_figure(self.episodes, over=over)
+
+    def waste_figure(self) -> "Figure":
+        """The first paths, coloured by what they were worth, with `keep="paths"`: a matplotlib `Figure`."""
+        from jexplore.report.plots import waste as pictures
+
+        worlds = {world.name: world for world in self.worlds}
+        kinds = [(pair, ways[0], waste.waste_of(ways[0], worlds[pair[0]].cell_m)) for pair, ways in self.paths.items()]
+        return pictures.figure(
+            [
+                (f"{strategy} in {world}", worlds[world].occupied, way[:, :2], found.kinds, worlds[world].cell_m)
+                for (world, strategy), way, found in kinds
+            ]
+        )
 
     def paths_figure(self) -> "Figure":
         """The map as each strategy saw it in episode 0, with its path: a matplotlib `Figure`."""

@@ -13,7 +13,7 @@ from jexplore.engine.program import Given
 from jexplore.engine.serial import run_one
 from jexplore.exploration.episode import program_of
 from jexplore.exploration.results import progress_m
-from jexplore.exploration.site import KERNELS
+from jexplore.exploration.site import KERNELS, cost_of
 from jexplore.exploration.state import Numbers, Outcome, Setup, Stream, Truth
 from jexplore.exploration.trail import decode, kept
 from jexplore.grid import in_cells, radius_d2
@@ -61,6 +61,8 @@ def numbers_of(strategy, lidar, rules, cell_m, kernels="serial"):
         ),
         look_around=np.bool_(rules.look_around),
         recheck=np.bool_(strategy.recheck),
+        scan_every=np.int32(cost_of(rules.scan_every_m, cell_m)),
+        arrival_d2=np.int32(radius_d2(rules.arrival_m, cell_m)),
         max_steps=np.int32(rules.max_steps or CAPACITY),
         max_plans=np.int32(rules.max_plans or CAPACITY),
         sigma_cells=np.float32(lidar.sigma_m / cell_m),
@@ -205,6 +207,8 @@ def replay(occupied, start, strategy, lidar, rules, *, cell_m, rooms=None, choos
         max_plans=rules.max_plans,
         rooms=rooms,
         look_around=rules.look_around,
+        scan_every_m=rules.scan_every_m,
+        arrival_m=rules.arrival_m,
         sense=sense,
     )
 
@@ -236,6 +240,9 @@ def differences(result, state, want, *, cell_m, rooms=None):
     final = decode(kept(state), result, want.hits.shape)
     known = want.hits + want.misses > 0
     last_known = dict(want.known_after_scan)  # by the number of steps made: the last scan made there counts
+    after_step = []
+    for i in range(want.steps + 1):  # a step without a scan leaves what is known
+        after_step.append(last_known.get(i, after_step[-1] if after_step else 0))
     lengths = (result.straight_at + math.sqrt(2) * result.diagonal_at) * cell_m
     along = progress_m(result, cell_m)
     outside = np.ones(state.shape, bool)
@@ -248,7 +255,7 @@ def differences(result, state, want, *, cell_m, rooms=None):
         "misses": (state.belief.grid.misses[:height, :width], want.misses),
         "counts in padding": (int((state.belief.grid.hits + state.belief.grid.misses)[outside].sum()), 0),
         "known": (int(result.known), int(known.sum())),
-        "known after a step": (final.known.tolist(), [last_known.get(i, 0) for i in range(want.steps + 1)]),
+        "known after a step": (final.known.tolist(), after_step),
         "target": ([plan.target for plan in final.plans or ()], [plan.target for plan in want.log]),
         "motions": (sum(len(plan.motions) for plan in final.plans or ()), want.steps + want.refused),
         "believed pose": (

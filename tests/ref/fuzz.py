@@ -263,6 +263,8 @@ def _rules(draw, fixed, cell_m, n_cells):
         near_m=float(draw.choice([0, 0.5, draw.uniform(0, 1)])),
         p_free=float(p_free),
         look_around=bool(draw.random() < 0.75),
+        scan_every_m=float(draw.choice([0, 0, 0, draw.uniform(0, 2)])),
+        arrival_m=float(draw.choice([0, 0, 0, draw.uniform(0, 1)])),
         max_steps=int(draw.integers(10, most_steps)) if bounded else None,
         max_plans=int(draw.integers(3, most_plans)) if bounded else None,
     )
@@ -283,6 +285,8 @@ def kinds_of(case, verdict):
         "a range of whole or half cells": (2 * in_cells(lidar.range_m, case.cell_m)).is_integer(),
         "no clearance": case.fixed.clearance_d2 == 0,
         "no look around": not case.rules.look_around,
+        "scans now and then": case.rules.scan_every_m > 0,
+        "arrives before the target": case.rules.arrival_m > 0,
         "kernels of lockstep": case.fixed.kernels == "lockstep",
         "rooms": case.rooms is not None,
         "refused steps": verdict.refused > 0,

@@ -113,7 +113,8 @@ def count_room_entries(visited, rooms):
 class Robot:
     """The robot in its world, with its map, its odometer and its record."""
 
-    def __init__(self, occupied, start, heading_deg, sense, p_free):
+    def __init__(self, occupied, start, heading_deg, sense, p_free, scan_every):
+        self.scan_every, self.unscanned = scan_every, 0  # cost of the way, fixed point
         self.occupied, self.sense, self.p_free = occupied, sense, p_free
         self.cell, self.heading = start, heading_deg % 360
         self.driven = np.zeros(occupied.shape, bool)
@@ -138,6 +139,7 @@ class Robot:
     def scan(self, heading_deg):
         """Make one scan and count it."""
         beams.fold(self.result.hits, self.result.misses, *self.cell, self.sense(*self.cell, heading_deg))
+        self.unscanned = 0
         self.result.headings.append(heading_deg)
         self.result.scans += 1
         self.result.known_after_scan.append((self.result.steps, self.known_count()))
@@ -177,7 +179,9 @@ class Robot:
             self.driven[row + motion[0], col] = self.driven[row, col + motion[1]] = True
         else:
             self.result.straight += 1
-        self.scan(self.heading)
+        self.unscanned += 92682 if motion[0] and motion[1] else 65536
+        if self.unscanned >= self.scan_every or cell == self.target:
+            self.scan(self.heading)
         self.result.known_after_step.append(self.result.known_after_scan[-1][1])
         return True
 
@@ -213,7 +217,7 @@ class Robot:
                 self.result.exhausted += 1
 
 
-def run(robot, goal, recheck, choose, clear_r2, near_r2, max_steps, max_plans, n_looks):
+def run(robot, goal, recheck, choose, clear_r2, near_r2, arrival_r2, max_steps, max_plans, n_looks):
     """The episode after the initial scans; returns the name of its outcome."""
     while True:
         if robot.result.plans == max_plans:
@@ -226,7 +230,8 @@ def run(robot, goal, recheck, choose, clear_r2, near_r2, max_steps, max_plans, n
                 return "STEP_LIMIT"
             if not robot.step(cell):
                 break
-            if recheck and not robot.live(plan.target):
+            near = sum((a - b) ** 2 for a, b in zip(robot.cell, plan.target)) <= arrival_r2
+            if (recheck or near) and not robot.live(plan.target):
                 break
         if robot.cell == plan.target:
             robot.arrive(plan.target, n_looks)
@@ -251,6 +256,8 @@ def simulate(
     max_plans=None,
     rooms=None,
     look_around=True,
+    scan_every_m=0.0,
+    arrival_m=0.0,
     sense=None,
 ):
     """One episode, from the scans at the start to a named outcome.
@@ -262,6 +269,8 @@ def simulate(
       choose: `choose(candidates, costs, plan_number)` -> one of the candidates: ascending flat indices of the frontier,
         their fixed-point costs, plans made before this one. Default: the cheapest, ties to the lowest index.
       max_steps, max_plans: bounds; default the larger of 20000 and the number of cells.
+      scan_every_m: way after which the robot scans; it does so at its target and where a step is refused as well.
+      arrival_m: distance from which a target that is no longer live counts as reached.
       rooms: `[H, W]` int, room number, -1 for none.
       sense: `sense(row, col, heading_deg)` -> list of `(missed, hit)`, in place of the perfect scanner.
 
@@ -278,7 +287,9 @@ def simulate(
     def perfect(row, col, heading_deg):
         return beams.scan(occupied, row, col, heading_deg, n_beams, fov_deg, reach)
 
-    robot = Robot(occupied, start, int(start_heading_deg), sense or perfect, p_free)
+    scan_every = round(beams.in_cells(scan_every_m, cell_m) * 65536)
+    arrival_r2 = plans.radius2(arrival_m, cell_m)
+    robot = Robot(occupied, start, int(start_heading_deg), sense or perfect, p_free, scan_every)
     goal = goal_cells(occupied, start, clear_r2, near_r2)
     elsewhere = goal.copy()
     elsewhere[start] = False
@@ -290,7 +301,9 @@ def simulate(
         robot.look_all_round(n_scans)
         n_looks = max(4, n_scans) if look_around else 0
         steps_bound, plans_bound = (bound if m is None else m for m in (max_steps, max_plans))
-        robot.result.outcome = run(robot, goal, recheck, choose, clear_r2, near_r2, steps_bound, plans_bound, n_looks)
+        robot.result.outcome = run(
+            robot, goal, recheck, choose, clear_r2, near_r2, arrival_r2, steps_bound, plans_bound, n_looks
+        )
     measure(robot, start, cell_m, rooms)
     return robot.result
 

@@ -26,6 +26,7 @@ from jexplore.raycast import scans_all_round
 from jexplore.reach import DIAGONAL, FAR, STRAIGHT
 from jexplore.report.ledger import Ledger
 from jexplore.report.tables import aligned_table, number_text
+from jexplore.studies.bounds.beside import beside
 from jexplore.studies.bounds.scene import Scene, prepare_scene
 from jexplore.studies.bounds.search import Budget, Found, search
 from jexplore.studies.checks import (
@@ -103,6 +104,11 @@ class Bounds:
     def to_markdown(self) -> str:
         """The table, with ratios, as Markdown."""
         return bounds_table(self.table)
+
+    def beside(self, comparison: Any) -> "pd.DataFrame":
+        """The episodes of a `Comparison` from the same starts with their ratios to the bounds: see `beside.beside`."""
+        digests = {os.fspath(world.name): digest(world) for world in comparison.worlds}
+        return beside(comparison.episodes, self.table, digests)
 
     def figure(self) -> "Figure":
         """The walks and the witnesses of the first starts: a matplotlib `Figure`."""

@@ -1,0 +1,116 @@
+"""Where path is wasted: on the way of an episode, what shows nothing new, and visits to leftovers.
+
+A *transit* is a stretch of at least `TRANSIT_M` on which nothing new is seen. What follows, up to the next transit, is
+its visit; one that shows less than `LEFTOVER_M2` was to a leftover, something that had been left behind.
+
+pandas is imported by the functions that need it.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
+
+import numpy as np
+
+from jexplore.config import InputError
+from jexplore.exploration.results import length_along_m
+from jexplore.report.tables import aligned_table, number_text
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+TRANSIT_M = 2.0
+LEFTOVER_M2 = 3.0
+NEW, IDLE, LEFTOVER = 0, 1, 2
+"""What a step is: something new is seen, or it is too short for a transit; one of a transit; one to a leftover."""
+COLUMNS = ("idle_m", "leftovers", "leftover_m", "leftover_m2")
+"""Columns of `wasted`: metres that show nothing new; visits to leftovers, the metres of their transits and visits, and
+the area that they show."""
+
+
+class Waste(NamedTuple):
+    """What of a way was wasted."""
+
+    kinds: np.ndarray  # [n] int8, of each step: NEW, IDLE or LEFTOVER
+    idle_m: float
+    leftovers: int
+    leftover_m: float
+    leftover_m2: float
+
+
+def waste_of(way: np.ndarray, cell_m: float) -> Waste:
+    """What of one way was wasted.
+
+    Args:
+      way: `[n + 1, 3]` int32: row, col and known cells, at the start and after each of n steps.
+      cell_m: edge of a cell, metres.
+
+    Returns:
+      `Waste`.
+    """
+    at_m, new = length_along_m(way[:, 0], way[:, 1], cell_m), np.diff(way[:, 2])
+    step_m, idle = np.diff(at_m), new == 0
+    kinds = np.full(len(new), NEW, np.int8)
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], idle, [0]]).astype(np.int8)))
+    transits = [(a, b) for a, b in edges.reshape(-1, 2).tolist() if at_m[b] - at_m[a] >= TRANSIT_M - 1e-9]
+    leftovers, leftover_m2 = 0, 0.0
+    for (first, until), after in zip(transits, [a for a, _ in transits[1:]] + [len(new)]):
+        shown_m2 = float(new[until:after].sum()) * cell_m**2
+        is_leftover = shown_m2 < LEFTOVER_M2
+        kinds[first:until] = LEFTOVER if is_leftover else IDLE
+        if is_leftover:
+            kinds[until:after] = LEFTOVER
+            leftovers, leftover_m2 = leftovers + 1, leftover_m2 + shown_m2
+    leftover_m = float(step_m[kinds == LEFTOVER].sum())
+    return Waste(kinds, float(step_m[idle].sum()), leftovers, leftover_m, leftover_m2)
+
+
+def wasted(
+    episodes: "pd.DataFrame", paths: Mapping[tuple[str, str], Sequence[np.ndarray]], cells_m: Mapping[str, float]
+) -> "pd.DataFrame":
+    """The table of episodes with the columns `COLUMNS`.
+
+    Args:
+      episodes: the table, a pandas DataFrame.
+      paths: as `Comparison.paths`.
+      cells_m: world -> edge of its cells, metres.
+
+    Raises:
+      InputError: no ways were kept.
+    """
+    if not paths:
+        raise InputError('no ways were kept: compare(..., keep="paths")')
+    rows = {name: np.full(len(episodes), np.nan) for name in COLUMNS}
+    for (world, strategy), ways in paths.items():
+        own = np.flatnonzero((episodes["world"] == world).to_numpy() & (episodes["strategy"] == strategy).to_numpy())
+        for at, way in zip(own, ways):
+            found = waste_of(way, cells_m[world])
+            for name in COLUMNS:
+                rows[name][at] = getattr(found, name)
+    return episodes.assign(**rows)
+
+
+def waste_table(table: "pd.DataFrame") -> str:
+    """Shares of the path, for each world and strategy, as Markdown."""
+    head = [
+        "world",
+        "strategy",
+        "path m",
+        "shows nothing new",
+        "after 95 %",
+        "leftovers",
+        "to leftovers",
+        "that show m2",
+    ]
+    lines = []
+    for pair, rows in table.groupby(["world", "strategy"], sort=False):
+        (world, strategy), own = pair, cast(Any, rows)  # type: ignore[misc]
+        path_m = own["path_m"].sum()
+        late = (own["path_m"] - own["path_m_at_95"]).sum()
+        shares = [f"{100 * value / path_m:.0f}%" if path_m else "-" for value in (own["idle_m"].sum(), late)]
+        leftovers = [
+            number_text(own["leftovers"].mean(), 1),
+            f"{100 * own['leftover_m'].sum() / max(path_m, 1e-9):.0f}%",
+        ]
+        line = [str(world), str(strategy), number_text(own["path_m"].mean(), 1), *shares, *leftovers]
+        lines.append([*line, number_text(own["leftover_m2"].mean(), 1)])
+    return aligned_table(head, lines, left=("world", "strategy"))
