@@ -21,7 +21,7 @@ STARTS = 4  # in each world
 
 def some(draw, number):
     """Episodes in one random world beside the bounds of their starts."""
-    kind = KINDS[number % len(KINDS)].format(w=round(draw.uniform(5, 8), 1), h=round(draw.uniform(5, 8), 1))
+    kind = KINDS[number % len(KINDS)].format(w=round(draw.uniform(6, 8), 1), h=round(draw.uniform(6, 8), 1))
     name, _, rest = kind.partition(":")
     lidar = jx.Lidar(n_beams=61, range_m=float(draw.choice([1.0, 1.5, 2.5])))
     names = ["closest", *draw.choice(STRATEGIES[1:], 1).tolist()]

@@ -22,7 +22,11 @@ from jexplore.studies.sweeps import cluster, connection, plan, run, spec, work
 
 NEEDED = "Ray is not installed (the extra ray)"
 PROC = pytest.mark.skipif(not Path("/proc/self/cmdline").exists(), reason="processes are looked for in /proc")
-pytestmark = pytest.mark.jit
+pytestmark = [
+    pytest.mark.jit,
+    # Ray begins processes by fork and exec, at once; JAX warns of any fork, where other tests have begun it.
+    pytest.mark.filterwarnings("ignore:os.fork:RuntimeWarning"),
+]
 WORLDS = ("rooms:width_m=5,height_m=5", "rooms#3:width_m=5,height_m=5")
 LIDAR = {"n_beams": 31, "range_m": 2}
 SPEC = spec.Sweep(WORLDS, ("closest", "closest+recheck"), episodes=60, lidar=LIDAR, rules={"p_free": [0.3, 0.5]})

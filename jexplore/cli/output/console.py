@@ -179,6 +179,8 @@ class Out:
 
     def say_kept(self) -> None:
         """Says how to go on with a run that was ended, if anything of it is kept."""
+        if self.ledger is not None and not self.ledger.done and self.wanted:
+            print("jexplore: no unit of work was finished: nothing is kept to go on with", file=sys.stderr)
         if self.ledger is not None and self.ledger.done and self.run.unfinished.exists():
             done = f"{len(self.ledger.done)} of {self.wanted} units"
             print(f"jexplore: {done} are kept; --out {self.run.path} --resume goes on with them", file=sys.stderr)

@@ -31,7 +31,7 @@ COLUMNS = (
 )
 """Columns of a table of episodes. `stats` and `plot` read them by these names."""
 LEAST = 8  # episodes of a unit, if there are so many
-UNIT_S = 2.0  # seconds that a unit should take, about: writing it takes a hundredth of that
+UNIT_S = 1.0  # seconds that a unit should take, about: writing it takes a hundredth of that
 CELL_S = 1.3e-6  # seconds of an episode of closest+recheck, for every cell of its world (benchmarks/RESULTS.md)
 FIRSTS = 12  # jobs of which what the first episode left is kept, for a report
 MOST_UNITS = 256  # of one strategy in one world

@@ -19,12 +19,12 @@ from jexplore.policies.catalogue.joined import joined
 from jexplore.raycast import scans_all_round
 from jexplore.studies.checks import ready_starts, ready_strategies, ready_worlds, require_different, require_memory
 from jexplore.studies.results.provenance import digest, own_digests
-from jexplore.studies.results.units import CELL_S
+from jexplore.studies.results.units import CELL_S, LEAST, UNIT_S
 from jexplore.studies.sweeps.spec import MAX_TOTAL, Sweep, plain
 from jexplore.version import __version__
 from jexplore.worlds.world import World
 
-UNIT = 256  # episodes of a unit, about; one file each
+UNIT = 256  # episodes of a unit at most, about; one file each
 MOST_UNITS = 4096  # larger sweeps have larger units
 COMPILE_S = 12.0  # processor seconds of compiling a program, about (benchmarks/RESULTS.md, Programs)
 COSTS = {
@@ -244,8 +244,10 @@ def _cut(spec, records, shapes, n_strategies, total):
     for i, (_, cell_m, lidar, rules) in enumerate(records):
         for world in range(len(spec.worlds)):
             by_key[program_key(shapes[world, cell_m], cell_m, lidar, rules)].append((i, world))
-    size, units = max(UNIT, -(-total // MOST_UNITS)), []
-    for pairs in by_key.values():
+    units = []
+    for (padded, *_), pairs in by_key.items():
+        worth = round(UNIT_S / (CELL_S * padded[0] * padded[1]))  # so that large maps lose no more to a kill
+        size = max(min(UNIT, max(LEAST, worth)), -(-total // MOST_UNITS))
         unit, room = [], size
         for block in _blocks(pairs, n_strategies, spec.episodes, size):
             if unit and block.n > room:
