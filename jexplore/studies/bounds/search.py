@@ -245,14 +245,14 @@ def search(scene: Scene, budget: Budget, seed: int = 0) -> Found:
         better = clear.by_pieces(many, 0.75, high)
         if better > low:
             low, method, witnesses = better, "pieces", many[:MOST_REGIONS]
-    low_any = _any(scene, budget, sight, regions, high, subsets.witnesses, many)
+    low_any = low
+    if not np.array_equal(scene.any, scene.clear):
+        low_any = _any(scene, budget, sight, regions, high, subsets.witnesses, many)
     return Found(walk, high, max(low, low_any), low_any, max(low, low_any) >= high, witnesses, method)
 
 
 def _any(scene, budget, sight, regions, high, known, many):
     """The lower bound of robots that may stand on any free cell."""
-    if np.array_equal(scene.any, scene.clear):
-        return 0
     wide = Search(scene, scene.any, budget, sight, regions)
     subsets, exact = wide.shortest(1.0, high, known)
     low = min(max(subsets.low, wide.farthest(many)), high)
