@@ -497,7 +497,7 @@ def test_bounds_end_the_episode():
 
 
 def test_diagonal_steps_drive_the_cells_beside_them():
-    robot = simulator.Robot(ringed((5, 5)), (1, 1), 0, lambda *pose: [], 0.25)
+    robot = simulator.Robot(ringed((5, 5)), (1, 1), 0, lambda *pose: [], 0.25, 0)
     robot.result.misses[2, 2] = 1
     assert robot.step((2, 2))
     assert robot.driven.astype(int).tolist() == [

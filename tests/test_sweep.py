@@ -162,7 +162,8 @@ def test_broken_yaml_is_told_with_its_place(tmp_path):
         read_spec(tmp_path / "none.yaml")
 
 
-def test_units_share_programs_and_miss_nothing():
+def test_units_share_programs_and_miss_nothing(monkeypatch):
+    monkeypatch.setattr(plans, "UNIT_S", 10.0)  # in so small worlds the largest units
     spec = Sweep(
         WORLDS, ["closest", "random"], episodes=40, lidar={"range_m": [1, 2]}, rules={"clearance_m": [0.2, 0.3]}
     )

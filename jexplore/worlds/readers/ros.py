@@ -67,13 +67,18 @@ def read_ros(path: str | os.PathLike[str]) -> tuple[np.ndarray, RosInfo]:
     return _occupancy(levels, info), info
 
 
+LONGEST = 300  # characters that are quoted of a message
+
+
 def _read(path):
     """The picture's levels, row 0 at the bottom, and the `RosInfo`."""
     info = _read_yaml(path)
     try:
         return read_pixels(info.image)[::-1], info
     except InputError as error:
-        raise InputError(f"{path!r}: its image cannot be read: {error}") from None
+        text = str(error)
+        short = text if len(text) <= LONGEST else f"{text[:LONGEST]}..."  # a name may be as long as one likes
+        raise InputError(f"{path!r}: its image cannot be read: {short}") from None
 
 
 def load_ros(path: str | os.PathLike[str], *, cell_m: float = 0.1, free_max: int = 25) -> World:
