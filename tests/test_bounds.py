@@ -15,7 +15,7 @@ from jexplore.config import InputError, Lidar, Rules
 from jexplore.reach import FAR, STRAIGHT
 from jexplore.studies.bounds import bound as study
 from jexplore.studies.bounds import pieces, scene, search, subsets
-from jexplore.studies.bounds.floor import Floor, cost_of, edge_of
+from jexplore.studies.bounds.floor import Floor, edge_of, walk_cost
 from jexplore.studies.checks import ready_starts
 from jexplore.worlds.world import World
 
@@ -79,7 +79,7 @@ def test_the_exact_search_is_brute_force(seed):
     left = as_map(made, made.must_see)
     clear, wide = (ref.shortest(as_map(made, stand), start[:2], left, look) for stand in (made.clear, made.any))
     assert found.optimal
-    assert found.high == found.low == clear == cost_of(found.walk, made.width)
+    assert found.high == found.low == clear == walk_cost(found.walk, made.width)
     assert found.low_any <= wide <= clear
     assert found.low_any == found.low or not np.array_equal(made.any, made.clear)
     budget = search.Budget(None, 4000)
@@ -145,7 +145,7 @@ def test_low_never_falls_as_witnesses_are_added_and_pieces_are_no_better_than_th
     assert len(lows) > 4
     assert lows == sorted(lows)
     walk = exact.walk()
-    assert cost_of(walk, made.width) == exact.low
+    assert walk_cost(walk, made.width) == exact.low
     assert sorted(exact.order) == sorted(exact.witnesses)
     for cell in exact.witnesses:
         assert made.seen_from(walk)[cell]
@@ -165,6 +165,14 @@ def test_a_corridor_by_hand():
     assert np.array(found.low_any) <= found.high
     edge = edge_of(Floor(made, made.clear, search.Budget(None, 1)), np.arange(4))
     assert edge.tolist() == [3]
+
+
+@pytest.mark.parametrize("range_m", [0.05, 0.1, 0.15])
+def test_a_range_shorter_than_a_cell_or_two(range_m):
+    world, start = random_world(1, side=6)
+    made = ready(world, start, Lidar(n_beams=8, fov_deg=360, range_m=range_m), Rules(clearance_m=0.0, near_m=0.0))
+    assert made is not None
+    assert search.search(made, search.Budget(None, 3000)).high < FAR
 
 
 def test_metres_are_rounded_down():

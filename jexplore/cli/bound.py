@@ -73,7 +73,7 @@ class Bound:
             if ledger is None:
                 table = store.read_parquet(out.run.path / "bounds.parquet")
                 show_table(bound.bounds_table(table))
-                print(f"{out.run.path} holds all of it: nothing was left to do")
+                out.draw_missing({})
                 return 0
             with working(len(tasks), "starts") as on_progress:
                 found = bound.run_bounds(tasks, ledger=ledger, workers=self.workers, on_progress=on_progress)

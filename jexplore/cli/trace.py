@@ -97,7 +97,7 @@ class Trace:
             )
             ledger = out.keep(tracing.asked(plan), len(tracing.blocks_of(plan)))
             if ledger is None:
-                print(f"{out.run.path}{os.sep} holds all of it: nothing was left to do")
+                out.draw_missing({})
                 return 0
             return self._run(out, plan, ledger, arguments)
 

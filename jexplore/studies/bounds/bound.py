@@ -21,7 +21,7 @@ import numpy as np
 from jexplore.config import MAX_SEED, InputError, Lidar, Rules, require_number, require_whole
 from jexplore.engine.backend import start_backend, use_compilation_cache
 from jexplore.engine.runner import own_cores
-from jexplore.exploration.results import path_m
+from jexplore.exploration.results import length_along_m
 from jexplore.raycast import scans_all_round
 from jexplore.reach import DIAGONAL, FAR, STRAIGHT
 from jexplore.report.ledger import Ledger
@@ -181,8 +181,7 @@ def _nothing_to_see(scene: Scene) -> Found:
 
 def _length_m(scene, walk, cell_m):
     rows, cols = scene.cells(walk)
-    diagonal = int(np.sum((np.diff(rows) != 0) & (np.diff(cols) != 0)))
-    return float(path_m(len(walk) - 1 - diagonal, diagonal, cell_m))
+    return float(length_along_m(rows, cols, cell_m)[-1])
 
 
 def bound(
@@ -248,8 +247,6 @@ def prepare_bounds(
 ) -> list[Task]:
     """Everything that `bound` refuses or loads before it runs: a list of `Task`. Arguments as there."""
     require_settings(lidar, rules)
-    if lidar.sigma_m or lidar.dropout:
-        raise InputError("bounds are of a scanner without noise: lidar.sigma_m and lidar.dropout must be 0")
     starts = require_whole("starts", starts, 1, MAX_EPISODES)
     seed = require_whole("seed", seed, 0, MAX_SEED)
     seconds = require_number("seconds", seconds, low_open=True)
@@ -257,22 +254,30 @@ def prepare_bounds(
         require_whole("max_floods", max_floods, 1, 10**9)
     if start not in ("random", "world"):
         raise InputError(f"start must be random or world, got {start!r}")
-    tasks = []
+    require_perfect(lidar)
+    pairs: list[tuple[World, tuple[int, int, int]]] = []
     for world in ready_worlds(worlds, cell_m):
         places = ready_starts(world, start, starts if start == "random" else 1, seed=seed, rules=rules)
-        tasks += [
-            Task(world, (int(r), int(c), int(h)), lidar, rules, None if max_floods else seconds, max_floods)
-            for r, c, h in places
-        ]
-    return tasks
+        pairs += [(world, (int(r), int(c), int(h))) for r, c, h in places]
+    limits = None if max_floods else seconds, max_floods
+    return [Task(world, start_at, lidar, rules, *limits) for world, start_at in pairs]
+
+
+def require_perfect(lidar: Lidar) -> None:
+    """Refuse a scanner with noise.
+
+    Raises:
+      InputError: naming what must be 0.
+    """
+    if lidar.sigma_m or lidar.dropout:
+        raise InputError("bounds are of a scanner without noise: lidar.sigma_m and lidar.dropout must be 0")
 
 
 def tasks_of(
     pairs: Iterable[tuple[World, tuple[int, int, int]]], lidar: Lidar, rules: Rules, seconds: float
 ) -> list[Task]:
-    """The tasks of some starts, each once."""
-    if lidar.sigma_m or lidar.dropout:
-        raise InputError("bounds are of a scanner without noise: lidar.sigma_m and lidar.dropout must be 0")
+    """The tasks of some starts, each once. Raises as `require_perfect`."""
+    require_perfect(lidar)
     found = {(world.name, *start): Task(world, start, lidar, rules, seconds, None) for world, start in pairs}
     return list(found.values())
 

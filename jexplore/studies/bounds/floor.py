@@ -88,7 +88,7 @@ class Floor:
         return way
 
 
-def cost_of(walk: np.ndarray, width: int) -> int:
+def walk_cost(walk: np.ndarray, width: int) -> int:
     """Cost of a walk of cells, one motion from each to the next."""
     steps = np.abs(np.diff(walk))
     assert all(step in (0, 1, width, width - 1, width + 1) for step in steps)

@@ -27,7 +27,7 @@ class Rays(NamedTuple):
 def rays_of(lidar: Lidar, cell_m: float) -> Rays:
     """The `Rays` of a scanner."""
     table = beam_table(lidar, cell_m, 1)
-    steps = int(np.max(table.length))
+    steps = max(1, int(np.max(table.length)))
     drow, dcol = (np.asarray(a)[:, :steps].swapaxes(1, 2).reshape(-1, steps) for a in (table.drow, table.dcol))
     length = np.asarray(table.length).reshape(-1)
     keys, which = np.unique(np.concatenate([length[:, None], drow, dcol], axis=1), axis=0, return_inverse=True)
@@ -94,9 +94,8 @@ class Scene:
             for k in range(1, n):
                 stand.append(-ray[k])
                 way.append(ray[:k] - ray[k])
-        keys = np.array([len(part) for part in way])
-        first = np.concatenate([[0], np.cumsum(keys)[:-1]])
-        return np.array(stand), np.concatenate(way), first
+        first = np.cumsum([0, *(len(part) for part in way)])[:-1]
+        return np.array(stand, np.int64), np.concatenate([np.zeros(0, np.int64), *way]), first
 
     def region(self, cell: int) -> np.ndarray:
         """Cells from which some beam enters a cell, wherever a robot may stand: `[n]` int, sorted, its own among them.
@@ -104,7 +103,7 @@ class Scene:
         Cast from where the robot stands: sight on a lattice is not symmetric.
         """
         stand, way, first = self._backward
-        blocked = np.logical_or.reduceat(self.occupied[cell + way], first)
+        blocked = np.logical_or.reduceat(self.occupied[cell + way], first) if len(first) else np.zeros(0, bool)
         next_to = cell - self._forward[0][self.rays.length > 0, 0]
         found = np.unique(np.concatenate([[cell], next_to, cell + stand[~blocked]]))
         return found[self.any[found]]

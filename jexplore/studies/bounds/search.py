@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jexplore.reach import FAR
-from jexplore.studies.bounds.floor import Floor, cost_of
+from jexplore.studies.bounds.floor import Floor, walk_cost
 from jexplore.studies.bounds.pieces import bound_by_pieces
 from jexplore.studies.bounds.scene import Scene
 from jexplore.studies.bounds.subsets import Subsets
@@ -238,7 +238,7 @@ def search(scene: Scene, budget: Budget, seed: int = 0) -> Found:
         subsets, exact = clear.shortest(0.7, high, subsets=subsets)
     low, method, witnesses = min(subsets.low, high), "subsets", list(subsets.witnesses)
     if exact is not None:
-        walk, high = exact, cost_of(exact, scene.width)
+        walk, high = exact, walk_cost(exact, scene.width)
         assert low == high
     many = list(dict.fromkeys([*tour.order, *subsets.witnesses]))
     if low * 1.08 < high:

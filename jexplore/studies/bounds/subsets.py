@@ -30,12 +30,12 @@ class Subsets:
         self.witnesses, self.low, self.order = [], 0, []
         self._edges: list[np.ndarray] = []
         self._away: list[np.ndarray] = []  # cost to each region
-        self._costs: dict[int, np.ndarray | None] = {0: floor.away_from(np.array([self.start]))}
+        self._costs: dict[int, np.ndarray] = {0: floor.away_from(np.array([self.start]))}
 
     @property
     def bytes(self) -> int:
         """Memory that is held."""
-        return 4 * len(self.floor.cells) * sum(costs is not None for costs in self._costs.values())
+        return 4 * len(self.floor.cells) * len(self._costs)
 
     def add(self, cell: int, region: np.ndarray) -> Iterator[None]:
         """Adds a witness; the caller may look at the clock after each flood, and stop: then nothing has changed.
@@ -51,12 +51,11 @@ class Subsets:
         away = [*self._away, self.floor.away_from(edges[-1])]
         apart = np.array([[far[edge].min() for edge in edges] for far in away])
         onward, everything = _onward(apart), (1 << n + 1) - 1
-        new: dict[int, np.ndarray | None] = {}
+        new: dict[int, np.ndarray] = {}
         # Only sets of which some witness could have been the last: their number grows by one from layer to layer.
         layers: list[set[int]] = [set() for _ in range(n + 2)]
-        for old, costs in self._costs.items():
-            if costs is not None:
-                layers[old.bit_count() + 1].add(old | 1 << n)
+        for old in self._costs:
+            layers[old.bit_count() + 1].add(old | 1 << n)
         for layer in layers:
             for mask in sorted(layer):
                 seeds = np.full(len(self.floor.cells), FAR, np.int32)
@@ -83,9 +82,9 @@ class Subsets:
     def walk(self) -> np.ndarray:
         """The shortest walk: `[k]` int, numbers of cells from the start on."""
         mask, order = (1 << len(self.witnesses)) - 1, []
-        way = [int(np.argmin(self._costs_of(mask)))]
+        way = [int(np.argmin(self._costs[mask]))]
         while mask:
-            costs, before = self._costs_of(mask), self._before(mask)
+            costs, before = self._costs[mask], self._before(mask)
 
             def came_from(place, costs=costs, before=before):
                 """The witness that was seen here first, or None."""
@@ -97,14 +96,9 @@ class Subsets:
             assert seen is not None
             order.append(self.witnesses[seen])
             mask &= ~(1 << seen)
-        way += self.floor.back(self._costs_of(0), way[-1], lambda place: place == self.start)[1:]
+        way += self.floor.back(self._costs[0], way[-1], lambda place: place == self.start)[1:]
         self.order = order[::-1]
         return self.floor.cells[way[::-1]]
-
-    def _costs_of(self, mask) -> np.ndarray:
-        costs = self._costs[mask]
-        assert costs is not None
-        return costs
 
     def _before(self, mask):
         """Witnesses that may be the last of a set to be seen: number, edge, costs without it."""
