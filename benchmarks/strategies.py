@@ -18,7 +18,7 @@ from jexplore.worlds import load_world
 WORLDS = ("cave:width_m=25.6,height_m=25.6", "office:width_m=25.6,height_m=25.6")
 NAMES = (
     *("closest", "closest+segment", "random", "decision-theoretic:samples=100", "decision-theoretic:samples=500"),
-    *("gain-rate", "utility", "distance-advantage", "tour", "mcdm"),
+    *("gain-rate", "utility", "distance-advantage", "small-first", "tour", "mcdm"),
 )
 
 

@@ -69,6 +69,14 @@ def test_much_to_see_far_off_or_little_near_by(name, numbers):
 
 
 @pytest.mark.jit
+def test_small_first_puts_off_what_draws_the_robot_in():
+    """One step to the right 3 unknown cells, six to the left 1: -1 - s sqrt(3) beside -6 - s, the same at s = 6.83."""
+    belief = beliefs.belief_of("############## #?......R.???# ##############", **ONE_METRE)
+    for text, want in {"": (1, 9), "side_weight=6.8": (1, 9), "side_weight=6.9": (1, 2)}.items():
+        assert beliefs.target_of(f"small-first:{text}".rstrip(":"), belief, CROSS) == want
+
+
+@pytest.mark.jit
 def test_every_pair_of_criteria_has_a_weight_of_its_own():
     """The near one is best in unknown cells (3 beside 1) and path, the far one in known cells (6 beside 5)."""
     belief = beliefs.belief_of("############# ##########.## #???.R.....?# #############", **ONE_METRE)
@@ -83,6 +91,8 @@ def test_every_pair_of_criteria_has_a_weight_of_its_own():
     [
         # Mean distance from the others 8, 5, 7, less the path 4, 2, 6; where nothing shows enough: the nearest.
         ("distance-advantage", {"weight=0": B, "weight=0.6": B, "weight=0.7": A, "": A, "min_gain=2": B}),
+        # The same, since all show as much; the square root of one cell, put off from all alike.
+        ("small-first", {"weight=0": B, "weight=0.6": B, "weight=0.7": A, "": B, "min_gain=2": B, "side_weight=9": B}),
         # Ways through all: A B C 14, B A C 18, B C A 16, C B A 16. The nearest stop is not the first.
         ("tour", {"": A, "min_gain=2": A}),
     ],
@@ -199,6 +209,9 @@ def test_advantage_by_hand():
     every = jnp.ones(4, bool)
     np.testing.assert_allclose(advantage(path_m, apart_m, every, 1.0), [4 - 2, 2 - 1, -4, 3 - 0.5])
     np.testing.assert_allclose(advantage(path_m, apart_m, every, 2.0), [8 - 2, 4 - 1, -4, 6 - 0.5])
+    # The first counts three times as much as the others: the second's others are (3 x 3 + 1) / 4 away, the last's 4.
+    got = advantage(path_m, apart_m, every, 1.0, jnp.asarray([3.0, 1, 1, 1]))
+    np.testing.assert_allclose(got, [4 - 2, 2.5 - 1, -4, 4 - 0.5])
     got = advantage(path_m, apart_m, jnp.asarray([True, True, True, False]), 1.0)
     np.testing.assert_allclose(got[:3], [3 - 2, 3 - 1, -4])
 

@@ -9,6 +9,7 @@ import pytest
 from scipy import stats as scipy_stats
 
 from jexplore.cli import main
+from jexplore.config import InputError
 from jexplore.policies import parse_strategy
 from jexplore.report import plot_league
 from jexplore.studies.statistics.league import LEAGUE_STRATEGIES, league_worlds, standings, standings_table
@@ -212,6 +213,10 @@ def test_the_league_has_eight_worlds_of_six_kinds_and_strategies_that_parse():
     worlds = league_worlds()
     assert len(set(worlds)) == 48
     assert league_worlds(0.25) == worlds[:40]
+    assert len(league_worlds(seeds=40)) == 240
+    assert set(worlds) < set(league_worlds(seeds=40))
+    with pytest.raises(InputError, match="league_seeds must be an integer from 1"):
+        league_worlds(seeds=0)
     for name in worlds[-3:]:
         load_world(name, 0.2)
     kinds = [kind_of(w) for w in worlds]

@@ -55,6 +55,8 @@ class Compare:
     """Run every strategy in 48 worlds of six kinds (in cells over 0.2 m: 40 of five), unless --worlds and --strategies
     say otherwise. Print who ranks where over all worlds, and what a plan costs, and write league.png instead of the
     pictures of single worlds."""
+    league_seeds: int = 8
+    """Take so many worlds of each kind for the league, #0 and on."""
     waste: bool = False
     """Also say where path is wasted: what shows nothing new, and visits to leftovers; keeps every way until then."""
     bounds: bool = False
@@ -86,7 +88,9 @@ class Compare:
         from jexplore.studies.statistics.league import LEAGUE_STRATEGIES, league_worlds
 
         worlds, strategies = (
-            (league_worlds(self.cell_m), LEAGUE_STRATEGIES) if self.league else (default_worlds(), STRATEGIES)
+            (league_worlds(self.cell_m, self.league_seeds), LEAGUE_STRATEGIES)
+            if self.league
+            else (default_worlds(), STRATEGIES)
         )
         worlds = worlds if self.worlds is None else self.worlds
         strategies = strategies if self.strategies is None else self.strategies

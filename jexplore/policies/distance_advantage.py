@@ -1,10 +1,12 @@
-"""Distance advantage: go to the frontier cluster that is near to the robot and far from the other clusters.
+"""Strategies that weigh the robot's path against what is left behind: `distance-advantage` and `small-first`.
 
-Ericson, Pedro, Jensfelt, "Information Gain Is Not All You Need", 2025, arXiv 2504.01980. Gain only decides which
-clusters are considered at all: what is left behind alone costs a detour later.
+Distance advantage: go to the frontier cluster that is near to the robot and far from the other clusters. Ericson,
+Pedro, Jensfelt, "Information Gain Is Not All You Need", 2025, arXiv 2504.01980. Gain only decides which clusters are
+considered at all: what is left behind alone costs a detour later.
 
-Changed, with `pocket_m` above 0: a cluster behind which a look would show little, a pocket, is worth a detour of so
-many metres now, rather than the way back later.
+Small first, this package's own: the others count by the unknown area that a look would show there, because that is
+where the robot will spend its time, and a cluster with much unknown behind it is put off, because it draws the robot
+in. What is small and near is so finished before the robot goes where it does not soon come back from.
 """
 
 from typing import NamedTuple
@@ -17,17 +19,19 @@ from jexplore.planning import field
 from jexplore.policies.clusters import apart, best_of, go_to, init, seen_from, targets
 from jexplore.policies.policy import Policy
 
+LEAST = 1e-6  # keeps a quotient finite where nothing counts
+
 
 class Params(NamedTuple):
-    """Parameters."""
+    """Parameters of both, so that they share a program."""
 
     weight: float  # of the mean distance from the other clusters, beside the robot's own path
     min_gain: int  # unknown cells that a look must show for a cluster to be considered
-    pocket_m: float  # worth of a cluster with nothing behind it, metres
-    pocket_m2: float  # unknown area that takes the e-th part of that worth, square metres
+    by_area: bool = False  # whether the others count by the unknown area that a look would show there
+    side_weight: float = 0.0  # of the side of a square as large as that area at the cluster itself
 
 
-def advantage(path_m: Array, apart_m: Array, used: Array, weight: Array | float) -> Array:
+def advantage(path_m: Array, apart_m: Array, used: Array, weight: Array | float, counts: Array | float = 1.0) -> Array:
     """Mean distance from the other targets, weighted, less the robot's path: `[M]` float32, metres.
 
     Args:
@@ -35,10 +39,11 @@ def advantage(path_m: Array, apart_m: Array, used: Array, weight: Array | float)
       apart_m: `[M, M]` float32; inf where no path leads: such pairs do not count.
       used: `[M]` bool, targets that count.
       weight: scalar.
+      counts: `[M]` float32, how much each counts as one of the others; or one number for all.
     """
     other = used[:, None] & used[None] & jnp.isfinite(apart_m) & ~jnp.eye(len(used), dtype=bool)
-    n = jnp.sum(other, axis=1)
-    remote = jnp.sum(jnp.where(other, apart_m, 0.0), axis=1) / jnp.maximum(n, 1)
+    share = jnp.where(other, counts, 0.0)
+    remote = jnp.sum(jnp.where(other, apart_m, 0.0) * share, axis=1) / jnp.maximum(jnp.sum(share, axis=1), LEAST)
     return weight * remote - path_m
 
 
@@ -46,21 +51,28 @@ def _select(key, params, carry, belief, beams, route):
     known = field(belief)
     at = targets(belief, known)
     unknown, _ = seen_from(belief, at, beams)
-    usable = at.used & (unknown >= params.min_gain)
-    worth = advantage(at.path_m, apart(belief, at), usable, params.weight)
-    gain_m2 = unknown.astype(jnp.float32) * belief.model.cell_m**2
-    worth = worth + params.pocket_m * jnp.exp(-gain_m2 / params.pocket_m2)
+    usable, area = at.used & (unknown >= params.min_gain), unknown.astype(jnp.float32)
+    counts = jnp.where(params.by_area, area, 1.0)
+    worth = advantage(at.path_m, apart(belief, at), usable, params.weight, counts)
+    worth = worth - params.side_weight * belief.model.cell_m * jnp.sqrt(area)
     return carry, *go_to(belief, route, known, at, best_of(at, worth, usable))
 
 
-def distance_advantage(
-    weight: float = 1.0, min_gain: int = 1, pocket_m: float = 0.0, pocket_m2: float = 15.0
-) -> Policy:
-    """The policy. Carry: `()`. Parameters: `Params`."""
-    params = Params(
-        require_number("weight", weight, high=100),
-        require_whole("min_gain", min_gain, low=0, high=2**20),
-        require_number("pocket_m", pocket_m, high=1000),
-        require_number("pocket_m2", pocket_m2, low_open=True, high=1e6),
+def _params(weight, min_gain, **more):
+    return Params(
+        require_number("weight", weight, high=100), require_whole("min_gain", min_gain, low=0, high=2**20), **more
     )
-    return Policy(init, _select, params)
+
+
+def distance_advantage(weight: float = 1.0, min_gain: int = 1) -> Policy:
+    """The policy. Carry: `()`. Parameters: `Params`."""
+    return Policy(init, _select, _params(weight, min_gain))
+
+
+def small_first(weight: float = 0.5, side_weight: float = 0.5, min_gain: int = 1) -> Policy:
+    """The policy. Carry: `()`. Parameters: `Params`.
+
+    The defaults of the weights were chosen on worlds #1000 to #1013 of each kind (`benchmarks/tuning.py`).
+    """
+    side_weight = require_number("side_weight", side_weight, high=100)
+    return Policy(init, _select, _params(weight, min_gain, by_area=True, side_weight=side_weight))

@@ -11,7 +11,7 @@ from jexplore.config import InputError
 from jexplore.policies.catalogue.own import first_line, is_score, place_of
 from jexplore.policies.closest import closest
 from jexplore.policies.decision_theoretic import decision_theoretic
-from jexplore.policies.distance_advantage import distance_advantage
+from jexplore.policies.distance_advantage import distance_advantage, small_first
 from jexplore.policies.gain_rate import gain_rate
 from jexplore.policies.mcdm import mcdm
 from jexplore.policies.policy import Entry
@@ -43,6 +43,11 @@ STRATEGIES: dict[str, Entry] = {
     ),
     "distance-advantage": Entry(
         distance_advantage, "the frontier cluster near to the robot and far from the others", "Ericson et al. 2025"
+    ),
+    "small-first": Entry(
+        small_first,
+        "the frontier cluster that is near, shows little, and is far from where much is unknown",
+        "jexplore, after Ericson et al. 2025",
     ),
     "tour": Entry(
         tour, "the first stop of a short route through all frontier clusters", "Osswald et al. 2016; Croes 1958"

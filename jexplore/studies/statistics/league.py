@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from jexplore.config import require_whole
 from jexplore.report.tables import aligned_table, interval_text, number_text, p_text, ratio_text
 from jexplore.studies.statistics.aggregate import aggregates
 from jexplore.studies.statistics.over_worlds import comparable_paths, kind_of, mean_over_worlds
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
 
 LEAGUE_KINDS = ("cave", "office", "hospital", "maze", "rooms")
 LEAGUE_SEEDS = 8
+MOST_SEEDS = 1000  # of each kind; what is tuned is tuned on others
 FURNISHED = (
     "office#{}:furniture=1,wide_openings=0.1,max_loops=5,corridor_m=2.2,corridor_sd_m=0.4,room_m=5.5",
     "hospital#{}:furniture=1,wide_openings=0.1,max_loops=5,corridor_m=2.6,corridor_sd_m=0.4,room_m=6",
@@ -32,19 +34,24 @@ STANDINGS = (
 """Columns of a table of standings, before those of single kinds of worlds."""
 LEAGUE_STRATEGIES = (
     *("closest+recheck", "closest", "closest+recheck+segment", "closest+recheck+segment=auto"),
-    *("distance-advantage+recheck", "distance-advantage+recheck:weight=0.5", "tour+recheck"),
+    *("small-first+recheck", "small-first", "distance-advantage+recheck", "distance-advantage+recheck:weight=0.5"),
+    "tour+recheck",
     *("utility+recheck", "gain-rate+recheck"),
     *("decision-theoretic+recheck", "decision-theoretic", "mcdm", "random+recheck", "random"),
 )
 """Every strategy, with re-checking except where its source has none; the first is what the others are compared with."""
 
 
-def league_worlds(cell_m: float = 0.1) -> tuple[str, ...]:
-    """Names of the league's worlds, 8 of each kind: those of the generators, and, in cells up to `FURNISHED_CELL_M`,
-    furnished buildings.
+def league_worlds(cell_m: float = 0.1, seeds: int = LEAGUE_SEEDS) -> tuple[str, ...]:
+    """Names of the league's worlds, so many of each kind: those of the generators, and, in cells up to
+    `FURNISHED_CELL_M`, furnished buildings.
+
+    Raises:
+      InputError: `seeds` is no number from 1 to `MOST_SEEDS`.
     """
-    plain = [f"{kind}#{seed}" for kind in LEAGUE_KINDS for seed in range(LEAGUE_SEEDS)]
-    furnished = [FURNISHED[seed % len(FURNISHED)].format(seed) for seed in range(LEAGUE_SEEDS)]
+    seeds = require_whole("league_seeds", seeds, 1, MOST_SEEDS)
+    plain = [f"{kind}#{seed}" for kind in LEAGUE_KINDS for seed in range(seeds)]
+    furnished = [FURNISHED[seed % len(FURNISHED)].format(seed) for seed in range(seeds)]
     return (*plain, *furnished) if cell_m <= FURNISHED_CELL_M else tuple(plain)
 
 

@@ -28,8 +28,8 @@ UNIT = 256  # episodes of a unit at most, about; one file each
 MOST_UNITS = 4096  # larger sweeps have larger units
 COMPILE_S = 12.0  # processor seconds of compiling a program, about (benchmarks/RESULTS.md, Programs)
 COSTS = {
-    **{"closest": 1.0, "random": 3.0, "utility": 2.5, "distance-advantage": 3.0, "tour": 3.5, "mcdm": 4.0},
-    **{"decision-theoretic": 12.0, "gain-rate": 20.0},
+    **{"closest": 1.0, "random": 3.0, "utility": 2.5, "distance-advantage": 3.0, "small-first": 3.0},
+    **{"tour": 3.5, "mcdm": 4.0, "decision-theoretic": 12.0, "gain-rate": 20.0},
 }
 """An episode of a strategy beside one of closest, about; `+segment` comes on top."""
 SEGMENT_COST = 8.0
