@@ -15,6 +15,7 @@ from jexplore.config import InputError, Lidar, Rules
 from jexplore.reach import FAR, STRAIGHT
 from jexplore.studies.bounds import bound as study
 from jexplore.studies.bounds import pieces, scene, search, subsets
+from jexplore.studies.bounds import start as single
 from jexplore.studies.bounds.floor import Floor, edge_of, walk_cost
 from jexplore.studies.checks import ready_starts
 from jexplore.worlds.world import World
@@ -176,9 +177,9 @@ def test_a_range_shorter_than_a_cell_or_two(range_m):
 
 
 def test_metres_are_rounded_down():
-    assert study.low_metres(65536 * 10, 0.1) == 0.999  # ten diagonal steps would cost more than they measure
-    assert study.low_metres(0, 0.1) == 0.0
-    assert study.low_metres(92682 * 1000, 0.1) <= 100 * math.sqrt(2)
+    assert single.low_metres(65536 * 10, 0.1) == 0.999  # ten diagonal steps would cost more than they measure
+    assert single.low_metres(0, 0.1) == 0.0
+    assert single.low_metres(92682 * 1000, 0.1) <= 100 * math.sqrt(2)
 
 
 def test_the_same_twice_under_max_floods():
@@ -191,25 +192,29 @@ def test_the_same_twice_under_max_floods():
 def test_an_enclosed_start_and_nothing_to_see():
     occupied = np.ones((9, 9), bool)
     occupied[4, 4] = False
-    found = study.solve(
-        study.Task(World(occupied=occupied, cell_m=0.1, name="cell"), (4, 4, 0), LIDAR, RULES, 1.0, None)
+    found = single.solve(
+        single.Task(World(occupied=occupied, cell_m=0.1, name="cell"), (4, 4, 0), LIDAR, RULES, 1.0, None)
     )
-    assert (found.row["status"], found.row["low_m"]) == (study.STUCK, 0.0)
+    assert (found.row["status"], found.row["low_m"]) == (single.STUCK, 0.0)
     occupied[3:6, 3:6] = False
     far = Lidar(n_beams=181, range_m=2.0)
-    found = study.solve(study.Task(World(occupied=occupied, cell_m=0.1, name="hut"), (4, 4, 0), far, RULES, 1.0, None))
-    assert found.row["status"] == study.STUCK  # one clear cell, the start's own
+    found = single.solve(
+        single.Task(World(occupied=occupied, cell_m=0.1, name="hut"), (4, 4, 0), far, RULES, 1.0, None)
+    )
+    assert found.row["status"] == single.STUCK  # one clear cell, the start's own
     occupied = np.ones((11, 11), bool)
     occupied[2:9, 2:9] = False
-    found = study.solve(study.Task(World(occupied=occupied, cell_m=0.1, name="hall"), (5, 5, 0), far, RULES, 1.0, None))
-    assert (found.row["status"], found.row["high_m"], found.row["low_any_m"]) == (study.OPTIMAL, 0.0, 0.0)
+    found = single.solve(
+        single.Task(World(occupied=occupied, cell_m=0.1, name="hall"), (5, 5, 0), far, RULES, 1.0, None)
+    )
+    assert (found.row["status"], found.row["high_m"], found.row["low_any_m"]) == (single.OPTIMAL, 0.0, 0.0)
 
 
 def test_no_time_for_a_walk_leaves_a_weak_bound():
     world = jx.load_world("office", cell_m=0.1)
     start = tuple(int(v) for v in ready_starts(world, "random", 1, seed=0, rules=Rules())[0])
-    found = study.solve(study.Task(world, start, Lidar(), Rules(), None, 3)).row
-    assert found["status"] == study.WEAK
+    found = single.solve(single.Task(world, start, Lidar(), Rules(), None, 3)).row
+    assert found["status"] == single.WEAK
     assert math.isnan(found["high_m"])
     assert 0 < found["low_any_m"] <= found["low_m"]
 
@@ -239,7 +244,7 @@ def test_the_command(tmp_path, capsys):
     said = capsys.readouterr().out
     assert said.splitlines()[-1].startswith("wrote bounds.parquet, walks.parquet, run.json, bounds.png")
     table = jx.load(out)
-    assert list(table.columns) == list(study.COLUMNS)
+    assert list(table.columns) == list(single.COLUMNS)
     assert len(table) == 2
     assert (table["high_m"] >= table["low_m"]).all()
     assert main.main([*command, "--resume"]) == 0
@@ -248,6 +253,28 @@ def test_the_command(tmp_path, capsys):
     assert "holds another run" in capsys.readouterr().err
     assert main.main(["bound", "--out", str(out)]) == 2
     assert "expected worlds" in capsys.readouterr().err
+
+
+def test_a_comparison_interrupted_while_it_bounds_goes_on_with_the_bounds_that_are_left(tmp_path, monkeypatch, capsys):
+    out, solved = tmp_path / "run", []
+    command = ["compare", "--worlds", ROOMS, "--strategies", "closest", "--episodes", "3", "--no-report", "--bounds"]
+    command += ["--bound-seconds", "0.5", "--workers", "1", "--lidar.range-m", "1.5", "--out", str(out)]
+    solve = study.solve
+
+    def until_the_second(task):
+        solved.append(task)
+        if len(solved) == 2:
+            raise KeyboardInterrupt
+        return solve(task)
+
+    monkeypatch.setattr(study, "solve", until_the_second)
+    assert main.main(command) == 130
+    assert "units are kept" in capsys.readouterr().err
+    monkeypatch.setattr(study, "solve", lambda task: solved.append(task) or solve(task))
+    assert main.main([*command, "--resume"]) == 0
+    assert len(solved) == 4  # one was there, one was cut short, two are made now
+    assert len(pd.read_parquet(out / "bounds.parquet")) == 3
+    assert jx.load(out).to_pandas()["path_over_low_any"].notna().all()
 
 
 def test_a_comparison_beside_its_bounds(tmp_path, capsys):
@@ -260,6 +287,10 @@ def test_a_comparison_beside_its_bounds(tmp_path, capsys):
     assert (episodes["path_over_low_any"] >= 1).all()
     assert (episodes["path_over_low_any"] >= episodes["path_over_high"] - 1e-9).all()
     assert len(pd.read_parquet(out / "bounds.parquet")) == 2
+    assert main.main([*command, "--bounds", "--bound-seconds", "1", "--resume"]) == 0
+    assert "nothing was left to do" in capsys.readouterr().out
+    assert main.main([*command, "--bounds", "--bound-seconds", "2", "--resume"]) == 2
+    assert "its bound_seconds is 1" in capsys.readouterr().err
     assert main.main([*command, "--overwrite", "--bounds", "--bound-seconds", "0"]) == 2
     assert main.main([*command, "--overwrite", "--bounds", "--lidar.sigma-m", "0.1"]) == 2
     assert "without noise" in capsys.readouterr().err

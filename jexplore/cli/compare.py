@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from jexplore.exploration.batch import Job
+    from jexplore.studies.bounds.bound import Task
     from jexplore.studies.comparison import Comparison
     from jexplore.studies.results.units import Ran
 
@@ -107,7 +108,7 @@ class Compare:
                 rules=self.rules,
             )
             tasks, reported = self._bound_tasks(jobs), jobs if self.report else None
-            ran = run_with_bar(self, jobs, out)
+            ran = run_with_bar(self, jobs, out, tasks)
             if ran is None:
                 return show_finished(out, _tables, _figures, reported)
             with note(FINISHING):
@@ -116,7 +117,7 @@ class Compare:
                 if self.league:
                     text, entries = _league(found, ran)
                     record = functools.partial(record, **entries)
-            found, more, files = self._beside(found, [] if ran.costs.interrupted else tasks)
+            found, more, files = self._beside(found, [] if ran.costs.interrupted else tasks, out, ran)
             text += more
             with note(FINISHING):
                 return finish(out, found, ran, text, _figures(found, self.league), record, reported, files)
@@ -132,7 +133,7 @@ class Compare:
         pairs = [(job.world, (int(r), int(c), int(h))) for job in jobs for r, c, h in job.starts]
         return tasks_of(pairs, self.lidar, self.rules, self.bound_seconds)
 
-    def _beside(self, found, tasks):
+    def _beside(self, found, tasks, out, ran):
         """A comparison with what is asked besides, and the tables and files of that: `(found, text, files)`."""
         from jexplore.report import store
         from jexplore.studies.bounds.beside import beside_table
@@ -145,7 +146,9 @@ class Compare:
             text += f"\nWhere path is wasted:\n\n{waste_table(found.episodes)}"
         if tasks:
             with working(len(tasks), "starts") as on_progress:
-                bounds = run_bounds(tasks, workers=self.workers, on_progress=on_progress)
+                how = {"ledger": out.ledger, "first": out.units - len(tasks), "workers": self.workers}
+                bounds = run_bounds(tasks, **how, on_progress=on_progress)
+            ran.costs.interrupted = bounds.interrupted > 0
             found = dataclasses.replace(found, episodes=bounds.beside(found))
             text += f"\nBeside the shortest walks of a robot that knows the map:\n\n{beside_table(found.episodes)}"
             files["bounds.parquet"] = lambda path: store.write_parquet(bounds.table, path)
@@ -194,14 +197,23 @@ def _league(found, ran):
     return text, entries
 
 
-def run_with_bar(options: Any, jobs: "Sequence[Job]", out: Out) -> "Ran | None":
-    """Compiles and runs what is not finished yet, with a note and a bar: a `Ran`; None if nothing is left to do."""
+def run_with_bar(options: Any, jobs: "Sequence[Job]", out: Out, starts: "Sequence[Task]" = ()) -> "Ran | None":
+    """Compiles and runs what is not finished yet, with a note and a bar: a `Ran`; None if nothing is left to do.
+
+    Args:
+      options: of the command.
+      jobs: what is to be run.
+      out: `Out`.
+      starts: that are bounded afterwards; the last units of the run.
+    """
     from jexplore.engine.backend import use_compilation_cache
     from jexplore.studies.results import provenance, units
 
     use_compilation_cache()
     keep = "paths" if getattr(options, "waste", False) else None
-    ledger = out.keep(provenance.asked(jobs) | ({"keep": keep} if keep else {}), len(units.cut(jobs)))
+    asked = provenance.asked(jobs) | ({"keep": keep} if keep else {})
+    asked |= {"bound_seconds": starts[0].seconds} if starts else {}
+    ledger = out.keep(asked, len(units.cut(jobs)) + len(starts))
     if ledger is None:
         return None
     engine = None if options.engine == "auto" else options.engine

@@ -14,21 +14,17 @@ import os
 import signal
 import sys
 from collections.abc import Callable, Iterable, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from jexplore.config import MAX_SEED, InputError, Lidar, Rules, require_number, require_whole
 from jexplore.engine.backend import start_backend, use_compilation_cache
 from jexplore.engine.runner import own_cores
-from jexplore.exploration.results import length_along_m
-from jexplore.raycast import scans_all_round
-from jexplore.reach import DIAGONAL, FAR, STRAIGHT
 from jexplore.report.ledger import Ledger
 from jexplore.report.tables import aligned_table, number_text
 from jexplore.studies.bounds.beside import beside
-from jexplore.studies.bounds.scene import Scene, prepare_scene
-from jexplore.studies.bounds.search import Budget, Found, search
+from jexplore.studies.bounds.start import COLUMNS, Solved, Task, solve
 from jexplore.studies.checks import (
     LIDAR,
     MAX_EPISODES,
@@ -46,34 +42,7 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
 
-COLUMNS = (
-    *("world", "start_row", "start_col", "low_m", "low_any_m", "high_m", "status", "witnesses", "seconds"),
-    *("method", "start_heading_deg", "sha256"),
-)
-"""Columns of a table of bounds."""
-OPTIMAL, BOUNDED, WEAK, STUCK = "OPTIMAL", "BOUNDED", "WEAK", "STUCK"
-"""What a row is: the walk is the shortest; it is between two bounds; no walk was found in the time, and the lower bound
-is a weak one; the start is enclosed."""
 WALK, WITNESSES = "_walk", "_witnesses"  # columns of a unit's file besides
-
-
-class Task(NamedTuple):
-    """One start to be bounded."""
-
-    world: World
-    start: tuple[int, int, int]  # row, col, heading in degrees
-    lidar: Lidar
-    rules: Rules
-    seconds: float | None
-    max_floods: int | None
-
-
-class Solved(NamedTuple):
-    """What became of a task."""
-
-    row: dict[str, Any]  # `COLUMNS`
-    walk: np.ndarray  # [K, 2] int32, row and col
-    witnesses: np.ndarray  # [N, 2] int32
 
 
 @dataclasses.dataclass(frozen=True)
@@ -134,54 +103,6 @@ def bounds_table(table: "pd.DataFrame") -> str:
         line = [row["world"], place, *lengths, number_text(ratio, 3), row["status"]]
         lines.append([*line, str(row["witnesses"]), number_text(row["seconds"], 1)])
     return aligned_table(head, lines, left=("world", "start", "status"))
-
-
-def low_metres(cost: int, cell_m: float) -> float:
-    """Metres that a walk of at least this cost has at least: rounded down to a millimetre.
-
-    A diagonal step costs a millionth more than sqrt(2) straight ones, so a walk may be that much shorter than its cost.
-    """
-    shortest = cost / STRAIGHT * (STRAIGHT * math.sqrt(2) / DIAGONAL) * cell_m
-    return math.floor(shortest * 1000 * (1 - 1e-12)) / 1000
-
-
-def solve(task: Task) -> Solved:
-    """Bounds one start: a `Solved`."""
-    world, start = task.world, task.start
-    scene = prepare_scene(world, start, task.lidar, task.rules, scans_all_round(task.lidar.fov_deg))
-    own = {"world": os.fspath(world.name), "start_row": start[0], "start_col": start[1]}
-    own |= {"start_heading_deg": start[2], "sha256": digest(world)}
-    nothing = np.zeros((0, 2), np.int32)
-    if scene is None:
-        row = {"low_m": 0.0, "low_any_m": 0.0, "high_m": math.nan, "status": STUCK, "witnesses": 0, "seconds": 0.0}
-        return Solved(_row(own | row | {"method": "-"}), nothing, nothing)
-    if scene.must_see.any():
-        search(scene, Budget(None, 1))  # compiles
-    budget = Budget(task.seconds, task.max_floods)
-    found = search(scene, budget) if scene.must_see.any() else _nothing_to_see(scene)
-    status = OPTIMAL if found.optimal else WEAK if found.high >= FAR else BOUNDED
-    high_m = math.nan if status == WEAK else _length_m(scene, found.walk, world.cell_m)
-    row = {
-        **{"low_m": low_metres(found.low, world.cell_m), "low_any_m": low_metres(found.low_any, world.cell_m)},
-        **{"high_m": high_m, "status": status, "witnesses": len(found.witnesses)},
-        **{"seconds": budget.elapsed_s, "method": found.method},
-    }
-    walk, witnesses = (np.stack(scene.cells(cells), axis=1).astype(np.int32) for cells in (found.walk, found.witnesses))
-    return Solved(_row(own | row), walk, witnesses.reshape(-1, 2))
-
-
-def _row(values):
-    return {name: values[name] for name in COLUMNS}
-
-
-def _nothing_to_see(scene: Scene) -> Found:
-    """All was seen at the start."""
-    return Found(np.array([scene.start]), 0, 0, 0, True, [], "subsets")
-
-
-def _length_m(scene, walk, cell_m):
-    rows, cols = scene.cells(walk)
-    return float(length_along_m(rows, cols, cell_m)[-1])
 
 
 def bound(
@@ -307,10 +228,17 @@ def run_bounds(
     tasks: Sequence[Task],
     *,
     ledger: Ledger | None = None,
+    first: int = 0,
     workers: int | None = None,
     on_progress: Callable[[int], object] | None = None,
 ) -> Bounds:
-    """Bounds all starts that the ledger does not have. Arguments as of `bound`.
+    """Bounds all starts that the ledger does not have.
+
+    Args:
+      tasks: `Task`s.
+      ledger: where starts are kept as soon as they are bounded.
+      first: the first one's unit in it.
+      workers, on_progress: as of `bound`.
 
     Raises:
       KeyboardInterrupt: none was finished.
@@ -318,11 +246,11 @@ def run_bounds(
     workers = min(own_cores() if workers is None else require_whole("workers", workers, 1, 2**16), len(tasks))
     done: dict[int, Solved] = {}
     if ledger is not None:
-        done = {i: _of_table(ledger.get(i)) for i in range(len(tasks)) if i in ledger.done}
+        done = {i: _of_table(ledger.get(first + i)) for i in range(len(tasks)) if first + i in ledger.done}
 
     def take(number, found):
         if ledger is not None:
-            ledger.put(number, _to_table(found))
+            ledger.put(first + number, _to_table(found))
         done[number] = found
         if on_progress is not None:
             on_progress(len(done))
