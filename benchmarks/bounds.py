@@ -2,8 +2,8 @@
 
     python benchmarks/bounds.py --episodes 1000
 
-Random small worlds of five kinds, starts, scanners and strategies without noise; prints how many complete episodes were
-set beside `low_any_m`, how many were shorter (none may be), and how tight the bounds are.
+Random small worlds of three kinds, starts, rules, scanners and strategies without noise; prints how many complete
+episodes were set beside `low_any_m`, how many were shorter (none may be), and how tight the bounds are.
 """
 
 import argparse
@@ -15,7 +15,7 @@ import pandas as pd
 import jexplore as jx
 
 KINDS = ("rooms:width_m={w},height_m={h}", "cave:width_m={w},height_m={h}", "maze:width_m={w},height_m={h}")
-STRATEGIES = ("closest", "closest+recheck", "random", "distance-advantage+recheck", "utility+recheck")
+STRATEGIES = ("closest", "closest+recheck", "random", "small-first+recheck", "utility+recheck")
 STARTS = 4  # in each world
 
 
@@ -26,8 +26,15 @@ def some(draw, number):
     lidar = jx.Lidar(n_beams=61, range_m=float(draw.choice([1.0, 1.5, 2.5])))
     names = ["closest", *draw.choice(STRATEGIES[1:], 1).tolist()]
     world = f"{name}#{int(draw.integers(10**6))}:{rest}"
-    compared = jx.compare(world, names, episodes=STARTS, seed=number, lidar=lidar)
-    found = jx.bound(world, starts=STARTS, seed=number, lidar=lidar, max_floods=300)
+    rules = jx.Rules(
+        near_m=float(draw.choice([0.3, 0.5, 1.0])),
+        scan_every_m=float(draw.choice([0.0, 0.5])),
+        arrival_m=float(draw.choice([0.0, 0.5])),
+        look_around=bool(draw.integers(2)),
+        p_free=float(draw.choice([0.25, 0.5])),
+    )
+    compared = jx.compare(world, names, episodes=STARTS, seed=number, lidar=lidar, rules=rules)
+    found = jx.bound(world, starts=STARTS, seed=number, lidar=lidar, rules=rules, max_floods=300)
     return found.beside(compared), found.table
 
 

@@ -125,34 +125,46 @@ class Compare:
     def _bound_tasks(self, jobs):
         """What is to be bounded, if bounds are asked for."""
         from jexplore.config import require_number
-        from jexplore.studies.bounds.bound import tasks_of
+        from jexplore.studies.bounds.bound import MAX_S, tasks_of
 
+        require_number("bound_seconds", self.bound_seconds, low_open=True, high=MAX_S)
         if not self.bounds:
             return []
-        require_number("bound_seconds", self.bound_seconds, low_open=True)
         pairs = [(job.world, (int(r), int(c), int(h))) for job in jobs for r, c, h in job.starts]
         return tasks_of(pairs, self.lidar, self.rules, self.bound_seconds)
 
     def _beside(self, found, tasks, out, ran):
         """A comparison with what is asked besides, and the tables and files of that: `(found, text, files)`."""
         from jexplore.report import store
-        from jexplore.studies.bounds.beside import beside_table
         from jexplore.studies.bounds.bound import run_bounds
-        from jexplore.studies.statistics.waste import waste_table
 
-        text, files = "", {}
+        files = {}
         if self.waste:
             found = dataclasses.replace(found, episodes=found.wasted)
-            text += f"\nWhere path is wasted:\n\n{waste_table(found.episodes)}"
         if tasks:
-            with working(len(tasks), "starts") as on_progress:
-                how = {"ledger": out.ledger, "first": out.units - len(tasks), "workers": self.workers}
-                bounds = run_bounds(tasks, **how, on_progress=on_progress)
-            ran.costs.interrupted = bounds.interrupted > 0
-            found = dataclasses.replace(found, episodes=bounds.beside(found))
-            text += f"\nBeside the shortest walks of a robot that knows the map:\n\n{beside_table(found.episodes)}"
-            files["bounds.parquet"] = lambda path: store.write_parquet(bounds.table, path)
-        return found, text, files
+            try:
+                with working(len(tasks), "starts") as on_progress:
+                    how = {"ledger": out.ledger, "first": out.units - len(tasks), "workers": self.workers}
+                    bounds = run_bounds(tasks, **how, on_progress=on_progress)
+                ran.costs.interrupted = bounds.interrupted > 0
+                found = dataclasses.replace(found, episodes=bounds.beside(found))
+                files["bounds.parquet"] = lambda path: store.write_parquet(bounds.table, path)
+            except KeyboardInterrupt:  # before the first: the comparison is there
+                ran.costs.interrupted = True
+        return found, _more_tables(found.episodes, self.league), files
+
+
+def _more_tables(episodes, league):
+    """What is said besides of episodes with columns of waste or bounds: text; a league's by strategy."""
+    from jexplore.studies.bounds import beside
+    from jexplore.studies.statistics import waste
+
+    text, by = "", ["strategy"] if league else ["world", "strategy"]
+    if waste.COLUMNS[0] in episodes:
+        text += f"\nWhere path is wasted:\n\n{waste.waste_table(episodes, by)}"
+    if beside.COLUMNS[0] in episodes:
+        text += f"\nBeside the shortest walks of a robot that knows the map:\n\n{beside.beside_table(episodes, by)}"
+    return text
 
 
 def _tables(found, record):
@@ -160,7 +172,8 @@ def _tables(found, record):
     from jexplore.studies.statistics.league import standings_table
 
     league = record["configuration"].get("league")
-    return standings_table(found.standings, record.get("plan_ms", {})) if league else found.to_markdown()
+    text = standings_table(found.standings, record.get("plan_ms", {})) if league else found.to_markdown()
+    return text + _more_tables(getattr(found, "comparison", found).episodes, league)
 
 
 def _figures(found, league):
@@ -212,7 +225,7 @@ def run_with_bar(options: Any, jobs: "Sequence[Job]", out: Out, starts: "Sequenc
     use_compilation_cache()
     keep = "paths" if getattr(options, "waste", False) else None
     asked = provenance.asked(jobs) | ({"keep": keep} if keep else {})
-    asked |= {"bound_seconds": starts[0].seconds} if starts else {}
+    asked |= {"bound_seconds": starts[0].seconds if starts else None} if hasattr(options, "bounds") else {}
     ledger = out.keep(asked, len(units.cut(jobs)) + len(starts))
     if ledger is None:
         return None

@@ -72,6 +72,10 @@ class Comparison:
     maps: dict[tuple[str, str], np.ndarray] = dataclasses.field(default_factory=dict)
     """With `keep="maps"`: (world, strategy) -> `[N, H, W]` uint8, the last map of each episode in the table: 0 unknown,
     1 free, 2 occupied."""
+    lidar: Lidar | None = None
+    """The scanner; None where it is not known, or there were several."""
+    rules: Rules | None = None
+    """The rules, likewise."""
 
     @functools.cached_property
     def summary(self) -> "pd.DataFrame":
@@ -334,6 +338,12 @@ def prepare_jobs(
     return jobs
 
 
+def _the_only(settings: Iterable[Any]) -> Any:
+    """What all of some settings are; None where they differ."""
+    found = set(settings)
+    return found.pop() if len(found) == 1 else None
+
+
 def assemble(jobs: Sequence[Job], ran: Ran) -> Comparison:
     """The `Comparison` of jobs whose units have run.
 
@@ -379,4 +389,6 @@ def assemble(jobs: Sequence[Job], ran: Ran) -> Comparison:
         progress=progress,
         paths=paths,
         maps=maps,
+        lidar=_the_only(job.lidar for job in jobs),
+        rules=_the_only(job.rules for job in jobs),
     )

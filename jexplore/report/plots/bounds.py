@@ -28,11 +28,17 @@ def figure(found: Any) -> Figure:
         row, world = rows[number], maps[str(rows[number]["world"])]
         draw_map(ax, np.where(world.occupied, 2, 1), world.cell_m)
         own = found.walks[found.walks["start"] == number]
-        if len(own):
-            draw_path(ax, own["row"].to_numpy(), own["col"].to_numpy(), world.cell_m, width=1.2)
+        way = own if len(own) else {"row": np.array([row["start_row"]]), "col": np.array([row["start_col"]])}
+        draw_path(ax, np.asarray(way["row"]), np.asarray(way["col"]), world.cell_m, width=1.2)
         at = (found.witnesses[number] + 0.5) * world.cell_m
         ax.plot(at[:, 1], at[:, 0], ls="none", marker="D", ms=3.5, mfc=WITNESS, mec="white", mew=0.5, zorder=5)
         ax.set(xticks=[], yticks=[])
-        what = f"{row['low_m']:.1f} to {row['high_m']:.1f} m, {row['status']}"
-        ax.set_title(f"{wrapped(row['world'], 40, max_lines=2)}\n{what}", fontsize=8, parse_math=False)
+        ax.set_title(f"{wrapped(row['world'], 40, max_lines=2)}\n{_between(row)}", fontsize=8, parse_math=False)
     return page
+
+
+def _between(row):
+    """What a title says of a row's bounds."""
+    if not np.isfinite(row["high_m"]):
+        return f"{row['status']}, at least {row['low_m']:.1f} m" if row["low_m"] else row["status"]
+    return f"{row['low_m']:.1f} to {row['high_m']:.1f} m, {row['status']}"

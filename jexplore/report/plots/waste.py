@@ -12,7 +12,11 @@ from jexplore.report.plot import draw_map, wrapped
 from jexplore.report.plots.looks import legend_below, page_of, panels
 
 MOST = 12  # panels
-LOOKS = (("#0072b2", "shows something new"), ("#999999", "on the way to something"), ("#d55e00", "to a leftover"))
+LOOKS = (
+    ("#0072b2", "shows something new, or short of a transit"),
+    ("#999999", "on the way to something"),
+    ("#d55e00", "to a leftover"),
+)
 """Colour and meaning of each kind of step, see `statistics.waste`."""
 
 

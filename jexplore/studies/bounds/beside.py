@@ -3,7 +3,7 @@
 pandas is imported by the functions that need it.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, cast
 
 from jexplore.config import InputError
@@ -46,13 +46,18 @@ def beside(episodes: "pd.DataFrame", bounds: "pd.DataFrame", digests: Mapping[st
     return episodes.assign(**ratios)
 
 
-def beside_table(table: "pd.DataFrame") -> str:
-    """Means and the worst of the ratios, for each world and strategy, as Markdown."""
-    head = ["world", "strategy", "n", "path / high", "worst", "below 1", "path / low any", "worst "]
+def beside_table(table: "pd.DataFrame", by: Sequence[str] = ("world", "strategy")) -> str:
+    """Means and the worst of the ratios as Markdown.
+
+    Args:
+      table: from `beside`.
+      by: columns; a row for each of their values.
+    """
+    head = [*by, "n", "path / high", "worst", "below 1", "path / low any", "worst "]
     lines = []
-    for pair, rows in table.groupby(["world", "strategy"], sort=False):
-        (world, strategy), own = pair, cast(Any, rows)  # type: ignore[misc]
+    for names, rows in table.groupby(list(by), sort=False):
+        own = cast(Any, rows)
         high, low = (own[name].dropna() for name in COLUMNS)
-        line = [str(world), str(strategy), str(len(low)), number_text(high.mean(), 3), number_text(high.max(), 3)]
+        line = [*map(str, cast(tuple, names)), str(len(low)), number_text(high.mean(), 3), number_text(high.max(), 3)]
         lines.append([*line, str(int((high < 1).sum())), number_text(low.mean(), 3), number_text(low.max(), 3)])
-    return aligned_table(head, lines, left=("world", "strategy"))
+    return aligned_table(head, lines, left=by)

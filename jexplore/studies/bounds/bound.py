@@ -4,6 +4,7 @@ pandas and matplotlib are imported by the functions that need them.
 """
 
 import concurrent.futures
+import concurrent.futures.process
 import ctypes
 import dataclasses
 import hashlib
@@ -42,6 +43,8 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
 
+MAX_S = 7 * 86400.0  # seconds for a start
+JOIN_S = 5.0  # seconds that a process may take to end
 WALK, WITNESSES = "_walk", "_witnesses"  # columns of a unit's file besides
 
 
@@ -75,7 +78,20 @@ class Bounds:
         return bounds_table(self.table)
 
     def beside(self, comparison: Any) -> "pd.DataFrame":
-        """The episodes of a `Comparison` from the same starts with their ratios to the bounds: see `beside.beside`."""
+        """The episodes of a `Comparison` with their ratios to the bounds: see `beside.beside`.
+
+        Scanner, clearance and starts must be the same.
+
+        Raises:
+          InputError: besides, no comparison; one with another scanner, another clearance, or noise.
+        """
+        if not hasattr(comparison, "episodes") or not hasattr(comparison, "worlds"):
+            raise InputError(f"expected a comparison, got {type(comparison).__name__}")
+        if comparison.lidar is not None and comparison.rules is not None:
+            require_perfect(comparison.lidar)
+            for name, value in settings_of(comparison.lidar, comparison.rules).items():
+                if self.settings[name] != value:
+                    raise InputError(f"the bounds are for {name} {self.settings[name]:g}, the episodes had {value:g}")
         digests = {os.fspath(world.name): digest(world) for world in comparison.worlds}
         return beside(comparison.episodes, self.table, digests)
 
@@ -170,7 +186,7 @@ def prepare_bounds(
     require_settings(lidar, rules)
     starts = require_whole("starts", starts, 1, MAX_EPISODES)
     seed = require_whole("seed", seed, 0, MAX_SEED)
-    seconds = require_number("seconds", seconds, low_open=True)
+    seconds = require_number("seconds", seconds, low_open=True, high=MAX_S)
     if max_floods is not None:
         require_whole("max_floods", max_floods, 1, 10**9)
     if start not in ("random", "world"):
@@ -203,10 +219,10 @@ def tasks_of(
     return list(found.values())
 
 
-def settings_of(task: Task) -> dict[str, Any]:
+def settings_of(lidar: Lidar, rules: Rules) -> dict[str, Any]:
     """What bounds depend on besides world and start."""
-    own = {"n_beams": task.lidar.n_beams, "fov_deg": task.lidar.fov_deg, "range_m": task.lidar.range_m}
-    return own | {"clearance_m": task.rules.clearance_m, "near_m": task.rules.near_m}
+    own = {"n_beams": lidar.n_beams, "fov_deg": lidar.fov_deg, "range_m": lidar.range_m}
+    return own | {"clearance_m": rules.clearance_m, "near_m": rules.near_m}
 
 
 def asked(tasks: Sequence[Task]) -> dict[str, Any]:
@@ -217,10 +233,11 @@ def asked(tasks: Sequence[Task]) -> dict[str, Any]:
         "version": __version__,
         "worlds": list(worlds),
         "digests": {name: digest(world) for name, world in worlds.items()},
-        "starts": starts.hexdigest(),
+        "starts": len(tasks),
+        "start cells": starts.hexdigest()[:12],
         "seconds": tasks[0].seconds,
         "max_floods": tasks[0].max_floods,
-        **settings_of(tasks[0]),
+        **settings_of(tasks[0].lidar, tasks[0].rules),
     }
 
 
@@ -276,10 +293,16 @@ def _run(left, tasks, workers, take):
         try:
             for future in concurrent.futures.as_completed(futures):
                 take(futures[future], future.result())
-        except BaseException:
-            for process in list((pool._processes or {}).values()):
+        except BaseException as error:
+            processes = list((pool._processes or {}).values())
+            for process in processes:
                 process.terminate()
+            for process in processes:
+                process.join(JOIN_S)
             pool.shutdown(wait=False, cancel_futures=True)
+            if isinstance(error, concurrent.futures.process.BrokenProcessPool):
+                why = "a process that bounds was ended from outside, perhaps for want of memory"
+                raise InputError(f"{why}: --resume goes on, --workers 1 needs less") from error
             raise
 
 
@@ -324,4 +347,11 @@ def assemble(tasks: Sequence[Task], done: dict[int, Solved]) -> Bounds:
     witnesses = {k: done[i].witnesses for k, i in enumerate(numbers)}
     walks = pd.concat(steps, ignore_index=True)
     missing = len(tasks) - len(done)
-    return Bounds(pd.DataFrame(rows), walks, tuple(worlds.values()), witnesses, settings_of(tasks[0]), missing)
+    return Bounds(
+        pd.DataFrame(rows),
+        walks,
+        tuple(worlds.values()),
+        witnesses,
+        settings_of(tasks[0].lidar, tasks[0].rules),
+        missing,
+    )

@@ -60,15 +60,6 @@ class Scene:
     rays: Rays
     """Beams of all headings."""
 
-    @property
-    def padded(self) -> tuple[int, int]:
-        """Shape of the padded maps."""
-        return len(self.occupied) // self.width, self.width
-
-    def flat(self, rows: ArrayLike, cols: ArrayLike) -> np.ndarray:
-        """Numbers of cells of the world."""
-        return (np.asarray(rows) + self.pad) * self.width + np.asarray(cols) + self.pad
-
     def cells(self, flat: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
         """Rows and columns in the world of cells with these numbers."""
         rows, cols = np.divmod(np.asarray(flat), self.width)

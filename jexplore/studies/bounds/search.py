@@ -19,6 +19,7 @@ MOST_REGIONS = 60  # of a bound by pieces
 CLOSE = 1.005  # a bound so close to the walk is not made better
 SIGHT_BYTES = 300_000_000  # of what is remembered of single cells
 FEW, MANY = 8, 24  # unseen cells of which the one that is farthest from being seen becomes a witness
+STALE = 200  # tries in a row without a shorter walk, after which none is looked for
 GONE = 6  # witnesses that are taken out of a tour at once, at most
 
 
@@ -137,8 +138,9 @@ class Search:
         tour.to(list(order))
         if not self._complete(tour, FAR):
             return tour, False
-        best, order = tour.cost, list(tour.order)
-        while not self.budget.over(share) and order:
+        best, order, stale = tour.cost, list(tour.order), 0
+        while not self.budget.over(share) and order and stale < STALE:
+            stale += 1
             tour.to(_without(order, _some(order, self.scene, rng)))
             gone = [cell for cell in order if cell not in tour.order]
             for cell in [gone[i] for i in rng.permutation(len(gone))]:
@@ -146,7 +148,7 @@ class Search:
                 if costs.min() > tour.cost:
                     tour.insert(int(np.argmin(costs)), cell)
             if self._complete(tour, best):
-                best, order = tour.cost, list(tour.order)
+                best, order, stale = tour.cost, list(tour.order), 0
             else:
                 tour.to(order)
         return tour, True
@@ -226,9 +228,7 @@ def search(scene: Scene, budget: Budget, seed: int = 0) -> Found:
     rng = np.random.default_rng(seed)
     tour, whole = clear.short_walk(0.2, rng)
     if not whole:
-        wide = Search(scene, scene.any, budget, sight, regions)
-        low, low_any = clear.farthest(tour.order), wide.farthest(tour.order)
-        return Found(np.zeros(0, np.int64), FAR, low, low_any, False, tour.order, "farthest")
+        return _weak(scene, clear, Search(scene, scene.any, budget, sight, regions), tour.order)
     walk, high = tour.walk(), tour.cost
     subsets, exact = clear.shortest(0.4, high)
     if exact is None and subsets.low < high and not budget.over(0.5):
@@ -249,6 +249,18 @@ def search(scene: Scene, budget: Budget, seed: int = 0) -> Found:
     if not np.array_equal(scene.any, scene.clear):
         low_any = _any(scene, budget, sight, regions, high, subsets.witnesses, many)
     return Found(walk, high, max(low, low_any), low_any, max(low, low_any) >= high, witnesses, method)
+
+
+def _weak(scene, clear, wide, order):
+    """Lower bounds where no walk was found."""
+    start = np.array([scene.start])
+    cells = order or [clear.far_witness(start, clear.sight.unseen(start))]
+    subsets, exact = clear.shortest(0.9, FAR, cells)
+    low, low_any = max(clear.farthest(cells), min(subsets.low, FAR)), wide.farthest(cells)
+    if exact is not None:
+        cost = walk_cost(exact, scene.width)
+        return Found(exact, cost, cost, min(low_any, cost), True, list(subsets.witnesses), "subsets")
+    return Found(np.zeros(0, np.int64), FAR, max(low, low_any), low_any, False, cells, "farthest")
 
 
 def _any(scene, budget, sight, regions, high, known, many):

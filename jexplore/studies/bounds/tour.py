@@ -62,11 +62,6 @@ class Tour:
         del self._ahead[at + 1 :], self._behind[len(self.order) - at + 1 :]
         self.order.insert(at, cell)
 
-    def remove(self, at: int) -> int:
-        """Takes a witness out of the order."""
-        del self._ahead[at + 1 :], self._behind[len(self.order) - at :]
-        return self.order.pop(at)
-
     def add(self, cell: int) -> None:
         """Puts a witness where it costs least."""
         self.insert(int(np.argmin(self.insertions(cell))), cell)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jexplore.config import InputError
+from jexplore.config import InputError, Lidar, Rules
 from jexplore.engine.runner import Costs
 from jexplore.report import store
 from jexplore.report.folders import UNFINISHED
@@ -150,6 +150,8 @@ def _comparison(folder, record, command):
     found = Comparison(
         *(episodes, worlds, first, record["compile_s"], record["run_s"], record["interrupted"], record["resumed"]),
         progress=progress,
+        lidar=Lidar(**record["configuration"]["lidar"]),
+        rules=Rules(**record["configuration"]["rules"]),
     )
     if command != "reproduce":
         return found

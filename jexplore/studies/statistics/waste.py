@@ -89,28 +89,23 @@ def wasted(
     return episodes.assign(**rows)
 
 
-def waste_table(table: "pd.DataFrame") -> str:
-    """Shares of the path, for each world and strategy, as Markdown."""
-    head = [
-        "world",
-        "strategy",
-        "path m",
-        "shows nothing new",
-        "after 95 %",
-        "leftovers",
-        "to leftovers",
-        "that show m2",
-    ]
+def waste_table(table: "pd.DataFrame", by: Sequence[str] = ("world", "strategy")) -> str:
+    """Shares of the path as Markdown.
+
+    Args:
+      table: from `wasted`.
+      by: columns; a row for each of their values.
+    """
+    head = [*by, "path m", "shows nothing new", "after 95 %", "leftovers", "to leftovers", "that show m2"]
     lines = []
-    for pair, rows in table.groupby(["world", "strategy"], sort=False):
-        (world, strategy), own = pair, cast(Any, rows)  # type: ignore[misc]
+    for names, rows in table.groupby(list(by), sort=False):
+        own = cast(Any, rows)
         path_m = own["path_m"].sum()
         late = (own["path_m"] - own["path_m_at_95"]).sum()
-        shares = [f"{100 * value / path_m:.0f}%" if path_m else "-" for value in (own["idle_m"].sum(), late)]
-        leftovers = [
-            number_text(own["leftovers"].mean(), 1),
-            f"{100 * own['leftover_m'].sum() / max(path_m, 1e-9):.0f}%",
-        ]
-        line = [str(world), str(strategy), number_text(own["path_m"].mean(), 1), *shares, *leftovers]
-        lines.append([*line, number_text(own["leftover_m2"].mean(), 1)])
-    return aligned_table(head, lines, left=("world", "strategy"))
+        nothing, after, to = (
+            f"{100 * value / path_m:.0f}%" if path_m else "-"
+            for value in (own["idle_m"].sum(), late, own["leftover_m"].sum())
+        )
+        line = [*map(str, cast(tuple, names)), number_text(own["path_m"].mean(), 1), nothing, after]
+        lines.append([*line, number_text(own["leftovers"].mean(), 1), to, number_text(own["leftover_m2"].mean(), 1)])
+    return aligned_table(head, lines, left=by)
