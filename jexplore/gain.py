@@ -142,6 +142,33 @@ def look(
     return ViewGain(seen.astype(jnp.float32) + change, seen, known), scratch
 
 
+def unknown_within(
+    prospect: Prospect, row: Array | int, col: Array | int, beams: Beams, scratch: Grid, d2: Array, *, method: str
+) -> tuple[Array, Grid]:
+    """How many unknown cells a look all round from a cell would show within some distances.
+
+    Args:
+      prospect, row, col, beams, scratch, method: as for `look`.
+      d2: `[R]` float32, squared distances, cells^2.
+
+    Returns:
+      `([R] int32, scratch)`; the scratch is zeros again.
+    """
+    shape, zero = prospect.stops.shape, jnp.int32(0)
+    found = scan(prospect.stops, row, col, zero, beams, method=method)
+    scratch = fold(scratch, row, col, zero, found, beams, method=method)
+    size = window_of(beams, shape)
+    corner = _corner(row, col, size, shape)
+    passed, unknown = (lax.dynamic_slice(a, corner, size) for a in (scratch.misses, prospect.unknown))
+    rows, cols = (lax.broadcasted_iota(jnp.int32, size, axis) + corner[axis] for axis in (0, 1))
+    off = (rows - row) ** 2 + (cols - col) ** 2
+    seen = (passed > 0) & unknown
+    counts = jnp.stack([count(seen & (off <= d2[i])) for i in range(d2.shape[0])])
+    blank = jnp.zeros(size, jnp.int32)
+    scratch = Grid(*(lax.dynamic_update_slice(a, blank, corner) for a in (scratch.hits, scratch.misses)))
+    return counts, scratch
+
+
 def unknown_seen(
     grid: Grid,
     extent: Array | tuple[Array | int, Array | int],

@@ -129,7 +129,7 @@ def test_targets_by_hand():
 
 def test_the_best_of_some_targets():
     at = clusters.Targets(*jnp.asarray([[0, 0, 0, -1]] * 2), jnp.asarray([1, 1, 1, 0], bool),
-                          jnp.asarray([3.0, 2, 4, jnp.inf]), jnp.int32(0))  # fmt: skip
+                          jnp.asarray([3.0, 2, 4, jnp.inf]), jnp.asarray([1, 1, 1, 0]), jnp.int32(0))  # fmt: skip
     worth = jnp.asarray([1.0, 2, 3, 4])
     for usable, want in (([1, 1, 1, 1], 2), ([1, 1, 0, 1], 1), ([1, 0, 0, 0], 0), ([0, 0, 0, 1], 1), ([0] * 4, 1)):
         assert clusters.best_of(at, worth, jnp.asarray(usable, bool)) == want
@@ -195,7 +195,7 @@ def test_no_path_no_distance():
     belief = beliefs.belief_of(text, **ONE_METRE)
     at = clusters.Targets(
         jnp.asarray([2, 2, -1]), jnp.asarray([2, 6, -1]), jnp.asarray([True, True, False]),
-        jnp.asarray([1.0, jnp.inf, jnp.inf]), jnp.int32(0),
+        jnp.asarray([1.0, jnp.inf, jnp.inf]), jnp.asarray([1, 1, 0]), jnp.int32(0),
     )  # fmt: skip
     inf = np.inf
     np.testing.assert_array_equal(jax.jit(clusters.apart)(belief, at), [[0, inf, inf], [inf, 0, inf], [inf, inf, inf]])

@@ -15,7 +15,7 @@ FLOORS = (
     {"policies"},
     {"exploration", "driving", "extraction"},
     {"studies"},
-    {"bench"},
+    {"bench", "learn"},
     {"cli"},
 )
 """Folders and modules of the package, from the ground up; what stands on one floor does not know each other."""

@@ -1,5 +1,5 @@
-"""The command line: `jexplore compare`, `explore`, `bound`, `reproduce`, `segment`, `trace`, `worlds`,
-`strategies`, `bench`.
+"""The command line: `jexplore compare`, `explore`, `bound`, `train`, `reproduce`, `segment`, `trace`,
+`worlds`, `strategies`, `bench`.
 
 Importing this loads neither jax nor numpy; every command imports what it needs when it runs. Wrong input ends with one
 line and status 2 and leaves no files, an interruption with one line and status 130; a comparison or reproduction then
@@ -25,6 +25,7 @@ from jexplore.cli.reproduce import Reproduce
 from jexplore.cli.segment import Segment
 from jexplore.cli.sweep import Merge, Sweep
 from jexplore.cli.trace import Trace
+from jexplore.cli.train import Train
 from jexplore.config import InputError
 from jexplore.version import __version__
 
@@ -37,6 +38,7 @@ COMMANDS: dict[str, type] = {
     "sweep": Sweep,
     "merge": Merge,
     "bound": Bound,
+    "train": Train,
     "reproduce": Reproduce,
     "segment": Segment,
     "trace": Trace,

@@ -4,6 +4,7 @@ far they lie apart.
 
 import dataclasses
 import math
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax.numpy as jnp
@@ -13,8 +14,8 @@ from jax import Array
 from jexplore.arrays import bits
 from jexplore.arrays.loops import repeat
 from jexplore.frontier import clear_cells, frontier_clusters
-from jexplore.gain import look, prospect
-from jexplore.grid import empty_grid
+from jexplore.gain import look, prospect, unknown_within
+from jexplore.grid import Grid, empty_grid
 from jexplore.planning import Belief, Choice, Field, choose, metres
 from jexplore.raycast import Beams, all_round
 from jexplore.reach import FAR, reach_packed
@@ -31,6 +32,7 @@ class Targets:
     col: Array  # [M] int32
     used: Array  # [M] bool
     path_m: Array  # [M] float32, from the robot; inf in an unused slot
+    size: Array  # [M] int32, frontier cells; 0 in an unused slot
     overflow: Array  # int32, clusters and frontier cells that did not fit
 
 
@@ -40,7 +42,7 @@ def targets(belief: Belief, known: Field) -> Targets:
     used = found.row >= 0
     cost = known.cost[jnp.maximum(found.row, 0), jnp.maximum(found.col, 0)]
     path_m = jnp.where(used, metres(cost, belief.model.cell_m), jnp.inf)
-    return Targets(found.row, found.col, used, path_m, found.overflow + found.left_out)
+    return Targets(found.row, found.col, used, path_m, found.size, found.overflow + found.left_out)
 
 
 def seen_from(belief: Belief, at: Targets, beams: Beams) -> tuple[Array, Array]:
@@ -55,6 +57,42 @@ def seen_from(belief: Belief, at: Targets, beams: Beams) -> tuple[Array, Array]:
       `unknown`: `[M]` int32, unknown cells that would be seen; 0 in an unused slot.
       `known`: `[M]` int32, known cells likewise.
     """
+
+    def tell(ahead, row, col, beams, scratch):
+        told, scratch = look(ahead, row, col, beams, scratch, method=belief.model.scan)
+        return jnp.stack([told.unknown, told.known]), scratch
+
+    seen = from_each(belief, at, beams, tell, 2)
+    return seen[0], seen[1]
+
+
+def unknown_from(belief: Belief, at: Targets, beams: Beams, radii_m: Sequence[float]) -> Array:
+    """Unknown cells that looks all round from every target would show within R distances: `[R, M]` int32.
+
+    Args:
+      belief: `Belief`.
+      at: `Targets`.
+      beams: `Beams`.
+      radii_m: R distances, metres. Static.
+    """
+    d2 = (jnp.asarray(radii_m, jnp.float32) / belief.model.cell_m) ** 2
+
+    def tell(ahead, row, col, beams, scratch):
+        return unknown_within(ahead, row, col, beams, scratch, d2, method=belief.model.scan)
+
+    return from_each(belief, at, beams, tell, len(radii_m))
+
+
+def from_each(belief: Belief, at: Targets, beams: Beams, tell: Callable[..., tuple[Array, Grid]], n_told: int) -> Array:
+    """What is told of a look all round from every target: `[n_told, M]` int32, 0 in an unused slot.
+
+    Args:
+      belief: `Belief`.
+      at: `Targets`.
+      beams: `Beams`.
+      tell: `(prospect, row, col, beams, scratch) -> ([n_told] int32, scratch)`, the scratch zeros before and after.
+      n_told: numbers that it tells. Static.
+    """
     ahead, beams = prospect(belief.grid, belief.extent, belief.model.p_free), all_round(beams)
     n = jnp.sum(at.used, dtype=jnp.int32)  # used slots come first
 
@@ -62,14 +100,12 @@ def seen_from(belief: Belief, at: Targets, beams: Beams) -> tuple[Array, Array]:
         i, seen, scratch = state
         i_ = jnp.minimum(i, at.row.shape[0] - 1)
         where = jnp.maximum(at.row[i_], 0), jnp.maximum(at.col[i_], 0)
-        told, scratch = look(ahead, *where, beams, scratch, method=belief.model.scan)
-        new = jnp.stack([told.unknown, told.known])
+        new, scratch = tell(ahead, *where, beams, scratch)
         on = i < n
         return i + on, seen.at[:, jnp.where(on, i, seen.shape[1])].set(new, mode="drop"), scratch
 
-    state = jnp.int32(0), jnp.zeros((2, *at.row.shape), jnp.int32), empty_grid(belief.driven.shape)
-    seen = repeat(lambda state: state[0] < n, evaluate, state)[1]
-    return seen[0], seen[1]
+    state = jnp.int32(0), jnp.zeros((n_told, *at.row.shape), jnp.int32), empty_grid(belief.driven.shape)
+    return repeat(lambda state: state[0] < n, evaluate, state)[1]
 
 
 def blocks_of(clearance_d2: int) -> int:

@@ -36,15 +36,23 @@ def advantage(path_m: Array, apart_m: Array, used: Array, weight: Array | float,
 
     Args:
       path_m: `[M]` float32.
+      apart_m, used, counts: as for `mean_apart`.
+      weight: scalar.
+    """
+    return weight * mean_apart(apart_m, used, counts) - path_m
+
+
+def mean_apart(apart_m: Array, used: Array, counts: Array | float = 1.0) -> Array:
+    """Mean distance of every target from the other ones: `[M]` float32, metres; 0 where there are none.
+
+    Args:
       apart_m: `[M, M]` float32; inf where no path leads: such pairs do not count.
       used: `[M]` bool, targets that count.
-      weight: scalar.
       counts: `[M]` float32, how much each counts as one of the others; or one number for all.
     """
     other = used[:, None] & used[None] & jnp.isfinite(apart_m) & ~jnp.eye(len(used), dtype=bool)
     share = jnp.where(other, counts, 0.0)
-    remote = jnp.sum(jnp.where(other, apart_m, 0.0) * share, axis=1) / jnp.maximum(jnp.sum(share, axis=1), LEAST)
-    return weight * remote - path_m
+    return jnp.sum(jnp.where(other, apart_m, 0.0) * share, axis=1) / jnp.maximum(jnp.sum(share, axis=1), LEAST)
 
 
 def _select(key, params, carry, belief, beams, route):

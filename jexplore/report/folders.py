@@ -28,6 +28,7 @@ OUR_FILES = (
     ),  # compare
     *("episode.png", "episode.gif", "explored.yaml", "explored.pgm", "worlds.png"),  # explore, worlds
     *("bounds.parquet", "walks.parquet", "bounds.png"),  # bound
+    *("model.msgpack", "model.json", "curve.parquet", "curve.png"),  # train
     *("bench.json", "bench.png"),  # bench
     *("scores.parquet", "segments.png"),  # segment
     *("reproduce.png", "reproduce.svg"),  # reproduce

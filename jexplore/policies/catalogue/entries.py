@@ -13,6 +13,7 @@ from jexplore.policies.closest import closest
 from jexplore.policies.decision_theoretic import decision_theoretic
 from jexplore.policies.distance_advantage import distance_advantage, small_first
 from jexplore.policies.gain_rate import gain_rate
+from jexplore.policies.learned.strategy import learned
 from jexplore.policies.mcdm import mcdm
 from jexplore.policies.policy import Entry
 from jexplore.policies.tour import tour
@@ -51,6 +52,9 @@ STRATEGIES: dict[str, Entry] = {
     ),
     "tour": Entry(
         tour, "the first stop of a short route through all frontier clusters", "Osswald et al. 2016; Croes 1958"
+    ),
+    "learned": Entry(
+        learned, "the frontier cluster that a trained network scores highest", "jexplore; Cao et al. 2023, ARiADNE"
     ),
     "mcdm": Entry(
         mcdm,

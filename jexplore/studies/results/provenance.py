@@ -92,12 +92,16 @@ def commit() -> str | None:
 
 
 def own_digests(strategies: Iterable[Strategy]) -> dict[str, str]:
-    """What somebody else's strategies are made of: name -> SHA-256 of files and numbers, in hexadecimal digits."""
+    """What strategies are made of that their names do not tell, somebody else's and those with weights: name -> SHA-256
+    of files and numbers, in hexadecimal digits.
+    """
     digests = {}
     for strategy in strategies:
-        if adapt.is_theirs(strategy.policy):
-            found = hashlib.sha256(repr([_file_hash(file) for file in adapt.files_of(strategy.policy)]).encode())
-            for leaf in jax.tree.leaves(strategy.policy.params):
+        leaves, theirs = jax.tree.leaves(strategy.policy.params), adapt.is_theirs(strategy.policy)
+        if theirs or any(np.ndim(leaf) for leaf in leaves):
+            files = [_file_hash(file) for file in adapt.files_of(strategy.policy)] if theirs else []
+            found = hashlib.sha256(repr(files).encode())
+            for leaf in leaves:
                 with contextlib.suppress(TypeError):  # what is no number is refused elsewhere
                     found.update(np.ascontiguousarray(leaf).tobytes())
             digests[strategy.name] = found.hexdigest()

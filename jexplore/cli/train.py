@@ -1,0 +1,131 @@
+"""The command `jexplore train`."""
+
+import dataclasses
+import os
+from collections.abc import Sequence
+
+from jexplore.cli.listings import describe
+from jexplore.cli.options import OutFolder, OwnNames
+from jexplore.cli.output.console import Out, note, say, working
+from jexplore.config import Lidar, Rules
+
+
+@dataclasses.dataclass(frozen=True)
+class Train:
+    """Train a strategy that scores frontier clusters, and write its model.
+
+    Prints the checks and writes model.msgpack, model.json, curve.parquet, curve.png and run.json. The model is a
+    strategy: learned+recheck:path=DIR/model.msgpack. What is checked is kept on the way: training that was ended goes
+    on with --resume.
+    """
+
+    algo: str = "es"
+    """Train by evolution strategies (es)."""
+    network: str = "linear"
+    """Train a weighted sum of the features (linear) or a small network with attention over the clusters (attention)."""
+    worlds: OwnNames = None
+    """Train in these worlds (default: eight of each kind of generator, #1000 to #1007)."""
+    validation: OwnNames = None
+    """Watch on these worlds (default: four of each kind, #2000 to #2003)."""
+    starts: int = 1
+    """Watch from so many starts in each."""
+    rounds: int = 40
+    """Train for so many rounds."""
+    check_every: int = 5
+    """Check on the validation worlds every so many rounds; the best model by these checks is written."""
+    patience: int = 0
+    """End after so many checks without a better one; 0: never."""
+    set: tuple[str, ...] = ()
+    """Settings of the algorithm, such as pairs=8 episodes=20 sigma=0.1 rate=0.05."""
+    seed: int = 0
+    """Draw all that is random from this seed."""
+    cell_m: float = 0.1
+    """Make the edge of a cell this long, in metres."""
+    workers: int | None = None
+    """Run episodes on so many cores; by default on all that this process may use."""
+    out: OutFolder = None
+    """Write into this folder."""
+    overwrite: bool = False
+    """Replace the run that the folder holds."""
+    resume: bool = False
+    """Go on with the run that the folder holds, if there is one."""
+    lidar: Lidar = dataclasses.field(default_factory=Lidar)
+    rules: Rules = dataclasses.field(default_factory=Rules)
+
+    def execute(self, arguments: Sequence[str]) -> int | None:
+        """Runs the command; returns the exit status, None for 0."""
+        from jexplore.engine.backend import use_compilation_cache
+        from jexplore.learn import bank, training
+
+        with Out(self, "train") as out:
+            use_compilation_cache()
+            with note("jexplore: loading worlds"):
+                how = {"cell_m": self.cell_m, "lidar": self.lidar, "rules": self.rules}
+                worlds = bank.prepare_bank(bank.TRAINING if self.worlds is None else self.worlds, **how)
+                watched = bank.prepare_bank(bank.VALIDATION if self.validation is None else self.validation, **how)
+            plan = training.prepare_training(
+                self.algo,
+                self.network,
+                worlds,
+                watched,
+                _settings(self.set),
+                rounds=self.rounds,
+                check_every=self.check_every,
+                patience=self.patience,
+                starts=self.starts,
+                seed=self.seed,
+            )
+            ledger = out.keep(training.asked(plan), plan.units)
+            if ledger is None:
+                out.draw_missing({})
+                return 0
+            with working(plan.rounds, "rounds") as on_progress:
+                found = training.run_training(plan, ledger=ledger, workers=self.workers, on_progress=on_progress)
+            return self._finish(out, found, plan, arguments)
+
+    def _finish(self, out, found, plan, arguments):
+        from jexplore.policies.learned.model import write_page, write_weights
+        from jexplore.report import plot, store
+
+        interrupted = found.ended == "interrupted"
+        command = ["jexplore", *arguments]
+        model = found.model._replace(made={"command": command, **found.model.made})
+        entries = {"ended": found.ended, "best": found.best, "interrupted": int(interrupted)}
+        worlds = [describe(world) for bank in (plan.training, plan.validation) for world in bank.worlds]
+        record = out.record(arguments, self, **entries, model=model.made, worlds=worlds)
+        files = {
+            "model.msgpack": lambda path: write_weights(path, model),
+            "model.json": lambda path: write_page(path, model),
+            "curve.parquet": lambda path: store.write_parquet(found.curve, path),
+            "run.json": lambda path: store.write_json(record, path),
+        }
+        out.write(files, is_finished=not interrupted)
+        checks = found.curve.dropna(subset=["validation"])
+        for row in checks.to_dict("records"):
+            mark = "  <- kept" if row["round"] == found.best else ""
+            print(f"round {row['round']:>5}: {row['validation']:.3f} of closest+recheck on the validation worlds{mark}")
+        drawn = out.draw({"curve.png": lambda path: plot.save_figure(found.figure(), path)})
+        print(f"wrote {', '.join([*files, *drawn])} to {out.run.path}{os.sep}")
+        if found.ended == "not finite":
+            print("warning: the weights became no finite numbers; the best ones before are written")
+        if interrupted:
+            out.say_kept()
+            return say("jexplore: interrupted, what was finished was written", 130)
+        return 0
+
+
+def _settings(items):
+    """`{name: number}` of texts `name=number`."""
+    from jexplore.config import InputError
+
+    found = {}
+    for item in items:
+        name, equals, value = item.partition("=")
+        try:
+            number = float(value)
+        except ValueError:
+            number = None
+        if not equals or number is None or name in found:
+            raise InputError(f"expected NAME=NUMBER once in --set, got {item!r}")
+        found[name] = int(number) if number.is_integer() else number
+    return found

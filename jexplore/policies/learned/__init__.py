@@ -1,0 +1,1 @@
+"""Strategies whose weights were learned: features of frontier clusters, networks that score them, files of weights."""

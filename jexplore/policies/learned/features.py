@@ -1,0 +1,79 @@
+"""What a learned strategy is told of every frontier cluster: numbers of about 1, lengths divided by `UNIT_M`."""
+
+import math
+
+import jax.numpy as jnp
+from jax import Array
+
+from jexplore.grid import count, is_known
+from jexplore.planning import Belief
+from jexplore.policies.clusters import Targets, apart, unknown_from
+from jexplore.policies.distance_advantage import mean_apart
+from jexplore.raycast import Beams
+
+MOST = 32  # clusters that are told apart, the nearest ones
+UNIT_M = 10.0
+RADII_M = (2.0, 4.0, 8.0)
+POCKET_M2 = 15.0  # area of which a pocket has no more
+STAY_M = 3.0  # how far the last target's neighbourhood reaches
+NAMES = (
+    "path",  # of the robot, UNIT_M
+    "size",  # frontier cells side by side, UNIT_M
+    *("side within 2 m", "side within 4 m", "side within 8 m"),  # of a square as large as the unknown area seen, UNIT_M
+    "pocket",  # 1 where nothing unknown is behind it, 0 where there is much
+    "others",  # mean distance from the other clusters, UNIT_M
+    "others by area",  # the same, each counted by the unknown area that a look would show there
+    "nearest other",  # UNIT_M
+    "turn",  # from the robot's heading to where it lies: 0 ahead, 1 behind
+    "home",  # distance from the start, UNIT_M
+    "last",  # 1 where the last target was, 0 far from there
+    "known",  # share of the cells of the map that are known, the same for all clusters
+)
+"""The features, in order. Models name those that they were trained with."""
+
+
+def shortlist(at: Targets) -> Targets:
+    """The `MOST` nearest targets, in the order of their paths; what has no room is counted."""
+    order = jnp.argsort(at.path_m, stable=True)[:MOST]
+    left_out = jnp.maximum(jnp.sum(at.used, dtype=jnp.int32) - MOST, 0)
+    row, col, used, path_m, size = (a[order] for a in (at.row, at.col, at.used, at.path_m, at.size))
+    return Targets(row, col, used, path_m, size, at.overflow + left_out)
+
+
+def features(belief: Belief, at: Targets, last: Array, beams: Beams) -> Array:
+    """The features of some targets.
+
+    Args:
+      belief: `Belief`.
+      at: `Targets`, M of them.
+      last: `[2]` int32, row and col of the last target; -1 for none.
+      beams: `Beams`.
+
+    Returns:
+      `[M, F]` float32, in the order of `NAMES`; 0 in an unused slot.
+    """
+    cell_m = belief.model.cell_m
+    unknown = unknown_from(belief, at, beams, RADII_M).astype(jnp.float32) * cell_m**2
+    apart_m = apart(belief, at)
+    nearest = jnp.min(jnp.where(jnp.eye(len(at.used), dtype=bool), jnp.inf, apart_m), axis=1)
+    drow, dcol = at.row - belief.row, at.col - belief.col
+    bearing = jnp.arctan2(drow.astype(jnp.float32), dcol.astype(jnp.float32))
+    turn = jnp.abs((bearing / math.pi - belief.heading / 4 + 1) % 2 - 1)
+
+    def away_m(row, col):
+        return cell_m * jnp.hypot((at.row - row).astype(jnp.float32), (at.col - col).astype(jnp.float32))
+
+    columns = [
+        at.path_m / UNIT_M,
+        at.size * cell_m / UNIT_M,
+        *(jnp.sqrt(unknown) / UNIT_M),
+        jnp.exp(-unknown[-1] / POCKET_M2),
+        mean_apart(apart_m, at.used) / UNIT_M,
+        mean_apart(apart_m, at.used, unknown[-1]) / UNIT_M,
+        jnp.where(jnp.isfinite(nearest), nearest, 0.0) / UNIT_M,
+        turn,
+        away_m(belief.start[0], belief.start[1]) / UNIT_M,
+        jnp.where(last[0] >= 0, jnp.exp(-away_m(last[0], last[1]) / STAY_M), 0.0),
+        jnp.full(at.row.shape, count(is_known(belief.grid)) / (belief.extent[0] * belief.extent[1])),
+    ]
+    return jnp.where(at.used[:, None], jnp.stack(columns, axis=1), 0.0)

@@ -1,0 +1,119 @@
+"""Models as files: `NAME.msgpack`, the weights, and `NAME.json` beside it, what they are of and how they were made."""
+
+import hashlib
+import json
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+
+from jexplore.config import InputError
+from jexplore.policies.learned import features, networks
+
+FORMAT = 1  # of the files
+SHIPPED = Path(__file__).parent / "models" / "default.msgpack"
+"""The model that comes with the package."""
+
+
+class Model(NamedTuple):
+    """A network with its weights."""
+
+    network: str  # one of `networks.NETWORKS`
+    weights: Any  # pytree of float32 arrays
+    made: Mapping[str, Any] = {}  # how: command, seed, worlds, curve
+
+
+def digest(weights: Any) -> str:
+    """SHA-256 of some weights, in hexadecimal digits."""
+    found = hashlib.sha256()
+    for path, leaf in jax.tree.leaves_with_path(weights):
+        array = np.ascontiguousarray(leaf, np.float32)
+        found.update(f"{jax.tree_util.keystr(path)}{array.shape}".encode())
+        found.update(array.tobytes())
+    return found.hexdigest()
+
+
+def save_model(path: str | os.PathLike[str], model: Model) -> Path:
+    """Writes both files.
+
+    Args:
+      path: of the weights; gets the ending `.msgpack`.
+      model: `Model`.
+
+    Returns:
+      The path of the weights.
+
+    Raises:
+      InputError: they cannot be written.
+    """
+    file = Path(path).with_suffix(".msgpack")
+    try:
+        for target, write in ((file, write_weights), (file.with_suffix(".json"), write_page)):
+            part = target.with_name(f".{target.name}.part")
+            write(part, model)
+            os.replace(part, target)
+    except OSError as error:
+        raise InputError(f"{os.fspath(file)!r} cannot be written: {error.strerror or error}") from error
+    return file
+
+
+def write_weights(path: Path, model: Model) -> None:
+    """Writes the weights alone, in msgpack."""
+    from flax import serialization
+
+    path.write_bytes(serialization.to_bytes(jax.tree.map(np.asarray, model.weights)))
+
+
+def write_page(path: Path, model: Model) -> None:
+    """Writes what a model is of and how it was made, in JSON."""
+    own = {"format": FORMAT, "network": model.network, "features": list(features.NAMES)}
+    page = {**model.made, **own, "sha256": digest(model.weights)}
+    path.write_text(json.dumps(page, indent=1) + "\n", encoding="utf-8")
+
+
+def load_model(path: str | os.PathLike[str]) -> Model:
+    """A model from its files.
+
+    Args:
+      path: of the weights or of the JSON beside them.
+
+    Raises:
+      InputError: a file is missing, damaged, of another version, of another network or other features than this
+        package has, or the two do not belong together.
+    """
+    from flax import serialization
+
+    file = Path(os.path.expanduser(path)).with_suffix(".msgpack")
+    told = f"model {os.fspath(file)!r}"
+    try:
+        page = json.loads(file.with_suffix(".json").read_text(encoding="utf-8"))
+        content = file.read_bytes()
+    except OSError as error:
+        raise InputError(f"{told} cannot be read: {error.strerror or error}: {error.filename!r}") from error
+    except ValueError as error:
+        raise InputError(f"{told}: the JSON file beside it is damaged: {error}") from error
+    if not isinstance(page, dict) or page.get("format") != FORMAT:
+        got = page.get("format") if isinstance(page, dict) else None
+        raise InputError(f"{told} must be of format {FORMAT}, got {got}: train it again with this version")
+    name = page.get("network")
+    if name not in networks.NETWORKS:
+        raise InputError(f"{told}: its network must be one of {', '.join(networks.NETWORKS)}, got {name!r}")
+    if page.get("features") != list(features.NAMES):
+        raise InputError(f"{told} was trained with other features than this version has: train it again")
+    blank = jax.tree.map(np.asarray, networks.begin(name, jax.random.key(0), len(features.NAMES)))
+    try:
+        weights = serialization.from_bytes(blank, content)
+        same = jax.tree.map(lambda a, b: np.shape(a) == np.shape(b), weights, blank)
+    except Exception as error:  # msgpack and flax raise many kinds of errors for a file cut short
+        raise InputError(f"{told} is damaged: {str(error).splitlines()[0] if str(error) else error!r}") from error
+    if not all(jax.tree.leaves(same)):
+        raise InputError(f"{told}: its weights have other shapes than its network, {name}")
+    weights = jax.tree.map(lambda a: np.asarray(a, np.float32), weights)
+    if digest(weights) != page.get("sha256"):
+        raise InputError(f"{told}: the weights are not those that its JSON file tells of")
+    if not all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(weights)):
+        raise InputError(f"{told} has weights that are no finite numbers")
+    return Model(name, weights, page)

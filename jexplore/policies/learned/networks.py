@@ -1,0 +1,91 @@
+"""Networks that score frontier clusters by their features. In whatever order clusters come, each has the same score."""
+
+from collections.abc import Callable
+from typing import Any
+
+import flax.linen as nn
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from jexplore.config import unknown
+
+MASKED = -1e9  # score of a slot without a cluster; finite, so that gradients are
+
+
+class Linear(nn.Module):
+    """A weighted sum of the features; without a constant, which would not tell clusters apart."""
+
+    @nn.compact
+    def __call__(self, features: Array, used: Array) -> Array:
+        """Scores, see `scores`."""
+        weights = self.param("weights", nn.initializers.zeros, (features.shape[-1],))
+        del used
+        return features @ weights
+
+
+class Attention(nn.Module):
+    """A perceptron for each cluster, one layer of attention over all of them, and another perceptron."""
+
+    width: int = 32
+    heads: int = 4
+
+    @nn.compact
+    def __call__(self, features: Array, used: Array) -> Array:
+        """Scores, see `scores`."""
+        x = nn.relu(nn.Dense(self.width)(features))
+        mask = jnp.broadcast_to(used[..., None, None, :], (*used.shape[:-1], 1, used.shape[-1], used.shape[-1]))
+        seen = nn.MultiHeadDotProductAttention(self.heads)(nn.LayerNorm()(x), mask=mask)
+        x = x + jnp.where(jnp.any(used, axis=-1)[..., None, None], seen, 0.0)
+        x = x + nn.Dense(self.width)(nn.relu(nn.Dense(2 * self.width)(nn.LayerNorm()(x))))
+        # Beside the path, which alone is `closest`: training begins where that is.
+        return nn.Dense(1, kernel_init=nn.initializers.normal(0.01))(nn.LayerNorm()(x))[..., 0] - features[..., 0]
+
+
+NETWORKS: dict[str, Callable[[], Any]] = {"linear": Linear, "attention": Attention}
+"""Name -> constructor."""
+
+
+def network(name: str) -> Any:
+    """A network by its name.
+
+    Raises:
+      InputError: there is none of that name.
+    """
+    if name not in NETWORKS:
+        raise unknown("network", name, NETWORKS)
+    return NETWORKS[name]()
+
+
+def begin(name: str, key: Array, n_features: int) -> Any:
+    """Weights before training: a pytree of float32 arrays. Those of `linear` are those of `closest`, -1 for the path.
+
+    Args:
+      name: of the network.
+      key: consumed.
+      n_features: F.
+    """
+    blank = jnp.zeros((1, n_features)), jnp.ones((1,), bool)
+    weights = network(name).init(key, *blank)["params"]
+    return {"weights": weights["weights"].at[0].set(-1.0)} if name == "linear" else weights
+
+
+def scores(name: str, weights: Any, features: Array, used: Array) -> Array:
+    """Scores of clusters.
+
+    Args:
+      name: of the network.
+      weights: from `begin`, or trained.
+      features: `[..., M, F]` float32.
+      used: `[..., M]` bool.
+
+    Returns:
+      `[..., M]` float32; `MASKED` in an unused slot.
+    """
+    found = network(name).apply({"params": weights}, features, used)
+    return jnp.where(used, found, MASKED)
+
+
+def size_of(weights: Any) -> int:
+    """How many numbers some weights are."""
+    return sum(leaf.size for leaf in jax.tree.leaves(weights))

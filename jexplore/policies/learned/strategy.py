@@ -1,0 +1,73 @@
+"""Learned: the frontier cluster that a network scores highest.
+
+Attention over what may be done next, as in Cao, Hou, Wang, Yi, Sartoretti, "ARiADNE", ICRA 2023, there over the nodes
+of a graph. Changed: over frontier clusters, a handful, and trained by what paths cost to the end of the episode.
+"""
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import jax.numpy as jnp
+from jax import Array
+
+from jexplore.arrays.loops import run_if
+from jexplore.planning import Belief, Choice, field
+from jexplore.policies.clusters import Targets, go_to, targets
+from jexplore.policies.learned.features import features, shortlist
+from jexplore.policies.learned.model import SHIPPED, Model, load_model
+from jexplore.policies.learned.networks import MASKED, scores
+from jexplore.policies.policy import Policy
+from jexplore.raycast import Beams
+
+TINY_M = 0.5  # a target as near as this is taken without asking
+
+
+def init(params: Any, belief: Belief) -> Array:
+    """The `init`. Carry: `[2]` int32, row and col of the last target; -1 before."""
+    return jnp.full((2,), -1, jnp.int32)
+
+
+def is_forced(at: Targets) -> Array:
+    """Whether there is nothing to decide: at most one target, or the nearest is `TINY_M` away or less. bool.
+
+    Args:
+      at: `Targets`, the nearest first.
+    """
+    return (jnp.sum(at.used, dtype=jnp.int32) < 2) | (at.path_m[0] <= TINY_M)
+
+
+@dataclasses.dataclass(frozen=True)
+class Select:
+    """The `select` of a network; equal for the same one, so compiled once."""
+
+    network: str
+
+    def __call__(
+        self, key: Array, params: Any, carry: Array, belief: Belief, beams: Beams, route: Array
+    ) -> tuple[Array, Choice, Array]:
+        known = field(belief)
+        at = shortlist(targets(belief, known))
+
+        def judge(found):
+            return scores(self.network, params, features(belief, at, carry, beams), at.used)
+
+        nearest = jnp.where(jnp.arange(len(at.used)) == 0, 0.0, MASKED)
+        found = run_if(~is_forced(at), judge, nearest)
+        which = jnp.where(at.used[0], jnp.argmax(found).astype(jnp.int32), -1)
+        choice, route = go_to(belief, route, known, at, which)
+        return jnp.stack([choice.row, choice.col]), choice, route
+
+
+def policy_of(model: Model) -> Policy:
+    """The policy of a model."""
+    return Policy(init, Select(model.network), model.weights)
+
+
+def learned(path: Path = Path("shipped")) -> Policy:
+    """The policy of a model from a file; `shipped` is the one that comes with the package.
+
+    Raises:
+      InputError: see `load_model`.
+    """
+    return policy_of(load_model(SHIPPED if path == Path("shipped") else path))

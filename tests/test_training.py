@@ -1,0 +1,161 @@
+"""Training: a toy whose answer is known, what is kept on the way, wrong input."""
+
+import json
+import re
+
+import jax
+import numpy as np
+import pandas as pd
+import pytest
+
+import jexplore as jx
+from jexplore.cli import main
+from jexplore.config import InputError, Lidar, Rules
+from jexplore.learn import bank, training
+from jexplore.policies import parse_strategy
+from jexplore.policies.learned import model
+from jexplore.worlds.world import World
+
+SMALL = ["rooms#1000:width_m=6,height_m=6", "maze#1000:width_m=6,height_m=6"]
+WATCHED = ["rooms#2000:width_m=6,height_m=6"]
+NEAR = Lidar(n_beams=61, range_m=1.5)
+QUICK = {"pairs": 2, "episodes": 2}
+
+
+def toy():
+    """A corridor, its near end on one side, a long way on the other; frontiers as far. The near end first is best, and
+    `closest` takes the other, whose cells come first.
+    """
+    walls = np.ones((15, 160), bool)
+    walls[4:11, 4:140] = False
+    return World(occupied=walls, cell_m=0.1, name="toy", start=(7, 118, 0))
+
+
+@pytest.mark.jit
+def test_evolution_finds_the_near_end():
+    own = bank.prepare_bank(toy(), lidar=NEAR, start="world")
+    other = bank.prepare_bank(toy().replace(name="toy again"), lidar=NEAR, start="world")
+    plan = training.prepare_training(
+        "es", "linear", own, other, {"pairs": 4, "episodes": 1, "rate": 0.1, "sigma": 0.3},
+        rounds=12, check_every=3, patience=0, starts=1, seed=0,
+    )  # fmt: skip
+    found = training.run_training(plan)
+    assert found.curve["validation"].iloc[0] == 1.0
+    assert found.curve["validation"].min() < 0.9
+
+
+def quick_plan(rounds=4, **changes):
+    options = {"rounds": rounds, "check_every": 2, "patience": 0, "starts": 1, "seed": 0} | changes
+    banks = (bank.prepare_bank(worlds, lidar=NEAR) for worlds in (SMALL, WATCHED))
+    return training.prepare_training("es", "linear", *banks, QUICK, **options)
+
+
+@pytest.mark.jit
+def test_the_same_seed_gives_the_same_weights_and_more_rounds_go_on():
+    one, again = (training.run_training(quick_plan()) for _ in range(2))
+    assert model.digest(one.model.weights) == model.digest(again.model.weights)
+    pd.testing.assert_frame_equal(one.curve, again.curve)
+    longer = training.run_training(quick_plan(6))
+    pd.testing.assert_frame_equal(longer.curve.iloc[:5], one.curve)
+    assert list(one.curve["round"]) == [0, 1, 2, 3, 4]
+    assert one.curve["validation"].notna().tolist() == [True, False, True, False, True]
+
+
+@pytest.mark.jit
+def test_the_command_interrupted_goes_on_where_it_was(tmp_path, monkeypatch, capsys):
+    out, whole = tmp_path / "run", tmp_path / "whole"
+    command = ["train", "--worlds", *SMALL, "--validation", *WATCHED, "--rounds", "4", "--check-every", "1", "--set"]
+    command += ["pairs=2", "episodes=2", "--lidar.n-beams", "61", "--lidar.range-m", "1.5", "--out"]
+    assert main.main([*command, str(whole)]) == 0
+    trainer, made = training.TRAINERS["es"], []
+
+    def until_the_third(*args):
+        made.append(args)
+        if len(made) == 3:
+            raise KeyboardInterrupt
+        return trainer.step(*args)
+
+    monkeypatch.setitem(training.TRAINERS, "es", trainer._replace(step=until_the_third))
+    assert main.main([*command, str(out)]) == 130
+    assert "units are kept" in capsys.readouterr().err
+    assert main.main([*command, str(out), "--resume"]) == 0
+    assert len(made) == 5  # two were made, one was cut short, two more
+    for name in ("model.msgpack", "curve.parquet"):
+        assert (out / name).read_bytes() == (whole / name).read_bytes() or name.endswith("parquet")
+    pd.testing.assert_frame_equal(pd.read_parquet(out / "curve.parquet"), pd.read_parquet(whole / "curve.parquet"))
+    assert json.loads((out / "model.json").read_text())["command"][:2] == ["jexplore", "train"]
+    assert (out / "curve.png").stat().st_size > 1000
+    assert parse_strategy(f"learned+recheck:path={out / 'model.msgpack'}").recheck
+    assert main.main([*command, str(out), "--resume"]) == 0
+    assert "nothing was left to do" in capsys.readouterr().out
+    assert main.main([*command, str(out), "--resume", "--seed", "1"]) == 2
+    assert "its seed is 0, not 1" in capsys.readouterr().err
+
+
+@pytest.mark.jit
+def test_weights_that_are_no_numbers_end_training_with_the_best_before(monkeypatch):
+    trainer = training.TRAINERS["es"]
+
+    def broken(state, *args):
+        new, ratio = trainer.step(state, *args)
+        bad = new._replace(theta=new.theta * np.float32("nan")) if new.generation > 2 else new
+        return bad, ratio
+
+    monkeypatch.setitem(training.TRAINERS, "es", trainer._replace(step=broken))
+    found = training.run_training(quick_plan())
+    assert found.ended == "not finite"
+    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(found.model.weights))
+    with pytest.raises(InputError, match="before the first check"):
+        training.run_training(quick_plan(check_every=4))
+
+
+@pytest.mark.jit
+def test_patience():
+    found = training.run_training(quick_plan(40, check_every=1, patience=1))
+    checks = found.curve["validation"]
+    assert found.ended == "patience"
+    assert checks.iloc[-1] >= checks.min()
+    assert len(checks) < 41
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--algo", "sac"], "unknown algorithm 'sac' .*es"),
+        (["--network", "deep"], "unknown network 'deep'"),
+        (["--set", "pears=3"], "unknown setting of 'es': 'pears'; did you mean 'pairs'"),
+        (["--set", "pairs=0"], "pairs must be a whole number above 0, got 0"),
+        (["--set", "pairs=1.5"], "pairs must be a whole number above 0"),
+        (["--set", "sigma=nan"], "sigma must be a number above 0"),
+        (["--set", "sigma"], "expected NAME=NUMBER once"),
+        (["--rounds", "0"], "rounds must be"),
+        (["--validation", SMALL[0]], "is in both the training and the validation worlds"),
+        (["--worlds", "nowhere"], "nowhere"),
+    ],
+)
+def test_wrong_input(options, message, tmp_path, capsys):
+    command = ["train", "--out", str(tmp_path / "run"), *options]
+    for name, worlds in (("--worlds", SMALL), ("--validation", WATCHED)):
+        command += [] if name in options else [name, *worlds]
+    assert main.main(command) == 2
+    assert re.search(message, capsys.readouterr().err)
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.jit
+def test_episodes_that_fail_count_as_long_ones():
+    own = bank.prepare_bank(SMALL[0], lidar=NEAR, rules=Rules(max_steps=5))
+    assert own.log_ratios([parse_strategy("closest")], [0, 0], 0).tolist() == [[0.0, 0.0]]  # the reference's fail too
+
+
+@pytest.mark.jit
+def test_ratios_are_those_of_a_comparison():
+    own = bank.prepare_bank(SMALL, lidar=NEAR)
+    logs = own.log_ratios([parse_strategy("closest"), parse_strategy("random")], [1, 0, 1], 5)
+    for number, places in ((0, [1]), (1, [0, 2])):
+        names = [bank.REFERENCE, "closest", "random"]
+        table = jx.compare(SMALL[number], names, episodes=len(places), seed=5, lidar=NEAR).to_pandas()
+        paths = table.pivot(index="episode", columns="strategy", values="path_m")
+        for i, name in enumerate(names[1:]):
+            want = np.log(paths[name] / paths[bank.REFERENCE])
+            np.testing.assert_allclose(logs[i, places], want)
