@@ -218,7 +218,7 @@ def test_the_defaults_are_smaller_on_request(monkeypatch):
         ("", "expected a command"),
         (
             "compar",
-            "unknown command: 'compar'; there are compare, explore, sweep, merge, bound, reproduce, segment, trace, "
+            "unknown command: 'compar'; there are compare, explore, sweep, merge, bound, train, reproduce, segment, trace, "
             "worlds, strategies, bench (did you mean 'compare'?)",
         ),
         ("--worlds cave", "expected a command first"),
