@@ -72,31 +72,33 @@ class Scene:
         return self.rays.drow * self.width + self.rays.dcol, within
 
     @functools.cached_property
-    def _backward(self):
-        """For each ray and step, where a robot would stand that enters a cell by it, and the cells on its way there.
-
-        Returns:
-          `(stand, way, first)`: `[N]` int, `[M]` int, relative to the cell; where in `way` each begins. Steps of length
-          one, which nothing is in the way of, are not among them.
+    def _steps(self):
+        """Every step of every ray after its first: its place in the flat table of `_forward`, how many steps come
+        before it, and where it leads, relative to the robot's cell: three of `[N]` int.
         """
-        offset, _ = self._forward
-        stand, way = [], []
-        for ray, n in zip(offset, self.rays.length):
-            for k in range(1, n):
-                stand.append(-ray[k])
-                way.append(ray[:k] - ray[k])
-        first = np.cumsum([0, *(len(part) for part in way)])[:-1]
-        return np.array(stand, np.int64), np.concatenate([np.zeros(0, np.int64), *way]), first
+        offset, within = self._forward
+        ray, step = np.nonzero(within & (np.arange(offset.shape[1]) > 0))
+        return ray * offset.shape[1] + step, step, offset[ray, step]
 
     def region(self, cell: int) -> np.ndarray:
         """Cells from which some beam enters a cell, wherever a robot may stand: `[n]` int, sorted, its own among them.
 
         Cast from where the robot stands: sight on a lattice is not symmetric.
         """
-        stand, way, first = self._backward
-        blocked = np.logical_or.reduceat(self.occupied[cell + way], first) if len(first) else np.zeros(0, bool)
+        offset, (place, before, leads) = self._forward[0].reshape(-1), self._steps
+        stand = cell - leads
+        left = np.flatnonzero(self.any[stand])
+        place, before, stand, seen = place[left], before[left], stand[left], []
+        for back in range(1, self._forward[0].shape[1] + 1):  # what is on the way there, from the cell backwards
+            arrived = before < back
+            seen.append(stand[arrived])
+            place, before, stand = place[~arrived], before[~arrived], stand[~arrived]
+            if not len(stand):
+                break
+            open_way = ~self.occupied[stand + offset[place - back]]
+            place, before, stand = place[open_way], before[open_way], stand[open_way]
         next_to = cell - self._forward[0][self.rays.length > 0, 0]
-        found = np.unique(np.concatenate([[cell], next_to, cell + stand[~blocked]]))
+        found = np.unique(np.concatenate([[cell], next_to, *seen]))
         return found[self.any[found]]
 
     def seen_from(self, cells: ArrayLike, heading: int | None = None) -> np.ndarray:

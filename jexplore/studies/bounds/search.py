@@ -18,7 +18,7 @@ MOST_BYTES = 1_500_000_000  # that they may take
 MOST_REGIONS = 60  # of a bound by pieces
 CLOSE = 1.005  # a bound so close to the walk is not made better
 SIGHT_BYTES = 300_000_000  # of what is remembered of single cells
-FEW, MANY = 8, 24  # unseen cells of which the one that is farthest from being seen becomes a witness
+FEW, MANY = 4, 24  # unseen cells of which the one that is farthest from being seen becomes a witness
 STALE = 200  # tries in a row without a shorter walk, after which none is looked for
 GONE = 6  # witnesses that are taken out of a tour at once, at most
 
