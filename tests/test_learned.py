@@ -145,3 +145,14 @@ def test_a_model_that_is_not_there(tmp_path):
     file = model.save_model(tmp_path / "nan", model.Model("linear", weights))
     with pytest.raises(InputError, match="no finite numbers"):
         model.load_model(file)
+
+
+def test_the_model_that_comes_with_the_package_says_how_it_was_made():
+    found = model.load_model(model.SHIPPED)
+    assert model.SHIPPED.stat().st_size < 200_000
+    assert found.made["command"][:2] == ["jexplore", "train"]
+    assert {name.partition("#")[2] for name in found.made["training"]} <= {str(seed) for seed in range(1000, 60000)}
+    assert found.made["validation"]["ratio"] < 1
+    assert parse_strategy("learned+recheck").policy.params.keys() == found.weights.keys()
+    with pytest.raises(InputError, match="unknown parameter"):
+        parse_strategy("learned:file=x")

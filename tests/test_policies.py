@@ -1,6 +1,7 @@
 """Strategies: their names, and what each of them chooses."""
 
 import math
+from pathlib import Path
 
 import chex
 import jax
@@ -112,7 +113,7 @@ def test_every_strategy_keeps_the_contract(name):
     traced once.
     """
     entry = name.partition("+")[0]
-    assert all(isinstance(v, int | float) for v in parameters_of(entry).values())
+    assert all(isinstance(v, int | float | Path) for v in parameters_of(entry).values())
     assert STRATEGIES[entry].summary
     assert STRATEGIES[entry].source
     chex.clear_trace_counter()
