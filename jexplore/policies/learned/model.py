@@ -103,7 +103,8 @@ def load_model(path: str | os.PathLike[str]) -> Model:
         raise InputError(f"{told}: its network must be one of {', '.join(networks.NETWORKS)}, got {name!r}")
     if page.get("features") != list(features.NAMES):
         raise InputError(f"{told} was trained with other features than this version has: train it again")
-    blank = jax.tree.map(np.asarray, networks.begin(name, jax.random.key(0), len(features.NAMES)))
+    shapes = jax.eval_shape(lambda: networks.begin(name, jax.random.key(0), len(features.NAMES)))
+    blank = jax.tree.map(lambda a: np.zeros(a.shape, a.dtype), shapes)
     try:
         weights = serialization.from_bytes(blank, content)
         same = jax.tree.map(lambda a, b: np.shape(a) == np.shape(b), weights, blank)
