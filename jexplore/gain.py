@@ -102,6 +102,25 @@ def most(prospect: Prospect, row: Array, col: Array, beams: Beams) -> Array:
     return inside * (1 + 1e-4) + 1  # more than what float32 loses
 
 
+def _passed(prospect, row, col, beams, scratch, method):
+    """A look all round on a scratch: the scratch, the corner of the window that it can reach, and in that window what
+    its beams passed and what is unknown.
+    """
+    shape, zero = prospect.stops.shape, jnp.int32(0)
+    found = scan(prospect.stops, row, col, zero, beams, method=method)
+    scratch = fold(scratch, row, col, zero, found, beams, method=method)
+    size = window_of(beams, shape)
+    corner = _corner(row, col, size, shape)
+    passed, unknown = (lax.dynamic_slice(a, corner, size) for a in (scratch.misses, prospect.unknown))
+    return scratch, corner, passed > 0, unknown
+
+
+def _wiped(scratch, corner, size):
+    """A scratch with zeros in a window again."""
+    blank = jnp.zeros(size, jnp.int32)
+    return Grid(*(lax.dynamic_update_slice(a, blank, corner) for a in (scratch.hits, scratch.misses)))
+
+
 def look(
     prospect: Prospect, row: Array | int, col: Array | int, beams: Beams, scratch: Grid, *, method: str = "blocks"
 ) -> tuple[ViewGain, Grid]:
@@ -120,14 +139,9 @@ def look(
     Source:
       Holz et al. 2010, section 3.2, where the sign of the difference is a misprint.
     """
-    shape, zero = prospect.stops.shape, jnp.int32(0)
-    found = scan(prospect.stops, row, col, zero, beams, method=method)
-    scratch = fold(scratch, row, col, zero, found, beams, method=method)
-    size = window_of(beams, shape)
-    corner = _corner(row, col, size, shape)
-    passed, unknown = (lax.dynamic_slice(a, corner, size) for a in (scratch.misses, prospect.unknown))
-    seen = count((passed > 0) & unknown)
-    known = count(passed > 0) - seen
+    scratch, corner, passed, unknown = _passed(prospect, row, col, beams, scratch, method)
+    seen = count(passed & unknown)
+    known = count(passed) - seen
 
     def after(array):
         return array.reshape(-1).at[prospect.mixed].get(mode="fill", fill_value=0).astype(jnp.float32)
@@ -137,9 +151,7 @@ def look(
     n = jnp.maximum(hits + misses, 1.0)
     entropy_after = -sum(jnp.where(q > 0, q * jnp.log2(jnp.where(q > 0, q, 1.0)), 0.0) for q in (hits / n, misses / n))
     change = jnp.sum(jnp.where(prospect.before > 0, prospect.before - entropy_after, 0.0))
-    blank = jnp.zeros(size, jnp.int32)
-    scratch = Grid(*(lax.dynamic_update_slice(a, blank, corner) for a in (scratch.hits, scratch.misses)))
-    return ViewGain(seen.astype(jnp.float32) + change, seen, known), scratch
+    return ViewGain(seen.astype(jnp.float32) + change, seen, known), _wiped(scratch, corner, passed.shape)
 
 
 def unknown_within(
@@ -154,19 +166,11 @@ def unknown_within(
     Returns:
       `([R] int32, scratch)`; the scratch is zeros again.
     """
-    shape, zero = prospect.stops.shape, jnp.int32(0)
-    found = scan(prospect.stops, row, col, zero, beams, method=method)
-    scratch = fold(scratch, row, col, zero, found, beams, method=method)
-    size = window_of(beams, shape)
-    corner = _corner(row, col, size, shape)
-    passed, unknown = (lax.dynamic_slice(a, corner, size) for a in (scratch.misses, prospect.unknown))
-    rows, cols = (lax.broadcasted_iota(jnp.int32, size, axis) + corner[axis] for axis in (0, 1))
+    scratch, corner, passed, unknown = _passed(prospect, row, col, beams, scratch, method)
+    rows, cols = (lax.broadcasted_iota(jnp.int32, passed.shape, axis) + corner[axis] for axis in (0, 1))
     off = (rows - row) ** 2 + (cols - col) ** 2
-    seen = (passed > 0) & unknown
-    counts = jnp.stack([count(seen & (off <= d2[i])) for i in range(d2.shape[0])])
-    blank = jnp.zeros(size, jnp.int32)
-    scratch = Grid(*(lax.dynamic_update_slice(a, blank, corner) for a in (scratch.hits, scratch.misses)))
-    return counts, scratch
+    counts = jnp.stack([count(passed & unknown & (off <= d2[i])) for i in range(d2.shape[0])])
+    return counts, _wiped(scratch, corner, passed.shape)
 
 
 def unknown_seen(

@@ -36,30 +36,6 @@ def digest(weights: Any) -> str:
     return found.hexdigest()
 
 
-def save_model(path: str | os.PathLike[str], model: Model) -> Path:
-    """Writes both files.
-
-    Args:
-      path: of the weights; gets the ending `.msgpack`.
-      model: `Model`.
-
-    Returns:
-      The path of the weights.
-
-    Raises:
-      InputError: they cannot be written.
-    """
-    file = Path(path).with_suffix(".msgpack")
-    try:
-        for target, write in ((file, write_weights), (file.with_suffix(".json"), write_page)):
-            part = target.with_name(f".{target.name}.part")
-            write(part, model)
-            os.replace(part, target)
-    except OSError as error:
-        raise InputError(f"{os.fspath(file)!r} cannot be written: {error.strerror or error}") from error
-    return file
-
-
 def write_weights(path: Path, model: Model) -> None:
     """Writes the weights alone, in msgpack."""
     from flax import serialization

@@ -4,7 +4,6 @@ from collections.abc import Callable
 from typing import Any
 
 import flax.linen as nn
-import jax
 import jax.numpy as jnp
 from jax import Array
 
@@ -84,8 +83,3 @@ def scores(name: str, weights: Any, features: Array, used: Array) -> Array:
     """
     found = network(name).apply({"params": weights}, features, used)
     return jnp.where(used, found, MASKED)
-
-
-def size_of(weights: Any) -> int:
-    """How many numbers some weights are."""
-    return sum(leaf.size for leaf in jax.tree.leaves(weights))
