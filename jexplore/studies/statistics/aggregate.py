@@ -103,7 +103,7 @@ def interquartile_mean(
 
     Scores that lie across a quartile count with the part that is inside. The interval is `M exp(± t s / M)`, s the
     standard error over worlds of the scores pulled in to the quartiles, divided by the half that is kept.
-    `benchmarks/coverage.py --over worlds` measures how often it covers.
+    `benchmarks/intervals.py --over worlds` measures how often it covers.
 
     Args:
       scores: `[N]` ratios of paths, from `scores_of`; inf for an episode that has failed.

@@ -35,7 +35,7 @@ STANDINGS = (
 LEAGUE_STRATEGIES = (
     *("closest+recheck", "closest", "closest+recheck+segment", "closest+recheck+segment=auto"),
     *("small-first+recheck", "small-first", "distance-advantage+recheck", "distance-advantage+recheck:weight=0.5"),
-    "tour+recheck",
+    *("tour+recheck", "learned+recheck"),
     *("utility+recheck", "gain-rate+recheck"),
     *("decision-theoretic+recheck", "decision-theoretic", "mcdm", "random+recheck", "random"),
 )

@@ -93,7 +93,7 @@ def share_over_worlds(
 
     The interval is Wilson's, of as many independent yes or no answers as have the standard error of this mean: many
     where worlds agree, few where they do not. It stays within 0 and 1 and is there even where all worlds say the same.
-    `benchmarks/coverage.py --over worlds` measures how often it covers.
+    `benchmarks/intervals.py --over worlds` measures how often it covers.
 
     Args:
       values: `[N]` numbers from 0 to 1, one a world.

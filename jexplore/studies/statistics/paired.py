@@ -77,7 +77,7 @@ def paired_ratio(values: ArrayLike, reference: ArrayLike, *, confidence: float =
     The interval is `R exp(± t s)`, where `s` is the standard error of the logarithm of R by the delta method: the
     standard deviation of `v / mean(v) - r / mean(r)` over the pairs `(v, r)`, divided by the root of their number; t is
     Student's. It is about the ratio of the means, not the mean (or geometric mean) of the ratios;
-    `benchmarks/coverage.py` measures how often it covers. p is of the hypothesis R = 1, by the same t: below 0.05 just
+    `benchmarks/intervals.py` measures how often it covers. p is of the hypothesis R = 1, by the same t: below 0.05 just
     where the 95 % interval leaves out 1. It is not corrected for many comparisons.
 
     Pairs of equal members tell of no spread: together they count as one in the degrees of freedom. Pairs that are all

@@ -68,7 +68,7 @@ def sample_size(
     The interval is that of `paired_ratio`: it then ends at most at `(1 + within)` times the ratio, and at
     `1 / (1 + within)` times it. The spread of a pilot is itself uncertain, and that of the new episodes varies: the
     number is so large that, with the `assurance`, the new interval is as narrow, were the spread normal; with skewed
-    ratios of paths it is less often. `benchmarks/coverage.py --over sizes` measures how often.
+    ratios of paths it is less often. `benchmarks/intervals.py --over sizes` measures how often.
 
     Args:
       values, reference: `[N]` path lengths of a pilot, the same starts in the same order, N >= 2.

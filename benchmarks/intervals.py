@@ -1,8 +1,8 @@
 """How often intervals cover, by the size of the sample; beside a bootstrap's.
 
-    python benchmarks/coverage.py [--world cave] [--episodes 1000] [--repetitions 2000] [--seed 0]
-    python benchmarks/coverage.py --over worlds [--worlds 150] [--repetitions 1000]
-    python benchmarks/coverage.py --over sizes [--world cave] [--episodes 1000]
+    python benchmarks/intervals.py [--world cave] [--episodes 1000] [--repetitions 2000] [--seed 0]
+    python benchmarks/intervals.py --over worlds [--worlds 150] [--repetitions 1000]
+    python benchmarks/intervals.py --over sizes [--world cave] [--episodes 1000]
 
 Over pairs: the 95 % interval of a paired ratio. The pairs are drawn, with replacement, from a large comparison, whose
 own ratio of means is the truth:
