@@ -58,6 +58,8 @@ _MODULE_OF = {
     "Reproduction": "studies.reproduction",
     "bound": "studies.bounds.bound",
     "Bounds": "studies.bounds.bound",
+    "train": "learn.training",
+    "Trained": "learn.training",
     "sweep": "studies.sweeps.run",
     "Swept": "studies.sweeps.run",
     "Sweep": "studies.sweeps.spec",
@@ -106,6 +108,7 @@ __all__ = [
     "Sweep",
     "Swept",
     "Traced",
+    "Trained",
     "Tuning",
     "View",
     "World",
@@ -132,6 +135,7 @@ __all__ = [
     "strategy",
     "sweep",
     "trace",
+    "train",
     "views",
 ]
 
@@ -140,6 +144,7 @@ if TYPE_CHECKING:
     from jexplore.driving.settings import Noise, Robot, Tuning
     from jexplore.exploration.state import Outcome
     from jexplore.frontier import frontier_clusters
+    from jexplore.learn.training import Trained, train
     from jexplore.planning import Belief, Choice, Field, View, choose, field, metres, nearest_frontier
     from jexplore.policies import MODIFIERS, STRATEGIES, Policy, Strategy, clusters, register, strategy, views
     from jexplore.studies.bounds.bound import Bounds, bound

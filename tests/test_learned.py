@@ -48,12 +48,15 @@ def test_features_by_hand():
     for name, want in {
         "path": [2, 4, 6], "size": [3, 3, 3], "others": [(6 + 4) / 2, (6 + 10) / 2, (4 + 10) / 2],
         "others by area": [5, 8, 7], "nearest other": [4, 6, 4],
+        "detour": [2, 0, 2],  # tours B C A: 2 + 4 + 10, A B C: 4 + 6 + 4, C B A: 6 + 4 + 6
     }.items():  # fmt: skip
         np.testing.assert_allclose(found[name][:3], np.asarray(want) / features.UNIT_M, rtol=1e-6)
     one = np.sqrt(1.0) / features.UNIT_M
     for name in ("side within 2 m", "side within 4 m", "side within 8 m"):
         np.testing.assert_allclose(found[name][:3], one, rtol=1e-6)
     np.testing.assert_allclose(found["pocket"][:3], np.exp(-1 / features.POCKET_M2), rtol=1e-6)
+    around = 1 + np.exp(-np.asarray([[6, 4], [6, 10], [4, 10]]) / features.AROUND_M).sum(axis=1)
+    np.testing.assert_allclose(found["side near"][:3], np.sqrt(around) / features.UNIT_M, rtol=1e-6)
     np.testing.assert_allclose(found["turn"][:3], [0, 1, 0], atol=1e-6)  # heading east
     np.testing.assert_allclose(found["home"][:3], np.asarray([2, 4, 6]) / features.UNIT_M, rtol=1e-6)
     np.testing.assert_allclose(found["last"][:3], np.exp(-np.asarray([6, 0, 10]) / features.STAY_M), rtol=1e-6)

@@ -14,6 +14,8 @@ from jexplore.config import InputError, Lidar, Rules
 from jexplore.learn import bank, training
 from jexplore.policies import parse_strategy
 from jexplore.policies.learned import model
+from jexplore.report.folders import claimed
+from jexplore.report.ledger import Ledger
 from jexplore.worlds.world import World
 
 SMALL = ["rooms#1000:width_m=6,height_m=6", "maze#1000:width_m=6,height_m=6"]
@@ -32,14 +34,22 @@ def toy():
 
 
 @pytest.mark.jit
-def test_evolution_finds_the_near_end():
+@pytest.mark.parametrize(
+    ("algo", "rounds", "settings"),
+    [
+        ("es", 12, {"pairs": 4, "episodes": 1, "rate": 0.1, "sigma": 0.3}),
+        ("advantage", 4, {"episodes": 4, "share": 1.0}),
+        ("ppo", 2, {"decisions": 512, "lanes": 8, "starts": 1, "unroll": 8, "rate": 0.01, "minibatches": 2}),
+    ],
+)
+def test_the_near_end_is_found(algo, rounds, settings):
     own = bank.prepare_bank(toy(), lidar=NEAR, start="world")
     other = bank.prepare_bank(toy().replace(name="toy again"), lidar=NEAR, start="world")
     plan = training.prepare_training(
-        "es", "linear", own, other, {"pairs": 4, "episodes": 1, "rate": 0.1, "sigma": 0.3},
-        rounds=12, check_every=3, patience=0, starts=1, seed=0,
-    )  # fmt: skip
+        algo, "linear", own, other, settings, rounds=rounds, check_every=rounds // 2, patience=0, starts=1, seed=0
+    )
     found = training.run_training(plan)
+    assert found.curve["ratio"].iloc[1:].notna().all()
     assert found.curve["validation"].iloc[0] == 1.0
     assert found.curve["validation"].min() < 0.9
 
@@ -80,8 +90,7 @@ def test_the_command_interrupted_goes_on_where_it_was(tmp_path, monkeypatch, cap
     assert "units are kept" in capsys.readouterr().err
     assert main.main([*command, str(out), "--resume"]) == 0
     assert len(made) == 5  # two were made, one was cut short, two more
-    for name in ("model.msgpack", "curve.parquet"):
-        assert (out / name).read_bytes() == (whole / name).read_bytes() or name.endswith("parquet")
+    assert (out / "model.msgpack").read_bytes() == (whole / "model.msgpack").read_bytes()
     pd.testing.assert_frame_equal(pd.read_parquet(out / "curve.parquet"), pd.read_parquet(whole / "curve.parquet"))
     assert json.loads((out / "model.json").read_text())["command"][:2] == ["jexplore", "train"]
     assert (out / "curve.png").stat().st_size > 1000
@@ -98,7 +107,8 @@ def test_weights_that_are_no_numbers_end_training_with_the_best_before(monkeypat
 
     def broken(state, *args):
         new, ratio = trainer.step(state, *args)
-        bad = new._replace(theta=new.theta * np.float32("nan")) if new.generation > 2 else new
+        spoilt = jax.tree.map(lambda leaf: leaf * np.float32("nan"), new.weights)
+        bad = new._replace(weights=spoilt) if new.generation > 2 else new
         return bad, ratio
 
     monkeypatch.setitem(training.TRAINERS, "es", trainer._replace(step=broken))
@@ -114,7 +124,7 @@ def test_patience():
     found = training.run_training(quick_plan(40, check_every=1, patience=1))
     checks = found.curve["validation"]
     assert found.ended == "patience"
-    assert checks.iloc[-1] >= checks.min()
+    assert checks.iloc[-1] >= checks.iloc[:-1].min()
     assert len(checks) < 41
 
 
@@ -123,10 +133,14 @@ def test_patience():
     [
         (["--algo", "sac"], "unknown algorithm 'sac' .*es"),
         (["--network", "deep"], "unknown network 'deep'"),
+        (["--rounds", "7"], "rounds must be a multiple of check_every, 5, got 7"),
+        (["--algo", "advantage", "--set", "tried=1"], "tried must be an integer from 2 to 32, got 1"),
+        (["--algo", "advantage", "--set", "share=5"], "share must be a number"),
+        (["--algo", "ppo", "--set", "pairs=3"], "unknown setting of 'ppo': 'pairs'"),
         (["--set", "pears=3"], "unknown setting of 'es': 'pears'; did you mean 'pairs'"),
-        (["--set", "pairs=0"], "pairs must be a whole number above 0, got 0"),
-        (["--set", "pairs=1.5"], "pairs must be a whole number above 0"),
-        (["--set", "sigma=nan"], "sigma must be a number above 0"),
+        (["--set", "pairs=0"], "pairs must be an integer from 1 to 10000, got 0"),
+        (["--set", "pairs=1.5"], "pairs must be an integer from 1"),
+        (["--set", "sigma=nan"], "sigma must be a number"),
         (["--set", "sigma"], "expected NAME=NUMBER once"),
         (["--rounds", "0"], "rounds must be"),
         (["--validation", SMALL[0]], "is in both the training and the validation worlds"),
@@ -159,3 +173,65 @@ def test_ratios_are_those_of_a_comparison():
         for i, name in enumerate(names[1:]):
             want = np.log(paths[name] / paths[bank.REFERENCE])
             np.testing.assert_allclose(logs[i, places], want)
+
+
+@pytest.mark.jit
+def test_training_as_a_function(tmp_path):
+    options = {"worlds": SMALL, "validation": WATCHED, "lidar": NEAR, "rounds": 1, "settings": QUICK}
+    found = jx.train(**options)
+    file = found.save(tmp_path / "mine")
+    table = jx.compare(WATCHED, ["closest+recheck", found.strategy(), f"learned+recheck:path={file}"], lidar=NEAR)
+    paths = table.to_pandas().pivot(index="episode", columns="strategy", values="path_m")
+    np.testing.assert_array_equal(paths["learned+recheck"], paths[f"learned+recheck:path={file}"])
+    # Training goes on where a model is, also with another network, which begins at its weighted sum.
+    plan = training.prepare_training(
+        "es", "attention", *(bank.prepare_bank(worlds, lidar=NEAR) for worlds in (SMALL, WATCHED)), QUICK,
+        rounds=1, check_every=1, patience=0, starts=1, seed=0, model=model.load_model(file),
+    )  # fmt: skip
+    np.testing.assert_array_equal(plan.begins.weights["plain"], found.model.weights["weights"])
+    again = jx.train(model=file, **options | {"rounds": 2, "check_every": 2})
+    assert again.curve["validation"].iloc[0] == found.curve["validation"].min()
+    wide = found.model._replace(network="attention", weights=plan.begins.weights)
+    with pytest.raises(InputError, match="training of 'linear' cannot begin at a model of 'attention'"):
+        jx.train(model=wide, **options)
+
+
+@pytest.mark.jit
+def test_regression_resumed_is_regression_uninterrupted(tmp_path):
+    banks = [bank.prepare_bank(worlds, lidar=NEAR) for worlds in (SMALL, WATCHED)]
+    settings = {"episodes": 2, "share": 0.5, "tried": 2, "steps": 20}
+    plans = [
+        training.prepare_training(
+            "advantage", "linear", *banks, settings, rounds=n, check_every=1, patience=0, starts=1, seed=0
+        )
+        for n in (1, 2)
+    ]
+    whole = training.run_training(plans[1])
+    for plan in plans:
+        with claimed(tmp_path / "run", resume=True) as run:
+            kept = Ledger(run, {"asked": 0}, 2, resume=True)
+            assert len(kept.done) == plan.rounds - 1
+            found = training.run_training(plan, ledger=kept)
+    assert model.digest(found.model.weights) == model.digest(whole.model.weights)
+    pd.testing.assert_frame_equal(found.curve, whole.curve)
+
+
+def test_models_that_training_cannot_begin_at(tmp_path):
+    banks = [bank.prepare_bank(worlds, lidar=NEAR) for worlds in (SMALL, WATCHED)]
+    options = {"rounds": 1, "check_every": 1, "patience": 0, "starts": 1, "seed": 0}
+    bad = model.Model("linear", {"weights": np.zeros(3, np.float32)})
+    with pytest.raises(InputError, match="have other names or shapes"):
+        training.prepare_training("es", "linear", *banks, {}, model=bad, **options)
+    with pytest.raises(InputError, match="model must be a Model or the path of one, got int"):
+        jx.train(model=3, worlds=SMALL, validation=WATCHED)
+    one = training.Trained(model.load_model(model.SHIPPED), pd.DataFrame(), 0, "rounds")
+    assert one.save(tmp_path / "linear-0.15").name == "linear-0.15.msgpack"
+    with pytest.raises(InputError, match="there is no folder"):
+        one.save(tmp_path / "none" / "linear")
+
+
+def test_lanes_and_worlds_that_ppo_cannot_have():
+    mixed = bank.prepare_bank([jx.load_world(SMALL[0]), jx.load_world(SMALL[1], cell_m=0.2)])
+    settings = training.TRAINERS["ppo"].settings()
+    with pytest.raises(InputError, match=r"cells of one size, got 0\.1 and 0\.2 m"):
+        training.TRAINERS["ppo"].check(mixed, settings)

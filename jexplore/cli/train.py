@@ -5,7 +5,7 @@ import os
 from collections.abc import Sequence
 
 from jexplore.cli.listings import describe
-from jexplore.cli.options import OutFolder, OwnNames
+from jexplore.cli.options import OutFolder, OwnModel, OwnNames
 from jexplore.cli.output.console import Out, note, say, working
 from jexplore.config import Lidar, Rules
 
@@ -20,9 +20,12 @@ class Train:
     """
 
     algo: str = "es"
-    """Train by evolution strategies (es)."""
+    """Train by evolution strategies (es), regression on what choices turned out to cost (advantage) or proximal policy
+    optimisation (ppo)."""
     network: str = "linear"
     """Train a weighted sum of the features (linear) or a small network with attention over the clusters (attention)."""
+    model: OwnModel = None
+    """Begin at this model; a linear one for any network, another for its own."""
     worlds: OwnNames = None
     """Train in these worlds (default: eight of each kind of generator, #1000 to #1007)."""
     validation: OwnNames = None
@@ -32,11 +35,12 @@ class Train:
     rounds: int = 40
     """Train for so many rounds."""
     check_every: int = 5
-    """Check on the validation worlds every so many rounds; the best model by these checks is written."""
+    """Check on the validation worlds every so many rounds, or after the last of fewer; the best model by these checks
+    is written."""
     patience: int = 0
     """End after so many checks without a better one; 0: never."""
     set: tuple[str, ...] = ()
-    """Settings of the algorithm, such as pairs=8 episodes=20 sigma=0.1 rate=0.05."""
+    """Settings of the algorithm, such as pairs=8 episodes=20 sigma=0.1 rate=0.05 of es; an unknown one lists all."""
     seed: int = 0
     """Draw all that is random from this seed."""
     cell_m: float = 0.1
@@ -56,6 +60,7 @@ class Train:
         """Runs the command; returns the exit status, None for 0."""
         from jexplore.engine.backend import use_compilation_cache
         from jexplore.learn import bank, training
+        from jexplore.policies.learned.model import load_model
 
         with Out(self, "train") as out:
             use_compilation_cache()
@@ -74,6 +79,7 @@ class Train:
                 patience=self.patience,
                 starts=self.starts,
                 seed=self.seed,
+                model=None if self.model is None else load_model(self.model),
             )
             ledger = out.keep(training.asked(plan), plan.units)
             if ledger is None:

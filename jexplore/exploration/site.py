@@ -179,6 +179,13 @@ def _beams(n_beams, fov_deg, range_m, cell_m, width, longest_m):
     return beam_table(Lidar(n_beams, fov_deg, range_m), cell_m, width, longest_m)
 
 
+def tasks_of(starts: ArrayLike) -> np.ndarray:
+    """What a run is given of a start: `[N, 3]` int32, row, col and heading in units of 45 degrees, of degrees."""
+    starts = np.array(starts, np.int32)
+    starts[:, 2] //= 45
+    return starts
+
+
 def line_of(
     site: Site,
     fitted: tuple[Setup, Numbers],
@@ -200,11 +207,11 @@ def line_of(
       keeps: number of the episode whose map and way are kept whole.
       keep: what is kept of every episode, see `episode.program_of`.
     """
-    starts = np.array(starts, np.int32)
-    starts[:, 2] //= 45
     setup, numbers = fitted
     trim = None
     if keep is not None:
         shape, width = tuple(int(n) for n in site.truth.extent), site.truth.occupied.shape[1]
         trim = functools.partial(record_of, shape=shape, width=width)
-    return Line(program_of(setup, keep), site.beams, site.truth, numbers, seed, starts, which, keeps, trim=trim)
+    return Line(
+        program_of(setup, keep), site.beams, site.truth, numbers, seed, tasks_of(starts), which, keeps, trim=trim
+    )

@@ -1,6 +1,7 @@
 """What an exploration episode is made of: its setting, its state, its result."""
 
 import enum
+import math
 from collections.abc import Callable
 from typing import Any, ClassVar, NamedTuple, Self
 
@@ -33,6 +34,11 @@ class Stream(enum.IntEnum):
 
     SENSOR = 0
     POLICY = 1
+
+
+def steps_m(straight: Any, diagonal: Any, cell_m: Any) -> Array:
+    """How long some steps are, metres: float32. A cost of `reach` would not hold the longest ways."""
+    return (straight + jnp.float32(math.sqrt(2)) * diagonal) * cell_m
 
 
 @struct.dataclass
@@ -141,6 +147,11 @@ class State:
     def steps(self) -> Array:
         """Steps made: int32."""
         return self.straight + self.diagonal
+
+    @property
+    def path_m(self) -> Array:
+        """Way driven, metres: float32."""
+        return steps_m(self.straight, self.diagonal, self.belief.model.cell_m)
 
     @property
     def shape(self) -> tuple[int, ...]:

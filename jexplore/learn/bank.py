@@ -1,13 +1,14 @@
 """Worlds to learn in, and how long the paths of strategies are there beside those of the reference."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from jexplore.config import InputError, Lidar, Rules
 from jexplore.exploration.batch import Job, run_jobs
 from jexplore.exploration.results import path_m
+from jexplore.exploration.site import KERNELS, Site, prepare_site
 from jexplore.exploration.state import Outcome
 from jexplore.policies import Strategy, parse_strategy
 from jexplore.studies.checks import (
@@ -30,7 +31,7 @@ VALIDATION = tuple(f"{kind}#{seed}" for seed in range(2000, 2004) for kind in LE
 """Worlds on which what was learned is watched."""
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, eq=False)
 class Bank:
     """Worlds, a scanner and rules."""
 
@@ -39,6 +40,7 @@ class Bank:
     rules: Rules
     start: str = "random"
     """As in a comparison: drawn, or the world's own."""
+    _sites: dict[int, Site] = dataclasses.field(default_factory=dict, repr=False)
 
     def log_ratios(
         self, strategies: Sequence[Strategy], which: Sequence[int], seed: int, *, workers: int | None = None
@@ -55,27 +57,62 @@ class Bank:
           `[N, K]` float64, logarithms; that of `FAILED` where an episode did not end COMPLETE and the reference's did;
             0 where the reference's did not, or saw all from the start.
         """
-        everyone = [parse_strategy(REFERENCE), *strategies]
-        numbers, counts = np.unique(which, return_counts=True)
-        jobs, starts = [], {}
-        for number, n in zip(numbers.tolist(), counts.tolist()):
-            world = self.worlds[number]
-            starts[number] = ready_starts(world, self.start, n, seed=seed, rules=self.rules)
-            jobs += [Job(world, one, starts[number], seed) for one in everyone]
+        lengths = self.lengths([parse_strategy(REFERENCE), *strategies], which, seed, workers=workers)
+        return log_ratio(lengths[1:], lengths[0])
+
+    def lengths(
+        self, strategies: Sequence[Strategy], which: Sequence[int], seed: int, *, workers: int | None = None
+    ) -> np.ndarray:
+        """How long the paths of strategies are, from the same starts: `[N, K]` float64, metres.
+
+        inf where an episode did not end COMPLETE. Arguments as of `log_ratios`.
+
+        Raises:
+          KeyboardInterrupt: not all could be made.
+        """
+        jobs, places = [], []
+        for number, place, starts in self.episodes(which, seed):
+            jobs += [Job(self.worlds[number], one, starts, seed) for one in strategies]
+            places += [place] * len(strategies)
         report = run_jobs(jobs, self.lidar, self.rules, engine="serial", workers=workers)
-        table = np.full((len(everyone), len(which)), np.nan)
-        place = {number: np.flatnonzero(np.asarray(which) == number) for number in numbers.tolist()}
-        for i, (job, outcome) in enumerate(zip(jobs, report.outcomes)):
+        table = np.full((len(strategies), len(which)), np.inf)
+        for i, (job, place, outcome) in enumerate(zip(jobs, places, report.outcomes)):
             found = outcome.result
             if np.any(found.outcome == Outcome.RUNNING):
                 raise KeyboardInterrupt
-            lengths = path_m(found.straight, found.diagonal, job.world.cell_m)
-            lengths = np.where(found.outcome == Outcome.COMPLETE, lengths, np.inf)
-            table[i % len(everyone), place[numbers.tolist()[i // len(everyone)]]] = lengths
-        reference = table[0]
-        usable = np.isfinite(reference) & (reference > 0)
-        ratio = table[1:] / np.where(usable, reference, 1.0)
-        return np.where(usable, np.log(np.clip(np.where(np.isfinite(ratio), ratio, FAILED), 1e-3, None)), 0.0)
+            driven = path_m(found.straight, found.diagonal, job.world.cell_m)
+            table[i % len(strategies), place] = np.where(found.outcome == Outcome.COMPLETE, driven, np.inf)
+        return table
+
+    def some(self, draw: np.random.Generator, n: int) -> list[int]:
+        """n numbers of worlds, each as often as any other, or once more; in an order that is drawn."""
+        return draw.permutation(np.resize(draw.permutation(len(self.worlds)), n)).tolist()
+
+    def episodes(self, which: Sequence[int], seed: int) -> Iterator[tuple[int, np.ndarray, np.ndarray]]:
+        """Worlds and starts: `(number of the world, its places in which, [n, 3] starts)` for each world."""
+        numbers, counts = np.unique(which, return_counts=True)
+        for number, n in zip(numbers.tolist(), counts.tolist()):
+            place = np.flatnonzero(np.asarray(which) == number)
+            yield number, place, ready_starts(self.worlds[number], self.start, n, seed=seed, rules=self.rules)
+
+    def site(self, number: int) -> Site:
+        """A world made ready, once."""
+        if number not in self._sites:
+            self._sites[number] = prepare_site(self.worlds[number], self.lidar, self.rules, KERNELS["serial"])
+        return self._sites[number]
+
+
+def log_ratio(lengths: np.ndarray, reference: np.ndarray) -> np.ndarray:
+    """Logarithms of paths beside the reference's; that of `FAILED` where one is inf and the reference's is not, 0 where
+    the reference's is inf or 0.
+
+    Args:
+      lengths: `[..., K]` metres.
+      reference: `[K]` metres.
+    """
+    usable = np.isfinite(reference) & (reference > 0)
+    ratio = lengths / np.where(usable, reference, 1.0)
+    return np.where(usable, np.log(np.clip(np.where(np.isfinite(ratio), ratio, FAILED), 1e-3, None)), 0.0)
 
 
 def prepare_bank(

@@ -1,10 +1,10 @@
 """Evolution strategies: weights moved towards those of random variations that drove less.
 
 Salimans et al., "Evolution Strategies as a Scalable Alternative to Reinforcement Learning", 2017: antithetic pairs, and
-all members of a generation from the same starts in the same worlds; steps by Adam (optax).
+all members of a generation from the same starts in the same worlds; steps by Adam (optax). The weights handed out are
+running means over generations (Polyak and Juditsky 1992): steps are as noisy as episodes differ.
 """
 
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -22,16 +22,27 @@ from jexplore.policies.learned.strategy import policy_of
 class Settings(NamedTuple):
     """Numbers of the search."""
 
-    pairs: int = 8  # antithetic pairs of a generation
-    episodes: int = 20  # worlds that each member explores
-    sigma: float = 0.1  # standard deviation of a variation
-    rate: float = 0.05  # of Adam
+    pairs: int = 12  # antithetic pairs of a generation
+    episodes: int = 16  # worlds that each member explores
+    sigma: float = 0.15  # standard deviation of a variation
+    rate: float = 0.07  # of Adam
+    latest: float = 0.15  # share of the latest generation in the running mean
+
+
+BOUNDS = {
+    "pairs": (1, 10_000),
+    "episodes": (1, 100_000),
+    "sigma": (1e-6, 10.0),
+    "rate": (1e-6, 10.0),
+    "latest": (1e-6, 1.0),
+}
 
 
 class State(NamedTuple):
     """A search under way."""
 
-    theta: np.ndarray  # [D] float32, the weights as one vector
+    weights: Any  # the running mean, what is handed out
+    theta: np.ndarray  # [D] float32, the latest weights as one vector
     moments: Any  # of the optimiser
     generation: Any  # int
 
@@ -39,23 +50,17 @@ class State(NamedTuple):
 def begin(weights: Any, settings: Settings) -> State:
     """A search that begins at some weights."""
     theta = np.asarray(ravel_pytree(weights)[0], np.float32)
-    return State(theta, jax.tree.map(np.asarray, optax.adam(settings.rate).init(jnp.asarray(theta))), 0)
-
-
-def weights_of(state: State, like: Any) -> Any:
-    """The weights of a search as a pytree."""
-    return jax.tree.map(np.asarray, ravel_pytree(like)[1](jnp.asarray(state.theta)))
+    return State(weights, theta, jax.tree.map(np.asarray, optax.adam(settings.rate).init(jnp.asarray(theta))), 0)
 
 
 def step(
-    state: State, network: str, like: Any, bank: Bank, settings: Settings, seed: int, workers: int | None = None
+    state: State, network: str, bank: Bank, settings: Settings, seed: int, workers: int | None = None
 ) -> tuple[State, float]:
     """One generation.
 
     Args:
       state: `State`.
       network: one of `networks.NETWORKS`.
-      like: pytree of weights of its shapes.
       bank: `Bank` to draw worlds from.
       settings: `Settings`.
       seed: of the whole search.
@@ -66,18 +71,23 @@ def step(
     """
     draw = np.random.default_rng([seed, int(state.generation)])
     noise = draw.standard_normal((settings.pairs, len(state.theta))).astype(np.float32)
-    which = draw.permutation(np.resize(draw.permutation(len(bank.worlds)), settings.episodes))
+    which = bank.some(draw, settings.episodes)
     members = [state.theta + sign * settings.sigma * one for one in noise for sign in (1, -1)]
-    unravel: Callable[[Any], Any] = ravel_pytree(like)[1]
+    mean, unravel = ravel_pytree(state.weights)
+
+    def tree(vector):
+        return jax.tree.map(np.asarray, unravel(jnp.asarray(vector)))
+
     strategies = [
-        Strategy(f"member {i}", policy_of(Model(network, jax.tree.map(np.asarray, unravel(theta)))), True)
-        for i, theta in enumerate(members)
+        Strategy(f"member {i}", policy_of(Model(network, tree(theta))), True) for i, theta in enumerate(members)
     ]
-    logs = bank.log_ratios(strategies, which.tolist(), int(draw.integers(2**31)), workers=workers)
+    logs = bank.log_ratios(strategies, which, int(draw.integers(2**31)), workers=workers)
     cost = logs.mean(axis=1)
     # Driving less is better: the gradient of the cost, from pairs, in units of what they differ by.
     apart = cost[0::2] - cost[1::2]
     gradient = (apart / (np.std(apart) + 1e-9)) @ noise / settings.pairs
     update, moments = optax.adam(settings.rate).update(jnp.asarray(gradient, jnp.float32), state.moments)
     theta = np.asarray(optax.apply_updates(state.theta, update), np.float32)
-    return State(theta, jax.tree.map(np.asarray, moments), state.generation + 1), float(np.exp(logs.mean()))
+    share = max(settings.latest, 1 / (int(state.generation) + 2))  # at first the mean of all
+    weights = tree(np.asarray((1 - share) * np.asarray(mean) + share * theta, np.float32))
+    return State(weights, theta, jax.tree.map(np.asarray, moments), state.generation + 1), float(np.exp(logs.mean()))

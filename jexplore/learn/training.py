@@ -7,20 +7,24 @@ import dataclasses
 import hashlib
 import math
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax
 import numpy as np
 
-from jexplore.config import MAX_SEED, InputError, require_whole, unknown
-from jexplore.learn import es
-from jexplore.learn.bank import FAILED, Bank, require_apart
+from jexplore.config import MAX_SEED, InputError, Lidar, Rules, require_number, require_whole, unknown
+from jexplore.engine.backend import use_compilation_cache
+from jexplore.learn import advantage, es, ppo
+from jexplore.learn.bank import FAILED, TRAINING, VALIDATION, Bank, prepare_bank, require_apart
 from jexplore.policies import Strategy
 from jexplore.policies.learned import features, networks
-from jexplore.policies.learned.model import Model
+from jexplore.policies.learned.model import Model, is_finite, load_model, require_sound, write_page, write_weights
+from jexplore.policies.learned.model import digest as model_digest
 from jexplore.policies.learned.strategy import policy_of
 from jexplore.report.ledger import Ledger
+from jexplore.studies.checks import LIDAR, RULES, WorldLike
 from jexplore.studies.results.provenance import digest
 from jexplore.version import __version__
 
@@ -30,20 +34,26 @@ if TYPE_CHECKING:
 
 STATE = "_state"  # column of a unit's file besides: the trainer's state as bytes, in the last row
 COLUMNS = ("round", "ratio", "validation")
-"""Columns of a curve: rounds made; ratio of the paths driven in the round to the reference's; the same of the present
-weights on the validation worlds, where they were checked."""
+"""Columns of a curve: rounds made; ratio to the reference's of the paths on which the round was judged, in the training
+worlds (of `es` all that were driven, of `advantage` those on which lessons were given, of `ppo` some driven after it);
+ratio of the present weights on the validation worlds, where they were checked."""
 
 
 class Trainer(NamedTuple):
-    """A way of training as pure functions of its state, a pytree of arrays."""
+    """A way of training as pure functions of its state, a pytree of arrays of which `weights` are the model's."""
 
     settings: type  # NamedTuple of numbers, with defaults
+    bounds: Mapping[str, tuple[Any, Any]]  # of each of them, inclusive
     begin: Callable[[Any, Any], Any]  # (weights, settings) -> state
     step: Callable[..., tuple[Any, float]]  # see `es.step`
-    weights_of: Callable[[Any, Any], Any]  # (state, weights of the same shapes) -> weights
+    check: Callable[[Bank, Any], None] = lambda bank, settings: None  # refuses, with an InputError, what cannot be used
 
 
-TRAINERS: dict[str, Trainer] = {"es": Trainer(es.Settings, es.begin, es.step, es.weights_of)}
+TRAINERS: dict[str, Trainer] = {
+    "es": Trainer(es.Settings, es.BOUNDS, es.begin, es.step),
+    "advantage": Trainer(advantage.Settings, advantage.BOUNDS, advantage.begin, advantage.step),
+    "ppo": Trainer(ppo.Settings, ppo.BOUNDS, ppo.begin, ppo.step, ppo.check),
+}
 """Name -> how."""
 
 
@@ -60,11 +70,12 @@ class Plan(NamedTuple):
     patience: int  # checks without a better one, after which training ends; 0: never
     starts: int  # on each validation world
     seed: int
+    begins: Model  # where it begins
 
     @property
     def units(self) -> int:
         """Checks."""
-        return math.ceil(self.rounds / self.check_every)
+        return self.rounds // self.check_every
 
 
 @dataclasses.dataclass(frozen=True)
@@ -79,6 +90,20 @@ class Trained:
     """The round that it is from."""
     ended: str
     """Why training ended: "rounds", "patience", "not finite" or "interrupted"."""
+
+    def strategy(self, *, recheck: bool = True, name: str = "learned") -> Strategy:
+        """The model as a strategy, for `jx.compare` and others."""
+        return Strategy(f"{name}+recheck" if recheck else name, policy_of(self.model), recheck)
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Writes the model, for `learned:path=`: `PATH.msgpack`, and `PATH.json` beside it. The path of the former."""
+        file = Path(os.path.expanduser(path))
+        file = file if file.suffix == ".msgpack" else file.with_name(f"{file.name}.msgpack")
+        if not file.parent.is_dir():
+            raise InputError(f"there is no folder {os.fspath(file.parent)!r} to save a model in")
+        write_weights(file, self.model)
+        write_page(file.with_suffix(".json"), self.model)
+        return file
 
     def figure(self) -> "Figure":
         """The curve as a picture."""
@@ -99,37 +124,128 @@ def prepare_training(
     patience: int,
     starts: int,
     seed: int,
+    model: Model | None = None,
 ) -> Plan:
     """A `Plan`, checked.
 
+    Args:
+      model: where training begins; its network is `network`, or `linear`, whose weighted sum every network has. Without
+        it, at `closest`.
+
     Raises:
-      InputError: an unknown algorithm, network or setting, a number out of range, a world on both sides.
+      InputError: an unknown algorithm, network or setting, a number out of range, a world on both sides, a model of
+        another network.
     """
     if algo not in TRAINERS:
         raise unknown("algorithm", algo, TRAINERS)
     networks.network(network)
-    known = TRAINERS[algo].settings()
-    for key, value in settings.items():
-        if key not in known._fields:
-            raise unknown(f"setting of {algo!r}:", key, known._fields)
-        default = getattr(known, key)
-        good = isinstance(value, (int, float)) and math.isfinite(value) and value > 0
-        if not good or (isinstance(default, int) and value != int(value)):
-            kind = "a whole number above 0" if isinstance(default, int) else "a number above 0"
-            raise InputError(f"{key} must be {kind}, got {value!r}")
+    numbers = _numbers(algo, settings)
     require_apart(training, validation)
+    TRAINERS[algo].check(training, numbers)
+    seed = require_whole("seed", seed, 0, MAX_SEED)
+    rounds = require_whole("rounds", rounds, 1, 10**6)
+    check_every = min(require_whole("check_every", check_every, 1, 10**6), rounds)
+    if rounds % check_every:
+        raise InputError(f"rounds must be a multiple of check_every, {check_every}, got {rounds}")
     return Plan(
         algo,
         network,
         training,
         validation,
-        known._replace(**settings),
-        require_whole("rounds", rounds, 1, 10**6),
-        require_whole("check_every", check_every, 1, 10**6),
+        numbers,
+        rounds,
+        check_every,
         require_whole("patience", patience, 0, 10**6),
         require_whole("starts", starts, 1, 10**4),
-        require_whole("seed", seed, 0, MAX_SEED),
+        seed,
+        _beginning(network, model, seed),
     )
+
+
+def _numbers(algo, settings):
+    """The settings of a trainer, checked."""
+    known, bounds = TRAINERS[algo].settings(), TRAINERS[algo].bounds
+    found = {}
+    for key, value in settings.items():
+        if key not in known._fields:
+            raise unknown(f"setting of {algo!r}:", key, known._fields)
+        low, high = bounds[key]
+        if isinstance(getattr(known, key), int):
+            found[key] = require_whole(key, value, low, high)
+        else:
+            require_number(key, value, low=low, high=high)
+            found[key] = float(value)
+    return known._replace(**found)
+
+
+def _beginning(network, model, seed):
+    weights = networks.begin(network, jax.random.key(seed), len(features.NAMES))
+    if model is not None:
+        require_sound(model)
+    if model is not None and model.network == network:
+        weights = model.weights
+    elif model is not None and model.network == "linear":
+        weights = weights | {networks.PLAIN[network]: model.weights[networks.PLAIN["linear"]]}
+    elif model is not None:
+        raise InputError(f"training of {network!r} cannot begin at a model of {model.network!r}")
+    return Model(network, jax.tree.map(np.asarray, weights))
+
+
+def train(
+    algo: str = "es",
+    network: str = "linear",
+    *,
+    worlds: WorldLike | Sequence[WorldLike] = TRAINING,
+    validation: WorldLike | Sequence[WorldLike] = VALIDATION,
+    model: Model | str | os.PathLike[str] | None = None,
+    settings: Mapping[str, Any] = {},
+    rounds: int = 40,
+    check_every: int = 5,
+    patience: int = 0,
+    starts: int = 1,
+    seed: int = 0,
+    cell_m: float = 0.1,
+    lidar: Lidar = LIDAR,
+    rules: Rules = RULES,
+    workers: int | None = None,
+    on_progress: Callable[[int], object] | None = None,
+) -> Trained:
+    """Trains a strategy that scores frontier clusters: `jexplore train` as a function.
+
+    Args:
+      algo: one of `TRAINERS`.
+      network: one of `networks.NETWORKS`.
+      worlds: names or `World`s to train in.
+      validation: names or `World`s to watch on, none of them among `worlds`.
+      model: where training begins: a `Model`, or the path of one. Without it, at `closest`, or near it for `attention`.
+      settings: of the algorithm, by name.
+      rounds: of training.
+      check_every: rounds from one check on the validation worlds to the next, of which `rounds` is a multiple unless it
+        is smaller; the best model by them is the result.
+      patience: checks without a better one after which training ends; 0: never.
+      starts: on each validation world.
+      seed: of all that is random.
+      cell_m: edge of a cell of the worlds that are loaded by name, metres.
+      lidar: `Lidar`.
+      rules: `Rules`.
+      workers: cores; by default all.
+      on_progress: called with the number of rounds made.
+
+    Returns:
+      `Trained`.
+
+    Raises:
+      InputError: a world, number or name that cannot be used; weights that became no finite numbers before the first
+        check.
+    """
+    use_compilation_cache()
+    trained, watched = (prepare_bank(some, cell_m=cell_m, lidar=lidar, rules=rules) for some in (worlds, validation))
+    if model is not None and not isinstance(model, (Model, str, os.PathLike)):
+        raise InputError(f"model must be a Model or the path of one, got {type(model).__name__}")
+    begins = model if model is None or isinstance(model, Model) else load_model(model)
+    options = {"rounds": rounds, "check_every": check_every, "patience": patience, "starts": starts, "seed": seed}
+    plan = prepare_training(algo, network, trained, watched, settings, model=begins, **options)
+    return run_training(plan, workers=workers, on_progress=on_progress)
 
 
 def asked(plan: Plan) -> dict[str, Any]:
@@ -142,6 +258,8 @@ def asked(plan: Plan) -> dict[str, Any]:
         "network": plan.network,
         "features": list(features.NAMES),
         "settings": plan.settings._asdict(),
+        "begins": model_digest(plan.begins.weights),
+        "devices": jax.local_device_count() if plan.algo == "ppo" else 1,  # brax draws for each of them apart
         **{name: [os.fspath(world.name) for world in own] for name, own in worlds.items()},
         "digests": digests.hexdigest(),
         "lidar": plan.training.lidar,
@@ -171,64 +289,69 @@ def run_training(
     import pandas as pd
 
     trainer = TRAINERS[plan.algo]
-    like = networks.begin(plan.network, jax.random.key(plan.seed), len(features.NAMES))
-    like = jax.tree.map(np.asarray, like)
-    state, tables, ended = trainer.begin(like, plan.settings), [], "rounds"
-    kept = [state]
+    state: Any = trainer.begin(plan.begins.weights, plan.settings)
+    tables, ended = [], "rounds"
+    kept = [state.weights]  # at every check
     while ledger is not None and len(tables) in ledger.done:
         table = ledger.get(len(tables))
         tables.append(table[list(COLUMNS)])
-        kept.append(_unpacked(state, table[STATE].iloc[-1]))
+        state = _unpacked(state, table[STATE].iloc[-1])
+        kept.append(state.weights)
     try:
         for unit in range(len(tables), plan.units):
             if _is_out_of_patience(plan, tables):
                 ended = "patience"
                 break
-            state, rows = kept[-1], []
+            rows = []
             if unit == 0:
-                rows.append((0, math.nan, _checked(plan, trainer, state, like, workers)))
-            for number in range(unit * plan.check_every, min(plan.rounds, (unit + 1) * plan.check_every)):
-                state, ratio = trainer.step(state, plan.network, like, plan.training, plan.settings, plan.seed, workers)
+                rows.append((0, math.nan, _checked(plan, state.weights, workers)))
+            for number in range(unit * plan.check_every, (unit + 1) * plan.check_every):
+                state, ratio = trainer.step(state, plan.network, plan.training, plan.settings, plan.seed, workers)
                 rows.append((number + 1, ratio, math.nan))
                 if on_progress is not None:
                     on_progress(number + 1)
-            if not all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(trainer.weights_of(state, like))):
+            if not is_finite(state.weights):
                 ended = "not finite"
                 break
-            rows[-1] = (*rows[-1][:2], _checked(plan, trainer, state, like, workers))
+            rows[-1] = (*rows[-1][:2], _checked(plan, state.weights, workers))
             table = pd.DataFrame(rows, columns=list(COLUMNS))
             if ledger is not None:
                 ledger.put(unit, table.assign(**{STATE: [*[b""] * (len(table) - 1), _packed(state)]}))
             tables.append(table)
-            kept.append(state)
+            kept.append(state.weights)
     except KeyboardInterrupt:
         if not tables:
             raise
         ended = "interrupted"
     if not tables:
         raise InputError("training gave weights that are no finite numbers before the first check: use a lower rate")
-    return _trained(plan, trainer, like, tables, kept, ended)
+    return _trained(plan, tables, kept, ended)
 
 
-def _trained(plan, trainer, like, tables, kept, ended):
+def _trained(plan, tables, kept, ended):
     import pandas as pd
 
     curve = pd.concat(tables, ignore_index=True)
     checks = [curve["validation"].iloc[0], *(table["validation"].iloc[-1] for table in tables)]
     best = int(np.argmin(checks))
-    number = 0 if best == 0 else int(tables[best - 1]["round"].iloc[-1])
+    number = best * plan.check_every
     made = {
         **{"algo": plan.algo, "seed": plan.seed, "settings": plan.settings._asdict(), "round": number},
+        "begins": model_digest(plan.begins.weights),
+        "checks": [
+            {"round": i * plan.check_every, "validation": float(ratio), "sha256": model_digest(weights)}
+            for i, (ratio, weights) in enumerate(zip(checks, kept))
+        ],
         "training": [os.fspath(world.name) for world in plan.training.worlds],
         "validation": {"worlds": [os.fspath(w.name) for w in plan.validation.worlds], "ratio": float(checks[best])},
         "version": __version__,
     }
-    return Trained(Model(plan.network, trainer.weights_of(kept[best], like), made), curve, number, ended)
+    return Trained(Model(plan.network, kept[best], made), curve, number, ended)
 
 
-def _checked(plan, trainer, state, like, workers):
-    """Ratio of the present weights on the validation worlds."""
-    strategy = Strategy("learned", policy_of(Model(plan.network, trainer.weights_of(state, like))), True)
+def _checked(plan, weights, workers):
+    """Ratio of some weights on the validation worlds."""
+    strategy = Strategy("learned", policy_of(Model(plan.network, weights)), True)
     which = [i for i in range(len(plan.validation.worlds)) for _ in range(plan.starts)]
     return float(np.exp(plan.validation.log_ratios([strategy], which, plan.seed, workers=workers).mean()))
 
@@ -244,7 +367,7 @@ def _packed(state) -> bytes:
     return serialization.to_bytes(jax.tree.map(np.asarray, state))
 
 
-def _unpacked(like, content):
+def _unpacked(like, content) -> Any:
     from flax import serialization
 
     try:

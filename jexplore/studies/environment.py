@@ -5,7 +5,6 @@ The rules are those of an episode: `exploration.environment`, one decision at a 
 
 import copy
 import functools
-import math
 from collections.abc import Callable
 from typing import Any, ClassVar, Self
 
@@ -24,7 +23,7 @@ from jexplore.engine.program import Given
 from jexplore.engine.runner import find_resources
 from jexplore.exploration import environment
 from jexplore.exploration.site import KERNELS, prepare_site
-from jexplore.exploration.state import Numbers, Outcome, State, Truth
+from jexplore.exploration.state import Numbers, Outcome, State, Truth, steps_m
 from jexplore.exploration.trail import LOOKS, Trail
 from jexplore.planning import Field, View, choose, field, is_live, view_of
 from jexplore.policies.closest import closest
@@ -281,18 +280,15 @@ def _driven(setup, bank, key, state, action):
 
         return _seen(setup, own, lax.while_loop(lambda episode: episode.walking, advance, episode))
 
-    def metres(straight, diagonal):
-        return (straight + jnp.float32(math.sqrt(2)) * diagonal) * given.numbers.model.cell_m
-
     state = run_if(valid, drive, state)
     now = state.episode
     info = {
         "valid": valid,
         "outcome": environment.outcome_of(now),
-        "path_m": metres(now.straight, now.diagonal),
+        "path_m": now.path_m,
         "known_m2": now.known * given.numbers.model.cell_m**2,
     }
-    reward = -metres(now.straight - episode.straight, now.diagonal - episode.diagonal)
+    reward = -steps_m(now.straight - episode.straight, now.diagonal - episode.diagonal, given.numbers.model.cell_m)
     return state, view_of(now.belief, state.known), reward, now.outcome != Outcome.RUNNING, info
 
 

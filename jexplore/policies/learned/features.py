@@ -5,6 +5,7 @@ import math
 import jax.numpy as jnp
 from jax import Array
 
+from jexplore.arrays.loops import repeat
 from jexplore.grid import count, is_known
 from jexplore.planning import Belief
 from jexplore.policies.clusters import Targets, apart, unknown_from
@@ -15,6 +16,7 @@ MOST = 32  # clusters that are told apart, the nearest ones
 UNIT_M = 10.0
 RADII_M = (2.0, 4.0, 8.0)
 POCKET_M2 = 15.0  # area of which a pocket has no more
+AROUND_M = 4.0  # how far what is unknown at other clusters counts
 STAY_M = 3.0  # how far the last target's neighbourhood reaches
 NAMES = (
     "path",  # of the robot, UNIT_M
@@ -27,6 +29,8 @@ NAMES = (
     "turn",  # from the robot's heading to where it lies: 0 ahead, 1 behind
     "home",  # distance from the start, UNIT_M
     "last",  # 1 where the last target was, 0 far from there
+    "detour",  # how much longer a tour of all clusters is that begins with it than one that begins best, UNIT_M
+    "side near",  # side of the unknown area seen from it and, the less the farther, from the others near it, UNIT_M
     "known",  # share of the cells of the map that are known, the same for all clusters
 )
 """The features, in order. Models name those that they were trained with."""
@@ -38,6 +42,36 @@ def shortlist(at: Targets) -> Targets:
     left_out = jnp.maximum(jnp.sum(at.used, dtype=jnp.int32) - MOST, 0)
     row, col, used, path_m, size = (a[order] for a in (at.row, at.col, at.used, at.path_m, at.size))
     return Targets(row, col, used, path_m, size, at.overflow + left_out)
+
+
+def detours(at: Targets, apart_m: Array) -> Array:
+    """What it costs to begin with each target: open tours of all, always on to the nearest not yet visited.
+
+    Args:
+      at: `Targets`, M of them.
+      apart_m: `[M, M]` float32, see `clusters.apart`. One that no path leads to is left out.
+
+    Returns:
+      `[M]` float32, metres beyond the shortest of these tours; 0 in an unused slot.
+    """
+    n = len(at.used)
+    slots = jnp.arange(n)
+    length_m = jnp.where(at.used[None] & at.used[:, None], apart_m, jnp.inf)
+
+    def visit(state):
+        i, now, left, total = state
+        there = jnp.where(left, length_m[now], jnp.inf)  # [M, M], of each tour
+        nearest, step_m = jnp.argmin(there, axis=1), jnp.min(there, axis=1)
+        on = jnp.isfinite(step_m)
+        total = total + jnp.where(on, step_m, 0.0)
+        left = left & ~(on[:, None] & (slots[None] == nearest[:, None]))
+        return i + 1, jnp.where(on, nearest, now), left, total
+
+    left = at.used[None] & (slots[None] != slots[:, None])
+    stops = jnp.sum(at.used, dtype=jnp.int32)
+    state = jnp.int32(1), slots, left, jnp.where(at.used, at.path_m, jnp.inf)
+    total = repeat(lambda state: state[0] < stops, visit, state)[3]
+    return jnp.where(at.used, total - jnp.min(total), 0.0)
 
 
 def features(belief: Belief, at: Targets, last: Array, beams: Beams) -> Array:
@@ -74,6 +108,8 @@ def features(belief: Belief, at: Targets, last: Array, beams: Beams) -> Array:
         turn,
         away_m(belief.start[0], belief.start[1]) / UNIT_M,
         jnp.where(last[0] >= 0, jnp.exp(-away_m(last[0], last[1]) / STAY_M), 0.0),
+        detours(at, apart_m) / UNIT_M,
+        jnp.sqrt(jnp.exp(-apart_m / AROUND_M) @ unknown[-1]) / UNIT_M,
         jnp.full(at.row.shape, count(is_known(belief.grid)) / (belief.extent[0] * belief.extent[1])),
     ]
     return jnp.where(at.used[:, None], jnp.stack(columns, axis=1), 0.0)

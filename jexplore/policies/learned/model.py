@@ -36,6 +36,37 @@ def digest(weights: Any) -> str:
     return found.hexdigest()
 
 
+def is_finite(weights: Any) -> bool:
+    """Whether all of some weights are finite numbers."""
+    return all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(weights))
+
+
+def require_sound(model: Model, told: str = "model") -> None:
+    """Refuses weights that are not those of their network.
+
+    Args:
+      model: `Model`.
+      told: what the message calls it.
+
+    Raises:
+      InputError: an unknown network, other names or shapes, or numbers that are not finite.
+    """
+    blank = _blank(model.network)
+    same = jax.tree.structure(blank) == jax.tree.structure(model.weights) and all(
+        np.shape(a) == b.shape for a, b in zip(jax.tree.leaves(model.weights), jax.tree.leaves(blank))
+    )
+    if not same:
+        raise InputError(f"{told}: its weights have other names or shapes than its network, {model.network}")
+    if not is_finite(model.weights):
+        raise InputError(f"{told} has weights that are no finite numbers")
+
+
+def _blank(network):
+    """Weights of a network, all 0."""
+    shapes = jax.eval_shape(lambda: networks.begin(network, jax.random.key(0), len(features.NAMES)))
+    return jax.tree.map(lambda a: np.zeros(a.shape, a.dtype), shapes)
+
+
 def write_weights(path: Path, model: Model) -> None:
     """Writes the weights alone, in msgpack."""
     from flax import serialization
@@ -79,18 +110,12 @@ def load_model(path: str | os.PathLike[str]) -> Model:
         raise InputError(f"{told}: its network must be one of {', '.join(networks.NETWORKS)}, got {name!r}")
     if page.get("features") != list(features.NAMES):
         raise InputError(f"{told} was trained with other features than this version has: train it again")
-    shapes = jax.eval_shape(lambda: networks.begin(name, jax.random.key(0), len(features.NAMES)))
-    blank = jax.tree.map(lambda a: np.zeros(a.shape, a.dtype), shapes)
     try:
-        weights = serialization.from_bytes(blank, content)
-        same = jax.tree.map(lambda a, b: np.shape(a) == np.shape(b), weights, blank)
+        weights = serialization.from_bytes(_blank(name), content)
+        model = Model(name, jax.tree.map(lambda a: np.asarray(a, np.float32), weights), page)
     except Exception as error:  # msgpack and flax raise many kinds of errors for a file cut short
         raise InputError(f"{told} is damaged: {str(error).splitlines()[0] if str(error) else error!r}") from error
-    if not all(jax.tree.leaves(same)):
-        raise InputError(f"{told}: its weights have other shapes than its network, {name}")
-    weights = jax.tree.map(lambda a: np.asarray(a, np.float32), weights)
-    if digest(weights) != page.get("sha256"):
+    require_sound(model, told)
+    if digest(model.weights) != page.get("sha256"):
         raise InputError(f"{told}: the weights are not those that its JSON file tells of")
-    if not all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(weights)):
-        raise InputError(f"{told} has weights that are no finite numbers")
-    return Model(name, weights, page)
+    return model

@@ -37,8 +37,9 @@ class Attention(nn.Module):
         seen = nn.MultiHeadDotProductAttention(self.heads)(nn.LayerNorm()(x), mask=mask)
         x = x + jnp.where(jnp.any(used, axis=-1)[..., None, None], seen, 0.0)
         x = x + nn.Dense(self.width)(nn.relu(nn.Dense(2 * self.width)(nn.LayerNorm()(x))))
-        # Beside the path, which alone is `closest`: training begins where that is.
-        return nn.Dense(1, kernel_init=nn.initializers.normal(0.01))(nn.LayerNorm()(x))[..., 0] - features[..., 0]
+        # Beside a weighted sum, so that training can begin where that is.
+        plain = self.param("plain", nn.initializers.zeros, (features.shape[-1],))
+        return nn.Dense(1, kernel_init=nn.initializers.normal(0.01))(nn.LayerNorm()(x))[..., 0] + features @ plain
 
 
 NETWORKS: dict[str, Callable[[], Any]] = {"linear": Linear, "attention": Attention}
@@ -56,8 +57,12 @@ def network(name: str) -> Any:
     return NETWORKS[name]()
 
 
+PLAIN = {"linear": "weights", "attention": "plain"}
+"""Name -> which of its parameters is the weighted sum of the features."""
+
+
 def begin(name: str, key: Array, n_features: int) -> Any:
-    """Weights before training: a pytree of float32 arrays. Those of `linear` are those of `closest`, -1 for the path.
+    """Weights before training: a pytree of float32 arrays. The weighted sum is that of `closest`, -1 for the path.
 
     Args:
       name: of the network.
@@ -66,7 +71,7 @@ def begin(name: str, key: Array, n_features: int) -> Any:
     """
     blank = jnp.zeros((1, n_features)), jnp.ones((1,), bool)
     weights = network(name).init(key, *blank)["params"]
-    return {"weights": weights["weights"].at[0].set(-1.0)} if name == "linear" else weights
+    return weights | {PLAIN[name]: weights[PLAIN[name]].at[0].set(-1.0)}
 
 
 def scores(name: str, weights: Any, features: Array, used: Array) -> Array:

@@ -5,6 +5,7 @@ of a graph. Changed: over frontier clusters, a handful, and trained by what path
 """
 
 import dataclasses
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from jax import Array
 from jexplore.arrays.loops import run_if
 from jexplore.planning import Belief, Choice, field
 from jexplore.policies.clusters import Targets, go_to, targets
-from jexplore.policies.learned.features import features, shortlist
+from jexplore.policies.learned.features import NAMES, features, shortlist
 from jexplore.policies.learned.model import SHIPPED, Model, load_model
 from jexplore.policies.learned.networks import MASKED, scores
 from jexplore.policies.policy import Policy
@@ -37,6 +38,24 @@ def is_forced(at: Targets) -> Array:
     return (jnp.sum(at.used, dtype=jnp.int32) < 2) | (at.path_m[0] <= TINY_M)
 
 
+def judged(network: str, weights: Any, at: Targets, tell: Callable[[], Array]) -> tuple[Array, Array]:
+    """Scores of some targets; the nearest is above all others where there is nothing to decide.
+
+    Args:
+      network: one of `networks.NETWORKS`. Static.
+      weights: of it.
+      at: `Targets`, K of them, the nearest first.
+      tell: `() -> [K, F]`, their features; only called where there is something to decide.
+
+    Returns:
+      `[K]` float32, scores; `[K, F]` float32, features, 0 where there is nothing to decide.
+    """
+    forced, size = is_forced(at), (len(at.used), len(NAMES))
+    told = run_if(~forced, lambda _: tell(), jnp.zeros(size, jnp.float32))
+    nearest = jnp.where(jnp.arange(size[0]) == 0, 0.0, MASKED)
+    return jnp.where(forced, nearest, scores(network, weights, told, at.used)), told
+
+
 @dataclasses.dataclass(frozen=True)
 class Select:
     """The `select` of a network; equal for the same one, so compiled once."""
@@ -48,12 +67,7 @@ class Select:
     ) -> tuple[Array, Choice, Array]:
         known = field(belief)
         at = shortlist(targets(belief, known))
-
-        def judge(found):
-            return scores(self.network, params, features(belief, at, carry, beams), at.used)
-
-        nearest = jnp.where(jnp.arange(len(at.used)) == 0, 0.0, MASKED)
-        found = run_if(~is_forced(at), judge, nearest)
+        found, _ = judged(self.network, params, at, lambda: features(belief, at, carry, beams))
         which = jnp.where(at.used[0], jnp.argmax(found).astype(jnp.int32), -1)
         choice, route = go_to(belief, route, known, at, which)
         return jnp.stack([choice.row, choice.col]), choice, route

@@ -23,7 +23,7 @@ def figure(curve: Any, best: int) -> Figure:
     rounds = curve["round"].to_numpy()
     checked = np.isfinite(curve["validation"].to_numpy())
     ax.axhline(1.0, color="0.6", lw=0.8)
-    ax.plot(rounds, curve["ratio"], color=TRAINED, lw=1.2, label="in training, all variations")
+    ax.plot(rounds, curve["ratio"], color=TRAINED, lw=1.2, label="in training")
     ax.plot(rounds[checked], curve["validation"][checked], color=CHECKED, marker="o", ms=3.5, label="validation worlds")
     at = curve.loc[(curve["round"] == best) & checked, "validation"]
     ax.plot([best], at.to_numpy()[:1], marker="o", ms=9, mfc="none", mec=CHECKED, ls="none", label="kept")

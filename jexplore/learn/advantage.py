@@ -1,0 +1,119 @@
+"""Regression on what choices turned out to cost: lessons are collected with the present weights, and the scores fitted
+to all lessons so far, in rounds.
+
+Rounds as in Ross, Gordon, Bagnell, "A Reduction of Imitation Learning and Structured Prediction to No-Regret Online
+Learning" (DAgger), AISTATS 2011; costs of every action from rollouts as in Ross, Bagnell, "Reinforcement and Imitation
+Learning via Interactive No-Regret Learning", 2014. Rollouts know the true map, what is learned does not.
+"""
+
+import functools
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+from jax import Array, lax
+
+from jexplore.learn.bank import REFERENCE, Bank, log_ratio
+from jexplore.learn.lessons import Asking, Lessons, give_lessons, no_lessons, together
+from jexplore.policies import parse_strategy
+from jexplore.policies.learned import features, networks
+from jexplore.policies.learned.model import Model
+
+KEPT = 5_000  # lessons, the latest: 2 kB each, in every check that is kept
+
+
+class Settings(NamedTuple):
+    """Numbers of the search."""
+
+    episodes: int = 20  # of a round
+    share: float = 0.1  # of the decisions that are asked about
+    tried: int = 8  # most candidates of one
+    margin_m: float = 10.0  # a try ends when it has cost so much more than the best before it
+    stray: float = 0.1  # share of the decisions at which the robot does not follow the policy
+    steps: int = 500  # of the fit of a round
+    batch: int = 128
+    rate: float = 3e-3  # of Adam
+    delta: float = 0.1  # errors beyond it count linearly, UNIT_M
+
+
+BOUNDS = {
+    "episodes": (1, 100_000),
+    "share": (1e-6, 1.0),
+    "tried": (2, features.MOST),
+    "margin_m": (0.1, 1e6),
+    "stray": (0.0, 1.0),
+    "steps": (1, 1_000_000),
+    "batch": (1, 100_000),
+    "rate": (1e-9, 1.0),
+    "delta": (1e-6, 1e3),
+}
+
+
+class State(NamedTuple):
+    """A search under way."""
+
+    weights: Any
+    lessons: Lessons
+    generation: Any  # int
+
+
+def begin(weights: Any, settings: Settings) -> State:
+    """A search that begins at some weights."""
+    del settings
+    return State(weights, no_lessons(), 0)
+
+
+def step(
+    state: State, network: str, bank: Bank, settings: Settings, seed: int, workers: int | None = None
+) -> tuple[State, float]:
+    """One round. Arguments and result as of `es.step`; the ratio is that of the paths on which lessons were given."""
+    draw = np.random.default_rng([seed, int(state.generation)])
+    which = bank.some(draw, settings.episodes)
+    starts = int(draw.integers(2**31))
+    asking = Asking(settings.share, settings.tried, settings.margin_m, settings.stray)
+    new, path_m = give_lessons(bank, Model(network, state.weights), which, starts, asking, workers=workers)
+    every = together([state.lessons, new])
+    every = Lessons(*(column[-KEPT:] for column in every))
+    weights = state.weights
+    if len(every.weight):
+        size = 2 ** (len(every.weight) - 1).bit_length()  # few sizes, so that few programs are compiled
+        padded = Lessons(*(np.resize(column, (size, *column.shape[1:])) for column in every))
+        at = jnp.asarray(draw.integers(len(every.weight), size=(settings.steps, settings.batch)))
+        rates = jnp.float32(settings.rate), jnp.float32(settings.delta)
+        weights = jax.tree.map(np.asarray, _fitted(network, weights, padded, at, *rates))
+    logs = log_ratio(path_m, bank.lengths([parse_strategy(REFERENCE)], which, starts, workers=workers)[0])
+    return State(weights, every, state.generation + 1), float(np.exp(logs.mean()))
+
+
+def loss(network: str, weights: Any, some: Lessons, delta: Array | float) -> Array:
+    """How far scores are from minus the costs, both beside their means over the candidates tried: float32, Huber's.
+
+    Args:
+      network: one of `networks.NETWORKS`.
+      weights: of it.
+      some: `Lessons`, B of them.
+      delta: errors beyond it count linearly, UNIT_M.
+    """
+    on = ~jnp.isnan(some.costs)
+    n = jnp.maximum(jnp.sum(on, axis=1), 1)
+    both = networks.scores(network, weights, some.features, some.used) + jnp.where(on, some.costs, 0.0)
+    apart = both - (jnp.sum(jnp.where(on, both, 0.0), axis=1) / n)[:, None]
+    each = jnp.sum(jnp.where(on, optax.huber_loss(jnp.where(on, apart, 0.0), delta=delta), 0.0), axis=1) / n
+    return jnp.sum(some.weight * each) / jnp.sum(some.weight)
+
+
+@functools.partial(jax.jit, static_argnums=0)
+def _fitted(network, weights, lessons, at, rate, delta):
+    """Weights after some steps of Adam, on `at`: `[steps, batch]` int32."""
+    optimiser = optax.adam(rate)
+
+    def one(carry, at):
+        weights, moments = carry
+        some = jax.tree.map(lambda column: column[at], lessons)
+        gradient = jax.grad(lambda weights: loss(network, weights, some, delta))(weights)
+        update, moments = optimiser.update(gradient, moments)
+        return (optax.apply_updates(weights, update), moments), None
+
+    return lax.scan(one, (weights, optimiser.init(weights)), at)[0][0]

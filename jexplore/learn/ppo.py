@@ -1,0 +1,183 @@
+"""Proximal policy optimisation (Schulman et al. 2017), as brax has it, over `Decisions`.
+
+brax is imported here, in `brax_env` and in `categorical` only: importing it takes seconds.
+"""
+
+import functools
+from typing import Any, NamedTuple
+
+import flax.linen as nn
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from jexplore.config import InputError
+from jexplore.engine.runner import find_resources
+from jexplore.learn.bank import Bank
+from jexplore.learn.decisions import Decisions
+from jexplore.learn.shim import device_put_replicated, quietly
+from jexplore.policies import Strategy
+from jexplore.policies.learned import features, networks
+from jexplore.policies.learned.model import Model
+from jexplore.policies.learned.strategy import policy_of
+
+CHECKED = 20  # episodes by which a round is judged
+
+
+class Settings(NamedTuple):
+    """Numbers of the search."""
+
+    decisions: int = 16_384  # of a round, at least; a round is traced anew, and compiled if it never was
+    lanes: int = 16  # episodes at a time
+    starts: int = 16  # of the bank, in each world
+    unroll: int = 16  # decisions of a lane that an advantage is estimated from
+    minibatches: int = 4
+    updates: int = 4  # passes over what was seen
+    rate: float = 3e-4  # of Adam
+    entropy: float = 1e-3
+    sharpness: float = 10.0  # logits are so many times the scores
+    gae: float = 0.95  # lambda of the advantages; nothing is discounted
+    clip: float = 0.2
+
+
+BOUNDS = {
+    "decisions": (1, 10**9),
+    "lanes": (1, 4096),
+    "starts": (1, 10_000),
+    "unroll": (1, 4096),
+    "minibatches": (1, 4096),
+    "updates": (1, 1000),
+    "rate": (1e-9, 1.0),
+    "entropy": (0.0, 10.0),
+    "sharpness": (1e-3, 1e4),
+    "gae": (0.0, 1.0),
+    "clip": (1e-3, 1.0),
+}
+
+
+class State(NamedTuple):
+    """A search under way."""
+
+    weights: Any  # of the policy
+    value: Any  # of the network that foretells what is left to drive
+    generation: Any  # int
+
+
+class Value(nn.Module):
+    """What is left to drive: a perceptron for each cluster, their mean and greatest, another perceptron."""
+
+    width: int = 64
+
+    @nn.compact
+    def __call__(self, told: Array, used: Array) -> Array:
+        """`[...]` float32, of `[..., K, F]` features and `[..., K]` bool."""
+        x, on = nn.relu(nn.Dense(self.width)(told)), used[..., None]
+        mean = jnp.sum(jnp.where(on, x, 0.0), axis=-2) / jnp.maximum(jnp.sum(on, axis=-2), 1)
+        most = jnp.max(jnp.where(on, x, 0.0), axis=-2)
+        both = jnp.concatenate([mean, most, jnp.sum(on, axis=-2) / features.MOST], axis=-1)
+        return nn.Dense(1)(nn.relu(nn.Dense(self.width)(both)))[..., 0]
+
+
+def check(bank: Bank, settings: Settings) -> None:
+    """Refuses what brax or `Decisions` would.
+
+    Raises:
+      InputError: worlds of different cells; lanes that cannot be shared out to the devices.
+    """
+    sizes = sorted({world.cell_m for world in bank.worlds})
+    if len(sizes) > 1:
+        raise InputError(f"worlds to train in by ppo must have cells of one size, got {sizes[0]:g} and {sizes[1]:g} m")
+    devices = len(find_resources().devices)
+    if settings.lanes % devices:
+        raise InputError(f"lanes must be a multiple of {devices}, the number of devices, got {settings.lanes}")
+
+
+def begin(weights: Any, settings: Settings) -> State:
+    """A search that begins at some weights."""
+    del settings
+    blank = jnp.zeros((features.MOST, len(features.NAMES))), jnp.zeros(features.MOST, bool)
+    value = Value().init(jax.random.key(0), *blank)
+    weights, value = jax.tree.map(np.asarray, (weights, value))
+    return State(weights, value, 0)
+
+
+def step(
+    state: State, network: str, bank: Bank, settings: Settings, seed: int, workers: int | None = None
+) -> tuple[State, float]:
+    """One round of brax's `ppo.train`, from the weights of the last, with moments of the optimiser of its own.
+
+    Arguments and result as of `es.step`; the ratio is that of the weights after the round, from new starts.
+    """
+    from jexplore.learn.brax_env import BraxDecisions, wrapped
+
+    with quietly():
+        from brax.training.acme import running_statistics, specs
+        from brax.training.agents.ppo import train as ppo
+
+    env = BraxDecisions(_decisions(bank, settings.starts, seed, workers))
+    size = specs.Array((env.observation_size,), jnp.dtype("float32"))
+    draw = np.random.default_rng([seed, int(state.generation)])
+    batch = -(-settings.decisions // (settings.unroll * settings.minibatches * settings.lanes)) * settings.lanes
+    with device_put_replicated(), quietly():
+        _, (_, weights, value), _ = ppo.train(
+            environment=env,
+            num_timesteps=settings.decisions,
+            wrap_env_fn=wrapped,
+            num_envs=settings.lanes,
+            episode_length=10**6,
+            learning_rate=settings.rate,
+            entropy_cost=settings.entropy,
+            discounting=1.0,
+            unroll_length=settings.unroll,
+            batch_size=batch,
+            num_minibatches=settings.minibatches,
+            num_updates_per_batch=settings.updates,
+            clipping_epsilon=settings.clip,
+            gae_lambda=settings.gae,
+            max_grad_norm=1.0,
+            network_factory=functools.partial(_networks, network, settings.sharpness),
+            seed=int(draw.integers(2**31)),
+            restore_params=(running_statistics.init_state(size), state.weights, state.value),
+            run_evals=False,
+            num_eval_envs=1,  # brax resets them all the same
+        )
+    weights, value = jax.tree.map(np.asarray, (weights, value))
+    strategy = Strategy("learned", policy_of(Model(network, weights)), True)
+    logs = bank.log_ratios([strategy], bank.some(draw, CHECKED), int(draw.integers(2**31)), workers=workers)
+    return State(weights, value, state.generation + 1), float(np.exp(logs.mean()))
+
+
+@functools.lru_cache(maxsize=1)
+def _decisions(bank, starts, seed, workers):
+    return Decisions(bank, starts=starts, seed=seed, workers=workers)
+
+
+def _networks(network, sharpness, observation_size, action_size, preprocess_observations_fn=None):
+    """What brax calls a network factory."""
+    del preprocess_observations_fn
+    from jexplore.learn.brax_env import unflat
+    from jexplore.learn.categorical import Slots
+
+    with quietly():
+        from brax.training.agents.ppo.networks import PPONetworks
+        from brax.training.networks import FeedForwardNetwork
+
+    def logits(_, weights, observation):
+        told = unflat(observation)
+        found = sharpness * networks.scores(network, weights, told.features, told.used)
+        return jnp.where(told.used, found, networks.MASKED)
+
+    def value(_, weights, observation):
+        return Value().apply(weights, *unflat(observation))
+
+    def begun(key):
+        return networks.begin(network, key, len(features.NAMES))
+
+    def begun_value(key):
+        return Value().init(key, *unflat(jnp.zeros(observation_size)))
+
+    # Ignored types: flax dataclasses, whose fields a type checker does not see.
+    policy = FeedForwardNetwork(init=begun, apply=logits)  # type: ignore[call-arg]
+    critic = FeedForwardNetwork(init=begun_value, apply=value)  # type: ignore[call-arg]
+    return PPONetworks(policy, critic, Slots(action_size))  # type: ignore[call-arg]

@@ -1,0 +1,46 @@
+"""What brax 0.14.2 needs of its surroundings: a function that newer versions of JAX have not, and silence.
+
+It goes when brax does without.
+"""
+
+import contextlib
+import io
+import warnings
+from collections.abc import Iterator
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
+
+NAME = "device_put_replicated"
+
+
+def replicated(tree: Any, devices: Any) -> Any:
+    """A pytree with a leading axis of the devices on every leaf, a copy on each."""
+    each = NamedSharding(Mesh(np.asarray(devices), ("device",)), PartitionSpec("device"))
+    return jax.tree.map(lambda leaf: jax.device_put(jnp.stack([jnp.asarray(leaf)] * len(devices)), each), tree)
+
+
+@contextlib.contextmanager
+def quietly() -> Iterator[None]:
+    """Without what brax and what it imports print and warn of: engines of physics that are not installed."""
+    with warnings.catch_warnings(), contextlib.redirect_stdout(io.StringIO()):
+        warnings.simplefilter("ignore")
+        yield
+
+
+@contextlib.contextmanager
+def device_put_replicated() -> Iterator[None]:
+    """While it lasts, `jax.device_put_replicated` is there: JAX 0.10 took it out, and `brax.training` calls it
+    (github.com/google/brax/issues/671).
+    """
+    if hasattr(jax, NAME):
+        yield
+        return
+    setattr(jax, NAME, replicated)
+    try:
+        yield
+    finally:
+        delattr(jax, NAME)

@@ -1,0 +1,279 @@
+"""The environment of decisions, what brax makes of it, and lessons: equal to what strategies drive in a comparison."""
+
+import functools
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jexplore.config import InputError, Lidar, Rules
+from jexplore.exploration.state import Outcome
+from jexplore.learn import bank, brax_env, dependence, lessons, shim
+from jexplore.learn.categorical import Slots
+from jexplore.learn.decisions import Decisions
+from jexplore.policies import Strategy, parse_strategy
+from jexplore.policies.learned import features, model, networks
+from jexplore.policies.learned.strategy import policy_of
+from jexplore.report.plots import dependence as plots
+from jexplore.worlds.world import World
+
+WORLDS = ["rooms#1000:width_m=6,height_m=6", "maze#1000:width_m=6,height_m=6"]
+NEAR = Lidar(n_beams=61, range_m=1.5)
+STARTS = 3
+STEPS = 120
+
+
+def some_model():
+    """A `linear` model that is not `closest`."""
+    weights = np.zeros(len(features.NAMES), np.float32)
+    for name, value in {"path": -1, "others": 0.4, "side within 4 m": -0.5, "last": 0.2}.items():
+        weights[features.NAMES.index(name)] = value
+    return model.Model("linear", {"weights": weights})
+
+
+@pytest.fixture(scope="module")
+def own():
+    return bank.prepare_bank(WORLDS, lidar=NEAR)
+
+
+@functools.cache
+def decisions_of(own):
+    return Decisions(own, starts=STARTS, seed=4)
+
+
+@pytest.fixture
+def env(own):
+    return decisions_of(own)  # made by the first test that needs it, compiled
+
+
+def drive_on(env, learned, state, told, metres=0.0):
+    """The rest of an episode by a model: `(state, sum of rewards, decisions)`."""
+
+    def choose(carry):
+        state, told, total, n = carry
+        found = networks.scores(learned.network, learned.weights, told.features, told.used)
+        state, told, reward, _, _ = env.step(state, jnp.argmax(found).astype(jnp.int32))
+        return state, told, total + reward, n + 1
+
+    carry = state, told, jnp.float32(metres), jnp.int32(0)
+    state, _, total, n = jax.lax.while_loop(lambda carry: ~carry[0].is_over, choose, carry)
+    return state, total, n
+
+
+@pytest.mark.jit
+def test_a_policy_drives_as_its_strategy_does(own, env):
+    learned = some_model()
+    which = [i for i in range(len(WORLDS)) for _ in range(STARTS)]
+    driven_m = own.lengths([Strategy("learned", policy_of(learned), True)], which, 4)[0]
+    starts = np.concatenate([found for _, _, found in own.episodes(which, 4)])
+    want = {(world, *start[:2]): path for world, start, path in zip(which, starts.tolist(), driven_m)}
+    play = jax.jit(lambda key: drive_on(env, learned, *env.reset(key)))
+    met = set()
+    for i in range(12):
+        state, total, n = play(jax.random.key(i))
+        place = int(state.env.world), *np.asarray(state.env.episode.belief.start)[:2].tolist()
+        np.testing.assert_allclose(state.driven_m, want[place], rtol=1e-5)
+        np.testing.assert_allclose(total, -want[place] / state.reference_m, rtol=1e-4)
+        assert n > 1
+        met.add(place)
+    assert len(met) > 3
+
+
+@pytest.mark.jit
+def test_lessons_cost_what_the_choice_costs(own, env):
+    learned = some_model()
+    asking = lessons.Asking(share=1.0, tried=8, margin_m=1e6, stray=0.0)
+    which = [i for i in range(len(WORLDS)) for _ in range(STARTS)]
+    found, path_m = lessons.give_lessons(own, learned, which, 4, asking)
+    driven_m = own.lengths([Strategy("learned", policy_of(learned), True)], which, 4)[0]
+    np.testing.assert_allclose(path_m, driven_m, rtol=1e-5)  # the robot itself is not led astray by what it tries
+    reset = jax.jit(env.reset)
+    after = jax.jit(lambda state, slot: drive_on(env, learned, *env.step(state, slot)[:2]))
+    for i in range(4):
+        state, told = reset(jax.random.key(i))
+        n = int(np.sum(told.used))
+        same = np.all(np.isclose(found.features, told.features, atol=1e-5), axis=(1, 2))
+        assert same.any()
+        costs = found.costs[np.flatnonzero(same)[0]]
+        assert np.sum(~np.isnan(costs)) == min(n, 8)
+        tried = np.flatnonzero(~np.isnan(costs))
+        want = np.asarray([after(state, jnp.int32(slot))[0].driven_m for slot in tried]) / features.UNIT_M
+        np.testing.assert_allclose(costs[tried], want - want.min(), atol=1e-4)
+
+
+@pytest.mark.jit
+def test_a_try_that_has_cost_too_much_is_ended(own):
+    which = [0, 0, 1, 1]
+    asking = lessons.Asking(share=1.0, tried=3, margin_m=1.0, stray=0.3)
+    found, _ = lessons.give_lessons(own, some_model(), which, 1, asking)
+    assert np.nanmax(found.costs) <= 1.0 / features.UNIT_M + 1e-6
+    assert np.all(np.nanmin(found.costs, axis=1) == 0)
+    assert np.all(np.sum(~np.isnan(found.costs), axis=1) == np.minimum(np.sum(found.used, axis=1), 3))
+    assert np.all(~np.isnan(found.costs) <= found.used)
+    failing = bank.prepare_bank(WORLDS, lidar=NEAR, rules=Rules(max_steps=5))
+    none, path_m = lessons.give_lessons(failing, some_model(), which, 1, asking)
+    assert len(none.weight) == 0
+    assert np.all(np.isinf(path_m))
+
+
+@pytest.mark.jit
+def test_only_used_slots_can_be_chosen(env):
+    """Slots drawn at random among the used ones are valid, all others move nothing; rewards are of the way driven."""
+
+    def choose(carry, key):
+        state, told = carry
+        fresh, at_start = env.reset(key)
+        state, told = jax.tree.map(lambda a, b: jnp.where(state.is_over, a, b), (fresh, at_start), (state, told))
+        unused = jnp.argmin(told.used).astype(jnp.int32)
+        _, _, nothing, _, refused = env.step(state, unused)
+        slot = Slots(env.n_choices).sample(jnp.where(told.used, 0.0, networks.MASKED), key)
+        new, told, reward, done, info = env.step(state, slot)
+        is_open = jnp.any(told.used) != done
+        return (new, told), (info["valid"], refused["valid"], nothing, reward, is_open)
+
+    begun = jax.jit(env.reset)(jax.random.key(100))
+    keys = jax.random.split(jax.random.key(0), 300)
+    _, (valid, refused, nothing, reward, is_open) = jax.jit(lambda c, k: jax.lax.scan(choose, c, k))(begun, keys)
+    assert np.all(valid)
+    assert not np.any(refused)
+    assert np.all(nothing == 0)
+    assert np.all(reward <= 0)
+    assert np.all(is_open)
+
+
+def starts_of(states):
+    """World and cell of every start that each lane was given."""
+    starts, worlds = np.asarray(states.pipeline_state.env.episode.belief.start), states.pipeline_state.env.world
+    every = np.concatenate([np.asarray(worlds)[..., None], starts[..., :2]], axis=-1)
+    return [set(map(tuple, every[:, lane].tolist())) for lane in range(every.shape[1])]
+
+
+def played(wrapper, env, keys, steps=STEPS):
+    """States of lanes that choose the nearest cluster, with a leading axis of the steps."""
+    ready = wrapper(env)
+
+    def step(state, _):
+        state = ready.step(state, jnp.zeros(len(keys), jnp.int32))
+        return state, state
+
+    return jax.jit(lambda keys: jax.lax.scan(step, ready.reset(keys), None, length=steps)[1])(keys)
+
+
+@pytest.mark.jit
+def test_lanes_begin_anew_elsewhere_where_those_of_brax_begin_again(env):
+    from brax.envs.wrappers.training import wrap as theirs  # after brax_env, which imports brax without its warnings
+
+    raw = brax_env.BraxDecisions(env)
+    # Ours keeps a second half of every key for later: the first halves draw the same starts.
+    keys = jax.random.split(jax.random.PRNGKey(1), 3)
+    halves = jax.vmap(lambda key: jax.random.split(key)[0])(keys)
+    ours, brax = played(brax_env.wrapped, raw, keys), played(theirs, raw, halves)
+    done = np.asarray(ours.done) > 0
+    assert done.any(axis=0).all()
+    elsewhere, again = (max(map(len, starts_of(states))) for states in (ours, brax))
+    assert 1 < elsewhere <= 2 * STARTS
+    assert again == 1
+    # Until the first end of a lane both are the same; what an episode's last step is told does not differ.
+    first = done.argmax(axis=0)
+    for lane, end in enumerate(first):
+        for name in ("reward", "done"):
+            np.testing.assert_array_equal(getattr(ours, name)[: end + 1, lane], getattr(brax, name)[: end + 1, lane])
+        np.testing.assert_allclose(ours.metrics["ratio"][end, lane], -ours.reward[: end + 1, lane].sum(), rtol=1e-4)
+        assert ours.info["episode_metrics"]["length"][end, lane] == end + 1
+    assert not np.any(ours.metrics["invalid"])
+    # Keys stay where a lane goes on, and change where it begins anew.
+    keys = np.asarray(ours.info["key"])
+    changed = np.any(keys[1:] != keys[:-1], axis=-1)
+    np.testing.assert_array_equal(changed, done[1:])
+    shapes = jax.tree.map(jnp.shape, (raw.reset(jax.random.key(0)).obs, ours.obs))
+    assert shapes == ((raw.observation_size,), (STEPS, 3, raw.observation_size))
+    assert (raw.action_size, raw.backend) == (env.n_choices, "none")
+
+
+@pytest.mark.jit
+def test_lanes_cut_short_begin_anew_too(env):
+    keys, raw = jax.random.split(jax.random.PRNGKey(1), 3), brax_env.BraxDecisions(env)
+    states = played(lambda raw: brax_env.wrapped(raw, episode_length=2), raw, keys, steps=6)
+    assert np.asarray(states.done)[1::2].all()
+    assert np.asarray(states.info["steps"]).max() == 2
+
+
+def test_what_is_told_comes_back():
+    told = np.random.default_rng(0).normal(size=(2, features.MOST, len(features.NAMES))).astype(np.float32)
+    used = np.arange(features.MOST) < np.asarray([[3], [0]])
+    back = brax_env.unflat(brax_env.flat(brax_env.Told(jnp.asarray(told), jnp.asarray(used))))
+    np.testing.assert_array_equal(back.features, told)
+    np.testing.assert_array_equal(back.used, used)
+
+
+@pytest.mark.jit
+def test_what_a_weighted_sum_says_is_its_weights(env):
+    learned = some_model()
+    met = dependence.decisions_met(env, learned, 30, jax.random.key(1))
+    assert met.features.shape == (30, features.MOST, len(features.NAMES))
+    assert met.used.any(axis=1).all()
+    table = dependence.dependence(learned, met)
+    means = met.features[met.used].mean(axis=0)
+    for name, own in table.groupby("feature"):
+        i = features.NAMES.index(name)
+        np.testing.assert_allclose(own["score"], learned.weights["weights"][i] * (own["value"] - means[i]), atol=1e-4)
+    assert plots.figure(table).axes[0].get_title() == table.loc[table["score"].abs().idxmax(), "feature"]
+
+
+def test_masked_choices_by_hand():
+    logits = jnp.asarray([[0.0, np.log(3.0), networks.MASKED], [networks.MASKED, networks.MASKED, 5.0]])
+    slots = Slots(3)
+    drawn = np.stack([slots.sample(logits, jax.random.key(i)) for i in range(40)])
+    assert set(drawn[:, 0].tolist()) == {0, 1}
+    assert set(drawn[:, 1].tolist()) == {2}
+    np.testing.assert_allclose(np.exp(slots.log_prob(logits, jnp.asarray([1, 2]))), [0.75, 1.0], rtol=1e-6)
+    entropy = slots.entropy(logits, jax.random.key(0))
+    np.testing.assert_allclose(entropy, [-0.75 * np.log(0.75) - 0.25 * np.log(0.25), 0.0], atol=1e-6)
+    assert slots.mode(logits).tolist() == [1, 2]
+    one, other = slots.create_dist(logits[:1]), slots.create_dist(jnp.asarray([[0.0, 0.0, networks.MASKED]]))
+    np.testing.assert_allclose(other.kl_divergence(one), 0.75 * np.log(1.5) + 0.25 * np.log(0.5), rtol=1e-5)
+    assert np.all(np.isfinite(jax.grad(lambda a: slots.entropy(a, jax.random.key(0)).sum())(logits)))
+
+
+@pytest.mark.jit
+def test_no_start_is_left():
+    with pytest.raises(InputError, match="from no start of these worlds does"):
+        Decisions(bank.prepare_bank(WORLDS[:1], lidar=NEAR, rules=Rules(max_steps=2)), starts=1)
+    walls = np.ones((15, 60), bool)
+    walls[4:11, 4:56] = False
+    corridor = World(occupied=walls, cell_m=0.1, name="corridor", start=(7, 6, 0))
+    with pytest.raises(InputError, match="is there anything to decide"):
+        Decisions(bank.prepare_bank(corridor, lidar=NEAR, start="world"), starts=1)
+
+
+@pytest.mark.jit
+def test_an_episode_that_fails_costs_as_much_as_in_the_checks(own):
+    """A limit of steps between the reference's need and that of a robot that goes to the farthest cluster."""
+    long = bank.prepare_bank(WORLDS[:1], lidar=NEAR)
+    steps = int(1.3 * long.lengths([parse_strategy(bank.REFERENCE)], [0] * STARTS, 4)[0].max() / 0.1)
+    env = Decisions(bank.prepare_bank(WORLDS[:1], lidar=NEAR, rules=Rules(max_steps=steps)), starts=STARTS, seed=4)
+
+    def choose(carry):
+        state, told, total = carry
+        farthest = jnp.argmax(jnp.where(told.used, told.features[:, 0], -1)).astype(jnp.int32)
+        state, told, reward, *_ = env.step(state, farthest)
+        return state, told, total + reward
+
+    carry = *env.reset(jax.random.key(0)), jnp.float32(0)
+    state, _, total = jax.jit(lambda carry: jax.lax.while_loop(lambda c: ~c[0].is_over, choose, carry))(carry)
+    assert state.env.episode.outcome == Outcome.STEP_LIMIT
+    np.testing.assert_allclose(total, -bank.FAILED, rtol=1e-5)
+
+
+def test_the_shim_can_go_when_jax_has_it_again_or_brax_does_without():
+    assert not hasattr(jax, shim.NAME)
+    with shim.device_put_replicated():
+        found = jax.device_put_replicated({"a": np.arange(3)}, jax.local_devices()[:1])
+        assert found["a"].tolist() == [[0, 1, 2]]
+    assert not hasattr(jax, shim.NAME)
+    with shim.quietly():
+        from brax.training.agents.ppo import train
+
+    assert "device_put_replicated" in Path(train.__file__).read_text(), "brax does without it: learn/shim.py can go"
