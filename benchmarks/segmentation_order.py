@@ -12,8 +12,8 @@ import numpy as np
 
 from jexplore import segment
 from jexplore.bench.tables import markdown
-from jexplore.studies.room_scores import regions_of, rooms_of, score
-from jexplore.studies.segmentation import segmentations
+from jexplore.rooms.scores import regions_of, rooms_of, score
+from jexplore.studies.room_variants import segmentations
 from jexplore.worlds.readers.images import load_image
 
 CHOICES = {

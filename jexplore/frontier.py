@@ -10,7 +10,7 @@ from flax import struct
 from jax import Array, lax
 
 from jexplore.arrays import bits, sparse
-from jexplore.arrays.loops import repeat, stored
+from jexplore.arrays.loops import settled, stored
 from jexplore.distance import within, within_packed
 from jexplore.grid import Grid, any_within_one_packed, is_free, is_known, is_occupied
 
@@ -121,21 +121,20 @@ def label_clusters(cells: sparse.Cells) -> Array:
 
     Args:
       cells: `sparse.Cells`.
+
+    Source:
+      Zhang, Azad and Buluc 2020 (FastSV): rounds that grow with the logarithm of a group's longest way, not with it.
     """
     size = cells.cell.shape[0]
-    slots = lax.iota(jnp.int32, size)
-    used = jnp.any(cells.near < size, axis=1)
 
-    def spread(state):
-        label, _ = state
-        around = jnp.min(label.at[cells.near].get(mode="fill", fill_value=size), axis=1)
-        new = jnp.minimum(label, around)
-        # Pointer jumping: a cell also learns what the cell that it points at has learnt.
-        new = jnp.minimum(new, new[new])
-        return new, jnp.any(new != label)
+    def hook(label):
+        above = label[label]
+        low = jnp.min(above.at[cells.near].get(mode="fill", fill_value=size), axis=1)
+        low = jnp.minimum(low, above)
+        # What a cell has learnt, the cell that it points at learns too.
+        return jnp.minimum(above.at[label].min(low), low)
 
-    label, _ = repeat(lambda state: state[1], spread, (slots, jnp.any(used)))
-    return label
+    return settled(hook, lax.iota(jnp.int32, size))
 
 
 def frontier_clusters(

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from jax import Array, lax
 
 from jexplore.arrays import bits
-from jexplore.arrays.loops import one_kernel, repeat, stored
+from jexplore.arrays.loops import one_kernel, repeat, settled, stored
 from jexplore.grid import beside, bordered, count, lowest
 
 STRAIGHT = 2**16
@@ -281,12 +281,7 @@ def flood(words: Array, row: Array | int, col: Array | int) -> Array:
             reached = reached | (possible & bits.shifted(reached, -drow, -dcol))
         return reached
 
-    def spread(state):
-        reached, _ = state
-        new = lax.fori_loop(0, 2 * ROUNDS, step, reached)
-        return new, jnp.any(new != reached)
-
-    return repeat(lambda state: state[1], spread, (start, words[0, 0] >= 0))[0]
+    return settled(lambda reached: lax.fori_loop(0, 2 * ROUNDS, step, reached), start)
 
 
 def _extent(words):

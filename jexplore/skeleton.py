@@ -5,7 +5,7 @@ from flax import struct
 from jax import Array
 
 from jexplore.arrays import bits, sparse
-from jexplore.arrays.loops import repeat
+from jexplore.arrays.loops import settled
 from jexplore.arrays.sparse import NEIGHBOURS
 from jexplore.distance import FAR, nearest_offset
 from jexplore.grid import beside, bordered
@@ -76,14 +76,12 @@ def thin(words: Array) -> Array:
         middling = two_low & two_high & ~(four_low & four_high)
         return x & one & middling & ~((north | ne | ~se) & east)
 
-    def turn(state):
-        words, _ = state
-        new = words
+    def turn(words):
         for first in (True, False):
-            new = new & ~removable(new, first)
-        return new, jnp.any(new != words)
+            words = words & ~removable(words, first)
+        return words
 
-    return repeat(lambda state: state[1], turn, (words, words[0, 0] >= 0))[0]
+    return settled(turn, words)
 
 
 def _exactly_one(masks):

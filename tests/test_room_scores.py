@@ -13,7 +13,7 @@ from hypothesis.extra import numpy as hnp
 from PIL import Image
 
 from jexplore.config import InputError
-from jexplore.studies.room_scores import AGREEMENT, regions_of, rooms_of, score
+from jexplore.rooms.scores import AGREEMENT, regions_of, rooms_of, score
 
 SHAPES = hnp.array_shapes(min_dims=2, max_dims=2, min_side=1, max_side=6)
 LABELS = st.integers(-1, 3)
@@ -288,5 +288,5 @@ def test_real_ground_truth(maps):
 
 
 def test_import_loads_no_jax():
-    code = "import sys, jexplore.studies.room_scores; sys.exit('jax' in sys.modules)"
+    code = "import sys, jexplore.rooms.scores; sys.exit('jax' in sys.modules)"
     subprocess.run([sys.executable, "-c", code], check=True)

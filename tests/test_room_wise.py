@@ -72,6 +72,13 @@ KINDS = {
     "=auto:door_m=0.39": OTHER,
     "=auto:room_m2=2.7": OWN,
     "=auto:room_m2=2.5": OTHER,
+    "=voronoi": OWN,
+    "=voronoi:ratio=0": OTHER,  # nothing is a door
+    "=voronoi:smallest_m2=3": OTHER,
+    "=rooms": OWN,
+    "=rooms:door_m=0.41": OWN,
+    "=rooms:door_m=0.39": OTHER,
+    "=rooms:room_m2=2.5": OTHER,
     ":prominence_m=100": OTHER,  # no critical point: all is one segment
     ":gamma=4": OTHER,  # both sides of the door count as one obstacle
 }
@@ -104,7 +111,7 @@ def test_the_own_segment_is_the_room():
     belief = belief_of()
     free = np.asarray(belief.grid.misses) > 0
     rooms = np.where(np.arange(40) < 21, 1, 2)
-    for kind in ("holz", "auto"):
+    for kind in ("holz", "auto", "voronoi", "rooms"):
         params = parse_strategy(f"closest+segment={kind}").policy.params
         for col, room in ((20, 1), (5, 1), (23, 2), (36, 2)):
             mine, is_room, _ = own(params, belief.replace(col=jnp.int32(col)))
@@ -135,8 +142,9 @@ def test_the_kinds_share_a_program():
     chex.clear_trace_counter()
     belief = belief_of()
     init, *_ = (p.init for p in policies)
-    select = jax.jit(chex.assert_max_traces(lambda params: own_segment(params, belief), n=1))
-    for policy in policies:
+    basins = [parse_strategy(f"closest+segment={k}").policy for k in ("voronoi", "rooms", "rooms:ratio=0.5,door_m=1")]
+    select = jax.jit(chex.assert_max_traces(lambda params: own_segment(params, belief), n=2))
+    for policy in (*policies, *basins):
         assert policy.select == policies[0].select
         assert hash(policy.select) == hash(policies[0].select)
         assert policy.init == init

@@ -9,7 +9,8 @@ from jexplore import segment
 from jexplore.cli import main
 from jexplore.config import InputError
 from jexplore.report.plot_rooms import figure
-from jexplore.studies.segmentation import COLUMNS, segment_maps, segmentations
+from jexplore.studies.room_variants import VARIANTS, segmentations
+from jexplore.studies.segmentation import COLUMNS, segment_maps
 from jexplore.worlds.world import occupancy_to_world
 
 pytestmark = pytest.mark.jit
@@ -39,16 +40,18 @@ def pictures(tmp_path_factory):
 
 
 def test_two_rooms_are_found_whole(pictures):
-    found = segment_maps(pictures[0], truth=[pictures[1]])
+    variants = [name for name in VARIANTS if name != "morphological"]  # to which both together are one small room
+    found = segment_maps(pictures[0], truth=[pictures[1]], variants=variants)
     assert tuple(found.scores.columns) == COLUMNS
-    assert found.scores["variant"].tolist() == list(segment.VARIANTS)
-    assert found.scores["rooms"].tolist() == found.scores["rooms_truth"].tolist() == [2, 2, 2]
+    assert found.scores["variant"].tolist() == variants
+    assert found.scores["rooms"].tolist() == found.scores["rooms_truth"].tolist() == [2] * 5
     assert (found.scores["mcc"] > 0.97).all()
-    assert (found.scores["critical_points"] == 1).all()
+    assert (found.scores["doors"] == 1).all()
+    assert not found.scores[["doors_missed", "doors_extra"]].any(axis=None)
     assert (found.scores["explored"] == 1).all()
     assert not found.scores["overflow"].any()
     text = found.to_markdown()
-    assert text.count("### ") == 3
+    assert text.count("### ") == 5
     assert "map.png@0.05" in text
     labels = {frozenset(np.unique(p.label[p.free])) for p in found.pictures}
     assert labels == {frozenset({0, 1})}
@@ -126,11 +129,15 @@ def test_a_picture_that_is_open_at_its_edge_is_scored(tmp_path, open_in):
 
 
 def test_the_picture(pictures, tmp_path):
-    found = segment_maps(pictures[0], truth=[pictures[1]])
+    found = segment_maps(pictures[0], truth=[pictures[1]], variants=["voronoi", "holz"])
     page = figure(found.pictures, found.scores)
     titles = [ax.get_title() for ax in page.axes]
-    assert len(titles) == 3
-    assert "holz: 2 rooms, MCC" in titles[2]
+    assert len(titles) == 2
+    assert "holz: 2 rooms, MCC" in titles[1]
+    assert "doors: 0 missed, 0 too many" in titles[0]
+    for ax, dots in zip(page.axes, (0, 1)):
+        assert [len(line.get_xdata()) for line in ax.lines] == [dots, 1, 0, 0]
+        np.testing.assert_allclose([ax.lines[1].get_xdata()[0], ax.lines[1].get_ydata()[0]], [2.1, 1.05], atol=0.15)
 
 
 def test_the_command(pictures, tmp_path, capsys):
@@ -144,12 +151,15 @@ def test_the_command(pictures, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("more", "message"),
     [
-        ({"variants": ["voronoi"]}, "unknown variant 'voronoi'"),
+        ({"variants": ["maoris"]}, "unknown variant 'maoris'"),
         ({"variants": []}, "at least one"),
         ({"variants": ["holz", "holz"]}, "more than once"),
         ({"metric": "manhattan"}, "unknown metric"),
         ({"prominence_m": -1.0}, "prominence_m must be"),
         ({"gamma": float("nan")}, "gamma must be"),
+        ({"ratio": 1.5}, "ratio must be"),
+        ({"smallest_m2": -1.0}, "smallest_m2 must be"),
+        ({"clutter_m": float("inf")}, "clutter_m must be"),
         ({"truth": ["a.png", "b.png"]}, "ground truth for each of 1 maps, got 2"),
         ({"truth": ["nowhere.png"]}, "nowhere.png"),
     ],
@@ -168,6 +178,29 @@ def test_truth_of_another_size_is_refused(pictures, tmp_path):
         segment_maps(SMALL, truth=[pictures[1]], cell_m=0.1)
 
 
+def test_truth_without_rooms_or_with_too_many_is_refused(pictures, tmp_path):
+    speck = np.zeros((42, 84), bool)
+    speck[10, 10] = True
+    with pytest.raises(InputError, match=r"must have 1 to 10000 rooms .* got 0"):
+        segment_maps(pictures[0], truth=[picture(tmp_path / "none.png", speck)])
+    free = np.zeros((420, 420), bool)
+    free[:, 1::4] = free[:, 2::4] = free[:, 3::4] = True
+    cells = free.copy()
+    cells[3::4] = False  # 105 x 105 rooms of 3 x 3 pixels of 0.2 m
+    name = f"{picture(tmp_path / 'map.png', free)}@0.2"
+    with pytest.raises(InputError, match=r"must have 1 to 10000 rooms .* got 11025"):
+        segment_maps(name, truth=[picture(tmp_path / "many.png", cells)], cell_m=0.2)
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_a_hall_is_one_room(variant):
+    free = np.zeros((40, 40), bool)
+    free[2:38, 2:38] = True
+    scores = segment_maps(occupancy_to_world(~free, name="hall", cell_m=0.1), variants=variant).scores
+    assert scores["rooms"].tolist() == [1]
+    assert scores["doors"].tolist() == [0]
+
+
 def test_the_command_refuses(capsys):
     assert main.main(["segment"]) == 2
     assert "expected a map" in capsys.readouterr().err
@@ -176,5 +209,9 @@ def test_the_command_refuses(capsys):
 def test_a_real_map(maps):
     name = "Freiburg52_scan"
     folder = maps / "ipa"
-    found = segment_maps(f"{folder / name}.png@0.05", truth=[f"{folder / name}_gt_segmentation.png"], variants=["holz"])
-    assert found.scores["mcc"].iloc[0] > 0.9
+    pair = [f"{folder / name}{more}.png@0.05" for more in ("", "_furnitures")]
+    truth = [f"{folder / name}_gt_segmentation.png"] * 2
+    found = segment_maps(pair, truth=truth, variants=["voronoi", "holz"]).scores.set_index(["map", "variant"])["mcc"]
+    assert found[pair[0], "voronoi"] > 0.95
+    assert found[pair[1], "voronoi"] > 0.85
+    assert found[pair[0], "holz"] > 0.9

@@ -174,6 +174,22 @@ def repeat(going: Callable[[Any], Array | bool], body: Callable[[Any], Any], sta
     return call((closed_going, closed_body), state)
 
 
+def settled(step: Callable[[Array], Array], start: Array) -> Array:
+    """What an array becomes when a step is taken until it changes nothing any more.
+
+    Args:
+      step: takes and returns an array.
+      start: array of whole numbers, not empty.
+    """
+
+    def turn(state):
+        value, _ = state
+        new = step(value)
+        return new, jnp.any(new != value)
+
+    return repeat(lambda state: state[1], turn, (start, jnp.ravel(start)[0] == jnp.ravel(start)[0]))[0]
+
+
 def stored(truth: Array | bool, function: Callable[[], Any]) -> Any:
     """The value of `function()`, computed once and kept.
 

@@ -14,7 +14,7 @@ from jexplore.config import InputError
 
 @dataclasses.dataclass(frozen=True)
 class Segment:
-    """Divide maps into rooms by their Voronoi graph, and score the rooms.
+    """Divide maps into rooms, and score the rooms.
 
     Prints a Markdown table of scores a variant and writes segments.png, scores.parquet and run.json.
     """
@@ -25,22 +25,30 @@ class Segment:
     truth: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="GT [GT ...]", help_behavior_hint="")] = None
     """Score against these pictures of the maps with doorways closed by lines, in the same order and size. Generators
     know their rooms."""
-    variant: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME [NAME ...]", help_behavior_hint="")] = (
-        *("thrun", "wurm", "holz"),
-    )
-    """Divide by these variants: thrun, wurm, holz (default: all)."""
+    variant: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME [NAME ...]", help_behavior_hint="")] = ("voronoi",)
+    """Divide by these variants: voronoi (default: the best on maps that it was not chosen on), distance, morphological,
+    or those of the paper: thrun, wurm, holz."""
     partial: bool = False
     """Also segment the maps that an exploring robot has when it first knows 25, 50 and 75 % of what it will know."""
     cell_m: float = 0.05
     """Make the edge of a cell this long, in metres."""
+    ratio: float = 0.75
+    """voronoi: a pass is a door if its clearance is below this share of that of the rooms at either side."""
+    smallest_m2: float = 2.0
+    """voronoi: join rooms smaller than this, in square metres, to the room that they open to."""
+    clutter_m: float = 1.0
+    """voronoi, distance, morphological: look through obstacles in the open whose bounding box has a diagonal shorter
+    than this, in metres, such as legs of tables."""
     prominence_m: float = 0.15
-    """The clearance must rise by this much on both sides of a critical point, in metres; 0 takes any local minimum."""
+    """thrun, wurm, holz: the clearance must rise by this much on both sides of a critical point, in metres; 0 takes any
+    local minimum."""
     gamma: float = 3.0
-    """Two obstacle cells must be this far apart, in cells, to have a Voronoi edge between them."""
+    """thrun, wurm, holz: two obstacle cells must be this far apart, in cells, to have a Voronoi edge between them."""
     metric: Literal["geodesic", "euclidean"] = "geodesic"
-    """Give a cell to the segment that is closest along paths, or as the crow flies (the paper's letter)."""
+    """thrun, wurm, holz: give a cell to the segment that is closest along paths, or as the crow flies (the paper's
+    letter)."""
     lines: bool = False
-    """Split along the line between the two nearest obstacles (Thrun 1998)."""
+    """thrun, wurm, holz: split along the line between the two nearest obstacles (Thrun 1998)."""
     seed: int = 0
     """Draw the episodes that make partial maps from this seed."""
     out: OutFolder = None
@@ -54,6 +62,7 @@ class Segment:
         from jexplore.engine.backend import use_compilation_cache
         from jexplore.report import plot, store
         from jexplore.report.plot_rooms import figure
+        from jexplore.studies.room_variants import Settings
         from jexplore.studies.segmentation import SHARES, segment_maps
 
         with Out(self, "segment") as out:
@@ -70,11 +79,8 @@ class Segment:
                     variants=self.variant,
                     partial=self.partial,
                     cell_m=self.cell_m,
-                    prominence_m=self.prominence_m,
-                    gamma=self.gamma,
-                    metric=self.metric,
-                    lines=self.lines,
                     seed=self.seed,
+                    **{name: getattr(self, name) for name in Settings._fields},
                     on_progress=on_progress,
                 )
             record = out.record(arguments, self, scores=found.scores.to_dict("records"))
@@ -88,6 +94,6 @@ class Segment:
             show_table(found.to_markdown())
             overflow = found.scores[found.scores["overflow"] > 0]
             for _, row in overflow.iterrows():
-                what = f"{row['overflow']} Voronoi nodes or critical points did not fit"
+                what = f"{row['overflow']} nodes, peaks or passes did not fit"
                 print(f"warning: {row['map']}: {row['variant']}: {what}")
             print(wrote)

@@ -15,41 +15,86 @@ from jax import Array, lax
 
 from jexplore.arrays.loops import run_if
 from jexplore.config import require_number
-from jexplore.grid import count, is_free
+from jexplore.grid import count, is_free, is_known
 from jexplore.planning import Belief, Choice
 from jexplore.policies.policy import Policy
 from jexplore.reach import FAR
+from jexplore.rooms import watershed
 from jexplore.segment import PROMINENCE_M, VARIANTS, Criteria, form_for, segment
 
-KINDS = (*VARIANTS, "auto")
+_OF_GRAPH = "prominence_m", "gamma"
+_OF_BASINS = "ratio", "smallest_m2", "clutter_m"
+_OF_ROOMS = "door_m", "room_m2"
+KINDS = {
+    **dict.fromkeys(VARIANTS, _OF_GRAPH),
+    "auto": _OF_GRAPH + _OF_ROOMS,
+    "voronoi": _OF_BASINS,
+    "rooms": _OF_BASINS + _OF_ROOMS,
+}
+"""Name -> the parameters that it goes by."""
+
+
+class OfGraph(NamedTuple):
+    """Segments cut at critical points of the Voronoi graph."""
+
+    max_hops: int  # see `segment.Criteria`
+    prominence_m: float  # metres
+    gamma: float  # cells
+
+    def divide(self, free, known, model):
+        """`(label, door, overflow)`: `[H, W]` int32; `[n]` int32, by label the d2 of a way out; int32."""
+        del known
+        form = form_for(free.shape, coarse=model.coarse, reach=model.reach)
+        found = segment(
+            free,
+            Criteria(
+                max_hops=self.max_hops,
+                prominence=self.prominence_m / model.cell_m,
+                gamma=self.gamma,
+                max_clearance=jnp.float32(jnp.inf),
+                longest_first=jnp.bool_(True),
+            ),
+            form=form,
+        )
+        d2 = jnp.repeat(jnp.where(found.split_d2 > 0, found.split_d2, NO_DOOR), 2)
+        narrowest = jnp.full(found.group.shape, NO_DOOR, jnp.int32).at[found.group].min(d2)
+        return found.label, narrowest, found.overflow
+
+
+class OfBasins(NamedTuple):
+    """Basins of the clearance, joined where the pass between them is wide."""
+
+    ratio: float  # see `watershed.Criteria`
+    smallest_m2: float  # m^2
+    clutter_m: float  # metres
+
+    def divide(self, free, known, model):
+        """As of `OfGraph`; a basin's widest way out."""
+        form = watershed.form_for(free.shape, coarse=model.coarse)
+        numbers = watershed.Criteria(
+            ratio=self.ratio, smallest=self.smallest_m2 / model.cell_m**2, clutter=self.clutter_m / model.cell_m
+        )
+        found = watershed.watershed(free, ~known, numbers, form=form)
+        return found.label, jnp.where(found.door_d2 > 0, found.door_d2, NO_DOOR), found.overflow
+
+
+NO_DOOR = 2**30
 
 
 class Params(NamedTuple):
     """Parameters of the modifier and of the strategy that it modifies."""
 
-    max_hops: int  # see `segment.Criteria`
-    prominence_m: float  # metres
-    gamma: float  # cells
+    cut: OfGraph | OfBasins
     door_m: float  # width of the widest door, metres; inf: a segment need not have one
     room_m2: float  # area of the largest room, m^2
     inner: Any
 
 
-def _criteria(params, cell_m):
-    return Criteria(
-        max_hops=params.max_hops,
-        prominence=params.prominence_m / cell_m,
-        gamma=params.gamma,
-        max_clearance=jnp.float32(jnp.inf),
-        longest_first=jnp.bool_(True),
-    )
-
-
 def own_segment(params: Params, belief: Belief) -> tuple[Array, Array, Array]:
     """Cells of the segment that the robot is in, whether that is a room, and what did not fit.
 
-    A room has a door, a critical point no wider than doors are, and is no larger than rooms are: corridors, halls and
-    caves are not preferred to what lies beside them.
+    A room has a door, and is no larger than rooms are: corridors, halls and caves are not preferred to what lies beside
+    them. A door is a critical point no wider than doors are; a basin has one if its widest way out is no wider.
 
     Args:
       params: `Params`.
@@ -59,17 +104,14 @@ def own_segment(params: Params, belief: Belief) -> tuple[Array, Array, Array]:
       `(mask, is_room, overflow)`: `[H, W]` bool; bool; int32.
     """
     free = is_free(belief.grid, belief.model.p_free)
-    form = form_for(free.shape, coarse=belief.model.coarse, reach=belief.model.reach)
-    found = segment(free, _criteria(params, belief.model.cell_m), form=form)
-    own = found.label[belief.row, belief.col]
-    mine = found.label == own
+    label, door_d2, overflow = params.cut.divide(free, is_known(belief.grid), belief.model)
+    own = label[belief.row, belief.col]
+    mine = label == own
+    door = door_d2[jnp.maximum(own, 0)]
     # From the middle of one wall's cell to that of the other, a cell more than is free between them.
-    narrow = (found.split_d2 > 0) & (
-        2 * jnp.sqrt(found.split_d2.astype(jnp.float32)) * belief.model.cell_m <= params.door_m
-    )
-    has_door = jnp.any(jnp.repeat(narrow, 2) & (found.group == own))
+    has_door = (door < NO_DOOR) & (2 * jnp.sqrt(door.astype(jnp.float32)) * belief.model.cell_m <= params.door_m)
     small = count(mine) * belief.model.cell_m**2 <= params.room_m2
-    return mine, (own >= 0) & has_door & small, found.overflow
+    return mine, (own >= 0) & has_door & small, overflow
 
 
 @dataclasses.dataclass(frozen=True)
@@ -122,6 +164,9 @@ def segmented(
     *,
     prominence_m: float = PROMINENCE_M,
     gamma: float = 3.0,
+    ratio: float = watershed.RATIO,
+    smallest_m2: float = watershed.SMALLEST_M2,
+    clutter_m: float = watershed.CLUTTER_M,
     door_m: float = 1.6,
     room_m2: float = 40.0,
 ) -> Policy:
@@ -129,24 +174,35 @@ def segmented(
 
     Args:
       policy: `Policy`.
-      kind: one of `KINDS`; "auto" segments as "holz" does, and prefers rooms only.
+      kind: one of `KINDS`; "auto" segments as "holz" does, "rooms" as "voronoi" does, and both prefer rooms only.
       prominence_m: how much the clearance must rise on both sides of a critical point, metres.
       gamma: see `segment.Criteria`, cells.
-      door_m: width of the widest door, metres; "auto" only.
-      room_m2: area of the largest room, m^2; "auto" only.
+      ratio, smallest_m2, clutter_m: see `watershed.criteria`.
+      door_m: width of the widest door, metres; "auto" and "rooms" only.
+      room_m2: area of the largest room, m^2; "auto" and "rooms" only.
 
     Returns:
       `Policy`.
     """
+    cuts = (
+        OfGraph(
+            VARIANTS.get(kind, VARIANTS["holz"]),
+            float(require_number("prominence_m", prominence_m, high=100)),
+            float(require_number("gamma", gamma, high=100)),
+        ),
+        OfBasins(
+            float(require_number("ratio", ratio, high=1)),
+            float(require_number("smallest_m2", smallest_m2, high=1e6)),
+            float(require_number("clutter_m", clutter_m, high=100)),
+        ),
+    )
     params = Params(
-        max_hops=VARIANTS["holz" if kind == "auto" else kind],
-        prominence_m=float(require_number("prominence_m", prominence_m, high=100)),
-        gamma=float(require_number("gamma", gamma, high=100)),
+        cut=cuts["ratio" in KINDS[kind]],
         door_m=float(require_number("door_m", door_m, high=100)),
         room_m2=float(require_number("room_m2", room_m2, high=1e6)),
         inner=policy.params,
     )
-    if kind != "auto":
+    if "door_m" not in KINDS[kind]:
         params = params._replace(door_m=math.inf, room_m2=math.inf)
     live = None if policy.live is None else _Inner(policy.live)
     return Policy(_Inner(policy.init), _Select(policy.select), params, live)

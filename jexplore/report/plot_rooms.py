@@ -1,4 +1,4 @@
-"""A picture of maps in rooms, with the Voronoi graph and the critical points that they come from."""
+"""A picture of maps in rooms, with doors found and missed, and the Voronoi graph that the paper's variants cut."""
 
 import math
 import os
@@ -14,10 +14,12 @@ from jexplore.report.plot import room_colours, wrapped
 
 SIDE_IN = 4.2  # of a panel, the longer side
 CRITICAL = "#d00000"
+DOORS = (("found", "o", "#007a33"), ("missed", "s", "#d00000"), ("extra", "x", "#c04000"))  # what, marker, colour
 
 
 def draw_segments(ax: Axes, picture: Any) -> AxesImage:
-    """Draws segments in colours, the Voronoi graph as thin lines, critical points as dots.
+    """Draws rooms in colours; rings at doors that were found, squares at those that were missed, crosses where rooms
+    touch and no door is. The paper's variants also show the Voronoi graph as thin lines, critical points as dots.
 
     Args:
       ax: `Axes`.
@@ -40,6 +42,9 @@ def draw_segments(ax: Axes, picture: Any) -> AxesImage:
     artist = ax.imshow(rgb, origin="lower", extent=extent, interpolation="nearest")
     rows, cols = picture.critical // width, picture.critical % width
     ax.plot((cols + 0.5) * picture.cell_m, (rows + 0.5) * picture.cell_m, "o", color=CRITICAL, markersize=3)
+    for what, marker, colour in DOORS:
+        row, col = (getattr(picture.doors, what).T + 0.5) * picture.cell_m
+        ax.plot(col, row, marker, color=colour, markerfacecolor="none", markersize=6, markeredgewidth=1.3, linestyle="")
     ax.set_xticks([])
     ax.set_yticks([])
     return artist
@@ -50,7 +55,7 @@ def figure(pictures: Sequence[Any], scores: Any) -> Figure:
 
     Args:
       pictures: list of `segmentation.Picture`.
-      scores: table with the columns `map`, `variant`, `explored`, `mcc`, `rooms`, in the order of the pictures.
+      scores: `Segmentation.scores`, in the order of the pictures.
 
     Returns:
       `Figure`.
@@ -63,7 +68,11 @@ def figure(pictures: Sequence[Any], scores: Any) -> Figure:
     for ax, picture, (_, row) in zip(axes.flat, pictures, scores.iterrows()):
         draw_segments(ax, picture)
         share = "" if picture.explored == 1 else f", {picture.explored:.0%} known"
-        agreement = "" if np.isnan(row["mcc"]) else f", MCC {row['mcc']:.2f}"
+        agreement = "" if np.isnan(row["mcc"]) else f", MCC {row['mcc']:.2f}, {_doors(row)}"
         title = f"{wrapped(os.path.basename(picture.name), 40, max_lines=1)}{share}\n"
         ax.set_title(f"{title}{picture.variant}: {int(row['rooms'])} rooms{agreement}", fontsize=8, parse_math=False)
     return page
+
+
+def _doors(row):
+    return f"doors: {int(row['doors_missed'])} missed, {int(row['doors_extra'])} too many"

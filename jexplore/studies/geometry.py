@@ -25,7 +25,7 @@ from scipy import ndimage
 from jexplore import segment
 from jexplore.config import require_number
 from jexplore.report.tables import aligned_table, number_text
-from jexplore.studies.room_scores import regions_of
+from jexplore.rooms.scores import regions_of
 from jexplore.studies.segmentation import SMALLEST_M2, segmentations
 from jexplore.worlds.starts import clear_cells, label_components
 from jexplore.worlds.world import World

@@ -1,21 +1,18 @@
 """The question behind `jexplore segment`: how well are the rooms of maps found, by which variant, and how early?"""
 
-import functools
 import os
 from collections.abc import Callable, Iterable, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
-from jexplore import segment
-from jexplore.arrays.padding import bucket
-from jexplore.config import InputError, require_number, unknown
-from jexplore.exploration.results import FREE
+from jexplore.config import InputError, unknown
+from jexplore.exploration.results import FREE, UNKNOWN
+from jexplore.rooms.doors import Doors, compared, touching
+from jexplore.rooms.scores import AGREEMENT, regions_of, rooms_of, score
 from jexplore.studies.checks import LIDAR, RULES, listed, ready_worlds, require_different
 from jexplore.studies.explore import maps_at, prepare_job, run_job
-from jexplore.studies.room_scores import AGREEMENT, regions_of, rooms_of, score
+from jexplore.studies.room_variants import BEST, VARIANTS, Settings, divided, require
 from jexplore.worlds import GENERATORS, names
 from jexplore.worlds.readers.images import load_image, read_pixels
 from jexplore.worlds.world import World
@@ -26,10 +23,11 @@ if TYPE_CHECKING:
 SMALLEST_M2 = 0.25  # regions up to this area are not scored: 100 pixels of 0.05 m
 SHARES = (0.25, 0.5, 0.75)  # of the cells known in the end, at which partial maps are taken
 EXPLORER = "closest+recheck"  # the strategy of the episodes that partial maps come from
-COUNTS = ("rooms", "rooms_truth", "room_count_error", "critical_points", "overflow")
+COUNTS = ("rooms", "rooms_truth", "room_count_error", "doors", "doors_missed", "doors_extra", "overflow")
+MOST_ROOMS = 10_000  # of a ground truth
 COLUMNS = (
     *("map", "variant", "stage", "explored", *AGREEMENT, "rooms", "rooms_truth", "room_count_error"),
-    *("variation_of_information", "critical_points", "overflow"),
+    *("variation_of_information", "doors", "doors_missed", "doors_extra", "overflow"),
 )
 
 
@@ -50,6 +48,7 @@ class Picture(NamedTuple):
     free: np.ndarray  # [H, W] bool
     lines: np.ndarray  # [n] int, flat index of the cells of the Voronoi graph
     critical: np.ndarray  # [m] int, flat index of the critical points
+    doors: Doors
     cell_m: float
 
 
@@ -90,15 +89,12 @@ def segment_maps(
     maps: str | os.PathLike[str] | World | Iterable[str | os.PathLike[str] | World],
     *,
     truth: str | Sequence[str] | None = None,
-    variants: str | Sequence[str] = tuple(segment.VARIANTS),
+    variants: str | Sequence[str] = BEST,
     partial: bool = False,
     cell_m: float = 0.05,
-    prominence_m: float = segment.PROMINENCE_M,
-    gamma: float = 3.0,
-    metric: str = "geodesic",
-    lines: bool = False,
     seed: int = 0,
     on_progress: Callable[[int], Any] | None = None,
+    **settings: Any,
 ) -> Segmentation:
     """Divides maps into rooms and scores the result.
 
@@ -106,24 +102,26 @@ def segment_maps(
       maps: names (`worlds.load_world`) or `World`s; one may stand for itself.
       truth: pictures with the true rooms, in the order of the maps: as the map, with doorways closed by lines. By
         default worlds that know their rooms are scored by them.
-      variants: names in `segment.VARIANTS`.
+      variants: names in `room_variants.VARIANTS`; by default the one with the best scores on maps that it was not
+        chosen on.
       partial: also segment the maps that a robot has when it first knows 25, 50 and 75 % of what it will know. Stages
         that it has passed with its very first scans are left out.
       cell_m: edge of a cell of the worlds that are loaded by name, metres.
-      prominence_m: see `segment.Criteria`, in metres.
-      gamma: see `segment.Criteria`, cells.
-      metric, lines: see `segment.Form`.
       seed: of the start of the episodes that partial maps come from.
       on_progress: called with the number of maps, partial ones included, that are done.
+      settings: what the variants go by; see `room_variants.Settings`. `ratio`, `smallest_m2`, `clutter_m`: of voronoi,
+        the last also of distance and morphological; `prominence_m`, `gamma`, `metric`, `lines`: of thrun, wurm, holz.
 
     Returns:
       `Segmentation`.
 
     Raises:
       InputError: a name, number or picture that cannot be used. Raised before anything is compiled.
+      TypeError: a setting that there is not.
     """
     chosen: Any = listed("variants", variants)
-    tasks = prepare_maps(maps, truth, chosen, cell_m, prominence_m, gamma, metric)
+    numbers = Settings(**settings)
+    tasks = prepare_maps(maps, truth, chosen, cell_m, numbers)
     jobs = [
         prepare_job(task.world, EXPLORER, seed=seed, cell_m=cell_m, start="random", lidar=LIDAR, rules=RULES)
         for task in tasks
@@ -131,12 +129,8 @@ def segment_maps(
     ]
     rows, pictures, done = [], [], 0
     for i, task in enumerate(tasks):
-        for stage, explored, free in _stages(task.world, jobs[i] if partial else None):
-            settings = [
-                segment.criteria(variant, prominence=prominence_m / task.world.cell_m, gamma=gamma)
-                for variant in chosen
-            ]
-            for variant, made in zip(chosen, segmentations(free, settings, metric=metric, lines=lines)):
+        for stage, explored, free, unseen in _stages(task.world, jobs[i] if partial else None):
+            for variant, made in zip(chosen, divided(free, unseen, chosen, numbers, task.world.cell_m)):
                 row, picture = _judged(task, variant, stage, explored, free, made)
                 rows.append(row)
                 pictures.append(picture)
@@ -149,9 +143,12 @@ def segment_maps(
 
 
 def _stages(world, job):
-    """The maps of a world to be segmented: `(stage, explored, free)`; the whole one last, only that without a job."""
+    """The maps of a world to be segmented: `(stage, explored, free, unseen)`; the whole one last, only that without a
+    job.
+    """
     partial = () if job is None else maps_at(run_job(job, LIDAR, RULES), SHARES)
-    return [*((*shares, state == FREE) for *shares, state in partial), (1.0, 1.0, ~world.occupied)]
+    whole = 1.0, 1.0, ~world.occupied, np.zeros_like(world.occupied)
+    return [*((*shares, state == FREE, state == UNKNOWN) for *shares, state in partial), whole]
 
 
 def prepare_maps(
@@ -159,20 +156,15 @@ def prepare_maps(
     truth: Any,
     variants: Any,
     cell_m: float,
-    prominence_m: float,
-    gamma: float,
-    metric: str,
+    settings: Settings,
 ) -> list[Task]:
     """Everything that `segment_maps` refuses or loads before it runs: a list of `Task`. Arguments as there."""
     variants = listed("variants", variants)
     require_different("variants", variants)
     for variant in variants:
-        if variant not in segment.VARIANTS:
-            raise unknown("variant", variant, segment.VARIANTS)
-    if metric not in segment.METRICS:
-        raise unknown("metric", metric, segment.METRICS)
-    require_number("prominence_m", prominence_m, high=100)
-    require_number("gamma", gamma, high=1000)
+        if variant not in VARIANTS:
+            raise unknown("variant", variant, VARIANTS)
+    require(settings)
     worlds = ready_worlds(maps, cell_m)
     if truth is None:
         return [Task(world, world.rooms) for world in worlds]
@@ -197,62 +189,34 @@ def _rooms_in(picture, world):
     more = [(full - n) // 2 for full, n in zip(world.shape, closed.shape)]
     closed = np.pad(closed, [(max(n, 0),) * 2 for n in more], constant_values=True)
     rows, cols = (slice(max(-n, 0), max(-n, 0) + full) for n, full in zip(more, world.shape))
-    return rooms_of(~closed[rows, cols] & ~world.occupied, min_px=_smallest_px(world.cell_m))
+    found = rooms_of(~closed[rows, cols] & ~world.occupied, min_px=_smallest_px(world.cell_m))
+    count = int(found.max(initial=-1)) + 1
+    if not 0 < count <= MOST_ROOMS:
+        raise InputError(f"{picture!r}: must have 1 to {MOST_ROOMS} rooms of more than {SMALLEST_M2} m2, got {count}")
+    return found
 
 
 def _smallest_px(cell_m):
     return round(SMALLEST_M2 / cell_m**2)
 
 
-@functools.partial(jax.jit, static_argnames=("form",))
-def _each(free, settings, *, form):
-    return jax.lax.map(lambda criteria: segment.segment(free, criteria, form=form), settings)
-
-
-def segmentations(
-    free: np.ndarray, settings: Sequence[segment.Criteria], *, metric: str = "geodesic", lines: bool = False
-) -> list[segment.Segments]:
-    """Segments a map by many settings, as one compiled batch.
-
-    Args:
-      free: `[H, W]` bool, numpy.
-      settings: list of `segment.Criteria`.
-      metric, lines: see `segment.Form`.
-
-    Returns:
-      A list of `segment.Segments` of numpy arrays, whose labels are cut to the map and whose flat indices count in it.
-    """
-    height, width = free.shape
-    shape = bucket(height), bucket(width)
-    padded = np.pad(free, [(0, full - n) for full, n in zip(shape, free.shape)])
-    form = segment.form_for(shape, coarse=True, metric=metric, lines=lines)
-    stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *settings)
-    made = jax.tree.map(np.asarray, _each(padded, stacked, form=form))
-
-    def in_map(cell):
-        return np.where(cell < padded.size, cell // shape[1] * width + cell % shape[1], free.size)
-
-    def cut(one):
-        graph = one.graph.replace(cell=in_map(one.graph.cell))
-        return one.replace(label=one.label[:height, :width], graph=graph, seed=in_map(one.seed))
-
-    return [cut(jax.tree.map(lambda a, i=i: a[i], made)) for i in range(len(settings))]
-
-
 def _judged(task, variant, stage, explored, free, made):
     """A row of scores, and a picture."""
-    critical = made.graph.cell[made.critical]
     row: dict[str, Any] = dict.fromkeys(COLUMNS, np.nan)
     least = _smallest_px(task.world.cell_m)
     found = regions_of(np.where(free, made.label, -1), free, min_px=least)
     row |= {"map": os.fspath(task.world.name), "variant": variant, "rooms": found.max() + 1}
     row |= {"stage": stage, "explored": explored}
-    row |= {"critical_points": int(made.count), "overflow": int(made.overflow)}
+    seen = None
     if task.truth is not None:
         # Of a partial map only what is known counts, on both sides.
         seen = np.where(free | (explored == 1), task.truth, -1)
         sizes = np.bincount(seen[seen >= 0], minlength=1)
-        row |= score(np.where((seen >= 0) & (sizes[np.maximum(seen, 0)] > least), seen, -1), found)
-    lines = made.graph.cell[made.graph.cell < free.size]
-    picture = Picture(row["map"], variant, explored, found, free, lines, critical, task.world.cell_m)
+        seen = np.where((seen >= 0) & (sizes[np.maximum(seen, 0)] > least), seen, -1)
+        row |= score(seen, found)
+    doors = compared(seen, found, free, task.world.cell_m)
+    row |= {"doors": len(touching(found)), "overflow": made.overflow}
+    if seen is not None:
+        row |= {"doors_missed": len(doors.missed), "doors_extra": len(doors.extra)}
+    picture = Picture(row["map"], variant, explored, found, free, made.lines, made.critical, doors, task.world.cell_m)
     return row, picture

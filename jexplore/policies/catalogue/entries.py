@@ -65,8 +65,9 @@ STRATEGIES: dict[str, Entry] = {
 """Name -> what is known of it. `register` adds to it."""
 MODIFIERS: dict[str, str] = {
     "recheck": "give up a target as soon as it is no longer live, and choose anew (Holz et al. 2010, section 2.3)",
-    "segment": "frontier cells in the robot's own room first; =thrun, =wurm, =holz (default) say how rooms are found, "
-    "=auto only in rooms, not in corridors and halls (Holz et al. 2010, section 2.4)",
+    "segment": "frontier cells in the robot's own room first; =thrun, =wurm, =holz (default), =voronoi say how rooms "
+    "are found, =auto (as holz) and =rooms (as voronoi) only in rooms, not in corridors and halls (Holz et al. 2010, "
+    "section 2.4)",
 }
 
 

@@ -64,8 +64,8 @@ def _modifier_parameters(modifiers):
     """Parameters that modifiers add to those of the strategy, with their defaults: dict."""
     if "segment" not in modifiers:
         return {}
-    found = {key: value for key, value in _defaults(segmented).items() if isinstance(value, float)}
-    return found if modifiers["segment"] == "auto" else {key: found[key] for key in ("prominence_m", "gamma")}
+    found = _defaults(segmented)
+    return {key: found[key] for key in KINDS[modifiers["segment"] or "holz"]}
 
 
 def _modifiers(words, text):

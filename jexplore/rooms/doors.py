@@ -1,0 +1,95 @@
+"""Where rooms touch, and which true doors a segmentation has found. Host code: numpy and scipy."""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy import ndimage
+
+NEAR_M = 0.5  # a door is found if two rooms touch so close to its middle
+
+
+class Doors(NamedTuple):
+    """Middles of doors, each `[n, 2]` int, row and column."""
+
+    found: np.ndarray  # true doors at which two rooms touch
+    missed: np.ndarray  # true doors at which none do
+    extra: np.ndarray  # places where two rooms touch, far from any true door; all of them without the truth
+
+
+def filled(label: np.ndarray, free: np.ndarray, gap: float) -> np.ndarray:
+    """Labels with free cells that have none, such as doorways, given to the nearest room within a distance.
+
+    Args:
+      label: `[H, W]` int, rooms; negative for none.
+      free: `[H, W]` bool.
+      gap: cells.
+
+    Returns:
+      `[H, W]` int.
+    """
+    far, (row, col) = ndimage.distance_transform_edt(label < 0, return_indices=True)
+    return np.where(free & (label < 0) & (far <= gap), label[row, col], label)
+
+
+def touching(label: np.ndarray) -> list[np.ndarray]:
+    """The cells at which two rooms touch along an edge, a list of `[n, 2]` int for every piece of such a border.
+
+    Args:
+      label: `[H, W]` int, rooms; negative for none.
+    """
+    cells, pairs = [], []
+    here = np.indices(label.shape).transpose(1, 2, 0)
+    for one, other in ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:])):
+        differ = (label[one] != label[other]) & (label[one] >= 0) & (label[other] >= 0)
+        pair = np.sort(np.stack([label[one][differ], label[other][differ]], axis=1), axis=1)
+        for side in (one, other):
+            cells.append(here[side][differ])
+            pairs.append(pair)
+    cells, pairs = np.concatenate(cells), np.concatenate(pairs)
+    pieces = []
+    for pair in np.unique(pairs, axis=0):
+        own = cells[(pairs == pair).all(axis=1)]
+        low = own.min(axis=0)
+        mask = np.zeros(own.max(axis=0) - low + 1, bool)
+        mask[tuple((own - low).T)] = True
+        parts, n = ndimage.label(mask, np.ones((3, 3)))
+        pieces += [np.argwhere(parts == k) + low for k in range(1, n + 1)]
+    return pieces
+
+
+def _middles(pieces):
+    """Of every piece the cell nearest to its mean: `[n, 2]` int."""
+    if not pieces:
+        return np.zeros((0, 2), int)
+    return np.array([own[np.argmin(((own - own.mean(axis=0)) ** 2).sum(axis=1))] for own in pieces])
+
+
+def compared(truth: np.ndarray | None, found: np.ndarray, free: np.ndarray, cell_m: float) -> Doors:
+    """Doors of a segmentation beside the true ones.
+
+    Args:
+      truth: `[H, W]` int, true rooms, negative in doorways and walls; None where nobody says.
+      found: `[H, W]` int, likewise, what was found.
+      free: `[H, W]` bool.
+      cell_m: edge of a cell, metres.
+
+    Returns:
+      `Doors`.
+    """
+    gap = NEAR_M / cell_m
+    own = touching(found)
+    if truth is None:
+        return Doors(_middles([]), _middles([]), _middles(own))
+    true = touching(filled(truth, free, gap))
+    close = [_close(_middles(pieces), others, free.shape, gap) for pieces, others in ((true, own), (own, true))]
+    middles = _middles(true), _middles(own)
+    return Doors(middles[0][close[0]], middles[0][~close[0]], middles[1][~close[1]])
+
+
+def _close(middles, pieces, shape, gap):
+    """Which middles lie within a distance of some piece: `[n]` bool."""
+    if not pieces or not len(middles):
+        return np.zeros(len(middles), bool)
+    mask = np.ones(shape, bool)
+    mask[tuple(np.concatenate(pieces).T)] = False
+    return np.asarray(ndimage.distance_transform_edt(mask))[tuple(middles.T)] <= gap

@@ -1,0 +1,290 @@
+"""Rooms: the watershed of the clearance, where two basins are one room if the pass between them is wide.
+
+Peaks of the clearance and passes between them are the nodes and the narrow places of the Voronoi graph. So this cuts
+free space where `segment` does, and needs no graph, whose spurs would hide narrow places from each other.
+"""
+
+import functools
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+from jax import Array, lax
+
+from jexplore.arrays import bits, sparse
+from jexplore.arrays.loops import settled
+from jexplore.distance import nearest_offset
+from jexplore.frontier import label_clusters
+from jexplore.grid import any_within_one, any_within_one_packed, beside, bordered, count
+
+RATIO = 0.75
+SMALLEST_M2 = 2.0
+CLUTTER_M = 1.0
+HIGHEST = 2**20  # squared clearance without any obstacle, cells^2
+
+
+@struct.dataclass
+class Criteria:
+    """What makes a room. Numbers that may be swept without compiling anew."""
+
+    ratio: Array  # float32: a pass is a door if its clearance is below this share of that of the lower of both peaks
+    smallest: Array  # float32, cells: the area of the smallest room
+    clutter: Array  # float32, cells: an obstacle whose bounding box has a shorter diagonal is clutter, no wall
+
+
+class Form(NamedTuple):
+    """What fixes shapes. Hashable."""
+
+    basins: int  # B, peaks of the clearance, at most
+    passes: int  # between two basins, along the rows and along the columns each, at most
+    edges: int  # obstacle cells beside free ones, at most
+
+
+@struct.dataclass
+class Rooms:
+    """Free space in rooms. A room is known by the number of one of its B basins."""
+
+    label: Array  # [H, W] int32, room of every free cell, 0 or more, not consecutive; -1 elsewhere
+    door_d2: Array  # [B] int32, squared clearance of the widest way out of each room, cells^2; 0 without any
+    area: Array  # [B] int32, free cells of each room; 0 in a slot that is no room
+    overflow: Array  # int32, edges, peaks and passes that did not fit
+
+
+def form_for(shape: tuple[int, ...], *, coarse: bool = False) -> Form:
+    """The `Form` that suits a map of a shape.
+
+    One cell in 64 may be a peak, one in 64 a pass, one in 8 an edge, one in 5 on coarse maps. The most that built-in
+    worlds have is printed by `benchmarks/graph_sizes.py`.
+
+    Args:
+      shape: `(H, W)`.
+      coarse: whether the map is coarse.
+    """
+    cells = shape[0] * shape[1]
+    return Form(max(64, cells // 64), max(128, cells // 64), max(512, cells // (5 if coarse else 8)))
+
+
+def criteria(
+    cell_m: float, *, ratio: float = RATIO, smallest_m2: float = SMALLEST_M2, clutter_m: float = CLUTTER_M
+) -> Criteria:
+    """`Criteria` for cells of a size. Lengths in metres, areas in square metres."""
+    return Criteria(jnp.float32(ratio), jnp.float32(smallest_m2 / cell_m**2), jnp.float32(clutter_m / cell_m))
+
+
+def clutter(free: Array, size: Array | float, *, edges: int) -> tuple[Array, Array]:
+    """Obstacles that are no walls: legs of tables, cupboards in the middle of a room.
+
+    Args:
+      free: `[H, W]` bool. Cells that are not free and touch along edges or corners are one obstacle.
+      size: cells; an obstacle whose bounding box has a shorter diagonal, and that is not at the map's rim, is clutter.
+      edges: obstacle cells beside free ones that are looked at. Static.
+
+    Returns:
+      `(mask, overflow)`: `[H, W]` bool, cells of clutter; int32, edges that did not fit.
+    """
+    height, width = free.shape
+    edge = ~free & any_within_one(free)
+    cells = sparse.listed(edge, edges)
+    obstacle = label_clusters(cells)
+    row, col = cells.cell // width, cells.cell % width
+    used = cells.cell < height * width
+    bottom, top, left, right = (
+        jax.ops.segment_max(jnp.where(used, end, -HIGHEST), obstacle, edges + 1) for end in (-row, row, -col, col)
+    )
+    inside = (-bottom > 0) & (top < height - 1) & (-left > 0) & (right < width - 1)
+    small = inside & ((top + bottom) ** 2 + (left + right) ** 2 < size**2)
+    at = jnp.where(used & small[obstacle], cells.cell, height * width)
+    mask = jnp.zeros((height * width,), bool).at[at].set(True, mode="drop").reshape(height, width)
+    hidden = bits.pack(~free & ~edge)  # beside obstacle cells only, so of the same obstacle
+    words = settled(lambda words: words | (any_within_one_packed(words) & hidden), bits.pack(mask))
+    return bits.unpack(words, height), cells.overflow
+
+
+@functools.partial(jax.jit, static_argnames=("edges",))
+def cleared(free: Array, unknown: Array, size: Array | float, *, edges: int) -> tuple[Array, Array, Array]:
+    """Free space without clutter, and how far its walls are.
+
+    Args:
+      free, unknown: as for `watershed`.
+      size, edges: as for `clutter`.
+
+    Returns:
+      `(inside, d2, overflow)`: `[H, W]` bool, free cells and clutter; `[H, W]` int32, squared distance to the nearest
+        wall, cells^2, at most `HIGHEST`; int32, edges that did not fit.
+    """
+    small, overflow = clutter(free, size, edges=edges)
+    return free | small, jnp.minimum(nearest_offset(~free & ~small & ~unknown)[0], HIGHEST), overflow
+
+
+def peaks(d2: Array, inside: Array) -> Array:
+    """Where steepest ascent leads to from every cell.
+
+    Args:
+      d2: `[H, W]` int32, 0 or more, what is ascended.
+      inside: `[H, W]` bool, cells that the way up may cross. A diagonal step needs one of the two cells beside it.
+
+    Returns:
+      `[H, W]` int32, flat index of the peak; outside that of the cell itself. Cells of equal height ascend in the order
+      of their indices.
+    """
+    shape = d2.shape
+    own = lax.broadcasted_iota(jnp.int32, shape, 0) * shape[1] + lax.broadcasted_iota(jnp.int32, shape, 1)
+    heights, open_ = bordered(jnp.where(inside, d2, -1), -1), bordered(inside, False)
+    best, up = d2, own
+    for drow, dcol in sparse.NEIGHBOURS:
+        there = jnp.where(beside(open_, drow, 0) | beside(open_, 0, dcol), beside(heights, drow, dcol), -1)
+        at = own + drow * shape[1] + dcol
+        higher = (there > best) | ((there == best) & (at > up))
+        best, up = jnp.where(higher, there, best), jnp.where(higher, at, up)
+    up = jnp.where(inside, up, own).reshape(-1)
+    return settled(lambda up: up[up], up).reshape(shape)
+
+
+class _Passes(NamedTuple):
+    """Pairs of cells side by side in two basins, of such pairs side by side the widest, the first of equals."""
+
+    one: Array  # [E] int32, basin; B in an unused slot
+    other: Array  # [E] int32, likewise
+    d2: Array  # [E] int32, squared clearance: the smaller one of both cells
+
+
+def _passes(basin, d2, n, size):
+    """`(passes, overflow)` of basins 0 to n - 1, `[H, W]` int32, n elsewhere."""
+    basins, heights = bordered(basin, n), bordered(d2, 0)
+    found, overflow = [], jnp.int32(0)
+    for step in ((0, 1), (1, 0)):
+        other = beside(basins, *step)
+        is_pair = (basin < n) & (other < n) & (basin != other)
+        low = jnp.where(is_pair, jnp.minimum(d2, beside(heights, *step)), -1)
+        widest = is_pair
+        for sign in (1, -1):
+            aside = sign * step[1], sign * step[0]
+            same = (beside(basins, *aside) == basin) & (beside(bordered(other, n), *aside) == other)
+            there = beside(bordered(low, -1), *aside)
+            widest &= ~same | (there < low) | ((there == low) & (sign > 0))
+        cell = bits.first_cells(bits.pack(widest), size)
+        found.append(_Passes(sparse.at(basin, cell, n), sparse.at(other, cell, n), sparse.at(low, cell, 0)))
+        overflow += jnp.maximum(count(widest) - size, 0)
+    return _Passes(*map(jnp.concatenate, zip(*found))), overflow
+
+
+def _widest(room, passes, is_open):
+    """For every room its widest open pass, the first of several.
+
+    Args:
+      room: `[B + 1]` int32, of every basin; the last stands for none.
+      passes: `_Passes`.
+      is_open: `[E]` bool, passes between two rooms that count.
+
+    Returns:
+      `(there, d2)`: `[B + 1]` int32, the room beyond, the room itself without any; its squared clearance, -1.
+    """
+    n, size = room.shape[0], passes.d2.shape[0]
+    one, other = room[passes.one], room[passes.other]
+    wide = jnp.where(is_open, passes.d2, -1)
+    d2 = jnp.full((n,), -1, jnp.int32).at[one].max(wide).at[other].max(wide)
+    slots = lax.iota(jnp.int32, size)
+    first = jnp.full((n,), size, jnp.int32)
+    for side in (one, other):
+        first = first.at[side].min(jnp.where(is_open & (wide == d2[side]), slots, size))
+    at, own = jnp.minimum(first, size - 1), lax.iota(jnp.int32, n)
+    beyond = jnp.where(one[at] == own, other[at], one[at])
+    return jnp.where(first < size, beyond, own), d2
+
+
+def _clearance(d2):
+    """From the middle of a cell to the edge of the obstacle, cells."""
+    return jnp.sqrt(d2.astype(jnp.float32)) - 0.5
+
+
+def _joined(passes, heights, ratio):
+    """Basins joined across wide passes, the widest first: `[B + 1]` int32, the lowest basin or another of each room.
+
+    A room whose own widest pass is wide for its own peak can be joined at once, in any order: nothing that happens to
+    the room beyond can make that pass a door. So all such rooms are joined in one round.
+    """
+    own = lax.iota(jnp.int32, heights.shape[0])
+
+    def join(room):
+        highest = jnp.zeros_like(own).at[room].max(heights)
+        needed = ratio * _clearance(highest)
+        one, other = room[passes.one], room[passes.other]
+        is_open = (one != other) & (_clearance(passes.d2) >= jnp.minimum(needed[one], needed[other]))
+        there, d2 = _widest(room, passes, is_open)
+        to = jnp.where((d2 >= 0) & (_clearance(d2) >= needed), there, own)
+        to = jnp.where((to[to] == own) & (own < to), own, to)  # of two that want each other one stays
+        return settled(lambda to: to[to], to)[room]
+
+    return settled(join, own)
+
+
+def _absorbed(room, passes, each, smallest):
+    """Rooms that are too small joined to the one beyond their widest pass, the smallest of those in a row first.
+
+    Args:
+      room: `[B + 1]` int32.
+      passes: `_Passes`.
+      each: `[B + 1]` int32, free cells of every basin.
+      smallest: cells.
+    """
+    own = lax.iota(jnp.int32, room.shape[0])
+
+    def absorb(room):
+        area = jnp.zeros_like(own).at[room].add(each)
+        there, _ = _widest(room, passes, room[passes.one] != room[passes.other])
+        smaller = (area < area[there]) | ((area == area[there]) & (own < there))
+        wants = (area < smallest) & (there != own) & (smaller | (area[there] >= smallest))
+        is_wanted = jnp.zeros(own.shape, bool).at[jnp.where(wants, there, own.size)].set(True, mode="drop")
+        return jnp.where(wants & ~is_wanted, there, own)[room]
+
+    return settled(absorb, room)
+
+
+@functools.partial(jax.jit, static_argnames=("form",))
+def watershed(free: Array, unknown: Array, criteria: Criteria, *, form: Form) -> Rooms:
+    """Divides free space into rooms.
+
+    Every cell belongs to the peak of clearance that steepest ascent leads to. Two such basins are one room unless the
+    pass between them is a door: narrow beside both peaks. Rooms that are too small become part of the room beyond
+    their widest way out.
+
+    Args:
+      free: `[H, W]` bool, cells known to be free. What lies outside the map is no obstacle.
+      unknown: `[H, W]` bool, cells that are neither free nor obstacles: no walls, and no way through.
+      criteria: `Criteria`.
+      form: `Form`. Static.
+
+    Returns:
+      `Rooms`.
+
+    Raises:
+      ValueError: while tracing, if `free` and `unknown` are not bool matrices of one shape.
+
+    Source:
+      Thrun 1998 and Holz et al. 2010, section 2.4, cut free space at the minima of clearance along the Voronoi graph;
+      Vincent and Soille 1991, watersheds. A pass is judged relative to the peaks, so that no length is tuned.
+    """
+    if free.ndim != 2 or free.dtype != bool or unknown.dtype != bool or unknown.shape != free.shape:
+        raise ValueError(
+            f"expected free, unknown: [H, W] bool, got {free.shape} {free.dtype}, {unknown.shape} {unknown.dtype}"
+        )
+    n, cells = form.basins, free.size
+    inside, d2, lost_edges = cleared(free, unknown, criteria.clutter, edges=form.edges)
+    peak = peaks(d2, inside)
+    own = lax.iota(jnp.int32, cells).reshape(free.shape)
+    is_peak = inside & (peak == own)
+    slot = bits.first_cells(bits.pack(is_peak), n)
+    number = jnp.full((cells,), n, jnp.int32).at[slot].set(lax.iota(jnp.int32, n), mode="drop")
+    basin = jnp.where(inside, number[peak], n)
+    passes, lost_passes = _passes(basin, d2, n, form.passes)
+    each = jax.ops.segment_sum(free.astype(jnp.int32).reshape(-1), basin.reshape(-1), n + 1)
+    room = _joined(passes, jnp.append(sparse.at(d2, slot, 0), 0), criteria.ratio)
+    room = _absorbed(room, passes, each, criteria.smallest)
+    _, door_d2 = _widest(room, passes, room[passes.one] != room[passes.other])
+    return Rooms(
+        label=jnp.where(free & (basin < n), room[basin], -1),
+        door_d2=jnp.maximum(door_d2[:n], 0),
+        area=jnp.zeros((n + 1,), jnp.int32).at[room].add(each)[:n],
+        overflow=lost_edges + lost_passes + jnp.maximum(count(is_peak) - n, 0),
+    )

@@ -1,0 +1,136 @@
+"""The ways to divide a map into rooms, by name: one interface to the kernels and to the plain methods."""
+
+import functools
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jexplore import segment
+from jexplore.arrays.padding import bucket
+from jexplore.config import require_number, unknown
+from jexplore.rooms import watershed
+from jexplore.rooms.baselines import BASELINES
+
+VARIANTS = ("voronoi", *BASELINES, *segment.VARIANTS)
+BEST = "voronoi"  # by left-out scores: `benchmarks/segmentation_left_out.py`
+
+
+class Settings(NamedTuple):
+    """Numbers and choices of all variants."""
+
+    ratio: float = watershed.RATIO  # voronoi: see `watershed.Criteria`
+    smallest_m2: float = watershed.SMALLEST_M2  # voronoi: area of the smallest room, m^2
+    clutter_m: float = watershed.CLUTTER_M  # all but the paper's: smaller obstacles are no walls, metres
+    prominence_m: float = segment.PROMINENCE_M  # thrun, wurm, holz: see `segment.Criteria`, metres
+    gamma: float = 3.0  # likewise, cells
+    metric: str = "geodesic"  # likewise: see `segment.Form`
+    lines: bool = False  # likewise
+
+
+class Found(NamedTuple):
+    """A map in rooms."""
+
+    label: np.ndarray  # [H, W] int32; negative for none
+    lines: np.ndarray  # [n] int, flat index of the cells of the Voronoi graph, where the variant has one
+    critical: np.ndarray  # [m] int, flat index of its critical points, likewise
+    overflow: int  # what did not fit
+
+
+def require(settings: Settings) -> None:
+    """Refuses settings that make no sense.
+
+    Raises:
+      InputError: a number out of range, a metric that is not known.
+    """
+    if settings.metric not in segment.METRICS:
+        raise unknown("metric", settings.metric, segment.METRICS)
+    require_number("ratio", settings.ratio, high=1)
+    for name, high in (("smallest_m2", 1e6), ("clutter_m", 1000), ("prominence_m", 100), ("gamma", 1000)):
+        require_number(name, getattr(settings, name), high=high)
+
+
+def divided(
+    free: np.ndarray, unseen: np.ndarray, variants: Sequence[str], settings: Settings, cell_m: float
+) -> list[Found]:
+    """A map divided by several variants.
+
+    Args:
+      free: `[H, W]` bool.
+      unseen: `[H, W]` bool, cells that nobody has seen; for the paper's variants they are obstacles.
+      variants: names in `VARIANTS`.
+      settings: `Settings`.
+      cell_m: edge of a cell, metres.
+
+    Returns:
+      A list of `Found`.
+    """
+    paper = [name for name in variants if name in segment.VARIANTS]
+    numbers = {"prominence": settings.prominence_m / cell_m, "gamma": settings.gamma}
+    criteria = [segment.criteria(name, **numbers) for name in paper]
+    made = segmentations(free, criteria, metric=settings.metric, lines=settings.lines) if paper else []
+    found = {name: _of_graph(one, free.size) for name, one in zip(paper, made)}
+    found |= {name: _cleared(name, free, unseen, settings, cell_m) for name in variants if name not in paper}
+    return [found[name] for name in variants]
+
+
+def _of_graph(made, size):
+    cell = made.graph.cell
+    return Found(made.label, cell[cell < size], cell[made.critical], int(made.overflow))
+
+
+def _cleared(variant, free, unseen, settings, cell_m):
+    """A map divided by a variant that looks through clutter."""
+    height, width = free.shape
+    more = [(1, bucket(n + 2) - n - 1) for n in free.shape]
+    wide_free, wide_unseen = np.pad(free, more), np.pad(unseen, more)
+    form = watershed.form_for(wide_free.shape, coarse=True)
+    if variant == BEST:
+        numbers = watershed.criteria(
+            cell_m, ratio=settings.ratio, smallest_m2=settings.smallest_m2, clutter_m=settings.clutter_m
+        )
+        rooms = watershed.watershed(wide_free, wide_unseen, numbers, form=form)
+        label, overflow = np.asarray(rooms.label), rooms.overflow
+    else:
+        size = np.float32(settings.clutter_m / cell_m)
+        inside, d2, overflow = watershed.cleared(wide_free, wide_unseen, size, edges=form.edges)
+        label = BASELINES[variant](np.asarray(inside), np.sqrt(np.asarray(d2)) - 0.5, cell_m)
+    own = np.where(free, label[1 : height + 1, 1 : width + 1], -1)
+    return Found(own, *np.zeros((2, 0), int), int(overflow))
+
+
+@functools.partial(jax.jit, static_argnames=("form",))
+def _each(free, settings, *, form):
+    return jax.lax.map(lambda criteria: segment.segment(free, criteria, form=form), settings)
+
+
+def segmentations(
+    free: np.ndarray, settings: Sequence[segment.Criteria], *, metric: str = "geodesic", lines: bool = False
+) -> list[segment.Segments]:
+    """Segments a map by many settings, as one compiled batch.
+
+    Args:
+      free: `[H, W]` bool, numpy.
+      settings: list of `segment.Criteria`.
+      metric, lines: see `segment.Form`.
+
+    Returns:
+      A list of `segment.Segments` of numpy arrays, whose labels are cut to the map and whose flat indices count in it.
+    """
+    height, width = free.shape
+    shape = bucket(height), bucket(width)
+    padded = np.pad(free, [(0, full - n) for full, n in zip(shape, free.shape)])
+    form = segment.form_for(shape, coarse=True, metric=metric, lines=lines)
+    stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *settings)
+    made = jax.tree.map(np.asarray, _each(padded, stacked, form=form))
+
+    def in_map(cell):
+        return np.where(cell < padded.size, cell // shape[1] * width + cell % shape[1], free.size)
+
+    def cut(one):
+        graph = one.graph.replace(cell=in_map(one.graph.cell))
+        return one.replace(label=one.label[:height, :width], graph=graph, seed=in_map(one.seed))
+
+    return [cut(jax.tree.map(lambda a, i=i: a[i], made)) for i in range(len(settings))]

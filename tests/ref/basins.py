@@ -1,0 +1,120 @@
+"""Rooms by the watershed of the clearance, one pass after the other: plain loops."""
+
+import itertools
+
+import numpy as np
+
+AROUND = [(r, c) for r in (-1, 0, 1) for c in (-1, 0, 1) if (r, c) != (0, 0)]
+
+
+def obstacles(free):
+    """8-connected groups of cells that are not free: list of lists of `(row, col)`."""
+    left = {(int(r), int(c)) for r, c in np.argwhere(~free)}
+    groups = []
+    while left:
+        group = [left.pop()]
+        for r, c in group:
+            for dr, dc in AROUND:
+                if (r + dr, c + dc) in left:
+                    left.remove((r + dr, c + dc))
+                    group.append((r + dr, c + dc))
+        groups.append(group)
+    return groups
+
+
+def clutter(free, size):
+    """`[H, W]` bool: obstacles with a short diagonal, off the rim."""
+    mask = np.zeros(free.shape, bool)
+    for group in obstacles(free):
+        (r0, c0), (r1, c1) = np.min(group, axis=0), np.max(group, axis=0)
+        off_rim = min(r0, c0) > 0 and r1 < free.shape[0] - 1 and c1 < free.shape[1] - 1
+        if off_rim and (r1 - r0) ** 2 + (c1 - c0) ** 2 < size**2:
+            mask[tuple(np.transpose(group))] = True
+    return mask
+
+
+def squared(sites, none):
+    """`[H, W]` int, squared distance to the nearest site."""
+    at = np.argwhere(sites)
+    if not len(at):
+        return np.full(sites.shape, none)
+    rows, cols = np.indices(sites.shape)
+    return np.min([(rows - r) ** 2 + (cols - c) ** 2 for r, c in at], axis=0)
+
+
+def peak_of(d2, inside, cell):
+    """Where steepest ascent leads from a cell."""
+    while True:
+        (r, c), best = cell, (d2[cell], cell)
+        for dr, dc in AROUND:
+            there = r + dr, c + dc
+            on_map = 0 <= there[0] < d2.shape[0] and 0 <= there[1] < d2.shape[1]
+            if on_map and inside[there] and (inside[there[0], c] or inside[r, there[1]]):
+                best = max(best, (d2[there], there))
+        if best[1] == cell:
+            return cell
+        cell = best[1]
+
+
+def watershed(free, unknown, *, ratio, smallest, size, none=2**20):
+    """`(label, doors, areas)`: `[H, W]` int, -1 outside; by room squared clearance of the way out, and area."""
+    small = clutter(free, size)
+    d2 = squared(~free & ~small & ~unknown, none)
+    inside = free | small
+    cells = [(int(r), int(c)) for r, c in np.argwhere(inside)]
+    basin = {cell: peak_of(d2, inside, cell) for cell in cells}
+    room = {peak: peak for peak in basin.values()}  # of every basin
+    top = {peak: d2[peak] for peak in room}
+    passes = [
+        (-min(d2[a], d2[b]), axis, a, basin[a], basin[b])
+        for axis, (dr, dc) in enumerate(((0, 1), (1, 0)))
+        for a in cells
+        if (b := (a[0] + dr, a[1] + dc)) in basin and basin[a] != basin[b]
+    ]
+    passes.sort()
+
+    def clearance(squared):
+        return np.sqrt(np.float32(squared)) - np.float32(0.5)
+
+    def join(a, b):
+        for one, of in room.items():
+            if of == a:
+                room[one] = b
+        top[b] = max(top[a], top[b])
+
+    for low, _, _, a, b in passes:
+        one, other = room[a], room[b]
+        if one != other and clearance(-low) >= np.float32(ratio) * clearance(min(top[one], top[other])):
+            join(one, other)
+
+    def area(of):
+        return sum(1 for cell in cells if free[cell] and room[basin[cell]] == of)
+
+    while True:
+        little = [(area(one), one) for one in set(room.values())]
+        way_out = {
+            one: next((p for p in passes if room[p[3]] != room[p[4]] and one in (room[p[3]], room[p[4]])), None)
+            for _, one in little
+        }
+        little = sorted((n, one) for n, one in little if n < smallest and way_out[one])
+        if not little:
+            break
+        one = little[0][1]
+        ends = {room[basin_] for basin_ in way_out[one][3:]}
+        join(one, (ends - {one}).pop())
+    label = np.full(free.shape, -1)
+    rooms = sorted(set(room.values()))
+    for cell in cells:
+        if free[cell]:
+            label[cell] = rooms.index(room[basin[cell]])
+    doors = [-way_out[one][0] if way_out[one] else 0 for one in rooms]
+    return label, doors, [area(one) for one in rooms]
+
+
+def turned(mask):
+    """The eight turns and mirror images of a mask, and how to undo each: pairs."""
+    for k, mirrored in itertools.product(range(4), (False, True)):
+        yield (
+            np.rot90(mask[:, ::-1] if mirrored else mask, k),
+            lambda found, k=k, mirrored=mirrored: np.rot90(found, -k)[:, ::-1] if mirrored else np.rot90(found, -k),
+        )
