@@ -1,8 +1,10 @@
-"""How large Voronoi graphs become on the maps that an exploring robot plans on: most nodes and critical points.
+"""How large rooms' structures become on the maps that an exploring robot plans on: nodes and critical points of Voronoi
+graphs; peaks, passes and edges of watersheds.
 
     python benchmarks/graph_sizes.py [CELL_M...]
 
-`segment.form_for` must have room for them. Built-in worlds of several sizes, for cells of 0.05 to 0.3 m.
+`segment.form_for` and `watershed.form_for` must have room for them. Built-in worlds of several sizes, for cells of 0.05
+to 0.3 m.
 """
 
 import functools
@@ -17,8 +19,9 @@ from jexplore.config import InputError
 from jexplore.engine.backend import use_compilation_cache
 from jexplore.exploration import batch, replay
 from jexplore.exploration.site import COARSE_M, KERNELS, prepare_site
-from jexplore.grid import is_free
+from jexplore.grid import any_within_one, is_free, is_known
 from jexplore.policies import parse_strategy
+from jexplore.rooms import watershed
 from jexplore.segment import PROMINENCE_M, criteria, form_for, segment
 from jexplore.worlds import load_world
 from jexplore.worlds.starts import draw_starts
@@ -37,17 +40,22 @@ SIZES = {
 }
 CELLS_M = (0.3, 0.2, 0.1, 0.05)
 PLANS = 24  # of an episode, at which the graph is made
+WHAT = ("nodes", "critical", "peaks", "passes", "edges")
 
 
 @functools.partial(jax.jit, static_argnums=1)
 def _counts(belief, form):
-    free = is_free(belief.grid, belief.model.p_free)
+    free, unknown = is_free(belief.grid, belief.model.p_free), ~is_known(belief.grid)
     found = segment(free, criteria(prominence=PROMINENCE_M / belief.model.cell_m), form=form)
-    return jnp.sum(found.graph.cell < free.size), found.count, found.overflow
+    clutter = watershed.criteria(1.0).clutter / belief.model.cell_m
+    wide = watershed.Form(free.size // 8, free.size // 8, free.size)
+    rooms = watershed.watershed(free, unknown, watershed.criteria(1.0).replace(clutter=clutter), form=wide)
+    edges, overflow = jnp.sum(~free & any_within_one(free)), found.overflow + rooms.overflow
+    return jnp.sum(found.graph.cell < free.size), found.count, rooms.peaks, rooms.passes, edges, overflow
 
 
 def measure(world, seed=5):
-    """Most nodes and critical points in one episode of `closest+recheck`: `(padded shape, nodes, critical points)`."""
+    """The most of `WHAT` in one episode of `closest+recheck`: `(padded shape, *most)`."""
     lidar, rules, strategy = Lidar(), Rules(), parse_strategy("closest+recheck")
     starts = draw_starts(world, seed, 1, rules.clearance_m)
     kernels = KERNELS["serial"]
@@ -55,7 +63,7 @@ def measure(world, seed=5):
     found = batch.run_jobs([batch.Job(world, strategy, starts, seed)], lidar, rules, kernels=kernels)
     plans, shape = found.outcomes[0].first.plans, site.truth.occupied.shape
     form = form_for(shape, nodes=shape[0] * shape[1] // 4, splits=2048)
-    every, most = max(1, len(plans) // PLANS), (0, 0)
+    every, most = max(1, len(plans) // PLANS), (0,) * len(WHAT)
     for i, turn in enumerate(replay.turns(site, strategy, starts[0], seed, 0, plans)):
         for _ in turn.moments:
             pass
@@ -68,7 +76,7 @@ def measure(world, seed=5):
 
 def main(arguments):
     use_compilation_cache()
-    rows, worst = [], {True: [0.0, 0.0], False: [0.0, 0.0]}
+    rows, worst = [], {coarse: [0.0] * len(WHAT) for coarse in (True, False)}
     for cell_m in map(float, arguments) if arguments else CELLS_M:
         for kind, sizes in SIZES.items():
             for seed, (width_m, height_m) in enumerate(sizes):
@@ -81,17 +89,18 @@ def main(arguments):
                     continue
                 shape, *counts = measure(world)
                 cells, coarse = shape[0] * shape[1], cell_m > COARSE_M
-                form = form_for(shape, coarse=coarse)
+                form = form_for(shape, coarse=coarse)[:2] + watershed.form_for(shape, coarse=coarse)
                 worst[coarse] = [max(a, n / cells) for a, n in zip(worst[coarse], counts)]
-                fits = all(n <= room for n, room in zip(counts, form[:2]))
-                rooms = [f"{n} of {room}" for n, room in zip(counts, form[:2])]
-                shares = [f"1 in {cells / max(n, 1):.3g}" for n in counts]
-                rows.append([name, f"{cell_m:g}", f"{shape[0]} x {shape[1]}", *rooms, *shares, "yes" if fits else "NO"])
-    print(markdown(["world", "cell m", "padded", "nodes", "critical", "of the cells", "", "fits"], rows))
+                fits = all(n <= room for n, room in zip(counts, form))
+                rooms = [f"{n} of {room}" for n, room in zip(counts, form)]
+                rows.append([name, f"{cell_m:g}", f"{shape[0]} x {shape[1]}", *rooms, "yes" if fits else "NO"])
+    print(markdown(["world", "cell m", "padded", *WHAT, "fits"], rows))
     for coarse, shares in worst.items():
         if any(shares):
-            nodes, critical = (f"one cell in {1 / share:.3g}" if share else "none" for share in shares)
-            print(f"{'coarse' if coarse else 'fine'} maps: most nodes {nodes}, most critical points {critical}")
+            most = ", ".join(
+                f"{what} one cell in {1 / share:.3g}" if share else f"{what} none" for what, share in zip(WHAT, shares)
+            )
+            print(f"{'coarse' if coarse else 'fine'} maps, the most: {most}")
 
 
 if __name__ == "__main__":

@@ -97,8 +97,11 @@ def left_out(maps: list[Map], variant: str) -> list[list[str]]:
     print("Left out, MCC and room count error:\n")
     print(markdown(["building", "chosen on all others", "plain", "furnished"], rows), "\n", flush=True)
     return [
-        [variant, name, str(mask.sum()), *(f"{f(chosen[mask, 0]):.3f}" for f in (np.mean, np.median, np.min))]
-        + [f"{np.abs(chosen[mask, 1]).mean():.1f}"]
+        [
+            *(variant, name, str(mask.sum())),
+            *(f"{f(chosen[mask, 0]):.3f}" for f in (np.mean, np.median, np.min)),
+            f"{np.abs(chosen[mask, 1]).mean():.1f}",
+        ]
         for name, mask in groups
     ]
 

@@ -26,8 +26,11 @@ def main():
     start_backend(1)
     use_compilation_cache()
     repeat = int(os.environ.get("REPEAT", "5"))
-    params = parse_strategy("closest+segment").policy.params
-    others = {"the segmentation alone": lambda belief: own_segment(params, belief)}
+    params = {kind: parse_strategy(f"closest+segment={kind}").policy.params for kind in ("holz", "voronoi")}
+    others = {
+        f"the segmentation alone: {kind}": lambda belief, own=own: own_segment(own, belief)
+        for kind, own in params.items()
+    }
     costs = {world: plan_costs(load_world(world), NAMES, others=others, repeat=repeat) for world in WORLDS}
     rows = [[name, *(costs[world][name] for world in WORLDS)] for name in (*NAMES, *others)]
     print(markdown(["ms a plan", *WORLDS], rows))

@@ -75,10 +75,11 @@ def test_kernels_give_the_same_in_either_engine(want, engine, kernels):
 
 
 @pytest.mark.jit
-def test_a_strategy_that_draws_looks_ahead_and_divides_the_map_gives_the_same_in_both_engines():
+@pytest.mark.parametrize("kind", ["auto", "rooms"])
+def test_a_strategy_that_draws_looks_ahead_and_divides_the_map_gives_the_same_in_both_engines(kind):
     occupied, rooms = maps.cluttered(1, 32, 36)
     world = World(occupied=occupied, rooms=rooms, name="cluttered")
-    strategy = parse_strategy("decision-theoretic+recheck+segment=auto:samples=20")
+    strategy = parse_strategy(f"decision-theoretic+recheck+segment={kind}:samples=20")
     jobs = [Job(world, strategy, draw_starts(world, 4, 5, RULES.clearance_m), seed=7)]
     both = [run_jobs(jobs, LIDAR, RULES, engine=engine) for engine in ("serial", "lockstep")]
     assert_equal(*both)

@@ -238,6 +238,17 @@ def test_only_what_the_start_can_reach_is_mapped():
     assert all(node.y_m < 3 for node in largest.nodes)
 
 
+@pytest.mark.jit
+def test_legs_of_a_table_are_looked_through():
+    """And are not, if one says so: a passage round either side of each."""
+    with_legs = TEE.copy()
+    for row, col in ((58, 30), (62, 30), (58, 36), (62, 36), (60, 90)):
+        with_legs[row : row + 2, col : col + 2] = False
+    plain, found = mapped(TEE), mapped(with_legs)
+    assert found == plain
+    assert len(mapped(with_legs, clutter_m=0.0).links) > len(plain.links)
+
+
 def test_wrong_input_is_refused():
     with pytest.raises(InputError, match="no cell of the map is free"):
         mapped(board())
@@ -247,7 +258,7 @@ def test_wrong_input_is_refused():
         mapped(STRAIGHT, trail=[(60, 200)])
     with pytest.raises(InputError, match="bool matrices"):
         extract(STRAIGHT, STRAIGHT.astype(int), CELL_M)
-    for name in ("cell_m", "width_m", "open_m"):
+    for name in ("cell_m", "width_m", "open_m", "clutter_m"):
         with pytest.raises(InputError, match=name):
             extract(STRAIGHT, STRAIGHT, **{"cell_m": CELL_M, name: -1.0})
 

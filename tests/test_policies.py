@@ -43,12 +43,15 @@ def test_names_are_kept_verbatim():
 
 def test_modifiers_take_a_kind_and_numbers():
     holz, wurm, auto = (parse_strategy(f"closest+segment{kind}").policy for kind in ("", "=wurm", "=auto"))
-    assert (holz.params.max_hops, wurm.params.max_hops, auto.params.max_hops) == (2, 1, 2)
+    assert [one.params.cut.max_hops for one in (holz, wurm, auto)] == [2, 1, 2]
     assert holz == parse_strategy("closest+segment=holz").policy
     assert (holz.params.door_m, auto.params.door_m) == (math.inf, 1.6)
     both = parse_strategy("decision-theoretic+segment=wurm+recheck:samples=100,prominence_m=1,lam=2")
     assert both.recheck
-    assert both.policy.params.prominence_m == 1
+    assert both.policy.params.cut.prominence_m == 1
+    basins, rooms = (parse_strategy(f"closest+segment={kind}:ratio=0.5").policy.params for kind in ("voronoi", "rooms"))
+    assert basins.cut == rooms.cut == (0.5, 2.0, 1.0)
+    assert (basins.door_m, rooms.door_m) == (math.inf, 1.6)
     assert both.policy.params.inner == parse_strategy("decision-theoretic:lam=2,samples=100").policy.params
     assert both.policy.params.inner.samples == 100
     assert parse_strategy("decision-theoretic").policy.params.samples == 500
@@ -67,7 +70,11 @@ def test_modifiers_take_a_kind_and_numbers():
         ("+recheck", "unknown strategy ''"),
         ("closest+recheck=1", "modifier 'recheck' takes no value, got 'recheck=1'"),
         ("closest+recheck=", "modifier 'recheck' takes no value"),
-        ("closest+segment=foo", "unknown kind of 'segment': 'foo' (there are: thrun, wurm, holz, auto)"),
+        (
+            "closest+segment=foo",
+            "unknown kind of 'segment': 'foo'; did you mean 'rooms'? "
+            "(there are: thrun, wurm, holz, auto, voronoi, rooms)",
+        ),
         ("closest+segment=hols", "did you mean 'holz'?"),
         ("closest+segment=", "unknown kind of 'segment': ''"),
         ("closest+segment+segment=wurm", "'segment' is given twice"),
@@ -94,6 +101,9 @@ def test_modifiers_take_a_kind_and_numbers():
         ("closest+segment:prominence_m=-1", "prominence_m must be a number at least 0"),
         ("closest+segment=auto:room_m2=nan", "room_m2 must be"),
         ("closest+segment:room_m2=3", "unknown parameter"),
+        ("closest+segment:ratio=0.5", "unknown parameter"),
+        ("closest+segment=voronoi:gamma=3", "unknown parameter"),
+        ("closest+segment=rooms:ratio=2", "ratio must be"),
     ],
 )
 def test_wrong_names_are_refused_in_one_line(text, message):
@@ -107,7 +117,13 @@ def test_wrong_names_are_refused_in_one_line(text, message):
 
 
 @pytest.mark.jit
-@pytest.mark.parametrize("name", [*STRATEGIES, "closest+segment", "random+segment=auto", "decision-theoretic+segment"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        *STRATEGIES,
+        *("closest+segment", "random+segment=auto", "decision-theoretic+segment", "closest+segment=rooms"),
+    ],
+)
 def test_every_strategy_keeps_the_contract(name):
     """A candidate or a view point with its cost and a route; -1 and FAR where there is none; the same for the same key;
     traced once.

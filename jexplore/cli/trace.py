@@ -60,6 +60,9 @@ class Trace:
     """Instead of driving so, run an exploration episode and read the map off what it has seen (Voronoi graph)."""
     strategy: OneStrategy = "closest+recheck"
     """Let the episode of --from-episode use this strategy."""
+    clutter_m: float = 1.0
+    """Let --from-episode look through obstacles in the open whose bounding box has a diagonal shorter than this, in
+    metres, such as legs of tables."""
     out: OutFolder = None
     """Write into this folder."""
     overwrite: bool = False
@@ -74,8 +77,9 @@ class Trace:
         from jexplore.studies.traces import tracing
         from jexplore.studies.traces.job import prepare_trace
 
-        if not self.from_episode and self.strategy != type(self)().strategy:
-            raise InputError("--strategy goes with --from-episode")
+        for name in ("strategy", "clutter_m"):
+            if not self.from_episode and getattr(self, name) != getattr(type(self)(), name):
+                raise InputError(f"--{name.replace('_', '-')} goes with --from-episode")
         if self.noise_m is not None and self.noise.range_m not in (type(self)().noise.range_m, self.noise_m):
             raise InputError("--noise-m and --noise.range-m say the same: give one of them")
         with Out(self, "trace") as out:
@@ -189,7 +193,8 @@ def _trace_episode(out, options, arguments):
     from jexplore.report import plot, trace_tables
     from jexplore.studies.traces import extraction
 
-    plain, own = type(options)(), ("world", "strategy", "seed", "cell_m", "tuning", "out", "overwrite", "from_episode")
+    plain, own = type(options)(), {"world", "strategy", "seed", "cell_m", "clutter_m", "tuning"}
+    own |= {"out", "overwrite", "from_episode"}
     for field in dataclasses.fields(options):
         if field.name not in own and getattr(options, field.name) != getattr(plain, field.name):
             option = field.name.replace("_", "-")
@@ -200,6 +205,7 @@ def _trace_episode(out, options, arguments):
             options.strategy,
             seed=options.seed,
             cell_m=options.cell_m,
+            clutter_m=options.clutter_m,
             tuning=options.tuning,
         )
     pictures = {"btm.png": lambda path: plot.save_figure(found.figure(), path)}

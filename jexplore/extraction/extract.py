@@ -7,16 +7,21 @@ junction of that graph, whose branches are passages or run into corners. Runs on
 import itertools
 import math
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 
+from jexplore.arrays.padding import bucket
 from jexplore.config import InputError, require_number
 from jexplore.extraction.lines import components, lines_of, take_corners
 from jexplore.extraction.passages import SEARCH, Place, places_and_passages
 from jexplore.grid import centre_of, in_cells
+from jexplore.rooms.watershed import CLUTTER_M, clutter
 from jexplore.tracemap.record import NOWHERE, STATUS, BtmMap, Link, Node
 from jexplore.worlds.starts import label_components
 
 _UNSEARCHED, _SEARCHED = STATUS
+_looked_through = jax.jit(clutter, static_argnames="edges")
 
 
 def extract(
@@ -28,6 +33,7 @@ def extract(
     trail: np.ndarray | None = None,
     width_m: float = 0.39,
     open_m: float = 2.5,
+    clutter_m: float = CLUTTER_M,
     origin_m: tuple[float, float] = (0.0, 0.0),
 ) -> BtmMap:
     """The Behavioral Trace Map of a grid map, on the host.
@@ -46,6 +52,7 @@ def extract(
       trail: `[T, 2]` rows and cols that the robot went along, or None. A terminal node is made at its end.
       width_m: width of the robot, metres.
       open_m: clearance above which a place is free space, metres: the paper's C1.
+      clutter_m: obstacles in the open whose bounding box has a shorter diagonal, metres, are looked through.
       origin_m: x, y of the lower left corner of cell (0, 0), metres.
 
     Returns:
@@ -58,7 +65,7 @@ def extract(
     Source:
       Mano et al., Behavioral Trace Map. Changed: from the Voronoi graph of a whole map instead of single scans.
     """
-    free, obstacle, ends = _checked(free, known, cell_m, start_rc, trail, width_m, open_m)
+    free, obstacle, ends = _checked(free, known, cell_m, start_rc, trail, width_m, open_m, clutter_m)
     lines = lines_of(obstacle, free, width=in_cells(width_m, cell_m))
     corners = take_corners(lines)
     cells = _attached(lines, corners, ends, free)
@@ -79,8 +86,8 @@ def extract(
     return _numbered(places, ways, first, lines, cell_m, origin_m)
 
 
-def _checked(free, known, cell_m, start_rc, trail, width_m, open_m):
-    """`(free, obstacle, ends)`: masks with small unseen patches free, and name -> cell of the terminals."""
+def _checked(free, known, cell_m, start_rc, trail, width_m, open_m, clutter_m):
+    """`(free, obstacle, ends)`: masks with small unseen patches and clutter free, and name -> cell of the terminals."""
     free, known = np.asarray(free), np.asarray(known)
     if free.ndim != 2 or free.shape != known.shape or free.dtype != bool or known.dtype != bool:
         raise InputError(
@@ -90,6 +97,7 @@ def _checked(free, known, cell_m, start_rc, trail, width_m, open_m):
     require_number("cell_m", cell_m, low_open=True)
     require_number("width_m", width_m)
     require_number("open_m", open_m, low_open=True)
+    require_number("clutter_m", clutter_m)
     if not free.any():
         raise InputError("free: no cell of the map is free")
     ends = {} if start_rc is None else {"start": start_rc}
@@ -101,7 +109,17 @@ def _checked(free, known, cell_m, start_rc, trail, width_m, open_m):
             raise InputError(f"{name}: cell ({row}, {col}) is not a free cell of the map")
     patches = label_components(~known)
     small = np.bincount(patches[patches >= 0], minlength=1) < max(in_cells(width_m, cell_m), 1) ** 2
-    return free | ((patches >= 0) & small[patches]), known & ~free, ends
+    open_ = free | ((patches >= 0) & small[patches])
+    open_ |= _clutter(open_, in_cells(clutter_m, cell_m))
+    return open_, known & ~free & ~open_, ends
+
+
+def _clutter(free, size):
+    height, width = free.shape
+    padded = np.pad(free, [(1, bucket(n + 2) - n - 1) for n in free.shape])
+    mask, overflow = _looked_through(jnp.asarray(padded), jnp.float32(size), edges=padded.size)
+    assert not overflow
+    return np.asarray(mask)[1 : height + 1, 1 : width + 1]
 
 
 def _counts(lines, cell):

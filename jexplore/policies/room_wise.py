@@ -70,11 +70,10 @@ class OfBasins(NamedTuple):
 
     def divide(self, free, known, model):
         """As of `OfGraph`; a basin's widest way out."""
-        form = watershed.form_for(free.shape, coarse=model.coarse)
         numbers = watershed.Criteria(
             ratio=self.ratio, smallest=self.smallest_m2 / model.cell_m**2, clutter=self.clutter_m / model.cell_m
         )
-        found = watershed.watershed(free, ~known, numbers, form=form)
+        found = watershed.watershed(free, ~known, numbers, form=watershed.form_for(free.shape, coarse=model.coarse))
         return found.label, jnp.where(found.door_d2 > 0, found.door_d2, NO_DOOR), found.overflow
 
 

@@ -48,21 +48,24 @@ class Rooms:
     label: Array  # [H, W] int32, room of every free cell, 0 or more, not consecutive; -1 elsewhere
     door_d2: Array  # [B] int32, squared clearance of the widest way out of each room, cells^2; 0 without any
     area: Array  # [B] int32, free cells of each room; 0 in a slot that is no room
+    peaks: Array  # int32, peaks that there are, whether they fit or not
+    passes: Array  # int32, passes along the rows or along the columns, the more of both, likewise
     overflow: Array  # int32, edges, peaks and passes that did not fit
 
 
 def form_for(shape: tuple[int, ...], *, coarse: bool = False) -> Form:
     """The `Form` that suits a map of a shape.
 
-    One cell in 64 may be a peak, one in 64 a pass, one in 8 an edge, one in 5 on coarse maps. The most that built-in
-    worlds have is printed by `benchmarks/graph_sizes.py`.
+    One cell in 128 may be a peak, one in 96 a pass, one in 7 an edge; on coarse maps, where rooms are only some cells
+    wide, one in 48, in 40, in 5. The most that built-in worlds have is printed by `benchmarks/graph_sizes.py`.
 
     Args:
       shape: `(H, W)`.
       coarse: whether the map is coarse.
     """
     cells = shape[0] * shape[1]
-    return Form(max(64, cells // 64), max(128, cells // 64), max(512, cells // (5 if coarse else 8)))
+    peaks, passes, edges = (48, 40, 5) if coarse else (128, 96, 7)
+    return Form(max(96, cells // peaks), max(256, cells // passes), max(768, cells // edges))
 
 
 def criteria(
@@ -142,7 +145,7 @@ def peaks(d2: Array, inside: Array) -> Array:
 
 
 class _Passes(NamedTuple):
-    """Pairs of cells side by side in two basins, of such pairs side by side the widest, the first of equals."""
+    """Pairs of cells side by side in two basins; of pairs that touch each other the widest, the first of equals."""
 
     one: Array  # [E] int32, basin; B in an unused slot
     other: Array  # [E] int32, likewise
@@ -150,23 +153,23 @@ class _Passes(NamedTuple):
 
 
 def _passes(basin, d2, n, size):
-    """`(passes, overflow)` of basins 0 to n - 1, `[H, W]` int32, n elsewhere."""
+    """`(passes, most)` of basins 0 to n - 1, `[H, W]` int32, n elsewhere; most: as `Rooms.passes`."""
     basins, heights = bordered(basin, n), bordered(d2, 0)
-    found, overflow = [], jnp.int32(0)
+    found, most = [], jnp.int32(0)
     for step in ((0, 1), (1, 0)):
         other = beside(basins, *step)
         is_pair = (basin < n) & (other < n) & (basin != other)
         low = jnp.where(is_pair, jnp.minimum(d2, beside(heights, *step)), -1)
         widest = is_pair
-        for sign in (1, -1):
-            aside = sign * step[1], sign * step[0]
-            same = (beside(basins, *aside) == basin) & (beside(bordered(other, n), *aside) == other)
-            there = beside(bordered(low, -1), *aside)
-            widest &= ~same | (there < low) | ((there == low) & (sign > 0))
+        others, lows = bordered(other, n), bordered(low, -1)
+        for aside in ((sign, shift) if step == (0, 1) else (shift, sign) for sign in (1, -1) for shift in (-1, 0, 1)):
+            same = (beside(basins, *aside) == basin) & (beside(others, *aside) == other)
+            there = beside(lows, *aside)
+            widest &= ~same | (there < low) | ((there == low) & (aside > (0, 0)))
         cell = bits.first_cells(bits.pack(widest), size)
         found.append(_Passes(sparse.at(basin, cell, n), sparse.at(other, cell, n), sparse.at(low, cell, 0)))
-        overflow += jnp.maximum(count(widest) - size, 0)
-    return _Passes(*map(jnp.concatenate, zip(*found))), overflow
+        most = jnp.maximum(most, count(widest))
+    return _Passes(*map(jnp.concatenate, zip(*found))), most
 
 
 def _widest(room, passes, is_open):
@@ -274,10 +277,11 @@ def watershed(free: Array, unknown: Array, criteria: Criteria, *, form: Form) ->
     peak = peaks(d2, inside)
     own = lax.iota(jnp.int32, cells).reshape(free.shape)
     is_peak = inside & (peak == own)
+    n_peaks = count(is_peak)
     slot = bits.first_cells(bits.pack(is_peak), n)
     number = jnp.full((cells,), n, jnp.int32).at[slot].set(lax.iota(jnp.int32, n), mode="drop")
     basin = jnp.where(inside, number[peak], n)
-    passes, lost_passes = _passes(basin, d2, n, form.passes)
+    passes, n_passes = _passes(basin, d2, n, form.passes)
     each = jax.ops.segment_sum(free.astype(jnp.int32).reshape(-1), basin.reshape(-1), n + 1)
     room = _joined(passes, jnp.append(sparse.at(d2, slot, 0), 0), criteria.ratio)
     room = _absorbed(room, passes, each, criteria.smallest)
@@ -286,5 +290,7 @@ def watershed(free: Array, unknown: Array, criteria: Criteria, *, form: Form) ->
         label=jnp.where(free & (basin < n), room[basin], -1),
         door_d2=jnp.maximum(door_d2[:n], 0),
         area=jnp.zeros((n + 1,), jnp.int32).at[room].add(each)[:n],
-        overflow=lost_edges + lost_passes + jnp.maximum(count(is_peak) - n, 0),
+        peaks=n_peaks,
+        passes=n_passes,
+        overflow=lost_edges + jnp.maximum(n_passes - form.passes, 0) + jnp.maximum(n_peaks - n, 0),
     )

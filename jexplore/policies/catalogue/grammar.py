@@ -201,7 +201,7 @@ def strategy(
     if name is None and base is None:
         raise InputError(f"{described(what)} has no name: jx.strategy(..., name=...)")
     _require_name(base if name is None else name)
-    _require_apart(what, own, {"name", "recheck", "segment", *(_defaults(segmented) if kind else ())})
+    _require_apart(what, own, {"name", "recheck", "segment", *(KINDS[kind] if kind else ())})
     words = ("+recheck" if recheck else "") + (f"+segment={kind}" if kind else "")
     policy = _modified(
         policy_from(what, {key: value for key, value in given.items() if key in own or not kind}),

@@ -6,11 +6,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from jexplore.config import require_number
 from jexplore.driving.settings import Tuning, require_tuning
 from jexplore.driving.walls import segments, walls_of
 from jexplore.extraction.extract import extract
 from jexplore.grid import centre_of
 from jexplore.report import plot_traces
+from jexplore.rooms.watershed import CLUTTER_M
 from jexplore.studies import explore
 from jexplore.studies.explore import Episode
 from jexplore.tracemap.record import BtmMap
@@ -55,6 +57,7 @@ def extracted(
     *,
     seed: int = 0,
     cell_m: float = 0.1,
+    clutter_m: float = CLUTTER_M,
     tuning: Tuning | None = None,
 ) -> Extracted:
     """Explores a world and reads the map off the last grid.
@@ -64,6 +67,7 @@ def extracted(
       strategy: name of a strategy.
       seed: of the episode.
       cell_m: edge of a cell, metres.
+      clutter_m: see `extract.extract`.
       tuning: `Tuning`; its reference width and C1 are used.
 
     Returns:
@@ -74,6 +78,7 @@ def extracted(
     """
     tuning = tuning or Tuning()
     require_tuning(tuning)
+    require_number("clutter_m", clutter_m)
     own = isinstance(world, str) and world.partition("#")[0].partition(":")[0] == "course"
     start = "world" if own or getattr(world, "course", None) is not None else "random"
     episode = explore.explore(world, strategy, seed=seed, cell_m=cell_m, start=start)
@@ -89,6 +94,7 @@ def extracted(
         trail=np.stack([final.rows, final.cols], axis=1),
         width_m=tuning.width_m,
         open_m=tuning.open_m,
+        clutter_m=clutter_m,
         origin_m=episode.world.origin_m,
     )
     return Extracted(found, episode)
