@@ -117,7 +117,7 @@ class Clusters:
 
 
 def label_clusters(cells: sparse.Cells) -> Array:
-    """For every cell of a list the lowest slot of its 8-connected group: `[K]` int32; K in an unused slot.
+    """For every cell of a list the lowest slot of its 8-connected group: `[K]` int32; its own in an unused slot.
 
     Args:
       cells: `sparse.Cells`.

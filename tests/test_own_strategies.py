@@ -312,6 +312,7 @@ def test_what_stands_for_a_strategy():
         (nearest, {"name": 5}, "a strategy's name must be text, got 5"),
         (nearest, {"name": " "}, "a strategy's name must be text"),
         (lambda view, gamma=1: 0, {"segment": True}, "has a parameter 'gamma', which is one of the modifiers'"),
+        (nearest, {"segment": "voronoi", "gamma": 3.0}, "has no parameter 'gamma'"),
         (lambda view, ratio=1: 0, {"segment": "rooms"}, "has a parameter 'ratio', which is one of the modifiers'"),
         (jx.Strategy("raw", 3), {}, "'raw': policy must be a Policy, got int"),
         (jx.Strategy(None, jx.Policy(nearest, nearest)), {}, "name must be text, got None"),

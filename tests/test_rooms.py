@@ -41,6 +41,20 @@ def test_doorways_go_to_the_nearest_room():
     assert doors.filled(label, label >= 0, 5.0)[0].tolist() == [0, 0, -1, 1, 1]
 
 
+def test_rooms_do_not_reach_through_walls():
+    """A closet that is too small to count, in a wall between two rooms: no door."""
+    truth = labels("00##.##11")
+    assert doors.filled(truth, np.array([[c in "01." for c in "00##.##11"]]), 5.0)[0].tolist() == truth[0].tolist()
+
+
+def test_a_sliver_in_a_doorway_does_not_hide_the_door():
+    free = np.ones((4, 20), bool)
+    truth, found = np.zeros((2, 4, 20), int)
+    truth[:, 10], truth[:, 11:] = -1, 1
+    found[:, 9:12], found[:, 12:] = -1, 1
+    assert [len(a) for a in doors.compared(truth, found, free, 0.1)[:3]] == [1, 0, 0]
+
+
 def test_doors_found_missed_and_extra():
     free = np.ones((5, 40), bool)
     truth, found = np.zeros((2, 5, 40), int)
@@ -49,13 +63,15 @@ def test_doors_found_missed_and_extra():
     found[:, 12:], found[:, 33:] = 1, 2
     both = doors.compared(truth, found, free, 0.1)
     assert both.found.tolist() in ([[2, 9]], [[2, 10]], [[2, 11]])
-    assert [len(a) for a in both] == [1, 1, 1]
+    assert [len(a) for a in both[:3]] == [1, 1, 1]
+    assert both.count == 2
     assert abs(both.missed[0][1] - 25) <= 1
     assert both.extra[0].tolist() in ([2, 32], [2, 33])
     alone = doors.compared(None, found, free, 0.1)
-    assert [len(a) for a in alone] == [0, 0, 2]
+    assert [len(a) for a in alone[:3]] == [0, 0, 2]
     one = doors.compared(np.zeros_like(truth), np.zeros_like(found), free, 0.1)
-    assert [len(a) for a in one] == [0, 0, 0]
+    assert [len(a) for a in one[:3]] == [0, 0, 0]
+    assert one.count == 0
 
 
 @pytest.fixture

@@ -92,8 +92,9 @@ def test_a_sweep_is_the_settings_one_by_one():
         np.testing.assert_array_equal(one.label, segmentations(free, [setting])[0].label)
 
 
-def test_partial_maps_are_those_of_an_episode():
-    scores = segment_maps(SMALL, cell_m=0.1, variants=["holz"], partial=True).scores
+@pytest.mark.parametrize("variant", ["voronoi", "distance", "holz"])
+def test_partial_maps_are_those_of_an_episode(variant):
+    scores = segment_maps(SMALL, cell_m=0.1, variants=variant, partial=True).scores
     assert set(scores["stage"]) <= {0.25, 0.5, 0.75, 1.0}
     assert (scores["stage"].iloc[-1], scores["explored"].iloc[-1], len(scores) > 1) == (1, 1, True)
     assert scores["stage"].is_unique

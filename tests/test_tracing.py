@@ -94,6 +94,8 @@ def test_a_map_from_an_episode(tmp_path, capsys):
         (("--from-episode", "--runs", "3"), "--from-episode takes no --runs"),
         (("--from-episode", "--robot", "wheeled"), "--from-episode takes no --robot"),
         (("--strategy", "random"), "--strategy goes with --from-episode"),
+        (("--clutter-m", "2"), "--clutter-m goes with --from-episode"),
+        (("--from-episode", "--clutter-m", "-1"), "clutter_m must be"),
         (("--world", "course:obstacle=river"), "obstacle must be one of"),
     ],
 )

@@ -122,6 +122,29 @@ def test_clutter_is_filled_and_off_the_rim():
     assert np.argwhere(mask).tolist() == [[r, c] for r in (5, 6, 7) for c in (5, 6, 7)]
 
 
+def test_a_pocket_in_thick_rock_makes_no_clutter_of_it():
+    free = np.zeros(SHAPE, bool)
+    free[10, 10] = True
+    assert not kernel.clutter(jnp.asarray(free), 4.0, edges=576)[0].any()
+    free[1:5, 1:20] = free[16:22, 1:20] = True
+    assert not kernel.clutter(jnp.asarray(free), 4.0, edges=576)[0].any()
+
+
+def test_edges_that_do_not_fit_are_walls():
+    free = np.ones(SHAPE, bool)
+    free[4:20, 4:20] = False
+    for edges in (8, 20, 40, 576):
+        assert not kernel.clutter(jnp.asarray(free), 12.0, edges=edges)[0].any()
+
+
+def test_a_hollow_block_is_clutter_as_a_whole():
+    free = np.ones(SHAPE, bool)
+    free[6:13, 6:13] = False
+    free[9, 9] = True
+    mask, _ = kernel.clutter(jnp.asarray(free), 9.0, edges=576)
+    assert np.array_equal(mask, ~free)
+
+
 def test_a_closet_is_part_of_what_it_opens_to():
     closet = """
         ###################
@@ -203,7 +226,8 @@ def test_rooms_are_the_oracles(seed, density, ratio):
 
 @pytest.mark.jit
 def test_rooms_are_the_oracles_on_many_maps():
-    for seed in range(60):
+    # 1163, 2765, 2867: a pocket in rock; 1538, 2618: small rooms in a row.
+    for seed in (*range(60), 1163, 1538, 2618, 2765, 2867):
         test_rooms_are_the_oracles.hypothesis.inner_test(seed, DENSITIES[seed % 3], (0.5, 0.75, 0.9)[seed // 3 % 3])
 
 

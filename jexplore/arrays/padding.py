@@ -23,3 +23,8 @@ def number(value: Any) -> np.ndarray:
     return value.astype(
         np.int32 if value.dtype.kind in "iu" else value.dtype if value.dtype.kind == "b" else np.float32
     )
+
+
+def framed(mask: np.ndarray) -> np.ndarray:
+    """A mask padded to sizes of `bucket`, with False cells all round: it begins at row 1, column 1."""
+    return np.pad(mask, [(1, bucket(n + 2) - n - 1) for n in mask.shape])

@@ -94,6 +94,6 @@ class Segment:
             show_table(found.to_markdown())
             overflow = found.scores[found.scores["overflow"] > 0]
             for _, row in overflow.iterrows():
-                what = f"{row['overflow']} nodes, peaks or passes did not fit"
+                what = f"{row['overflow']} edges, nodes, peaks or passes did not fit"
                 print(f"warning: {row['map']}: {row['variant']}: {what}")
             print(wrote)

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jexplore.arrays.padding import bucket
+from jexplore.arrays.padding import framed
 from jexplore.config import InputError, require_number
 from jexplore.extraction.lines import components, lines_of, take_corners
 from jexplore.extraction.passages import SEARCH, Place, places_and_passages
@@ -97,7 +97,7 @@ def _checked(free, known, cell_m, start_rc, trail, width_m, open_m, clutter_m):
     require_number("cell_m", cell_m, low_open=True)
     require_number("width_m", width_m)
     require_number("open_m", open_m, low_open=True)
-    require_number("clutter_m", clutter_m)
+    require_number("clutter_m", clutter_m, high=1000)
     if not free.any():
         raise InputError("free: no cell of the map is free")
     ends = {} if start_rc is None else {"start": start_rc}
@@ -116,7 +116,7 @@ def _checked(free, known, cell_m, start_rc, trail, width_m, open_m, clutter_m):
 
 def _clutter(free, size):
     height, width = free.shape
-    padded = np.pad(free, [(1, bucket(n + 2) - n - 1) for n in free.shape])
+    padded = framed(free)
     mask, overflow = _looked_through(jnp.asarray(padded), jnp.float32(size), edges=padded.size)
     assert not overflow
     return np.asarray(mask)[1 : height + 1, 1 : width + 1]

@@ -70,8 +70,8 @@ class OfBasins(NamedTuple):
 
     def divide(self, free, known, model):
         """As of `OfGraph`; a basin's widest way out."""
-        numbers = watershed.Criteria(
-            ratio=self.ratio, smallest=self.smallest_m2 / model.cell_m**2, clutter=self.clutter_m / model.cell_m
+        numbers = watershed.criteria(
+            model.cell_m, ratio=self.ratio, smallest_m2=self.smallest_m2, clutter_m=self.clutter_m
         )
         found = watershed.watershed(free, ~known, numbers, form=watershed.form_for(free.shape, coarse=model.coarse))
         return found.label, jnp.where(found.door_d2 > 0, found.door_d2, NO_DOOR), found.overflow
@@ -192,7 +192,7 @@ def segmented(
         OfBasins(
             float(require_number("ratio", ratio, high=1)),
             float(require_number("smallest_m2", smallest_m2, high=1e6)),
-            float(require_number("clutter_m", clutter_m, high=100)),
+            float(require_number("clutter_m", clutter_m, high=1000)),
         ),
     )
     params = Params(

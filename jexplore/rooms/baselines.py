@@ -1,6 +1,6 @@
 """Other ways to find rooms, written from their papers. Host code: numpy and scipy, seconds for a map.
 
-All take a map without clutter, `inside` and `clearance` of `watershed.cleared`, and give a room to every cell inside.
+All take a map without clutter, `inside` and `clearance` as `watershed.cleared` tells them.
 """
 
 import functools
@@ -64,8 +64,8 @@ def distance(inside: np.ndarray, clearance: np.ndarray, cell_m: float) -> np.nda
         large[0] = False
         if large.sum() > most:
             most, best = large.sum(), np.where(large[parts], parts, 0)
-    numbers = np.unique(best)
-    return grown(np.searchsorted(numbers, best), inside)
+    numbers = np.unique(best[best > 0])
+    return grown(np.where(best > 0, np.searchsorted(numbers, best) + 1, 0), inside)
 
 
 def morphological(inside: np.ndarray, clearance: np.ndarray, cell_m: float) -> np.ndarray:

@@ -14,21 +14,30 @@ class Doors(NamedTuple):
     found: np.ndarray  # true doors at which two rooms touch
     missed: np.ndarray  # true doors at which none do
     extra: np.ndarray  # places where two rooms touch, far from any true door; all of them without the truth
+    count: int  # places where two rooms touch
 
 
 def filled(label: np.ndarray, free: np.ndarray, gap: float) -> np.ndarray:
-    """Labels with free cells that have none, such as doorways, given to the nearest room within a distance.
+    """Labels with free cells that have none, such as doorways, given to the nearest room along free cells.
 
     Args:
       label: `[H, W]` int, rooms; negative for none.
       free: `[H, W]` bool.
-      gap: cells.
+      gap: how far away a room may be, in steps to the four neighbours.
 
     Returns:
       `[H, W]` int.
     """
-    far, (row, col) = ndimage.distance_transform_edt(label < 0, return_indices=True)
-    return np.where(free & (label < 0) & (far <= gap), label[row, col], label)
+    label, left = label.copy(), free & (label < 0)
+    for _ in range(int(gap)):
+        wide = np.pad(label, 1, constant_values=-1)
+        around = np.max([wide[1:-1, 2:], wide[2:, 1:-1], wide[1:-1, :-2], wide[:-2, 1:-1]], axis=0)
+        reached = left & (around >= 0)
+        if not reached.any():
+            break
+        label[reached] = around[reached]
+        left &= ~reached
+    return label
 
 
 def touching(label: np.ndarray) -> list[np.ndarray]:
@@ -77,13 +86,13 @@ def compared(truth: np.ndarray | None, found: np.ndarray, free: np.ndarray, cell
       `Doors`.
     """
     gap = NEAR_M / cell_m
-    own = touching(found)
+    own = touching(filled(found, free, gap))
     if truth is None:
-        return Doors(_middles([]), _middles([]), _middles(own))
+        return Doors(_middles([]), _middles([]), _middles(own), len(own))
     true = touching(filled(truth, free, gap))
     close = [_close(_middles(pieces), others, free.shape, gap) for pieces, others in ((true, own), (own, true))]
     middles = _middles(true), _middles(own)
-    return Doors(middles[0][close[0]], middles[0][~close[0]], middles[1][~close[1]])
+    return Doors(middles[0][close[0]], middles[0][~close[0]], middles[1][~close[1]], len(own))
 
 
 def _close(middles, pieces, shape, gap):

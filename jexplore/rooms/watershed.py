@@ -81,7 +81,7 @@ def clutter(free: Array, size: Array | float, *, edges: int) -> tuple[Array, Arr
     Args:
       free: `[H, W]` bool. Cells that are not free and touch along edges or corners are one obstacle.
       size: cells; an obstacle whose bounding box has a shorter diagonal, and that is not at the map's rim, is clutter.
-      edges: obstacle cells beside free ones that are looked at. Static.
+      edges: obstacle cells beside free ones that are looked at. Static. Those beyond count as walls.
 
     Returns:
       `(mask, overflow)`: `[H, W]` bool, cells of clutter; int32, edges that did not fit.
@@ -89,19 +89,26 @@ def clutter(free: Array, size: Array | float, *, edges: int) -> tuple[Array, Arr
     height, width = free.shape
     edge = ~free & any_within_one(free)
     cells = sparse.listed(edge, edges)
-    obstacle = label_clusters(cells)
+    group = label_clusters(cells)  # all round an obstacle, or all round a hole in one
     row, col = cells.cell // width, cells.cell % width
     used = cells.cell < height * width
     bottom, top, left, right = (
-        jax.ops.segment_max(jnp.where(used, end, -HIGHEST), obstacle, edges + 1) for end in (-row, row, -col, col)
+        jax.ops.segment_max(jnp.where(used, end, -HIGHEST), group, edges + 1) for end in (-row, row, -col, col)
     )
-    inside = (-bottom > 0) & (top < height - 1) & (-left > 0) & (right < width - 1)
-    small = inside & ((top + bottom) ** 2 + (left + right) ** 2 < size**2)
-    at = jnp.where(used & small[obstacle], cells.cell, height * width)
-    mask = jnp.zeros((height * width,), bool).at[at].set(True, mode="drop").reshape(height, width)
-    hidden = bits.pack(~free & ~edge)  # beside obstacle cells only, so of the same obstacle
-    words = settled(lambda words: words | (any_within_one_packed(words) & hidden), bits.pack(mask))
-    return bits.unpack(words, height), cells.overflow
+    is_small = (top + bottom) ** 2 + (left + right) ** 2 < size**2
+    at = jnp.where(used & is_small[group], cells.cell, height * width)
+    small = jnp.zeros((height * width,), bool).at[at].set(True, mode="drop").reshape(height, width)
+    rows, cols = (lax.broadcasted_iota(jnp.int32, free.shape, axis) for axis in (0, 1))
+    rim = (rows == 0) | (rows == height - 1) | (cols == 0) | (cols == width - 1)
+    # Whatever hangs together with a long edge or the rim is a wall. Without a small edge all is.
+    solid = bits.pack(~free)
+    wall = bits.pack(~free & ((edge & ~small) | rim | ~jnp.any(small)))
+
+    def spread(_, words):
+        return words | (any_within_one_packed(words) & solid)
+
+    wall = settled(lambda words: lax.fori_loop(0, 8, spread, words), wall)
+    return ~free & ~bits.unpack(wall, height), cells.overflow
 
 
 @functools.partial(jax.jit, static_argnames=("edges",))
@@ -160,12 +167,11 @@ def _passes(basin, d2, n, size):
         other = beside(basins, *step)
         is_pair = (basin < n) & (other < n) & (basin != other)
         low = jnp.where(is_pair, jnp.minimum(d2, beside(heights, *step)), -1)
+        pairs, lows = bordered(jnp.where(is_pair, basin * n + other, -1), -1), bordered(low, -1)
         widest = is_pair
-        others, lows = bordered(other, n), bordered(low, -1)
         for aside in ((sign, shift) if step == (0, 1) else (shift, sign) for sign in (1, -1) for shift in (-1, 0, 1)):
-            same = (beside(basins, *aside) == basin) & (beside(others, *aside) == other)
-            there = beside(lows, *aside)
-            widest &= ~same | (there < low) | ((there == low) & (aside > (0, 0)))
+            there = jnp.where(beside(pairs, *aside) == beside(pairs, 0, 0), beside(lows, *aside), -1)
+            widest &= (there <= low) if aside > (0, 0) else (there < low)
         cell = bits.first_cells(bits.pack(widest), size)
         found.append(_Passes(sparse.at(basin, cell, n), sparse.at(other, cell, n), sparse.at(low, cell, 0)))
         most = jnp.maximum(most, count(widest))
@@ -223,7 +229,10 @@ def _joined(passes, heights, ratio):
 
 
 def _absorbed(room, passes, each, smallest):
-    """Rooms that are too small joined to the one beyond their widest pass, the smallest of those in a row first.
+    """Rooms that are too small joined to the one beyond their widest pass.
+
+    In rounds, until none is left: every such room at once, but for those that a smaller one wants to join, and, of two
+    small ones, the larger.
 
     Args:
       room: `[B + 1]` int32.

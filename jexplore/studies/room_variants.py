@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jexplore import segment
-from jexplore.arrays.padding import bucket
+from jexplore.arrays.padding import bucket, framed
 from jexplore.config import require_number, unknown
 from jexplore.rooms import watershed
 from jexplore.rooms.baselines import BASELINES
@@ -84,10 +84,9 @@ def _of_graph(made, size):
 def _cleared(variant, free, unseen, settings, cell_m):
     """A map divided by a variant that looks through clutter."""
     height, width = free.shape
-    more = [(1, bucket(n + 2) - n - 1) for n in free.shape]
-    wide_free, wide_unseen = np.pad(free, more), np.pad(unseen, more)
+    wide_free, wide_unseen = framed(free), framed(unseen)
     form = watershed.form_for(wide_free.shape, coarse=True)
-    if variant == BEST:
+    if variant == "voronoi":
         numbers = watershed.criteria(
             cell_m, ratio=settings.ratio, smallest_m2=settings.smallest_m2, clutter_m=settings.clutter_m
         )

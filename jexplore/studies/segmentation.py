@@ -8,7 +8,7 @@ import numpy as np
 
 from jexplore.config import InputError, unknown
 from jexplore.exploration.results import FREE, UNKNOWN
-from jexplore.rooms.doors import Doors, compared, touching
+from jexplore.rooms.doors import Doors, compared
 from jexplore.rooms.scores import AGREEMENT, regions_of, rooms_of, score
 from jexplore.studies.checks import LIDAR, RULES, listed, ready_worlds, require_different
 from jexplore.studies.explore import maps_at, prepare_job, run_job
@@ -215,7 +215,7 @@ def _judged(task, variant, stage, explored, free, made):
         seen = np.where((seen >= 0) & (sizes[np.maximum(seen, 0)] > least), seen, -1)
         row |= score(seen, found)
     doors = compared(seen, found, free, task.world.cell_m)
-    row |= {"doors": len(touching(found)), "overflow": made.overflow}
+    row |= {"doors": doors.count, "overflow": made.overflow}
     if seen is not None:
         row |= {"doors_missed": len(doors.missed), "doors_extra": len(doors.extra)}
     picture = Picture(row["map"], variant, explored, found, free, made.lines, made.critical, doors, task.world.cell_m)

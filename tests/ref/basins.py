@@ -90,18 +90,26 @@ def watershed(free, unknown, *, ratio, smallest, size, none=2**20):
     def area(of):
         return sum(1 for cell in cells if free[cell] and room[basin[cell]] == of)
 
-    while True:
-        little = [(area(one), one) for one in set(room.values())]
-        way_out = {
+    def wide_ways():
+        """The widest pass out of every room: room -> pass, or None."""
+        return {
             one: next((p for p in passes if room[p[3]] != room[p[4]] and one in (room[p[3]], room[p[4]])), None)
-            for _, one in little
+            for one in set(room.values())
         }
-        little = sorted((n, one) for n, one in little if n < smallest and way_out[one])
-        if not little:
+
+    while True:
+        areas, wants = {one: area(one) for one in set(room.values())}, {}
+        for one, way in wide_ways().items():
+            if areas[one] < smallest and way:
+                (other,) = {room[way[3]], room[way[4]]} - {one}
+                if areas[other] >= smallest or (areas[one], one) < (areas[other], other):
+                    wants[one] = other
+        if not wants:
             break
-        one = little[0][1]
-        ends = {room[basin_] for basin_ in way_out[one][3:]}
-        join(one, (ends - {one}).pop())
+        for one, other in wants.items():
+            if one not in wants.values():
+                join(one, other)
+    way_out = wide_ways()
     label = np.full(free.shape, -1)
     rooms = sorted(set(room.values()))
     for cell in cells:

@@ -203,10 +203,11 @@ def strategy(
     _require_name(base if name is None else name)
     _require_apart(what, own, {"name", "recheck", "segment", *(KINDS[kind] if kind else ())})
     words = ("+recheck" if recheck else "") + (f"+segment={kind}" if kind else "")
+    of_rooms = {key for key in (KINDS[kind] if kind else ()) if key not in own}
     policy = _modified(
-        policy_from(what, {key: value for key, value in given.items() if key in own or not kind}),
+        policy_from(what, {key: value for key, value in given.items() if key not in of_rooms}),
         {"segment": kind} if kind else {},
-        {key: value for key, value in given.items() if key not in own},
+        {key: value for key, value in given.items() if key in of_rooms},
     )
     tail = ",".join(
         f"{key}={value}" for key, value in given.items() if isinstance(value, (int, float, str, os.PathLike))
