@@ -5,6 +5,7 @@ free space where `segment` does, and needs no graph, whose spurs would hide narr
 """
 
 import functools
+import math
 from typing import NamedTuple
 
 import jax
@@ -131,36 +132,43 @@ def peaks(d2: Array, inside: Array) -> Array:
     """Where steepest ascent leads to from every cell.
 
     Args:
-      d2: `[H, W]` int32, 0 or more, what is ascended.
+      d2: `[H, W]` int32, 0 or more: the squares of the heights.
       inside: `[H, W]` bool, cells that the way up may cross. A diagonal step needs one of the two cells beside it.
 
     Returns:
       `[H, W]` int32, flat index of the peak; outside that of the cell itself. Cells of equal height ascend in the order
-      of their indices.
+      of their indices, and of ways that are equally steep the last is taken.
     """
     shape = d2.shape
     own = lax.broadcasted_iota(jnp.int32, shape, 0) * shape[1] + lax.broadcasted_iota(jnp.int32, shape, 1)
-    heights, open_ = bordered(jnp.where(inside, d2, -1), -1), bordered(inside, False)
-    best, up = d2, own
+    height = jnp.sqrt(d2.astype(jnp.float32))
+    heights, open_ = bordered(jnp.where(inside, height, -1.0), -1.0), bordered(inside, False)
+    best, up = jnp.zeros(shape, jnp.float32), own
     for drow, dcol in sparse.NEIGHBOURS:
-        there = jnp.where(beside(open_, drow, 0) | beside(open_, 0, dcol), beside(heights, drow, dcol), -1)
+        # A straight step before a diagonal one to the same height: along a straight wall nobody drifts aside.
+        step = 1.0 if 0 in (drow, dcol) else math.sqrt(0.5)
+        slope = (beside(heights, drow, dcol) - height) * jnp.float32(step)
         at = own + drow * shape[1] + dcol
-        higher = (there > best) | ((there == best) & (at > up))
-        best, up = jnp.where(higher, there, best), jnp.where(higher, at, up)
+        may = beside(open_, drow, 0) | beside(open_, 0, dcol)
+        steeper = may & ((slope > best) | ((slope == best) & (at > up)))
+        best, up = jnp.where(steeper, slope, best), jnp.where(steeper, at, up)
     up = jnp.where(inside, up, own).reshape(-1)
     return settled(lambda up: up[up], up).reshape(shape)
 
 
 class _Passes(NamedTuple):
-    """Pairs of cells side by side in two basins; of pairs that touch each other the widest, the first of equals."""
+    """Pairs of cells side by side in two basins; of pairs that touch each other the widest, the first of equals.
+
+    The widest come last; of equally wide ones those between the higher peaks, so that turning a map changes little.
+    """
 
     one: Array  # [E] int32, basin; B in an unused slot
     other: Array  # [E] int32, likewise
     d2: Array  # [E] int32, squared clearance: the smaller one of both cells
 
 
-def _passes(basin, d2, n, size):
-    """`(passes, most)` of basins 0 to n - 1, `[H, W]` int32, n elsewhere; most: as `Rooms.passes`."""
+def _passes(basin, d2, tops, n, size):
+    """`(passes, most)` of basins 0 to n - 1, `[H, W]` int32, n elsewhere, their peaks `tops`; most: `Rooms.passes`."""
     basins, heights = bordered(basin, n), bordered(d2, 0)
     found, most = [], jnp.int32(0)
     for step in ((0, 1), (1, 0)):
@@ -175,11 +183,15 @@ def _passes(basin, d2, n, size):
         cell = bits.first_cells(bits.pack(widest), size)
         found.append(_Passes(sparse.at(basin, cell, n), sparse.at(other, cell, n), sparse.at(low, cell, 0)))
         most = jnp.maximum(most, count(widest))
-    return _Passes(*map(jnp.concatenate, zip(*found))), most
+    passes = _Passes(*map(jnp.concatenate, zip(*found)))
+    ends = tops[passes.one], tops[passes.other]
+    last = -lax.iota(jnp.int32, 2 * size)
+    order = jnp.lexsort((last, jnp.minimum(*ends), jnp.maximum(*ends), passes.d2))
+    return _Passes(*(a[order] for a in passes)), most
 
 
 def _widest(room, passes, is_open):
-    """For every room its widest open pass, the first of several.
+    """For every room its widest open pass.
 
     Args:
       room: `[B + 1]` int32, of every basin; the last stands for none.
@@ -189,17 +201,13 @@ def _widest(room, passes, is_open):
     Returns:
       `(there, d2)`: `[B + 1]` int32, the room beyond, the room itself without any; its squared clearance, -1.
     """
-    n, size = room.shape[0], passes.d2.shape[0]
+    n = room.shape[0]
     one, other = room[passes.one], room[passes.other]
-    wide = jnp.where(is_open, passes.d2, -1)
-    d2 = jnp.full((n,), -1, jnp.int32).at[one].max(wide).at[other].max(wide)
-    slots = lax.iota(jnp.int32, size)
-    first = jnp.full((n,), size, jnp.int32)
-    for side in (one, other):
-        first = first.at[side].min(jnp.where(is_open & (wide == d2[side]), slots, size))
-    at, own = jnp.minimum(first, size - 1), lax.iota(jnp.int32, n)
+    slots = jnp.where(is_open, lax.iota(jnp.int32, passes.d2.shape[0]), -1)
+    slot = jnp.full((n,), -1, jnp.int32).at[one].max(slots).at[other].max(slots)
+    at, own = jnp.maximum(slot, 0), lax.iota(jnp.int32, n)
     beyond = jnp.where(one[at] == own, other[at], one[at])
-    return jnp.where(first < size, beyond, own), d2
+    return jnp.where(slot >= 0, beyond, own), jnp.where(slot >= 0, passes.d2[at], -1)
 
 
 def _clearance(d2):
@@ -290,9 +298,10 @@ def watershed(free: Array, unknown: Array, criteria: Criteria, *, form: Form) ->
     slot = bits.first_cells(bits.pack(is_peak), n)
     number = jnp.full((cells,), n, jnp.int32).at[slot].set(lax.iota(jnp.int32, n), mode="drop")
     basin = jnp.where(inside, number[peak], n)
-    passes, n_passes = _passes(basin, d2, n, form.passes)
+    tops = jnp.append(sparse.at(d2, slot, 0), 0)
+    passes, n_passes = _passes(basin, d2, tops, n, form.passes)
     each = jax.ops.segment_sum(free.astype(jnp.int32).reshape(-1), basin.reshape(-1), n + 1)
-    room = _joined(passes, jnp.append(sparse.at(d2, slot, 0), 0), criteria.ratio)
+    room = _joined(passes, tops, criteria.ratio)
     room = _absorbed(room, passes, each, criteria.smallest)
     _, door_d2 = _widest(room, passes, room[passes.one] != room[passes.other])
     return Rooms(

@@ -44,13 +44,18 @@ def squared(sites, none):
 
 def peak_of(d2, inside, cell):
     """Where steepest ascent leads from a cell."""
+
+    def height(cell):
+        return np.sqrt(np.float32(d2[cell]))
+
     while True:
-        (r, c), best = cell, (d2[cell], cell)
+        (r, c), best = cell, (np.float32(0), cell)
         for dr, dc in AROUND:
             there = r + dr, c + dc
             on_map = 0 <= there[0] < d2.shape[0] and 0 <= there[1] < d2.shape[1]
             if on_map and inside[there] and (inside[there[0], c] or inside[r, there[1]]):
-                best = max(best, (d2[there], there))
+                slope = (height(there) - height(cell)) * np.float32(1 if 0 in (dr, dc) else np.sqrt(0.5))
+                best = max(best, (slope, there))
         if best[1] == cell:
             return cell
         cell = best[1]
@@ -66,7 +71,7 @@ def watershed(free, unknown, *, ratio, smallest, size, none=2**20):
     room = {peak: peak for peak in basin.values()}  # of every basin
     top = {peak: d2[peak] for peak in room}
     passes = [
-        (-min(d2[a], d2[b]), axis, a, basin[a], basin[b])
+        (-min(d2[a], d2[b]), *sorted((-d2[basin[a]], -d2[basin[b]])), axis, a, basin[a], basin[b])
         for axis, (dr, dc) in enumerate(((0, 1), (1, 0)))
         for a in cells
         if (b := (a[0] + dr, a[1] + dc)) in basin and basin[a] != basin[b]
@@ -82,7 +87,7 @@ def watershed(free, unknown, *, ratio, smallest, size, none=2**20):
                 room[one] = b
         top[b] = max(top[a], top[b])
 
-    for low, _, _, a, b in passes:
+    for low, *_, a, b in passes:
         one, other = room[a], room[b]
         if one != other and clearance(-low) >= np.float32(ratio) * clearance(min(top[one], top[other])):
             join(one, other)
@@ -93,7 +98,7 @@ def watershed(free, unknown, *, ratio, smallest, size, none=2**20):
     def wide_ways():
         """The widest pass out of every room: room -> pass, or None."""
         return {
-            one: next((p for p in passes if room[p[3]] != room[p[4]] and one in (room[p[3]], room[p[4]])), None)
+            one: next((p for p in passes if room[p[-2]] != room[p[-1]] and one in (room[p[-2]], room[p[-1]])), None)
             for one in set(room.values())
         }
 
@@ -101,7 +106,7 @@ def watershed(free, unknown, *, ratio, smallest, size, none=2**20):
         areas, wants = {one: area(one) for one in set(room.values())}, {}
         for one, way in wide_ways().items():
             if areas[one] < smallest and way:
-                (other,) = {room[way[3]], room[way[4]]} - {one}
+                (other,) = {room[way[-2]], room[way[-1]]} - {one}
                 if areas[other] >= smallest or (areas[one], one) < (areas[other], other):
                     wants[one] = other
         if not wants:
