@@ -64,14 +64,14 @@ def test_doors_found_missed_and_extra():
     both = doors.compared(truth, found, free, 0.1)
     assert both.found.tolist() in ([[2, 9]], [[2, 10]], [[2, 11]])
     assert [len(a) for a in both[:3]] == [1, 1, 1]
-    assert both.count == 2
+    assert both.touching == 2
     assert abs(both.missed[0][1] - 25) <= 1
     assert both.extra[0].tolist() in ([2, 32], [2, 33])
     alone = doors.compared(None, found, free, 0.1)
     assert [len(a) for a in alone[:3]] == [0, 0, 2]
     one = doors.compared(np.zeros_like(truth), np.zeros_like(found), free, 0.1)
     assert [len(a) for a in one[:3]] == [0, 0, 0]
-    assert one.count == 0
+    assert one.touching == 0
 
 
 @pytest.fixture

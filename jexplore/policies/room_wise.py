@@ -37,9 +37,9 @@ KINDS = {
 class OfGraph(NamedTuple):
     """Segments cut at critical points of the Voronoi graph."""
 
-    max_hops: int  # see `segment.Criteria`
-    prominence_m: float  # metres
-    gamma: float  # cells
+    max_hops: Any  # int, see `segment.Criteria`
+    prominence_m: Any  # float, metres
+    gamma: Any  # float, cells
 
     def divide(self, free, known, model):
         """`(label, door, overflow)`: `[H, W]` int32; `[n]` int32, by label the d2 of a way out; int32."""

@@ -9,10 +9,10 @@ from collections.abc import Callable
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy import ndimage
 
 from jexplore.arrays import bits
 from jexplore.reach import nearest_source
+from jexplore.rooms.scores import components
 
 SEEDS = 4096  # at most
 DISTANCE_M2 = 0.35  # of a seed, at least
@@ -38,8 +38,12 @@ def grown(seeds: np.ndarray, inside: np.ndarray) -> np.ndarray:
     return np.asarray(_nearest(jnp.asarray(inside), jnp.asarray(own), n=SEEDS))
 
 
-def _areas(parts, n, cell_m):
-    return np.bincount(parts.ravel(), minlength=n + 1) * cell_m**2
+def _parts(mask, cell_m):
+    """`(parts, area_m2)`: `[H, W]` int32, components from 1, 0 elsewhere; by number their areas, that of 0 is 0."""
+    parts = components(mask) + 1
+    area_m2 = np.bincount(parts.ravel()) * cell_m**2
+    area_m2[0] = 0
+    return parts, area_m2
 
 
 def distance(inside: np.ndarray, clearance: np.ndarray, cell_m: float) -> np.ndarray:
@@ -59,9 +63,8 @@ def distance(inside: np.ndarray, clearance: np.ndarray, cell_m: float) -> np.nda
     """
     most, best = 0, np.zeros(inside.shape, np.int32)
     for level in np.arange(0.0, clearance[inside].max(initial=0.0), DISTANCE_STEP_M / cell_m):
-        parts, n = ndimage.label(inside & (clearance > level))
-        large = _areas(parts, n, cell_m) >= DISTANCE_M2
-        large[0] = False
+        parts, area_m2 = _parts(inside & (clearance > level), cell_m)
+        large = area_m2 >= DISTANCE_M2
         if large.sum() > most:
             most, best = large.sum(), np.where(large[parts], parts, 0)
     numbers = np.unique(best[best > 0])
@@ -80,10 +83,8 @@ def morphological(inside: np.ndarray, clearance: np.ndarray, cell_m: float) -> n
     seeds, n_seeds, level = np.zeros(inside.shape, np.int32), 0, 0.0
     left = inside.copy()
     while left.any():
-        parts, n = ndimage.label(left)
-        area_m2 = _areas(parts, n, cell_m)
+        parts, area_m2 = _parts(left, cell_m)
         is_room = (area_m2 >= MORPHOLOGICAL_M2[0]) & (area_m2 <= MORPHOLOGICAL_M2[1])
-        is_room[0] = False
         number = np.where(is_room, n_seeds + np.cumsum(is_room), 0)
         seeds += number[parts].astype(np.int32)
         n_seeds += int(is_room.sum())

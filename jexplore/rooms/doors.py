@@ -5,6 +5,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy import ndimage
 
+from jexplore.rooms.scores import components
+
 NEAR_M = 0.5  # a door is found if two rooms touch so close to its middle
 
 
@@ -14,7 +16,7 @@ class Doors(NamedTuple):
     found: np.ndarray  # true doors at which two rooms touch
     missed: np.ndarray  # true doors at which none do
     extra: np.ndarray  # places where two rooms touch, far from any true door; all of them without the truth
-    count: int  # places where two rooms touch
+    touching: int  # places where two rooms touch
 
 
 def filled(label: np.ndarray, free: np.ndarray, gap: float) -> np.ndarray:
@@ -61,8 +63,8 @@ def touching(label: np.ndarray) -> list[np.ndarray]:
         low = own.min(axis=0)
         mask = np.zeros(own.max(axis=0) - low + 1, bool)
         mask[tuple((own - low).T)] = True
-        parts, n = ndimage.label(mask, np.ones((3, 3)))
-        pieces += [np.argwhere(parts == k) + low for k in range(1, n + 1)]
+        parts = components(mask, corners=True)
+        pieces += [np.argwhere(parts == k) + low for k in range(parts.max() + 1)]
     return pieces
 
 

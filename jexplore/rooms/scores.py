@@ -20,9 +20,10 @@ def _numbered(labels, *, min_px=0):
     return number[index].reshape(labels.shape)
 
 
-def _components(mask):
+def components(mask: np.ndarray, *, corners: bool = False) -> np.ndarray:
+    """Components of a mask, 4-connected, or 8-connected by `corners`: `[H, W]` int32 from 0; -1 elsewhere."""
     parts = np.zeros(mask.shape, dtype=np.int32)
-    ndimage.label(mask, output=parts)
+    ndimage.label(mask, np.ones((3, 3)) if corners else None, output=parts)
     return parts - 1
 
 
@@ -44,7 +45,7 @@ def rooms_of(free: ArrayLike, *, min_px: int = 100) -> np.ndarray:
     Returns:
       `[H, W]` int32: rooms 0..n-1, in the order of their first pixels by row and column; -1 elsewhere.
     """
-    return _numbered(_components(np.asarray(free, dtype=bool)), min_px=min_px)
+    return _numbered(components(np.asarray(free, dtype=bool)), min_px=min_px)
 
 
 def regions_of(labels: ArrayLike, free: ArrayLike, *, min_px: int = 100) -> np.ndarray:
@@ -67,7 +68,7 @@ def regions_of(labels: ArrayLike, free: ArrayLike, *, min_px: int = 100) -> np.n
     labels, free = np.asarray(labels), np.asarray(free, dtype=bool)
     _same_size("the labels", labels, "the free mask", free)
     labels = _numbered(np.where(free, labels, -1))
-    bare = _components(free & (labels < 0))
+    bare = components(free & (labels < 0))
     return _numbered(np.where(bare >= 0, labels.max(initial=-1) + 1 + bare, labels), min_px=min_px)
 
 

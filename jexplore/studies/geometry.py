@@ -26,7 +26,8 @@ from jexplore import segment
 from jexplore.config import require_number
 from jexplore.report.tables import aligned_table, number_text
 from jexplore.rooms.scores import regions_of
-from jexplore.studies.segmentation import SMALLEST_M2, segmentations
+from jexplore.studies.room_variants import segmentations
+from jexplore.studies.segmentation import SMALLEST_M2
 from jexplore.worlds.starts import clear_cells, label_components
 from jexplore.worlds.world import World
 

@@ -68,8 +68,8 @@ def divided(
       A list of `Found`.
     """
     paper = [name for name in variants if name in segment.VARIANTS]
-    numbers = {"prominence": settings.prominence_m / cell_m, "gamma": settings.gamma}
-    criteria = [segment.criteria(name, **numbers) for name in paper]
+    prominence = settings.prominence_m / cell_m
+    criteria = [segment.criteria(name, prominence=prominence, gamma=settings.gamma) for name in paper]
     made = segmentations(free, criteria, metric=settings.metric, lines=settings.lines) if paper else []
     found = {name: _of_graph(one, free.size) for name, one in zip(paper, made)}
     found |= {name: _cleared(name, free, unseen, settings, cell_m) for name in variants if name not in paper}
@@ -97,7 +97,8 @@ def _cleared(variant, free, unseen, settings, cell_m):
         inside, d2, overflow = watershed.cleared(wide_free, wide_unseen, size, edges=form.edges)
         label = BASELINES[variant](np.asarray(inside), np.sqrt(np.asarray(d2)) - 0.5, cell_m)
     own = np.where(free, label[1 : height + 1, 1 : width + 1], -1)
-    return Found(own, *np.zeros((2, 0), int), int(overflow))
+    none = np.zeros(0, int)
+    return Found(own, none, none, int(overflow))
 
 
 @functools.partial(jax.jit, static_argnames=("form",))

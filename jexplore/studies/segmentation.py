@@ -215,7 +215,7 @@ def _judged(task, variant, stage, explored, free, made):
         seen = np.where((seen >= 0) & (sizes[np.maximum(seen, 0)] > least), seen, -1)
         row |= score(seen, found)
     doors = compared(seen, found, free, task.world.cell_m)
-    row |= {"doors": doors.count, "overflow": made.overflow}
+    row |= {"doors": doors.touching, "overflow": made.overflow}
     if seen is not None:
         row |= {"doors_missed": len(doors.missed), "doors_extra": len(doors.extra)}
     picture = Picture(row["map"], variant, explored, found, free, made.lines, made.critical, doors, task.world.cell_m)
