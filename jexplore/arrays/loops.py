@@ -179,7 +179,7 @@ def settled(step: Callable[[Array], Array], start: Array) -> Array:
 
     Args:
       step: takes and returns an array.
-      start: array of whole numbers, not empty.
+      start: array of whole numbers, none below 0, not empty.
     """
 
     def turn(state):
@@ -187,7 +187,8 @@ def settled(step: Callable[[Array], Array], start: Array) -> Array:
         new = step(value)
         return new, jnp.any(new != value)
 
-    return repeat(lambda state: state[1], turn, (start, jnp.ravel(start)[0] == jnp.ravel(start)[0]))[0]
+    # True, and not known to be: XLA's CPU compiler makes other, at no optimization wrong, code of a constant there.
+    return repeat(lambda state: state[1], turn, (start, jnp.ravel(start)[0] >= 0))[0]
 
 
 def stored(truth: Array | bool, function: Callable[[], Any]) -> Any:

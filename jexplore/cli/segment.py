@@ -33,22 +33,23 @@ class Segment:
     cell_m: float = 0.05
     """Make the edge of a cell this long, in metres."""
     ratio: float = 0.75
-    """voronoi: a pass is a door if its clearance is below this share of that of the rooms at either side."""
+    """By voronoi a pass is a door if its clearance is below this share of that of the rooms at either side."""
     smallest_m2: float = 2.0
-    """voronoi: join rooms smaller than this, in square metres, to the room that they open to."""
+    """By voronoi join rooms smaller than this, in square metres, to the room that they open to."""
     clutter_m: float = 1.0
-    """voronoi, distance, morphological: look through obstacles in the open whose bounding box has a diagonal shorter
-    than this, in metres, such as legs of tables."""
+    """By voronoi, distance and morphological look through obstacles in the open whose bounding box has a diagonal
+    shorter than this, in metres, such as legs of tables."""
     prominence_m: float = 0.15
-    """thrun, wurm, holz: the clearance must rise by this much on both sides of a critical point, in metres; 0 takes any
-    local minimum."""
+    """By thrun, wurm and holz the clearance must rise by this much on both sides of a critical point, in metres; 0
+    takes any local minimum."""
     gamma: float = 3.0
-    """thrun, wurm, holz: two obstacle cells must be this far apart, in cells, to have a Voronoi edge between them."""
+    """By thrun, wurm and holz two obstacle cells must be this far apart, in cells, to have a Voronoi edge between
+    them."""
     metric: Literal["geodesic", "euclidean"] = "geodesic"
-    """thrun, wurm, holz: give a cell to the segment that is closest along paths, or as the crow flies (the paper's
+    """By thrun, wurm and holz give a cell to the segment that is closest along paths, or as the crow flies (the paper's
     letter)."""
     lines: bool = False
-    """thrun, wurm, holz: split along the line between the two nearest obstacles (Thrun 1998)."""
+    """By thrun, wurm and holz split along the line between the two nearest obstacles (Thrun 1998)."""
     seed: int = 0
     """Draw the episodes that make partial maps from this seed."""
     out: OutFolder = None
