@@ -101,9 +101,13 @@ def clutter(free: Array, size: Array | float, *, edges: int) -> tuple[Array, Arr
     small = jnp.zeros((height * width,), bool).at[at].set(True, mode="drop").reshape(height, width)
     rows, cols = (lax.broadcasted_iota(jnp.int32, free.shape, axis) for axis in (0, 1))
     rim = (rows == 0) | (rows == height - 1) | (cols == 0) | (cols == width - 1)
-    # Whatever hangs together with a long edge or the rim is a wall. Without a small edge all is.
-    solid = bits.pack(~free)
-    wall = bits.pack(~free & ((edge & ~small) | rim | ~jnp.any(small)))
+    # Clutter lies within its size of its edge. Whatever hangs together with a long edge, the rim or what lies farther
+    # from all small edges is a wall.
+    solid, around = bits.pack(~free), bits.pack(small)
+    around = lax.fori_loop(
+        0, jnp.int32(jnp.minimum(size, height + width)) + 1, lambda _, words: any_within_one_packed(words), around
+    )
+    wall = bits.pack(~free & ((edge & ~small) | rim)) | (solid & ~around)
 
     def spread(_, words):
         return words | (any_within_one_packed(words) & solid)
