@@ -193,8 +193,8 @@ def _trace_episode(out, options, arguments):
     from jexplore.report import plot, trace_tables
     from jexplore.studies.traces import extraction
 
-    plain, own = type(options)(), {"world", "strategy", "seed", "cell_m", "clutter_m", "tuning"}
-    own |= {"out", "overwrite", "from_episode"}
+    plain = type(options)()
+    own = {"world", "strategy", "seed", "cell_m", "clutter_m", "tuning", "out", "overwrite", "from_episode"}
     for field in dataclasses.fields(options):
         if field.name not in own and getattr(options, field.name) != getattr(plain, field.name):
             option = field.name.replace("_", "-")

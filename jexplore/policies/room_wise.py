@@ -22,6 +22,7 @@ from jexplore.reach import FAR
 from jexplore.rooms import watershed
 from jexplore.segment import PROMINENCE_M, VARIANTS, Criteria, form_for, segment
 
+NO_DOOR = 2**30  # squared clearance of no way out, cells^2
 _OF_GRAPH = "prominence_m", "gamma"
 _OF_BASINS = "ratio", "smallest_m2", "clutter_m"
 _OF_ROOMS = "door_m", "room_m2"
@@ -41,9 +42,9 @@ class OfGraph(NamedTuple):
     prominence_m: Any  # float, metres
     gamma: Any  # float, cells
 
-    def divide(self, free, known, model):
-        """`(label, door, overflow)`: `[H, W]` int32; `[n]` int32, by label the d2 of a way out; int32."""
-        del known
+    def divide(self, free, belief):
+        """`(label, door_d2, overflow)`: `[H, W]` int32; `[n]` int32, by label that of the narrowest way out; int32."""
+        model = belief.model
         form = form_for(free.shape, coarse=model.coarse, reach=model.reach)
         found = segment(
             free,
@@ -64,20 +65,18 @@ class OfGraph(NamedTuple):
 class OfBasins(NamedTuple):
     """Basins of the clearance, joined where the pass between them is wide."""
 
-    ratio: float  # see `watershed.Criteria`
-    smallest_m2: float  # m^2
-    clutter_m: float  # metres
+    ratio: Any  # float, see `watershed.Criteria`
+    smallest_m2: Any  # float, m^2
+    clutter_m: Any  # float, metres
 
-    def divide(self, free, known, model):
-        """As of `OfGraph`; a basin's widest way out."""
+    def divide(self, free, belief):
+        """As of `OfGraph`, but that of the widest way out."""
+        model, unknown = belief.model, ~is_known(belief.grid)
         numbers = watershed.criteria(
             model.cell_m, ratio=self.ratio, smallest_m2=self.smallest_m2, clutter_m=self.clutter_m
         )
-        found = watershed.watershed(free, ~known, numbers, form=watershed.form_for(free.shape, coarse=model.coarse))
+        found = watershed.watershed(free, unknown, numbers, form=watershed.form_for(free.shape, coarse=model.coarse))
         return found.label, jnp.where(found.door_d2 > 0, found.door_d2, NO_DOOR), found.overflow
-
-
-NO_DOOR = 2**30
 
 
 class Params(NamedTuple):
@@ -103,7 +102,7 @@ def own_segment(params: Params, belief: Belief) -> tuple[Array, Array, Array]:
       `(mask, is_room, overflow)`: `[H, W]` bool; bool; int32.
     """
     free = is_free(belief.grid, belief.model.p_free)
-    label, door_d2, overflow = params.cut.divide(free, is_known(belief.grid), belief.model)
+    label, door_d2, overflow = params.cut.divide(free, belief)
     own = label[belief.row, belief.col]
     mine = label == own
     door = door_d2[jnp.maximum(own, 0)]
@@ -183,20 +182,20 @@ def segmented(
     Returns:
       `Policy`.
     """
-    cuts = (
-        OfGraph(
-            VARIANTS.get(kind, VARIANTS["holz"]),
-            float(require_number("prominence_m", prominence_m, high=100)),
-            float(require_number("gamma", gamma, high=100)),
-        ),
-        OfBasins(
+    if "ratio" in KINDS[kind]:
+        cut = OfBasins(
             float(require_number("ratio", ratio, high=1)),
             float(require_number("smallest_m2", smallest_m2, high=1e6)),
             float(require_number("clutter_m", clutter_m, high=1000)),
-        ),
-    )
+        )
+    else:
+        cut = OfGraph(
+            VARIANTS.get(kind, VARIANTS["holz"]),
+            float(require_number("prominence_m", prominence_m, high=100)),
+            float(require_number("gamma", gamma, high=100)),
+        )
     params = Params(
-        cut=cuts["ratio" in KINDS[kind]],
+        cut=cut,
         door_m=float(require_number("door_m", door_m, high=100)),
         room_m2=float(require_number("room_m2", room_m2, high=1e6)),
         inner=policy.params,
