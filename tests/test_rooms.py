@@ -1,9 +1,18 @@
-"""Doors of segmentations, and the plain methods: by hand."""
+"""Doors of segmentations, and the plain methods: by hand, and by laws."""
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+from ref import basins, maps, rooms
 
+import jexplore as jx
 from jexplore.rooms import baselines, doors
+from jexplore.rooms.maoris import SMALLEST_M2, _free_space, maoris
+from jexplore.rooms.scores import components, score
+from jexplore.studies.room_variants import BEST, VARIANTS
+from jexplore.worlds.world import occupancy_to_world
 
 
 def labels(text):
@@ -74,15 +83,17 @@ def test_doors_found_missed_and_extra():
     assert one.touching == 0
 
 
+def clearance_of(inside):
+    """From the middle of every cell to the edge of the nearest wall; far where there is none. The oracle."""
+    return np.sqrt(basins.squared(~inside, 2**20)) - 0.5
+
+
 @pytest.fixture
 def halls():
     """Two halls of 6 x 6 m with a door of 1 m, in cells of 0.25 m."""
     inside = np.zeros((26, 51), bool)
     inside[1:25, 1:25] = inside[1:25, 26:50] = inside[11:15, 25] = True
-    rows, cols = np.indices(inside.shape)
-    walls = np.argwhere(~inside)
-    clearance = np.sqrt(((rows[..., None] - walls[:, 0]) ** 2 + (cols[..., None] - walls[:, 1]) ** 2).min(-1)) - 0.5
-    return inside, clearance
+    return inside, clearance_of(inside)
 
 
 @pytest.mark.jit
@@ -90,7 +101,10 @@ def halls():
 def test_plain_methods_part_two_halls(halls, method):
     label = baselines.BASELINES[method](*halls, 0.25)
     assert (label[~halls[0]] == -1).all()
-    assert [np.unique(label[1:25, cols]).tolist() for cols in (slice(1, 25), slice(26, 50))] in ([[0], [1]], [[1], [0]])
+    left, right = (set(label[1:25, cols].ravel().tolist()) for cols in (slice(1, 25), slice(26, 50)))
+    assert len(left) == len(right) == 1
+    assert left.isdisjoint(right | {-1})
+    assert -1 not in right
 
 
 @pytest.mark.jit
@@ -105,3 +119,225 @@ def test_seeds_grow_along_paths():
     assert (grown[~inside] == -1).all()
     seeds[2, 8] = baselines.SEEDS + 1
     assert set(np.unique(baselines.grown(seeds, inside))) == {-1, 0}
+
+
+# ---------------------------------------------------------------- maoris
+
+CELL_M = 0.5  # of the drawn maps: the smallest room is eight cells
+MAPS = st.builds(
+    lambda shape, density, seed: np.random.default_rng(seed).random(shape) >= density,
+    hnp.array_shapes(min_dims=2, max_dims=2, min_side=1, max_side=16),
+    st.sampled_from((0.0, 0.02, 0.1, 0.3)),
+    st.integers(0, 2**16),
+)
+
+PLANS = {
+    "a room": """
+        ##########
+        #aaaaaaaa#
+        #aaaaaaaa#
+        #aaaaaaaa#
+        #aaaaaaaa#
+        #aaaaaaaa#
+        ##########
+        """,
+    "two rooms and a door": """
+        ###################
+        #aaaaaaaa#bbbbbbbb#
+        #aaaaaaaa#bbbbbbbb#
+        #aaaaaaaa#bbbbbbbb#
+        #aaaaaaaa+bbbbbbbb#
+        #aaaaaaaa#bbbbbbbb#
+        #aaaaaaaa#bbbbbbbb#
+        #aaaaaaaa#bbbbbbbb#
+        ###################
+        """,
+    "a door in a thick wall": """
+        #####################
+        #aaaaaaaa###bbbbbbbb#
+        #aaaaaaaa###bbbbbbbb#
+        #aaaaaaaa###bbbbbbbb#
+        #aaaaaaaa+++bbbbbbbb#
+        #aaaaaaaa+++bbbbbbbb#
+        #aaaaaaaa###bbbbbbbb#
+        #aaaaaaaa###bbbbbbbb#
+        #####################
+        """,
+    "a corridor with doors on its side": """
+        ########################
+        #aaaaaaa#bbbbbb#ccccccc#
+        #aaaaaaa#bbbbbb#ccccccc#
+        #aaaaaaa#bbbbbb#ccccccc#
+        #aaaaaaa#bbbbbb#ccccccc#
+        #aaaaaaa#bbbbbb#ccccccc#
+        #aaaaaaa#bbbbbb#ccccccc#
+        ###+########+######+####
+        #dddddddddddddddddddddd#
+        #dddddddddddddddddddddd#
+        #dddddddddddddddddddddd#
+        ########################
+        """,
+    "a corridor that begins at a room, without a door": """
+        #########################
+        #aaaaaaaaa###############
+        #aaaaaaaaa###############
+        #aaaaaaaaa+bbbbbbbbbbbbb#
+        #aaaaaaaaa+bbbbbbbbbbbbb#
+        #aaaaaaaaa+bbbbbbbbbbbbb#
+        #aaaaaaaaa###############
+        #aaaaaaaaa###############
+        #aaaaaaaaa###############
+        #########################
+        """,
+    "of like width, no door between": """
+        ###############
+        #aaaaaaaaaaaaa#
+        #aaaaaaaaaaaaa#
+        #aaaaaaaaaaaaa#
+        #aaaaa#########
+        #aaaaa#########
+        ###############
+        """,
+    "of like width, a door between": """
+        ##################
+        #aaaaaaa##########
+        #aaaaaaa##########
+        #aaaaaaa#bbbbbbbb#
+        #aaaaaaa+bbbbbbbb#
+        #aaaaaaa+bbbbbbbb#
+        #aaaaaaa+bbbbbbbb#
+        #aaaaaaa#bbbbbbbb#
+        ##################
+        """,
+    "of like width, those with most border in common first": """
+        #########################
+        #aaaaaaa#################
+        #aaaaaaa#################
+        #aaaaaaaaaaaaaaa#########
+        #aaaaaaaaaaaaaaa#########
+        #aaaaaaaaaaaaaaa+bbbbbbb#
+        #aaaaaaaaaaaaaaa+bbbbbbb#
+        #aaaaaaaaaaaaaaa+bbbbbbb#
+        #########################
+        """,
+    "a closet that is just large enough": """
+        #################
+        #aaaaaaa#########
+        #aaaaaaa#########
+        #aaaaaaa#########
+        #aaaaaaabbbbbbbb#
+        #aaaaaaa#########
+        #aaaaaaa#########
+        #aaaaaaa#########
+        #################
+        """,
+    "a closet is too small": """
+        ##############
+        #aaaaaaaaa#aa#
+        #aaaaaaaaa#aa#
+        #aaaaaaaaaaaa#
+        #aaaaaaaaa####
+        #aaaaaaaaa####
+        #aaaaaaaaa####
+        #aaaaaaaaa####
+        ##############
+        """,
+    "round a corner": """
+        #################
+        #aaaaa###########
+        #aaaaa###########
+        #aaaaa###########
+        #aaaaa###########
+        #aaaaa###########
+        #aaaaaaaaaaaaaaa#
+        #aaaaaaaaaaaaaaa#
+        #aaaaaaaaaaaaaaa#
+        #aaaaaaaaaaaaaaa#
+        #aaaaaaaaaaaaaaa#
+        #################
+        """,
+}
+
+
+@pytest.mark.parametrize("name", PLANS)
+def test_maoris_by_hand(name):
+    """Free space, drawn as letters, falls into the rooms that they say; a doorway, `+`, is of either side."""
+    cells = maps.drawn(PLANS[name])
+    expected = np.where(cells == "#", -1, cells.view(np.int32).reshape(cells.shape))
+    for turned, undo in basins.turned(cells != "#"):
+        label = undo(maoris(turned, clearance_of(turned), CELL_M))
+        assert ((label >= 0) == (cells != "#")).all()
+        assert rooms.same_partition(np.where(cells == "+", ord("+"), label), expected), label[::-1]
+
+
+@given(inside=MAPS)
+def test_cells_are_as_wide_as_discs_that_cover_them(inside):
+    """Never wider than the widest disc over a cell, nor narrower than its own. A turned map has the same widths."""
+    clearance = clearance_of(np.pad(inside, 1))[1:-1, 1:-1]
+    image = _free_space(inside, clearance)
+    widths = np.where(inside, 2 * np.floor(clearance) + 1, 0)
+    widest, (rows, cols) = widths.copy(), np.indices(inside.shape)
+    for row, col in np.argwhere(inside):
+        disc = (rows - row) ** 2 + (cols - col) ** 2 <= (clearance[row, col] + 0.5) ** 2 - 0.5
+        widest[disc] = np.maximum(widest[disc], widths[row, col])
+    assert (image >= widths).all()
+    assert (image <= widest).all()
+    assert (image[widths == widths.max()] == widths.max()).all()
+    for turned, undo in basins.turned(inside):
+        around = clearance_of(np.pad(turned, 1))[1:-1, 1:-1]
+        np.testing.assert_array_equal(undo(_free_space(turned, around)), image)
+
+
+def test_maoris_of_hardly_anything():
+    assert maoris(np.zeros((5, 7), bool), np.full((5, 7), -0.5), CELL_M).tolist() == [[-1] * 7] * 5
+    for shape in ((1, 1), (1, 9), (9, 1)):
+        label = maoris(np.ones(shape, bool), np.full(shape, 1023.5), CELL_M)
+        assert label.shape == shape
+        assert len(np.unique(label)) == 1
+        assert label.min() >= 0
+    speck = np.zeros((3, 3), bool)
+    speck[1, 1] = True
+    assert ((maoris(speck, clearance_of(speck), CELL_M) >= 0) == speck).all()
+
+
+def test_maoris_of_a_world_without_walls_is_one_room():
+    label = maoris(np.ones((120, 90), bool), np.full((120, 90), 1023.5), CELL_M)
+    assert (label == label[0, 0]).all()
+    assert label[0, 0] >= 0
+
+
+@given(inside=MAPS, cell_m=st.sampled_from((0.25, 0.5, 2.0)))
+def test_maoris_divides_all_free_space_into_whole_rooms(inside, cell_m):
+    clearance = clearance_of(inside)
+    label = maoris(inside, clearance, cell_m)
+    assert label.dtype == np.int32
+    assert ((label >= 0) == inside).all()
+    assert all(components(label == room).max() == 0 for room in np.unique(label[inside]))
+    areas = np.bincount(label[inside], minlength=1) * cell_m**2
+    for one, other in ((label[1:], label[:-1]), (label[:, 1:], label[:, :-1])):
+        beside = (one >= 0) & (other >= 0) & (one != other)
+        assert (np.minimum(areas[one[beside]], areas[other[beside]]) >= SMALLEST_M2).all()
+    np.testing.assert_array_equal(label, maoris(inside.copy(), clearance.copy(), cell_m))
+
+
+def test_turning_a_building_leaves_its_rooms():
+    inside = ~jx.load_world("rooms#2:width_m=8,height_m=8", cell_m=0.1).occupied
+    first = maoris(inside, clearance_of(inside), 0.1)
+    for turned, undo in basins.turned(inside):
+        agreement = score(first, undo(maoris(turned, clearance_of(turned), 0.1)))
+        assert agreement["room_count_error"] == 0
+        assert agreement["mcc"] >= 0.97
+
+
+@pytest.mark.jit
+def test_maoris_is_a_variant_and_not_the_default():
+    assert "maoris" in VARIANTS
+    assert BEST != "maoris"
+    free = np.zeros((42, 84), bool)
+    free[1:41, 1:41] = free[1:41, 43:83] = free[17:25, 41:43] = True
+    free[20:22, 20:22] = False  # the leg of a table
+    for mask, n in ((free, 2), (np.ones((42, 84), bool), 1)):
+        found = jx.segment_maps(occupancy_to_world(~mask, name="mine", cell_m=0.05), variants="maoris")
+        assert found.scores["rooms"].tolist() == [n]
+        assert found.scores["doors"].tolist() == [n - 1]
+        assert not found.scores["overflow"].any()

@@ -27,7 +27,7 @@ class Segment:
     know their rooms."""
     variant: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME [NAME ...]", help_behavior_hint="")] = ("voronoi",)
     """Divide by these variants: voronoi (default: the best on maps that it was not chosen on), distance, morphological,
-    or those of the paper: thrun, wurm, holz."""
+    maoris, or those of the paper: thrun, wurm, holz."""
     partial: bool = False
     """Also segment the maps that an exploring robot has when it first knows 25, 50 and 75 % of what it will know."""
     cell_m: float = 0.05
@@ -37,8 +37,8 @@ class Segment:
     smallest_m2: float = 2.0
     """By voronoi join rooms smaller than this, in square metres, to the room that they open to."""
     clutter_m: float = 1.0
-    """By voronoi, distance and morphological look through obstacles in the open whose bounding box has a diagonal
-    shorter than this, in metres, such as legs of tables."""
+    """By voronoi, distance, morphological and maoris look through obstacles in the open whose bounding box has a
+    diagonal shorter than this, in metres, such as legs of tables."""
     prominence_m: float = 0.15
     """By thrun, wurm and holz the clearance must rise by this much on both sides of a critical point, in metres; 0
     takes any local minimum."""

@@ -12,6 +12,7 @@ import numpy as np
 
 from jexplore.arrays import bits
 from jexplore.reach import nearest_source
+from jexplore.rooms.maoris import maoris
 from jexplore.rooms.scores import components
 
 SEEDS = 4096  # at most
@@ -97,4 +98,5 @@ def morphological(inside: np.ndarray, clearance: np.ndarray, cell_m: float) -> n
 BASELINES: dict[str, Callable[[np.ndarray, np.ndarray, float], np.ndarray]] = {
     "distance": distance,
     "morphological": morphological,
+    "maoris": maoris,
 }

@@ -75,6 +75,11 @@ def _middles(pieces):
     return np.array([own[np.argmin(((own - own.mean(axis=0)) ** 2).sum(axis=1))] for own in pieces])
 
 
+def middles_of(label: np.ndarray, free: np.ndarray, cell_m: float) -> np.ndarray:
+    """Middles of the doors between rooms, `[n, 2]` int, row and column. Arguments as of `compared`."""
+    return _middles(touching(filled(label, free, NEAR_M / cell_m)))
+
+
 def compared(truth: np.ndarray | None, found: np.ndarray, free: np.ndarray, cell_m: float) -> Doors:
     """Doors of a segmentation beside the true ones.
 

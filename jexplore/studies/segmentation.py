@@ -102,15 +102,16 @@ def segment_maps(
       maps: names (`worlds.load_world`) or `World`s; one may stand for itself.
       truth: pictures with the true rooms, in the order of the maps: as the map, with doorways closed by lines. By
         default worlds that know their rooms are scored by them.
-      variants: names in `room_variants.VARIANTS`; by default the one with the best scores on maps that it was not
-        chosen on.
+      variants: names in `room_variants.VARIANTS`: voronoi, distance, morphological, maoris, thrun, wurm, holz. By
+        default the one with the best scores on maps that it was not chosen on.
       partial: also segment the maps that a robot has when it first knows 25, 50 and 75 % of what it will know. Stages
         that it has passed with its very first scans are left out.
       cell_m: edge of a cell of the worlds that are loaded by name, metres.
       seed: of the start of the episodes that partial maps come from.
       on_progress: called with the number of maps, partial ones included, that are done.
       settings: what the variants go by; see `room_variants.Settings`. `ratio`, `smallest_m2`, `clutter_m`: of voronoi,
-        the last also of distance and morphological; `prominence_m`, `gamma`, `metric`, `lines`: of thrun, wurm, holz.
+        the last also of distance, morphological and maoris; `prominence_m`, `gamma`, `metric`, `lines`: of thrun, wurm,
+        holz.
 
     Returns:
       `Segmentation`.
