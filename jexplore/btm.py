@@ -13,6 +13,7 @@ import numpy as np
 from flax import struct
 from jax import Array
 
+from jexplore.arrays.loops import settled
 from jexplore.tracemap.record import NODE_TYPES, NOWHERE, OBSTACLES, STATUS, BtmMap, Link, Node
 
 TERMINAL, DIVERGENCE, FREE_SPACE, OBSTACLE = range(len(NODE_TYPES))
@@ -177,13 +178,15 @@ def hops_to_open(btm: Btm) -> Array:
     has = jnp.any(open_ & (btm.start == here[:, None]), axis=1)
     followed = (btm.status == SEARCHED) & (jnp.arange(size) < btm.n_links)
     touches = [(btm.start == here[:, None]) & followed, (btm.end == here[:, None]) & followed]  # [N, M] each
-    distance = jnp.where(has, 0.0, FAR_M)
-    for _ in range(n - 1):
+
+    def nearer(distance):
         far_end = [distance[jnp.clip(end, 0, n - 1)] for end in (btm.end, btm.start)]
         for touch, other in zip(touches, far_end):
             way = jnp.min(jnp.where(touch, btm.length_m + other, FAR_M), axis=1)
             distance = jnp.minimum(distance, way)
-    return distance
+        return distance
+
+    return settled(nearer, jnp.where(has, 0.0, FAR_M))
 
 
 def next_hop(btm: Btm, node: Array | int) -> tuple[Array, Array, Array]:

@@ -7,9 +7,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jexplore.driving import behaviour
-from jexplore.driving.behaviour import Latch, RunMode
-from jexplore.driving.perception import Divergence
+from jexplore.driving import behaviour, manoeuvre
+from jexplore.driving.behaviour import GETS_ON, GETS_PAST, Latch, RunMode
+from jexplore.driving.events import Walls
+from jexplore.driving.sensing import surround
+from jexplore.driving.sensing.perception import Divergence
+from jexplore.driving.sensing.surround import DIRECTION, DIRECTIONS
 from jexplore.driving.settings import ROBOTS, Tuning
 
 TUNING, KAMUI = Tuning(), ROBOTS["kamui"]
@@ -150,13 +153,13 @@ def test_one_that_may_not_begin_does_not():
 # ---------------------------------------------------------------- free space
 
 
-def watched(looks, *, open_m=2.5):
+def watched(looks, *, open_m=2.5, roomy=True, hall=None):
     """`(events, halls)` of looks `(left_m, right_m)`, the odometer in steps of 0.1 m; None: nobody looks."""
-    hall, events, halls = behaviour.no_free_space(), "", []
+    hall, events, halls = behaviour.no_free_space() if hall is None else hall, "", []
     for i, look in enumerate(looks):
         sides = (1.0, 1.0) if look is None else look
         hall, enters, leaves = behaviour.watch_free_space(
-            hall, *sides, jnp.float32(i / 10), open_m, jnp.bool_(look is not None)
+            hall, *sides, jnp.float32(i / 10), open_m, jnp.bool_(look is not None), jnp.bool_(roomy)
         )
         events += "E" if enters else "L" if leaves else "."
         assert not (enters and leaves)
@@ -164,7 +167,7 @@ def watched(looks, *, open_m=2.5):
     return events, halls
 
 
-WALLS, LEFT, RIGHT = (1.0, 1.0), (INF, 1.0), (1.0, 2.6)
+WALLS, LEFT, RIGHT = (1.0, 1.0), (INF, 1.0), (2.45, 2.6)
 
 
 def test_a_free_space_is_believed_at_the_third_look():
@@ -182,13 +185,46 @@ def test_looks_that_disagree_begin_anew():
     assert float(halls[-1].since_m) == pytest.approx(0.3)
 
 
+@pytest.mark.parametrize(
+    ("left_m", "right_m", "open_m", "is_free"),
+    [
+        (2.5, 2.5, 2.5, False),
+        (2.6, 2.3, 2.5, False),  # the paper, which looks at one side only, would call it free
+        (2.6, 2.45, 2.5, True),
+        (3.9, 1.0, 2.5, False),
+        (4.1, 1.0, 2.5, True),
+        (INF, 0.3, 2.5, True),
+        (INF, INF, 2.5, True),
+        (1.3, 1.0, 1.2, False),
+        (1.5, 1.0, 1.2, True),
+    ],
+)
+def test_free_space_has_room_for_a_circle_between_its_walls(left_m, right_m, open_m, is_free):
+    """One wall is farther than C1, and both together are farther than twice that."""
+    assert bool(behaviour.is_free(left_m, right_m, open_m)) == is_free
+    assert bool(behaviour.is_free(right_m, left_m, open_m)) == is_free
+
+
 def test_free_space_ends_where_the_walls_are_nearer_than_where_it_began():
-    # Entered above 2.5 m, left at 2.2 m.
-    for width, inside, event in ((2.5, False, "..."), (2.51, False, "..E"), (2.21, True, "..."), (2.19, True, "..L")):
+    # Entered where both walls together are farther than 5 m, left where they are nearer than 4.4 m.
+    for walls, inside, event in (
+        ((2.6, 2.39), False, "..."), ((2.6, 2.41), False, "..E"),
+        ((2.3, 2.11), True, "..."), ((2.3, 2.09), True, "..L"),
+        ((3.99, 1), False, "..."), ((4.01, 1), False, "..E"), ((3.41, 1), True, "..."), ((3.39, 1), True, "..L"),
+    ):  # fmt: skip
         before = [(3.0, 3.0)] * 3 if inside else []
-        assert watched([*before, *[(width, 1.0)] * 3])[0][-3:] == event
-        assert watched([*before, *[(1.0, width)] * 3])[0][-3:] == event
-    assert watched([(1.3, 1.0)] * 3, open_m=1.2)[0] == "..E"
+        assert watched([*before, *[walls] * 3])[0][-3:] == event
+        assert watched([*before, *[walls[::-1]] * 3])[0][-3:] == event
+    assert watched([(1.5, 1.0)] * 3, open_m=1.2)[0] == "..E"
+
+
+def test_without_room_no_free_space_is_entered_but_none_is_left_either():
+    events, halls = watched([LEFT] * 6, roomy=False)
+    assert events == "......"
+    assert [int(hall.streak) for hall in halls] == [0] * 6
+    inside = watched([LEFT] * 3)[1][-1]
+    assert watched([LEFT] * 6, roomy=False, hall=inside)[0] == "......"
+    assert watched([WALLS] * 3, roomy=False, hall=inside)[0] == "..L"
 
 
 def test_nothing_changes_while_nobody_looks():
@@ -202,7 +238,7 @@ def test_nothing_changes_while_nobody_looks():
 
 
 def driving(*, latch=Latch.FREE, target=(0.0, 0.0), turning=0, left_m=1.0, right_m=1.0):
-    return behaviour.Drive(
+    return behaviour.at_rest().replace(
         latch=jnp.int32(latch),
         target=jnp.asarray(target, jnp.float32),
         turning=jnp.int32(turning),
@@ -215,15 +251,41 @@ def in_hall(inside):
     return behaviour.no_free_space().replace(inside=jnp.bool_(inside))
 
 
-def _fronts(front_m):
-    return tuple(jnp.float32(v) for v in np.broadcast_to(front_m, 2))
+NO_WAY = jnp.zeros(DIRECTIONS)
 
 
-def mode_of(drive=None, *, inside=False, hall_sides=(1.0, 1.0), left_m=1.0, right_m=1.0, closed=False, front_m=5.0):
-    mode, drive = behaviour.choose_mode(
-        driving() if drive is None else drive, in_hall(inside), hall_sides, jnp.float32(left_m), jnp.float32(right_m),
-        jnp.bool_(closed), _fronts(front_m), TUNING, KAMUI,
-    )  # fmt: skip
+def way_at(rad, way_m):
+    """Ways so long in the direction nearest to this one and on the other side, elsewhere none."""
+    at = abs(DIRECTION[:, None] - np.array([-rad, rad])).argmin(axis=0)
+    return NO_WAY.at[at].set(way_m)
+
+
+def mode_of(
+    drive=None,
+    *,
+    inside=False,
+    hall_sides=(1.0, 1.0),
+    roomy=True,
+    left_m=1.0,
+    right_m=1.0,
+    closed=False,
+    front_m=5.0,
+    ways_m=NO_WAY,
+):
+    walls = Walls(
+        xy=jnp.zeros((0, 2)),
+        valid=jnp.zeros(0, bool),
+        region=(0.5, 2.9),
+        region_sides=tuple(jnp.float32(v) for v in hall_sides),
+        roomy=jnp.bool_(roomy),
+        closed=jnp.bool_(closed),
+        fronts_m=tuple(jnp.float32(v) for v in np.broadcast_to(front_m, 2)),
+        left_m=jnp.float32(left_m),
+        right_m=jnp.float32(right_m),
+        beside=jnp.zeros(2),
+    )
+    drive = driving() if drive is None else drive
+    mode, drive = behaviour.choose_mode(drive, in_hall(inside), walls, ways_m, TUNING, KAMUI)
     return RunMode(int(mode)), drive
 
 
@@ -235,7 +297,7 @@ def test_modes_in_the_order_of_their_priority():
         mode, _ = mode_of(
             driving(latch=Latch.APPROACH if inside else Latch.LEAVE) if latched else None,
             inside=inside,
-            hall_sides=(INF if left else 2.4, 2.6 if right else 2.4),
+            hall_sides=(INF if left else 2.4, 2.7 if right else 2.4),
             closed=closed,
             front_m=0.44 if near else 0.46,  # the guard: half the robot's length and 0.1 m
         )
@@ -247,6 +309,35 @@ def test_modes_in_the_order_of_their_priority():
             else RunMode.CENTRAL
         )  # fmt: skip
         assert mode == want, (near, latched, closed, inside, left, right)
+
+
+def test_a_place_without_room_is_no_free_space():
+    assert mode_of(hall_sides=(INF, 1.0))[0] == RunMode.WALL_FOLLOWING
+    assert mode_of(hall_sides=(INF, 1.0), roomy=False)[0] == RunMode.CENTRAL
+    assert mode_of(inside=True, roomy=False)[0] == RunMode.WALL_FOLLOWING
+
+
+@pytest.mark.parametrize(
+    ("more", "mode", "gets"),
+    [({"front_m": 0.2}, RunMode.CONTACT_GUARD, GETS_PAST), ({"closed": True}, RunMode.DEAD_END, GETS_ON)],
+)
+def test_where_a_way_leads_past_what_is_near_nothing_is_made_of_it(more, mode, gets):
+    """A way so long, not too far aside; directions are 5 degrees apart."""
+    aside, way_m = gets
+    step = math.radians(5)
+    for ways_m, passes in (
+        (NO_WAY, False), (way_at(0, way_m + 0.01), True), (way_at(0, way_m - 0.01), False),
+        (way_at(aside - step, way_m + 0.01), True), (way_at(aside + step, INF), False),
+    ):  # fmt: skip
+        found, drive = mode_of(ways_m=ways_m, **more)
+        assert found == (RunMode.CENTRAL if passes else mode)
+        assert (int(drive.turning) == 0) == passes
+
+
+def test_while_it_looks_round_a_robot_is_not_stopped_by_what_is_near():
+    assert mode_of(driving(latch=Latch.LOOK), front_m=0.2)[0] == RunMode.BRANCH_SELECTION
+    for latch in (Latch.APPROACH, Latch.LEAVE):
+        assert mode_of(driving(latch=latch), front_m=0.2)[0] == RunMode.CONTACT_GUARD
 
 
 def test_the_guard_turns_from_what_is_near_one_half_of_the_front():
@@ -286,22 +377,51 @@ def test_walls_are_remembered_only_in_a_passage():
 
 def test_at_rest_nothing_is_held():
     drive = behaviour.at_rest()
-    assert (int(drive.latch), int(drive.turning)) == (Latch.FREE, 0)
+    assert (int(drive.latch), int(drive.turning), int(drive.since), int(drive.tries)) == (Latch.FREE, 0, 0, 0)
+    assert (float(drive.out), float(drive.looked), float(drive.looked_m), bool(drive.known)) == (0, 0, -INF, False)
     assert (drive.target.tolist(), float(drive.left_m), float(drive.right_m)) == ([0, 0], 1, 1)
 
 
 # ---------------------------------------------------------------- target point
 
 
-def target(mode, left_m, right_m, drive=None):
+AHEAD = (0.0, 0.0)
+
+
+def target(mode, left_m, right_m, drive=None, *, edge=AHEAD):
     drive = driving(left_m=0.8, right_m=1.1) if drive is None else drive
-    sides = jnp.float32(left_m), jnp.float32(right_m)
-    return behaviour.target_of(jnp.int32(mode), drive, *sides, lambda xy: xy - jnp.asarray([1.0, 2.0]), TUNING).tolist()
+    sides, edge = ([jnp.float32(v) for v in pair] for pair in ((left_m, right_m), edge))
+
+    def to_robot(xy):
+        return xy - jnp.asarray([1.0, 2.0])
+
+    return behaviour.target_of(jnp.int32(mode), drive, *sides, tuple(edge), to_robot, TUNING).tolist()
 
 
 @pytest.mark.parametrize(("left_m", "right_m", "aside"), [(1.0, 1.0, 0), (1.4, 1.0, 0.2), (0.5, 1.5, -0.5)])
 def test_the_middle_of_a_passage(left_m, right_m, aside):
-    assert target(RunMode.CENTRAL, left_m, right_m) == pytest.approx([TUNING.ahead_m, aside])
+    """Of the nearest points on both sides: ahead of the robot, as far aside as their edge lies."""
+    edge = surround.edge(surround.unknown())
+    assert target(RunMode.CENTRAL, left_m, right_m, edge=edge) == pytest.approx([TUNING.ahead_m, 0])
+    walls = surround.seen(surround.unknown(), jnp.full(181, jnp.nan).at[0].set(right_m).at[180].set(left_m))
+    edge = surround.edge(walls)
+    assert target(RunMode.CENTRAL, left_m, right_m, edge=edge) == pytest.approx([TUNING.ahead_m, aside], abs=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("along_deg", "off_m", "want"),
+    [
+        (30, 0.0, (math.cos(math.pi / 6), 0.5)),
+        (-30, 0.0, (math.cos(math.pi / 6), -0.5)),
+        (90, 0.0, (0, 1)),
+        (30, 0.4, (math.cos(math.pi / 6) + 0.2, 0.5 - 0.4 * math.cos(math.pi / 6))),
+        (0, 1.7, (1, -1)),  # no farther aside than ahead
+        (0, -1.7, (1, 1)),
+    ],
+)
+def test_the_target_lies_on_the_edge_of_a_passage_that_bends(along_deg, off_m, want):
+    edge = math.radians(along_deg), off_m
+    assert target(RunMode.CENTRAL, 1.0, 1.0, edge=edge) == pytest.approx(want, abs=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -321,56 +441,55 @@ def test_the_middle_of_a_passage(left_m, right_m, aside):
     ],
 )
 def test_the_nearer_wall_is_followed_at_the_distance_it_had(left_m, right_m, aside):
-    assert target(RunMode.WALL_FOLLOWING, left_m, right_m) == pytest.approx([1, aside])
+    for edge in (AHEAD, (0.3, 0.2)):
+        assert target(RunMode.WALL_FOLLOWING, left_m, right_m, edge=edge) == pytest.approx([1, aside])
 
 
 @pytest.mark.parametrize(
-    ("left_m", "right_m", "aside"), [(2.4, 1.0, 0.7), (2.6, 1.0, 0.1), (1.0, 2.6, 0.2), (INF, INF, 0), (2.6, 2.6, 1)]
+    ("left_m", "right_m", "aside"),
+    [
+        (2.4, 1.0, 0.7),
+        (2.6, 1.0, 0.1),
+        (1.0, 2.6, 0.2),
+        (INF, INF, 0.7),  # both sides open: the middle between what is known
+        (2.6, 2.6, 0.7),
+    ],
 )
 def test_a_passage_with_an_open_side_is_driven_along_the_other(left_m, right_m, aside):
-    assert target(RunMode.CENTRAL, left_m, right_m) == pytest.approx([1, aside])
+    assert target(RunMode.CENTRAL, left_m, right_m, edge=(0.0, -0.7)) == pytest.approx([1, aside])
 
 
 def test_the_target_of_a_latch_in_the_robots_frame():
     drive = driving(latch=Latch.LEAVE, target=(4.0, 7.0))
     assert target(RunMode.BRANCH_SELECTION, 1.0, 0.2, drive) == [3, 5]
+    assert target(RunMode.BRANCH_SELECTION, 1.0, 0.2, drive, edge=(0.3, 0.2)) == [3, 5]
     assert target(RunMode.CONTACT_GUARD, 1.0, 1.0, drive) == [1, 0]
 
 
-# ---------------------------------------------------------------- speeds
+# ---------------------------------------------------------------- speeds: what of them is a matter of settings
 
 
-def steered(xy, mode=RunMode.CENTRAL, turning=0, tuning=TUNING):
-    v, omega = behaviour.steer(jnp.int32(mode), driving(turning=turning), jnp.asarray(xy, jnp.float32), tuning, KAMUI)
-    return float(v), float(omega)  # fmt: skip
+def steered(xy, tuning):
+    """Towards a point on a free way: `(v, omega)`."""
+    now, none = manoeuvre.at_rest(jnp.zeros(3)), jnp.bool_(False)
+    bearing, free = jnp.float32(math.atan2(xy[1], xy[0])), jnp.full(DIRECTIONS, INF)
+    _, v, omega = manoeuvre.drive(
+        now, surround.unknown(), free, jnp.zeros(3), bearing, jnp.int32(0), none, tuning, KAMUI
+    )  # fmt: skip
+    return float(v), float(omega)
 
 
 def test_speed_and_turn_rate_by_hand():
-    assert steered((1, 0)) == pytest.approx((0.4, 0))
     angle = math.radians(30)
     for side in (1, -1):
         at = 2 * math.cos(angle), 2 * side * math.sin(angle)
-        assert steered(at) == pytest.approx((0.4 * math.cos(angle), 1.5 * side * angle))
-        assert steered(at, RunMode.BRANCH_SELECTION) == steered(at, RunMode.WALL_FOLLOWING) == steered(at)
+        assert steered(at, TUNING) == pytest.approx((0.4 * math.cos(angle), 1.5 * side * angle))
     slow = Tuning(speed_m_s=0.1, turn_gain=0.5)
-    assert steered((3, 3), tuning=slow) == pytest.approx((0.1 * math.sqrt(0.5), 0.5 * math.pi / 4))
+    assert steered((3, 3), slow) == pytest.approx((0.1 * math.sqrt(0.5), 0.5 * math.pi / 4))
 
 
 def test_no_faster_than_the_robot_can():
     fast = Tuning(speed_m_s=50.0, turn_gain=100.0)
-    assert steered((1, 0), tuning=fast)[0] == pytest.approx(KAMUI.max_speed_m_s)
-    assert steered((1, 0.5), tuning=fast)[1] == KAMUI.max_turn_rad_s
-    assert steered((1, -0.5), tuning=fast)[1] == -KAMUI.max_turn_rad_s
-
-
-def test_it_turns_in_place_towards_what_lies_behind():
-    for y in (0.5, -0.5):
-        assert steered((-1, y)) == (0, math.copysign(KAMUI.max_turn_rad_s, y))
-    assert steered((0, 1))[0] == pytest.approx(0, abs=1e-6)
-    assert steered((0, 0)) == pytest.approx((0.4, 0))  # on the target
-
-
-@pytest.mark.parametrize("mode", [RunMode.DEAD_END, RunMode.CONTACT_GUARD])
-def test_a_dead_end_turns_in_place_at_half_the_rate(mode):
-    for turning in (1, -1, 0):
-        assert steered((1, 0.3), mode, turning) == (0, turning * KAMUI.max_turn_rad_s / 2)
+    assert steered((1, 0), fast)[0] == pytest.approx(KAMUI.max_speed_m_s)
+    assert steered((1, 0.5), fast)[1] == KAMUI.max_turn_rad_s
+    assert steered((1, -0.5), fast)[1] == -KAMUI.max_turn_rad_s

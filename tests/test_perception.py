@@ -8,9 +8,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jexplore.driving import ground_profile, perception, terrain, vehicle, walls
-from jexplore.driving.events import KEPT_POINTS, SCAN_POINTS
+from jexplore.driving import terrain, vehicle, walls
+from jexplore.driving.events import SCAN_POINTS
 from jexplore.driving.events import triangles as look
+from jexplore.driving.sensing import ground_profile, perception
 from jexplore.driving.settings import ROBOTS, Tuning
 from jexplore.driving.vehicle import ANGLES_RAD, BEAM_SPACING_RAD, BEAMS, RANGE_M
 
@@ -24,6 +25,7 @@ SLOTS = 32
 EAST, NORTH, WEST, SOUTH = 0.0, math.pi / 2, math.pi, -math.pi / 2
 KAMUI = ROBOTS["kamui"]
 TEN = math.radians(10)
+INF = math.inf
 
 
 points = jax.jit(perception.points)
@@ -366,29 +368,25 @@ def building(arms, width_m):
 
 @jax.jit
 def look_from(walls_, pose, tuning, noise_m):
-    """`(divergence, centres in the world, points kept for openings, in the world, which there are)`."""
+    """`(divergence, centres in the world)`."""
     ranges = walls.cast(walls_, pose, ANGLES_RAD, RANGE_M) + noise_m
     xy, valid = points(ranges, ANGLES_RAD)
     beside = jnp.stack(sides(xy, valid, 0, KAMUI.length_m / 2)).min()
     found = look(xy, valid, beside, tuning)
-    even = smoothed(xy, valid, tuning.width_m / 4)
-    bounds = tuning.near_m, tuning.far_m, tuning.open_m
-    kept, there, *_ = resampled(even, valid, *bounds, tuning.width_m / 4, size=KEPT_POINTS)
-    placed = vehicle.to_odometry(pose)
-    return found, placed(found.centre), placed(kept), there
+    return found, vehicle.to_odometry(pose)(found.centre)
 
 
 QUIET = np.zeros(BEAMS, np.float32)
 
 
 def seen_from(place, x, y, heading=EAST, tuning=TUNING, noise_m=QUIET):
-    """Centres, relative to the crossing of the axes, radii, and the points."""
+    """Centres, relative to the crossing of the axes, and radii."""
     walls_, middle = place
     pose = np.array([middle[0] + x, middle[1] + y, heading], np.float32)
-    found, centre, kept, there = look_from(walls_, pose, tuning, noise_m)
+    found, centre = look_from(walls_, pose, tuning, noise_m)
     valid = np.asarray(found.valid)
     assert int(found.overflow) == 0
-    return np.asarray(centre)[valid] - middle, np.asarray(found.radius)[valid], np.asarray(kept)[np.asarray(there)]
+    return np.asarray(centre)[valid] - middle, np.asarray(found.radius)[valid]
 
 
 # Where the circle's centre lies and how large it is, in widths from the crossing of the axes, coming from the west.
@@ -424,7 +422,7 @@ def test_the_circle_lies_where_three_walls_are_equally_far(name, width_m):
     place = building(arms, width_m)
     for further, y, heading in itertools.product(np.linspace(0.5, 1.0, 6), (-0.1, 0, 0.1), (-0.1, 0, 0.1)):
         back = width_m / 2 + further
-        centres, radii, _ = seen_from(place, -back, y * width_m, heading)
+        centres, radii = seen_from(place, -back, y * width_m, heading)
         assert len(centres) >= 1, (back, y, heading)
         np.testing.assert_allclose(
             centres, np.tile(np.array(where) * width_m, (len(centres), 1)), atol=0.04 + 0.02 * width_m
@@ -434,7 +432,7 @@ def test_the_circle_lies_where_three_walls_are_equally_far(name, width_m):
 
 def test_mirrored_maps_have_mirrored_divergences():
     for left, right in (("left corner", "right corner"), ("T from the side, left", "T from the side, right")):
-        (one, radii, _), (other, mirrored_radii, _) = (
+        (one, radii), (other, mirrored_radii) = (
             seen_from(building(FEATURES[name][0], 2.0), -2.0, sign * 0.1, sign * 0.1)
             for name, sign in ((left, 1), (right, -1))
         )
@@ -456,7 +454,7 @@ def test_a_hall_shows_nothing_but_a_larger_bound_of_free_space_does():
     for x in (-5, -2, 0, 1):
         assert len(seen_from(place, x, 0.3)[0]) == 0
     larger = Tuning(open_m=3.5)
-    centres, radii, _ = seen_from(place, -0.6, 0.0, tuning=larger)
+    centres, radii = seen_from(place, -0.6, 0.0, tuning=larger)
     assert len(centres) >= 1
     np.testing.assert_allclose(centres[0], [0, 0], atol=0.15)
     np.testing.assert_allclose(radii[0], 3, atol=0.15)
@@ -521,10 +519,49 @@ def test_every_triangle_keeps_to_its_bounds():
             assert sum(angles) == pytest.approx(180, abs=0.01)
             assert max(angles) < 100.01
             assert radius < TUNING.open_m
-            assert (triangle[:, 0] > TUNING.near_m).all()
-            assert (triangle[:, 0] < TUNING.far_m).all()
+            # The rule is now a bound of the range alone: the robot knows what lies round it, and D1 is read no more.
+            assert (np.hypot(*triangle.T) < TUNING.far_m).all()
             n_kept += 1
     assert n_kept > 20
+
+
+@pytest.mark.parametrize("near_m", [-4.0, 0.3, 0.8])
+def test_points_nearer_than_the_near_bound_make_no_triangle(near_m):
+    """From 1.8 m before the middle of a T 2 m wide, whose near corners lie 0.8 m ahead."""
+    xy, valid = points_of([(-9, 1, 0.8, 1), (-9, -1, 0.8, -1), (0.8, 1, 0.8, 9), (0.8, -1, 0.8, -9), (2.8, -9, 2.8, 9)])
+    bounds = {"far_m": 4.0, "width_m": 0.39, "obtuse_tol_deg": 10.0, "open_m": 2.5, "size": SCAN_POINTS}
+    found = jax.jit(perception.divergences, static_argnames="size")(xy, valid, near_m=near_m, **bounds)
+    corners = np.asarray(found.corners)[np.asarray(found.valid)]
+    assert (len(corners) > 0) == (near_m < 0.8)
+    assert (corners[..., 0] > near_m).all()
+
+
+# ---------------------------------------------------------------- room for a circle
+
+
+@pytest.mark.parametrize(
+    ("left_m", "right_m", "far_m", "roomy"),
+    [
+        (INF, INF, 9.0, True),
+        (4.1, 1.0, 9.0, True),
+        (3.9, 1.0, 9.0, True),  # 4.9 m between the walls; a circle of nine tenths of 2.5 m fits
+        (3.2, 1.0, 9.0, False),  # its middle lies 1.5 m to the left, 1.7 m from the wall there
+        (INF, 1.0, 5.6, True),  # from 0.5 m ahead on it ends at 5.5 m
+        (INF, 1.0, 5.3, True),  # and a tenth less does
+        (INF, 1.0, 5.1, False),
+        (INF, INF, 5.1, False),
+    ],
+)
+def test_whether_a_circle_fits_beside_the_nearer_wall(left_m, right_m, far_m, roomy):
+    """Of 2.5 m, from 0.5 m before the robot on, touching the nearer wall, or straight ahead where none is near."""
+    sides_m = [min(v, 20.0) for v in (left_m, right_m)]
+    lines = [(-20, sides_m[0], 20, sides_m[0]), (-20, -sides_m[1], 20, -sides_m[1]), (far_m, -20, far_m, 20)]
+    xy, valid = points(scan_of(lines, range_m=30), ANGLES_RAD)
+    for mirror in (1, -1):
+        pair = (left_m, right_m)[::mirror]
+        there = xy * jnp.array([1, mirror], jnp.float32)
+        found = perception.is_roomy(there, valid, 0.5, *(jnp.float32(v) for v in pair), 2.5)
+        assert bool(found) == roomy
 
 
 def test_the_nearest_triangle():
@@ -541,165 +578,6 @@ def test_the_nearest_triangle():
         assert (int(got), float(away)) == (which, pytest.approx(distance, abs=1e-6))
     _, away = perception.nearest(found.replace(valid=jnp.zeros(4, bool)), np.zeros(2, np.float32))
     assert float(away) == math.inf
-
-
-# ---------------------------------------------------------------- openings
-
-K = 8
-P = 1000
-find_openings = jax.jit(perception.openings, static_argnames="size")
-
-
-def ways_out(xy, centre=(0, 0), radius_m=2.0, width_m=TUNING.width_m, size=K, circle=1.0):
-    """`(bearings in degrees, widths, overflow)` of the openings, in their order."""
-    xy = np.asarray(xy, np.float32).reshape(-1, 2)
-    padded, there = np.zeros((P, 2), np.float32), np.arange(P) < len(xy)
-    padded[: len(xy)] = xy
-    found = find_openings(
-        padded, there, np.array(centre, np.float32), np.float32(radius_m), np.float32(width_m), circle=circle, size=size
-    )
-    valid = np.asarray(found.valid)
-    assert found.bearing.shape == found.width_m.shape == valid.shape == (size,)
-    assert not valid[valid.sum() :].any()
-    return np.degrees(found.bearing)[valid], np.asarray(found.width_m)[valid], int(found.overflow)
-
-
-def wrapped_deg(angle):
-    return (np.asarray(angle) + 180) % 360 - 180
-
-
-def polar(degrees, distance=1.0):
-    angle = np.radians(degrees)
-    return np.stack([distance * np.cos(angle), distance * np.sin(angle)], -1)
-
-
-def test_openings_of_a_ring_by_hand():
-    """A ring of points 3 degrees apart, with gaps of 30 degrees to the east, 60 to the north and 6 to the west."""
-    around = np.arange(1, 360, 3)
-    away = np.abs(wrapped_deg(around[:, None] - np.array([0, 90, 180])))
-    ring = polar(around[(away >= [15, 30, 3]).all(1)])
-    bearings, widths, overflow = ways_out(ring)
-    np.testing.assert_allclose(bearings, [1.0, 89.5], atol=1.6)
-    assert widths == pytest.approx([2 * math.sin(math.radians(15)), 1], abs=0.08)
-    assert overflow == 0
-    assert len(ways_out(ring, width_m=0.9)[0]) == 1  # a wider robot fits through one only
-    assert len(ways_out(ring, width_m=1.2)[0]) == 0
-    assert len(ways_out(ring, width_m=0.08)[0]) == 3
-
-
-def test_openings_in_order_and_the_circular_pair():
-    corners = polar([-135, -45, 45, 135])
-    bearings, widths, _ = ways_out(corners)
-    np.testing.assert_allclose(np.abs(bearings), [90, 0, 90, 180], atol=1e-3)
-    assert bearings[0] < 0 < bearings[2]
-    assert widths == pytest.approx([math.sqrt(2)] * 4, abs=1e-5)
-    bearings, widths, overflow = ways_out(corners, size=2)
-    np.testing.assert_allclose(bearings, [-90, 0], atol=1e-3)
-    assert (len(widths), overflow) == (2, 2)
-
-
-def test_of_one_direction_the_nearest_point_counts():
-    corners = np.concatenate([polar([-135, -45, 45, 135]), polar([-45, 45, 0, 90], 1.5)])
-    np.testing.assert_allclose(ways_out(corners, radius_m=1.2)[1], [math.sqrt(2)] * 4, atol=1e-5)
-    east = np.hypot(1.5 - math.sqrt(0.5), math.sqrt(0.5))
-    widths = ways_out(corners, radius_m=1.6)[1]
-    np.testing.assert_allclose(widths, [math.sqrt(2), east, east, east, east, math.sqrt(2)], atol=1e-5)
-
-
-def test_a_wall_farther_in_does_not_divide_an_opening():
-    corners = polar([-135, -45, 45, 135])
-    for distance, n in ((1.1, 5), (1.2, 4), (1.6, 4)):
-        stray = np.concatenate([corners, polar([0, 2], distance)])
-        bearings, widths, _ = ways_out(stray, radius_m=1.0, circle=1.5)
-        assert len(bearings) == n, distance
-        assert max(widths) == pytest.approx(math.sqrt(2), abs=1e-5)
-    far = np.concatenate([polar([angle], 1.3 + angle / 2000) for angle in (-120, 0, 120)])  # none comes nearer
-    assert len(ways_out(far, radius_m=1.0, circle=1.5)[0]) == 3
-    # A wall that leads from near to far is one.
-    wall = np.stack([np.linspace(0.8, 1.4, 20), np.full(20, 0.6)], 1)
-    bearings, widths, _ = ways_out(np.concatenate([wall, polar([-60, 180])]), radius_m=1.0, circle=1.5)
-    assert len(bearings) == 3
-
-
-def test_a_wall_that_leads_straight_outward_is_no_gap():
-    away = np.arange(0.9, 1.9, 0.05)
-    wall = np.stack([0.08 + 0 * away, away], 1)  # of two directions 1.5 degrees apart its points are 0.5 m apart
-    bearings, _, _ = ways_out(np.concatenate([wall, polar(np.arange(130, 430, 5))]))
-    assert len(bearings) == 1
-    assert 90 < bearings[0] < 130
-
-
-def test_where_a_gap_is_more_than_half_a_turn_it_lies_on_the_other_side():
-    bearings, _, _ = ways_out(polar([-60, -30, 0, 30, 60]), width_m=0.6)
-    np.testing.assert_allclose(np.abs(bearings), [180], atol=1e-3)
-    bearings, _, _ = ways_out(polar(np.arange(30, 151, 10)))
-    np.testing.assert_allclose(bearings, [-90], atol=1e-3)
-
-
-def test_without_points_there_is_no_opening():
-    assert len(ways_out(np.zeros((0, 2)))[0]) == 0
-    assert len(ways_out(polar([0, 120, 240], 3.0))[0]) == 0  # all beyond the circle
-    assert len(ways_out(polar([0, 120, 240], 3.0), radius_m=3.001)[0]) == 3
-
-
-def test_round_one_point_alone_everything_is_open():
-    assert len(ways_out(polar([30]))[0]) == 1
-    assert len(ways_out(polar([30, 30.1]))[0]) == 1
-
-
-def test_openings_turn_and_move_with_the_points():
-    rng = np.random.default_rng(4)
-    around = np.concatenate([np.arange(a, b, 2.0) for a, b in ((-170, -100), (-60, -10), (30, 60), (100, 150))])
-    ring = polar(around, 1 + 0.02 * rng.normal(size=len(around)))
-    bearings, widths, _ = ways_out(ring)
-    assert len(bearings) == 4
-    for degrees in (7.3, 90, -123.4):
-        turn = np.radians(degrees)
-        moved = ring @ np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]]) + [5, -3]
-        after, after_widths, _ = ways_out(moved, centre=(5, -3))
-        order = np.argsort(wrapped_deg(bearings + degrees))
-        np.testing.assert_allclose(wrapped_deg(after - (bearings + degrees)[order]), 0, atol=0.5)
-        np.testing.assert_allclose(after_widths, widths[order], atol=0.02)
-
-
-def on_the_way(arms, width_m, where, rng=None, sigma_m=0.0):
-    """Points of the scans on the way from the west to a place, relative to the crossing of the axes."""
-    place = building(arms, width_m)
-    kept = []
-    for back in np.linspace(2.2, 0.1, 8):
-        noise_m = QUIET if rng is None else rng.normal(scale=sigma_m, size=BEAMS).astype(np.float32)
-        kept.append(seen_from(place, where[0] * width_m - back, where[1] * width_m, noise_m=noise_m)[2] - place[1])
-    return np.concatenate(kept)
-
-
-@pytest.mark.parametrize("name", FEATURES)
-@pytest.mark.parametrize("width_m", WIDTHS_M)
-def test_every_divergence_has_its_openings(name, width_m):
-    arms, where, radius, want = FEATURES[name]
-    xy = on_the_way(arms, width_m, where)
-    centre, circle_m = np.array(where) * width_m, TUNING.circle * radius * width_m
-    bearings, widths, overflow = ways_out(xy, centre, circle_m)
-    assert len(bearings) == len(want)
-    off = np.abs(wrapped_deg(bearings[:, None] - np.degrees(want)))
-    assert off.min(axis=0).max() < 12
-    np.testing.assert_allclose(widths, width_m, rtol=0.15)
-    assert overflow == 0
-    assert len(ways_out(xy, centre, circle_m, 0.8 * width_m)[0]) == len(want)
-    assert len(ways_out(xy, centre, circle_m, 1.25 * width_m)[0]) == 0  # too wide a robot
-
-
-def test_a_search_circle_of_a_tenth_more_miscounts_corners():
-    rng = np.random.default_rng(5)
-    right = {1.1: 0, 1.5: 0}
-    for width_m, name in itertools.product(WIDTHS_M, ("left corner", "right corner")):
-        arms, where, radius, _ = FEATURES[name]
-        for _ in range(4):
-            xy = on_the_way(arms, width_m, where, rng, 0.02)
-            centre = np.array(where) * width_m + rng.normal(scale=0.03, size=2)
-            for k in right:
-                right[k] += len(ways_out(xy, centre, k * radius * width_m)[0]) == 2
-    assert right[1.5] >= 22  # of 24
-    assert right[1.1] <= right[1.5] - 4
 
 
 # ---------------------------------------------------------------- the ground ahead

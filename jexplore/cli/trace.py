@@ -30,8 +30,10 @@ class Trace:
     """Drive through this course, such as course#3 or course:obstacle=stairs, or any world; see `jexplore worlds`."""
     robot: Annotated[str, tyro.conf.arg(metavar="ROBOT")] = "kamui"
     """Drive this robot: kamui (a crawler) or wheeled; with other measures kamui:width_m=0.6,max_slope_deg=8."""
-    runs: int = 1
-    """Make so many runs, of every setting if some are swept."""
+    runs: int | None = None
+    """Make so many runs, of every setting if some are swept; by default one a start."""
+    starts: Annotated[int | None, tyro.conf.arg(metavar="N", help_behavior_hint="")] = None
+    """Begin run i at draw i modulo N of the seed; by default all runs begin at one place."""
     noise_m: Annotated[float | None, tyro.conf.arg(metavar="M", help_behavior_hint="")] = None
     """Give the scanners' ranges this standard deviation, in metres, as --noise.range-m does."""
     sweep: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUES [...]", help_behavior_hint="")] = ()
@@ -52,8 +54,8 @@ class Trace:
     """Make runs on so many cores, one each, with the engine serial; by default on all that this process may use."""
     cell_m: float = 0.1
     """Make the edge of a cell this long, in metres."""
-    max_steps: int = 6000
-    """End a run as STEP_LIMIT after so many steps of 0.1 s."""
+    max_steps: int | None = None
+    """End a run as STEP_LIMIT after so many steps of 0.1 s; by default 6000, more in a large building."""
     animate: bool = False
     """Also write btm.html, one file that replays without a network what the operator sees of run 0."""
     from_episode: bool = False
@@ -90,6 +92,7 @@ class Trace:
                 self.world,
                 robot=self.robot,
                 runs=self.runs,
+                starts=self.starts,
                 seed=self.seed,
                 tuning=self.tuning,
                 noise=noise,

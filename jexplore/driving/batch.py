@@ -15,7 +15,7 @@ import numpy as np
 from jexplore.arrays.padding import number
 from jexplore.config import InputError
 from jexplore.driving import vehicle
-from jexplore.driving.mission import Outcome, Result, program_of
+from jexplore.driving.mission import SIZE, Outcome, Result, Setup, program_of
 from jexplore.driving.settings import Noise, Robot, Tuning
 from jexplore.driving.terrain import terrain_of
 from jexplore.driving.vehicle import Building
@@ -26,6 +26,7 @@ from jexplore.worlds.world import World
 
 MAX_STEPS = 6000
 NO_RUN = -1  # number of a run that none has
+MARKS = 64  # places to be at are padded to multiples of this, likewise
 MULTIPLE = 64  # sides of the ground are padded to multiples of this, so that similar buildings share a program
 
 _Settings = TypeVar("_Settings", Robot, Tuning, Noise)
@@ -48,13 +49,13 @@ class Finished(NamedTuple):
     costs: Costs
 
 
-def building_of(world: World, start_pose: tuple[float, float, float], goal_m: tuple[float, float] | None) -> Building:
+def building_of(world: World, goal_m: tuple[float, float] | None = None, marks_m: np.ndarray | None = None) -> Building:
     """A world made ready for runs.
 
     Args:
       world: `World`.
-      start_pose: x, y, metres; heading, degrees; in the world's frame.
-      goal_m: x, y, metres; None: the run goes on until nothing is left.
+      goal_m: x, y, metres, in the world's frame; None: the run goes on until nothing is left.
+      marks_m: `[K, 3]`, places of which it is counted which ones a run has been at: x, y, radius, metres, likewise.
 
     Returns:
       `Building` of numpy arrays, padded; its cell (0, 0) begins at (0, 0).
@@ -64,22 +65,34 @@ def building_of(world: World, start_pose: tuple[float, float, float], goal_m: tu
     elevation = None if world.elevation is None else np.pad(world.elevation, pad, mode="edge")
     x_m, y_m = world.origin_m
     goal = (np.nan, np.nan) if goal_m is None else (goal_m[0] - x_m, goal_m[1] - y_m)
+    marks = np.zeros((0, 3)) if marks_m is None else np.asarray(marks_m) - [x_m, y_m, 0]
     # Ignored types: numpy on the host, where the record says what it is on the device.
     return Building(
         walls=walls_of(world.occupied, world.cell_m),
         terrain=terrain_of(elevation, world.cell_m),
-        start=np.array([start_pose[0] - x_m, start_pose[1] - y_m, np.radians(start_pose[2])], np.float32),  # type: ignore[arg-type]
         goal=np.array(goal, np.float32),  # type: ignore[arg-type]
+        marks=np.pad(marks, [(0, -len(marks) % MARKS), (0, 0)], constant_values=-1e6).astype(np.float32),  # type: ignore[arg-type]
     )
 
 
-def require_start(world: World, building: Building, robot: Robot) -> None:
+def pose_in(world: World, start_pose: tuple[float, float, float]) -> np.ndarray:
+    """A pose in a building: `[3]` float32, x, y, metres from cell (0, 0); heading, radians.
+
+    Args:
+      world: `World`.
+      start_pose: x, y, metres; heading, degrees; in the world's frame.
+    """
+    x_m, y_m = world.origin_m
+    return np.array([start_pose[0] - x_m, start_pose[1] - y_m, np.radians(start_pose[2])], np.float32)
+
+
+def require_start(world: World, building: Building, robot: Robot, start: np.ndarray) -> None:
     """Refuse a start in a wall, or where the robot does not fit.
 
     Raises:
       InputError: naming the place.
     """
-    x, y = (float(v) for v in building.start[:2])
+    x, y, heading = (float(v) for v in start)
     place = f"start ({x + world.origin_m[0]:.2f}, {y + world.origin_m[1]:.2f}) m of {world.name or 'world'!r}"
     rows, cols = world.shape
     row, col = int(y // world.cell_m), int(x // world.cell_m)
@@ -87,7 +100,6 @@ def require_start(world: World, building: Building, robot: Robot) -> None:
         raise InputError(f"{place}: lies outside")
     if world.occupied[row, col]:
         raise InputError(f"{place}: lies in a wall; choose a free place")
-    heading = float(building.start[2])
     if bool(vehicle.touches(jax.tree.map(jnp.asarray, building), robot, jnp.asarray([x, y, heading]))):
         raise InputError(
             f"{place}: a robot of {robot.length_m:g} x {robot.width_m:g} m does not fit there; "
@@ -114,6 +126,7 @@ def run_missions(
     robots: Robot,
     tunings: Tuning,
     noises: Noise,
+    starts: np.ndarray,
     seed: int,
     draws: np.ndarray,
     *,
@@ -121,6 +134,7 @@ def run_missions(
     lanes: int | None = None,
     workers: int | None = None,
     max_steps: int = MAX_STEPS,
+    size: tuple[int, int] = SIZE,
     on_progress: Callable[[int], Any] | None = None,
     blocks: Sequence[tuple[int, int]] | None = None,
     on_block: Callable[[int, Result, Driven | None], object] | None = None,
@@ -130,10 +144,12 @@ def run_missions(
     Args:
       building: `Building`.
       robots, tunings, noises: `Robot`, `Tuning`, `Noise` of arrays `[n]`, from `numbers_of`.
+      starts: `[n, 3]` float32, from `pose_in`.
       seed: int.
       draws: `[n]` int32: with the seed they make the runs' keys. Runs of one number draw alike.
       engine, lanes, workers: see `runner.find_resources`.
       max_steps: steps after which a run ends as STEP_LIMIT.
+      size: most nodes and links of a map; static.
       on_progress: called with the number of runs finished so far.
       blocks: list of `(first, n)`: the runs that are to be made, in this order; by default all.
       on_block: called with the number of a block, its `Result` and the way of run 0, if it has it, once its runs have
@@ -147,10 +163,10 @@ def run_missions(
       KeyboardInterrupt: after Ctrl-C, where nothing was finished.
       MemoryError: a device's memory does not suffice, not even for half the lanes.
     """
-    resources = find_resources(engine=engine, lanes=lanes, workers=workers)
-    draws = np.asarray(draws, np.int32)
-    settings = dataclasses.replace(robots, name=""), tunings, noises  # a name would make another program
-    program = program_of(max(max_steps, MAX_STEPS))
+    resources, draws = find_resources(engine=engine, lanes=lanes, workers=workers), np.asarray(draws, np.int32)
+    # A name would make another program.
+    settings = dataclasses.replace(robots, name=""), tunings, noises, np.asarray(starts, np.float32)
+    program = program_of(Setup(max(max_steps, MAX_STEPS), *size))
     limit, lines = np.int32(max_steps), []
     for turn, (first, n) in enumerate([(0, len(draws))] if blocks is None else blocks):
         own = jax.tree.map(lambda a, at=slice(first, first + n): a[at], (settings, draws))

@@ -6,20 +6,23 @@ branch selection, dead end run, wall following, central run. All states have a f
 
 import enum
 from collections.abc import Callable
-from typing import ClassVar, Self
+from typing import Any, ClassVar, Self
 
 import jax.numpy as jnp
 from flax import struct
 from jax import Array, lax
 
-from jexplore.driving import perception
+from jexplore.driving import manoeuvre
+from jexplore.driving.sensing import perception
 from jexplore.driving.settings import Robot, Tuning
 
 WINDOW = 9  # scans that vote
 DOUBT = 2  # votes up to which another triangle takes the place of one that a scan does not show
 DEBOUNCE = 3  # steps that a free space must be seen, or not seen, in a row
 HYSTERESIS_M = 0.3  # a free space ends where both sides have a wall this much nearer than where it began
-GUARD_M = 0.1  # a wall this near to the robot's front stops it
+GUARD_M = 0.1  # a wall this near to the robot's front stops it, if there is no way past it
+GETS_PAST = 1.75, manoeuvre.GO_M  # bearing, radians, within which a way so long, metres, leads past it
+GETS_ON = 1.0, 0.8  # likewise past what seems to close a passage
 
 
 class RunMode(enum.IntEnum):
@@ -38,6 +41,7 @@ class Latch(enum.IntEnum):
     FREE = 0
     APPROACH = 1  # the centre of a divergence
     LEAVE = 2  # a point on one of its links
+    LOOK = 3  # the robot turns at its centre and looks round
 
 
 @struct.dataclass
@@ -48,6 +52,7 @@ class Track:
     radius: Array  # float32, metres
     seen: Array  # uint32, a bit a scan, the last one lowest: whether it showed the triangle
     age: Array  # int32, scans since it was first seen; 0: there is none
+    replace: ClassVar[Callable[..., Self]]
 
 
 def no_track() -> Track:
@@ -128,6 +133,17 @@ def no_free_space() -> FreeSpace:
     return FreeSpace(inside=jnp.bool_(False), streak=jnp.int32(0), since_m=jnp.float32(0))
 
 
+def is_free(left_m: Array | float, right_m: Array | float, open_m: Array | float) -> Array:
+    """Whether walls so far to the left and right are those of free space: bool.
+
+    One of them is farther than `open_m` [C1], and between them there is room for a circle of that radius.
+
+    Source:
+      Mano et al., section III.A.2. Changed: the second condition; a room that is entered beside a wall is none.
+    """
+    return (jnp.maximum(left_m, right_m) > open_m) & (left_m + right_m > 2 * open_m)
+
+
 def watch_free_space(
     space: FreeSpace,
     left_m: Array | float,
@@ -135,6 +151,7 @@ def watch_free_space(
     odometer_m: Array | float,
     open_m: Array | float,
     looking: Array | bool,
+    roomy: Array | bool = True,
 ) -> tuple[FreeSpace, Array, Array]:
     """Takes one more look at the walls on both sides.
 
@@ -144,12 +161,13 @@ def watch_free_space(
       odometer_m: float32.
       open_m: a side without a wall within this is free [C1].
       looking: bool scalar; False: nothing changes.
+      roomy: from `perception.is_roomy`; where it is False, no free space is entered.
 
     Returns:
       `(space, enters, leaves)`: bools, true in the step in which it is believed.
     """
     limit = jnp.where(space.inside, open_m - HYSTERESIS_M, open_m)
-    free = (left_m > limit) | (right_m > limit)
+    free = is_free(left_m, right_m, limit) & (roomy | space.inside)
     other = looking & (free != space.inside)
     since = jnp.where(other & (space.streak > 0), space.since_m, odometer_m)
     streak = jnp.where(other, space.streak + 1, 0)
@@ -164,6 +182,12 @@ class Drive:
 
     latch: Array  # int32, `Latch`
     target: Array  # [2] float32, of the latch, metres, in the odometry's frame
+    since: Array  # int32, steps of the latch
+    out: Array  # float32, radians, direction of the link that is taken
+    looked: Array  # float32, radians turned while looking round
+    looked_m: Array  # float32, odometer when the robot last did
+    known: Array  # bool, the place that is approached is a node, met again
+    tries: Array  # int32, places that it has gone to since the last node, each better than the one before
     turning: Array  # int32, side to which a dead end turns the robot: 1 left, -1 right, 0 none
     left_m: Array  # float32, last distance of a wall on the left within C1
     right_m: Array  # float32, likewise on the right
@@ -175,6 +199,12 @@ def at_rest() -> Drive:
     return Drive(
         latch=jnp.int32(Latch.FREE),
         target=jnp.zeros(2),
+        since=jnp.int32(0),
+        out=jnp.float32(0),
+        looked=jnp.float32(0),
+        looked_m=jnp.float32(-jnp.inf),
+        known=jnp.bool_(False),
+        tries=jnp.int32(0),
         turning=jnp.int32(0),
         left_m=jnp.float32(1),
         right_m=jnp.float32(1),
@@ -182,39 +212,31 @@ def at_rest() -> Drive:
 
 
 def choose_mode(
-    drive: Drive,
-    space: FreeSpace,
-    region_sides: tuple[Array, Array],
-    left_m: Array,
-    right_m: Array,
-    closed: Array,
-    fronts_m: tuple[Array, Array],
-    tuning: Tuning,
-    robot: Robot,
+    drive: Drive, space: FreeSpace, walls: Any, ways_m: Array, tuning: Tuning, robot: Robot
 ) -> tuple[Array, Drive]:
     """The run mode of this step.
 
     Args:
       drive: `Drive`.
       space: `FreeSpace`.
-      region_sides: distances of both walls in the region in which free space is looked for.
-      left_m, right_m: of the walls beside the stretch that is driven next.
-      fronts_m: of what is before the robot's left half and before its right.
-      closed: bool, both walls together leave no more than C2 in the stretch before the robot: a dead end.
+      walls: `events.Walls`.
+      ways_m: from `surround.ways`.
       tuning, robot: `Tuning`, `Robot`.
 
     Returns:
       `(mode, drive)`: `RunMode` as int32; a dead end keeps the side to which it turns until the way is open. It turns
         to the larger side, from a wall near one half of its front to the other.
     """
-    guarded = jnp.minimum(*fronts_m) < robot.length_m / 2 + GUARD_M
+    left_m, right_m, fronts_m = walls.left_m, walls.right_m, walls.fronts_m
+    guarded = (jnp.minimum(*fronts_m) < robot.length_m / 2 + GUARD_M) & ~manoeuvre.is_open(ways_m, *GETS_PAST)
+    closed = walls.closed & ~manoeuvre.is_open(ways_m, *GETS_ON)
     latched = drive.latch != Latch.FREE
     # One scan suffices to drive by, several in a row make a node.
-    free = space.inside | (region_sides[0] > tuning.open_m) | (region_sides[1] > tuning.open_m)
+    free = space.inside | (is_free(walls.region_sides[0], walls.region_sides[1], tuning.open_m) & walls.roomy)
     mode = jnp.where(free, RunMode.WALL_FOLLOWING, RunMode.CENTRAL)
     mode = jnp.where(closed, RunMode.DEAD_END, mode)
     mode = jnp.where(latched, RunMode.BRANCH_SELECTION, mode)
-    mode = jnp.where(guarded, RunMode.CONTACT_GUARD, mode).astype(jnp.int32)
+    mode = jnp.where(guarded & (drive.latch != Latch.LOOK), RunMode.CONTACT_GUARD, mode).astype(jnp.int32)
     larger = jnp.where(drive.left_m >= drive.right_m, 1, -1)
     one_side = jnp.maximum(*fronts_m) > jnp.minimum(*fronts_m) + GUARD_M
     larger = jnp.where(one_side, jnp.where(fronts_m[0] > fronts_m[1], 1, -1), larger)
@@ -229,7 +251,13 @@ def choose_mode(
 
 
 def target_of(
-    mode: Array, drive: Drive, left_m: Array, right_m: Array, to_robot: Callable[[Array], Array], tuning: Tuning
+    mode: Array,
+    drive: Drive,
+    left_m: Array,
+    right_m: Array,
+    edge: tuple[Array, Array],
+    to_robot: Callable[[Array], Array],
+    tuning: Tuning,
 ) -> Array:
     """The target point in the robot's frame: `[2]` float32, metres.
 
@@ -243,25 +271,10 @@ def target_of(
     right = jnp.where(open_left & open_right, drive.right_m < drive.left_m, left_m > right_m)
     lateral = jnp.where(right, drive.right_m - right_m, left_m - drive.left_m)
     lateral = jnp.where(jnp.isfinite(lateral), jnp.clip(lateral, -tuning.ahead_m, tuning.ahead_m), 0)
-    middle = jnp.where(open_left | open_right, lateral, (left_m - right_m) / 2)
-    aside = jnp.where(mode == RunMode.WALL_FOLLOWING, lateral, middle)
-    ahead = jnp.stack([jnp.float32(1) * tuning.ahead_m, aside])
+    wall = jnp.stack([jnp.float32(1) * tuning.ahead_m, lateral])
+    along, off_m = edge
+    off_m = jnp.clip(off_m, -tuning.ahead_m, tuning.ahead_m)
+    cos, sin = jnp.cos(along), jnp.sin(along)
+    middle = jnp.stack([tuning.ahead_m * cos + off_m * sin, tuning.ahead_m * sin - off_m * cos])
+    ahead = jnp.where((mode == RunMode.WALL_FOLLOWING) | (open_left ^ open_right), wall, middle)
     return jnp.where(mode == RunMode.BRANCH_SELECTION, to_robot(drive.target), ahead)
-
-
-def steer(mode: Array, drive: Drive, target: Array, tuning: Tuning, robot: Robot) -> tuple[Array, Array]:
-    """Speed and turn rate towards a target point.
-
-    Returns:
-      `(v, omega)`: metres a second and radians a second, within what the robot can do. It slows down where the target
-        lies to the side and turns in place where it lies behind.
-
-    Source:
-      Mano et al., equations 1 to 3. Changed: the speed falls with the cosine of the bearing.
-    """
-    bearing = jnp.arctan2(target[1], target[0])
-    turns = (mode == RunMode.DEAD_END) | (mode == RunMode.CONTACT_GUARD)
-    speed = jnp.minimum(tuning.speed_m_s, robot.max_speed_m_s)
-    v = jnp.where(turns, 0, speed * jnp.maximum(jnp.cos(bearing), 0))
-    omega = jnp.where(turns, drive.turning * robot.max_turn_rad_s / 2, tuning.turn_gain * bearing)
-    return v, jnp.clip(omega, -robot.max_turn_rad_s, robot.max_turn_rad_s)

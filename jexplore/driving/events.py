@@ -10,18 +10,20 @@ from jax import Array, lax
 
 from jexplore import btm
 from jexplore.arrays.loops import run_if
-from jexplore.driving import behaviour, ground_profile, mapping, perception
+from jexplore.driving import behaviour, mapping
 from jexplore.driving.behaviour import FreeSpace, Latch, Track
 from jexplore.driving.mapping import Writer
 from jexplore.driving.nodes import SAME_NODE_M, Event
+from jexplore.driving.sensing import ground_profile, perception, surround
+from jexplore.driving.sensing.surround import Surround
 from jexplore.driving.settings import Robot, Tuning
 from jexplore.driving.vehicle import ANGLES_RAD, BEAM_SPACING_RAD, to_robot
 
 DRIVE = 1.5  # length of the stretch in which walls are steered by, in look-aheads
 CROSSING_M = 0.1  # but no nearer than this to a wall across the way
-EVERY = 2  # steps between two looks for triangles
-SCAN_POINTS = 48  # of a scan that are made into triangles
-KEPT_POINTS = 96  # of a scan that are kept for the openings of the next divergence
+EVERY = 3  # steps between two looks for triangles
+SCAN_POINTS = 64  # of a scan that are made into triangles
+BESIDE_M = -0.2  # a divergence is looked for so far ahead of the robot's middle or farther
 GOAL_M = 0.5  # a run ends within this of its goal
 LOOK_M = 0.30  # of the profile ahead, in which a robot finds that it cannot climb
 RECENT = 64  # steps whose profile is looked at for that
@@ -35,6 +37,7 @@ class Walls(NamedTuple):
     valid: Array  # [B] bool
     region: Any  # pair: where the stretch begins and ends that is watched for free space, metres ahead
     region_sides: Any  # pair: clearance to the left and right there, metres
+    roomy: Any  # bool, whether a circle as large as C1 fits there
     closed: Any  # bool, whether the way ahead is closed
     fronts_m: Any  # pair: how far the way is free ahead, in the left and right half of the robot's width
     left_m: Array  # float32, clearance by which it steers
@@ -53,7 +56,8 @@ def walls_of_scan(ranges_m: Array, tuning: Tuning, robot: Robot) -> Walls:
     until_m = jnp.clip(jnp.maximum(*fronts_m) - CROSSING_M, robot.length_m / 2, DRIVE * tuning.ahead_m)
     left_m, right_m = perception.sides(xy, valid, 0, until_m)
     beside = jnp.stack(perception.clearances(xy, valid, robot.length_m / 2))
-    return Walls(xy, valid, region, region_sides, closed, fronts_m, left_m, right_m, beside)
+    roomy = perception.is_roomy(xy, valid, region[0], *region_sides, tuning.open_m)
+    return Walls(xy, valid, region, region_sides, roomy, closed, fronts_m, left_m, right_m, beside)
 
 
 class Ahead(NamedTuple):
@@ -76,6 +80,7 @@ def look_ahead(
     state: Any,
     writer: Writer,
     walls: Walls,
+    around: Surround,
     pitch: Array,
     placed: Callable[[Array], Array],
     tuning: Tuning,
@@ -88,16 +93,18 @@ def look_ahead(
       state: `mission.State` before it.
       writer: `Writer` with this step's measurements.
       walls: `Walls`.
+      around: `Surround`.
       pitch: measured, radians.
       placed: function from the robot's frame into the odometry's.
       tuning, robot: `Tuning`, `Robot`.
       is_blind: bool, whether the scan gave hardly any numbers.
     """
     is_free = state.drive.latch == Latch.FREE
-    track, overflow = _watch(state, writer, walls.xy, walls.valid, walls.beside.min(), placed, tuning)
+    xy, known = surround.points(around)
+    track, overflow = _watch(state, writer, xy, known, walls.beside.min(), placed, tuning)
     left_m, right_m = walls.region_sides
     space, enters, leaves = behaviour.watch_free_space(
-        state.space, left_m, right_m, state.odometer_m, tuning.open_m, is_free & ~is_blind
+        state.space, left_m, right_m, state.odometer_m, tuning.open_m, is_free & ~is_blind, walls.roomy
     )
     border_m = jnp.where(enters, space.since_m + walls.region[0], writer.border_m)
     border_m = jnp.where(leaves, space.since_m + walls.region[1], border_m)
@@ -130,7 +137,7 @@ def triangles(xy: Array, valid: Array, wall_m: Array | float, tuning: Tuning) ->
     return perception.divergences(
         xy,
         valid,
-        near_m=tuning.near_m,
+        near_m=-far_m,
         far_m=far_m,
         width_m=tuning.width_m,
         obtuse_tol_deg=tuning.obtuse_tol_deg,
@@ -148,21 +155,13 @@ def _watch(state, writer, xy, valid, wall_m, placed, tuning):
     def looked(carry):
         found = triangles(xy, valid, wall_m, tuning)
         known = mapping.is_near_known(writer, placed(found.centre), state.odometer_m, tuning.leave_m)
-        found = dataclasses.replace(found, valid=found.valid & ~known)
+        found = dataclasses.replace(found, valid=found.valid & ~known & (found.centre[:, 0] > BESIDE_M))
         return behaviour.follow(carry[0], found, placed, tuning.same_m, ~approaches), found.overflow
 
     forgets = state.space.inside  # there are no divergences in free space
     track = jax.tree.map(lambda none, old: jnp.where(forgets, none, old), behaviour.no_track(), state.track)
     looks = (state.step % EVERY == 0) & ~is_in & ~state.space.inside
     return run_if(looks, looked, (track, jnp.int32(0)))
-
-
-def kept_points(xy: Array, valid: Array, placed: Callable[[Array], Array], tuning: Tuning) -> tuple[Array, Array]:
-    """Points of a scan for the openings of the next divergence: `(points, there)`, in the odometry's frame."""
-    even = perception.smoothed(xy, valid, tuning.width_m / 4)
-    bounds = tuning.near_m, tuning.far_m, tuning.open_m
-    points, there, *_ = perception.resampled(even, valid, *bounds, tuning.width_m / 4, size=KEPT_POINTS)
-    return placed(points), there
 
 
 def _cannot_climb(way, robot, state):
@@ -197,7 +196,8 @@ def _passes_start(state):
     """Whether the robot has come by the node where it started since it was at another one."""
     map_ = state.writer.map
     place = to_robot(state.estimate)(jnp.stack([map_.x_m[0], map_.y_m[0]]))
-    return (state.writer.node != 0) & (place[0] <= 0) & (jnp.hypot(*place) < SAME_NODE_M)
+    gone_m = state.odometer_m - state.writer.node_m
+    return (state.writer.node != 0) & (place[0] <= 0) & (jnp.hypot(*place) < SAME_NODE_M) & (gone_m > SAME_NODE_M)
 
 
 def due(state: Any, writer: Writer, ahead: Ahead, at_goal: Array, is_open: Array, arrives: Array) -> Event:

@@ -6,18 +6,19 @@ and leaves it, an obstacle where the ground's inclination changes, known once th
 
 import math
 from collections.abc import Callable
-from typing import ClassVar, Self
+from typing import Any, ClassVar, Self
 
 import jax.numpy as jnp
 from flax import struct
 from jax import Array
 
 from jexplore import btm
-from jexplore.arrays.loops import run_if
 from jexplore.btm import Btm
+from jexplore.driving.behaviour import Latch, RunMode
+from jexplore.driving.sensing import ground_profile
+from jexplore.driving.settings import Robot
+from jexplore.driving.vehicle import Senses, down_directions
 
-SNAPSHOTS = 16  # of scan points that are kept on the way, for the openings of the next divergence
-SNAPSHOT_M = 0.2  # way between two
 EVEN_DEG = 1.0  # the robot stands evenly once its pitch has varied by less than this
 EVEN_LENGTHS = 0.25  # over this way, in lengths of the robot: on a long robot a gentle slope comes slowly
 MEANT_STEPS = 5  # of which the width of a passage is the mean
@@ -77,16 +78,15 @@ class Writer:
     entry: Array  # [2] float32, where it began to approach a divergence
     level: Level
     border_m: Array  # float32, odometer at which a free space will have been entered or left; inf: none
-    snapshot: Array  # [SNAPSHOTS, P, 2] float32, scan points, odometry
-    snapshot_there: Array  # [SNAPSHOTS, P] bool
-    snapshot_m: Array  # float32, odometer of the last one
-    n_snapshots: Array  # int32
+    passed: Array  # [4] float32, a place that was none: x, y, radius, metres; odometer there
+    tries: Array  # [M] int32, how often the robot has set off on a link that was un-searched
+    fails: Array  # [M] int32, how often in a row a searched link has led elsewhere
     exhausted: Array  # bool, nothing is left to follow
     full: Array  # bool, a node did not fit
     replace: ClassVar[Callable[..., Self]]
 
 
-def begin(n_steps: int, n_points: int, n_nodes: int, n_links: int, pose: Array, behind: Array | bool) -> Writer:
+def begin(n_steps: int, n_nodes: int, n_links: int, pose: Array, behind: Array | bool) -> Writer:
     """A map of the node where the robot starts, the link on which it sets off and, if there is one, the one behind.
 
     Sizes static.
@@ -105,10 +105,9 @@ def begin(n_steps: int, n_points: int, n_nodes: int, n_links: int, pose: Array, 
         entry=jnp.zeros(2),
         level=Level(even=zero, anchor=zero, anchor_m=zero, left_m=zero),
         border_m=jnp.float32(jnp.inf),
-        snapshot=jnp.zeros((SNAPSHOTS, n_points, 2)),
-        snapshot_there=jnp.zeros((SNAPSHOTS, n_points), bool),
-        snapshot_m=jnp.float32(-jnp.inf),
-        n_snapshots=jnp.int32(0),
+        passed=jnp.array([0.0, 0.0, 0.0, -jnp.inf], jnp.float32),
+        tries=jnp.zeros(n_links, jnp.int32),
+        fails=jnp.zeros(n_links, jnp.int32),
         exhausted=jnp.bool_(False),
         full=jnp.bool_(False),
     )
@@ -148,28 +147,6 @@ def watch_level(
     return after, changed, crease, steepest
 
 
-def keep_snapshot(writer: Writer, points_of: Callable[[], tuple[Array, Array]], odometer_m: Array) -> Writer:
-    """Keeps the scan points of this step, if the robot has moved on since the last ones.
-
-    Args:
-      writer: `Writer`.
-      points_of: function without arguments: `(points, there)`, `[P, 2]` and `[P]`.
-      odometer_m: float32.
-
-    Returns:
-      `Writer`.
-    """
-
-    def kept(state):
-        points, there = points_of()
-        at = state[2] % SNAPSHOTS
-        return state[0].at[at].set(points), state[1].at[at].set(there), state[2] + 1, odometer_m
-
-    state = writer.snapshot, writer.snapshot_there, writer.n_snapshots, writer.snapshot_m
-    snapshot, there, n, last_m = run_if(odometer_m - writer.snapshot_m >= SNAPSHOT_M, kept, state)
-    return writer.replace(snapshot=snapshot, snapshot_there=there, n_snapshots=n, snapshot_m=last_m)
-
-
 def pose_at(way: Way, odometer_m: Array | float) -> Array:
     """The pose when the odometer had a value: `[3]` float32."""
     return way.pose[jnp.argmax(way.odometer_m >= odometer_m)]
@@ -199,7 +176,7 @@ def has_left(writer: Writer, odometer_m: Array | float, leave_m: Array | float) 
 
 
 def is_near_known(writer: Writer, centres: Array, odometer_m: Array | float, leave_m: Array | float) -> Array:
-    """Which places are the divergence that the robot has just left: `[T]` bool.
+    """Which places are the divergence that the robot has just left, or one that was none: `[T]` bool.
 
     No second node is made within half a metre, or the circle's radius, of the last one, until the robot has gone so far
     that it may come back.
@@ -208,6 +185,45 @@ def is_near_known(writer: Writer, centres: Array, odometer_m: Array | float, lea
     is_divergence = writer.map.kind[last] == btm.DIVERGENCE
     place = jnp.stack([writer.map.x_m[last], writer.map.y_m[last]])
     reach = jnp.maximum(0.5, writer.map.radius_m[last])
-    return (
+    known = (
         is_divergence & ~has_left(writer, odometer_m, leave_m) & (jnp.sum((centres - place) ** 2, axis=-1) < reach**2)
     )
+    x, y, radius, there_m = writer.passed
+    reach = jnp.maximum(0.5, radius / 2)
+    off2 = (centres[..., 0] - x) ** 2 + (centres[..., 1] - y) ** 2
+    return known | ((odometer_m - there_m < 2 * (radius + leave_m)) & (off2 < reach**2))
+
+
+def note(state: Any, senses: Senses, width_m: Array, robot: Robot) -> Writer:
+    """Keeps what a step measured; no width where the robot turns in place.
+
+    Args:
+      state: `mission.State`.
+      senses: `Senses`.
+      width_m: of the passage.
+      robot: `Robot`.
+
+    Returns:
+      `Writer`.
+    """
+    way, at = state.writer.way, state.step
+    ground_x, ground_z, ground_seen = ground_profile.ground_point(
+        senses.down_m,
+        down_directions(robot),
+        senses.pitch,
+        senses.roll,
+        (robot.scanner_x_m, robot.scanner_height_m),
+        robot.width_m / 2,
+    )
+    turns = (state.mode == RunMode.DEAD_END) | (state.mode == RunMode.CONTACT_GUARD) | (state.drive.latch == Latch.LOOK)
+    new = {
+        "odometer_m": state.odometer_m,
+        "pose": state.estimate,
+        "pitch": senses.pitch,
+        "posture": jnp.arccos(jnp.cos(senses.pitch) * jnp.cos(senses.roll)),
+        "width_m": jnp.where(turns, jnp.inf, width_m),
+        "ground_x_m": jnp.where(ground_seen, state.odometer_m + ground_x, jnp.inf),
+        "ground_z_m": state.climbed_m + ground_z,
+    }
+    way = way.replace(**{name: getattr(way, name).at[at].set(value, mode="drop") for name, value in new.items()})
+    return state.writer.replace(way=way)

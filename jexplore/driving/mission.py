@@ -17,36 +17,31 @@ from jax import Array
 from jexplore import btm
 from jexplore.arrays.loops import run_if
 from jexplore.btm import Btm
-from jexplore.driving import behaviour, ground_profile, mapping, nodes
-from jexplore.driving.behaviour import Drive, FreeSpace, Latch, RunMode, Track
-from jexplore.driving.events import GOAL_M, KEPT_POINTS, due, kept_points, look_ahead, walls_of_scan
+from jexplore.driving import approach, behaviour, manoeuvre, mapping, nodes
+from jexplore.driving.behaviour import Drive, FreeSpace, Latch, Track
+from jexplore.driving.events import GOAL_M, due, look_ahead, walls_of_scan
+from jexplore.driving.manoeuvre import Manoeuvre
 from jexplore.driving.mapping import Writer
+from jexplore.driving.sensing import matching, surround
+from jexplore.driving.sensing.surround import Surround
 from jexplore.driving.settings import Noise, Robot, Tuning
 from jexplore.driving.vehicle import (
-    ANGLES_RAD,
     BEAMS,
-    RANGE_M,
     Body,
     Building,
     Draws,
     at_rest,
-    down_directions,
     draw,
     move,
     sense,
     to_odometry,
     to_robot,
-    touches,
 )
 from jexplore.engine.program import Given, Program
 
 BLOCK = 16  # steps whose random numbers are drawn at once
-NODES, LINKS = 32, 64  # most of a map
-STUCK_STEPS = 150  # without going on or finding a node: the operator helps
-STUCK_M = 0.3
-HELPS = 3  # of the operator; then the run ends
+SIZE = 32, 64  # most nodes and links of a map
 BLIND_STEPS = 20  # scans in a row, most of whose beams give no number, that end a run
-LOST_M = 0.5  # a divergence farther ahead than this and its radius, and no longer seen, is none
 
 
 class Outcome(enum.IntEnum):
@@ -58,7 +53,7 @@ class Outcome(enum.IntEnum):
     EXHAUSTED = 2
     """No link is left that could be followed."""
     STUCK = 3
-    """The operator has helped three times."""
+    """The operator has helped in vain: `Tuning.helps` times since the last node."""
     BLIND = 4
     """The scanner gives no numbers."""
     STEP_LIMIT = 5
@@ -71,7 +66,13 @@ class State:
     """A run in progress."""
 
     body: Body
-    estimate: Array  # [3] float32, odometry
+    estimate: Array  # [3] float32, odometry, corrected where a node is met again
+    odometry: Array  # [3] float32, likewise without corrections
+    around: Surround
+    key_m: Array  # [B] float32, scan with which the next ones are matched
+    key_pose: Array  # [3] float32, where it was taken, odometry without corrections
+    manoeuvre: Manoeuvre
+    touched: Array  # bool, a wall has just refused a step
     odometer_m: Array  # float32
     climbed_m: Array  # float32, height above the start as the attitude has it
     track: Track
@@ -87,6 +88,10 @@ class State:
     moved_m: Array  # float32, odometer when it last got on
     moved_step: Array  # int32, and the step
     helps: Array  # int32
+    since_node: Array  # int32, of them, since the last node
+    help_at: Array  # [HELPS_KEPT, 4] float32, x, y of the first of them, odometry; step; run mode
+    node_at: Array  # [N, 2] float32, where the robot truly was when it made a node
+    met: Array  # [K] bool, which of the building's marks it has been at
     truth: Array  # [T, 3] float32, true poses
     step: Array  # int32
     outcome: Array  # int32
@@ -98,6 +103,8 @@ class Setup(NamedTuple):
     """What is fixed before a run is compiled. Hashable."""
 
     room: int  # T, steps that there is room for
+    n_nodes: int = SIZE[0]  # N, most of a map
+    n_links: int = SIZE[1]
 
 
 @struct.dataclass
@@ -111,6 +118,9 @@ class Result:
     contacts: Array  # int32, steps refused because of a wall
     refused: Array  # int32, steps refused because of the ground
     interventions: Array  # int32, of the operator
+    help_at: Array  # [HELPS_KEPT, 4] float32, x, y of the first of them, odometry; step; run mode; NaN: none
+    node_at: Array  # [N, 2] float32, where the robot truly was when it made a node
+    met: Array  # [K] bool, which of the building's marks it has been at
     scan_overflow: Array  # int32, ends of walls that did not fit into a scan's points
     drift_m: Array  # float32, how far the odometry was off in the end
 
@@ -120,19 +130,25 @@ def _is_open(building):
     return jnp.isnan(building.goal[0])
 
 
-def at_start(building: Building, robot: Robot, room: int) -> State:
-    """The state before the first step, with no random numbers; `room` for so many steps, static."""
+def at_start(setup: Setup, building: Building, robot: Robot, start: Array) -> State:
+    """The state before the first step, with no random numbers. `setup` static; `start` from `batch.pose_in`."""
     zero, none = jnp.float32(0), jnp.int32(0)
-    start = jnp.asarray(building.start, jnp.float32)
+    start = jnp.asarray(start, jnp.float32)
     return State(
         body=at_rest(building, robot, start),
         estimate=start,
+        odometry=start,
+        around=surround.unknown(),
+        key_m=jnp.full(BEAMS, jnp.nan),
+        key_pose=start + jnp.array([0.0, 0.0, 10.0]),
+        manoeuvre=manoeuvre.at_rest(start),
+        touched=jnp.bool_(False),
         odometer_m=zero,
         climbed_m=zero,
         track=behaviour.no_track(),
         space=behaviour.no_free_space(),
         drive=behaviour.at_rest(),
-        writer=mapping.begin(room, KEPT_POINTS, NODES, LINKS, start, _is_open(building)),
+        writer=mapping.begin(setup.room, setup.n_nodes, setup.n_links, start, _is_open(building)),
         scan_overflow=none,
         mode=none,
         target=jnp.zeros(2),
@@ -142,7 +158,11 @@ def at_start(building: Building, robot: Robot, room: int) -> State:
         moved_m=zero,
         moved_step=none,
         helps=none,
-        truth=jnp.zeros((room, 3)),
+        since_node=none,
+        help_at=jnp.full((approach.HELPS_KEPT, 4), jnp.nan),
+        node_at=jnp.full((setup.n_nodes, 2), jnp.nan).at[0].set(start[:2]),
+        met=jnp.zeros(building.marks.shape[0], bool),
+        truth=jnp.zeros((setup.room, 3)),
         step=none,
         outcome=jnp.int32(Outcome.RUNNING),
         draws=(),
@@ -162,108 +182,128 @@ def step(draws: Draws, building: Building, robot: Robot, tuning: Tuning, noise: 
     """
     senses = sense(draws, building, robot, noise, state.body)
     walls = walls_of_scan(senses.ranges_m, tuning, robot)
+    around = surround.seen(state.around, senses.ranges_m)
+    ways_m = surround.ways(around, robot)
     blind = jnp.where(jnp.sum(jnp.isnan(senses.ranges_m)) > BEAMS / 2, state.blind + 1, 0)
+    poses = matching.put_right(state.key_m, state.key_pose, state.odometry, state.estimate, senses.ranges_m)
+    state = state.replace(**dict(zip(("key_m", "key_pose", "odometry", "estimate"), poses)))
     placed = to_odometry(state.estimate)
-    writer = _note(state, senses, walls.beside.sum(), robot)
-    ahead = look_ahead(state, writer, walls, senses.pitch, placed, tuning, robot, blind != 0)
-    writer = mapping.keep_snapshot(writer, lambda: kept_points(walls.xy, walls.valid, placed, tuning), state.odometer_m)
-    drive, begins, arrives = _latched(state, ahead, tuning)
-    writer = writer.replace(level=ahead.level, entry=jnp.where(begins, state.estimate[:2], writer.entry))
-    early = arrives & jnp.isfinite(ahead.border_m)
-    writer = writer.replace(border_m=jnp.where(early, state.odometer_m, ahead.border_m))
+    writer = mapping.note(state, senses, walls.beside.sum(), robot)
+    ahead = look_ahead(state, writer, walls, around, senses.pitch, placed, tuning, robot, blind != 0)
     at_goal = jnp.sum((state.body.pose[:2] - building.goal) ** 2) < GOAL_M**2
-    event = due(state, writer, ahead, at_goal, _is_open(building), arrives)
-    writer, drive, track, estimate = _write(state, writer, drive, ahead.track, event, tuning, robot)
-
-    mode, drive = behaviour.choose_mode(
-        drive, ahead.space, walls.region_sides, walls.left_m, walls.right_m, walls.closed, walls.fronts_m, tuning, robot
+    writer, drive, ahead, event = _decided(
+        state, writer, ahead, around, ways_m, placed, at_goal, _is_open(building), tuning, robot
     )
-    target = behaviour.target_of(mode, drive, walls.left_m, walls.right_m, to_robot(estimate), tuning)
-    speed = behaviour.steer(mode, drive, target, tuning, robot)
-    body, estimate, gone_m = move(draws, building, robot, noise, state.body, estimate, senses, *speed)
-    after = state.replace(
-        body=body,
-        estimate=estimate,
-        odometer_m=state.odometer_m + gone_m,
-        climbed_m=state.climbed_m - gone_m * jnp.tan(senses.pitch),
+    xy, known = surround.points(around)
+    points = placed(xy), known
+    writer, drive, track, estimate = _write(state, writer, drive, ahead.track, event, points, tuning, robot)
+    mode, drive, target, getting, speed = _driven(state, drive, ahead, walls, around, ways_m, estimate, tuning, robot)
+    after = _moved(draws, building, robot, noise, state, estimate, senses, around, speed)
+    turn = after.odometry[2] - state.odometry[2]
+    after = after.replace(
+        manoeuvre=manoeuvre.remembered(getting, after.odometry),
+        climbed_m=state.climbed_m - (after.odometer_m - state.odometer_m) * jnp.tan(senses.pitch),
         track=track,
         space=ahead.space,
-        drive=drive,
+        drive=drive.replace(looked=jnp.where(drive.latch == Latch.LOOK, drive.looked + jnp.abs(turn), 0.0)),
         writer=writer.replace(way=writer.way.replace(mode=writer.way.mode.at[state.step].set(mode, mode="drop"))),
         scan_overflow=state.scan_overflow + ahead.scan_overflow,
         mode=mode,
         target=target,
         blocked=jnp.where(event.blocked, 0, ahead.blocked),
-        halts=body.refused > state.body.refused,
         blind=blind,
-        truth=state.truth.at[state.step].set(state.body.pose, mode="drop"),
+        node_at=_placed_nodes(state, writer),
         step=state.step + 1,
     )
-    return _end(_helped(after, senses, event, building, robot), at_goal & (event.kind == btm.TERMINAL))
-
-
-def _latched(state, ahead, tuning):
-    """A latch begins and ends.
-
-    Returns:
-      `(drive, begins, arrives)`: `Drive`; bool, whether it begins to approach a divergence; bool, whether it has
-        reached its middle.
-    """
-    drive, track = state.drive, ahead.track
-    believed = behaviour.is_believed(track, tuning.votes)
-    begins = believed & (drive.latch == Latch.FREE) & ~ahead.space.inside
-    following = (drive.latch == Latch.APPROACH) | begins
-    target = jnp.where(following, track.centre, drive.target)
-    distance = jnp.hypot(*(target - state.estimate[:2]))
-    near = distance < tuning.arrive_m
-    lost = (drive.latch == Latch.APPROACH) & (track.age == 0) & (distance > track.radius + LOST_M)
-    latch = jnp.where(begins, Latch.APPROACH, drive.latch)
-    latch = jnp.where(((drive.latch == Latch.LEAVE) & near) | lost, Latch.FREE, latch)
-    return drive.replace(latch=latch.astype(jnp.int32), target=target), begins, following & near
-
-
-def _note(state, senses, width_m, robot):
-    """Keeps what this step measured; no width where the robot turns in place before a wall."""
-    way, at = state.writer.way, state.step
-    ground_x, ground_z, ground_seen = ground_profile.ground_point(
-        senses.down_m,
-        down_directions(robot),
-        senses.pitch,
-        senses.roll,
-        (robot.scanner_x_m, robot.scanner_height_m),
-        robot.width_m / 2,
+    return _end(
+        approach.helped(after, senses, event.kind != btm.NONE, building, robot),
+        at_goal & (event.kind == btm.TERMINAL),
+        tuning,
     )
-    turns = (state.mode == RunMode.DEAD_END) | (state.mode == RunMode.CONTACT_GUARD)
-    new = {
-        "odometer_m": state.odometer_m,
-        "pose": state.estimate,
-        "pitch": senses.pitch,
-        "posture": jnp.arccos(jnp.cos(senses.pitch) * jnp.cos(senses.roll)),
-        "width_m": jnp.where(turns, jnp.inf, width_m),
-        "ground_x_m": jnp.where(ground_seen, state.odometer_m + ground_x, jnp.inf),
-        "ground_z_m": state.climbed_m + ground_z,
-    }
-    way = way.replace(**{name: getattr(way, name).at[at].set(value, mode="drop") for name, value in new.items()})
-    return state.writer.replace(way=way)
 
 
-def _write(state, writer, drive, track, event, tuning, robot):
+def _decided(state, writer, ahead, around, ways_m, placed, at_goal, is_open, tuning, robot):
+    """What branch selection does, and the node that is due: `(writer, drive, ahead, event)`."""
+    drive, track, begins, arrives, gives_up = approach.latched(state, ahead, around, ways_m, placed, tuning, robot)
+    none = jnp.stack([*track.centre, track.radius, state.odometer_m])
+    early = arrives & jnp.isfinite(ahead.border_m)
+    writer = writer.replace(
+        passed=jnp.where(gives_up, none, writer.passed),
+        level=ahead.level,
+        entry=jnp.where(begins, state.estimate[:2], writer.entry),
+        border_m=jnp.where(early, state.odometer_m, ahead.border_m),
+    )
+    ahead = ahead._replace(track=track)
+    return writer, drive, ahead, due(state, writer, ahead, at_goal, is_open, arrives)
+
+
+def _driven(state, drive, ahead, walls, around, ways_m, estimate, tuning, robot):
+    """Run mode, target point and speed: `(mode, drive, target, manoeuvre, speed)`."""
+    mode, drive = behaviour.choose_mode(drive, ahead.space, walls, ways_m, tuning, robot)
+    edge = surround.edge(around)
+    target = behaviour.target_of(mode, drive, walls.left_m, walls.right_m, edge, to_robot(estimate), tuning)
+    at_target = (drive.latch == Latch.LEAVE) & (jnp.hypot(*target) < tuning.arrive_m)
+    bearing = jnp.where(at_target, btm.wrapped(drive.out - estimate[2]), jnp.arctan2(target[1], target[0]))
+    turning = jnp.where(drive.latch == Latch.LOOK, 2, drive.turning)
+    getting, *speed = manoeuvre.drive(
+        state.manoeuvre, around, ways_m, state.odometry, bearing, turning, state.touched, tuning, robot
+    )
+    return mode, drive, target, getting, speed
+
+
+def _moved(draws, building, robot, noise, state, estimate, senses, around, speed):
+    """The state once the robot has moved: its body, its odometry and what lies round it."""
+    body, gone_to, gone_m = move(draws, building, robot, noise, state.body, estimate, senses, speed[0], speed[1])
+    step_m, turn = to_robot(estimate)(gone_to[:2]), gone_to[2] - estimate[2]
+    off2 = jnp.sum((building.marks[:, :2] - body.pose[:2]) ** 2, axis=1)
+    return state.replace(
+        around=surround.moved(around, step_m[0], step_m[1], turn),
+        odometry=state.odometry + jnp.stack([*_turned(step_m, state.odometry[2]), turn]),
+        touched=body.contacts > state.body.contacts,
+        body=body,
+        estimate=gone_to,
+        odometer_m=state.odometer_m + gone_m,
+        halts=body.refused > state.body.refused,
+        truth=state.truth.at[state.step].set(state.body.pose, mode="drop"),
+        met=state.met | (off2 < building.marks[:, 2] ** 2),
+    )
+
+
+def _turned(xy, angle):
+    cos, sin = jnp.cos(angle), jnp.sin(angle)
+    return cos * xy[0] - sin * xy[1], sin * xy[0] + cos * xy[1]
+
+
+def _placed_nodes(state, writer):
+    """`State.node_at` with the nodes that are new in this step."""
+    at = jnp.arange(state.node_at.shape[0])
+    is_new = (at >= state.writer.map.n_nodes) & (at < writer.map.n_nodes)
+    return jnp.where(is_new[:, None], state.body.pose[:2], state.node_at)
+
+
+def _write(state, writer, drive, track, event, points, tuning, robot):
     """Makes the node that is due, if one is: `(writer, drive, track, estimate)`."""
 
     def made(carry):
         map_part, rest, drive, track, estimate = carry
         whole = writer.replace(map=map_part, **rest)
-        whole, latch, target, shift = nodes.write(whole, event, tuning, robot)
-        estimate = estimate.at[:2].add(shift)
+        whole, latch, target, out, correction = nodes.write(whole, event, points, tuning, robot)
+        offset = jnp.stack(_turned(estimate[:2] - event.centre, correction[2]))
+        estimate = jnp.concatenate([event.centre + offset, estimate[2:]]).at[:3].add(correction)
         is_divergence = event.kind == btm.DIVERGENCE
         latches = is_divergence | event.blocked
         drive = drive.replace(
-            latch=jnp.where(latches, latch, drive.latch), target=jnp.where(latches, target, drive.target)
+            latch=jnp.where(latches, latch, drive.latch),
+            target=jnp.where(latches, target, drive.target),
+            since=jnp.where(latches, 0, drive.since),
+            tries=jnp.int32(0),
+            known=jnp.bool_(False),
+            out=jnp.where(latches, out, drive.out),
         )
         track = jax.tree.map(lambda none, old: jnp.where(latches, none, old), behaviour.no_track(), track)
         return whole.map, {name: getattr(whole, name) for name in rest}, drive, track, estimate
 
-    names = ("node", "node_m", "link", "left_bearing", "border_m", "snapshot_there", "exhausted", "full")
+    names = ("node", "node_m", "link", "left_bearing", "border_m", "passed", "tries", "fails", "exhausted", "full")
     rest = {name: getattr(writer, name) for name in names}
     map_, rest, drive, track, estimate = run_if(
         event.kind != btm.NONE, made, (writer.map, rest, drive, track, state.estimate)
@@ -271,37 +311,10 @@ def _write(state, writer, drive, track, event, tuning, robot):
     return writer.replace(map=map_, **rest), drive, track, estimate
 
 
-def _helped(state, senses, event, building, robot):
-    """Where the robot has not got on for long the operator turns it to where the way is longest."""
-    on = (state.odometer_m - state.moved_m > STUCK_M) | (event.kind != btm.NONE)
-    moved_m = jnp.where(on, state.odometer_m, state.moved_m)
-    moved_step = jnp.where(on, state.step, state.moved_step)
-    helps = state.step - moved_step >= STUCK_STEPS
-    ranges = jnp.where(jnp.isnan(senses.ranges_m), 0, jnp.minimum(senses.ranges_m, RANGE_M))
-
-    def fitting(_):  # a robot that does not fit when it is turned stays as it is
-        longest = jnp.asarray(ANGLES_RAD)[jnp.argmax(ranges)]
-        return jnp.where(touches(building, robot, state.body.pose.at[2].add(longest)), 0.0, longest)
-
-    turn = run_if(helps, fitting, jnp.float32(0))
-    map_ = state.writer.map
-    node = jnp.where(helps, state.writer.node, map_.kind.shape[0])
-    return state.replace(
-        body=state.body.replace(pose=state.body.pose.at[2].add(turn)),
-        estimate=state.estimate.at[2].add(turn),
-        drive=state.drive.replace(latch=jnp.where(helps, Latch.FREE, state.drive.latch).astype(jnp.int32)),
-        track=jax.tree.map(lambda fresh, old: jnp.where(helps, fresh, old), behaviour.no_track(), state.track),
-        writer=state.writer.replace(map=map_.replace(intervention=map_.intervention.at[node].add(1, mode="drop"))),
-        moved_m=moved_m,
-        moved_step=jnp.where(helps, state.step, moved_step),
-        helps=state.helps + helps,
-    )
-
-
-def _end(state, at_end):
+def _end(state, at_end, tuning):
     ends = [
         (state.blind >= BLIND_STEPS, Outcome.BLIND),
-        (state.helps >= HELPS, Outcome.STUCK),
+        (state.since_node >= tuning.helps, Outcome.STUCK),
         (state.writer.exhausted, Outcome.EXHAUSTED),
         (state.writer.full, Outcome.MAP_FULL),
         (at_end, Outcome.GOAL),
@@ -323,14 +336,14 @@ def begin(setup: Setup, given: Given) -> State:
     Args:
       setup: `Setup`. Static.
       given: `engine.program.Given`: key of the run, step i takes `draw(fold_in(key, i))`; the scenes are `Building`s;
-        the number is the step after which it ends as `STEP_LIMIT`, int32; the task is `(Robot, Tuning, Noise)`, whose
-        numbers are arrays.
+        the number is the step after which it ends as `STEP_LIMIT`, int32; the task is `(Robot, Tuning, Noise, start)`,
+        whose numbers are arrays, the start from `batch.pose_in`.
 
     Returns:
       `State`.
     """
     block = jax.eval_shape(_draws_from, given.key, 0)
-    state = at_start(given.own_scene, given.task[0], setup.room)
+    state = at_start(setup, given.own_scene, given.task[0], given.task[-1])
     return dataclasses.replace(state, draws=jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), block))
 
 
@@ -340,7 +353,7 @@ def advance(setup: Setup, given: Given, state: State) -> State:
     A run that is done writes on beyond its last step, where nobody looks.
     """
     del setup
-    building, (robot, tuning, noise) = given.own_scene, given.task
+    building, (robot, tuning, noise, _) = given.own_scene, given.task
     block = run_if(state.step % BLOCK == 0, lambda _: _draws_from(given.key, state.step), state.draws)
     draws = jax.tree.map(lambda a: a[state.step % BLOCK], block)
     after = step(draws, building, robot, tuning, noise, state.replace(draws=block))
@@ -360,6 +373,9 @@ def finish(setup: Setup, given: Given, state: State) -> Result:
         contacts=body.contacts,
         refused=body.refused,
         interventions=state.helps,
+        help_at=state.help_at,
+        node_at=state.node_at,
+        met=state.met,
         scan_overflow=state.scan_overflow,
         drift_m=jnp.hypot(*(body.pose[:2] - state.estimate[:2])),
     )
@@ -374,10 +390,10 @@ def _is_done(state):
     return state.outcome != Outcome.RUNNING
 
 
-def program_of(room: int) -> Program:
-    """A run as a `Program`, with room for so many steps.
+def program_of(setup: Setup) -> Program:
+    """A run as a `Program`.
 
     Source:
       Mano et al., sections 2 and 3.
     """
-    return Program(Setup(room), begin, advance, _is_done, finish, _keep)
+    return Program(setup, begin, advance, _is_done, finish, _keep)

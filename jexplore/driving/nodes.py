@@ -1,5 +1,6 @@
 """How a node of the map is made: which one it is, the links that end and begin there, and where to go on."""
 
+import dataclasses
 import math
 from typing import NamedTuple
 
@@ -10,12 +11,18 @@ from jax import Array
 
 from jexplore import btm
 from jexplore.btm import Btm
-from jexplore.driving import ground_profile, perception
 from jexplore.driving.behaviour import Latch
 from jexplore.driving.mapping import Writer, along, has_left
+from jexplore.driving.sensing import ground_profile, openings
 from jexplore.driving.settings import Robot, Tuning
 
 OPENINGS = 8  # of a divergence
+TRIES = 3  # an un-searched link on which the robot has set off so often in vain is blocked
+FAILS = 3  # a searched link that has led elsewhere so often in a row is followed no more
+CORNER = 1.3  # of a circle's diameter: with only one opening, wider than this, it lies in a corner
+IN_LINE_RAD = math.radians(45)  # two openings are in line if they are no farther from it
+TURN_RAD = math.radians(20)  # the odometry's heading is corrected by no more, where a node is met again
+SHIFT_M = 0.7  # and its place, metres
 SAME_NODE_M = 1.0  # free space and obstacles nearer than this to one that is known are that one
 
 
@@ -42,6 +49,7 @@ class Arrival(NamedTuple):
     node: Array  # int32
     again: Array  # bool, whether it was known
     near: Array  # int32, the known node
+    met: Array  # bool, whether the robot is at its middle, so that the odometry can be corrected
     fits: Array  # bool, whether there was room for it
     shift: Array  # [2] float32, correction of the odometry, metres
     width: Array  # float32, of the way here, metres
@@ -70,21 +78,21 @@ def _arrive(writer, event, tuning, is_divergence, is_terminal):
     )
     map_ = _either(again, writer.map, added)
     fits = again | (writer.map.n_nodes < map_.kind.shape[0])
-    shift = jnp.where(again & is_divergence, jnp.stack([map_.x_m[near], map_.y_m[near]]) - event.centre, 0.0)
-    return Arrival(map_, jnp.where(again, near, new), again, near, fits, shift, width, posture)
+    met = again & is_divergence & (distance < SHIFT_M)
+    shift = jnp.where(met, jnp.stack([map_.x_m[near], map_.y_m[near]]) - event.centre, 0.0)
+    return Arrival(map_, jnp.where(again, near, new), again, near, met, fits, shift, width, posture)
 
 
-def _find_openings(writer, event, tuning, is_divergence):
+def _find_openings(writer, event, points, tuning, is_divergence):
     """Openings of a divergence, and the way in, which is the one nearest to where the robot came from.
 
     Returns:
-      `(found, others, back)`: `perception.Openings`; which of them are not the way in; bearing of that way, radians.
+      `(found, others, back)`: `openings.Openings`; which of them are not the way in; bearing of that way, radians.
     """
     came = jnp.where(is_divergence, writer.entry - event.centre, -_heading(event.pose[2]))
     came = jnp.arctan2(came[1], came[0])
-    points = writer.snapshot.reshape(-1, 2), writer.snapshot_there.reshape(-1)
-    found = perception.openings(
-        *points, event.centre, event.radius, tuning.width_m, circle=tuning.circle, size=OPENINGS
+    found = openings.openings(
+        points[0], points[1], event.centre, event.radius, tuning.width_m, circle=tuning.circle, size=OPENINGS
     )
     off = jnp.where(found.valid, jnp.abs(btm.wrapped(found.bearing - came)), jnp.inf)
     entry = jnp.argmin(off)
@@ -113,60 +121,144 @@ def _end_way_here(map_, writer, event, at, back):
     return _withdraw_double(map_, at.node, back, at.again & is_new), link
 
 
-def write(writer: Writer, event: Event, tuning: Tuning, robot: Robot) -> tuple[Writer, Array, Array, Array]:
+def write(
+    writer: Writer, event: Event, points: tuple[Array, Array], tuning: Tuning, robot: Robot
+) -> tuple[Writer, Array, Array, Array, Array]:
     """Makes the node that is due, ends the link that led to it, and chooses where to go on.
+
+    A place with two openings in line is none: it is passed.
 
     Args:
       writer: `Writer`.
       event: `Event`, of any kind but `NONE`.
+      points: what lies round the robot: `[P, 2]` float32, odometry; `[P]` bool, whether there is one.
       tuning, robot: `Tuning`, `Robot`.
 
     Returns:
-      `(writer, latch, target, shift)`: `Latch` and target point of branch selection; `[2]`, correction of the odometry,
-        metres, where a node was met again.
+      `(writer, latch, target, out, correction)`: `Latch` and target point of branch selection, direction of the link
+        there, radians; `[3]`, correction of the odometry at a node met again: metres, and radians about the node.
     """
     is_divergence, size = event.kind == btm.DIVERGENCE, writer.map.start.shape[0]
     is_terminal = (event.kind == btm.TERMINAL) & ~event.returns
     at = _arrive(writer, event, tuning, is_divergence, is_terminal)
     map_ = _judge_profile(at.map, writer, event, tuning, robot, at.posture, at.node)
-    found, others, back = _find_openings(writer, event, tuning, is_divergence)
+    found, others, back = _find_openings(writer, event, points, tuning, is_divergence)
+    turn = jnp.where(at.met, _turn_to(at.map, at.node, found), 0.0)
+    back, found = back + turn, dataclasses.replace(found, bearing=found.bearing + turn)
+    event = dataclasses.replace(event, pose=event.pose.at[2].add(turn))
     map_, link = _end_way_here(map_, writer, event, at, back)
 
-    # Its new links.
     fresh = is_divergence & ~at.again
     for i in range(OPENINGS):
-        bearing, opening_m = found.bearing[i], found.width_m[i]
-        map_, _ = btm.add_link(map_, at.node, bearing, when=fresh & others[i], opening_m=opening_m)
+        map_, _ = btm.add_link(map_, at.node, found.bearing[i], when=fresh & others[i], opening_m=found.width_m[i])
     goes_on = ~is_divergence & ~is_terminal & ~at.again
     map_, onward = btm.add_link(map_, at.node, event.pose[2], when=goes_on, blocked=event.blocked)
     map_ = map_.replace(overflow=map_.overflow + jnp.where(fresh, found.overflow, 0))
 
-    # Where to.
-    open_link = btm.first_open(map_, at.node, back)
-    hop, hop_bearing, _ = btm.next_hop(map_, at.node)
-    through, use_open = ~is_divergence & ~event.blocked, open_link != btm.NONE
-    onto = jnp.where(use_open, open_link, hop)
-    bearing = jnp.where(use_open, map_.start_bearing[jnp.minimum(open_link, size - 1)], hop_bearing)
-    onto = jnp.where(through, jnp.where(goes_on, onward, _other_link(map_, at.node, link)), onto)
-    leaves = ~through & (onto != btm.NONE)
-    out = jnp.where(is_divergence, event.radius, 0) + tuning.leave_m
+    onward = jnp.where(goes_on, onward, _other_link(map_, at.node, link))
+    map_, fails, onto, bearing, through = _where_to(map_, writer, event, at, back, onward, is_divergence)
+    plain = tuning.leave_m * _heading(bearing), bearing
+    ways = _either_of(is_divergence, _through(event, found, bearing, turn, tuning.leave_m), plain)
+    passes, which = _is_passed(event, found, others, back, at.again, is_divergence)
+    target, out = _either_of(passes, _through(event, found, found.bearing[which], 0.0, tuning.leave_m), ways)
+    taken = jnp.where(onto == btm.NONE, size, onto)
     written = writer.replace(
         map=map_,
         node=at.node,
         node_m=event.odometer_m,
-        link=jnp.where(onto == btm.NONE, size, onto),
+        link=taken,
         left_bearing=jnp.where(through, event.pose[2], bearing),
         border_m=_border_left(writer, event),
-        snapshot_there=writer.snapshot_there & ~is_divergence,
-        exhausted=~is_terminal & (onto == btm.NONE),
+        tries=writer.tries.at[taken].add(1, mode="drop"),
+        fails=fails,
+        exhausted=~is_terminal & (taken == size),
     )
     refused = writer.replace(map=writer.map.replace(overflow=writer.map.overflow + 1), full=jnp.bool_(True))
     return (
-        jax.tree.map(lambda new, old: jnp.where(at.fits, new, old), written, refused),
-        jnp.where(leaves, Latch.LEAVE, Latch.FREE).astype(jnp.int32),
-        event.centre + at.shift + out * _heading(bearing),
-        at.shift,
+        _either_of(passes, _passing(writer, event), _either_of(at.fits, written, refused)),
+        jnp.where((~through & (taken < size)) | passes, Latch.LEAVE, Latch.FREE).astype(jnp.int32),
+        event.centre + at.shift + target,
+        out,
+        jnp.stack([*at.shift, turn]),
     )
+
+
+def _passing(writer, event):
+    return writer.replace(passed=jnp.stack([*event.centre, event.radius, event.odometer_m]))
+
+
+def _where_to(map_, writer, event, at, back, onward, is_divergence):
+    """The link by which the robot goes on: `(map, fails, link, bearing, through)`.
+
+    `through` says that it goes straight on, by the link `onward`. Un-searched links that it has set off on in vain are
+    given up, and searched ones that lead elsewhere are followed no more.
+    """
+    fails = _failed(writer, at)
+    given_up = (writer.tries >= TRIES) & (map_.status == btm.UNSEARCHED)
+    map_ = map_.replace(blocked=map_.blocked | given_up)
+    open_link = btm.first_open(map_, at.node, back)
+    usable = map_.replace(length_m=jnp.where(fails >= FAILS, btm.FAR_M, map_.length_m))
+    hop, hop_bearing, _ = btm.next_hop(usable, at.node)
+    use_open = open_link != btm.NONE
+    bearing = jnp.where(use_open, map_.start_bearing[jnp.minimum(open_link, map_.start.shape[0] - 1)], hop_bearing)
+    through = ~is_divergence & ~event.blocked & ~event.returns
+    return map_, fails, jnp.where(through, onward, jnp.where(use_open, open_link, hop)), bearing, through
+
+
+def _is_passed(event, found, others, back, again, is_divergence):
+    """Whether a place is none, and which of its openings the robot takes: `(passes, which)`.
+
+    One with two openings in line is a stretch of a passage, one with a single opening much wider than its circle lies
+    in the corner of a room.
+    """
+    n, other = jnp.sum(found.valid), jnp.argmax(others)
+    straight = jnp.abs(btm.wrapped(found.bearing[other] - back)) > math.pi - IN_LINE_RAD
+    in_line = (n == 2) & (jnp.sum(others) == 1) & straight
+    corner = (n == 1) & (jnp.max(found.width_m) > CORNER * 2 * event.radius) & ~again
+    return is_divergence & (in_line | corner), jnp.where(corner, jnp.argmax(found.valid), other)
+
+
+def _failed(writer, at):
+    """`Writer.fails` with the link that the robot has come by."""
+    map_, size = writer.map, writer.map.start.shape[0]
+    link = jnp.minimum(writer.link, size - 1)
+    to = jnp.where(map_.start[link] == writer.node, map_.end[link], map_.start[link])
+    followed = (writer.link < size) & (map_.status[link] == btm.SEARCHED)
+    return writer.fails.at[jnp.where(followed, link, size)].set(
+        jnp.where(at.node == to, 0, writer.fails[link] + 1), mode="drop"
+    )
+
+
+def _through(event, found, bearing, turn, leave_m):
+    """From the centre to a point beyond the opening that bears so, straight on where there is none: `[2]`; and the
+    direction of its passage, radians.
+    """
+    off = jnp.where(found.valid, jnp.abs(btm.wrapped(found.bearing - bearing)), jnp.inf)
+    which = jnp.argmin(off)
+    middle, across = found.middle[which], found.across[which] + turn
+    cos, sin = jnp.cos(turn), jnp.sin(turn)
+    middle = jnp.stack([cos * middle[0] - sin * middle[1], sin * middle[0] + cos * middle[1]])
+    plain = (event.radius + leave_m) * _heading(bearing)
+    near = off[which] < math.pi / 4
+    return jnp.where(near, middle + leave_m * _heading(across), plain), jnp.where(near, across, bearing)
+
+
+def _either_of(condition, yes, no):
+    return jax.tree.map(lambda one, other: jnp.where(condition, one, other), yes, no)
+
+
+def _turn_to(map_, node, found):
+    """By how much the openings of a known node are turned against its links: radians, to be added."""
+    slots = jnp.arange(map_.start.shape[0])
+    there = (slots < map_.n_links) & (map_.status != btm.NONE)
+    bearing = jnp.concatenate([map_.start_bearing, map_.end_bearing])
+    own = jnp.concatenate([there & (map_.start == node), there & (map_.end == node) & (map_.status == btm.SEARCHED)])
+    off = btm.wrapped(bearing[:, None] - found.bearing)  # [2M, K]
+    off = jnp.where(own[:, None] & found.valid, off, jnp.inf)
+    near = jnp.argmin(jnp.abs(off), axis=0)
+    least = jnp.take_along_axis(off, near[None], axis=0)[0]
+    counts = jnp.abs(least) < TURN_RAD
+    return jnp.sum(jnp.where(counts, least, 0)) / jnp.maximum(jnp.sum(counts), 1)
 
 
 def _border_left(writer, event):

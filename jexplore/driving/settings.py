@@ -96,8 +96,14 @@ class Tuning:
     """A change of the ground's inclination by more than this, in degrees, is an obstacle."""
     speed_m_s: float = 0.4
     """The robot approaches a target at this speed [Vc], in metres a second."""
+    helps: int = 3
+    """The run ends as STUCK when the operator has helped so many times since the last node."""
     turn_gain: float = 1.5
     """The robot turns at this rate for each radian of bearing of the target point [kw], in 1/s."""
+
+
+WHOLE = {"votes": 9, "helps": 100}
+"""Thresholds that are whole numbers -> their largest value."""
 
 
 def require_tuning(tuning: Tuning) -> None:
@@ -112,8 +118,8 @@ def require_tuning(tuning: Tuning) -> None:
     require_kind("tuning", tuning, Tuning)
     for field in dataclasses.fields(tuning):
         value = getattr(tuning, field.name)
-        if field.name == "votes":
-            require_whole("tuning.votes", value, low=1, high=9)
+        if field.type is int:
+            require_whole(f"tuning.{field.name}", value, low=1, high=WHOLE[field.name])
         else:
             above = field.name not in ("near_m", "obtuse_tol_deg", "leave_m", "variance_max_m2")
             require_number(f"tuning.{field.name}", value, low_open=above, high=1000)

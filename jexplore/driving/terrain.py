@@ -79,6 +79,7 @@ def attitude(
     pose: Array | tuple[Array | float, Array | float, Array | float],
     length_m: Array | float,
     width_m: Array | float,
+    backwards: Array | bool = False,
 ) -> tuple[Array, Array, Array, Array]:
     """How a robot on two rigid tracks stands.
 
@@ -88,11 +89,12 @@ def attitude(
       terrain: `Terrain`.
       pose: `(x_m, y_m, heading_rad)`.
       length_m, width_m: of the robot.
+      backwards: bool, whether it drives so.
 
     Returns:
       `(pitch_rad, roll_rad, height_m, rise_m)`: pitch is positive nose down and roll positive with the left side up
         (REP 103); height of the middle; the largest difference of height between neighbouring points of the tracks'
-        fronts.
+        leading halves.
     """
     x, y, heading = pose
     cos, sin = jnp.cos(heading), jnp.sin(heading)
@@ -106,7 +108,8 @@ def attitude(
     best = jnp.argmax(carries, axis=1)[:, None]
     height = jnp.take_along_axis(carries, best, axis=1)[:, 0]
     slope = jnp.take_along_axis(slope.reshape(2, -1), best, axis=1)[:, 0]
-    rise = jnp.max(jnp.abs(jnp.diff(ground[:, half:], axis=1)))
+    leading = jnp.where(backwards, ground[:, :half], ground[:, half:])
+    rise = jnp.max(jnp.abs(jnp.diff(leading, axis=1)))
     return -jnp.arctan(slope.mean()), jnp.arctan2(height[0] - height[1], width_m), height.mean(), rise
 
 

@@ -37,8 +37,8 @@ class Building:
 
     walls: Walls
     terrain: Terrain
-    start: Array  # [3] float32, x, y, metres; heading, radians
     goal: Array  # [2] float32, metres; NaN: none
+    marks: Array  # [K, 3] float32, x, y, radius, metres: places of which it is counted which ones a run has been at
 
 
 @struct.dataclass
@@ -153,17 +153,17 @@ def move(
       draws, building, robot, noise, body: as in `sense`.
       estimate: `[3]`, odometry.
       senses: `Senses`.
-      v, omega: metres a second, radians a second.
+      v, omega: metres a second, below 0 backwards; radians a second.
 
     Returns:
-      `(body, estimate, gone_m)`; `gone_m` is what the odometer adds, in the plane.
+      `(body, estimate, gone_m)`; `gone_m` is what the odometer adds, in the plane, backwards as well.
     """
     ahead, turn = v * DT_S, omega * DT_S
     heading = body.pose[2] + turn * (1 - noise.slip)
     middle = body.pose[2] + 0.5 * turn * (1 - noise.slip)
     flat = ahead * jnp.cos(body.pitch)
     pose = jnp.stack([body.pose[0] + flat * jnp.cos(middle), body.pose[1] + flat * jnp.sin(middle), heading])
-    pitch, roll, height, rise = attitude(building.terrain, pose, robot.length_m, robot.width_m)
+    pitch, roll, height, rise = attitude(building.terrain, pose, robot.length_m, robot.width_m, v < 0)
     contact = touches(building, robot, pose)
     steep = jnp.radians(robot.max_slope_deg) + 1e-3
     climbs = (jnp.abs(pitch) <= steep) & (jnp.abs(roll) <= steep) | (jnp.abs(pitch) < jnp.abs(body.pitch))
@@ -175,17 +175,17 @@ def move(
         roll=jnp.where(goes, roll, body.roll),
         height_m=jnp.where(goes, height, body.height_m),
         rise_m=jnp.where(goes, rise, body.rise_m),
-        path_m=body.path_m + jnp.where(goes, flat, 0),
+        path_m=body.path_m + jnp.where(goes, jnp.abs(flat), 0),
         contacts=body.contacts + contact,
         refused=body.refused + (~contact & ~climbs),
     )
     measured = ahead * (1 + noise.odometry * draws.encoders[0]) * jnp.cos(senses.pitch)
     turn = turn * (1 + noise.odometry * draws.encoders[1]) + jnp.radians(noise.heading_deg_sqrt_m) * draws.encoders[
         2
-    ] * jnp.sqrt(flat)
+    ] * jnp.sqrt(jnp.abs(flat))
     middle = estimate[2] + 0.5 * turn
     odometry = estimate + jnp.stack([measured * jnp.cos(middle), measured * jnp.sin(middle), turn])
-    return moved, jnp.where(goes, odometry, estimate), jnp.where(goes, measured, 0)
+    return moved, jnp.where(goes, odometry, estimate), jnp.where(goes, jnp.abs(measured), 0)
 
 
 def to_odometry(estimate: Array) -> Callable[[Array], Array]:

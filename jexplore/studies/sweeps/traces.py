@@ -198,8 +198,6 @@ def _run_group(plan, group, numbers, on_unit, how):
     own, job = plan.groups[group], plan.groups[group].job
     setting, which = np.repeat(own.settings, job.runs), np.tile(np.arange(job.runs, dtype=np.int32), len(own.settings))
     chosen = {name: np.repeat(values, job.runs) for name, values in job.swept.items()}
-    if "votes" in chosen:
-        chosen["votes"] = chosen["votes"].astype(np.int32)
     tuning, noise = with_values(job.tuning, job.noise, chosen)
     blocks = [plan.units[number][1:] for number in numbers]
 
@@ -212,8 +210,9 @@ def _run_group(plan, group, numbers, on_unit, how):
 
     n, (robots, tunings, noises) = len(which), (job.robot, tuning, noise)
     records = numbers_of(robots, n), numbers_of(tunings, n), numbers_of(noises, n)
+    limits = {"max_steps": job.max_steps, "size": job.size}
     return batch.run_missions(
-        job.building, *records, job.seed, which, max_steps=job.max_steps, blocks=blocks, on_block=on_block, **how
+        job.building, *records, job.starts_of(which), job.seed, which, blocks=blocks, on_block=on_block, **limits, **how
     ).costs
 
 
@@ -232,7 +231,7 @@ def summarise_traces(runs: "pd.DataFrame", columns: Sequence[str]) -> "pd.DataFr
                 **{"setting": setting, "world": world, "robot": robot},
                 **{name: some[name].iloc[0] for name in own},
                 "n": len(some),
-                "goal": some["outcome"].isin(["GOAL", "COMPLETE"]).mean(),
+                "goal": some["outcome"].isin(["GOAL", "EXHAUSTED"]).mean(),
                 "true": known.astype(float).mean() if len(known) else np.nan,
                 "same": some["code"].value_counts().iloc[0] / len(some),
                 **{

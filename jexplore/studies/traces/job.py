@@ -11,13 +11,19 @@ import numpy as np
 
 from jexplore.config import MAX_SEED, InputError, require_number, require_whole
 from jexplore.driving import vehicle
-from jexplore.driving.batch import MAX_STEPS, building_of, require_start
-from jexplore.driving.settings import ROBOTS, Noise, Robot, Tuning, require_noise, require_robot, require_tuning
+from jexplore.driving.batch import MAX_STEPS, building_of, pose_in, require_start
+from jexplore.driving.mission import SIZE
+from jexplore.driving.settings import ROBOTS, WHOLE, Noise, Robot, Tuning, require_noise, require_robot, require_tuning
 from jexplore.studies import checks
-from jexplore.worlds.starts import draw_start
+from jexplore.studies.traces.truth import Truth, truth_of
+from jexplore.worlds.starts import draw_starts
 from jexplore.worlds.world import World
 
 MAX_RUNS = 1_000_000
+MOST_STEPS = 100_000
+STEPS_M2 = 50  # steps of 4 cm for each square metre of free area: two metres of way
+CLEARANCE_M = 0.5  # of starts that are drawn
+ROOMY = 128, 256  # most nodes and links of a map of a building
 NOISE = "noise."  # names of noise begin so in a sweep
 
 
@@ -27,6 +33,9 @@ class TraceJob:
 
     world: World
     building: vehicle.Building
+    truth: Truth
+    begins: np.ndarray
+    """`[S, 3]` float32, poses in the building: run i of every setting begins at i modulo S."""
     robot: Any
     tuning: Tuning
     """Numbers, or arrays `[S]` where a threshold is swept."""
@@ -38,11 +47,21 @@ class TraceJob:
     """Name of a threshold -> `[S]` values."""
     settings: int
     max_steps: int
+    size: tuple[int, int] = SIZE
+    """Most nodes and links of a map."""
 
     def first_settings(self) -> tuple[Any, Tuning, Noise]:
         """Robot, thresholds and noise of run 0: `(Robot, Tuning, Noise)`."""
-        own = {name: int(v[0]) if name == "votes" else float(v[0]) for name, v in self.swept.items()}
-        return self.robot, *with_values(self.tuning, self.noise, own)
+        return self.robot, *with_values(self.tuning, self.noise, own_values(self.swept, 0))
+
+    def starts_of(self, runs: np.ndarray) -> np.ndarray:
+        """Where runs of these numbers begin: `[n, 3]` float32."""
+        return self.begins[runs % len(self.begins)]
+
+
+def own_values(swept: dict[str, np.ndarray], i: int) -> dict[str, float]:
+    """The values of setting i."""
+    return {name: int(v[i]) if name in WHOLE else float(v[i]) for name, v in swept.items()}
 
 
 def robot_of(name: str) -> Robot:
@@ -104,8 +123,8 @@ def swept_values(sweep: Sequence[str], settings: int, seed: int) -> dict[str, np
                 ranges[name] = (low, high)
             else:
                 lists[name] = [float(v) for v in values.split(",")]
-                if name == "votes" and any(value != int(value) for value in lists[name]):
-                    raise InputError(f"sweep {text!r}: votes must be integers")
+                if name in WHOLE and any(value != int(value) for value in lists[name]):
+                    raise InputError(f"sweep {text!r}: {name} must be integers")
         except InputError:
             raise
         except (ValueError, OverflowError):
@@ -122,14 +141,15 @@ def swept_values(sweep: Sequence[str], settings: int, seed: int) -> dict[str, np
     values = {name: low + draws[:, i] * (high - low) for i, (name, (low, high)) in enumerate(ranges.items())}
     for i, (name, given) in enumerate(lists.items(), len(ranges)):
         values[name] = np.asarray(given)[np.minimum((draws[:, i] * len(given)).astype(int), len(given) - 1)]
-    return {name: np.round(value) if name == "votes" else value for name, value in values.items()}
+    return {name: np.round(value) if name in WHOLE else value for name, value in values.items()}
 
 
 def prepare_trace(
     world: str | os.PathLike[str] | World = "course",
     *,
     robot: str | Robot = "kamui",
-    runs: int = 1,
+    runs: int | None = None,
+    starts: int | None = None,
     seed: int = 0,
     tuning: Tuning | None = None,
     noise: Noise | None = None,
@@ -137,7 +157,7 @@ def prepare_trace(
     sweep: Sequence[str] = (),
     settings: int = 100,
     cell_m: float = 0.1,
-    max_steps: int = MAX_STEPS,
+    max_steps: int | None = None,
 ) -> TraceJob:
     """Checks everything before anything is compiled.
 
@@ -145,13 +165,15 @@ def prepare_trace(
       world: name or `World`. A course has its own start and goal; in others the robot starts at `start` and the run
         ends when nothing is left to follow.
       robot: name, see `robot_of`.
-      runs: of every setting.
+      runs: of every setting; by default one a start.
+      starts: n: run i begins at draw i modulo n of the seed; by default all begin at one place.
       seed: of the draws; run i of every setting draws alike.
       tuning, noise: `Tuning`, `Noise`.
       start: x, y, metres; heading, degrees; by default the world's own, else drawn.
       sweep, settings: see `swept_values`.
       cell_m: edge of a cell, metres.
-      max_steps: steps after which a run ends as STEP_LIMIT.
+      max_steps: steps after which a run ends as STEP_LIMIT; by default `MAX_STEPS`, outside of courses more in
+        proportion to the free area.
 
     Returns:
       `TraceJob`.
@@ -160,46 +182,71 @@ def prepare_trace(
       InputError: what cannot be run, in one line.
     """
     (world,) = checks.ready_worlds([world], cell_m)
-    runs = require_whole("runs", runs, 1, MAX_RUNS)
+    if starts is not None and start is not None:
+        raise InputError("start and starts exclude each other: give one of them")
+    starts = None if starts is None else require_whole("starts", starts, 1, MAX_RUNS)
+    runs = require_whole("runs", (starts or 1) if runs is None else runs, 1, MAX_RUNS)
     seed = require_whole("seed", seed, 0, MAX_SEED)
     settings = require_whole("settings", settings, 1, MAX_RUNS)
-    max_steps = require_whole("max_steps", max_steps, 100, 100_000)
+    max_steps = require_whole("max_steps", _enough(world) if max_steps is None else max_steps, 100, MOST_STEPS)
     robot = robot_of(robot) if isinstance(robot, str) else robot
     tuning, noise = tuning or Tuning(), noise or Noise()
-    require_robot(robot)
-    require_tuning(tuning)
-    require_noise(noise)
+    _require(robot, tuning, noise)
     swept = swept_values(sweep, settings, seed)
     count = len(next(iter(swept.values()))) if swept else 1
     if count * runs > MAX_RUNS:
         raise InputError(f"{count} settings x {runs} runs are more than {MAX_RUNS}; use fewer")
     for i in range(count):
-        own = {name: int(v[i]) if name == "votes" else float(v[i]) for name, v in swept.items()}
-        tuned, noisy = with_values(tuning, noise, own)
-        require_tuning(tuned)
-        require_noise(noisy)
-    pose, goal = _ends(world, start, seed)
-    building = building_of(world, pose, goal)
-    require_start(world, building, robot)
-    return TraceJob(world, building, robot, tuning, noise, runs, seed, swept, count, max_steps)
+        _require(robot, *with_values(tuning, noise, own_values(swept, i)))
+    building, truth, begins = _placed(world, _ends(world, start, starts, seed), robot, tuning)
+    size = SIZE if world.course is not None else ROOMY
+    return TraceJob(world, building, truth, begins, robot, tuning, noise, runs, seed, swept, count, max_steps, size)
+
+
+def _require(robot, tuning, noise):
+    require_robot(robot)
+    require_tuning(tuning)
+    require_noise(noise)
+
+
+def _enough(world):
+    """Steps that suffice for a world, in whole `MAX_STEPS`."""
+    wanted = MAX_STEPS if world.course is not None else STEPS_M2 * world.free_m2
+    return int(min(-(-max(wanted, MAX_STEPS) // MAX_STEPS) * MAX_STEPS, MOST_STEPS))
+
+
+def _placed(world, ends, robot, tuning):
+    """`(building, truth, begins)`: see `TraceJob`."""
+    poses, goal = ends
+    begins = np.stack([pose_in(world, pose) for pose in poses])
+    building = building_of(world, goal)
+    for pose in begins:
+        require_start(world, building, robot, pose)
+    x_m, y_m = begins[0, :2]
+    truth = truth_of(world, (int(y_m / world.cell_m), int(x_m / world.cell_m)), robot.width_m, tuning.open_m)
+    return building_of(world, goal, truth.marks), truth, begins
 
 
 def with_values(tuning, noise, values):
     """Thresholds and noise with some values replaced; those of the noise have names like `noise.range_m`."""
+    values = {name: v.astype(np.int32) if name in WHOLE and np.ndim(v) else v for name, v in values.items()}
     thresholds = {name: value for name, value in values.items() if not name.startswith(NOISE)}
     errors = {name.removeprefix(NOISE): value for name, value in values.items() if name.startswith(NOISE)}
     return dataclasses.replace(tuning, **thresholds), dataclasses.replace(noise, **errors)
 
 
-def _ends(world, start, seed) -> tuple[Any, Any]:
-    """Where a run starts and ends, in the world's frame."""
+def _ends(world, start, starts, seed) -> tuple[Any, Any]:
+    """Where runs start, a list of poses, and end, in the world's frame."""
     goal = None if world.course is None else world.course.goal_m
     if start is not None:
         for name, value in zip(("x", "y", "heading"), start):
             require_number(f"start {name}", value, low=-1e6, high=1e6)
-        return tuple(start), goal
-    if world.course is not None:
-        return world.course.start_pose, goal
-    row, col, heading = world.start or draw_start(world, seed, 0, 0.5)
+        return [tuple(start)], goal
+    if world.course is not None and starts is None:
+        return [world.course.start_pose], goal
+    cells = [world.start] if world.start and starts is None else draw_starts(world, seed, starts or 1, CLEARANCE_M)
     x_m, y_m = world.origin_m
-    return (x_m + (col + 0.5) * world.cell_m, y_m + (row + 0.5) * world.cell_m, float(heading)), goal
+    half = world.cell_m / 2
+    return [
+        (x_m + col * world.cell_m + half, y_m + row * world.cell_m + half, float(deg)) for row, col, deg in cells
+    ], goal

@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from jexplore import btm
-from jexplore.driving import behaviour, events, mission, perception, vehicle
+from jexplore.driving import behaviour, events, mission, vehicle
 from jexplore.driving.batch import MAX_STEPS, Driven
 from jexplore.driving.behaviour import RunMode
+from jexplore.driving.sensing import perception, surround
 from jexplore.driving.walls import cast, segments
 from jexplore.report.operator_view import Recording
 from jexplore.studies.traces import tracing
@@ -49,7 +50,7 @@ def _frame(key, building, robot, tuning, noise, state):
     senses = vehicle.sense(draws, building, robot, noise, state.body)
     xy, valid = perception.points(senses.ranges_m, vehicle.ANGLES_RAD)
     wall_m = jnp.minimum(*perception.clearances(xy, valid, robot.length_m / 2))
-    found = events.triangles(xy, valid, wall_m, tuning)
+    found = events.triangles(*surround.points(surround.seen(state.around, senses.ranges_m)), wall_m, tuning)
     best = jnp.argsort(jnp.where(found.valid, jnp.hypot(*found.centre.T), jnp.inf))[:TRIANGLES]
     there = found.valid[best]
     after = mission.step(draws, building, robot, tuning, noise, state)
@@ -91,8 +92,9 @@ def record(plan: tracing.TraceJob, on_progress: Callable[[int], Any] = lambda n:
 
     robot, tuning, noise = (numbers(s) for s in plan.first_settings())
     building = jax.device_put(plan.building)
+    setup = mission.Setup(max(plan.max_steps, MAX_STEPS), *plan.size)
     key = jax.random.fold_in(jax.random.key(np.uint32(plan.seed)), 0)
-    state = jax.tree.map(jnp.asarray, mission.at_start(building, robot, max(plan.max_steps, MAX_STEPS)))
+    state = jax.tree.map(jnp.asarray, mission.at_start(setup, building, robot, plan.begins[0]))
     frames, steps = [], 0
     while int(state.outcome) == mission.Outcome.RUNNING and steps < plan.max_steps:
         state, seen = _frame(jax.random.fold_in(key, steps), building, robot, tuning, noise, state)

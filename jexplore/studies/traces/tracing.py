@@ -19,6 +19,7 @@ from jexplore.report.ledger import Ledger
 from jexplore.studies.results.provenance import digest
 from jexplore.studies.results.units import LEAST, MOST_UNITS
 from jexplore.studies.traces.job import TraceJob, prepare_trace, with_values
+from jexplore.studies.traces.truth import false_divergences
 from jexplore.tracemap import json_form
 from jexplore.tracemap.record import BtmMap
 from jexplore.tracemap.similarity import code
@@ -48,7 +49,7 @@ class Traced:
 
     @property
     def truth(self) -> BtmMap | None:
-        """The world's true topology, a `BtmMap`; None where it has none."""
+        """The topology of a course, a `BtmMap`; None for other worlds."""
         course = self.plan.world.course
         return None if course is None else course.topology
 
@@ -66,7 +67,7 @@ def asked(plan: TraceJob) -> dict[str, Any]:
         "version": __version__,
         "world": os.fspath(plan.world.name),
         **{name: getattr(plan, name) for name in ("robot", "tuning", "noise", "runs", "seed", "swept", "max_steps")},
-        "start": plan.building.start,
+        "starts": plan.begins,
         "digest": digest(plan.world),
     }
 
@@ -120,9 +121,11 @@ def _run(plan, made, how):
         numbers_of(plan.robot, n),
         numbers_of(tuning, n),
         numbers_of(noise, n),
+        plan.starts_of(made.which),
         plan.seed,
         made.which,
         max_steps=plan.max_steps,
+        size=plan.size,
         blocks=[made.blocks[i] for i in made.left],
         on_block=made.put,
         **how,
@@ -139,8 +142,6 @@ class _Made:
         self.setting = np.repeat(np.arange(plan.settings), plan.runs)
         self.which = np.tile(np.arange(plan.runs, dtype=np.int32), plan.settings)
         self.chosen = {name: values[self.setting] for name, values in plan.swept.items()}
-        if "votes" in self.chosen:
-            self.chosen["votes"] = self.chosen["votes"].astype(np.int32)
         self.tables: dict[int, Any] = {}
         self.maps: dict[int, BtmMap] = {}
         self.first: tuple[BtmMap, Driven] | None = None  # map and way of run 0
@@ -241,6 +242,8 @@ def table_of(plan: TraceJob, result: Any, setting: Any, which: Any, chosen: dict
     codes = [code(found) for found in maps]
     course = plan.world.course
     truth = None if course is None else code(course.topology)
+    marks, is_door = result.met[:, : len(plan.truth.marks)], plan.truth.is_door
+    node_at = result.node_at + np.asarray(plan.world.origin_m)
     slopes = [[n.inclination_deg for n in m.nodes if n.inclination_deg is not None] for m in maps]
     steps = [[n.step_m for n in m.nodes if n.step_m is not None] for m in maps]
     table = pd.DataFrame(
@@ -257,6 +260,12 @@ def table_of(plan: TraceJob, result: Any, setting: Any, which: Any, chosen: dict
             "contacts": result.contacts,
             "refused": result.refused,
             "interventions": result.interventions,
+            "junctions": int((~is_door).sum()),
+            "junctions_reached": marks[:, ~is_door].sum(axis=1),
+            "doors": int(is_door.sum()),
+            "doors_reached": marks[:, is_door].sum(axis=1),
+            "divergences": [sum(node.type == "divergence" for node in m.nodes) for m in maps],
+            "false_divergences": [false_divergences(m, at, plan.truth) for m, at in zip(maps, node_at)],
             "drift_m": result.drift_m,
             "nodes": [len(m.nodes) for m in maps],
             "links": [len(m.links) for m in maps],

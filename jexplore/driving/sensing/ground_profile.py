@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from flax import struct
 from jax import Array
 
-from jexplore.driving.perception import running_sum
+from jexplore.driving.sensing.perception import running_sum
 
 CELLS = 512  # of a profile, each as long as the gap of a step
 

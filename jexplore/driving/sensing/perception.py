@@ -3,8 +3,6 @@
 Scans are in the robot's frame: x forward, y left, metres. A beam without a reading is no point; NaN counts as none.
 """
 
-import functools
-import math
 from collections.abc import Callable
 from typing import ClassVar, Self
 
@@ -20,11 +18,9 @@ MISSED = 3  # beams without a reading that are bridged
 AGREE = 0.1  # where the readings on both sides differ by less than this share
 MEANT = 3  # beams on either side that the width of a passage is the mean of
 MEANT_M = 0.15  # where they are nearer than this
-BEARINGS = 240  # directions round a place in which its nearest point is looked for
 GUARD_M = 0.1  # a wall this near to the robot's sides is in its way
 SPACING = 0.49  # of points along a wall, in least openings: two neighbours of one point are nearer than such an opening
-NEAR = 1.15  # radii within which a wall divides two openings
-WIDE = 0.8  # of half a turn: a gap as wide as this as seen from the middle of a place
+ROOMY = 0.9  # of the radius of the circle that free space has room for
 JUMP = 1 / SPACING  # distance between the points of neighbouring beams beyond which a wall ends, in spacings
 
 
@@ -106,6 +102,24 @@ def sides(xy: Array, valid: Array, from_m: Array | float, to_m: Array | float) -
     left = jnp.min(jnp.where(within & (y >= 0), y, jnp.inf))
     right = jnp.min(jnp.where(within & (y <= 0), -y, jnp.inf))
     return left, right
+
+
+def is_roomy(
+    xy: Array, valid: Array, from_m: Array | float, left_m: Array, right_m: Array, open_m: Array | float
+) -> Array:
+    """Whether a circle as large as free space fits beside the nearer wall ahead: bool.
+
+    Args:
+      xy, valid: from `points`.
+      from_m: where the circle begins, metres before the robot.
+      left_m, right_m: from `sides`.
+      open_m: its radius [C1], metres; a tenth less does.
+    """
+    at_left = left_m > right_m
+    wall = jnp.minimum(jnp.minimum(left_m, right_m), open_m)
+    aside = jnp.where(at_left, 1, -1) * (open_m - wall)
+    off2 = (xy[:, 0] - from_m - open_m) ** 2 + (xy[:, 1] - aside) ** 2
+    return ~jnp.any(valid & (off2 < (ROOMY * open_m) ** 2))
 
 
 def clearances(xy: Array, valid: Array, to_m: Array | float) -> tuple[Array, Array]:
@@ -269,98 +283,3 @@ def nearest(found: Divergence, place: Array) -> tuple[Array, Array]:
     d2 = jnp.where(found.valid, jnp.sum((found.centre - place) ** 2, axis=1), jnp.inf)
     which = jnp.argmin(d2).astype(jnp.int32)
     return which, jnp.sqrt(d2[which])
-
-
-@struct.dataclass
-class Openings:
-    """Ways out of a place, counter-clockwise from -180 degrees. Unused slots: `valid` is False."""
-
-    bearing: Array  # [K] float32, radians
-    width_m: Array  # [K] float32
-    valid: Array  # [K] bool
-    overflow: Array  # int32, openings that did not fit
-
-
-def _gaps(point, last, here, width_m):
-    """Gaps from every direction to the next, counter-clockwise and round the circle, that has a point.
-
-    Args:
-      point, last: `[BEARINGS, 2]` float32, the nearest and the farthest point in every direction.
-      here: `[BEARINGS]` bool, whether there is any.
-      width_m: least width of an opening.
-
-    Returns:
-      `(after, width, is_gap)`: `[BEARINGS, 2]`, the point where it ends; `[BEARINGS]`, how wide it is, and whether that
-        is an opening.
-    """
-    order = jnp.arange(BEARINGS)
-    later = jnp.where(here, order, 2 * BEARINGS)
-    twice = jnp.concatenate([later, later + BEARINGS])
-    later = jnp.where(twice[:, None] > order, twice[:, None], 4 * BEARINGS)
-    following = jnp.min(later, axis=0) % BEARINGS
-    after, last_after = point[following], last[following]
-    pairs = (point, after), (last, after), (point, last_after), (last, last_after)
-    width = functools.reduce(jnp.minimum, [jnp.hypot(*(b - a).T) for a, b in pairs])
-    return after, width, here & ((width > width_m) | (jnp.sum(here) == 1))
-
-
-def openings(xy: Array, valid: Array, centre: Array, radius_m: Array | float, width_m: Array | float, *,
-             circle: Array | float, size: int) -> Openings:  # fmt: skip
-    """Gaps between neighbouring points in a circle, as seen from its centre, that a robot fits through.
-
-    Args:
-      xy, valid: `[P, 2]` float32 and `[P]` bool, points of one or more scans.
-      centre: `[2]` float32.
-      radius_m: distance of the walls from the centre.
-      width_m: least width of an opening [W].
-      circle: radius of the search circle [k], in `radius_m`; points beyond it are left out.
-      size: K, most openings. Static.
-
-    Returns:
-      `Openings`. Without any point in the circle there is none.
-
-    Source:
-      Mano et al., section III.B and Fig. 2(f). Changed: points of all scans on the way to the centre, in polar order
-      about it, where the paper takes those of one scan, in polar order about the robot, which does not see behind it;
-      and what comes no nearer to the centre than `NEAR` radii (or as many distances of the nearest wall, if that is
-      more), a wall farther in, does not divide an opening.
-    """
-    offset = xy - centre
-    search_m = circle * radius_m
-    distance = jnp.hypot(*offset.T)
-    inside = valid & (distance <= search_m)
-    sector = jnp.floor((jnp.arctan2(offset[:, 1], offset[:, 0]) + math.pi) * (BEARINGS / (2 * math.pi)))
-    sector = jnp.where(inside, jnp.clip(sector.astype(jnp.int32), 0, BEARINGS - 1), BEARINGS)
-    # The nearest point in every direction and the farthest, for a wall may lead straight outward: distance and number
-    # of a point in one integer.
-    bits = max(xy.shape[0] - 1, 1).bit_length()
-    share = jnp.where(inside, distance / jnp.maximum(search_m, 1e-6), 0)
-    code = (share * (2 ** (30 - bits) - 1)).astype(jnp.int32) << bits | jnp.arange(xy.shape[0])
-    least = jnp.full(BEARINGS, 2**31 - 1, jnp.int32).at[sector].min(code, mode="drop")
-    most = jnp.full(BEARINGS, -1, jnp.int32).at[sector].max(code, mode="drop")
-    here = most >= 0
-    point, last = (offset[jnp.where(here, code, 0) & (2**bits - 1)] for code in (least, most))
-    # A wall is what lies between two gaps.
-    gap_here = _gaps(point, last, here, width_m)[2]
-    wall = (running_sum(gap_here.astype(jnp.float32)) - gap_here) % jnp.maximum(jnp.sum(gap_here), 1)
-    distance = jnp.where(here, jnp.hypot(*point.T), jnp.inf)
-    nearest_m = jnp.min(jnp.where(wall[:, None] == wall, distance[:, None], jnp.inf), axis=0)
-    here &= nearest_m <= NEAR * jnp.maximum(radius_m, jnp.min(distance))
-    after, width, gap_here = _gaps(point, last, here, width_m)
-    only = jnp.sum(here) == 1
-    middle = (point + after) / 2
-    bearing = jnp.arctan2(middle[:, 1], middle[:, 0])
-    # The middle of a gap of about half a turn says little of where it opens, that of a wider one lies on the other side
-    # of the centre: there the bearing is that square to the gap.
-    turn = (jnp.arctan2(after[:, 1], after[:, 0]) - jnp.arctan2(point[:, 1], point[:, 0])) % (2 * math.pi)
-    across = after - point
-    bearing = jnp.where(turn > WIDE * math.pi, jnp.arctan2(-across[:, 0], across[:, 1]), bearing)
-    bearing = jnp.where(only, jnp.arctan2(-point[:, 1], -point[:, 0]), bearing)
-    place = running_sum(gap_here.astype(jnp.float32)).astype(jnp.int32) - 1
-    chosen = gap_here & (place == jnp.arange(size)[:, None])  # [K, BEARINGS]
-    return Openings(
-        bearing=jnp.sum(jnp.where(chosen, bearing, 0), axis=1),
-        width_m=jnp.sum(jnp.where(chosen, width, 0), axis=1),
-        valid=jnp.any(chosen, axis=1),
-        overflow=jnp.maximum(jnp.sum(gap_here, dtype=jnp.int32) - size, 0),
-    )

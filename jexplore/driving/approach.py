@@ -1,0 +1,201 @@
+"""Branch selection: how the robot goes to a place, looks round there, and leaves it by a link.
+
+The scanner sees half of what there is, and from afar a place may seem to be where none is. So the robot goes to the
+middle of what it takes for a divergence, turns there by half a turn, and only then judges what lies round it.
+"""
+
+import math
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from jexplore import btm
+from jexplore.arrays.loops import run_if
+from jexplore.driving import behaviour
+from jexplore.driving.behaviour import Drive, Latch, RunMode, Track
+from jexplore.driving.events import Ahead, triangles
+from jexplore.driving.sensing import surround
+from jexplore.driving.sensing.surround import Surround
+from jexplore.driving.settings import Robot, Tuning
+from jexplore.driving.vehicle import ANGLES_RAD, RANGE_M, Building, Senses, touches
+
+LOOK_RAD = math.pi - 0.05  # the robot looks round by turning so far: the scanner sees half of what there is
+LOOK_STEP_RAD = 0.2  # it stops where it cannot turn so far on
+THERE_M = 0.1  # where it cannot turn at a place, it goes on as near as this
+SURVEY_M = 1.0  # a place so near may be the one that is meant; and way between two looks round where the way is shut
+SURVEYS = 2  # so often a robot that has looked round goes to a better place than the one where it is
+SAME_PLACE_M, SAME_PLACE = 0.4, 0.4  # a place is the one that was meant within this, or so many radii
+LARGER = 1.15  # a place is better if its circle is larger by this
+OUT_RAD = math.radians(60)  # a link has been taken when the robot's heading is so near to its direction
+LATCH_STEPS = 200  # a target that is not reached in so many steps is given up
+STUCK_STEPS = 150  # without going on or finding a node: the operator helps
+STUCK_M = 0.3
+HELPS_KEPT = 16  # helps of which place, time and run mode are kept
+LOST_M = 0.5  # a divergence farther ahead than this and its radius, and no longer seen, is none
+
+
+class Latched(NamedTuple):
+    """What branch selection makes of a step."""
+
+    drive: Drive
+    track: Track
+    begins: Array  # bool, it begins to approach a divergence
+    arrives: Array  # bool, it is in its middle and has looked round
+    gives_up: Array  # bool, there is none, or it cannot be reached
+
+
+class _Look(NamedTuple):
+    """What a robot that has looked round finds."""
+
+    ends: Array  # bool, it has just done so
+    track: Track  # the place where it is, or to which it goes
+    goes_on: Array  # bool, to another place
+    back: Array  # bool, which is a node that it knows
+    there_is: Array  # bool, there is a place where it is
+
+
+def latched(
+    state: Any,
+    ahead: Ahead,
+    around: Surround,
+    ways_m: Array,
+    placed: Callable[[Array], Array],
+    tuning: Tuning,
+    robot: Robot,
+) -> Latched:
+    """A latch begins and ends.
+
+    Args:
+      state: `mission.State` before this step.
+      ahead, around, ways_m: what lies ahead and around: `Ahead`, `Surround`, from `surround.ways`.
+      placed: function from the robot's frame into the odometry's.
+      tuning, robot: `Tuning`, `Robot`.
+    """
+    drive, track = state.drive, ahead.track
+    begins = behaviour.is_believed(track, tuning.votes) & (drive.latch == Latch.FREE) & ~ahead.space.inside
+    following = (drive.latch == Latch.APPROACH) | begins
+    target = jnp.where(following, track.centre, drive.target)
+    distance = jnp.hypot(*(target - state.estimate[:2]))
+    near = distance < tuning.arrive_m
+    lost = (drive.latch == Latch.APPROACH) & (track.age == 0) & (distance > track.radius + LOST_M)
+    late = drive.since > LATCH_STEPS
+    left, right = surround.free_turn(around, robot)
+    may_look = jnp.minimum(left, right) >= math.pi - 1e-3
+    shut = (state.mode == RunMode.DEAD_END) | (state.mode == RunMode.CONTACT_GUARD) | state.manoeuvre.backing
+    surveys = (drive.latch == Latch.FREE) & ~begins & shut & (state.odometer_m - drive.looked_m > SURVEY_M)
+    ends = (drive.latch == Latch.LOOK) & ((drive.looked >= LOOK_RAD) | (left < LOOK_STEP_RAD))
+    look = _look_ends(state, track, ends, around, ways_m, placed, tuning, robot)
+    had = track.age > 0
+    small = look.track.radius < jnp.hypot(robot.length_m, robot.width_m) / 2 + surround.MARGIN_M
+    arrives = (following & near & ~may_look & ((distance < THERE_M) | small)) | (ends & ~look.goes_on & look.there_is)
+    none = ends & ~look.goes_on & had & ~look.there_is
+    too_late = following & late & ~arrives
+
+    latch = jnp.where(begins, Latch.APPROACH, drive.latch)
+    latch = jnp.where(((following & near) | surveys) & may_look, Latch.LOOK, latch)
+    latch = jnp.where(ends, jnp.where(look.goes_on, Latch.APPROACH, jnp.where(none, Latch.LEAVE, Latch.FREE)), latch)
+    aligned = jnp.abs(btm.wrapped(drive.out - state.estimate[2])) < OUT_RAD
+    has_left = (drive.latch == Latch.LEAVE) & ((near & aligned) | late)
+    latch = jnp.where(has_left | lost | too_late, Latch.FREE, latch)
+    onward = track.centre + tuning.leave_m * jnp.stack([jnp.cos(drive.out), jnp.sin(drive.out)])
+    after = drive.replace(
+        latch=latch.astype(jnp.int32),
+        target=jnp.where(ends & look.goes_on, look.track.centre, jnp.where(none, onward, target)),
+        out=jnp.where(begins, state.estimate[2], drive.out),
+        known=jnp.where(ends, look.back, drive.known & ~begins),
+        since=jnp.where((latch == drive.latch) & (latch != Latch.FREE), drive.since + 1, 0),
+        tries=drive.tries + (ends & look.goes_on),
+        looked_m=jnp.where(ends, state.odometer_m, drive.looked_m),
+    )
+    return Latched(after, look.track, begins, arrives, too_late | none)
+
+
+def _look_ends(state, track, ends, around, ways_m, placed, tuning, robot):
+    """What the robot finds where it has looked round, a `_Look`; elsewhere nothing of it counts but the track."""
+    drive, map_, had = state.drive, state.writer.map, track.age > 0
+    other, better, there_is = run_if(
+        ends,
+        lambda _: _surveyed(track, around, ways_m, placed, tuning, robot),
+        (track, jnp.bool_(False), jnp.bool_(False)),
+    )
+    may_go = drive.tries < SURVEYS
+    better &= ~had | may_go
+    # A place in the circle of a node is that node: it is looked at from its middle.
+    node, off_m = btm.nearest_node(map_, track.centre[0], track.centre[1], btm.DIVERGENCE)
+    back = ends & ~better & had & there_is & ~drive.known & may_go
+    back &= (off_m > tuning.arrive_m) & (off_m < jnp.maximum(track.radius, 0.5))
+    middle = jnp.where(back, jnp.stack([map_.x_m[node], map_.y_m[node]]), track.centre)
+    kept = track.replace(centre=middle)
+    chosen = jax.tree.map(lambda new, old: jnp.where(ends & better, new, old), other, kept)
+    return _Look(ends, chosen, better | back, back, had & (there_is | drive.known))
+
+
+def _surveyed(track, around, ways_m, placed, tuning, robot):
+    """The largest place that the robot sees round itself when it has looked.
+
+    Returns:
+      `(track, better, there_is)`: whether it is another than the one where the robot is, or the first; whether there is
+        any where the robot is.
+    """
+    xy, known = surround.points(around)
+    found = triangles(xy, known, tuning.far_m, tuning)
+    distance = jnp.hypot(*found.centre.T)
+    bearing = jnp.arctan2(found.centre[:, 1], found.centre[:, 0])
+    at = jnp.argmin(jnp.abs(btm.wrapped(bearing[:, None] - surround.DIRECTION)), axis=1)
+    free = (ways_m[at] + robot.length_m / 2 > distance) | (distance < tuning.arrive_m)
+    had = track.age > 0
+    reach = jnp.where(had, jnp.maximum(track.radius, SURVEY_M), tuning.far_m)
+    radius = jnp.where(found.valid & free & (distance < reach), found.radius, -1)
+    best = jnp.argmax(radius)
+    centre = placed(found.centre[best])
+    other = jnp.hypot(*(centre - track.centre)) > tuning.arrive_m
+    better = (radius[best] > 0) & (~had | (other & (radius[best] > LARGER * track.radius)))
+    one = jnp.uint32(1)
+    off = jnp.hypot(*(placed(found.centre) - track.centre).T)
+    there_is = jnp.any(found.valid & (off < jnp.maximum(SAME_PLACE_M, SAME_PLACE * track.radius)))
+    return Track(centre=centre, radius=found.radius[best], seen=one, age=jnp.int32(1)), better, there_is
+
+
+def helped(state: Any, senses: Senses, makes_node: Array, building: Building, robot: Robot) -> Any:
+    """Where the robot has not got on for long the operator turns it to where the way is longest.
+
+    Args:
+      state: `mission.State` after a step.
+      senses: `Senses`.
+      makes_node: bool, a node was due in that step.
+      building, robot: of the run.
+
+    Returns:
+      `mission.State`.
+    """
+    on = (state.odometer_m - state.moved_m > STUCK_M) | makes_node
+    moved_m = jnp.where(on, state.odometer_m, state.moved_m)
+    moved_step = jnp.where(on, state.step, state.moved_step)
+    helps = state.step - moved_step >= STUCK_STEPS
+    told = jnp.stack([*state.estimate[:2], state.step.astype(jnp.float32), state.mode.astype(jnp.float32)])
+    ranges = jnp.where(jnp.isnan(senses.ranges_m), 0, jnp.minimum(senses.ranges_m, RANGE_M))
+
+    def fitting(_):  # a robot that does not fit when it is turned stays as it is
+        longest = jnp.asarray(ANGLES_RAD)[jnp.argmax(ranges)]
+        return jnp.where(touches(building, robot, state.body.pose.at[2].add(longest)), 0.0, longest)
+
+    turn = run_if(helps, fitting, jnp.float32(0))
+    map_ = state.writer.map
+    node = jnp.where(helps, state.writer.node, map_.kind.shape[0])
+    return state.replace(
+        body=state.body.replace(pose=state.body.pose.at[2].add(turn)),
+        estimate=state.estimate.at[2].add(turn),
+        odometry=state.odometry.at[2].add(turn),
+        around=surround.moved(state.around, jnp.float32(0), jnp.float32(0), turn),
+        drive=state.drive.replace(latch=jnp.where(helps, Latch.FREE, state.drive.latch).astype(jnp.int32)),
+        track=jax.tree.map(lambda fresh, old: jnp.where(helps, fresh, old), behaviour.no_track(), state.track),
+        writer=state.writer.replace(map=map_.replace(intervention=map_.intervention.at[node].add(1, mode="drop"))),
+        moved_m=moved_m,
+        moved_step=jnp.where(helps, state.step, moved_step),
+        helps=state.helps + helps,
+        since_node=jnp.where(makes_node, 0, state.since_node + helps),
+        help_at=state.help_at.at[jnp.where(helps, state.helps, HELPS_KEPT)].set(told, mode="drop"),
+    )

@@ -1,0 +1,176 @@
+"""How the robot gets round what stands in its way: past it, by turning where there is room, or by backing out.
+
+Between a target point and the wheels. A direction is taken in which the robot's width fits, the nearest to the target
+(target approach, wall following while the way is blocked, target approach; Mano et al., Fig. 7). Before it turns in
+place the robot sweeps its outline over what it has seen; where that would touch, it goes back the way that it came.
+"""
+
+from collections.abc import Callable
+from typing import ClassVar, Self
+
+import jax.numpy as jnp
+from flax import struct
+from jax import Array
+
+from jexplore.btm import wrapped
+from jexplore.driving.sensing import surround
+from jexplore.driving.sensing.surround import DIRECTION, Surround
+from jexplore.driving.settings import Robot, Tuning
+
+TRAIL = 256  # poses of the way here that are kept
+TRAIL_M = 0.04  # way between two
+TRAIL_RAD = 0.05  # a pose is reached within this and half of that
+ASIDE_RAD = 1.0  # the robot goes straight back from a pose from which it has turned farther
+STOP_M = 0.25  # a direction is blocked whose way is no longer than this
+GO_M = 0.4  # another one is taken whose way is as long as this
+GLANCE_RAD = 0.2  # a turn is begun that can be gone on with for so long
+BACK_M = 0.15  # the robot goes back so far at least
+MOST_BACK_M = 8.0
+AHEAD_S = 0.2  # a step is looked at so far ahead
+SLACK_M = 0.01  # between a wall and the robot's outline after a step
+STICK = 0.3  # weight of the direction taken before
+
+
+@struct.dataclass
+class Manoeuvre:
+    """What the robot remembers of how it gets round things."""
+
+    trail: Array  # [TRAIL, 3] float32, poses of the way here, odometry without corrections; a ring
+    length: Array  # int32, place of the next one, counted on
+    kept: Array  # int32, poses that it holds
+    backing: Array  # bool, it is going back
+    backed_m: Array  # float32, how far
+    avoiding: Array  # bool, it goes round something
+    side: Array  # float32, radians, direction in which
+    replace: ClassVar[Callable[..., Self]]
+
+
+def at_rest(pose: Array) -> Manoeuvre:
+    """Nothing in the way, at a pose `[3]`."""
+    return Manoeuvre(
+        trail=jnp.zeros((TRAIL, 3)).at[0].set(pose),
+        length=jnp.int32(1),
+        kept=jnp.int32(1),
+        backing=jnp.bool_(False),
+        backed_m=jnp.float32(0),
+        avoiding=jnp.bool_(False),
+        side=jnp.float32(0),
+    )
+
+
+def is_open(ways_m: Array, within_rad: float, long_m: float) -> Array:
+    """Whether some direction near straight ahead has a way so long: bool."""
+    return jnp.any((ways_m >= long_m) & (jnp.abs(DIRECTION) <= within_rad))
+
+
+def remembered(now: Manoeuvre, pose: Array) -> Manoeuvre:
+    """With the pose on the trail, if the robot has moved on since the last one; none while it goes back."""
+    last = now.trail[(now.length - 1) % TRAIL]
+    adds = (jnp.hypot(pose[0] - last[0], pose[1] - last[1]) >= TRAIL_M) & ~now.backing
+    at = jnp.where(adds, now.length % TRAIL, TRAIL)
+    kept = jnp.minimum(now.kept + adds, TRAIL)
+    return now.replace(trail=now.trail.at[at].set(pose, mode="drop"), length=now.length + adds, kept=kept)
+
+
+def drive(
+    now: Manoeuvre,
+    around: Surround,
+    ways_m: Array,
+    pose: Array,
+    bearing: Array,
+    turning: Array,
+    touched: Array,
+    tuning: Tuning,
+    robot: Robot,
+) -> tuple[Manoeuvre, Array, Array]:
+    """Speed and turn rate towards a target, round what stands in the way.
+
+    Args:
+      now: `Manoeuvre`.
+      around: `Surround`.
+      ways_m: from `surround.ways`.
+      pose: `[3]` float32, odometry without corrections.
+      bearing: of the target point, radians.
+      turning: int32, where the robot is to turn in place whatever the target: halves of its highest rate, to the left
+        above 0; else 0.
+      touched: bool, the last step was refused because of a wall.
+      tuning, robot: `Tuning`, `Robot`.
+
+    Returns:
+      `(after, v, omega)`: `Manoeuvre`; metres a second, radians a second.
+    """
+    speed = jnp.minimum(tuning.speed_m_s, robot.max_speed_m_s)
+    course, avoiding = _round(now, ways_m, pose, bearing, turning)
+
+    # What would be driven, were there room.
+    v = jnp.where(turning != 0, 0, speed * jnp.maximum(jnp.cos(course), 0))
+    omega = jnp.where(turning != 0, turning * robot.max_turn_rad_s / 2, tuning.turn_gain * course)
+    omega = jnp.clip(omega, -robot.max_turn_rad_s, robot.max_turn_rad_s)
+    v = jnp.where(_meets(around, robot, v * AHEAD_S, omega * AHEAD_S), 0, v)
+    in_place = (turning != 0) | (v < 0.25 * speed)
+    v = jnp.where(in_place, 0, v)
+    wanted = jnp.where(turning != 0, jnp.pi, jnp.abs(course))
+
+    backing = _backs(now, around, robot, in_place, wanted, omega, touched)
+    back_v, back_omega, length = _back(now, around, robot, pose, speed)
+    after = now.replace(
+        backing=backing,
+        backed_m=jnp.where(backing, now.backed_m + jnp.abs(back_v) * 0.1, 0),
+        length=jnp.where(backing, length, now.length),
+        kept=jnp.where(backing, now.kept - (now.length - length), now.kept),
+        avoiding=avoiding,
+        side=course + pose[2],
+    )
+    return after, jnp.where(backing, back_v, v), jnp.where(backing, back_omega, omega)
+
+
+def _round(now, ways_m, pose, bearing, turning):
+    """The direction in which to drive, and whether it is another than that of the target."""
+    off = jnp.abs(wrapped(DIRECTION - bearing))
+    here = ways_m[jnp.argmin(off)]
+    free = ways_m >= GO_M
+    stick = jnp.where(now.avoiding, STICK, 0) * jnp.abs(wrapped(DIRECTION + pose[2] - now.side))
+    best = jnp.argmin(jnp.where(free, off + stick, jnp.inf))
+    avoiding = (here < STOP_M) & jnp.any(free) & (turning == 0)
+    return jnp.where(avoiding, jnp.asarray(DIRECTION)[best], bearing), avoiding
+
+
+def _meets(around, robot, ahead_m, turn):
+    """Whether the robot's outline meets a point after a short way."""
+    xy, known = surround.points(surround.moved(around, ahead_m, jnp.float32(0), turn))
+    length, width = robot.length_m / 2 + SLACK_M, robot.width_m / 2 + SLACK_M
+    return jnp.any(known & (jnp.abs(xy[:, 0]) < length) & (jnp.abs(xy[:, 1]) < width))
+
+
+def _backs(now, around, robot, in_place, wanted, omega, touched):
+    """Whether the robot goes back: it cannot turn as it wants, or has touched something."""
+
+    def can(margin_m, needed):
+        left, right = surround.free_turn(around, robot, margin_m)
+        return jnp.where(omega >= 0, left, right) >= jnp.minimum(needed, jnp.pi)
+
+    starts = (in_place & ~can(surround.MARGIN_M, jnp.minimum(wanted, GLANCE_RAD))) | touched
+    enough = (now.backed_m >= BACK_M) & can(2 * surround.MARGIN_M, jnp.pi) | (now.backed_m > MOST_BACK_M)
+    return jnp.where(now.backing, ~enough, starts) & (now.kept > 1)
+
+
+def _back(now, around, robot, pose, speed):
+    """Speed and turn rate to the pose before, and how many poses are left: `(v, omega, length)`.
+
+    Where that would touch, it goes straight back, or turns only, or goes ahead, whatever is free.
+    """
+    goal = now.trail[(now.length - 1) % TRAIL]
+    offset = goal[:2] - pose[:2]
+    behind = -(offset[0] * jnp.cos(pose[2]) + offset[1] * jnp.sin(pose[2]))
+    turn = wrapped(goal[2] - pose[2])
+    aside = jnp.abs(turn) > ASIDE_RAD
+    v = jnp.where(aside, -speed / 2, -jnp.clip(behind / 0.1, 0, speed))
+    omega = jnp.where(aside, 0, jnp.clip(turn / 0.1, -1.0, 1.0))
+    near = (behind < TRAIL_M / 2) & (aside | (jnp.abs(turn) < TRAIL_RAD))
+    found, passes = (v, omega), jnp.bool_(True)
+    for other in reversed([(v, omega), (-speed / 2, 0.0), (0.0, omega), (speed / 2, 0.0)]):
+        free = ~_meets(around, robot, other[0] * AHEAD_S, other[1] * AHEAD_S)
+        found = tuple(jnp.where(free, one, two) for one, two in zip(other, found))
+        passes = jnp.where(free, other[0] != v, passes)
+    near |= passes & (jnp.hypot(offset[0], offset[1]) < BACK_M)
+    return *found, jnp.where(near, now.length - 1, now.length)

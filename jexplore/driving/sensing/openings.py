@@ -1,0 +1,250 @@
+"""The ways out of a place: gaps between the walls round it, and doors in the walls of pockets beside it."""
+
+import functools
+import math
+
+import jax.numpy as jnp
+from flax import struct
+from jax import Array
+
+from jexplore.btm import wrapped
+from jexplore.driving.sensing.perception import running_sum
+
+BEARINGS = 240  # directions round a place in which its nearest point is looked for
+NEAR = 1.15  # radii within which a wall divides two openings
+WALL = 40  # directions on either side of a gap in which its walls are looked at; twice as many beyond it
+FAR_M = 10.0  # no point lies farther away
+CORNER = 0.65  # of the width of a gap: walls that meet so close beyond it are a corner
+POCKET = 1.2  # of the width of a gap: walls so close beyond it are those of a pocket
+DEEP = 0.75  # share of the directions beyond a gap in which they are
+SEEN = 0.7  # and in which there must be walls
+DOOR = 3  # directions that a door takes at least
+BEYOND_M = 0.25  # what lies farther than its wall is seen through a door of it
+AHEAD = 0.6  # radii from the centre from which on they are
+ALIKE_M = 0.02  # connections of the walls beside a gap that are longer by this count for less
+PASSAGE_RAD = math.radians(30)  # a link bears as its passage does if that differs no more from where it is seen
+APART_RAD = math.radians(40)  # and no other opening bears so nearly alike
+
+
+@struct.dataclass
+class Openings:
+    """Ways out of a place, counter-clockwise from -180 degrees. Unused slots: `valid` is False."""
+
+    bearing: Array  # [K] float32, radians
+    middle: Array  # [K, 2] float32, of the narrowest place between the walls on both sides, as seen from the centre
+    across: Array  # [K] float32, radians, direction square to that, outward
+    width_m: Array  # [K] float32, of that
+    valid: Array  # [K] bool
+    overflow: Array  # int32, openings that did not fit
+
+
+def _next(here):
+    """The next direction, counter-clockwise and round the circle, that has a point: `[BEARINGS]` int32."""
+    order = jnp.arange(BEARINGS)
+    later = jnp.where(here, order, 2 * BEARINGS)
+    twice = jnp.concatenate([later, later + BEARINGS])
+    later = jnp.where(twice[:, None] > order, twice[:, None], 4 * BEARINGS)
+    return jnp.min(later, axis=0) % BEARINGS
+
+
+def _gaps(point, last, here, width_m):
+    """Gaps from every direction to the next, counter-clockwise and round the circle, that has a point.
+
+    Args:
+      point, last: `[BEARINGS, 2]` float32, the nearest and the farthest point in every direction.
+      here: `[BEARINGS]` bool, whether there is any.
+      width_m: least width of an opening.
+
+    Returns:
+      `(after, width, is_gap)`: `[BEARINGS, 2]`, the point where it ends; `[BEARINGS]`, how wide it is, and whether that
+        is an opening.
+    """
+    following = _next(here)
+    after, last_after = point[following], last[following]
+    pairs = (point, after), (last, after), (point, last_after), (last, last_after)
+    width = functools.reduce(jnp.minimum, [jnp.hypot(*(b - a).T) for a, b in pairs])
+    return after, width, here & ((width > width_m) | (jnp.sum(here) == 1))
+
+
+def _polar(offset, distance, inside, most_m):
+    """The nearest point in every direction and the farthest, for a wall may lead straight outward.
+
+    Returns:
+      `(point, last, here)`: `[BEARINGS, 2]` each; `[BEARINGS]` bool, whether there is any.
+    """
+    sector = jnp.floor((jnp.arctan2(offset[:, 1], offset[:, 0]) + math.pi) * (BEARINGS / (2 * math.pi)))
+    sector = jnp.where(inside, jnp.clip(sector.astype(jnp.int32), 0, BEARINGS - 1), BEARINGS)
+    # Distance and number of a point in one integer.
+    bits = max(offset.shape[0] - 1, 1).bit_length()
+    share = jnp.where(inside, jnp.minimum(distance / jnp.maximum(most_m, 1e-6), 1), 0)
+    code = (share * (2 ** (30 - bits) - 1)).astype(jnp.int32) << bits | jnp.arange(offset.shape[0])
+    least = jnp.full(BEARINGS, 2**31 - 1, jnp.int32).at[sector].min(code, mode="drop")
+    most = jnp.full(BEARINGS, -1, jnp.int32).at[sector].max(code, mode="drop")
+    here = most >= 0
+    point, last = (offset[jnp.where(here, code, 0) & (2**bits - 1)] for code in (least, most))
+    return point, last, here
+
+
+def _pockets(point, whole, first, last, valid, width_m):
+    """What lies beyond gaps of a circle: a passage that leads on, or a pocket whose walls are all in sight.
+
+    Args:
+      point: `[BEARINGS, 2]`, from `_polar`, of what lies in the circle.
+      whole: what `_polar` makes of all points.
+      first, last: `[K]` int32, where the gaps begin and end.
+      valid: `[K]` bool.
+      width_m: least width of an opening.
+
+    Returns:
+      `(stays, door, following)`: `[K]` bool, gaps that are ways out themselves; `[BEARINGS]` bool, after which
+        directions a door opens in the wall of a pocket; `[BEARINGS]` int32, where it ends.
+    """
+    one, other = point[first], point[last]
+    along = other - one
+    chord = jnp.maximum(jnp.hypot(*along.T), 1e-6)
+    outward = jnp.stack([along[:, 1], -along[:, 0]], axis=1) / chord[:, None]
+    place, far, here = whole
+    between = (jnp.arange(BEARINGS) - first[:, None]) % BEARINGS < ((last - first) % BEARINGS)[:, None]  # [K, BEARINGS]
+    depth = jnp.einsum("bd,kd->kb", place, outward) - jnp.sum(one * outward, axis=1)[:, None]
+    known = between & here
+    ordered = jnp.sort(jnp.where(known, depth, jnp.inf), axis=1)
+    n = jnp.sum(known, axis=1)
+    seen = n > SEEN * jnp.sum(between, axis=1)
+    deep = ordered[jnp.arange(len(first)), jnp.minimum((DEEP * n).astype(jnp.int32), BEARINGS - 1)]
+    pocket = valid & seen & (deep < POCKET * chord)
+    # A piece of wall all of which lies beyond is seen through a door.
+    ends = _gaps(place, far, here, width_m)[2]
+    piece = (running_sum(ends.astype(jnp.float32)) - ends) % jnp.maximum(jnp.sum(ends), 1)
+    least = jnp.min(jnp.where((piece[:, None] == piece) & known[:, None, :], depth[:, None, :], jnp.inf), axis=2)
+    beyond = known & (least > deep[:, None] + BEYOND_M) & pocket[:, None]
+    ring = here & ~jnp.any(beyond, axis=0)
+    open_, after = _gaps(place, far, ring, width_m)[2], _next(ring)
+    # Where a wall is seen from the side its points lie far apart, in directions next to each other: no door.
+    open_ &= (after - jnp.arange(BEARINGS)) % BEARINGS >= DOOR
+    inside = between & pocket[:, None]
+    door = open_ & jnp.any(inside, axis=0)
+    has_door = jnp.any(inside & open_, axis=1)
+    return valid & ~(pocket & (has_door | (deep < CORNER * chord))), door, after
+
+
+def openings(xy: Array, valid: Array, centre: Array, radius_m: Array | float, width_m: Array | float, *,
+             circle: Array | float, size: int) -> Openings:  # fmt: skip
+    """Gaps between neighbouring points in a circle, as seen from its centre, that a robot fits through.
+
+    Args:
+      xy, valid: `[P, 2]` float32 and `[P]` bool, what lies round the robot.
+      centre: `[2]` float32.
+      radius_m: distance of the walls from the centre.
+      width_m: least width of an opening [W].
+      circle: radius of the search circle [k], in `radius_m`; points beyond it are left out.
+      size: K, most openings. Static.
+
+    Returns:
+      `Openings`. Without any point in the circle there is none.
+
+    Source:
+      Mano et al., section III.B and Fig. 2(f). Changed: points in polar order about the centre, where the paper takes
+      those of one scan, in polar order about the robot, which does not see behind it; what comes no nearer to the
+      centre than `NEAR` radii (or as many distances of the nearest wall, if that is more), a wall farther in, does not
+      divide an opening; and where a gap leads into a pocket whose walls are all in sight, the doors in these count
+      instead, and a corner does not.
+    """
+    offset = xy - centre
+    search_m = circle * radius_m
+    distance = jnp.hypot(*offset.T)
+    point, last, here = _polar(offset, distance, valid & (distance <= search_m), search_m)
+    whole = _polar(offset, distance, valid, FAR_M)
+    # A wall is what lies between two gaps.
+    gap_here = _gaps(point, last, here, width_m)[2]
+    wall = (running_sum(gap_here.astype(jnp.float32)) - gap_here) % jnp.maximum(jnp.sum(gap_here), 1)
+    distance = jnp.where(here, jnp.hypot(*point.T), jnp.inf)
+    nearest_m = jnp.min(jnp.where(wall[:, None] == wall, distance[:, None], jnp.inf), axis=0)
+    here &= nearest_m <= NEAR * jnp.maximum(radius_m, jnp.min(distance))
+    _, width, gap_here = _gaps(point, last, here, width_m)
+    only = jnp.sum(here) == 1
+    place = running_sum(gap_here.astype(jnp.float32)).astype(jnp.int32) - 1
+    chosen = gap_here & (place == jnp.arange(size)[:, None])  # [K, BEARINGS]
+    valid = jnp.any(chosen, axis=1)
+    begins = jnp.argmax(chosen, axis=1)
+    order = (begins[:, None] + 1 + jnp.arange(BEARINGS)) % BEARINGS
+    ends = order[jnp.arange(size), jnp.argmax(here[order], axis=1)]
+    stays, door, door_end = _pockets(point, whole, begins, ends, valid & ~only, width_m)
+    middle, across, narrowest = _narrowest(point, here, gap_here, begins, radius_m)
+    middle = jnp.where(only, -point[jnp.argmax(here)], middle)
+    across = jnp.where(only, jnp.arctan2(middle[:, 1], middle[:, 0]), across)
+    wide = jnp.where(only, jnp.sum(jnp.where(gap_here, width, 0)), narrowest)
+    doors = _doors(whole[0], door, door_end, size)
+    own = stays | (valid & only), middle, across, wide
+    more = jnp.sum(gap_here, dtype=jnp.int32) - size, jnp.sum(door, dtype=jnp.int32) - size
+    together = [jnp.concatenate(pair) for pair in zip(own, doors)]
+    return _in_order(together, jnp.maximum(more[0], 0) + jnp.maximum(more[1], 0), size)
+
+
+def _doors(place, door, door_end, size):
+    """Doors in the walls of pockets: `(valid, middle, across, width)` of as many."""
+    number = running_sum(door.astype(jnp.float32)).astype(jnp.int32) - 1
+    chosen = door & (number == jnp.arange(size)[:, None])
+    at = jnp.argmax(chosen, axis=1)
+    one, other = place[at], place[door_end[at]]
+    along = other - one
+    return jnp.any(chosen, axis=1), (one + other) / 2, jnp.arctan2(-along[:, 0], along[:, 1]), jnp.hypot(*along.T)
+
+
+def _in_order(together, more, size):
+    """`Openings` counter-clockwise, of which some did not fit before."""
+    valid, middle, across, wide = together
+    # The direction of its passage, if from the centre it looks much like that and no other opening does.
+    towards = jnp.arctan2(middle[:, 1], middle[:, 0])
+    off = jnp.abs(wrapped(across[:, None] - across))
+    alone = jnp.sum(valid & (off < APART_RAD), axis=1) == 1
+    bearing = jnp.where(alone & (jnp.abs(wrapped(across - towards)) < PASSAGE_RAD), across, towards)
+    order = jnp.argsort(jnp.where(valid, towards, jnp.inf))[:size]
+    more += jnp.maximum(jnp.sum(valid, dtype=jnp.int32) - size, 0)
+    there = valid[order]
+    return Openings(
+        bearing=jnp.where(there, bearing[order], 0),
+        middle=jnp.where(there[:, None], middle[order], 0),
+        across=jnp.where(there, across[order], 0),
+        width_m=jnp.where(there, wide[order], 0),
+        valid=there,
+        overflow=more,
+    )
+
+
+def _narrowest(point, here, gap_here, first, radius_m):
+    """Where the walls on both sides of gaps are nearest to each other.
+
+    Args:
+      point, here: as in `_gaps`.
+      gap_here: `[BEARINGS]` bool, whether a gap begins there.
+      first: `[K]` int32, where the gaps in question begin.
+      radius_m: of the circle; narrower places behind the centre or beside it are not looked for.
+
+    Returns:
+      `(middle, across, width)`: `[K, 2]`; `[K]`, direction square to the connection, outward; its length. Connections
+        that are nearly as short count, so that noise on even walls is averaged.
+    """
+    before = (first[:, None] - jnp.arange(WALL)) % BEARINGS
+    # No gap lies between a point of the wall before and the gap: none has begun on the way back from it.
+    begun = jnp.cumsum(gap_here[before], axis=1) - 1
+    is_before = here[before] & (begun == 0)
+    after = (first[:, None] + 1 + jnp.arange(2 * WALL)) % BEARINGS
+    begun = jnp.cumsum(gap_here[after], axis=1) - gap_here[after]
+    is_after = here[after] & (begun == 0)
+    left, right = point[before], point[after]  # [K, WALL, 2], [K, 2 WALL, 2]
+    length = jnp.hypot(left[:, :, None, 0] - right[:, None, :, 0], left[:, :, None, 1] - right[:, None, :, 1])
+    ends = left[:, 0], point[after[jnp.arange(len(first)), jnp.argmax(is_after, axis=1)]]
+    along = ends[1] - ends[0]
+    outward = jnp.stack([along[:, 1], -along[:, 0]], axis=1) / jnp.maximum(jnp.hypot(*along.T), 1e-6)[:, None]
+    out = jnp.einsum("kid,kd->ki", left, outward)[:, :, None] + jnp.einsum("kjd,kd->kj", right, outward)[:, None, :]
+    beside = out / 2 >= AHEAD * radius_m
+    length = jnp.where(is_before[:, :, None] & is_after[:, None, :] & beside & (length > 1e-3), length, jnp.inf)
+    least = jnp.min(length, axis=(1, 2), keepdims=True)
+    weight = jnp.where(length < least + 6 * ALIKE_M, jnp.exp(-(length - least) / ALIKE_M), 0)
+    total = jnp.maximum(jnp.sum(weight, axis=(1, 2)), 1e-9)
+    ends = [
+        jnp.einsum("kij,kid->kd", weight, left) / total[:, None],
+        jnp.einsum("kij,kjd->kd", weight, right) / total[:, None],
+    ]
+    middle, along = (ends[0] + ends[1]) / 2, ends[1] - ends[0]
+    return middle, jnp.arctan2(-along[:, 0], along[:, 1]), jnp.where(least < jnp.inf, least, 0)[:, 0, 0]

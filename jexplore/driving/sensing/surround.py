@@ -1,0 +1,159 @@
+"""What lies round the robot: the last scan before it, and behind it what earlier scans have shown.
+
+The scanner looks ahead; where the robot may turn and how it gets out of a narrow place depends on what is beside and
+behind it. So the nearest point in every direction is kept while the robot moves on.
+"""
+
+import math
+
+import jax.numpy as jnp
+import numpy as np
+from flax import struct
+from jax import Array
+
+from jexplore.btm import wrapped
+from jexplore.driving.settings import Robot
+from jexplore.driving.vehicle import ANGLES_RAD
+
+SECTORS = 360  # directions, a degree each, from -180 degrees
+NONE = 2**31 - 1
+BEHIND = 88  # degrees from straight ahead from which on the last scan is not all there is
+MEMORY_M = 4.5  # farther points are forgotten
+DIRECTIONS = 72  # in which the way is looked at
+TURN_STEPS = 36  # of half a turn each way
+OPPOSITE = 0.26  # cosine: what lies at least 75 degrees from the nearest point is on the other side
+MARGIN_M = 0.03  # between a wall and the robot's outline where it turns
+BESIDE_M = 0.05  # likewise beside the way where it drives
+
+_IS_BEHIND = np.abs(np.arange(SECTORS) - SECTORS // 2) > BEHIND
+DIRECTION = np.radians(np.arange(DIRECTIONS) * (360 / DIRECTIONS) - 180).astype(np.float32)
+_SWEEP = np.radians(np.arange(1, TURN_STEPS + 1) * (180 / TURN_STEPS)).astype(np.float32)
+
+
+@struct.dataclass
+class Surround:
+    """The nearest point in every direction, robot's frame."""
+
+    x_m: Array  # [SECTORS] float32; inf: nothing known
+    y_m: Array  # [SECTORS] float32, likewise
+
+
+def unknown() -> Surround:
+    """Nothing known."""
+    return Surround(jnp.full(SECTORS, jnp.inf), jnp.full(SECTORS, jnp.inf))
+
+
+def points(around: Surround) -> tuple[Array, Array]:
+    """`(xy, known)`: `[SECTORS, 2]` float32, metres, 0 where nothing is known; `[SECTORS]` bool."""
+    known = jnp.isfinite(around.x_m)
+    return jnp.where(known[:, None], jnp.stack([around.x_m, around.y_m], axis=1), 0), known
+
+
+def moved(around: Surround, ahead_m: Array, aside_m: Array, turn: Array) -> Surround:
+    """The same points after the robot has moved.
+
+    Args:
+      around: `Surround`.
+      ahead_m, aside_m: how far, in its old frame.
+      turn: counter-clockwise, radians.
+    """
+    xy, known = points(around)
+    x, y = xy[:, 0] - ahead_m, xy[:, 1] - aside_m
+    cos, sin = jnp.cos(turn), jnp.sin(turn)
+    x, y = cos * x + sin * y, cos * y - sin * x
+    known &= x * x + y * y < MEMORY_M**2
+    return Surround(jnp.where(known, x, jnp.inf), jnp.where(known, y, jnp.inf))
+
+
+def seen(around: Surround, ranges_m: Array) -> Surround:
+    """With one more scan: before the robot it is all there is, where its beams gave numbers.
+
+    Args:
+      around: `Surround`.
+      ranges_m: `[181]` float32, beams from -90 to 90 degrees; inf: no return; NaN: no reading.
+    """
+    xy, known = points(around)
+    first = SECTORS // 4
+    scan = jnp.pad(ranges_m, (first, SECTORS - first - len(ranges_m)), constant_values=jnp.nan)
+    fresh = ~jnp.isnan(scan)
+    sector = jnp.round(jnp.arctan2(xy[:, 1], xy[:, 0]) * (SECTORS / (2 * math.pi)) + SECTORS / 2).astype(jnp.int32)
+    sector = jnp.where(known, sector % SECTORS, SECTORS)
+    # Of the points that were known the nearest in every direction: distance and number in one integer.
+    millimetres = (1000 * jnp.hypot(xy[:, 0], xy[:, 1])).astype(jnp.int32)
+    code = jnp.full(SECTORS, NONE, jnp.int32).at[sector].min(millimetres * 512 + jnp.arange(SECTORS), mode="drop")
+    there = code != NONE
+    at = jnp.where(there, code % 512, 0)
+    nearer = fresh & jnp.isfinite(scan) & (~there | (1000 * scan < code // 512))
+    replaces = jnp.where(_IS_BEHIND, nearer, fresh)
+    angle = jnp.asarray(np.pad(ANGLES_RAD, (first, SECTORS - first - len(ANGLES_RAD))))
+    returns = jnp.isfinite(scan)
+    r = jnp.where(returns, scan, 0)
+
+    def either(function, axis):
+        old = jnp.where(there, xy[at, axis], jnp.inf)
+        return jnp.where(replaces, jnp.where(returns, r * function(angle), jnp.inf), old)
+
+    return Surround(either(jnp.cos, 0), either(jnp.sin, 1))
+
+
+def edge(around: Surround) -> tuple[Array, Array]:
+    """The edge of the generalised Voronoi graph between the nearest point and the nearest on the other side.
+
+    Returns:
+      `(along, off_m)`: float32, radians, direction of the edge before the robot; how much nearer what is left of it is
+        than what is right, by half, metres: so far the edge lies to the right.
+
+    Source:
+      Choset and Nagatani, Topological simultaneous localization and mapping (2001): tracing an edge.
+    """
+    xy, known = points(around)
+    range_m = jnp.hypot(xy[:, 0], xy[:, 1])
+
+    def nearest(side):
+        there = jnp.where(known & side, range_m, jnp.inf)
+        at = jnp.argmin(there)
+        return there[at], jnp.arctan2(xy[at, 1], xy[at, 0])
+
+    one_m, one = nearest(True)
+    # The nearest of another wall lies in quite another direction.
+    other_m, other = nearest(xy[:, 0] * jnp.cos(one) + xy[:, 1] * jnp.sin(one) < OPPOSITE * range_m)
+    both = jnp.isfinite(one_m) & jnp.isfinite(other_m)
+    along = (one + other) / 2  # square to the difference of both directions
+    along = wrapped(jnp.where(jnp.cos(along) < 0, along + math.pi, along))
+    off_m = jnp.where(jnp.sin(one - along) > 0, 1, -1) * (other_m - one_m) / 2
+    return jnp.where(both, along, 0.0), jnp.where(both, off_m, 0.0)
+
+
+def free_turn(around: Surround, robot: Robot, margin_m: Array | float = MARGIN_M) -> tuple[Array, Array]:
+    """How far the robot can turn in place before its outline meets a point.
+
+    Args:
+      around: `Surround`.
+      robot: `Robot`.
+      margin_m: added on every side.
+
+    Returns:
+      `(left, right)`: float32, radians, pi at most.
+    """
+    length, width = robot.length_m / 2 + margin_m, robot.width_m / 2 + margin_m
+    xy, known = points(around)
+    x, y = xy[:, 0], xy[:, 1]
+    near = known & (x * x + y * y < length**2 + width**2)
+    cos, sin = jnp.cos(_SWEEP)[:, None], jnp.sin(_SWEEP)[:, None]
+
+    def free(sign):
+        along, across = x * cos + sign * y * sin, y * cos - sign * x * sin
+        meets = jnp.any(near & (jnp.abs(along) < length) & (jnp.abs(across) < width), axis=1)
+        return jnp.where(jnp.any(meets), jnp.argmax(meets) * (math.pi / TURN_STEPS), math.pi)
+
+    return free(1), free(-1)
+
+
+def ways(around: Surround, robot: Robot) -> Array:
+    """How far the way is free in every direction of `DIRECTION`, before the robot's front: `[DIRECTIONS]` float32."""
+    xy, known = points(around)
+    x, y = xy[:, 0], xy[:, 1]
+    cos, sin = np.cos(DIRECTION)[:, None], np.sin(DIRECTION)[:, None]
+    along, aside = x * cos + y * sin, y * cos - x * sin
+    meets = known & (along > 0) & (jnp.abs(aside) < robot.width_m / 2 + BESIDE_M)
+    return jnp.min(jnp.where(meets, along, jnp.inf), axis=1) - robot.length_m / 2

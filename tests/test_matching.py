@@ -1,0 +1,190 @@
+"""Motion between two scans: rooms of line segments with exact ranges, then noise and missing beams."""
+
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jexplore.driving.sensing import matching
+from jexplore.driving.sensing.matching import DOUBT, DOUBT_M, DOUBT_RAD, LEAST
+from jexplore.driving.vehicle import ANGLES_RAD, BEAMS, RANGE_M
+from jexplore.driving.walls import FAR_M, Walls, cast
+
+pytestmark = pytest.mark.jit
+
+NAN, INF = math.nan, math.inf
+SEEDS = 30
+match = jax.jit(matching.match)
+match_all = jax.jit(jax.vmap(matching.match, in_axes=(0, 0, None)))
+
+
+def box(x0, y0, x1, y1):
+    x, y = [[x0, y0, y1], [x1, y0, y1]], [[y0, x0, x1], [y1, x0, x1]]
+    return Walls(x=jnp.array(x, jnp.float32), y=jnp.array(y, jnp.float32))
+
+
+ROOM = box(-2, -1.5, 3, 1.5)
+CORRIDOR = box(-FAR_M, -1, FAR_M, 1)
+POSES = [(0.0, 0.0, 0.3), (0.5, 0.4, -1.9), (1.0, -0.5, math.pi)]
+MOTIONS = [(0.0, 0.0, 0.25), (0.2, 0.0, 0.0), (0.15, 0.02, -0.25)]
+
+
+def scans(walls, pose, motion):
+    """Exact ranges before and after a motion in the robot's frame."""
+    cos, sin = math.cos(pose[2]), math.sin(pose[2])
+    ahead, aside, turn = motion
+    after = pose[0] + cos * ahead - sin * aside, pose[1] + sin * ahead + cos * aside, pose[2] + turn
+    return [np.array(cast(walls, at, ANGLES_RAD, RANGE_M)) for at in (pose, after)]
+
+
+def matched(before, after, guess):
+    return np.asarray(match(*(jnp.asarray(a, jnp.float32) for a in (before, after, guess))), float)
+
+
+def off(found, motion):
+    """`(metres, degrees)`."""
+    error = found - motion
+    return math.hypot(*error[:2]), abs(math.degrees(error[2]))
+
+
+# ---------------------------------------------------------------- rooms
+
+
+@pytest.mark.parametrize("pose", POSES)
+@pytest.mark.parametrize("motion", MOTIONS)
+def test_in_a_room_a_wrong_guess_is_put_right(pose, motion):
+    before, after = scans(ROOM, pose, motion)
+    slip = 0.1 * motion[2]
+    for error in ((0, 0, 0), (0, 0, slip), (0.05, 0, 0), (0, -0.05, 0), (-0.035, 0.035, slip), (0.035, 0.035, -slip)):
+        metres, degrees = off(matched(before, after, np.add(motion, error)), motion)
+        assert metres < 0.01, error
+        assert degrees < 0.3, error
+
+
+def test_what_comes_out_depends_on_what_is_seen_and_not_on_where():
+    """The room and the robot in it, a quarter turn on and elsewhere."""
+    one = matched(*scans(box(-2, -1.5, 3, 1.5), (0.5, 0.4, 0.2), (0.1, 0, 0.2)), (0.12, 0.02, 0.22))
+    x, y = 10, -4
+    turned = scans(box(x - 1.5, y - 2, x + 1.5, y + 3), (x - 0.4, y + 0.5, 0.2 + math.pi / 2), (0.1, 0, 0.2))
+    np.testing.assert_allclose(matched(*turned, (0.12, 0.02, 0.22)), one, atol=1e-4)
+
+
+def test_a_point_far_from_every_line_does_not_count():
+    """Somebody walks by before the last scan."""
+    before, after = scans(ROOM, POSES[0], MOTIONS[2])
+    after[100:125] = 0.8
+    metres, degrees = off(matched(before, after, np.add(MOTIONS[2], (0.02, 0, 0.02))), MOTIONS[2])
+    assert metres < 0.01
+    assert degrees < 0.3
+
+
+# ---------------------------------------------------------------- passages
+
+
+@pytest.mark.parametrize("error", [(0.05, 0.05, 0.025), (-0.05, 0, 0), (0.05, -0.03, -0.03)])
+@pytest.mark.parametrize("pose", [(0.0, 0.0, 0.0), (3.0, 0.2, 0.1), (0.0, -0.3, math.pi - 0.2)])
+def test_along_an_endless_passage_the_encoders_are_believed(pose, error):
+    motion = 0.2, 0.02, 0.25
+    found = matched(*scans(CORRIDOR, pose, motion), np.add(motion, error)) - motion
+    # Errors along the passage and across it.
+    along, across = ((v[0] + 1j * v[1]) * np.exp(1j * pose[2]) for v in (error, found))
+    (wrong, _), (still, left) = ((z.real, z.imag) for z in (along, across))
+    assert still == pytest.approx(wrong, abs=1e-3)
+    assert abs(left) < 0.005
+    assert abs(math.degrees(found[2])) < 0.2
+
+
+# ---------------------------------------------------------------- noise and missing beams
+
+
+@pytest.mark.parametrize(("sigma_m", "mean_m", "mean_deg"), [(0.01, 0.002, 0.1), (0.03, 0.005, 0.25)])
+@pytest.mark.parametrize("pose", POSES)
+def test_with_noise_there_is_no_bias(sigma_m, mean_m, mean_deg, pose):
+    """Over 30 seeds. A single match is off by less than a beam, and by less than half a degree for a centimetre."""
+    motion = MOTIONS[2]
+    noise = sigma_m * np.random.default_rng(5).normal(size=(2, SEEDS, BEAMS))
+    before, after = np.array(scans(ROOM, pose, motion))[:, None] + noise
+    guess = jnp.asarray(np.add(motion, (0, 0, 0.02)), jnp.float32)
+    error = np.asarray(match_all(jnp.asarray(before, jnp.float32), jnp.asarray(after, jnp.float32), guess)) - motion
+    assert np.abs(error[:, :2].mean(axis=0)).max() < mean_m
+    assert abs(math.degrees(error[:, 2].mean())) < mean_deg
+    assert np.abs(error[:, :2]).max() < sigma_m
+    assert math.degrees(np.abs(error[:, 2]).max()) < 100 * sigma_m / 2
+
+
+@pytest.mark.parametrize("pose", POSES)
+def test_three_beams_of_ten_may_be_missing(pose):
+    rng = np.random.default_rng(3)
+    for motion in MOTIONS:
+        ranges = scans(ROOM, pose, motion)
+        for scan in ranges:
+            scan[rng.random(BEAMS) < 0.3] = NAN
+        metres, degrees = off(matched(*ranges, np.add(motion, (0.03, -0.03, 0.1 * motion[2]))), motion)
+        assert metres < 0.01
+        assert degrees < 0.3
+
+
+@pytest.mark.parametrize("nothing", [NAN, INF])
+def test_without_points_the_encoders_are_believed(nothing):
+    before, after = scans(ROOM, POSES[0], MOTIONS[2])
+    none = np.full(BEAMS, nothing)
+    guess = np.array([0.17, -0.02, 0.3], np.float32)
+    for pair in ((none, after), (before, none), (none, none)):
+        np.testing.assert_array_equal(matched(*pair, guess), guess.astype(float))
+
+
+@pytest.mark.parametrize(("points", "counts"), [(LEAST - 1, False), (LEAST, True)])
+def test_so_many_points_must_lie_on_lines(points, counts):
+    """The robot has not moved; the encoders say a centimetre towards the wall."""
+    before, after = scans(box(-2, -1.5, 1, 1.5), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    seen = np.full(BEAMS, NAN)
+    first = BEAMS // 2 - points // 2
+    seen[first : first + points] = after[first : first + points]
+    found = matched(before, seen, (0.01, 0, 0))
+    assert (abs(found[0]) < 0.002) == counts
+    assert (found[0] == np.float32(0.01)) == (not counts)
+
+
+def test_points_without_a_line_are_no_lines():
+    """Ranges that jump from beam to beam."""
+    before = np.where(np.arange(BEAMS) % 2, 1.0, 1.2)
+    guess = np.array([0.05, 0, 0.1], np.float32)
+    np.testing.assert_array_equal(matched(before, before, guess), guess.astype(float))
+
+
+# ---------------------------------------------------------------- weights
+
+
+def test_walls_and_encoders_are_weighed_by_their_variances():
+    """One straight wall ahead, met by some beams near the middle: least squares by hand."""
+    before = np.full(BEAMS, NAN)
+    beams = np.arange(BEAMS // 2 - 20, BEAMS // 2 + 21)
+    before[beams] = 2 / np.cos(ANGLES_RAD[beams])
+    guess = 0.1
+    doubt = DOUBT_M + DOUBT * guess
+    # The points are symmetric about the axis: what is ahead does not mix with the turn.
+    walls = len(beams) / matching.RANGE_SD_M**2
+    want = guess * doubt**-2 / (doubt**-2 + walls)
+    found = matched(before, before, (guess, 0, 0))
+    assert found[0] == pytest.approx(want, rel=0.1)
+    assert np.abs(found[1:]).max() < 1e-3
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.3])
+def test_the_turn_is_weighed_likewise(turn):
+    """The same wall, and the encoders say a turn that was not, beside a true motion of nothing."""
+    before = np.full(BEAMS, NAN)
+    beams = np.arange(BEAMS // 2 - 20, BEAMS // 2 + 21)
+    before[beams] = 2 / np.cos(ANGLES_RAD[beams])
+    y = 2 * np.tan(ANGLES_RAD[beams])
+    error = math.radians(1)
+    angles = ANGLES_RAD[beams] - turn
+    after = np.full(BEAMS, NAN)
+    at = np.round(np.degrees(angles)).astype(int) + 90
+    after[at] = 2 / np.cos(np.radians(at - 90) + turn)
+    doubt = DOUBT_RAD + DOUBT * (turn + error)
+    want = error * doubt**-2 / (doubt**-2 + np.sum(y**2) / matching.RANGE_SD_M**2)
+    found = matched(before, after, (0, 0, turn + error))
+    assert found[2] - turn == pytest.approx(want, rel=0.1)

@@ -1,0 +1,341 @@
+"""The ways out of a place: rings of points by hand, every kind of divergence, rooms with corners and doors."""
+
+import itertools
+import math
+
+import jax
+import numpy as np
+import pytest
+
+from jexplore.driving import vehicle, walls
+from jexplore.driving.sensing import openings, surround
+from jexplore.driving.settings import Tuning
+from jexplore.driving.vehicle import ANGLES_RAD, RANGE_M
+
+pytestmark = pytest.mark.jit
+
+TUNING = Tuning()
+WIDTHS_M = (1.2, 2.0, 2.4)
+CELL_M = 0.1
+ARM_M = 6.0
+SLOTS = 32
+EAST, NORTH, WEST, SOUTH = 0.0, math.pi / 2, math.pi, -math.pi / 2
+
+
+K = 8
+P = 1000
+find_openings = jax.jit(openings.openings, static_argnames="size")
+
+
+def openings_of(xy, centre=(0, 0), radius_m=1.0, width_m=TUNING.width_m, size=K, circle=1.5):
+    xy = np.asarray(xy, np.float32).reshape(-1, 2)
+    padded, there = np.zeros((P, 2), np.float32), np.arange(P) < len(xy)
+    padded[: len(xy)] = xy
+    found = find_openings(
+        padded, there, np.array(centre, np.float32), np.float32(radius_m), np.float32(width_m), circle=circle, size=size
+    )
+    valid = np.asarray(found.valid)
+    assert found.bearing.shape == found.across.shape == found.width_m.shape == valid.shape == (size,)
+    assert found.middle.shape == (size, 2)
+    assert not valid[valid.sum() :].any()
+    return found
+
+
+def ways_out(xy, *args, **more):
+    """`(bearings in degrees, widths, overflow)` of the openings, in their order."""
+    found = openings_of(xy, *args, **more)
+    valid = np.asarray(found.valid)
+    return np.degrees(found.bearing)[valid], np.asarray(found.width_m)[valid], int(found.overflow)
+
+
+def doors_of(xy, *args, **more):
+    """`(bearing and direction of the passage in degrees, middle)` of every opening, its width."""
+    found = openings_of(xy, *args, **more)
+    valid = np.asarray(found.valid)
+    rows = np.stack([np.degrees(found.bearing), np.degrees(found.across), *np.asarray(found.middle).T], axis=1)
+    return rows[valid], np.asarray(found.width_m)[valid]
+
+
+def wrapped_deg(angle):
+    return (np.asarray(angle) + 180) % 360 - 180
+
+
+def polar(degrees, distance=1.0):
+    angle = np.radians(degrees)
+    return np.stack([distance * np.cos(angle), distance * np.sin(angle)], -1)
+
+
+def test_openings_of_a_ring_by_hand():
+    """A ring of points 3 degrees apart, with gaps of 30 degrees to the east, 60 to the north and 6 to the west."""
+    around = np.arange(1, 360, 3)
+    away = np.abs(wrapped_deg(around[:, None] - np.array([0, 90, 180])))
+    ring = polar(around[(away >= [15, 30, 3]).all(1)])
+    bearings, widths, overflow = ways_out(ring)
+    np.testing.assert_allclose(bearings, [1.0, 89.5], atol=1.6)
+    assert widths == pytest.approx([2 * math.sin(math.radians(15)), 1], abs=0.08)
+    assert overflow == 0
+    assert len(ways_out(ring, width_m=0.9)[0]) == 1  # a wider robot fits through one only
+    assert len(ways_out(ring, width_m=1.2)[0]) == 0
+    assert len(ways_out(ring, width_m=0.08)[0]) == 3
+
+
+def test_openings_in_order_and_the_circular_pair():
+    corners = polar([-135, -45, 45, 135])
+    bearings, widths, _ = ways_out(corners)
+    np.testing.assert_allclose(np.abs(bearings), [90, 0, 90, 180], atol=1e-3)
+    assert bearings[0] < 0 < bearings[2]
+    assert widths == pytest.approx([math.sqrt(2)] * 4, abs=1e-5)
+    bearings, widths, overflow = ways_out(corners, size=2)
+    np.testing.assert_allclose(bearings, [-90, 0], atol=1e-3)
+    assert (len(widths), overflow) == (2, 2)
+
+
+def test_of_one_direction_the_nearest_point_counts():
+    corners = np.concatenate([polar([-135, -45, 45, 135]), polar([-45, 45, 0, 90], 1.1)])
+    np.testing.assert_allclose(ways_out(corners, circle=1.05)[1], [math.sqrt(2)] * 4, atol=1e-5)
+    east = np.hypot(1.1 - math.sqrt(0.5), math.sqrt(0.5))
+    widths = ways_out(corners)[1]
+    np.testing.assert_allclose(widths, [math.sqrt(2), east, east, east, east, math.sqrt(2)], atol=1e-5)
+
+
+def test_a_wall_farther_in_does_not_divide_an_opening():
+    corners = polar([-135, -45, 45, 135])
+    for distance, n in ((1.1, 5), (1.2, 4), (1.6, 4)):
+        stray = np.concatenate([corners, polar([0, 2], distance)])
+        bearings, widths, _ = ways_out(stray, radius_m=1.0, circle=1.5)
+        assert len(bearings) == n, distance
+        assert max(widths) == pytest.approx(math.sqrt(2), abs=1e-5)
+    far = np.concatenate([polar([angle], 1.3 + angle / 2000) for angle in (-120, 0, 120)])  # none comes nearer
+    assert len(ways_out(far, radius_m=1.0, circle=1.5)[0]) == 3
+    # A wall that leads from near to far is one.
+    wall = np.stack([np.linspace(0.8, 1.4, 20), np.full(20, 0.6)], 1)
+    bearings, widths, _ = ways_out(np.concatenate([wall, polar([-60, 180])]), radius_m=1.0, circle=1.5)
+    assert len(bearings) == 3
+
+
+def test_a_wall_that_leads_straight_outward_is_no_gap():
+    away = np.arange(0.9, 1.9, 0.05)
+    wall = np.stack([0.08 + 0 * away, away], 1)  # of two directions 1.5 degrees apart its points are 0.5 m apart
+    bearings, _, _ = ways_out(np.concatenate([wall, polar(np.arange(130, 430, 5))]))
+    assert len(bearings) == 1
+    assert 90 < bearings[0] < 130
+
+
+@pytest.mark.xfail(strict=True, reason="no place is 0.6 radii before the centre: bearing, middle and width are 0")
+def test_where_a_gap_is_more_than_half_a_turn_it_lies_on_the_other_side():
+    bearings, _, _ = ways_out(polar([-60, -30, 0, 30, 60]), width_m=0.6)
+    np.testing.assert_allclose(np.abs(bearings), [180], atol=1e-3)
+    bearings, _, _ = ways_out(polar(np.arange(30, 151, 10)))
+    np.testing.assert_allclose(bearings, [-90], atol=1e-3)
+
+
+def test_without_points_there_is_no_opening():
+    assert len(ways_out(np.zeros((0, 2)))[0]) == 0
+    assert len(ways_out(polar([0, 120, 240], 3.0))[0]) == 0  # all beyond the circle
+    assert len(ways_out(polar([0, 120, 240], 3.0), radius_m=3.001)[0]) == 3
+
+
+def test_round_one_point_alone_everything_is_open():
+    assert len(ways_out(polar([30]))[0]) == 1
+    assert len(ways_out(polar([30, 30.1]))[0]) == 1
+
+
+def test_openings_turn_and_move_with_the_points():
+    rng = np.random.default_rng(4)
+    around = np.concatenate([np.arange(a, b, 2.0) for a, b in ((-170, -100), (-60, -10), (30, 60), (100, 150))])
+    ring = polar(around, 1 + 0.02 * rng.normal(size=len(around)))
+    bearings, widths, _ = ways_out(ring)
+    assert len(bearings) == 4
+    for degrees in (7.3, 90, -123.4):
+        turn = np.radians(degrees)
+        moved = ring @ np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]]) + [5, -3]
+        after, after_widths, _ = ways_out(moved, centre=(5, -3))
+        order = np.argsort(wrapped_deg(bearings + degrees))
+        np.testing.assert_allclose(wrapped_deg(after - (bearings + degrees)[order]), 0, atol=0.5)
+        np.testing.assert_allclose(after_widths, widths[order], atol=0.02)
+
+
+# ---------------------------------------------------------------- passages, corners, pockets
+
+
+def wall(x, y):
+    """Points every 5 cm."""
+    (x0, x1), (y0, y1) = x, y
+    n = round(math.hypot(x1 - x0, y1 - y0) / 0.05) + 1
+    return np.stack([np.linspace(x0, x1, n), np.linspace(y0, y1, n)], axis=1)
+
+
+def test_the_narrowest_place_of_an_opening_and_the_direction_square_to_it():
+    """A passage 2 m wide to both sides: the walls of the gap lie 0.6 to 1.12 m ahead of the centre."""
+    for lean_deg in (0, 20, -20):
+        xy = np.concatenate([wall((-3, 3), (1, 1)), wall((-3, 3), (-1, -1))])
+        turn = math.radians(lean_deg)
+        found, widths = doors_of(xy @ np.array([[math.cos(turn), math.sin(turn)], [-math.sin(turn), math.cos(turn)]]))
+        np.testing.assert_allclose(wrapped_deg(2 * (found[:, :2] - lean_deg)), 0, atol=1.5)  # either way
+        away = np.hypot(*found[:, 2:].T)
+        assert ((away > 0.6) & (away < 1.12)).all()
+        np.testing.assert_allclose(wrapped_deg(np.degrees(np.arctan2(*found[:, :1:-1].T)) - found[:, 1]), 0, atol=1.5)
+        np.testing.assert_allclose(widths, 2, atol=0.01)
+
+
+def test_the_middle_lies_where_the_walls_are_nearest():
+    """Posts in a passage 2 m wide, 0.9 m ahead, of which one is farther in."""
+    xy = np.concatenate([wall((-3, 3), (1, 1)), wall((-3, 3), (-1, -1)), wall((0.9, 0.9), (0.6, 1)), [[0.9, -0.7]]])
+    found, widths = doors_of(xy)
+    assert len(found) == 2
+    east = np.argmin(np.abs(found[:, 0]))
+    assert found[east] == pytest.approx([0, 0, 0.9, -0.05], abs=5)
+    assert found[east, 2:] == pytest.approx([0.9, -0.05], abs=0.06)
+    assert widths[east] == pytest.approx(1.3, abs=0.01)
+
+
+def room(length_m, *doors, side=()):
+    """A room 3 m wide, from 1.5 m east of the middle to so far west; doors 0.5 m wide there and in the north."""
+    north, west = [(-length_m, 1.5)], [(-1.5, 1.5)]
+
+    def cut(parts, at):
+        pieces = [piece for low, high in parts for piece in ((low, min(high, at - 0.25)), (max(low, at + 0.25), high))]
+        return [(low, high) for low, high in pieces if high > low]
+
+    for at in doors:
+        west = cut(west, at)
+    for at in side:
+        north = cut(north, at)
+    parts = [wall((1.5, 1.5), (-1.5, 1.5)), wall((-length_m, 1.5), (-1.5, -1.5))]
+    parts += [wall(part, (1.5, 1.5)) for part in north] + [wall((-length_m, -length_m), part) for part in west]
+    return np.concatenate(parts)
+
+
+@pytest.mark.parametrize(("length_m", "n"), [(2.0, 0), (3.0, 0), (5.0, 1)])
+def test_the_rest_of_a_room_is_no_opening_where_it_is_a_corner(length_m, n):
+    """A circle of 1.5 m touches three of its walls; the search circle leaves a gap of 3 m at 1.68 m to the west.
+
+    It is one where the wall beyond is farther behind it than 0.65 of that, 3.63 m from the centre.
+    """
+    found, widths = doors_of(room(length_m), radius_m=1.5)
+    assert len(found) == n
+    np.testing.assert_allclose(widths, 3, atol=0.01)
+
+
+@pytest.mark.parametrize("length_m", [2.0, 2.5, 3.0])
+def test_the_door_of_a_pocket_counts_instead_of_the_gap_before_it(length_m):
+    found, widths = doors_of(room(length_m, 0.0), radius_m=1.5)
+    assert len(found) == 1
+    assert np.abs(found[0, :2]) == pytest.approx([180, 180], abs=1)
+    assert found[0, 2:] == pytest.approx([-length_m, 0], abs=0.05)
+    assert widths == pytest.approx([0.5], abs=0.1)
+
+
+@pytest.mark.xfail(strict=True, reason="where a direction shows the jamb and the wall behind, both are one piece")
+def test_a_door_through_which_a_wall_is_seen_counts():
+    """A door 0.5 m wide in a wall 2.5 m away, and of a wall 2 m behind it the part that shows."""
+    behind = wall((-4.5, -4.5), (-0.36, 0.36))
+    assert len(doors_of(np.concatenate([room(2.5, 0.0), behind]), radius_m=1.5)[0]) == 1
+
+
+def test_a_door_bears_as_its_passage_does_if_it_is_seen_nearly_so():
+    """Within 30 degrees, and unless another opening bears nearly alike; else as it is seen from the centre."""
+    found, _ = doors_of(room(3.0, 0.8), radius_m=1.5)  # seen at 165 degrees
+    assert np.abs(found[:, :2]) == pytest.approx(np.full((1, 2), 180), abs=1.5)
+    found, _ = doors_of(room(3.0, side=(-2.4,)), radius_m=1.5)  # in the wall to the north, seen at 148 degrees
+    assert found == pytest.approx(np.array([[148, 90, -2.4, 1.5]]), abs=1.5)
+    found, _ = doors_of(room(3.0, -0.9, 0.9), radius_m=1.5)  # two in one wall
+    assert found[:, 0] == pytest.approx([-163, 163], abs=1.5)
+    assert np.abs(found[:, 1]) == pytest.approx([180, 180], abs=1.5)
+
+
+def test_of_more_doors_than_fit_the_rest_is_counted():
+    found = openings_of(room(3.0, -0.9, 0.9), radius_m=1.5, size=1)
+    assert (int(found.valid.sum()), int(found.overflow)) == (1, 1)
+
+
+# ---------------------------------------------------------------- every divergence
+
+
+def building(arms, width_m):
+    """Passages of a width from a crossing outwards: `(walls, crossing of the axes)`."""
+    n, arm = round(width_m / CELL_M), round(ARM_M / CELL_M)
+    size = 2 * arm + n
+    occupied = np.ones((size, size), bool)
+    mid, low, high = slice(arm, arm + n), slice(1, arm + n), slice(arm, size - 1)
+    ways = {"w": (mid, low), "e": (mid, high), "s": (low, mid), "n": (high, mid)}
+    for arm_to in arms:
+        occupied[ways[arm_to]] = False
+    middle = size * CELL_M / 2
+    return walls.walls_of(occupied, CELL_M, multiple=SLOTS), np.array([middle, middle])
+
+
+# Where the circle's centre lies and how large it is, in widths from the crossing of the axes, coming from the west.
+CORNER = 0.5 - 1 / (1 + math.sqrt(0.5))  # 0.586 widths from both outer walls
+FEATURES = {
+    "dead end": ("w", (0, 0), 0.5, [WEST]),
+    "left corner": ("wn", (CORNER, -CORNER), 0.5 - CORNER, [WEST, NORTH]),
+    "right corner": ("ws", (CORNER, CORNER), 0.5 - CORNER, [SOUTH, WEST]),
+    "T from the stem": ("wns", (-1 / 8, 0), 5 / 8, [SOUTH, NORTH, WEST]),
+    "T from the side, left": ("wen", (0, 1 / 8), 5 / 8, [EAST, NORTH, WEST]),
+    "T from the side, right": ("wes", (0, -1 / 8), 5 / 8, [SOUTH, EAST, WEST]),
+    "crossing": ("wesn", (0, 0), math.sqrt(0.5), [SOUTH, EAST, NORTH, WEST]),
+}
+
+
+@jax.jit
+def look_round(walls_, poses, noise_m):
+    """What lies round a robot at the last of some poses, in the world: `(points, which there are)`."""
+
+    def looked(carry, at):
+        around, before = carry
+        pose, noise_m = at
+        ahead, aside = vehicle.to_robot(before)(pose[:2])
+        around = surround.moved(around, ahead, aside, pose[2] - before[2])
+        around = surround.seen(around, walls.cast(walls_, pose, ANGLES_RAD, RANGE_M) + noise_m)
+        return (around, pose), 0
+
+    (around, pose), _ = jax.lax.scan(looked, (surround.unknown(), poses[0]), (poses, noise_m))
+    xy, known = surround.points(around)
+    return vehicle.to_odometry(pose)(xy), known
+
+
+def on_the_way(arms, width_m, where, rng=None, sigma_m=0.0):
+    """What a robot knows that has come from the west to a place and turned there, relative to the axes' crossing."""
+    walls_, middle = building(arms, width_m)
+    x, y = middle + np.array(where) * width_m
+    poses = [(x - back, y, 0.0) for back in np.linspace(2.2, 0, 23)]
+    poses += [(x, y, turn) for turn in np.linspace(0, math.pi, 22)[1:]]
+    noise_m = (
+        np.zeros((len(poses), len(ANGLES_RAD)))
+        if rng is None
+        else rng.normal(scale=sigma_m, size=(len(poses), len(ANGLES_RAD)))
+    )
+    xy, known = look_round(walls_, np.array(poses, np.float32), noise_m.astype(np.float32))
+    return np.asarray(xy)[np.asarray(known)] - middle
+
+
+@pytest.mark.parametrize("name", FEATURES)
+@pytest.mark.parametrize("width_m", WIDTHS_M)
+def test_every_divergence_has_its_openings(name, width_m):
+    arms, where, radius, want = FEATURES[name]
+    xy = on_the_way(arms, width_m, where)
+    centre, circle_m = np.array(where) * width_m, radius * width_m
+    bearings, widths, overflow = ways_out(xy, centre, circle_m)
+    assert len(bearings) == len(want)
+    off = np.abs(wrapped_deg(bearings[:, None] - np.degrees(want)))
+    # Of 2.4 m a passage is known 1.8 widths far and may pass for a pocket, whose door is seen askew.
+    assert off.min(axis=0).max() < (12 if width_m < 2.4 else 16)
+    np.testing.assert_allclose(widths, width_m, rtol=0.15)
+    assert overflow == 0
+    assert len(ways_out(xy, centre, circle_m, 0.8 * width_m)[0]) == len(want)
+    assert len(ways_out(xy, centre, circle_m, 1.25 * width_m)[0]) == 0  # too wide a robot
+
+
+@pytest.mark.parametrize("circle", [1.1, 1.5])
+def test_noise_miscounts_hardly_any_corner(circle):
+    """Since a robot looks round before it counts, a search circle of a tenth more does as well."""
+    rng = np.random.default_rng(5)
+    right = 0
+    for width_m, name in itertools.product(WIDTHS_M, ("left corner", "right corner")):
+        arms, where, radius, _ = FEATURES[name]
+        for _ in range(4):
+            xy = on_the_way(arms, width_m, where, rng, 0.02)
+            centre = np.array(where) * width_m + rng.normal(scale=0.03, size=2)
+            right += len(ways_out(xy, centre, radius * width_m, circle=circle)[0]) == 2
+    assert right >= 22  # of 24
