@@ -1,6 +1,6 @@
 """What is claimed of Behavioral Trace Maps, measured: repeatability, ablations, typing of obstacles, accuracy, speed.
 
-    python benchmarks/btm.py [--runs 1000] [--parts repeat ablation stairs place robots speed]
+    python benchmarks/btm.py [--runs 1000] [--parts repeat ablation stairs place robots buildings courses speed]
 
 Everything is printed as Markdown. 1000 runs of each take some twenty minutes on two cores.
 """
@@ -20,7 +20,8 @@ from jexplore.tracemap.record import BtmMap
 from jexplore.tracemap.similarity import code
 
 STILL = Noise(attitude_deg=0, odometry=0, heading_deg_sqrt_m=0, slip=0)
-PARTS = ("repeat", "ablation", "stairs", "place", "robots", "speed")
+PARTS = ("repeat", "ablation", "stairs", "place", "robots", "buildings", "courses", "speed")
+BUILDINGS = ("office", "hospital", "rooms", "cave", "maze")
 WORKERS = os.cpu_count() or 1
 
 
@@ -158,6 +159,49 @@ def robots(runs):
                 right = sum(c == true for c in maps[width])
                 same = sum(a == b for a, b in zip(maps[width], maps[0.39]))
                 row(world, sigma, width, share(right, runs), share(same, runs))
+
+
+def buildings(runs):
+    """Ordinary buildings, each from a fortieth of so many starts, beside what the true map holds.
+
+    Truth: `extract` of the true map, as far as the robot gets; doors are those of the generator.
+    """
+    n = max(8, runs // 25)
+    columns = ["building", "starts", "EXHAUSTED", "with at most one help", "outcomes", "junctions", "doors"]
+    head(*columns, "false divergences", "contacts a run", "steps refused", "steps a run", "drift m")
+    for world in BUILDINGS:
+        table = traced(world, starts=n, noise=Noise(range_m=0.01)).table
+        done = table["outcome"] == "EXHAUSTED"
+        outcomes = ", ".join(f"{name} {count}" for name, count in table["outcome"].value_counts().items())
+        near = [part(table, f"{name}_reached", name) for name in ("junctions", "doors")]
+        alone = done & (table["interventions"] <= 1)
+        cells = [share(int(done.sum()), n), share(int(alone.sum()), n), outcomes, *near]
+        contacts, steps, drift = (table[name].mean() for name in ("contacts", "steps", "drift_m"))
+        false = part(table, "false_divergences", "divergences")
+        row(world, n, *cells, false, f"{contacts:.1f}", table["refused"].sum(), f"{steps:.0f}", f"{drift:.2f}")
+
+
+def part(table, some, all_):
+    """A share of sums, in percent; a dash where there is nothing."""
+    return f"{100 * table[some].sum() / table[all_].sum():.1f} %" if table[all_].sum() else "–"
+
+
+def courses(runs):
+    """Other courses than that of the paper: plain, furnished, and of other widths."""
+    head("courses", "runs", "the true map", "not always")
+    kinds = {
+        "course#1 to #30": [f"course#{seed}" for seed in range(1, 31)],
+        "furnished #0 to #20": [f"course#{seed}:furniture=1" for seed in range(21)],
+        "1.2 to 3.0 m wide": [f"course:width_m={width:g}" for width in (1.2, 1.6, 2.4, 2.8, 3.0)],
+    }
+    each = max(3, runs // 300)
+    for kind, worlds in kinds.items():
+        right, missed = 0, []
+        for world in worlds:
+            table = traced(world, runs=each, noise=Noise(range_m=0.01)).table
+            right += int(table["true"].sum())
+            missed += [world.partition("#")[2] or world] if not table["true"].all() else []
+        row(kind, each * len(worlds), share(right, each * len(worlds)), " ".join(missed) or "–")
 
 
 def speed(runs):

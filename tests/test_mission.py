@@ -283,7 +283,7 @@ def test_without_a_goal_what_lies_behind_the_start_is_searched_as_well():
         ({"robot": "tank"}, "robot must be one of kamui, wheeled, got 'tank'"),
         ({"robot": "kamui:legs=4"}, "there is no 'legs'"),
         ({"robot": "kamui:width_m=wide"}, "width_m must be a number"),
-        ({"tuning": Tuning(near_m=5)}, "near_m must be less than tuning.far_m"),
+        ({"tuning": Tuning(arrive_m=5)}, "arrive_m must be less than tuning.open_m"),
         ({"tuning": Tuning(votes=10)}, "tuning.votes"),
         ({"noise": Noise(range_m=-1)}, "noise.range_m"),
         ({"sweep": ["vote=3"]}, "sweep must be NAME="),

@@ -31,8 +31,7 @@ CHECKS = {"tuning": of_tuning, "noise": of_noise, "robot": of_robot}
 ABOVE = 1e-9
 LEAST, MOST = 1e-6, 1000 * (1 + ABOVE)
 BOUNDS = {
-    "tuning.near_m": (-ABOVE, 0, 3.9, 4.0),
-    "tuning.far_m": (0.3, 0.31, 1000, MOST),
+    "tuning.far_m": (0, ABOVE, 1000, MOST),
     "tuning.width_m": (0, LEAST, 2.4, 2.5),
     "tuning.ahead_m": (0, LEAST, 1000, MOST),
     "tuning.region_m": (0, LEAST, 1000, MOST),
@@ -43,6 +42,7 @@ BOUNDS = {
     "tuning.circle": (1, 1.001, 3, 3.001),
     "tuning.obtuse_tol_deg": (-ABOVE, 0, 89.9, 90),
     "tuning.votes": (0, 1, 9, 10),
+    "tuning.helps": (0, 1, 100, 101),
     "tuning.same_m": (0, LEAST, 1000, MOST),
     "tuning.variance_max_m2": (-ABOVE, 0, 1000, MOST),
     "tuning.inclination_deg": (0.99, 1, 45, 45.1),
@@ -103,7 +103,7 @@ def test_messages_by_hand():
         assert str(refused.value) == message
 
 
-@pytest.mark.parametrize(("low", "high"), [("near_m", "far_m"), ("width_m", "open_m"), ("arrive_m", "open_m")])
+@pytest.mark.parametrize(("low", "high"), [("width_m", "open_m"), ("arrive_m", "open_m")])
 @pytest.mark.parametrize("more", [0, 0.5])
 def test_thresholds_that_contradict_each_other(low, high, more):
     with pytest.raises(InputError) as refused:

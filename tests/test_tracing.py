@@ -81,7 +81,7 @@ def test_a_map_from_an_episode(tmp_path, capsys):
         (("--runs", "x"), "--runs must be an integer"),
         (("--noise-m", "-1"), "noise.range_m must be a number at least 0"),
         (("--noise-m", "nan"), "noise.range_m must be a number at least 0"),
-        (("--tuning.near-m", "5"), "tuning.near_m must be less than tuning.far_m, got 5 and 4"),
+        (("--tuning.arrive-m", "5"), "tuning.arrive_m must be less than tuning.open_m, got 5 and 2.5"),
         (("--tuning.votes", "0"), "tuning.votes must be an integer from 1 to 9"),
         (("--start", "0.1", "0.1", "0"), "lies in a wall"),
         (("--start", "2.5", "27"), "--start must be three numbers, got ['2.5', '27']"),

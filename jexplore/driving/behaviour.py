@@ -136,12 +136,13 @@ def no_free_space() -> FreeSpace:
 def is_free(left_m: Array | float, right_m: Array | float, open_m: Array | float) -> Array:
     """Whether walls so far to the left and right are those of free space: bool.
 
-    One of them is farther than `open_m` [C1], and between them there is room for a circle of that radius.
+    Between them there is room for a circle whose radius is `open_m` [C1].
 
     Source:
-      Mano et al., section III.A.2. Changed: the second condition; a room that is entered beside a wall is none.
+      Mano et al., section III.A.2. Changed: there one of them is farther than C1; a room that is entered beside a wall
+      would be free space.
     """
-    return (jnp.maximum(left_m, right_m) > open_m) & (left_m + right_m > 2 * open_m)
+    return left_m + right_m > 2 * open_m
 
 
 def watch_free_space(

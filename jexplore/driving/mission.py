@@ -291,7 +291,7 @@ def _write(state, writer, drive, track, event, points, tuning, robot):
         offset = jnp.stack(_turned(estimate[:2] - event.centre, correction[2]))
         estimate = jnp.concatenate([event.centre + offset, estimate[2:]]).at[:3].add(correction)
         is_divergence = event.kind == btm.DIVERGENCE
-        latches = is_divergence | event.blocked
+        latches = is_divergence | event.blocked | event.returns
         drive = drive.replace(
             latch=jnp.where(latches, latch, drive.latch),
             target=jnp.where(latches, target, drive.target),

@@ -173,14 +173,18 @@ def write(
         fails=fails,
         exhausted=~is_terminal & (taken == size),
     )
-    refused = writer.replace(map=writer.map.replace(overflow=writer.map.overflow + 1), full=jnp.bool_(True))
+    correction = jnp.where(passes, 0.0, jnp.stack([*at.shift, turn]))
     return (
-        _either_of(passes, _passing(writer, event), _either_of(at.fits, written, refused)),
+        _either_of(passes, _passing(writer, event), _either_of(at.fits, written, _full(writer))),
         jnp.where((~through & (taken < size)) | passes, Latch.LEAVE, Latch.FREE).astype(jnp.int32),
-        event.centre + at.shift + target,
+        event.centre + correction[:2] + target,
         out,
-        jnp.stack([*at.shift, turn]),
+        correction,
     )
+
+
+def _full(writer):
+    return writer.replace(map=writer.map.replace(overflow=writer.map.overflow + 1), full=jnp.bool_(True))
 
 
 def _passing(writer, event):

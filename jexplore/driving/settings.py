@@ -64,11 +64,9 @@ class Tuning:
     width_m: float = 0.39
     """What is narrower than this reference width [W], in metres, is no opening, and no side of a triangle. The default
     is that of the narrowest robot, so that every robot makes the same map."""
-    near_m: float = 0.3
-    """Scan points nearer ahead than this [D1], in metres, are left out of the triangles."""
     far_m: float = 4.0
-    """Scan points farther ahead than this [D2], in metres, are left out of the triangles; less where the beams are too
-    far apart on the walls."""
+    """Points farther away than this [D2], in metres, are left out of the triangles; less where the beams are too far
+    apart on the walls."""
     ahead_m: float = 1.0
     """The target point and the middle of the region that is watched lie this far ahead [L], in metres."""
     region_m: float = 2.4
@@ -121,9 +119,9 @@ def require_tuning(tuning: Tuning) -> None:
         if field.type is int:
             require_whole(f"tuning.{field.name}", value, low=1, high=WHOLE[field.name])
         else:
-            above = field.name not in ("near_m", "obtuse_tol_deg", "leave_m", "variance_max_m2")
+            above = field.name not in ("obtuse_tol_deg", "leave_m", "variance_max_m2")
             require_number(f"tuning.{field.name}", value, low_open=above, high=1000)
-    for low, high in (("near_m", "far_m"), ("width_m", "open_m"), ("arrive_m", "open_m")):
+    for low, high in (("width_m", "open_m"), ("arrive_m", "open_m")):
         if getattr(tuning, low) >= getattr(tuning, high):
             got = f"{getattr(tuning, low):g} and {getattr(tuning, high):g}"
             raise InputError(f"tuning.{low} must be less than tuning.{high}, got {got}")

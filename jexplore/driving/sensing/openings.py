@@ -113,7 +113,7 @@ def _pockets(point, whole, first, last, valid, width_m):
     deep = ordered[jnp.arange(len(first)), jnp.minimum((DEEP * n).astype(jnp.int32), BEARINGS - 1)]
     pocket = valid & seen & (deep < POCKET * chord)
     # A piece of wall all of which lies beyond is seen through a door.
-    ends = _gaps(place, far, here, width_m)[2]
+    ends = _gaps(place, place, here, width_m)[2]
     piece = (running_sum(ends.astype(jnp.float32)) - ends) % jnp.maximum(jnp.sum(ends), 1)
     least = jnp.min(jnp.where((piece[:, None] == piece) & known[:, None, :], depth[:, None, :], jnp.inf), axis=2)
     beyond = known & (least > deep[:, None] + BEYOND_M) & pocket[:, None]
@@ -121,7 +121,9 @@ def _pockets(point, whole, first, last, valid, width_m):
     open_, after = _gaps(place, far, ring, width_m)[2], _next(ring)
     # Where a wall is seen from the side its points lie far apart, in directions next to each other: no door.
     open_ &= (after - jnp.arange(BEARINGS)) % BEARINGS >= DOOR
-    inside = between & pocket[:, None]
+    # Nor is there one where a passage is known no farther: its ends lie beyond what is taken for its wall.
+    flat = depth <= deep[:, None] + BEYOND_M
+    inside = between & pocket[:, None] & flat & flat[:, after]
     door = open_ & jnp.any(inside, axis=0)
     has_door = jnp.any(inside & open_, axis=1)
     return valid & ~(pocket & (has_door | (deep < CORNER * chord))), door, after
@@ -197,7 +199,9 @@ def _in_order(together, more, size):
     towards = jnp.arctan2(middle[:, 1], middle[:, 0])
     off = jnp.abs(wrapped(across[:, None] - across))
     alone = jnp.sum(valid & (off < APART_RAD), axis=1) == 1
-    bearing = jnp.where(alone & (jnp.abs(wrapped(across - towards)) < PASSAGE_RAD), across, towards)
+    away = jnp.abs(wrapped(across - towards))
+    # Of a gap wider than half a turn the narrowest place lies on the other side of the centre.
+    bearing = jnp.where((alone & (away < PASSAGE_RAD)) | (away > math.pi / 2), across, towards)
     order = jnp.argsort(jnp.where(valid, towards, jnp.inf))[:size]
     more += jnp.maximum(jnp.sum(valid, dtype=jnp.int32) - size, 0)
     there = valid[order]
@@ -240,6 +244,7 @@ def _narrowest(point, here, gap_here, first, radius_m):
     beside = out / 2 >= AHEAD * radius_m
     length = jnp.where(is_before[:, :, None] & is_after[:, None, :] & beside & (length > 1e-3), length, jnp.inf)
     least = jnp.min(length, axis=(1, 2), keepdims=True)
+    chord = (ends[0] + ends[1]) / 2, jnp.arctan2(outward[:, 1], outward[:, 0]), jnp.hypot(*along.T)
     weight = jnp.where(length < least + 6 * ALIKE_M, jnp.exp(-(length - least) / ALIKE_M), 0)
     total = jnp.maximum(jnp.sum(weight, axis=(1, 2)), 1e-9)
     ends = [
@@ -247,4 +252,6 @@ def _narrowest(point, here, gap_here, first, radius_m):
         jnp.einsum("kij,kjd->kd", weight, right) / total[:, None],
     ]
     middle, along = (ends[0] + ends[1]) / 2, ends[1] - ends[0]
-    return middle, jnp.arctan2(-along[:, 0], along[:, 1]), jnp.where(least < jnp.inf, least, 0)[:, 0, 0]
+    found = middle, jnp.arctan2(-along[:, 0], along[:, 1]), least[:, 0, 0]
+    there = least[:, 0, 0] < jnp.inf  # else the gap itself is the narrowest place
+    return tuple(jnp.where(there[:, None] if one.ndim > 1 else there, one, two) for one, two in zip(found, chord))
