@@ -509,8 +509,7 @@ def test_a_place_in_a_corner_is_passed(width_m, passes):
     assert int(after.map.n_nodes) == 1 + (not passes)
     if passes:  # and left by that opening
         assert latch == Latch.LEAVE
-        # In the circle its walls end 0.54 m before the centre.
-        assert target[0] == pytest.approx(-0.5 - TUNING.leave_m, abs=0.1)
+        assert target[0] == pytest.approx(-1 - TUNING.leave_m, abs=0.01)
         assert target[1] == pytest.approx(0, abs=0.1)
     else:
         assert (latch, bool(after.exhausted)) == (Latch.FREE, True)

@@ -142,7 +142,7 @@ def is_free(left_m: Array | float, right_m: Array | float, open_m: Array | float
       Mano et al., section III.A.2. Changed: there one of them is farther than C1; a room that is entered beside a wall
       would be free space.
     """
-    return left_m + right_m > 2 * open_m
+    return jnp.asarray(left_m + right_m > 2 * open_m)
 
 
 def watch_free_space(

@@ -187,6 +187,11 @@ def _full(writer):
     return writer.replace(map=writer.map.replace(overflow=writer.map.overflow + 1), full=jnp.bool_(True))
 
 
+def _is_behind(found):
+    """Openings whose narrowest place lies on the other side of the centre: there is one wall only, before it: `[K]`."""
+    return found.middle[:, 0] * jnp.cos(found.across) + found.middle[:, 1] * jnp.sin(found.across) < 0
+
+
 def _passing(writer, event):
     return writer.replace(passed=jnp.stack([*event.centre, event.radius, event.odometer_m]))
 
@@ -218,7 +223,8 @@ def _is_passed(event, found, others, back, again, is_divergence):
     n, other = jnp.sum(found.valid), jnp.argmax(others)
     straight = jnp.abs(btm.wrapped(found.bearing[other] - back)) > math.pi - IN_LINE_RAD
     in_line = (n == 2) & (jnp.sum(others) == 1) & straight
-    corner = (n == 1) & (jnp.max(found.width_m) > CORNER * 2 * event.radius) & ~again
+    wide = (found.width_m > CORNER * 2 * event.radius) | _is_behind(found)
+    corner = (n == 1) & jnp.any(found.valid & wide) & ~again
     return is_divergence & (in_line | corner), jnp.where(corner, jnp.argmax(found.valid), other)
 
 
@@ -243,7 +249,7 @@ def _through(event, found, bearing, turn, leave_m):
     cos, sin = jnp.cos(turn), jnp.sin(turn)
     middle = jnp.stack([cos * middle[0] - sin * middle[1], sin * middle[0] + cos * middle[1]])
     plain = (event.radius + leave_m) * _heading(bearing)
-    near = off[which] < math.pi / 4
+    near = (off[which] < math.pi / 4) & ~_is_behind(found)[which]
     return jnp.where(near, middle + leave_m * _heading(across), plain), jnp.where(near, across, bearing)
 
 

@@ -12,7 +12,7 @@ from jexplore.driving.sensing.perception import running_sum
 
 BEARINGS = 240  # directions round a place in which its nearest point is looked for
 NEAR = 1.15  # radii within which a wall divides two openings
-WALL = 40  # directions on either side of a gap in which its walls are looked at; twice as many beyond it
+WALL = 40  # directions on either side of a gap in which its walls are looked at
 FAR_M = 10.0  # no point lies farther away
 CORNER = 0.65  # of the width of a gap: walls that meet so close beyond it are a corner
 POCKET = 1.2  # of the width of a gap: walls so close beyond it are those of a pocket
@@ -20,6 +20,7 @@ DEEP = 0.75  # share of the directions beyond a gap in which they are
 SEEN = 0.7  # and in which there must be walls
 DOOR = 3  # directions that a door takes at least
 BEYOND_M = 0.25  # what lies farther than its wall is seen through a door of it
+BOTH_ENDS = 0.75  # share of the directions of a wall that its ends are
 AHEAD = 0.6  # radii from the centre from which on they are
 ALIKE_M = 0.02  # connections of the walls beside a gap that are longer by this count for less
 PASSAGE_RAD = math.radians(30)  # a link bears as its passage does if that differs no more from where it is seen
@@ -171,7 +172,7 @@ def openings(xy: Array, valid: Array, centre: Array, radius_m: Array | float, wi
     order = (begins[:, None] + 1 + jnp.arange(BEARINGS)) % BEARINGS
     ends = order[jnp.arange(size), jnp.argmax(here[order], axis=1)]
     stays, door, door_end = _pockets(point, whole, begins, ends, valid & ~only, width_m)
-    middle, across, narrowest = _narrowest(point, here, gap_here, begins, radius_m)
+    middle, across, narrowest = _narrowest(point, here, gap_here, begins, ends, radius_m)
     middle = jnp.where(only, -point[jnp.argmax(here)], middle)
     across = jnp.where(only, jnp.arctan2(middle[:, 1], middle[:, 0]), across)
     wide = jnp.where(only, jnp.sum(jnp.where(gap_here, width, 0)), narrowest)
@@ -215,13 +216,13 @@ def _in_order(together, more, size):
     )
 
 
-def _narrowest(point, here, gap_here, first, radius_m):
+def _narrowest(point, here, gap_here, first, last, radius_m):
     """Where the walls on both sides of gaps are nearest to each other.
 
     Args:
       point, here: as in `_gaps`.
       gap_here: `[BEARINGS]` bool, whether a gap begins there.
-      first: `[K]` int32, where the gaps in question begin.
+      first, last: `[K]` int32, where the gaps in question begin and end.
       radius_m: of the circle; narrower places behind the centre or beside it are not looked for.
 
     Returns:
@@ -232,17 +233,21 @@ def _narrowest(point, here, gap_here, first, radius_m):
     # No gap lies between a point of the wall before and the gap: none has begun on the way back from it.
     begun = jnp.cumsum(gap_here[before], axis=1) - 1
     is_before = here[before] & (begun == 0)
-    after = (first[:, None] + 1 + jnp.arange(2 * WALL)) % BEARINGS
+    after = (last[:, None] + jnp.arange(WALL)) % BEARINGS
     begun = jnp.cumsum(gap_here[after], axis=1) - gap_here[after]
     is_after = here[after] & (begun == 0)
-    left, right = point[before], point[after]  # [K, WALL, 2], [K, 2 WALL, 2]
+    left, right = point[before], point[after]  # [K, WALL, 2] each
     length = jnp.hypot(left[:, :, None, 0] - right[:, None, :, 0], left[:, :, None, 1] - right[:, None, :, 1])
-    ends = left[:, 0], point[after[jnp.arange(len(first)), jnp.argmax(is_after, axis=1)]]
+    ends = left[:, 0], right[:, 0]
     along = ends[1] - ends[0]
     outward = jnp.stack([along[:, 1], -along[:, 0]], axis=1) / jnp.maximum(jnp.hypot(*along.T), 1e-6)[:, None]
     out = jnp.einsum("kid,kd->ki", left, outward)[:, :, None] + jnp.einsum("kjd,kd->kj", right, outward)[:, None, :]
     beside = out / 2 >= AHEAD * radius_m
-    length = jnp.where(is_before[:, :, None] & is_after[:, None, :] & beside & (length > 1e-3), length, jnp.inf)
+    # Where there is one wall only, both its ends are meant, and no two places in its middle.
+    steps = jnp.arange(WALL)[:, None] + jnp.arange(WALL)
+    apart = steps < BOTH_ENDS * ((first - last) % BEARINGS)[:, None, None]
+    meant = is_before[:, :, None] & is_after[:, None, :] & beside & apart
+    length = jnp.where(meant, length, jnp.inf)
     least = jnp.min(length, axis=(1, 2), keepdims=True)
     chord = (ends[0] + ends[1]) / 2, jnp.arctan2(outward[:, 1], outward[:, 0]), jnp.hypot(*along.T)
     weight = jnp.where(length < least + 6 * ALIKE_M, jnp.exp(-(length - least) / ALIKE_M), 0)
