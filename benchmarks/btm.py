@@ -21,7 +21,7 @@ from jexplore.tracemap.similarity import code
 
 STILL = Noise(attitude_deg=0, odometry=0, heading_deg_sqrt_m=0, slip=0)
 PARTS = ("repeat", "ablation", "stairs", "place", "robots", "buildings", "courses", "speed")
-BUILDINGS = ("office", "hospital", "rooms", "cave", "maze")
+BUILDINGS = ("rooms", "office", "hospital", "maze", "cave")
 WORKERS = os.cpu_count() or 1
 
 

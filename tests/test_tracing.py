@@ -2,11 +2,13 @@
 
 import json
 
+import numpy as np
 import pandas as pd
 import pytest
 from PIL import Image
 
 from jexplore.cli import main
+from jexplore.config import InputError
 from jexplore.driving import batch
 from jexplore.report import trace_tables
 from jexplore.studies.traces import extraction, job, tracing
@@ -139,3 +141,28 @@ def test_divergences_are_matched_by_place_and_degree():
     assert extraction.matched(whole(at(0, 0.15, 3), at(1, 5.0, 3)), true, 0.1) == (1, 2, 2)
     assert extraction.matched(whole(at(0, 0.25, 3)), true, 0.1) == (0, 1, 2)
     assert extraction.matched(true, true, 0.1) == (2, 2, 2)
+
+
+def test_starts_are_drawn_and_a_run_is_held_against_a_topology_only_from_its_start():
+    plan = job.prepare_trace("course#3", starts=3, seed=4)
+    own = job.prepare_trace("course#3", runs=2)
+    assert (plan.runs, len(plan.begins), own.runs, len(own.begins)) == (3, 3, 2, 1)
+    assert len({tuple(pose) for pose in plan.begins.tolist()}) == 3
+    assert plan.starts_of(np.array([0, 1, 3])).tolist() == plan.begins[[0, 1, 0]].tolist()
+    assert plan.topology is None
+    assert own.topology is own.world.course.topology
+    again = job.prepare_trace("course#3", starts=2, runs=5, seed=4)
+    assert again.begins.tolist() == plan.begins[:2].tolist()
+    assert again.runs == 5
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ({"starts": 0}, "starts must be an integer"),
+        ({"starts": 2, "start": (2.5, 27.0, 0.0)}, "start and starts exclude each other"),
+    ],
+)
+def test_wrong_starts_are_refused(options, says):
+    with pytest.raises(InputError, match=says):
+        job.prepare_trace("course", **options)

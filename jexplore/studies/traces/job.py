@@ -16,6 +16,7 @@ from jexplore.driving.mission import SIZE
 from jexplore.driving.settings import ROBOTS, WHOLE, Noise, Robot, Tuning, require_noise, require_robot, require_tuning
 from jexplore.studies import checks
 from jexplore.studies.traces.truth import Truth, truth_of
+from jexplore.tracemap.record import BtmMap
 from jexplore.worlds.starts import draw_starts
 from jexplore.worlds.world import World
 
@@ -53,6 +54,14 @@ class TraceJob:
     def first_settings(self) -> tuple[Any, Tuning, Noise]:
         """Robot, thresholds and noise of run 0: `(Robot, Tuning, Noise)`."""
         return self.robot, *with_values(self.tuning, self.noise, own_values(self.swept, 0))
+
+    @property
+    def topology(self) -> BtmMap | None:
+        """The true map of a course, where all runs begin at its start; else None."""
+        course = self.world.course
+        if course is None or not np.allclose(self.begins, pose_in(self.world, course.start_pose)):
+            return None
+        return course.topology
 
     def starts_of(self, runs: np.ndarray) -> np.ndarray:
         """Where runs of these numbers begin: `[n, 3]` float32."""

@@ -13,6 +13,7 @@ import numpy as np
 from jexplore import btm
 from jexplore.driving import batch, vehicle
 from jexplore.driving.batch import Driven, numbers_of, outcome_names
+from jexplore.driving.behaviour import RunMode
 from jexplore.engine.runner import Costs
 from jexplore.report import store
 from jexplore.report.ledger import Ledger
@@ -49,9 +50,8 @@ class Traced:
 
     @property
     def truth(self) -> BtmMap | None:
-        """The topology of a course, a `BtmMap`; None for other worlds."""
-        course = self.plan.world.course
-        return None if course is None else course.topology
+        """The true map, a `BtmMap`: see `TraceJob.topology`."""
+        return self.plan.topology
 
 
 def blocks_of(plan: TraceJob) -> list[tuple[int, int]]:
@@ -227,6 +227,16 @@ def map_of(plan: TraceJob, result: Any, i: int) -> BtmMap:
     return btm.to_map(own, origin_m=plan.world.origin_m, **about)
 
 
+def _helps(help_at, origin_m):
+    """Where, when and in which run mode the operator helped, of the first helps: text."""
+    rows = help_at[np.isfinite(help_at[:, 0])]
+    told = []
+    for x, y, step, mode in rows:
+        place = f"({x + origin_m[0]:.2f}, {y + origin_m[1]:.2f}) m"
+        told.append(f"{place} at {step * vehicle.DT_S:.0f} s, {RunMode(int(mode)).name}")
+    return "; ".join(told)
+
+
 def table_of(plan: TraceJob, result: Any, setting: Any, which: Any, chosen: dict[str, Any]) -> tuple[Any, list[BtmMap]]:
     """The table of runs that have ended, and the maps of all.
 
@@ -240,8 +250,7 @@ def table_of(plan: TraceJob, result: Any, setting: Any, which: Any, chosen: dict
 
     maps = [map_of(plan, result, i) for i in range(len(which))]
     codes = [code(found) for found in maps]
-    course = plan.world.course
-    truth = None if course is None else code(course.topology)
+    truth = None if plan.topology is None else code(plan.topology)
     marks, is_door = result.met[:, : len(plan.truth.marks)], plan.truth.is_door
     node_at = result.node_at + np.asarray(plan.world.origin_m)
     slopes = [[n.inclination_deg for n in m.nodes if n.inclination_deg is not None] for m in maps]
@@ -260,6 +269,7 @@ def table_of(plan: TraceJob, result: Any, setting: Any, which: Any, chosen: dict
             "contacts": result.contacts,
             "refused": result.refused,
             "interventions": result.interventions,
+            "helped_at": [_helps(of_run, plan.world.origin_m) for of_run in result.help_at],
             "junctions": int((~is_door).sum()),
             "junctions_reached": marks[:, ~is_door].sum(axis=1),
             "doors": int(is_door.sum()),
