@@ -191,7 +191,7 @@ def courses(runs):
     head("courses", "runs", "the true map", "not always")
     kinds = {
         "course#1 to #30": [f"course#{seed}" for seed in range(1, 31)],
-        "furnished #0 to #20": [f"course#{seed}:furniture=1" for seed in range(21)],
+        "furnished #0 to #20": [f"course#{seed}:furniture=true" for seed in range(21)],
         "1.2 to 3.0 m wide": [f"course:width_m={width:g}" for width in (1.2, 1.6, 2.4, 2.8, 3.0)],
     }
     each = max(3, runs // 300)

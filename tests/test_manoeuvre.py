@@ -30,7 +30,7 @@ def of(*xy):
     """A `Surround` of some points `(x, y)`."""
     out = np.full((2, SECTORS), INF, np.float32)
     out[:, : len(xy)] = np.reshape(xy, (-1, 2)).T
-    return Surround(*jnp.asarray(out))
+    return Surround(*out)
 
 
 def driven(now, around=None, ways=FREE, pose=HERE, bearing=0.0, turning=0, touched=False):
@@ -55,7 +55,6 @@ def along_x(metres):
     return gone(*[(x, 0, 0) for x in np.arange(-metres, 0.001, 0.05)])
 
 
-AT_REST = manoeuvre.at_rest(jnp.zeros(3))
 SIDES = [(0.0, 0.22), (0.0, -0.22)]  # as near as that the robot does not turn a step
 
 
@@ -83,7 +82,7 @@ def test_a_pose_is_remembered_after_some_way_and_no_turn_in_place(pose, is_kept)
 
 
 def test_nothing_is_remembered_while_the_robot_goes_back():
-    after = _remembered(AT_REST.replace(backing=jnp.bool_(True)), jnp.array([1.0, 0.0, 0.0]))
+    after = _remembered(gone(HERE).replace(backing=jnp.bool_(True)), jnp.array([1.0, 0.0, 0.0]))
     assert int(after.length) == 1
     assert not after.trail.any()
 
@@ -200,7 +199,7 @@ def test_without_room_to_turn_the_robot_goes_back_the_way_it_came(bearing):
 
 @pytest.mark.parametrize("more", [{"bearing": 2.0, "around": of(*SIDES)}, {"touched": True}])
 def test_with_nothing_on_the_trail_it_does_not_go_back(more):
-    after, v, _ = driven(AT_REST, **more)
+    after, v, _ = driven(gone(HERE), **more)
     assert not after.backing
     assert v >= 0
     assert driven(along_x(0.05), **more)[0].backing
@@ -241,6 +240,37 @@ def test_what_was_touched_is_left_by_the_least_way_back():
     assert (np.diff(xs) <= 0).all()
     assert BACK_M - 1e-6 <= -xs[-1] < BACK_M + TUNING.speed_m_s * DT_S + 1e-6
     assert v == pytest.approx(TUNING.speed_m_s)  # and on it goes
+
+
+@pytest.mark.parametrize("left_m", [0.1, -0.1])
+def test_going_back_it_comes_over_to_the_trail(left_m):
+    """It stands beside its trail, heading alike, with a wall on either side too near to turn."""
+    now = gone(*[(x, left_m, 0) for x in np.arange(-2, 0.001, 0.05)]).replace(backing=jnp.bool_(True))
+    pose = np.zeros(3)
+    for _ in range(40):
+        now, v, omega = driven(now, of((0, 0.45 - pose[1]), (0, -0.45 - pose[1])), pose=pose)
+        pose = exact(pose, v, omega)
+    assert pose[0] < -0.7
+    assert pose[1] == pytest.approx(left_m, abs=0.04)
+    assert abs(pose[2]) < 0.15
+
+
+@pytest.mark.parametrize("side", [1, -1])
+def test_a_robot_that_touches_a_wall_leads_away_from_it(side):
+    """Half a centimetre beside it and along its whole length: neither the plan nor straight back gets free of it."""
+    rear = [(x, side * 0.2) for x in np.arange(-0.5, 0.36, 0.05)]
+    now = along_x(1.0).replace(backing=jnp.bool_(True))
+    pose = np.zeros(3)
+    for _ in range(8):
+        offset = np.array(rear) - pose[:2]
+        cos, sin = math.cos(pose[2]), math.sin(pose[2])
+        seen = np.stack([offset @ [cos, sin], offset @ [-sin, cos]], axis=1)
+        now, v, omega = driven(now, of(*seen), pose=pose)
+        pose = exact(pose, v, omega)
+    # The corner of its outline that is nearest to the wall has come away from it.
+    corners = [(x, y) for x in (-0.35, 0.35) for y in (-0.195, 0.195)]
+    aside = [side * (pose[1] + math.sin(pose[2]) * x + math.cos(pose[2]) * y) for x, y in corners]
+    assert 0.2 - max(aside) > 0.005
 
 
 def lines(*segments):

@@ -17,7 +17,9 @@ pytestmark = pytest.mark.jit
 NAN, INF = math.nan, math.inf
 SEEDS = 30
 match = jax.jit(matching.match)
-match_all = jax.jit(jax.vmap(matching.match, in_axes=(0, 0, None)))
+match_all = jax.jit(
+    jax.vmap(lambda before, after, guess: matching.match(before, after, guess, guess)[0], in_axes=(0, 0, None))
+)
 
 
 def box(x0, y0, x1, y1):
@@ -40,7 +42,7 @@ def scans(walls, pose, motion):
 
 
 def matched(before, after, guess):
-    return np.asarray(match(*(jnp.asarray(a, jnp.float32) for a in (before, after, guess))), float)
+    return np.asarray(match(*(jnp.asarray(a, jnp.float32) for a in (before, after, guess, guess)))[0], float)
 
 
 def off(found, motion):
@@ -162,7 +164,7 @@ def test_walls_and_encoders_are_weighed_by_their_variances():
     before = np.full(BEAMS, NAN)
     beams = np.arange(BEAMS // 2 - 20, BEAMS // 2 + 21)
     before[beams] = 2 / np.cos(ANGLES_RAD[beams])
-    guess = 0.1
+    guess = 0.04  # of more the match would be none
     doubt = DOUBT_M + DOUBT * guess
     # The points are symmetric about the axis: what is ahead does not mix with the turn.
     walls = len(beams) / matching.RANGE_SD_M**2
@@ -188,3 +190,57 @@ def test_the_turn_is_weighed_likewise(turn):
     want = error * doubt**-2 / (doubt**-2 + np.sum(y**2) / matching.RANGE_SD_M**2)
     found = matched(before, after, (0, 0, turn + error))
     assert found[2] - turn == pytest.approx(want, rel=0.1)
+
+
+# ---------------------------------------------------------------- the scan with which others are matched
+
+PUT_RIGHT = jax.jit(matching.put_right)
+
+
+def driven(walls, poses, odometry, key=None):
+    """`(key, odometry)` after some poses, of which the encoders say others."""
+    key = matching.at_start(jnp.asarray(odometry[0], jnp.float32)) if key is None else key
+    now = jnp.asarray(odometry[0], jnp.float32)
+    keys = []
+    for i, pose in enumerate(poses):
+        if i:
+            now = now + jnp.asarray(np.subtract(odometry[i], odometry[i - 1]), jnp.float32)
+        key, now, _ = PUT_RIGHT(key, now, now, jnp.asarray(cast(walls, pose, ANGLES_RAD, RANGE_M)))
+        keys.append(np.asarray(key.pose).tolist())
+    return keys, np.asarray(now)
+
+
+def test_one_scan_serves_for_a_metre():
+    poses = [(0.21 * i - 1.5, 0.0, 0.0) for i in range(13)]
+    keys, _ = driven(ROOM, poses, poses)
+    assert sorted({round(key[0], 1) for key in keys}) == pytest.approx([-1.5, -0.45, 0.6], abs=0.1)  # every 1.05 m
+
+
+def test_encoders_that_measure_too_much_are_put_right_on_the_way():
+    """By 10 % of the way and of every turn."""
+    poses = [(0.2 * i - 1.5, 0.1, 0.1 * i) for i in range(13)]
+    said = [(1.1 * (x + 1.5) - 1.5, y, 1.1 * turn) for x, y, turn in poses]
+    _, found = driven(ROOM, poses, said)
+    assert np.hypot(*np.subtract(found[:2], poses[-1][:2])) < 0.03
+    assert abs(math.degrees(found[2] - poses[-1][2])) < 1
+    assert np.hypot(*np.subtract(said[-1][:2], poses[-1][:2])) > 0.2
+
+
+def test_a_match_far_from_what_the_encoders_say_is_none():
+    """Ten degrees off after no turn at all: the walls are others."""
+    before, after = scans(ROOM, POSES[0], (0.0, 0.0, math.radians(10)))
+    guess = jnp.asarray([0.2, 0, 0], jnp.float32)
+    found, share = match(jnp.asarray(before, jnp.float32), jnp.asarray(after, jnp.float32), guess, guess)
+    assert found.tolist() == guess.tolist()
+    assert float(share) == 0
+
+
+def test_where_much_else_is_seen_the_next_scan_is_matched_with_the_last_one():
+    poses = [(-1.5, 0.0, 0.0), (-1.3, 0.0, 0.0)]
+    keys, _ = driven(ROOM, poses, poses)
+    assert keys[1] == keys[0]
+    key = matching.at_start(jnp.zeros(3))
+    key, now, _ = PUT_RIGHT(key, jnp.zeros(3), jnp.zeros(3), jnp.asarray(cast(ROOM, poses[0], ANGLES_RAD, RANGE_M)))
+    other = jnp.asarray(cast(box(-9, -0.4, 0.7, 6), poses[0], ANGLES_RAD, RANGE_M))
+    key, _, _ = PUT_RIGHT(key, now + jnp.array([0.2, 0, 0]), now, other)
+    assert key.pose.tolist() == pytest.approx([0.2, 0, 0])

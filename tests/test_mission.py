@@ -15,6 +15,7 @@ from jexplore.driving.batch import building_of, numbers_of, pose_in
 from jexplore.driving.behaviour import RunMode
 from jexplore.driving.mission import Outcome
 from jexplore.driving.settings import ROBOTS, Noise, Tuning
+from jexplore.driving.terrain import FINER
 from jexplore.driving.vehicle import DT_S
 from jexplore.extraction.extract import extract
 from jexplore.studies.traces import job, tracing
@@ -337,7 +338,9 @@ def test_a_step_without_jit_is_the_step_with_and_uses_no_key_twice(noisy, jit_on
 def test_a_building_keeps_the_worlds_measures():
     world = load_world("course", 0.1)
     building = building_of(world, world.course.goal_m, np.array([[2.5, 27, 0.5]]))
-    assert building.walls.x.shape == building.walls.y.shape == (16, 3)
+    assert building.walls.x.shape == building.walls.y.shape == (32, 3)
+    assert building.terrain.height_m.shape == (FINER * 512, FINER * 512)  # likewise
+    assert building_of(load_world("rooms", 0.1)).terrain.height_m.shape == (2, 2)  # level
     assert building.marks.shape == (64, 3)  # padded, so that buildings share programs
     assert building.marks[0].tolist() == pytest.approx([2.5, 27, 0.5])
     assert (building.marks[1:, :2] < -1e5).all()  # where nobody comes

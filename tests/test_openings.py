@@ -6,6 +6,7 @@ import math
 import jax
 import numpy as np
 import pytest
+from ref.passages import FEATURES, WIDTHS_M, building
 
 from jexplore.driving import vehicle, walls
 from jexplore.driving.sensing import openings, surround
@@ -15,11 +16,6 @@ from jexplore.driving.vehicle import ANGLES_RAD, RANGE_M
 pytestmark = pytest.mark.jit
 
 TUNING = Tuning()
-WIDTHS_M = (1.2, 2.0, 2.4)
-CELL_M = 0.1
-ARM_M = 6.0
-SLOTS = 32
-EAST, NORTH, WEST, SOUTH = 0.0, math.pi / 2, math.pi, -math.pi / 2
 
 
 K = 8
@@ -99,12 +95,14 @@ def test_of_one_direction_the_nearest_point_counts():
 
 
 def test_a_wall_farther_in_does_not_divide_an_opening():
-    corners = polar([-135, -45, 45, 135])
-    for distance, n in ((1.1, 5), (1.2, 4), (1.6, 4)):
-        stray = np.concatenate([corners, polar([0, 2], distance)])
-        bearings, widths, _ = ways_out(stray, radius_m=1.0, circle=1.5)
-        assert len(bearings) == n, distance
-        assert max(widths) == pytest.approx(math.sqrt(2), abs=1e-5)
+    """Unless the gaps that it leaves are as narrow as doors: those of the smaller place of the same shape are."""
+    for scale, near in ((2, 4), (1, 5)):
+        corners = polar([-135, -45, 45, 135], scale)
+        for distance, n in ((1.1, 5), (1.2, near), (1.6, 4)):
+            stray = np.concatenate([corners, polar([0, 2], scale * distance)])
+            bearings, widths, _ = ways_out(stray, radius_m=scale, circle=1.5)
+            assert len(bearings) == n, distance
+            assert max(widths) == pytest.approx(scale * math.sqrt(2), abs=1e-5)
     far = np.concatenate([polar([angle], 1.3 + angle / 2000) for angle in (-120, 0, 120)])  # none comes nearer
     assert len(ways_out(far, radius_m=1.0, circle=1.5)[0]) == 3
     # A wall that leads from near to far is one.
@@ -242,38 +240,30 @@ def test_a_door_bears_as_its_passage_does_if_it_is_seen_nearly_so():
     assert np.abs(found[:, 1]) == pytest.approx([180, 180], abs=1.5)
 
 
+def test_a_door_counts_however_far_the_wall_behind_it_is():
+    """A hall's circle of 2 m touches its east wall; the door in that lies aside, the wall beyond it 2.5 m away.
+
+    Seen from the middle, what lies beyond the door is far away. Where it is the corner of the hall, it is none.
+    """
+    y = np.arange(-3.0, 3.0, 0.03)
+    wall = np.stack([np.full(len(y), 2.0), y], axis=1)
+    west = np.stack([np.full(len(y), -2.0), y], axis=1)
+    south = np.stack([np.arange(-2, 2, 0.03), np.full(134, -2.0)], axis=1)
+    door = wall[(y < 0.4) | (y > 1.4)]
+    beyond = np.stack([np.full(90, 6.0), np.linspace(0.5, 5, 90)], axis=1)
+    found, widths = doors_of(np.concatenate([door, west, south, beyond]), radius_m=2.0)
+    assert len(found) == 2  # the door, and the hall to the north
+    assert found[0, 1:] == pytest.approx([0, 2, 0.9], abs=0.1)
+    assert widths[0] == pytest.approx(1, abs=0.1)
+    assert len(ways_out(np.concatenate([wall, west, south]), radius_m=2.0)[0]) == 1
+
+
 def test_of_more_doors_than_fit_the_rest_is_counted():
     found = openings_of(room(3.0, -0.9, 0.9), radius_m=1.5, size=1)
     assert (int(found.valid.sum()), int(found.overflow)) == (1, 1)
 
 
 # ---------------------------------------------------------------- every divergence
-
-
-def building(arms, width_m):
-    """Passages of a width from a crossing outwards: `(walls, crossing of the axes)`."""
-    n, arm = round(width_m / CELL_M), round(ARM_M / CELL_M)
-    size = 2 * arm + n
-    occupied = np.ones((size, size), bool)
-    mid, low, high = slice(arm, arm + n), slice(1, arm + n), slice(arm, size - 1)
-    ways = {"w": (mid, low), "e": (mid, high), "s": (low, mid), "n": (high, mid)}
-    for arm_to in arms:
-        occupied[ways[arm_to]] = False
-    middle = size * CELL_M / 2
-    return walls.walls_of(occupied, CELL_M, multiple=SLOTS), np.array([middle, middle])
-
-
-# Where the circle's centre lies and how large it is, in widths from the crossing of the axes, coming from the west.
-CORNER = 0.5 - 1 / (1 + math.sqrt(0.5))  # 0.586 widths from both outer walls
-FEATURES = {
-    "dead end": ("w", (0, 0), 0.5, [WEST]),
-    "left corner": ("wn", (CORNER, -CORNER), 0.5 - CORNER, [WEST, NORTH]),
-    "right corner": ("ws", (CORNER, CORNER), 0.5 - CORNER, [SOUTH, WEST]),
-    "T from the stem": ("wns", (-1 / 8, 0), 5 / 8, [SOUTH, NORTH, WEST]),
-    "T from the side, left": ("wen", (0, 1 / 8), 5 / 8, [EAST, NORTH, WEST]),
-    "T from the side, right": ("wes", (0, -1 / 8), 5 / 8, [SOUTH, EAST, WEST]),
-    "crossing": ("wesn", (0, 0), math.sqrt(0.5), [SOUTH, EAST, NORTH, WEST]),
-}
 
 
 @jax.jit

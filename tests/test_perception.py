@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from ref.passages import CORNER, EAST, FEATURES, NORTH, WIDTHS_M, building
 
 from jexplore.driving import terrain, vehicle, walls
 from jexplore.driving.events import SCAN_POINTS
@@ -18,11 +19,6 @@ from jexplore.driving.vehicle import ANGLES_RAD, BEAM_SPACING_RAD, BEAMS, RANGE_
 pytestmark = pytest.mark.jit
 
 TUNING = Tuning()
-WIDTHS_M = (1.2, 2.0, 2.4)
-CELL_M = 0.1
-ARM_M = 6.0
-SLOTS = 32
-EAST, NORTH, WEST, SOUTH = 0.0, math.pi / 2, math.pi, -math.pi / 2
 KAMUI = ROBOTS["kamui"]
 TEN = math.radians(10)
 INF = math.inf
@@ -353,19 +349,6 @@ def test_up_to_the_far_bound_neighbouring_beams_lie_closer_than_an_opening(wall_
 # ---------------------------------------------------------------- divergences
 
 
-def building(arms, width_m):
-    """Passages of a width from a crossing outwards: `(walls, crossing of the axes)`."""
-    n, arm = round(width_m / CELL_M), round(ARM_M / CELL_M)
-    size = 2 * arm + n
-    occupied = np.ones((size, size), bool)
-    mid, low, high = slice(arm, arm + n), slice(1, arm + n), slice(arm, size - 1)
-    ways = {"w": (mid, low), "e": (mid, high), "s": (low, mid), "n": (high, mid)}
-    for arm_to in arms:
-        occupied[ways[arm_to]] = False
-    middle = size * CELL_M / 2
-    return walls.walls_of(occupied, CELL_M, multiple=SLOTS), np.array([middle, middle])
-
-
 @jax.jit
 def look_from(walls_, pose, tuning, noise_m):
     """`(divergence, centres in the world)`."""
@@ -387,19 +370,6 @@ def seen_from(place, x, y, heading=EAST, tuning=TUNING, noise_m=QUIET):
     valid = np.asarray(found.valid)
     assert int(found.overflow) == 0
     return np.asarray(centre)[valid] - middle, np.asarray(found.radius)[valid]
-
-
-# Where the circle's centre lies and how large it is, in widths from the crossing of the axes, coming from the west.
-CORNER = 0.5 - 1 / (1 + math.sqrt(0.5))  # 0.586 widths from both outer walls
-FEATURES = {
-    "dead end": ("w", (0, 0), 0.5, [WEST]),
-    "left corner": ("wn", (CORNER, -CORNER), 0.5 - CORNER, [WEST, NORTH]),
-    "right corner": ("ws", (CORNER, CORNER), 0.5 - CORNER, [SOUTH, WEST]),
-    "T from the stem": ("wns", (-1 / 8, 0), 5 / 8, [SOUTH, NORTH, WEST]),
-    "T from the side, left": ("wen", (0, 1 / 8), 5 / 8, [EAST, NORTH, WEST]),
-    "T from the side, right": ("wes", (0, -1 / 8), 5 / 8, [SOUTH, EAST, WEST]),
-    "crossing": ("wesn", (0, 0), math.sqrt(0.5), [SOUTH, EAST, NORTH, WEST]),
-}
 
 
 def test_the_formulas():
@@ -471,7 +441,7 @@ def test_circles_as_large_as_free_space_are_left_out():
 def test_where_points_are_few_neighbours_on_a_wall_make_no_side():
     """12 points of 7 m of wall are 0.6 m apart, more than the least opening."""
     xy, valid = points_of([(-9, 1, 9, 1), (-9, -1, 9, -1)])
-    bounds = {"near_m": 0.3, "far_m": 4.0, "width_m": 0.39, "obtuse_tol_deg": 10.0, "open_m": 2.5}
+    bounds = {"far_m": 4.0, "width_m": 0.39, "obtuse_tol_deg": 10.0, "open_m": 2.5}
     found = jax.jit(perception.divergences, static_argnames="size")(xy, valid, **bounds, size=16)
     assert not np.asarray(found.valid).any()
 
@@ -523,17 +493,6 @@ def test_every_triangle_keeps_to_its_bounds():
             assert (np.hypot(*triangle.T) < TUNING.far_m).all()
             n_kept += 1
     assert n_kept > 20
-
-
-@pytest.mark.parametrize("near_m", [-4.0, 0.3, 0.8])
-def test_points_nearer_than_the_near_bound_make_no_triangle(near_m):
-    """From 1.8 m before the middle of a T 2 m wide, whose near corners lie 0.8 m ahead."""
-    xy, valid = points_of([(-9, 1, 0.8, 1), (-9, -1, 0.8, -1), (0.8, 1, 0.8, 9), (0.8, -1, 0.8, -9), (2.8, -9, 2.8, 9)])
-    bounds = {"far_m": 4.0, "width_m": 0.39, "obtuse_tol_deg": 10.0, "open_m": 2.5, "size": SCAN_POINTS}
-    found = jax.jit(perception.divergences, static_argnames="size")(xy, valid, near_m=near_m, **bounds)
-    corners = np.asarray(found.corners)[np.asarray(found.valid)]
-    assert (len(corners) > 0) == (near_m < 0.8)
-    assert (corners[..., 0] > near_m).all()
 
 
 # ---------------------------------------------------------------- room for a circle

@@ -55,8 +55,8 @@ def test_a_pillar_has_four_sides_and_a_niche_interrupts_a_wall():
 
 def test_a_map_without_free_cells_has_no_walls():
     walls = walls_of(np.ones((3, 4), bool), 0.1)
-    np.testing.assert_array_equal(walls.x, by_hand([], 16))
-    np.testing.assert_array_equal(walls.y, by_hand([], 16))
+    np.testing.assert_array_equal(walls.x, by_hand([], 32))
+    np.testing.assert_array_equal(walls.y, by_hand([], 32))
     assert segments(walls).shape == (0, 4)
     assert np.isinf(cast(walls, (0.2, 0.2, 0.3), QUARTERS, 9.0)).all()
 

@@ -17,6 +17,7 @@ from jexplore.arrays.loops import run_if
 from jexplore.driving import behaviour
 from jexplore.driving.behaviour import Drive, Latch, RunMode, Track
 from jexplore.driving.events import Ahead, triangles
+from jexplore.driving.mapping import has_left
 from jexplore.driving.sensing import surround
 from jexplore.driving.sensing.surround import Surround
 from jexplore.driving.settings import Robot, Tuning
@@ -107,10 +108,12 @@ def latched(
         out=jnp.where(begins, state.estimate[2], drive.out),
         known=jnp.where(ends, look.back, drive.known & ~begins),
         since=jnp.where((latch == drive.latch) & (latch != Latch.FREE), drive.since + 1, 0),
-        tries=drive.tries + (ends & look.goes_on),
+        surveys=drive.surveys + (ends & look.goes_on),
         looked_m=jnp.where(ends, state.odometer_m, drive.looked_m),
     )
-    return Latched(after, look.track, begins, arrives, too_late | none)
+    gives_up = too_late | none
+    left = jax.tree.map(lambda fresh, old: jnp.where(gives_up, fresh, old), behaviour.no_track(), look.track)
+    return Latched(after, left, begins, arrives, gives_up)
 
 
 def _look_ends(state, track, ends, around, ways_m, placed, tuning, robot):
@@ -121,11 +124,12 @@ def _look_ends(state, track, ends, around, ways_m, placed, tuning, robot):
         lambda _: _surveyed(track, around, ways_m, placed, tuning, robot),
         (track, jnp.bool_(False), jnp.bool_(False)),
     )
-    may_go = drive.tries < SURVEYS
+    may_go = drive.surveys < SURVEYS
     better &= ~had | may_go
-    # A place in the circle of a node is that node: it is looked at from its middle.
+    # A place in the circle of a node is that node, if it is not the one just left: it is looked at from its middle.
     node, off_m = btm.nearest_node(map_, track.centre[0], track.centre[1], btm.DIVERGENCE)
     back = ends & ~better & had & there_is & ~drive.known & may_go
+    back &= (node != state.writer.node) | has_left(state.writer, state.odometer_m, tuning.leave_m)
     back &= (off_m > tuning.arrive_m) & (off_m < jnp.maximum(track.radius, 0.5))
     middle = jnp.where(back, jnp.stack([map_.x_m[node], map_.y_m[node]]), track.centre)
     kept = track.replace(centre=middle)

@@ -27,7 +27,6 @@ from jexplore.worlds.world import World
 MAX_STEPS = 6000
 NO_RUN = -1  # number of a run that none has
 MARKS = 64  # places to be at are padded to multiples of this, likewise
-MULTIPLE = 64  # sides of the ground are padded to multiples of this, so that similar buildings share a program
 
 _Settings = TypeVar("_Settings", Robot, Tuning, Noise)
 
@@ -60,9 +59,10 @@ def building_of(world: World, goal_m: tuple[float, float] | None = None, marks_m
     Returns:
       `Building` of numpy arrays, padded; its cell (0, 0) begins at (0, 0).
     """
-    height, width = world.shape
-    pad = [(0, -n % MULTIPLE) for n in (height, width)]
-    elevation = None if world.elevation is None else np.pad(world.elevation, pad, mode="edge")
+    elevation = world.elevation
+    if elevation is not None and np.any(elevation):  # a square, so that similar buildings share a program
+        side = 1 << (max(world.shape) - 1).bit_length()
+        elevation = np.pad(elevation, [(0, side - n) for n in world.shape], mode="edge")
     x_m, y_m = world.origin_m
     goal = (np.nan, np.nan) if goal_m is None else (goal_m[0] - x_m, goal_m[1] - y_m)
     marks = np.zeros((0, 3)) if marks_m is None else np.asarray(marks_m) - [x_m, y_m, 0]

@@ -188,7 +188,7 @@ class Drive:
     looked: Array  # float32, radians turned while looking round
     looked_m: Array  # float32, odometer when the robot last did
     known: Array  # bool, the place that is approached is a node, met again
-    tries: Array  # int32, places that it has gone to since the last node, each better than the one before
+    surveys: Array  # int32, places that it has gone to since the last node, each better than the one before
     turning: Array  # int32, side to which a dead end turns the robot: 1 left, -1 right, 0 none
     left_m: Array  # float32, last distance of a wall on the left within C1
     right_m: Array  # float32, likewise on the right
@@ -205,7 +205,7 @@ def at_rest() -> Drive:
         looked=jnp.float32(0),
         looked_m=jnp.float32(-jnp.inf),
         known=jnp.bool_(False),
-        tries=jnp.int32(0),
+        surveys=jnp.int32(0),
         turning=jnp.int32(0),
         left_m=jnp.float32(1),
         right_m=jnp.float32(1),

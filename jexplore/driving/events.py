@@ -28,6 +28,7 @@ GOAL_M = 0.5  # a run ends within this of its goal
 LOOK_M = 0.30  # of the profile ahead, in which a robot finds that it cannot climb
 RECENT = 64  # steps whose profile is looked at for that
 SURE = 3  # steps in a row that it finds so
+ALONG = 0.7  # cosine of the angle between a robot's heading and a link along which it drives, at least
 
 
 class Walls(NamedTuple):
@@ -137,7 +138,6 @@ def triangles(xy: Array, valid: Array, wall_m: Array | float, tuning: Tuning) ->
     return perception.divergences(
         xy,
         valid,
-        near_m=-far_m,
         far_m=far_m,
         width_m=tuning.width_m,
         obtuse_tol_deg=tuning.obtuse_tol_deg,
@@ -148,7 +148,7 @@ def triangles(xy: Array, valid: Array, wall_m: Array | float, tuning: Tuning) ->
 
 def _watch(state, writer, xy, valid, wall_m, placed, tuning):
     """Looks for triangles, in every `EVERY`-th step: `(track, overflow)`."""
-    approaches = state.drive.latch == Latch.APPROACH
+    approaches, turns = state.drive.latch == Latch.APPROACH, state.drive.latch == Latch.LOOK
     # Once the robot is in the circle that it approaches, a wall that the circle touches lies beside or behind it.
     is_in = approaches & (jnp.hypot(*(state.track.centre - state.estimate[:2])) < state.track.radius)
 
@@ -160,7 +160,7 @@ def _watch(state, writer, xy, valid, wall_m, placed, tuning):
 
     forgets = state.space.inside  # there are no divergences in free space
     track = jax.tree.map(lambda none, old: jnp.where(forgets, none, old), behaviour.no_track(), state.track)
-    looks = (state.step % EVERY == 0) & ~is_in & ~state.space.inside
+    looks = (state.step % EVERY == 0) & ~is_in & ~turns & ~state.space.inside
     return run_if(looks, looked, (track, jnp.int32(0)))
 
 
@@ -193,11 +193,24 @@ def _cannot_climb(way, robot, state):
 
 
 def _passes_start(state):
-    """Whether the robot has come by the node where it started since it was at another one."""
+    """Whether the robot has come by the node where it started since it was at another one, along its link.
+
+    A start in the circle of a divergence is on no link.
+    """
     map_ = state.writer.map
     place = to_robot(state.estimate)(jnp.stack([map_.x_m[0], map_.y_m[0]]))
+    along = jnp.abs(jnp.cos(state.estimate[2] - map_.start_bearing[0])) > ALONG
+    within = jnp.hypot(map_.x_m - map_.x_m[0], map_.y_m - map_.y_m[0]) < map_.radius_m
+    on_link = ~jnp.any(within & (map_.kind == btm.DIVERGENCE)) & (state.drive.latch != Latch.LOOK)
     gone_m = state.odometer_m - state.writer.node_m
-    return (state.writer.node != 0) & (place[0] <= 0) & (jnp.hypot(*place) < SAME_NODE_M) & (gone_m > SAME_NODE_M)
+    return (
+        on_link
+        & along
+        & (state.writer.node != 0)
+        & (place[0] <= 0)
+        & (jnp.hypot(*place) < SAME_NODE_M)
+        & (gone_m > SAME_NODE_M)
+    )
 
 
 def due(state: Any, writer: Writer, ahead: Ahead, at_goal: Array, is_open: Array, arrives: Array) -> Event:

@@ -8,6 +8,7 @@ place the robot sweeps its outline over what it has seen; where that would touch
 from collections.abc import Callable
 from typing import ClassVar, Self
 
+import jax
 import jax.numpy as jnp
 from flax import struct
 from jax import Array
@@ -24,8 +25,10 @@ ASIDE_RAD = 1.0  # the robot goes straight back from a pose from which it has tu
 STOP_M = 0.25  # a direction is blocked whose way is no longer than this
 GO_M = 0.4  # another one is taken whose way is as long as this
 GLANCE_RAD = 0.2  # a turn is begun that can be gone on with for so long
+STEER, MOST_STEER_RAD = 3.0, 0.25  # it heads so far to the side for each metre that it is beside the trail
 BACK_M = 0.15  # the robot goes back so far at least
 MOST_BACK_M = 8.0
+LEAST_BACK_M = 0.005  # a step counts so much, turns too
 AHEAD_S = 0.2  # a step is looked at so far ahead
 SLACK_M = 0.01  # between a wall and the robot's outline after a step
 STICK = 0.3  # weight of the direction taken before
@@ -112,10 +115,10 @@ def drive(
     wanted = jnp.where(turning != 0, jnp.pi, jnp.abs(course))
 
     backing = _backs(now, around, robot, in_place, wanted, omega, touched)
-    back_v, back_omega, length = _back(now, around, robot, pose, speed)
+    back_v, back_omega, length = _back(now, around, robot, pose, speed, touched)
     after = now.replace(
         backing=backing,
-        backed_m=jnp.where(backing, now.backed_m + jnp.abs(back_v) * 0.1, 0),
+        backed_m=jnp.where(backing, now.backed_m + jnp.maximum(jnp.abs(back_v) * 0.1, LEAST_BACK_M), 0),
         length=jnp.where(backing, length, now.length),
         kept=jnp.where(backing, now.kept - (now.length - length), now.kept),
         avoiding=avoiding,
@@ -135,11 +138,16 @@ def _round(now, ways_m, pose, bearing, turning):
     return jnp.where(avoiding, jnp.asarray(DIRECTION)[best], bearing), avoiding
 
 
+def _room_m(around, robot, ahead_m, turn):
+    """How far the nearest point is outside the robot's outline after a short way, or inside if below 0, metres."""
+    xy, known = surround.points(surround.moved(around, ahead_m, jnp.float32(0), turn))
+    outside = jnp.maximum(jnp.abs(xy[:, 0]) - robot.length_m / 2, jnp.abs(xy[:, 1]) - robot.width_m / 2)
+    return jnp.min(jnp.where(known, outside, jnp.inf))
+
+
 def _meets(around, robot, ahead_m, turn):
     """Whether the robot's outline meets a point after a short way."""
-    xy, known = surround.points(surround.moved(around, ahead_m, jnp.float32(0), turn))
-    length, width = robot.length_m / 2 + SLACK_M, robot.width_m / 2 + SLACK_M
-    return jnp.any(known & (jnp.abs(xy[:, 0]) < length) & (jnp.abs(xy[:, 1]) < width))
+    return _room_m(around, robot, ahead_m, turn) < SLACK_M
 
 
 def _backs(now, around, robot, in_place, wanted, omega, touched):
@@ -154,23 +162,36 @@ def _backs(now, around, robot, in_place, wanted, omega, touched):
     return jnp.where(now.backing, ~enough, starts) & (now.kept > 1)
 
 
-def _back(now, around, robot, pose, speed):
+def _gets_free(speed):
+    """Short ways by which a robot that touches something may get away from it: `[K, 2]`, speed and turn rate."""
+    ways = [(v, omega) for v in (-0.5, 0.5) for omega in (0.0, -0.5, 0.5, -1.0, 1.0)] + [(0.0, -1.0), (0.0, 1.0)]
+    return jnp.asarray(ways) * jnp.stack([speed, jnp.ones_like(speed)])
+
+
+def _back(now, around, robot, pose, speed, touched):
     """Speed and turn rate to the pose before, and how many poses are left: `(v, omega, length)`.
 
-    Where that would touch, it goes straight back, or turns only, or goes ahead, whatever is free.
+    Where that would touch, it goes straight back, and where that would, by whatever leads farthest away.
     """
     goal = now.trail[(now.length - 1) % TRAIL]
     offset = goal[:2] - pose[:2]
     behind = -(offset[0] * jnp.cos(pose[2]) + offset[1] * jnp.sin(pose[2]))
     turn = wrapped(goal[2] - pose[2])
+    left = offset[1] * jnp.cos(pose[2]) - offset[0] * jnp.sin(pose[2])
     aside = jnp.abs(turn) > ASIDE_RAD
     v = jnp.where(aside, -speed / 2, -jnp.clip(behind / 0.1, 0, speed))
-    omega = jnp.where(aside, 0, jnp.clip(turn / 0.1, -1.0, 1.0))
-    near = (behind < TRAIL_M / 2) & (aside | (jnp.abs(turn) < TRAIL_RAD))
-    found, passes = (v, omega), jnp.bool_(True)
-    for other in reversed([(v, omega), (-speed / 2, 0.0), (0.0, omega), (speed / 2, 0.0)]):
-        free = ~_meets(around, robot, other[0] * AHEAD_S, other[1] * AHEAD_S)
-        found = tuple(jnp.where(free, one, two) for one, two in zip(other, found))
-        passes = jnp.where(free, other[0] != v, passes)
+    # Going back, it comes to the left by heading to the right.
+    steered = turn - jnp.where(v < 0, jnp.clip(STEER * left, -MOST_STEER_RAD, MOST_STEER_RAD), 0)
+    omega = jnp.where(aside, 0, jnp.clip(steered / 0.1, -1.0, 1.0))
+    near = (behind < TRAIL_M / 2) & (aside | (jnp.abs(turn) < TRAIL_RAD + MOST_STEER_RAD))
+    ways = jnp.concatenate([jnp.stack([jnp.stack([v, omega])]), _gets_free(speed)])
+    room_m = jax.vmap(lambda way: _room_m(around, robot, way[0] * AHEAD_S, way[1] * AHEAD_S))(ways)
+    # As planned, or straight back; where neither is free, by what leads farthest away; where the last step has met
+    # what is not seen, by one after the other.
+    free = room_m[:2] >= SLACK_M
+    best = jnp.where(jnp.any(free), jnp.argmax(free), jnp.argmax(room_m))
+    turn_of = (now.backed_m / LEAST_BACK_M).astype(jnp.int32) % (len(ways) - 2)
+    best = jnp.where(touched, 2 + turn_of, best)
+    found, passes = ways[best], best > 0
     near |= passes & (jnp.hypot(offset[0], offset[1]) < BACK_M)
-    return *found, jnp.where(near, now.length - 1, now.length)
+    return found[0], found[1], jnp.where(near, now.length - 1, now.length)

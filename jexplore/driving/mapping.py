@@ -23,6 +23,7 @@ EVEN_DEG = 1.0  # the robot stands evenly once its pitch has varied by less than
 EVEN_LENGTHS = 0.25  # over this way, in lengths of the robot: on a long robot a gentle slope comes slowly
 MEANT_STEPS = 5  # of which the width of a passage is the mean
 MEANT_M = 0.1  # as far as they are this near
+BEYOND_M = 0.05, 1.0  # a robot beyond an opening is no farther before it and behind it
 STEP_M = 0.04  # a rise of the profile by more than this within a cell's length is a step
 
 
@@ -173,6 +174,34 @@ def has_left(writer: Writer, odometer_m: Array | float, leave_m: Array | float) 
     """Whether the robot has gone twice as far as it takes to leave the last node: it may come back to it."""
     last = jnp.minimum(writer.node, writer.map.kind.shape[0] - 1)
     return odometer_m - writer.node_m >= 2 * (writer.map.radius_m[last] + leave_m)
+
+
+def came_from(writer: Writer, centre: Array, radius: Array) -> Array:
+    """Where the robot was last, since the last node, before it came into a circle; if it never was outside, where it
+    began to approach: `[2]` float32, odometry.
+    """
+    outside = jnp.hypot(*(writer.way.pose[:, :2] - centre).T) >= radius
+    last = jnp.max(jnp.where(outside & _since_node(writer), jnp.arange(outside.shape[0]), -1))
+    return jnp.where(last >= 0, writer.way.pose[last, :2], writer.entry)
+
+
+def came_through(writer: Writer, middles: Array, across: Array, width_m: Array) -> Array:
+    """The last step since the last node at which the robot was just beyond an opening: `[K]` int32, -1 for none.
+
+    Args:
+      writer: `Writer`.
+      middles, across, width_m: `[K, 2]`, `[K]`, `[K]` float32, of the openings, odometry: see `openings.Openings`.
+    """
+    offset = writer.way.pose[:, :2] - middles[:, None]  # [K, T, 2]
+    cos, sin = jnp.cos(across)[:, None], jnp.sin(across)[:, None]
+    out_m, aside_m = offset[..., 0] * cos + offset[..., 1] * sin, offset[..., 1] * cos - offset[..., 0] * sin
+    there = (out_m > -BEYOND_M[0]) & (out_m < BEYOND_M[1]) & (jnp.abs(aside_m) < width_m[:, None] / 2)
+    there &= _since_node(writer)
+    return jnp.max(jnp.where(there, jnp.arange(there.shape[1]), -1), axis=1)
+
+
+def _since_node(writer):
+    return jnp.isfinite(writer.way.odometer_m) & (writer.way.odometer_m >= writer.node_m)
 
 
 def is_near_known(writer: Writer, centres: Array, odometer_m: Array | float, leave_m: Array | float) -> Array:

@@ -23,6 +23,7 @@ from jexplore.driving.events import GOAL_M, due, look_ahead, walls_of_scan
 from jexplore.driving.manoeuvre import Manoeuvre
 from jexplore.driving.mapping import Writer
 from jexplore.driving.sensing import matching, surround
+from jexplore.driving.sensing.matching import Key
 from jexplore.driving.sensing.surround import Surround
 from jexplore.driving.settings import Noise, Robot, Tuning
 from jexplore.driving.vehicle import (
@@ -69,8 +70,7 @@ class State:
     estimate: Array  # [3] float32, odometry, corrected where a node is met again
     odometry: Array  # [3] float32, likewise without corrections
     around: Surround
-    key_m: Array  # [B] float32, scan with which the next ones are matched
-    key_pose: Array  # [3] float32, where it was taken, odometry without corrections
+    key: Key
     manoeuvre: Manoeuvre
     touched: Array  # bool, a wall has just refused a step
     odometer_m: Array  # float32
@@ -139,8 +139,7 @@ def at_start(setup: Setup, building: Building, robot: Robot, start: Array) -> St
         estimate=start,
         odometry=start,
         around=surround.unknown(),
-        key_m=jnp.full(BEAMS, jnp.nan),
-        key_pose=start + jnp.array([0.0, 0.0, 10.0]),
+        key=matching.at_start(start),
         manoeuvre=manoeuvre.at_rest(start),
         touched=jnp.bool_(False),
         odometer_m=zero,
@@ -185,8 +184,8 @@ def step(draws: Draws, building: Building, robot: Robot, tuning: Tuning, noise: 
     around = surround.seen(state.around, senses.ranges_m)
     ways_m = surround.ways(around, robot)
     blind = jnp.where(jnp.sum(jnp.isnan(senses.ranges_m)) > BEAMS / 2, state.blind + 1, 0)
-    poses = matching.put_right(state.key_m, state.key_pose, state.odometry, state.estimate, senses.ranges_m)
-    state = state.replace(**dict(zip(("key_m", "key_pose", "odometry", "estimate"), poses)))
+    key, odometry, estimate = matching.put_right(state.key, state.odometry, state.estimate, senses.ranges_m)
+    state = state.replace(key=key, odometry=odometry, estimate=estimate)
     placed = to_odometry(state.estimate)
     writer = mapping.note(state, senses, walls.beside.sum(), robot)
     ahead = look_ahead(state, writer, walls, around, senses.pitch, placed, tuning, robot, blind != 0)
@@ -225,12 +224,16 @@ def step(draws: Draws, building: Building, robot: Robot, tuning: Tuning, noise: 
 def _decided(state, writer, ahead, around, ways_m, placed, at_goal, is_open, tuning, robot):
     """What branch selection does, and the node that is due: `(writer, drive, ahead, event)`."""
     drive, track, begins, arrives, gives_up = approach.latched(state, ahead, around, ways_m, placed, tuning, robot)
-    none = jnp.stack([*track.centre, track.radius, state.odometer_m])
+    none = jnp.stack([*ahead.track.centre, ahead.track.radius, state.odometer_m])
     early = arrives & jnp.isfinite(ahead.border_m)
     writer = writer.replace(
         passed=jnp.where(gives_up, none, writer.passed),
         level=ahead.level,
-        entry=jnp.where(begins, state.estimate[:2], writer.entry),
+        entry=jnp.where(
+            begins | ((drive.latch == Latch.APPROACH) & (state.drive.latch == Latch.LOOK)),
+            state.estimate[:2],
+            writer.entry,
+        ),
         border_m=jnp.where(early, state.odometer_m, ahead.border_m),
     )
     ahead = ahead._replace(track=track)
@@ -258,7 +261,7 @@ def _moved(draws, building, robot, noise, state, estimate, senses, around, speed
     off2 = jnp.sum((building.marks[:, :2] - body.pose[:2]) ** 2, axis=1)
     return state.replace(
         around=surround.moved(around, step_m[0], step_m[1], turn),
-        odometry=state.odometry + jnp.stack([*_turned(step_m, state.odometry[2]), turn]),
+        odometry=jnp.append(to_odometry(state.odometry)(step_m), state.odometry[2] + turn),
         touched=body.contacts > state.body.contacts,
         body=body,
         estimate=gone_to,
@@ -267,11 +270,6 @@ def _moved(draws, building, robot, noise, state, estimate, senses, around, speed
         truth=state.truth.at[state.step].set(state.body.pose, mode="drop"),
         met=state.met | (off2 < building.marks[:, 2] ** 2),
     )
-
-
-def _turned(xy, angle):
-    cos, sin = jnp.cos(angle), jnp.sin(angle)
-    return cos * xy[0] - sin * xy[1], sin * xy[0] + cos * xy[1]
 
 
 def _placed_nodes(state, writer):
@@ -288,15 +286,15 @@ def _write(state, writer, drive, track, event, points, tuning, robot):
         map_part, rest, drive, track, estimate = carry
         whole = writer.replace(map=map_part, **rest)
         whole, latch, target, out, correction = nodes.write(whole, event, points, tuning, robot)
-        offset = jnp.stack(_turned(estimate[:2] - event.centre, correction[2]))
-        estimate = jnp.concatenate([event.centre + offset, estimate[2:]]).at[:3].add(correction)
+        about = to_odometry(jnp.append(event.centre, correction[2]))
+        estimate = jnp.append(about(estimate[:2] - event.centre), estimate[2]) + correction
         is_divergence = event.kind == btm.DIVERGENCE
         latches = is_divergence | event.blocked | event.returns
         drive = drive.replace(
             latch=jnp.where(latches, latch, drive.latch),
             target=jnp.where(latches, target, drive.target),
             since=jnp.where(latches, 0, drive.since),
-            tries=jnp.int32(0),
+            surveys=jnp.int32(0),
             known=jnp.bool_(False),
             out=jnp.where(latches, out, drive.out),
         )

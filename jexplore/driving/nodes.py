@@ -12,9 +12,10 @@ from jax import Array
 from jexplore import btm
 from jexplore.btm import Btm
 from jexplore.driving.behaviour import Latch
-from jexplore.driving.mapping import Writer, along, has_left
+from jexplore.driving.mapping import Writer, along, came_from, came_through, has_left
 from jexplore.driving.sensing import ground_profile, openings
 from jexplore.driving.settings import Robot, Tuning
+from jexplore.driving.vehicle import to_odometry
 
 OPENINGS = 8  # of a divergence
 TRIES = 3  # an un-searched link on which the robot has set off so often in vain is blocked
@@ -23,6 +24,7 @@ CORNER = 1.3  # of a circle's diameter: with only one opening, wider than this, 
 IN_LINE_RAD = math.radians(45)  # two openings are in line if they are no farther from it
 TURN_RAD = math.radians(20)  # the odometry's heading is corrected by no more, where a node is met again
 SHIFT_M = 0.7  # and its place, metres
+TURN_SHARE, SHIFT_SHARE = 0.2, 0.5  # of what is found there: it is less sure than what scans have said on the way
 SAME_NODE_M = 1.0  # free space and obstacles nearer than this to one that is known are that one
 
 
@@ -79,26 +81,37 @@ def _arrive(writer, event, tuning, is_divergence, is_terminal):
     map_ = _either(again, writer.map, added)
     fits = again | (writer.map.n_nodes < map_.kind.shape[0])
     met = again & is_divergence & (distance < SHIFT_M)
-    shift = jnp.where(met, jnp.stack([map_.x_m[near], map_.y_m[near]]) - event.centre, 0.0)
+    shift = jnp.where(met, SHIFT_SHARE * (jnp.stack([map_.x_m[near], map_.y_m[near]]) - event.centre), 0.0)
     return Arrival(map_, jnp.where(again, near, new), again, near, met, fits, shift, width, posture)
 
 
 def _find_openings(writer, event, points, tuning, is_divergence):
-    """Openings of a divergence, and the way in, which is the one nearest to where the robot came from.
+    """Openings of a divergence, and the way in: the one by which the robot came last, else the nearest to where it came
+    from. There is none where it started within.
 
     Returns:
       `(found, others, back)`: `openings.Openings`; which of them are not the way in; bearing of that way, radians.
     """
-    came = jnp.where(is_divergence, writer.entry - event.centre, -_heading(event.pose[2]))
+    came = jnp.where(
+        is_divergence, came_from(writer, event.centre, event.radius) - event.centre, -_heading(event.pose[2])
+    )
     came = jnp.arctan2(came[1], came[0])
     found = openings.openings(
         points[0], points[1], event.centre, event.radius, tuning.width_m, circle=tuning.circle, size=OPENINGS
     )
     off = jnp.where(found.valid, jnp.abs(btm.wrapped(found.bearing - came)), jnp.inf)
-    entry = jnp.argmin(off)
-    entry_seen = off[entry] < math.pi / 3
+    passed = came_through(writer, event.centre + found.middle, found.across, found.width_m)
+    passed = jnp.where(found.valid, passed, -1)
+    entry = jnp.where(jnp.any(passed >= 0), jnp.argmax(passed), jnp.argmin(off))
+    entry_seen = ((passed[entry] >= 0) | (off[entry] < math.pi / 3)) & ~_holds_start(writer, event)
     back = jnp.where(is_divergence & entry_seen, found.bearing[entry], came)
     return found, found.valid & ~((jnp.arange(OPENINGS) == entry) & entry_seen), back
+
+
+def _holds_start(writer, event):
+    """Whether the robot comes from its start, which lies in the circle."""
+    off_m = jnp.hypot(event.centre[0] - writer.map.x_m[0], event.centre[1] - writer.map.y_m[0])
+    return (writer.node == 0) & (off_m < event.radius)
 
 
 def _end_way_here(map_, writer, event, at, back):
@@ -147,18 +160,15 @@ def write(
     back, found = back + turn, dataclasses.replace(found, bearing=found.bearing + turn)
     event = dataclasses.replace(event, pose=event.pose.at[2].add(turn))
     map_, link = _end_way_here(map_, writer, event, at, back)
-
-    fresh = is_divergence & ~at.again
-    for i in range(OPENINGS):
-        map_, _ = btm.add_link(map_, at.node, found.bearing[i], when=fresh & others[i], opening_m=found.width_m[i])
+    map_ = _add_openings(map_, event, at.node, found, others, is_divergence & ~at.again)
     goes_on = ~is_divergence & ~is_terminal & ~at.again
     map_, onward = btm.add_link(map_, at.node, event.pose[2], when=goes_on, blocked=event.blocked)
-    map_ = map_.replace(overflow=map_.overflow + jnp.where(fresh, found.overflow, 0))
-
     onward = jnp.where(goes_on, onward, _other_link(map_, at.node, link))
     map_, fails, onto, bearing, through = _where_to(map_, writer, event, at, back, onward, is_divergence)
     plain = tuning.leave_m * _heading(bearing), bearing
+    applied = TURN_SHARE * turn
     ways = _either_of(is_divergence, _through(event, found, bearing, turn, tuning.leave_m), plain)
+    ways = to_odometry(jnp.stack([0.0, 0.0, applied - turn]))(ways[0]), ways[1] + applied - turn
     passes, which = _is_passed(event, found, others, back, at.again, is_divergence)
     target, out = _either_of(passes, _through(event, found, found.bearing[which], 0.0, tuning.leave_m), ways)
     taken = jnp.where(onto == btm.NONE, size, onto)
@@ -173,7 +183,7 @@ def write(
         fails=fails,
         exhausted=~is_terminal & (taken == size),
     )
-    correction = jnp.where(passes, 0.0, jnp.stack([*at.shift, turn]))
+    correction = jnp.where(passes, 0.0, jnp.stack([*at.shift, applied]))
     return (
         _either_of(passes, _passing(writer, event), _either_of(at.fits, written, _full(writer))),
         jnp.where((~through & (taken < size)) | passes, Latch.LEAVE, Latch.FREE).astype(jnp.int32),
@@ -181,6 +191,19 @@ def write(
         out,
         correction,
     )
+
+
+def _add_openings(map_, event, node, found, others, when):
+    """A new divergence's links.
+
+    A start in its circle is on no link: what leads away from it leads away from the divergence.
+    """
+    for i in range(OPENINGS):
+        map_, _ = btm.add_link(map_, node, found.bearing[i], when=when & others[i], opening_m=found.width_m[i])
+    map_ = map_.replace(overflow=map_.overflow + jnp.where(when, found.overflow, 0))
+    off = jnp.hypot(event.centre[0] - map_.x_m[0], event.centre[1] - map_.y_m[0])
+    goes = when & (off < event.radius) & (map_.start == 0) & (map_.status == btm.UNSEARCHED)
+    return map_.replace(blocked=map_.blocked | goes)
 
 
 def _full(writer):
@@ -246,8 +269,7 @@ def _through(event, found, bearing, turn, leave_m):
     off = jnp.where(found.valid, jnp.abs(btm.wrapped(found.bearing - bearing)), jnp.inf)
     which = jnp.argmin(off)
     middle, across = found.middle[which], found.across[which] + turn
-    cos, sin = jnp.cos(turn), jnp.sin(turn)
-    middle = jnp.stack([cos * middle[0] - sin * middle[1], sin * middle[0] + cos * middle[1]])
+    middle = to_odometry(jnp.stack([0.0, 0.0, turn]))(middle)
     plain = (event.radius + leave_m) * _heading(bearing)
     near = (off[which] < math.pi / 4) & ~_is_behind(found)[which]
     return jnp.where(near, middle + leave_m * _heading(across), plain), jnp.where(near, across, bearing)

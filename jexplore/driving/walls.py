@@ -32,7 +32,7 @@ def _faces(occupied):
     return np.stack([col + 1, first, last + 1], axis=1)
 
 
-def walls_of(occupied: np.ndarray, cell_m: float, *, multiple: int = 16) -> Walls:
+def walls_of(occupied: np.ndarray, cell_m: float, *, multiple: int = 32) -> Walls:
     """The walls of an occupancy array.
 
     Args:

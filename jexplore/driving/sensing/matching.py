@@ -5,13 +5,16 @@ Tracks slip where they turn, and encoders do not notice; walls stay where they a
 
 import math
 
+import jax
 import jax.numpy as jnp
-from jax import Array
+from flax import struct
+from jax import Array, lax
 
 from jexplore.arrays.loops import run_if
 from jexplore.driving.vehicle import ANGLES_RAD, BEAMS, to_odometry, to_robot
 
-KEY_M, KEY_RAD = 0.2, 0.25  # scans are matched after so much way or turn
+EVERY_M, EVERY_RAD = 0.2, 0.25  # scans are matched after so much way or turn
+KEY_M, KEY_RAD = 1.0, 0.6  # with another scan, after so much
 NEIGHBOURS = 5  # beams on either side through whose points a line is laid
 REACH_M = 0.3  # as far as they are this near
 EVEN = 0.04  # a line is even across which its points vary by no more than this share of along it
@@ -21,6 +24,8 @@ RANGE_SD_M = 0.03  # of a point from its line
 DOUBT = 0.1  # of way and turn: standard deviation of what the encoders say, beside
 DOUBT_M, DOUBT_RAD = 0.01, math.radians(0.5)  # these
 LEAST = 30  # points that must lie on lines
+MOST = 4  # of these standard deviations: a match that is farther off is none
+SHARE = 0.6  # of the points; with fewer the next scan is matched with this one
 
 
 def _lines(ranges_m):
@@ -47,16 +52,18 @@ def _lines(ranges_m):
     return (x + mx, y + my), (-jnp.sin(along), jnp.cos(along)), there
 
 
-def match(before_m: Array, ranges_m: Array, moved: Array) -> Array:
+def match(before_m: Array, ranges_m: Array, moved: Array, since: Array) -> tuple[Array, Array]:
     """Motion between two scans.
 
     Args:
       before_m, ranges_m: `[B]` float32, the first scan and the last one; inf: no return; NaN: no reading.
-      moved: `[3]` float32, what the encoders say: x, y, metres, and turn, radians, in the frame of the first.
+      moved: `[3]` float32, where the robot should be: x, y, metres, and turn, radians, in the frame of the first.
+      since: `[3]` float32, part of that which the encoders alone say.
 
     Returns:
-      `[3]` float32, likewise, where the points of the last scan lie nearest to lines of the first, not far from what
-      the encoders say; that itself where too few points lie on lines.
+      `(found, share)`: `[3]` float32, likewise, where the points of the last scan lie nearest to lines of the first,
+        not far from what the encoders say, and that itself where too few points lie on lines or it is far; float32,
+        share of the points that do, then 0.
 
     Source:
       Censi, An ICP variant using a point-to-line metric (2008). Changed: beams find their partners by their bearing.
@@ -65,26 +72,31 @@ def match(before_m: Array, ranges_m: Array, moved: Array) -> Array:
     valid = jnp.isfinite(ranges_m)
     r = jnp.where(valid, ranges_m, 0)
     x, y = r * jnp.cos(ANGLES_RAD), r * jnp.sin(ANGLES_RAD)
-    way, turn = jnp.hypot(moved[0], moved[1]), jnp.abs(moved[2])
+    way, turn = jnp.hypot(since[0], since[1]), jnp.abs(since[2])
     sd = jnp.stack([DOUBT_M + DOUBT * way, DOUBT_M + DOUBT * way, DOUBT_RAD + DOUBT * turn])
     prior = 1 / sd**2
-    found = moved
-    for i in range(ROUNDS):
+
+    def nearer(i, carry):
+        found, _ = carry
         cos, sin = jnp.cos(found[2]), jnp.sin(found[2])
         px, py = found[0] + cos * x - sin * y, found[1] + sin * x + cos * y
         beam = jnp.round((jnp.arctan2(py, px) + math.pi / 2) * ((BEAMS - 1) / math.pi)).astype(jnp.int32)
         at = jnp.clip(beam, 0, BEAMS - 1)
         nx, ny = normal_x[at], normal_y[at]
         off = nx * (px - mean_x[at]) + ny * (py - mean_y[at])
-        counts = valid & there[at] & (beam == at) & (jnp.abs(off) < GATE_M[0 if i < 2 else 1])
+        counts = valid & there[at] & (beam == at) & (jnp.abs(off) < jnp.where(i < 2, *GATE_M))
         weight = jnp.where(counts, 1 / RANGE_SD_M**2, 0)
         by_turn = nx * (-sin * x - cos * y) + ny * (cos * x - sin * y)
         rows = jnp.stack([nx, ny, by_turn])
         matrix = (rows * weight) @ rows.T + jnp.diag(prior)
         vector = -(rows * weight) @ off + prior * (moved - found)
         step = _solved(matrix, vector)
-        found = jnp.where(jnp.sum(counts) >= LEAST, found + step, found)
-    return found
+        n = jnp.sum(counts)
+        return jnp.where(n >= LEAST, found + step, found), n
+
+    found, n = lax.fori_loop(0, ROUNDS, nearer, (moved, jnp.int32(0)))
+    sure = (n >= LEAST) & jnp.all(jnp.abs(found - moved) < MOST * sd)
+    return jnp.where(sure, found, moved), jnp.where(sure, n / jnp.maximum(jnp.sum(valid), 1), 0.0)
 
 
 def _solved(a, b):
@@ -99,27 +111,50 @@ def _solved(a, b):
     return rows @ b * per
 
 
-def put_right(
-    key_m: Array, key_pose: Array, odometry: Array, estimate: Array, ranges_m: Array
-) -> tuple[Array, Array, Array, Array]:
+@struct.dataclass
+class Key:
+    """The scan with which the next ones are matched. Poses are odometry without corrections at nodes."""
+
+    ranges_m: Array  # [B] float32
+    pose: Array  # [3] float32, where it was taken
+    last: Array  # [3] float32, where a scan was matched with it last
+
+
+def at_start(pose: Array) -> Key:
+    """No scan yet; the first one becomes it. `pose`: `[3]`."""
+    return Key(jnp.full(BEAMS, jnp.nan), pose + jnp.array([0.0, 0.0, 10.0]), pose + jnp.array([0.0, 0.0, 10.0]))
+
+
+def put_right(key: Key, odometry: Array, estimate: Array, ranges_m: Array) -> tuple[Key, Array, Array]:
     """Puts the odometry right by what the robot sees, where it has moved on since the last time.
 
+    A scan serves for as long as the robot sees much of the same: every change to another adds an error.
+
     Args:
-      key_m, key_pose: `[B]` scan of the last time; `[3]`, where it was taken, odometry without corrections at nodes.
-      odometry, estimate: `[3]`, poses without and with these.
+      key: `Key`.
+      odometry, estimate: `[3]`, poses without corrections at nodes and with these.
       ranges_m: `[B]` float32, the last scan.
 
     Returns:
-      `(key_m, key_pose, odometry, estimate)`: the last scan, if it was matched, and both poses moved alike.
+      `(key, odometry, estimate)`: both poses are moved alike.
     """
-    moved = jnp.stack([*to_robot(key_pose)(odometry[:2]), odometry[2] - key_pose[2]])
-    is_due = (jnp.hypot(moved[0], moved[1]) >= KEY_M) | (jnp.abs(moved[2]) >= KEY_RAD)
+    since = _between(key.last, odometry)
+    is_due = (jnp.hypot(since[0], since[1]) >= EVERY_M) | (jnp.abs(since[2]) >= EVERY_RAD)
 
     def right(carry):
-        _, key, odometry, estimate = carry
-        found = match(key_m, ranges_m, moved)
-        after = jnp.concatenate([to_odometry(key)(found[:2]), key[2:] + found[2:]])
+        key, odometry, estimate = carry
+        found, share = match(key.ranges_m, ranges_m, _between(key.pose, odometry), since)
+        after = jnp.concatenate([to_odometry(key.pose)(found[:2]), key.pose[2:] + found[2:]])
         step, turn = to_robot(odometry)(after[:2]), after[2] - odometry[2]
-        return ranges_m, after, after, jnp.concatenate([to_odometry(estimate)(step), estimate[2:] + turn])
+        estimate = jnp.concatenate([to_odometry(estimate)(step), estimate[2:] + turn])
+        is_far = (jnp.hypot(found[0], found[1]) >= KEY_M) | (jnp.abs(found[2]) >= KEY_RAD) | (share < SHARE)
+        fresh = Key(ranges_m, after, after)
+        old = Key(key.ranges_m, key.pose, after)
+        return jax.tree.map(lambda one, other: jnp.where(is_far, one, other), fresh, old), after, estimate
 
-    return run_if(is_due, right, (key_m, key_pose, odometry, estimate))
+    return run_if(is_due, right, (key, odometry, estimate))
+
+
+def _between(one, other):
+    """The second pose in the frame of the first: `[3]`."""
+    return jnp.stack([*to_robot(one)(other[:2]), other[2] - one[2]])

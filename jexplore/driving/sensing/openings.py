@@ -12,6 +12,8 @@ from jexplore.driving.sensing.perception import running_sum
 
 BEARINGS = 240  # directions round a place in which its nearest point is looked for
 NEAR = 1.15  # radii within which a wall divides two openings
+DOOR_M = 1.25  # a gap is a door up to this width, or the next
+NARROW, LEADS_M = 0.6, 0.6  # a gap as narrow as this, in radii, that leads on so far is one, however far its walls
 WALL = 40  # directions on either side of a gap in which its walls are looked at
 FAR_M = 10.0  # no point lies farther away
 CORNER = 0.65  # of the width of a gap: walls that meet so close beyond it are a corner
@@ -86,6 +88,21 @@ def _polar(offset, distance, inside, most_m):
     return point, last, here
 
 
+def _leads_on(distance, here, whole):
+    """After which directions the gap leads on, and is no corner that lies outside the circle: `[BEARINGS]` bool.
+
+    Args:
+      distance, here: `[BEARINGS]`, of the points in the circle; whether there is one.
+      whole: what `_polar` makes of all points.
+    """
+    order, following = jnp.arange(BEARINGS), _next(here)
+    reach_m = jnp.where(whole[2], jnp.hypot(*whole[0].T), jnp.inf)
+    later = (order - order[:, None]) % BEARINGS
+    between = (later > 0) & (later < ((following - order) % BEARINGS)[:, None])
+    ends_m = jnp.maximum(distance, distance[following])
+    return jnp.any(between & (reach_m > ends_m[:, None] + LEADS_M), axis=1)
+
+
 def _pockets(point, whole, first, last, valid, width_m):
     """What lies beyond gaps of a circle: a passage that leads on, or a pocket whose walls are all in sight.
 
@@ -146,11 +163,12 @@ def openings(xy: Array, valid: Array, centre: Array, radius_m: Array | float, wi
       `Openings`. Without any point in the circle there is none.
 
     Source:
-      Mano et al., section III.B and Fig. 2(f). Changed: points in polar order about the centre, where the paper takes
-      those of one scan, in polar order about the robot, which does not see behind it; what comes no nearer to the
-      centre than `NEAR` radii (or as many distances of the nearest wall, if that is more), a wall farther in, does not
-      divide an opening; and where a gap leads into a pocket whose walls are all in sight, the doors in these count
-      instead, and a corner does not.
+      Mano et al., section III.B and Fig. 2(f). Changed: points in polar order about the centre, where the paper
+      takes those of one scan, in polar order about the robot, which does not see behind it; what comes no
+      nearer to the centre than `NEAR` radii (or as many distances of the nearest wall, if that is more), a wall
+      farther in, does not divide an opening, unless that leaves a gap as narrow as a door which leads on; and
+      where a gap leads into a pocket whose walls are all in sight, the doors in these count instead, and a
+      corner does not.
     """
     offset = xy - centre
     search_m = circle * radius_m
@@ -158,11 +176,13 @@ def openings(xy: Array, valid: Array, centre: Array, radius_m: Array | float, wi
     point, last, here = _polar(offset, distance, valid & (distance <= search_m), search_m)
     whole = _polar(offset, distance, valid, FAR_M)
     # A wall is what lies between two gaps.
-    gap_here = _gaps(point, last, here, width_m)[2]
+    _, gap_m, gap_here = _gaps(point, last, here, width_m)
     wall = (running_sum(gap_here.astype(jnp.float32)) - gap_here) % jnp.maximum(jnp.sum(gap_here), 1)
     distance = jnp.where(here, jnp.hypot(*point.T), jnp.inf)
     nearest_m = jnp.min(jnp.where(wall[:, None] == wall, distance[:, None], jnp.inf), axis=0)
-    here &= nearest_m <= NEAR * jnp.maximum(radius_m, jnp.min(distance))
+    door = gap_here & (gap_m < jnp.maximum(NARROW * radius_m, DOOR_M)) & _leads_on(distance, here, whole)
+    beside = jnp.any(door & ((wall[:, None] == wall) | (wall[:, None] == wall[_next(here)])), axis=1)
+    here &= (nearest_m <= NEAR * jnp.maximum(radius_m, jnp.min(distance))) | beside
     _, width, gap_here = _gaps(point, last, here, width_m)
     only = jnp.sum(here) == 1
     place = running_sum(gap_here.astype(jnp.float32)).astype(jnp.int32) - 1

@@ -229,7 +229,6 @@ def divergences(
     xy: Array,
     valid: Array,
     *,
-    near_m: Array | float,
     far_m: Array | float,
     width_m: Array | float,
     obtuse_tol_deg: Array | float,
@@ -240,7 +239,7 @@ def divergences(
 
     Args:
       xy, valid: from `points`.
-      near_m, far_m: bounds of x [D1, D2], metres; the second also of the range.
+      far_m: bound of the range [D2], metres.
       width_m: no side is shorter [W], metres.
       obtuse_tol_deg: no angle is more than this above 90 degrees.
       open_m: circles as large as this lie in free space and are left out [C1], metres.
@@ -256,7 +255,7 @@ def divergences(
     # Beams that go far aside meet a wall beside a tilted robot too far apart, however near ahead.
     valid &= jnp.sum(xy**2, axis=1) < far_m**2
     xy = smoothed(xy, valid, width_m / 4)
-    chosen, there, spacing, overflow = resampled(xy, valid, near_m, far_m, open_m, SPACING * width_m, size=size)
+    chosen, there, spacing, overflow = resampled(xy, valid, -far_m, far_m, open_m, SPACING * width_m, size=size)
     triangles = delaunay(chosen, there)
     centre, radius, side2 = circumcircles(chosen, triangles.corner)
     longest = jnp.max(side2, axis=1)

@@ -13,7 +13,7 @@ from jax import Array
 
 from jexplore.btm import wrapped
 from jexplore.driving.settings import Robot
-from jexplore.driving.vehicle import ANGLES_RAD
+from jexplore.driving.vehicle import ANGLES_RAD, to_robot
 
 SECTORS = 360  # directions, a degree each, from -180 degrees
 NONE = 2**31 - 1
@@ -58,9 +58,7 @@ def moved(around: Surround, ahead_m: Array, aside_m: Array, turn: Array) -> Surr
       turn: counter-clockwise, radians.
     """
     xy, known = points(around)
-    x, y = xy[:, 0] - ahead_m, xy[:, 1] - aside_m
-    cos, sin = jnp.cos(turn), jnp.sin(turn)
-    x, y = cos * x + sin * y, cos * y - sin * x
+    x, y = to_robot(jnp.stack([ahead_m, aside_m, turn]))(xy).T
     known &= x * x + y * y < MEMORY_M**2
     return Surround(jnp.where(known, x, jnp.inf), jnp.where(known, y, jnp.inf))
 

@@ -22,7 +22,7 @@ from jexplore.worlds.world import World
 
 MAX_RUNS = 1_000_000
 MOST_STEPS = 100_000
-STEPS_M2 = 50  # steps of 4 cm for each square metre of free area: two metres of way
+STEPS_M2 = 100  # steps of 4 cm for each square metre of free area: four metres of way
 CLEARANCE_M = 0.5  # of starts that are drawn
 ROOMY = 128, 256  # most nodes and links of a map of a building
 NOISE = "noise."  # names of noise begin so in a sweep
