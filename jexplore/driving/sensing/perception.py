@@ -3,6 +3,7 @@
 Scans are in the robot's frame: x forward, y left, metres. A beam without a reading is no point; NaN counts as none.
 """
 
+import math
 from collections.abc import Callable
 from typing import ClassVar, Self
 
@@ -21,6 +22,10 @@ MEANT_M = 0.15  # where they are nearer than this
 GUARD_M = 0.1  # a wall this near to the robot's sides is in its way
 SPACING = 0.49  # of points along a wall, in least openings: two neighbours of one point are nearer than such an opening
 ROOMY = 0.9  # of the radius of the circle that free space has room for
+RECESS = (
+    0.25  # a wall between two corners of a triangle that lies no farther beyond their chord, in least openings, is one
+)
+CLOSE = 0.6  # if its points fill so much of the way between them
 JUMP = 1 / SPACING  # distance between the points of neighbouring beams beyond which a wall ends, in spacings
 
 
@@ -265,8 +270,33 @@ def divergences(
     side = jnp.maximum(width_m, spacing / SPACING)
     keep = triangles.valid & (jnp.min(side2, axis=1) > side**2) & (radius < open_m)
     keep &= cosine >= -jnp.sin(jnp.radians(obtuse_tol_deg))
+    keep &= ~_on_one_wall(chosen, there, centre, triangles.corner, spacing, RECESS * width_m)
     corners = chosen[jnp.minimum(triangles.corner, size - 1)]
     return Divergence(corners=corners, centre=centre, radius=radius, valid=keep, overflow=overflow + triangles.overflow)
+
+
+def _on_one_wall(xy, valid, centre, corner, spacing_m, recess_m):
+    """Which circles touch one wall twice: between two corners points follow each other that lie hardly beyond the
+    chord. `[T]` bool.
+    """
+    offset = xy - centre[:, None]  # [T, n, 2]
+    angle = jnp.where(valid, jnp.arctan2(offset[..., 1], offset[..., 0]), 0)
+    corner = jnp.minimum(corner, xy.shape[0] - 1)
+    at = jnp.take_along_axis(angle, corner, axis=1)
+    order = jnp.argsort(at, axis=1)  # counter-clockwise
+    corner, at = (jnp.take_along_axis(a, order, axis=1) for a in (corner, at))
+    place, to, turn = xy[corner], jnp.roll(at, -1, axis=1), 2 * math.pi
+    one_wall = jnp.zeros(centre.shape[0], bool)
+    for side in range(3):
+        chord = place[:, (side + 1) % 3] - place[:, side]
+        chord_m = jnp.maximum(jnp.hypot(*chord.T), 1e-9)
+        outward = jnp.stack([chord[:, 1], -chord[:, 0]], axis=1) / chord_m[:, None]
+        beyond_m = jnp.einsum("tnd,td->tn", xy - place[:, side, None], outward)
+        along = (angle - at[:, side, None]) % turn
+        between = valid & (along > 0) & (along < ((to[:, side] - at[:, side]) % turn)[:, None])
+        flat = ~jnp.any(between & (beyond_m > recess_m), axis=1)
+        one_wall |= flat & ((jnp.sum(between, axis=1) + 1) * spacing_m > CLOSE * chord_m)
+    return one_wall
 
 
 def nearest(found: Divergence, place: Array) -> tuple[Array, Array]:
