@@ -54,6 +54,10 @@ BOUNDS = {
     "noise.odometry": (-ABOVE, 0, 0.5, 0.501),
     "noise.heading_deg_sqrt_m": (-ABOVE, 0, 45, 45.1),
     "noise.slip": (-ABOVE, 0, 0.5, 0.501),
+    "noise.beacon_m": (-ABOVE, 0, 1, 1.01),
+    "noise.length_scale": (0, LEAST, 2, 2.01),
+    "noise.turn_scale": (0, LEAST, 2, 2.01),
+    "noise.heading_bias_deg_m": (-45.1, -45, 45, 45.1),
     "robot.length_m": (0, LEAST, 10, 10.01),
     "robot.width_m": (0, LEAST, 10, 10.01),
     "robot.height_m": (0, LEAST, 10, 10.01),
@@ -64,6 +68,8 @@ BOUNDS = {
     "robot.scanner_height_m": (0, LEAST, 10, 10.01),
     "robot.scanner_x_m": (-5.01, -5, 5, 5.01),
     "robot.scanner_angle_deg": (9.9, 10, 75, 75.1),
+    "robot.scan_height_m": (0, LEAST, 10, 10.01),
+    "robot.scan_pitch_deg": (-20.1, -20, 9.9, 20.1),
 }
 
 
@@ -96,6 +102,11 @@ def test_messages_by_hand():
         (lambda: of_tuning(votes=2.5), "tuning.votes must be an integer from 1 to 9, got 2.5"),
         (lambda: of_tuning(circle=1), "tuning.circle must be a number above 1 and at most 3, got 1"),
         (lambda: of_noise(slip=0.6), "noise.slip must be a number at least 0 and at most 0.5, got 0.6"),
+        (
+            lambda: of_robot(scan_pitch_deg=10, scan_height_m=0.35),
+            "robot.scan_pitch_deg must let the scanner see 4 m: 0.35 m above the ground, 10 degrees down, it looks "
+            "into the floor after 2.0 m",
+        ),
         (lambda: of_robot(width_m=0), "robot.width_m must be a number above 0 and at most 10, got 0"),
     ):
         with pytest.raises(InputError) as refused:

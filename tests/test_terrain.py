@@ -18,7 +18,7 @@ from jexplore.driving.terrain import (
     Terrain,
     attitude,
     height_at,
-    look_down,
+    look_at,
     terrain_of,
     turned,
 )
@@ -148,7 +148,7 @@ def test_heights_by_hand():
 
 
 one_attitude = jax.jit(attitude)
-one_look_down = jax.jit(look_down)
+one_look_at = jax.jit(look_at)
 
 
 def stands(terrain, x, y, heading=0.0, length_m=LENGTH_M, width_m=WIDTH_M):
@@ -320,7 +320,7 @@ def test_half_a_turn_swaps_the_signs():
 def test_looking_at_level_ground(degrees):
     tilt = math.radians(degrees)
     direction = np.array([[math.sin(tilt), 0, -math.cos(tilt)]], np.float32)
-    seen = one_look_down(terrain_of(None, 0.1), (1.0, 1.0, 0.5), direction)
+    seen = one_look_at(terrain_of(None, 0.1), (1.0, 1.0, 0.5), direction)
     assert float(seen[0]) == pytest.approx(0.5 / math.cos(tilt), abs=5e-4)
 
 
@@ -328,8 +328,8 @@ def test_looking_at_level_ground(degrees):
 def test_beyond_the_range_and_upwards_there_is_no_ground():
     direction = np.array([[0, 0, -1], [0, 0, 1], [1, 0, 0]], np.float32)
     level = terrain_of(None, 0.1)
-    np.testing.assert_array_equal(one_look_down(level, (1.0, 1.0, MAX_DOWN_M + 0.01), direction), [np.inf] * 3)
-    seen = one_look_down(level, (1.0, 1.0, MAX_DOWN_M - 0.01), direction)
+    np.testing.assert_array_equal(one_look_at(level, (1.0, 1.0, MAX_DOWN_M + 0.01), direction), [np.inf] * 3)
+    seen = one_look_at(level, (1.0, 1.0, MAX_DOWN_M - 0.01), direction)
     assert float(seen[0]) == pytest.approx(MAX_DOWN_M - 0.01, abs=5e-4)
     assert np.isinf(seen[1:]).all()
 
@@ -355,7 +355,7 @@ def test_ranges_to_slopes_and_stairs_are_those_of_small_steps():
             origin = tuple(np.float32(v) for v in (x, 1.5, height + 0.6))
             got, want = (
                 np.minimum(np.asarray(ranges), 9)
-                for ranges in (one_look_down(terrain, origin, direction), marched(terrain, origin, direction))
+                for ranges in (one_look_at(terrain, origin, direction), marched(terrain, origin, direction))
             )
             # A beam may pass an edge so near that two of its samples lie on both sides of it: it sees what is behind.
             assert (got >= want - 1e-3).all()

@@ -81,7 +81,7 @@ def latched(
     target = jnp.where(following, track.centre, drive.target)
     distance = jnp.hypot(*(target - state.estimate[:2]))
     near = distance < tuning.arrive_m
-    lost = (drive.latch == Latch.APPROACH) & (track.age == 0) & (distance > track.radius + LOST_M)
+    lost = (drive.latch == Latch.APPROACH) & (track.age == 0) & ((distance > track.radius + LOST_M) | ahead.leans)
     late = drive.since > LATCH_STEPS
     left, right = surround.free_turn(around, robot)
     may_look = jnp.minimum(left, right) >= math.pi - 1e-3
@@ -96,7 +96,7 @@ def latched(
     too_late = following & late & ~arrives
 
     latch = jnp.where(begins, Latch.APPROACH, drive.latch)
-    latch = jnp.where(((following & near) | surveys) & may_look, Latch.LOOK, latch)
+    latch = jnp.where(((following & near) | surveys) & may_look & ~ahead.leans, Latch.LOOK, latch)
     latch = jnp.where(ends, jnp.where(look.goes_on, Latch.APPROACH, jnp.where(none, Latch.LEAVE, Latch.FREE)), latch)
     aligned = jnp.abs(btm.wrapped(drive.out - state.estimate[2])) < OUT_RAD
     has_left = (drive.latch == Latch.LEAVE) & ((near & aligned) | late)

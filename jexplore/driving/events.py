@@ -12,8 +12,8 @@ from jexplore import btm
 from jexplore.arrays.loops import run_if
 from jexplore.driving import behaviour, mapping
 from jexplore.driving.behaviour import FreeSpace, Latch, Track
-from jexplore.driving.mapping import Writer
-from jexplore.driving.nodes import SAME_NODE_M, Event
+from jexplore.driving.mapping import SAME_NODE_M, Writer
+from jexplore.driving.nodes import Event
 from jexplore.driving.sensing import ground_profile, perception, surround
 from jexplore.driving.sensing.surround import Surround
 from jexplore.driving.settings import Robot, Tuning
@@ -24,7 +24,7 @@ CROSSING_M = 0.1  # but no nearer than this to a wall across the way
 EVERY = 3  # steps between two looks for triangles
 SCAN_POINTS = 64  # of a scan that are made into triangles
 BESIDE_M = -0.2  # a divergence is looked for so far ahead of the robot's middle or farther
-GOAL_M = 0.5  # a run ends within this of its goal
+GOAL_M = 0.5  # a run ends where it hears its goal's beacon within this
 LOOK_M = 0.30  # of the profile ahead, in which a robot finds that it cannot climb
 RECENT = 64  # steps whose profile is looked at for that
 SURE = 3  # steps in a row that it finds so
@@ -64,6 +64,7 @@ def walls_of_scan(ranges_m: Array, tuning: Tuning, robot: Robot) -> Walls:
 class Ahead(NamedTuple):
     """What lies ahead, and what has just been passed."""
 
+    leans: Array  # bool, the robot stands otherwise than where it last stood evenly
     track: Track
     scan_overflow: Array  # int32, ends of walls that did not fit into the scan's points
     space: FreeSpace
@@ -102,7 +103,9 @@ def look_ahead(
     """
     is_free = state.drive.latch == Latch.FREE
     xy, known = surround.points(around)
-    track, overflow = _watch(state, writer, xy, known, walls.beside.min(), placed, tuning)
+    # What was seen from ground of another inclination may have been ground.
+    leans = jnp.abs(pitch - writer.level.even) > jnp.radians(tuning.inclination_deg)
+    track, overflow = _watch(state, writer, xy, known, walls.beside.min(), leans, placed, tuning)
     left_m, right_m = walls.region_sides
     space, enters, leaves = behaviour.watch_free_space(
         state.space, left_m, right_m, state.odometer_m, tuning.open_m, is_free & ~is_blind, walls.roomy
@@ -118,6 +121,7 @@ def look_ahead(
     )
     stops, step_m, slope = _cannot_climb(writer.way, robot, state)
     return Ahead(
+        leans=leans,
         track=track,
         scan_overflow=overflow,
         space=space,
@@ -146,7 +150,7 @@ def triangles(xy: Array, valid: Array, wall_m: Array | float, tuning: Tuning) ->
     )
 
 
-def _watch(state, writer, xy, valid, wall_m, placed, tuning):
+def _watch(state, writer, xy, valid, wall_m, leans, placed, tuning):
     """Looks for triangles, in every `EVERY`-th step: `(track, overflow)`."""
     approaches, turns = state.drive.latch == Latch.APPROACH, state.drive.latch == Latch.LOOK
     # Once the robot is in the circle that it approaches, a wall that the circle touches lies beside or behind it.
@@ -158,9 +162,9 @@ def _watch(state, writer, xy, valid, wall_m, placed, tuning):
         found = dataclasses.replace(found, valid=found.valid & ~known & (found.centre[:, 0] > BESIDE_M))
         return behaviour.follow(carry[0], found, placed, tuning.same_m, ~approaches), found.overflow
 
-    forgets = state.space.inside  # there are no divergences in free space
+    forgets = state.space.inside | leans  # there are no divergences in free space
     track = jax.tree.map(lambda none, old: jnp.where(forgets, none, old), behaviour.no_track(), state.track)
-    looks = (state.step % EVERY == 0) & ~is_in & ~turns & ~state.space.inside
+    looks = (state.step % EVERY == 0) & ~is_in & ~turns & ~forgets
     return run_if(looks, looked, (track, jnp.int32(0)))
 
 

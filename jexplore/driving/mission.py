@@ -33,6 +33,7 @@ from jexplore.driving.vehicle import (
     Draws,
     at_rest,
     draw,
+    levelled,
     move,
     sense,
     to_odometry,
@@ -50,7 +51,7 @@ class Outcome(enum.IntEnum):
 
     RUNNING = 0
     GOAL = 1
-    """Within half a metre of the goal."""
+    """The goal's beacon is within half a metre."""
     EXHAUSTED = 2
     """No link is left that could be followed."""
     STUCK = 3
@@ -60,6 +61,9 @@ class Outcome(enum.IntEnum):
     STEP_LIMIT = 5
     MAP_FULL = 6
     """A node did not fit into the map."""
+
+
+BREAKS_OFF = Outcome.STUCK, Outcome.BLIND, Outcome.STEP_LIMIT  # where the robot is on its way
 
 
 @struct.dataclass
@@ -180,22 +184,23 @@ def step(draws: Draws, building: Building, robot: Robot, tuning: Tuning, noise: 
       `State`.
     """
     senses = sense(draws, building, robot, noise, state.body)
-    walls = walls_of_scan(senses.ranges_m, tuning, robot)
-    around = surround.seen(state.around, senses.ranges_m)
-    ways_m = surround.ways(around, robot)
     blind = jnp.where(jnp.sum(jnp.isnan(senses.ranges_m)) > BEAMS / 2, state.blind + 1, 0)
+    senses, is_ground = levelled(senses, robot)
+    walls = walls_of_scan(senses.ranges_m, tuning, robot)
+    around = surround.seen(state.around, jnp.where(is_ground, jnp.inf, senses.ranges_m))
+    ways_m = surround.ways(around, robot)
     key, odometry, estimate = matching.put_right(state.key, state.odometry, state.estimate, senses.ranges_m)
     state = state.replace(key=key, odometry=odometry, estimate=estimate)
     placed = to_odometry(state.estimate)
     writer = mapping.note(state, senses, walls.beside.sum(), robot)
     ahead = look_ahead(state, writer, walls, around, senses.pitch, placed, tuning, robot, blind != 0)
-    at_goal = jnp.sum((state.body.pose[:2] - building.goal) ** 2) < GOAL_M**2
+    at_goal = senses.beacon_m < GOAL_M
     writer, drive, ahead, event = _decided(
         state, writer, ahead, around, ways_m, placed, at_goal, _is_open(building), tuning, robot
     )
     xy, known = surround.points(around)
     points = placed(xy), known
-    writer, drive, track, estimate = _write(state, writer, drive, ahead.track, event, points, tuning, robot)
+    writer, drive, track, estimate = nodes.made(state, writer, drive, ahead.track, event, points, tuning, robot)
     mode, drive, target, getting, speed = _driven(state, drive, ahead, walls, around, ways_m, estimate, tuning, robot)
     after = _moved(draws, building, robot, noise, state, estimate, senses, around, speed)
     turn = after.odometry[2] - state.odometry[2]
@@ -279,36 +284,6 @@ def _placed_nodes(state, writer):
     return jnp.where(is_new[:, None], state.body.pose[:2], state.node_at)
 
 
-def _write(state, writer, drive, track, event, points, tuning, robot):
-    """Makes the node that is due, if one is: `(writer, drive, track, estimate)`."""
-
-    def made(carry):
-        map_part, rest, drive, track, estimate = carry
-        whole = writer.replace(map=map_part, **rest)
-        whole, latch, target, out, correction = nodes.write(whole, event, points, tuning, robot)
-        about = to_odometry(jnp.append(event.centre, correction[2]))
-        estimate = jnp.append(about(estimate[:2] - event.centre), estimate[2]) + correction
-        is_divergence = event.kind == btm.DIVERGENCE
-        latches = is_divergence | event.blocked | event.returns
-        drive = drive.replace(
-            latch=jnp.where(latches, latch, drive.latch),
-            target=jnp.where(latches, target, drive.target),
-            since=jnp.where(latches, 0, drive.since),
-            surveys=jnp.int32(0),
-            known=jnp.bool_(False),
-            out=jnp.where(latches, out, drive.out),
-        )
-        track = jax.tree.map(lambda none, old: jnp.where(latches, none, old), behaviour.no_track(), track)
-        return whole.map, {name: getattr(whole, name) for name in rest}, drive, track, estimate
-
-    names = ("node", "node_m", "link", "left_bearing", "border_m", "passed", "tries", "fails", "exhausted", "full")
-    rest = {name: getattr(writer, name) for name in names}
-    map_, rest, drive, track, estimate = run_if(
-        event.kind != btm.NONE, made, (writer.map, rest, drive, track, state.estimate)
-    )
-    return writer.replace(map=map_, **rest), drive, track, estimate
-
-
 def _end(state, at_end, tuning):
     ends = [
         (state.blind >= BLIND_STEPS, Outcome.BLIND),
@@ -363,8 +338,10 @@ def finish(setup: Setup, given: Given, state: State) -> Result:
     """The `Result` of a run that has ended. Arguments as for `begin`."""
     del setup, given
     body = state.body
+    breaks_off = jnp.isin(state.outcome, jnp.array(BREAKS_OFF))
+    map_ = mapping.ended(state.writer, state.estimate, state.odometer_m, breaks_off)
     return Result(
-        map=state.writer.map,
+        map=map_,
         outcome=state.outcome,
         steps=state.step,
         path_m=body.path_m,
@@ -372,7 +349,7 @@ def finish(setup: Setup, given: Given, state: State) -> Result:
         refused=body.refused,
         interventions=state.helps,
         help_at=state.help_at,
-        node_at=state.node_at,
+        node_at=_placed_nodes(state, state.writer.replace(map=map_)),
         met=state.met,
         scan_overflow=state.scan_overflow,
         drift_m=jnp.hypot(*(body.pose[:2] - state.estimate[:2])),

@@ -2,7 +2,7 @@
 
 import dataclasses
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -10,10 +10,12 @@ from flax import struct
 from jax import Array
 
 from jexplore import btm
+from jexplore.arrays.loops import run_if
 from jexplore.btm import Btm
-from jexplore.driving.behaviour import Latch
-from jexplore.driving.mapping import Writer, along, came_from, came_through, has_left
-from jexplore.driving.sensing import ground_profile, openings
+from jexplore.driving import behaviour
+from jexplore.driving.behaviour import Drive, Latch, Track
+from jexplore.driving.mapping import SAME_NODE_M, Writer, along, came_from, came_through, either, end_link, has_left
+from jexplore.driving.sensing import obstacles, openings
 from jexplore.driving.settings import Robot, Tuning
 from jexplore.driving.vehicle import to_odometry
 
@@ -25,7 +27,6 @@ IN_LINE_RAD = math.radians(45)  # two openings are in line if they are no farthe
 TURN_RAD = math.radians(20)  # the odometry's heading is corrected by no more, where a node is met again
 SHIFT_M = 0.7  # and its place, metres
 TURN_SHARE, SHIFT_SHARE = 0.2, 0.5  # of what is found there: it is less sure than what scans have said on the way
-SAME_NODE_M = 1.0  # free space and obstacles nearer than this to one that is known are that one
 
 
 @struct.dataclass
@@ -78,7 +79,7 @@ def _arrive(writer, event, tuning, is_divergence, is_terminal):
         obstacle=jnp.where(is_obstacle, jnp.where(event.step_m > 0, btm.STAIRS, btm.SLOPE), btm.NONE),
         step_m=jnp.where(event.step_m > 0, event.step_m, jnp.nan),
     )
-    map_ = _either(again, writer.map, added)
+    map_ = either(again, writer.map, added)
     fits = again | (writer.map.n_nodes < map_.kind.shape[0])
     met = again & is_divergence & (distance < SHIFT_M)
     shift = jnp.where(met, SHIFT_SHARE * (jnp.stack([map_.x_m[near], map_.y_m[near]]) - event.centre), 0.0)
@@ -130,7 +131,7 @@ def _end_way_here(map_, writer, event, at, back):
     turned_back = at.again & (at.near == writer.node) & ~on_known & (off < math.pi / 4)  # it comes back as it left
     map_ = map_.replace(blocked=map_.blocked.at[jnp.where(turned_back, link, size)].set(True, mode="drop"))
     is_new = (~on_known | astray) & ~turned_back
-    map_ = _end_link(map_, writer, at.node, event, back, at.width, at.posture, link, is_new)
+    map_ = end_link(map_, writer, at.node, event.odometer_m, back, at.width, at.posture, link, is_new)
     return _withdraw_double(map_, at.node, back, at.again & is_new), link
 
 
@@ -154,7 +155,7 @@ def write(
     is_divergence, size = event.kind == btm.DIVERGENCE, writer.map.start.shape[0]
     is_terminal = (event.kind == btm.TERMINAL) & ~event.returns
     at = _arrive(writer, event, tuning, is_divergence, is_terminal)
-    map_ = _judge_profile(at.map, writer, event, tuning, robot, at.posture, at.node)
+    map_ = obstacles.judged(at.map, writer, event, tuning, robot, at.posture, at.node)
     found, others, back = _find_openings(writer, event, points, tuning, is_divergence)
     turn = jnp.where(at.met, _turn_to(at.map, at.node, found), 0.0)
     back, found = back + turn, dataclasses.replace(found, bearing=found.bearing + turn)
@@ -191,6 +192,54 @@ def write(
         out,
         correction,
     )
+
+
+def made(
+    state: Any,
+    writer: Writer,
+    drive: Drive,
+    track: Track,
+    event: Event,
+    points: tuple[Array, Array],
+    tuning: Tuning,
+    robot: Robot,
+) -> tuple[Writer, Drive, Track, Array]:
+    """Makes the node that is due, if one is.
+
+    Args:
+      state: `mission.State`.
+      drive, track: `Drive`, `Track`.
+      others: as for `write`.
+
+    Returns:
+      `(writer, drive, track, estimate)`.
+    """
+
+    def written(carry):
+        map_part, rest, drive, track, estimate = carry
+        whole = writer.replace(map=map_part, **rest)
+        whole, latch, target, out, correction = write(whole, event, points, tuning, robot)
+        about = to_odometry(jnp.append(event.centre, correction[2]))
+        estimate = jnp.append(about(estimate[:2] - event.centre), estimate[2]) + correction
+        is_divergence = event.kind == btm.DIVERGENCE
+        latches = is_divergence | event.blocked | event.returns
+        drive = drive.replace(
+            latch=jnp.where(latches, latch, drive.latch),
+            target=jnp.where(latches, target, drive.target),
+            since=jnp.where(latches, 0, drive.since),
+            surveys=jnp.int32(0),
+            known=jnp.bool_(False),
+            out=jnp.where(latches, out, drive.out),
+        )
+        track = jax.tree.map(lambda none, old: jnp.where(latches, none, old), behaviour.no_track(), track)
+        return whole.map, {name: getattr(whole, name) for name in rest}, drive, track, estimate
+
+    names = ("node", "node_m", "link", "left_bearing", "border_m", "passed", "tries", "fails", "exhausted", "full")
+    rest = {name: getattr(writer, name) for name in names}
+    map_, rest, drive, track, estimate = run_if(
+        event.kind != btm.NONE, written, (writer.map, rest, drive, track, state.estimate)
+    )
+    return writer.replace(map=map_, **rest), drive, track, estimate
 
 
 def _add_openings(map_, event, node, found, others, when):
@@ -303,24 +352,6 @@ def _heading(angle):
     return jnp.stack([jnp.cos(angle), jnp.sin(angle)])
 
 
-def _either(condition, yes, no):
-    return btm.Btm(**{name: jnp.where(condition, getattr(yes, name), getattr(no, name)) for name in yes.__dict__})
-
-
-def _end_link(map_, writer, node, event, back, width, posture, link, when):
-    """Ends a link at a node."""
-    at = jnp.where(when, link, map_.start.shape[0])
-    values = {
-        "end": node,
-        "status": btm.SEARCHED,
-        "length_m": event.odometer_m - writer.node_m,
-        "min_width_m": width,
-        "link_posture_deg": posture,
-        "end_bearing": btm.wrapped(back),
-    }
-    return map_.replace(**{name: getattr(map_, name).at[at].set(v, mode="drop") for name, v in values.items()})
-
-
 def _withdraw_double(map_, node, back, when):
     """Takes away the un-searched link of a node by which the robot has just come in from its other end."""
     off = jnp.abs(btm.wrapped(map_.start_bearing - back))
@@ -337,43 +368,3 @@ def _other_link(map_, node, link):
     touches = ((map_.start == node) | (map_.end == node)) & (map_.status != btm.NONE)
     others = touches & (jnp.arange(touches.shape[0]) != link)
     return jnp.where(jnp.any(others), jnp.argmax(others).astype(jnp.int32), link)
-
-
-def _judge_profile(map_, writer, event, tuning, robot, posture, here):
-    """Says of the obstacle that lies behind what it is, once the robot has passed it."""
-    before = jnp.minimum(writer.node, map_.kind.shape[0] - 1)
-    over = map_.kind[before] == btm.OBSTACLE
-    margin = 0.1
-    way = writer.way
-    within = (way.ground_x_m > writer.node_m + margin) & (way.ground_x_m < event.odometer_m - margin)
-    found = ground_profile.profile(way.ground_x_m, way.ground_z_m, within & jnp.isfinite(way.ground_x_m))
-    is_steep = jnp.abs(jnp.arctan(found.slope)) > jnp.radians(tuning.inclination_deg)
-    judged = over & is_steep & (found.count >= 3) & (event.odometer_m > writer.node_m)
-    stairs = judged & (found.variance_m2 > tuning.variance_max_m2)
-
-    def mark(array, at, value, when):
-        return array.at[jnp.where(when, at, array.shape[0])].set(value, mode="drop")
-
-    obstacle, step, variance = map_.obstacle, map_.step_m, map_.variance_m2
-    for at, is_one in ((before, stairs), (here, stairs & (event.kind == btm.OBSTACLE))):
-        obstacle = mark(obstacle, at, btm.STAIRS, is_one)
-        step = mark(step, at, jnp.fmax(found.step_m, step[at]), is_one)
-    for at, is_one in ((before, judged), (here, judged & (event.kind == btm.OBSTACLE))):
-        variance = mark(variance, at, jnp.fmax(found.variance_m2, variance[at]), is_one)
-    known = map_.posture_deg[before]
-    # On the ground between, without the ramps of the robot's own length at both ends.
-    margin = robot.length_m / 2 + 0.05
-    on_it = (way.odometer_m > writer.node_m + margin) & (way.odometer_m < event.odometer_m - margin)
-    n = jnp.sum(on_it)
-    even = jnp.degrees(jnp.sum(jnp.where(on_it, jnp.abs(way.pitch), 0)) / jnp.maximum(n, 1))
-    even = jnp.where(over & (n > 0) & (even > tuning.inclination_deg), even, jnp.nan)
-    inclination = map_.inclination_deg
-    for at, is_one in ((before, over), (here, over & (event.kind == btm.OBSTACLE))):
-        inclination = mark(inclination, at, jnp.fmax(inclination[at], even), is_one)
-    return map_.replace(
-        obstacle=obstacle,
-        step_m=step,
-        variance_m2=variance,
-        inclination_deg=inclination,
-        posture_deg=mark(map_.posture_deg, before, jnp.fmax(known, posture), over),
-    )

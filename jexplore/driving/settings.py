@@ -5,6 +5,7 @@ one batch. The docstrings are the command line's help texts.
 """
 
 import dataclasses
+import math
 
 from jexplore.config import InputError, require_kind, require_number, require_whole
 
@@ -29,11 +30,15 @@ class Robot:
     """How far the downward scanner is before the robot's middle, metres."""
     scanner_angle_deg: float
     """Mount of the downward scanner: angle from the vertical, degrees."""
+    scan_height_m: float
+    """Height of the scanner that looks ahead above the ground, metres."""
+    scan_pitch_deg: float = 0.0
+    """Mount of the scanner that looks ahead: how far it looks down, degrees."""
 
 
 ROBOTS = {
-    "kamui": Robot("kamui", 0.70, 0.39, 0.74, 45.0, 0.20, 7 / 3.6, 1.5, 0.50, 0.20, 45.0),
-    "wheeled": Robot("wheeled", 0.45, 0.39, 0.50, 5.0, 0.03, 1.0, 2.0, 0.50, 0.20, 45.0),
+    "kamui": Robot("kamui", 0.70, 0.39, 0.74, 45.0, 0.20, 7 / 3.6, 1.5, 0.50, 0.20, 45.0, 0.70),
+    "wheeled": Robot("wheeled", 0.45, 0.39, 0.50, 5.0, 0.03, 1.0, 2.0, 0.50, 0.20, 45.0, 0.45),
 }
 """Name -> robot. `kamui` is the crawler of Mano et al., Table III; its step height and sensor mounts are ours."""
 
@@ -50,11 +55,19 @@ class Noise:
     """The attitude sensor has this standard deviation, in degrees."""
     odometry: float = 0.01
     """An encoder step has this standard deviation, relative to the step."""
+    length_scale: float = 1.0
+    """The encoders report so many times the length of every step."""
+    turn_scale: float = 1.0
+    """The encoders report so many times every turn."""
+    heading_bias_deg_m: float = 0.0
+    """The odometry's heading turns by this on every metre of way, in degrees, counter-clockwise."""
     heading_deg_sqrt_m: float = 0.5
     """The odometry's heading has this standard deviation after one metre, in degrees; it grows with the root of the
     path."""
     slip: float = 0.02
     """The tracks lose this share of every turn to slip, which the encoders do not notice."""
+    beacon_m: float = 0.05
+    """The distance of the goal's beacon has this standard deviation, in metres."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -100,6 +113,8 @@ class Tuning:
     """The robot turns at this rate for each radian of bearing of the target point [kw], in 1/s."""
 
 
+SEES_M = 4.0
+"""The scanner that looks ahead must see level ground no nearer than this, metres."""
 WHOLE = {"votes": 9, "helps": 100}
 """Thresholds that are whole numbers -> their largest value."""
 
@@ -137,9 +152,13 @@ def require_noise(noise: Noise) -> None:
       InputError: naming the number.
     """
     require_kind("noise", noise, Noise)
-    for name, high in (("range_m", 1), ("invalid", 1), ("attitude_deg", 10), ("odometry", 0.5), ("slip", 0.5)):
+    most = {"range_m": 1, "beacon_m": 1, "invalid": 1, "attitude_deg": 10, "odometry": 0.5, "slip": 0.5}
+    for name, high in most.items():
         require_number(f"noise.{name}", getattr(noise, name), high=high)
     require_number("noise.heading_deg_sqrt_m", noise.heading_deg_sqrt_m, high=45)
+    require_number("noise.heading_bias_deg_m", noise.heading_bias_deg_m, low=-45, high=45)
+    for name in ("length_scale", "turn_scale"):
+        require_number(f"noise.{name}", getattr(noise, name), low_open=True, high=2)
 
 
 def require_robot(robot: Robot) -> None:
@@ -148,9 +167,17 @@ def require_robot(robot: Robot) -> None:
     Raises:
       InputError: naming the number.
     """
-    for name in ("length_m", "width_m", "height_m", "max_speed_m_s", "max_turn_rad_s", "scanner_height_m"):
+    heights = "height_m", "scanner_height_m", "scan_height_m"
+    for name in ("length_m", "width_m", "max_speed_m_s", "max_turn_rad_s", *heights):
         require_number(f"robot.{name}", getattr(robot, name), low_open=True, high=10)
     require_number("robot.max_slope_deg", robot.max_slope_deg, high=60)
     require_number("robot.max_step_m", robot.max_step_m, high=1)
     require_number("robot.scanner_x_m", robot.scanner_x_m, low=-5, high=5)
     require_number("robot.scanner_angle_deg", robot.scanner_angle_deg, low=10, high=75)
+    require_number("robot.scan_pitch_deg", robot.scan_pitch_deg, low=-20, high=20)
+    down = math.tan(math.radians(robot.scan_pitch_deg))
+    if down > 0 and (floor_m := robot.scan_height_m / down) < SEES_M:
+        raise InputError(
+            f"robot.scan_pitch_deg must let the scanner see {SEES_M:g} m: {robot.scan_height_m:g} m above the ground, "
+            f"{robot.scan_pitch_deg:g} degrees down, it looks into the floor after {floor_m:.1f} m"
+        )

@@ -7,7 +7,7 @@ from jax import Array
 
 FINER = 4  # heights are kept this much finer than cells: a step is a ramp of a quarter of a cell
 CONTACTS = 14  # points of a track, lengthwise, that may touch the ground
-MARCH = 24  # samples of a beam that looks down
+MARCH_M = 0.1  # between two samples of a beam
 HALVINGS = 7  # of the stretch in which such a beam meets the ground
 MAX_DOWN_M = 2.4  # range of a beam that looks down, metres
 
@@ -113,25 +113,34 @@ def attitude(
     return -jnp.arctan(slope.mean()), jnp.arctan2(height[0] - height[1], width_m), height.mean(), rise
 
 
-def look_down(terrain: Terrain, origin: tuple[Array | float, Array | float, Array | float], direction: Array) -> Array:
+def look_at(
+    terrain: Terrain,
+    origin: tuple[Array | float, Array | float, Array | float],
+    direction: Array,
+    most_m: float = MAX_DOWN_M,
+    march_m: float = MARCH_M,
+) -> Array:
     """Ranges of beams to the ground.
 
     Args:
       terrain: `Terrain`.
       origin: `(x_m, y_m, z_m)`, float scalars.
       direction: `[D, 3]` float32, unit vectors.
+      most_m: range, metres. Static.
+      march_m: ground that rises above a beam for less of it than this may be missed. Static.
 
     Returns:
-      `[D]` float32, metres; inf beyond `MAX_DOWN_M`.
+      `[D]` float32, metres; inf beyond the range.
     """
 
     def above(distance):  # [..., D]
         x, y, z = (origin[i] + distance * direction[:, i] for i in range(3))
         return z - height_at(terrain, x, y)
 
-    step = MAX_DOWN_M / MARCH
-    distance = jnp.arange(1, MARCH + 1, dtype=jnp.float32)[:, None] * step
-    below = above(distance) <= 0  # [MARCH, D]
+    n = round(most_m / march_m)
+    step = most_m / n
+    distance = jnp.arange(1, n + 1, dtype=jnp.float32)[:, None] * step
+    below = above(distance) <= 0  # [n, D]
     first = jnp.argmax(below, axis=0)
     low, high = first * step, (first + 1) * step
     for _ in range(HALVINGS):

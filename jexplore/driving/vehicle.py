@@ -14,8 +14,9 @@ from flax import struct
 from jax import Array
 from jax.tree_util import register_dataclass
 
+from jexplore.arrays.loops import run_if
 from jexplore.driving.settings import Noise, Robot, Tuning
-from jexplore.driving.terrain import Terrain, attitude, look_down, turned
+from jexplore.driving.terrain import Terrain, attitude, look_at, turned
 from jexplore.driving.walls import Walls, cast, meets
 
 register_dataclass(Robot, [f for f in Robot.__dataclass_fields__ if f != "name"], ["name"])
@@ -29,6 +30,9 @@ ANGLES_RAD = np.radians(np.linspace(-90, 90, BEAMS)).astype(np.float32)
 BEAM_SPACING_RAD = math.pi / (BEAMS - 1)
 DOWN_BEAMS = 13
 DOWN_RAD = np.radians(np.linspace(-18, 18, DOWN_BEAMS)).astype(np.float32)
+BEACON_M = 1.0  # the goal's beacon is heard within this, where no wall lies between
+GROUND_M = 0.2  # beams of the scanner that looks ahead are followed over the ground in steps of this
+FLOOR_M = 0.1  # a point no higher than this above the level on which the robot stands is ground
 
 
 @struct.dataclass
@@ -64,6 +68,8 @@ class Senses:
     down_m: Array  # [D] float32, likewise
     pitch: Array  # float32, radians
     roll: Array  # float32, radians
+    beacon_m: Array  # float32, distance of the goal; inf: not heard
+    replace: ClassVar[Callable[..., Self]]
 
 
 @struct.dataclass
@@ -74,17 +80,17 @@ class Draws:
     down: Array  # [D] float32
     attitude: Array  # [2] float32, pitch and roll
     encoders: Array  # [3] float32, length and turn of the step, and drift of the heading
+    beacon: Array  # float32
     missing: Array  # [B] float32, uniform from 0 to 1
 
 
 def draw(key: Array) -> Draws:
     """`Draws` of one step; the key is consumed."""
     key, missing_key = jax.random.split(key)
-    ranges, down, attitude, encoders = jnp.split(
-        jax.random.normal(key, (BEAMS + DOWN_BEAMS + 5,)), (BEAMS, BEAMS + DOWN_BEAMS, BEAMS + DOWN_BEAMS + 2)
-    )
+    ends = np.cumsum([BEAMS, DOWN_BEAMS, 2, 3])
+    ranges, down, attitude, encoders, beacon = jnp.split(jax.random.normal(key, (ends[-1] + 1,)), ends)
     missing = jax.random.uniform(missing_key, (BEAMS,))
-    return Draws(ranges=ranges, down=down, attitude=attitude, encoders=encoders, missing=missing)
+    return Draws(ranges=ranges, down=down, attitude=attitude, encoders=encoders, missing=missing, beacon=beacon[0])
 
 
 def down_directions(robot: Robot) -> Array:
@@ -111,21 +117,77 @@ def sense(draws: Draws, building: Building, robot: Robot, noise: Noise, body: Bo
     Returns:
       `Senses`.
     """
-    numberless = draws.missing < noise.invalid
-    ranges = cast(building.walls, body.pose, ANGLES_RAD, RANGE_M) + noise.range_m * draws.ranges
-    direction = turned(down_directions(robot), body.pitch, body.roll, body.pose[2])
-    mount = turned(
-        jnp.stack([robot.scanner_x_m, 0.0, robot.scanner_height_m])[None], body.pitch, body.roll, body.pose[2]
-    )[0]
-    origin = body.pose[0] + mount[0], body.pose[1] + mount[1], body.height_m + mount[2]
-    down = look_down(building.terrain, origin, direction) + noise.range_m * draws.down
+    origin, direction = _mounted(body, robot.scanner_x_m, robot.scanner_height_m, down_directions(robot))
+    down = look_at(building.terrain, origin, direction) + noise.range_m * draws.down
     tilt = jnp.radians(noise.attitude_deg)
     return Senses(
-        ranges_m=jnp.where(numberless, jnp.nan, jnp.maximum(ranges, 0.01)),
+        ranges_m=scan(draws, building, robot, noise, body),
         down_m=down,
         pitch=body.pitch + tilt * draws.attitude[0],
         roll=body.roll + tilt * draws.attitude[1],
+        beacon_m=_beacon(building, body) + noise.beacon_m * draws.beacon,
     )
+
+
+def _mounted(body, x_m, height_m, direction):
+    """Where a scanner is, `(x, y, z)`, and the directions of its beams, `[D, 3]`, in the building."""
+    mount = turned(jnp.stack([jnp.float32(1) * x_m, 0.0, height_m])[None], body.pitch, body.roll, body.pose[2])[0]
+    origin = body.pose[0] + mount[0], body.pose[1] + mount[1], body.height_m + mount[2]
+    return origin, turned(direction, body.pitch, body.roll, body.pose[2])
+
+
+def ahead_directions(robot: Robot) -> Array:
+    """Unit vectors of the beams of the scanner that looks ahead in the robot's frame: `[B, 3]` float32."""
+    pitch = jnp.radians(robot.scan_pitch_deg)
+    ahead = np.cos(ANGLES_RAD)
+    return jnp.stack([jnp.cos(pitch) * ahead, np.sin(ANGLES_RAD), -jnp.sin(pitch) * ahead], axis=1)
+
+
+def scan(draws: Draws, building: Building, robot: Robot, noise: Noise, body: Body) -> Array:
+    """What the scanner that looks ahead says: `[B]` float32, metres, see `Senses`. Arguments as for `sense`.
+
+    Its beams lean as the robot does: they meet walls, which are as high as need be, and the ground.
+    """
+    origin, direction = _mounted(body, 0.0, robot.scan_height_m, ahead_directions(robot))
+    flat = jnp.maximum(jnp.hypot(direction[:, 0], direction[:, 1]), 1e-6)
+    bearing = jnp.arctan2(direction[:, 1], direction[:, 0])
+    ranges = cast(building.walls, (origin[0], origin[1], 0.0), bearing, RANGE_M) / flat
+    terrain = building.terrain
+    tilts = jnp.abs(jnp.stack([body.pitch, body.roll, jnp.radians(robot.scan_pitch_deg)]))
+    meets_ground = jnp.any(tilts > 1e-3) | (jnp.max(terrain.height_m) > origin[2])
+    ground = run_if(
+        meets_ground,
+        lambda _: look_at(terrain, origin, direction, RANGE_M, GROUND_M),
+        jnp.full(BEAMS, jnp.inf),
+    )
+    ranges = jnp.minimum(ranges, ground)
+    ranges = jnp.where(ranges < RANGE_M, ranges, jnp.inf) + noise.range_m * draws.ranges
+    return jnp.where(draws.missing < noise.invalid, jnp.nan, jnp.maximum(ranges, 0.01))
+
+
+def _beacon(building, body):
+    """Distance of the goal where its beacon is heard, else inf."""
+    offset = building.goal - body.pose[:2]
+    off_m, bearing = jnp.hypot(*offset), jnp.arctan2(offset[1], offset[0])
+    wall_m = cast(building.walls, (body.pose[0], body.pose[1], 0.0), bearing[None], BEACON_M)[0]
+    return jnp.where((off_m < BEACON_M) & (off_m < wall_m), off_m, jnp.inf)
+
+
+def levelled(senses: Senses, robot: Robot) -> tuple[Senses, Array]:
+    """What the scanner that looks ahead says, in the plane: distances in it, as the attitude sensor has it.
+
+    A beam that ends no higher than `FLOOR_M` above the level on which the robot stands has met ground: it says nothing
+    of walls. Bearings are left as they are: where the robot leans by 10 degrees they are off by half a degree.
+
+    Returns:
+      `(senses, is_ground)`: ranges are NaN where a beam has met ground; `[B]` bool, where.
+    """
+    direction = turned(ahead_directions(robot), senses.pitch, senses.roll, 0.0)
+    mount_m = robot.scan_height_m * jnp.cos(senses.pitch) * jnp.cos(senses.roll)
+    reach_m = jnp.minimum(senses.ranges_m, RANGE_M)
+    ground = (mount_m + reach_m * direction[:, 2] < FLOOR_M) & jnp.isfinite(senses.ranges_m)
+    flat_m = senses.ranges_m * jnp.hypot(direction[:, 0], direction[:, 1])
+    return senses.replace(ranges_m=jnp.where(ground, jnp.nan, flat_m)), ground
 
 
 def touches(building: Building, robot: Robot, pose: Array) -> Array:
@@ -179,10 +241,11 @@ def move(
         contacts=body.contacts + contact,
         refused=body.refused + (~contact & ~climbs),
     )
-    measured = ahead * (1 + noise.odometry * draws.encoders[0]) * jnp.cos(senses.pitch)
-    turn = turn * (1 + noise.odometry * draws.encoders[1]) + jnp.radians(noise.heading_deg_sqrt_m) * draws.encoders[
-        2
-    ] * jnp.sqrt(jnp.abs(flat))
+    length = noise.length_scale * (1 + noise.odometry * draws.encoders[0])
+    measured = ahead * length * jnp.cos(senses.pitch)
+    walk = jnp.radians(noise.heading_deg_sqrt_m) * draws.encoders[2] * jnp.sqrt(jnp.abs(flat))
+    turn = noise.turn_scale * turn * (1 + noise.odometry * draws.encoders[1]) + walk
+    turn += jnp.radians(noise.heading_bias_deg_m) * jnp.abs(flat)
     middle = estimate[2] + 0.5 * turn
     odometry = estimate + jnp.stack([measured * jnp.cos(middle), measured * jnp.sin(middle), turn])
     return moved, jnp.where(goes, odometry, estimate), jnp.where(goes, jnp.abs(measured), 0)

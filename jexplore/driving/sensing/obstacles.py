@@ -1,0 +1,68 @@
+"""What an obstacle is: a slope or stairs, how steep, and how high its steps are."""
+
+from typing import Any
+
+import jax.numpy as jnp
+from jax import Array
+
+from jexplore import btm
+from jexplore.btm import Btm
+from jexplore.driving.sensing import ground_profile
+from jexplore.driving.settings import Robot, Tuning
+
+MARGIN_M = 0.1  # the profile of an obstacle is looked at so far from the nodes at its ends
+
+
+def judged(
+    map_: Btm,
+    writer: Any,
+    event: Any,
+    tuning: Tuning,
+    robot: Robot,
+    posture: Array,
+    here: Array,
+) -> Btm:
+    """Says of the obstacle that lies behind what it is, once the robot has passed it.
+
+    Args:
+      map_: `Btm` with the node that is due.
+      writer, event: `Writer`, `Event`.
+      tuning, robot: `Tuning`, `Robot`.
+      posture: float32, degrees, largest inclination of the body on the way here.
+      here: int32, the node.
+    """
+    before = jnp.minimum(writer.node, map_.kind.shape[0] - 1)
+    over = map_.kind[before] == btm.OBSTACLE
+    way = writer.way
+    within = (way.ground_x_m > writer.node_m + MARGIN_M) & (way.ground_x_m < event.odometer_m - MARGIN_M)
+    found = ground_profile.profile(way.ground_x_m, way.ground_z_m, within & jnp.isfinite(way.ground_x_m))
+    is_steep = jnp.abs(jnp.arctan(found.slope)) > jnp.radians(tuning.inclination_deg)
+    judged = over & is_steep & (found.count >= 3) & (event.odometer_m > writer.node_m)
+    stairs = judged & (found.variance_m2 > tuning.variance_max_m2)
+
+    def mark(array, at, value, when):
+        return array.at[jnp.where(when, at, array.shape[0])].set(value, mode="drop")
+
+    obstacle, step, variance = map_.obstacle, map_.step_m, map_.variance_m2
+    for at, is_one in ((before, stairs), (here, stairs & (event.kind == btm.OBSTACLE))):
+        obstacle = mark(obstacle, at, btm.STAIRS, is_one)
+        step = mark(step, at, jnp.fmax(found.step_m, step[at]), is_one)
+    for at, is_one in ((before, judged), (here, judged & (event.kind == btm.OBSTACLE))):
+        variance = mark(variance, at, jnp.fmax(found.variance_m2, variance[at]), is_one)
+    known = map_.posture_deg[before]
+    # On the ground between, without the ramps of the robot's own length at both ends.
+    margin = robot.length_m / 2 + 0.05
+    on_it = (way.odometer_m > writer.node_m + margin) & (way.odometer_m < event.odometer_m - margin)
+    n = jnp.sum(on_it)
+    even = jnp.degrees(jnp.sum(jnp.where(on_it, jnp.abs(way.pitch), 0)) / jnp.maximum(n, 1))
+    even = jnp.where(over & (n > 0) & (even > tuning.inclination_deg), even, jnp.nan)
+    inclination = map_.inclination_deg
+    for at, is_one in ((before, over), (here, over & (event.kind == btm.OBSTACLE))):
+        inclination = mark(inclination, at, jnp.fmax(inclination[at], even), is_one)
+    return map_.replace(
+        obstacle=obstacle,
+        step_m=step,
+        variance_m2=variance,
+        inclination_deg=inclination,
+        posture_deg=mark(map_.posture_deg, before, jnp.fmax(known, posture), over),
+    )
