@@ -53,6 +53,31 @@ def test_numbers_of_numpy_become_plain():
     assert repr(found.nodes[0]) == repr(Node(0, 0.5, 1.0, "terminal", attributes={"heat": 2.0}))
 
 
+def test_attributes_are_set_of_a_node_of_a_link_and_of_the_map():
+    btm = BtmMap((node(0), node(7)), (way(3, 0, 7, 10),), {"world": "w"})
+    found = btm.with_attributes(node=7, victim=True).with_attributes(node=7, heat=np.float32(0.5), victim="two")
+    found = found.with_attributes(link=3, radio_dbm=-61).with_attributes(frame="map")
+    assert found.nodes[1].attributes == {"victim": "two", "heat": 0.5}
+    assert found.links[0].attributes == {"radio_dbm": -61}
+    assert found.attributes == {"world": "w", "frame": "map"}
+    assert found.nodes[0] == btm.nodes[0]
+    assert not btm.nodes[1].attributes
+
+
+@pytest.mark.parametrize(
+    ("where", "says"),
+    [
+        ({"node": 1, "a": 1}, "there is no node 1: the map has 1 nodes"),
+        ({"link": 0, "a": 1}, "there is no link 0: the map has 0 links"),
+        ({"node": 0, "link": 0, "a": 1}, "of a node or of a link, not of both at once"),
+        ({"node": 0, "a": math.nan}, "attributes must be what JSON can hold"),
+    ],
+)
+def test_attributes_that_cannot_be_set(where, says):
+    with pytest.raises(InputError, match=says):
+        BtmMap((node(0),), ()).with_attributes(**where)
+
+
 def test_a_map_that_is_none_is_refused():
     with pytest.raises(InputError, match=r'^"map": link 0 ends at node 1, which is not there$'):
         record.check(BtmMap((node(0),), (way(0, 0, 1, 0),)))

@@ -143,6 +143,38 @@ def test_divergences_are_matched_by_place_and_degree():
     assert extraction.matched(true, true, 0.1) == (2, 2, 2)
 
 
+@pytest.mark.parametrize(
+    ("text", "want"),
+    [
+        ("victim=true@12.5,4", ("victim", True, (12.5, 4.0))),
+        ("radio_dbm=-61@-3,8e0", ("radio_dbm", -61, (-3.0, 8.0))),
+        ("mail=a@b=c@1,2", ("mail", "a@b=c", (1.0, 2.0))),
+        ('note={"by": "op"}@0,0', ("note", {"by": "op"}, (0.0, 0.0))),
+        ("heat=NaN@0,0", ("heat", "NaN", (0.0, 0.0))),
+    ],
+)
+def test_attributes_by_hand(text, want):
+    assert job.attributes_of([text]) == (want,)
+
+
+@pytest.mark.parametrize(
+    "text", ["victim", "victim=1", "=1@2,3", "victim=1@2", "victim=1@2,3,4", "victim@2,3", "a=1@2,nan"]
+)
+def test_attributes_that_are_none(text):
+    with pytest.raises(InputError, match="attribute must be NAME=VALUE@X,Y"):
+        job.prepare_trace("course", attributes=[text])
+
+
+def test_the_nearest_node_in_truth_gets_an_attribute(ran, jit_on):
+    found = json_form.read_btm(ran / "btm.json")
+    goal = found.nodes[-1]
+    with jit_on():
+        marked = tracing.trace("course", attributes=[f"victim=true@{goal.x_m},{goal.y_m}", "radio=-40@0,27"], workers=1)
+    assert [node.attributes.get("victim") for node in marked.first.nodes] == [None] * (len(found.nodes) - 1) + [True]
+    assert marked.first.nodes[0].attributes["radio"] == -40
+    assert marked.first.attributes["frame"] == "odom"
+
+
 def test_starts_are_drawn_and_a_run_is_held_against_a_topology_only_from_its_start():
     plan = job.prepare_trace("course#3", starts=3, seed=4)
     own = job.prepare_trace("course#3", runs=2)

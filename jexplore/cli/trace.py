@@ -56,6 +56,9 @@ class Trace:
     """Make the edge of a cell this long, in metres."""
     max_steps: int | None = None
     """End a run as STEP_LIMIT after so many steps of 0.1 s; by default 6000, more in a large building."""
+    attribute: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUE@X,Y [...]", help_behavior_hint="")] = ()
+    """Give the node that is nearest to a place in the building, in metres, an attribute: victim=true@12.5,4,
+    radio_dbm=-61@3,8."""
     animate: bool = False
     """Also write btm.html, one file that replays without a network what the operator sees of run 0."""
     from_episode: bool = False
@@ -101,6 +104,7 @@ class Trace:
                 settings=self.settings,
                 cell_m=self.cell_m,
                 max_steps=self.max_steps,
+                attributes=self.attribute,
             )
             ledger = out.keep(tracing.asked(plan), len(tracing.blocks_of(plan)))
             if ledger is None:

@@ -22,7 +22,7 @@ _LINK_MEASURES = ("length_m", "min_width_m", "posture_deg", "opening_m")
 _NOT_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 
-def geojson(btm: BtmMap, *, frame: str = "map") -> dict[str, Any]:
+def geojson(btm: BtmMap, *, frame: str | None = None) -> dict[str, Any]:
     """The map as a GeoJSON route graph for the Nav2 Route Server, for `store.write_json`.
 
     A node becomes a Point under its own id, a searched link two LineStrings, one each way, under ids that follow the
@@ -37,7 +37,7 @@ def geojson(btm: BtmMap, *, frame: str = "map") -> dict[str, Any]:
 
     Args:
       btm: the map, with one searched link or more.
-      frame: the frame of the coordinates.
+      frame: the frame of the coordinates; by default the map's attribute `frame`, or `map` where it has none.
 
     Returns:
       A dict, a FeatureCollection.
@@ -50,6 +50,7 @@ def geojson(btm: BtmMap, *, frame: str = "map") -> dict[str, Any]:
       The geojson loader, distance, penalty and semantic scorers of nav2_route.
     """
     btm = check(btm)
+    frame = frame or str(btm.attributes.get("frame", "map"))
     searched = [link for link in btm.links if link.end != NOWHERE]
     if not searched:
         raise InputError("a route graph must have an edge: the map has no searched link")

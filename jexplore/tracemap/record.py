@@ -93,6 +93,34 @@ class BtmMap:
         found = self.bearings_deg(node_id)
         return [after - before for before, after in zip(found, [*found[1:], *(bearing + 360 for bearing in found[:1])])]
 
+    def with_attributes(self, *, node: int | None = None, link: int | None = None, **attributes: Any) -> "BtmMap":
+        """The map with attributes set: of a node, of a link, or of itself where neither is named.
+
+        Args:
+          node, link: id of the one that they are set of.
+          **attributes: such as `victim=True` or `radio_dbm=-61`: anything that JSON can hold.
+
+        Returns:
+          `BtmMap`; this one stays as it is.
+
+        Raises:
+          InputError: no such node or link, both named, or what JSON cannot hold.
+        """
+        if node is not None and link is not None:
+            raise InputError("attributes are set of a node or of a link, not of both at once")
+        own = _attributes(attributes, "attributes")
+        if node is None and link is None:
+            return dataclasses.replace(self, attributes={**self.attributes, **own})
+        name, number = ("nodes", node) if link is None else ("links", link)
+        items = getattr(self, name)
+        if number not in [item.id for item in items]:
+            raise InputError(f"there is no {name[:-1]} {number}: the map has {len(items)} {name}")
+        changed = (
+            dataclasses.replace(item, attributes={**item.attributes, **own}) if item.id == number else item
+            for item in items
+        )
+        return dataclasses.replace(self, **{name: tuple(changed)})
+
     def __repr__(self) -> str:
         searched = sum(link.end != NOWHERE for link in self.links)
         return f"<BtmMap of {len(self.nodes)} nodes and {len(self.links)} links, {searched} of them searched>"

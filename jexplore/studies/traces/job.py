@@ -1,7 +1,9 @@
 """What a trace is asked: a building, a robot, thresholds and noise, and which of them are swept."""
 
+import contextlib
 import dataclasses
 import itertools
+import json
 import math
 import os
 from collections.abc import Sequence
@@ -50,6 +52,8 @@ class TraceJob:
     max_steps: int
     size: tuple[int, int] = SIZE
     """Most nodes and links of a map."""
+    attributes: tuple[tuple[str, Any, tuple[float, float]], ...] = ()
+    """Name, value and place, metres: the node of every run's map that is nearest to the place in truth gets it."""
 
     def first_settings(self) -> tuple[Any, Tuning, Noise]:
         """Robot, thresholds and noise of run 0: `(Robot, Tuning, Noise)`."""
@@ -153,6 +157,28 @@ def swept_values(sweep: Sequence[str], settings: int, seed: int) -> dict[str, np
     return {name: np.round(value) if name in WHOLE else value for name, value in values.items()}
 
 
+def attributes_of(texts: Sequence[str]) -> tuple[tuple[str, Any, tuple[float, float]], ...]:
+    """Attributes that nodes get, each `NAME=VALUE@X,Y`: a value of JSON, else text; a place in metres.
+
+    Raises:
+      InputError: naming what is none.
+    """
+    found = []
+    for text in texts:
+        what, _, place = text.rpartition("@")
+        name, equals, value = what.partition("=")
+        try:
+            x_m, y_m = (float(v) for v in place.split(","))
+        except ValueError:
+            x_m = y_m = math.nan
+        if not (name and equals and math.isfinite(x_m) and math.isfinite(y_m)):
+            raise InputError(f"attribute must be NAME=VALUE@X,Y, as in victim=true@12.5,4, got {text!r}")
+        with contextlib.suppress(ValueError):
+            value = json.loads(value, parse_constant=str)
+        found.append((name, value, (x_m, y_m)))
+    return tuple(found)
+
+
 def prepare_trace(
     world: str | os.PathLike[str] | World = "course",
     *,
@@ -167,6 +193,7 @@ def prepare_trace(
     settings: int = 100,
     cell_m: float = 0.1,
     max_steps: int | None = None,
+    attributes: Sequence[str] = (),
 ) -> TraceJob:
     """Checks everything before anything is compiled.
 
@@ -183,6 +210,7 @@ def prepare_trace(
       cell_m: edge of a cell, metres.
       max_steps: steps after which a run ends as STEP_LIMIT; by default `MAX_STEPS`, outside of courses more in
         proportion to the free area.
+      attributes: see `attributes_of`.
 
     Returns:
       `TraceJob`.
@@ -209,7 +237,8 @@ def prepare_trace(
         _require(robot, *with_values(tuning, noise, own_values(swept, i)))
     building, truth, begins = _placed(world, _ends(world, start, starts, seed), robot, tuning)
     size = SIZE if world.course is not None else ROOMY
-    return TraceJob(world, building, truth, begins, robot, tuning, noise, runs, seed, swept, count, max_steps, size)
+    found = world, building, truth, begins, robot, tuning, noise, runs, seed, swept, count, max_steps, size
+    return TraceJob(*found, attributes_of(attributes))
 
 
 def _require(robot, tuning, noise):

@@ -13,7 +13,7 @@ from jexplore.driving import behaviour, events, mission, vehicle
 from jexplore.driving.batch import MAX_STEPS, Driven
 from jexplore.driving.behaviour import RunMode
 from jexplore.driving.sensing import perception, surround
-from jexplore.driving.walls import cast, segments
+from jexplore.driving.walls import segments
 from jexplore.report.operator_view import Recording
 from jexplore.studies.traces import tracing
 
@@ -23,14 +23,32 @@ POINT_EVERY = 5  # steps between two scans whose points are drawn
 
 
 def scan_points(plan: tracing.TraceJob, track: Driven) -> np.ndarray:
-    """Points of some scans along a way, as the odometry has them: `[P, 2]`, metres, in the world's frame."""
+    """Points of some scans of run 0 along its way, as they were measured: `[P, 2]`, metres, in the world's frame."""
     steps = np.arange(0, len(track.truth), POINT_EVERY)
-    ranges = jax.jit(jax.vmap(lambda pose: cast(plan.building.walls, pose, vehicle.ANGLES_RAD, vehicle.RANGE_M)))
-    found = np.asarray(ranges(track.truth[steps]))
+    robot, noise, building = _numbers(plan.robot), _numbers(plan.first_settings()[2]), jax.device_put(plan.building)
+    key = _key(plan)
+
+    @jax.jit
+    def measured(step, pose):
+        body = vehicle.at_rest(building, robot, pose)
+        senses = vehicle.sense(vehicle.draw(jax.random.fold_in(key, step)), building, robot, noise, body)
+        return vehicle.levelled(senses, robot)[0].ranges_m
+
+    found = np.asarray(jax.lax.map(lambda one: measured(*one), (steps, track.truth[steps])))
     angle = track.estimate[steps, 2:3] + vehicle.ANGLES_RAD
     hit = np.isfinite(found)
     reach = np.where(hit, found, 0)[..., None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
     return (track.estimate[steps, None, :2] + reach)[hit] + np.asarray(plan.world.origin_m)
+
+
+def _numbers(settings):
+    """A record of settings as numbers on the device."""
+    return jax.tree.map(lambda a: jnp.asarray(a[0]), tracing.numbers_of(settings, 1))
+
+
+def _key(plan):
+    """The key of run 0."""
+    return jax.random.fold_in(jax.random.key(np.uint32(plan.seed)), 0)
 
 
 def moved(poses: ArrayLike, origin_m: tuple[float, float]) -> np.ndarray:
@@ -48,9 +66,12 @@ def _frame(key, building, robot, tuning, noise, state):
     """One step, and what was seen in it."""
     draws = vehicle.draw(key)
     senses = vehicle.sense(draws, building, robot, noise, state.body)
-    xy, valid = perception.points(senses.ranges_m, vehicle.ANGLES_RAD)
+    level, is_ground = vehicle.levelled(senses, robot)
+    level_m = level.ranges_m
+    xy, valid = perception.points(level_m, vehicle.ANGLES_RAD)
     wall_m = jnp.minimum(*perception.clearances(xy, valid, robot.length_m / 2))
-    found = events.triangles(*surround.points(surround.seen(state.around, senses.ranges_m)), wall_m, tuning)
+    around = surround.seen(state.around, jnp.where(is_ground, jnp.inf, level_m))
+    found = events.triangles(*surround.points(around), wall_m, tuning)
     best = jnp.argsort(jnp.where(found.valid, jnp.hypot(*found.centre.T), jnp.inf))[:TRIANGLES]
     there = found.valid[best]
     after = mission.step(draws, building, robot, tuning, noise, state)
@@ -86,14 +107,10 @@ def record(plan: tracing.TraceJob, on_progress: Callable[[int], Any] = lambda n:
       `Recording`.
     """
 
-    def numbers(settings):
-        own = tracing.numbers_of(settings, 1)
-        return jax.tree.map(lambda a: jnp.asarray(a[0]), own)
-
-    robot, tuning, noise = (numbers(s) for s in plan.first_settings())
+    robot, tuning, noise = (_numbers(s) for s in plan.first_settings())
     building = jax.device_put(plan.building)
     setup = mission.Setup(max(plan.max_steps, MAX_STEPS), *plan.size)
-    key = jax.random.fold_in(jax.random.key(np.uint32(plan.seed)), 0)
+    key = _key(plan)
     state = jax.tree.map(jnp.asarray, mission.at_start(setup, building, robot, plan.begins[0]))
     frames, steps = [], 0
     while int(state.outcome) == mission.Outcome.RUNNING and steps < plan.max_steps:

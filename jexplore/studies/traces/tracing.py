@@ -27,6 +27,7 @@ from jexplore.tracemap.similarity import code
 from jexplore.version import __version__
 from jexplore.worlds.world import World
 
+FRAME = "odom"  # of a run's map: its places are those of the odometry, corrected by scans and at nodes met again
 FIRST = "_first"  # column of a unit's file: map and way of run 0
 
 
@@ -68,6 +69,7 @@ def asked(plan: TraceJob) -> dict[str, Any]:
         "world": os.fspath(plan.world.name),
         **{name: getattr(plan, name) for name in ("robot", "tuning", "noise", "runs", "seed", "swept", "max_steps")},
         "starts": plan.begins,
+        "attributes": plan.attributes,
         "digest": digest(plan.world),
     }
 
@@ -223,8 +225,13 @@ def map_of(plan: TraceJob, result: Any, i: int) -> BtmMap:
     import jax
 
     own = jax.tree.map(lambda a: a[i], result.map)
-    about = {"world": plan.world.name, "robot": plan.robot.name, "seed": plan.seed}
-    return btm.to_map(own, origin_m=plan.world.origin_m, **about)
+    about = {"world": plan.world.name, "robot": plan.robot.name, "seed": plan.seed, "frame": FRAME}
+    found = btm.to_map(own, origin_m=plan.world.origin_m, **about)
+    at = result.node_at[i][: len(found.nodes)] + np.asarray(plan.world.origin_m)
+    for name, value, place in plan.attributes:
+        node = int(np.nanargmin(np.hypot(*(at - place).T)))
+        found = found.with_attributes(node=node, **{name: value})
+    return found
 
 
 def _helps(help_at, origin_m):
