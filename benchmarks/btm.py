@@ -1,6 +1,7 @@
 """What is claimed of Behavioral Trace Maps, measured: repeatability, ablations, typing of obstacles, accuracy, speed.
 
-    python benchmarks/btm.py [--runs 1000] [--parts repeat ablation stairs place robots buildings courses speed]
+    python benchmarks/btm.py [--runs 1000] [--parts repeat ablation stairs place robots]
+    python benchmarks/btm.py [--runs 1000] [--parts buildings furniture sensors steps speed]
 
 Everything is printed as Markdown. 1000 runs of each take some twenty minutes on two cores.
 """
@@ -20,7 +21,22 @@ from jexplore.tracemap.record import BtmMap
 from jexplore.tracemap.similarity import code
 
 STILL = Noise(attitude_deg=0, odometry=0, heading_deg_sqrt_m=0, slip=0)
-PARTS = ("repeat", "ablation", "stairs", "place", "robots", "buildings", "courses", "speed")
+PARTS = ("repeat", "ablation", "stairs", "place", "robots", "buildings", "furniture", "sensors", "steps", "speed")
+ERRORS = {
+    "none besides 1 cm": {},
+    "range noise 5 cm": {"range_m": 0.05},
+    "range noise 8 cm": {"range_m": 0.08},
+    "attitude noise 1 degree": {"attitude_deg": 1.0},
+    "attitude noise 2 degrees": {"attitude_deg": 2.0},
+    "10 % of the beams without a number": {"invalid": 0.1},
+    "30 % of the beams without a number": {"invalid": 0.3},
+    "slip 10 % of every turn": {"slip": 0.1},
+    "slip 20 % of every turn": {"slip": 0.2},
+    "encoders 2 % long, walk of 2 degrees": {"length_scale": 1.02, "turn_scale": 1.02, "heading_deg_sqrt_m": 2.0},
+    "encoders 5 % long": {"length_scale": 1.05, "turn_scale": 1.05},
+    "heading bias 3 degrees a metre": {"heading_bias_deg_m": 3.0},
+    "5 cm, 1 degree, 10 % invalid, slip 10 %": {"range_m": 0.05, "attitude_deg": 1.0, "invalid": 0.1, "slip": 0.1},
+}
 BUILDINGS = ("rooms", "office", "hospital", "maze", "cave")
 WORKERS = os.cpu_count() or 1
 
@@ -186,7 +202,37 @@ def part(table, some, all_):
     return f"{100 * table[some].sum() / table[all_].sum():.1f} %" if table[all_].sum() else "–"
 
 
-def courses(runs):
+def sensors(runs):
+    """Errors of the sensors one by one and together, and how high the scanner that looks ahead is mounted."""
+    each = max(8, runs // 25)
+    worlds = "course", "course#1", "course#7"
+    head("error", "runs of each", *worlds)
+    for name, change in ERRORS.items():
+        noise = dataclasses.replace(Noise(range_m=0.01), **change)
+        tables = [traced(world, runs=each, noise=noise).table for world in worlds]
+        row(name, each, *(share(int(table["true"].sum()), each) for table in tables))
+    for height in (0.35, 0.70):
+        robot = f"kamui:scan_height_m={height}"
+        tables = [traced(world, runs=each, robot=robot, noise=Noise(range_m=0.01)).table for world in worlds]
+        row(f"scanner {height:.2f} m above the ground", each, *(share(int(t["true"].sum()), each) for t in tables))
+
+
+def steps(runs):
+    """Risers: what they are taken for, and how high."""
+    each = max(8, runs // 25)
+    head("riser m", "range noise m", "runs", "typed as stairs", "the true map", "height m, 5 to 95 %", "steps refused")
+    for riser in (0.03, 0.05, 0.06, 0.10, 0.15, 0.20):
+        for sigma in (0.01, 0.03):
+            found = traced(f"course:obstacle=stairs,riser_m={riser}", runs=each, noise=Noise(range_m=sigma))
+            nodes = [node for i in range(each) for node in found.maps[i].nodes if node.type == "obstacle"]
+            typed = share(sum(node.obstacle == "stairs" for node in nodes), len(nodes)) if nodes else "–"
+            heights = [node.step_m for node in nodes if node.step_m is not None]
+            span = "{:.3f} to {:.3f}".format(*np.percentile(heights, [5, 95])) if heights else "–"
+            right = share(int(found.table["true"].sum()), each)
+            row(riser, sigma, each, typed, right, span, found.table["refused"].sum())
+
+
+def furniture(runs):
     """Other courses than that of the paper: plain, furnished, and of other widths."""
     head("courses", "runs", "the true map", "not always")
     kinds = {
