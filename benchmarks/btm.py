@@ -20,7 +20,7 @@ from jexplore.tracemap import record
 from jexplore.tracemap.record import BtmMap
 from jexplore.tracemap.similarity import code
 
-STILL = Noise(attitude_deg=0, odometry=0, heading_deg_sqrt_m=0, slip=0)
+STILL = Noise(attitude_deg=0, odometry=0, heading_deg_sqrt_m=0, slip=0, beacon_m=0)
 PARTS = ("repeat", "ablation", "stairs", "place", "robots", "buildings", "furniture", "sensors", "steps", "speed")
 ERRORS = {
     "none besides 1 cm": {},

@@ -396,39 +396,6 @@ def test_the_end_of_a_run_is_a_node_even_where_it_began():
     assert links_of(writer)[1] == (1, 2, SEARCHED)
 
 
-ENDED = jax.jit(mapping.ended)
-
-
-def test_a_run_that_breaks_off_ends_at_a_terminal_node():
-    t, *_ = at_the_t()
-    onto, pose = int(t.link), jnp.array([3.7, -4.0, SOUTH])
-    t = path(t, *[(m, 3.7, -(m - 3.5), SOUTH, 0, 4, 1.5) for m in (4.5, 5.5, 6.5)])
-    found = btm.to_map(ENDED(t, pose, jnp.float32(7.5), True))
-    record.check(found)
-    assert [node.type for node in found.nodes] == ["terminal", "divergence", "terminal"]
-    link = next(link for link in found.links if link.end == 2)
-    assert (link.id, link.start, link.length_m, link.min_width_m) == (onto, 1, 4.0, 1.5)
-    assert link.end_bearing_deg == pytest.approx(90, abs=1e-3)
-    assert found.nodes[2].posture_deg == pytest.approx(4)
-    jax.tree.map(np.testing.assert_array_equal, ENDED(t, pose, jnp.float32(7.5), False), t.map)
-    jax.tree.map(np.testing.assert_array_equal, ENDED(t, pose, t.node_m + mapping.SAME_NODE_M, True), t.map)
-
-
-def test_a_run_that_breaks_off_on_a_known_link_gets_one_of_its_own():
-    t, *_ = at_the_t()
-    t = t.replace(link=jnp.int32(0))  # back to where it began
-    found = btm.to_map(ENDED(t, jnp.array([1.0, 0.0, math.pi]), jnp.float32(6.0), True))
-    record.check(found)
-    assert [(link.start, link.end) for link in found.links][-1] == (1, 2)
-    assert (found.links[0].start, found.links[0].end) == (0, 1)
-
-
-def test_a_full_map_stays_as_it_is_where_a_run_breaks_off():
-    full = full_of_nodes()
-    after = ENDED(full, jnp.array([9.0, 0.0, 0.0]), jnp.float32(9.0), True)
-    jax.tree.map(np.testing.assert_array_equal, after, full.map)
-
-
 # ---------------------------------------------------------------- known nodes, dead ends
 
 

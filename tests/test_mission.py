@@ -26,7 +26,7 @@ from jexplore.worlds.world import World
 
 pytestmark = pytest.mark.usefixtures("whole_runs")
 
-STILL = Noise(attitude_deg=0, odometry=0, heading_deg_sqrt_m=0, slip=0)
+STILL = Noise(attitude_deg=0, odometry=0, heading_deg_sqrt_m=0, slip=0, beacon_m=0)
 KAMUI = ROBOTS["kamui"]
 
 

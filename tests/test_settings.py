@@ -68,7 +68,7 @@ BOUNDS = {
     "robot.scanner_height_m": (0, LEAST, 10, 10.01),
     "robot.scanner_x_m": (-5.01, -5, 5, 5.01),
     "robot.scanner_angle_deg": (9.9, 10, 75, 75.1),
-    "robot.scan_height_m": (0, LEAST, 10, 10.01),
+    "robot.scan_height_m": (0.19, 0.2, 10, 10.01),
     "robot.scan_pitch_deg": (-20.1, -20, 9.9, 20.1),
 }
 

@@ -158,11 +158,17 @@ def test_attributes_by_hand(text, want):
 
 
 @pytest.mark.parametrize(
-    "text", ["victim", "victim=1", "=1@2,3", "victim=1@2", "victim=1@2,3,4", "victim@2,3", "a=1@2,nan"]
+    "text", ["victim", "victim=1", "=1@2,3", "victim=1@2", "victim=1@2,3,4", "victim@2,3", "a=1@2,nan", "node=1@2,3"]
 )
 def test_attributes_that_are_none(text):
     with pytest.raises(InputError, match="attribute must be NAME=VALUE@X,Y"):
         job.prepare_trace("course", attributes=[text])
+
+
+def test_an_attribute_that_json_cannot_hold():
+    with pytest.raises(InputError, match="attributes must be what JSON can hold"):
+        job.attributes_of(["heat=1e999@0,0"])
+    assert job.attributes_of(["deep=" + "[" * 100_000 + "@0,0"])[0][1].startswith("[[")
 
 
 def test_the_nearest_node_in_truth_gets_an_attribute(ran, jit_on):

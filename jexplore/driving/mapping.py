@@ -243,30 +243,6 @@ def end_link(
     return map_.replace(**{name: getattr(map_, name).at[at].set(v, mode="drop") for name, v in values.items()})
 
 
-def ended(writer: Writer, pose: Array, odometer_m: Array, when: Array | bool) -> Btm:
-    """The map of a run that ends on its way: with a terminal node where it does, at the end of its link.
-
-    Args:
-      writer: `Writer`.
-      pose: `[3]` float32, odometry.
-      odometer_m: float32. No farther than `SAME_NODE_M` from the last node nothing is added.
-      when: bool; False: the map stays as it is.
-
-    Returns:
-      `Btm`; where it is full, as it was.
-    """
-    map_, size, way = writer.map, writer.map.start.shape[0], writer.way
-    posture = way.posture[jnp.maximum(jnp.sum(jnp.isfinite(way.odometer_m)) - 1, 0)]
-    added, node = btm.add_node(map_, btm.TERMINAL, pose[0], pose[1], posture_deg=jnp.degrees(posture))
-    is_new = map_.status[jnp.minimum(writer.link, size - 1)] == btm.UNSEARCHED
-    added, own = btm.add_link(added, writer.node, writer.left_bearing, when=~is_new)
-    link = jnp.where(is_new, writer.link, own)
-    width, steepest = along(way, writer.node_m, odometer_m)
-    added = end_link(added, writer, node, odometer_m, pose[2] + math.pi, width, steepest, link, True)
-    fits = (map_.n_nodes < map_.kind.shape[0]) & (is_new | (map_.n_links < size))
-    return either(when & fits & (odometer_m - writer.node_m > SAME_NODE_M), added, map_)
-
-
 def is_near_known(writer: Writer, centres: Array, odometer_m: Array | float, leave_m: Array | float) -> Array:
     """Which places are the divergence that the robot has just left, or one that was none: `[T]` bool.
 

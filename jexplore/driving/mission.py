@@ -63,9 +63,6 @@ class Outcome(enum.IntEnum):
     """A node did not fit into the map."""
 
 
-BREAKS_OFF = Outcome.STUCK, Outcome.BLIND, Outcome.STEP_LIMIT  # where the robot is on its way
-
-
 @struct.dataclass
 class State:
     """A run in progress."""
@@ -338,10 +335,8 @@ def finish(setup: Setup, given: Given, state: State) -> Result:
     """The `Result` of a run that has ended. Arguments as for `begin`."""
     del setup, given
     body = state.body
-    breaks_off = jnp.isin(state.outcome, jnp.array(BREAKS_OFF))
-    map_ = mapping.ended(state.writer, state.estimate, state.odometer_m, breaks_off)
     return Result(
-        map=map_,
+        map=state.writer.map,
         outcome=state.outcome,
         steps=state.step,
         path_m=body.path_m,
@@ -349,7 +344,7 @@ def finish(setup: Setup, given: Given, state: State) -> Result:
         refused=body.refused,
         interventions=state.helps,
         help_at=state.help_at,
-        node_at=_placed_nodes(state, state.writer.replace(map=map_)),
+        node_at=state.node_at,
         met=state.met,
         scan_overflow=state.scan_overflow,
         drift_m=jnp.hypot(*(body.pose[:2] - state.estimate[:2])),

@@ -167,13 +167,14 @@ def require_robot(robot: Robot) -> None:
     Raises:
       InputError: naming the number.
     """
-    heights = "height_m", "scanner_height_m", "scan_height_m"
+    heights = "height_m", "scanner_height_m"
     for name in ("length_m", "width_m", "max_speed_m_s", "max_turn_rad_s", *heights):
         require_number(f"robot.{name}", getattr(robot, name), low_open=True, high=10)
     require_number("robot.max_slope_deg", robot.max_slope_deg, high=60)
     require_number("robot.max_step_m", robot.max_step_m, high=1)
     require_number("robot.scanner_x_m", robot.scanner_x_m, low=-5, high=5)
     require_number("robot.scanner_angle_deg", robot.scanner_angle_deg, low=10, high=75)
+    require_number("robot.scan_height_m", robot.scan_height_m, low=0.2, high=10)
     require_number("robot.scan_pitch_deg", robot.scan_pitch_deg, low=-20, high=20)
     down = math.tan(math.radians(robot.scan_pitch_deg))
     if down > 0 and (floor_m := robot.scan_height_m / down) < SEES_M:

@@ -228,7 +228,7 @@ def map_of(plan: TraceJob, result: Any, i: int) -> BtmMap:
     about = {"world": plan.world.name, "robot": plan.robot.name, "seed": plan.seed, "frame": FRAME}
     found = btm.to_map(own, origin_m=plan.world.origin_m, **about)
     at = result.node_at[i][: len(found.nodes)] + np.asarray(plan.world.origin_m)
-    for name, value, place in plan.attributes:
+    for name, value, place in plan.attributes if found.nodes else ():
         node = int(np.nanargmin(np.hypot(*(at - place).T)))
         found = found.with_attributes(node=node, **{name: value})
     return found
