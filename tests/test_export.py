@@ -163,7 +163,7 @@ def test_geojson_by_hand(tmp_path):
 
 def test_the_frame_is_that_of_the_map():
     assert {f["properties"].get("frame") for f in geojson(HALL)["features"]} == {"map", None}
-    raw = HALL.with_attributes(frame="odom")
+    raw = HALL.with_attributes({"frame": "odom"})
     assert {f["properties"].get("frame") for f in geojson(raw)["features"]} == {"odom", None}
     assert {f["properties"].get("frame") for f in geojson(raw, frame="site")["features"]} == {"site", None}
 

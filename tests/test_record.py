@@ -55,8 +55,9 @@ def test_numbers_of_numpy_become_plain():
 
 def test_attributes_are_set_of_a_node_of_a_link_and_of_the_map():
     btm = BtmMap((node(0), node(7)), (way(3, 0, 7, 10),), {"world": "w"})
-    found = btm.with_attributes(node=7, victim=True).with_attributes(node=7, heat=np.float32(0.5), victim="two")
-    found = found.with_attributes(link=3, radio_dbm=-61).with_attributes(frame="map")
+    found = btm.with_attributes({"victim": True}, node=7)
+    found = found.with_attributes({"heat": np.float32(0.5), "victim": "two"}, node=7)
+    found = found.with_attributes({"radio_dbm": -61}, link=3).with_attributes({"frame": "map"})
     assert found.nodes[1].attributes == {"victim": "two", "heat": 0.5}
     assert found.links[0].attributes == {"radio_dbm": -61}
     assert found.attributes == {"world": "w", "frame": "map"}
@@ -67,15 +68,19 @@ def test_attributes_are_set_of_a_node_of_a_link_and_of_the_map():
 @pytest.mark.parametrize(
     ("where", "says"),
     [
-        ({"node": 1, "a": 1}, "there is no node 1: the map has 1 nodes"),
-        ({"link": 0, "a": 1}, "there is no link 0: the map has 0 links"),
-        ({"node": 0, "link": 0, "a": 1}, "of a node or of a link, not of both at once"),
-        ({"node": 0, "a": math.nan}, "attributes must be what JSON can hold"),
+        ({"node": 1}, "there is no node 1: the map has 1 nodes"),
+        ({"link": 0}, "there is no link 0: the map has 0 links"),
+        ({"node": 0, "link": 0}, "of a node or of a link, not of both at once"),
     ],
 )
 def test_attributes_that_cannot_be_set(where, says):
     with pytest.raises(InputError, match=says):
-        BtmMap((node(0),), ()).with_attributes(**where)
+        BtmMap((node(0),), ()).with_attributes({"a": 1}, **where)
+
+
+def test_an_attribute_that_json_cannot_hold():
+    with pytest.raises(InputError, match="attributes must be what JSON can hold"):
+        BtmMap((node(0),), ()).with_attributes({"a": math.nan}, node=0)
 
 
 def test_a_map_that_is_none_is_refused():

@@ -150,6 +150,7 @@ def test_divergences_are_matched_by_place_and_degree():
         ("radio_dbm=-61@-3,8e0", ("radio_dbm", -61, (-3.0, 8.0))),
         ("mail=a@b=c@1,2", ("mail", "a@b=c", (1.0, 2.0))),
         ('note={"by": "op"}@0,0', ("note", {"by": "op"}, (0.0, 0.0))),
+        ("node=1@0,0", ("node", 1, (0.0, 0.0))),
         ("heat=NaN@0,0", ("heat", "NaN", (0.0, 0.0))),
     ],
 )
@@ -158,7 +159,7 @@ def test_attributes_by_hand(text, want):
 
 
 @pytest.mark.parametrize(
-    "text", ["victim", "victim=1", "=1@2,3", "victim=1@2", "victim=1@2,3,4", "victim@2,3", "a=1@2,nan", "node=1@2,3"]
+    "text", ["victim", "victim=1", "=1@2,3", "victim=1@2", "victim=1@2,3,4", "victim@2,3", "a=1@2,nan"]
 )
 def test_attributes_that_are_none(text):
     with pytest.raises(InputError, match="attribute must be NAME=VALUE@X,Y"):

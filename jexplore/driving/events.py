@@ -12,8 +12,8 @@ from jexplore import btm
 from jexplore.arrays.loops import run_if
 from jexplore.driving import behaviour, mapping
 from jexplore.driving.behaviour import FreeSpace, Latch, Track
-from jexplore.driving.mapping import SAME_NODE_M, Writer
-from jexplore.driving.nodes import Event
+from jexplore.driving.mapping import Writer
+from jexplore.driving.nodes import SAME_NODE_M, Event
 from jexplore.driving.sensing import ground_profile, perception, surround
 from jexplore.driving.sensing.surround import Surround
 from jexplore.driving.settings import Robot, Tuning

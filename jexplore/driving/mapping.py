@@ -24,7 +24,6 @@ EVEN_LENGTHS = 0.25  # over this way, in lengths of the robot: on a long robot a
 MEANT_STEPS = 5  # of which the width of a passage is the mean
 MEANT_M = 0.1  # as far as they are this near
 BEYOND_M = 0.05, 1.0  # a robot beyond an opening is no farther before it and behind it
-SAME_NODE_M = 1.0  # free space, obstacles and ends nearer than this to one that is known are that one
 STEP_M = 0.04  # a rise of the profile by more than this within a cell's length is a step
 
 
@@ -203,44 +202,6 @@ def came_through(writer: Writer, middles: Array, across: Array, width_m: Array) 
 
 def _since_node(writer):
     return jnp.isfinite(writer.way.odometer_m) & (writer.way.odometer_m >= writer.node_m)
-
-
-def either(condition: Array, yes: Btm, no: Btm) -> Btm:
-    """One of two maps."""
-    return Btm(**{name: jnp.where(condition, getattr(yes, name), getattr(no, name)) for name in yes.__dict__})
-
-
-def end_link(
-    map_: Btm,
-    writer: Writer,
-    node: Array,
-    odometer_m: Array,
-    back: Array,
-    width: Array,
-    posture: Array,
-    link: Array,
-    when: Array | bool,
-) -> Btm:
-    """Ends a link, which began at the writer's node, at another.
-
-    Args:
-      map_, writer: `Btm`, `Writer`.
-      node, link: int32.
-      odometer_m: float32, at the node.
-      back: float32, radians, in which the link leaves it.
-      width, posture: from `along`.
-      when: bool; False: the map stays as it is.
-    """
-    at = jnp.where(when, link, map_.start.shape[0])
-    values = {
-        "end": node,
-        "status": btm.SEARCHED,
-        "length_m": odometer_m - writer.node_m,
-        "min_width_m": width,
-        "link_posture_deg": posture,
-        "end_bearing": btm.wrapped(back),
-    }
-    return map_.replace(**{name: getattr(map_, name).at[at].set(v, mode="drop") for name, v in values.items()})
 
 
 def is_near_known(writer: Writer, centres: Array, odometer_m: Array | float, leave_m: Array | float) -> Array:

@@ -14,7 +14,7 @@ from jexplore.arrays.loops import run_if
 from jexplore.btm import Btm
 from jexplore.driving import behaviour
 from jexplore.driving.behaviour import Drive, Latch, Track
-from jexplore.driving.mapping import SAME_NODE_M, Writer, along, came_from, came_through, either, end_link, has_left
+from jexplore.driving.mapping import Writer, along, came_from, came_through, has_left
 from jexplore.driving.sensing import obstacles, openings
 from jexplore.driving.settings import Robot, Tuning
 from jexplore.driving.vehicle import to_odometry
@@ -26,6 +26,7 @@ CORNER = 1.3  # of a circle's diameter: with only one opening, wider than this, 
 IN_LINE_RAD = math.radians(45)  # two openings are in line if they are no farther from it
 TURN_RAD = math.radians(20)  # the odometry's heading is corrected by no more, where a node is met again
 SHIFT_M = 0.7  # and its place, metres
+SAME_NODE_M = 1.0  # free space and obstacles nearer than this to one that is known are that one
 TURN_SHARE, SHIFT_SHARE = 0.2, 0.5  # of what is found there: it is less sure than what scans have said on the way
 
 
@@ -79,7 +80,7 @@ def _arrive(writer, event, tuning, is_divergence, is_terminal):
         obstacle=jnp.where(is_obstacle, jnp.where(event.step_m > 0, btm.STAIRS, btm.SLOPE), btm.NONE),
         step_m=jnp.where(event.step_m > 0, event.step_m, jnp.nan),
     )
-    map_ = either(again, writer.map, added)
+    map_ = _either_of(again, writer.map, added)
     fits = again | (writer.map.n_nodes < map_.kind.shape[0])
     met = again & is_divergence & (distance < SHIFT_M)
     shift = jnp.where(met, SHIFT_SHARE * (jnp.stack([map_.x_m[near], map_.y_m[near]]) - event.centre), 0.0)
@@ -131,7 +132,7 @@ def _end_way_here(map_, writer, event, at, back):
     turned_back = at.again & (at.near == writer.node) & ~on_known & (off < math.pi / 4)  # it comes back as it left
     map_ = map_.replace(blocked=map_.blocked.at[jnp.where(turned_back, link, size)].set(True, mode="drop"))
     is_new = (~on_known | astray) & ~turned_back
-    map_ = end_link(map_, writer, at.node, event.odometer_m, back, at.width, at.posture, link, is_new)
+    map_ = _end_link(map_, writer, at.node, event, back, at.width, at.posture, link, is_new)
     return _withdraw_double(map_, at.node, back, at.again & is_new), link
 
 
@@ -350,6 +351,20 @@ def _border_left(writer, event):
 
 def _heading(angle):
     return jnp.stack([jnp.cos(angle), jnp.sin(angle)])
+
+
+def _end_link(map_, writer, node, event, back, width, posture, link, when):
+    """Ends a link at a node."""
+    at = jnp.where(when, link, map_.start.shape[0])
+    values = {
+        "end": node,
+        "status": btm.SEARCHED,
+        "length_m": event.odometer_m - writer.node_m,
+        "min_width_m": width,
+        "link_posture_deg": posture,
+        "end_bearing": btm.wrapped(back),
+    }
+    return map_.replace(**{name: getattr(map_, name).at[at].set(v, mode="drop") for name, v in values.items()})
 
 
 def _withdraw_double(map_, node, back, when):

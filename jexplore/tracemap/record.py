@@ -93,12 +93,14 @@ class BtmMap:
         found = self.bearings_deg(node_id)
         return [after - before for before, after in zip(found, [*found[1:], *(bearing + 360 for bearing in found[:1])])]
 
-    def with_attributes(self, *, node: int | None = None, link: int | None = None, **attributes: Any) -> "BtmMap":
+    def with_attributes(
+        self, attributes: Mapping[str, Any], *, node: int | None = None, link: int | None = None
+    ) -> "BtmMap":
         """The map with attributes set: of a node, of a link, or of itself where neither is named.
 
         Args:
+          attributes: such as `{"victim": True, "radio_dbm": -61}`: anything that JSON can hold.
           node, link: id of the one that they are set of.
-          **attributes: such as `victim=True` or `radio_dbm=-61`: anything that JSON can hold.
 
         Returns:
           `BtmMap`; this one stays as it is.

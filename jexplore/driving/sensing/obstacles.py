@@ -30,6 +30,9 @@ def judged(
       tuning, robot: `Tuning`, `Robot`.
       posture: float32, degrees, largest inclination of the body on the way here.
       here: int32, the node.
+
+    Returns:
+      `Btm`.
     """
     before = jnp.minimum(writer.node, map_.kind.shape[0] - 1)
     over = map_.kind[before] == btm.OBSTACLE
@@ -37,8 +40,8 @@ def judged(
     within = (way.ground_x_m > writer.node_m + MARGIN_M) & (way.ground_x_m < event.odometer_m - MARGIN_M)
     found = ground_profile.profile(way.ground_x_m, way.ground_z_m, within & jnp.isfinite(way.ground_x_m))
     is_steep = jnp.abs(jnp.arctan(found.slope)) > jnp.radians(tuning.inclination_deg)
-    judged = over & is_steep & (found.count >= 3) & (event.odometer_m > writer.node_m)
-    stairs = judged & (found.variance_m2 > tuning.variance_max_m2)
+    is_judged = over & is_steep & (found.count >= 3) & (event.odometer_m > writer.node_m)
+    stairs = is_judged & (found.variance_m2 > tuning.variance_max_m2)
 
     def mark(array, at, value, when):
         return array.at[jnp.where(when, at, array.shape[0])].set(value, mode="drop")
@@ -47,7 +50,7 @@ def judged(
     for at, is_one in ((before, stairs), (here, stairs & (event.kind == btm.OBSTACLE))):
         obstacle = mark(obstacle, at, btm.STAIRS, is_one)
         step = mark(step, at, jnp.fmax(found.step_m, step[at]), is_one)
-    for at, is_one in ((before, judged), (here, judged & (event.kind == btm.OBSTACLE))):
+    for at, is_one in ((before, is_judged), (here, is_judged & (event.kind == btm.OBSTACLE))):
         variance = mark(variance, at, jnp.fmax(found.variance_m2, variance[at]), is_one)
     known = map_.posture_deg[before]
     # On the ground between, without the ramps of the robot's own length at both ends.

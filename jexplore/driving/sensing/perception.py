@@ -22,9 +22,7 @@ MEANT_M = 0.15  # where they are nearer than this
 GUARD_M = 0.1  # a wall this near to the robot's sides is in its way
 SPACING = 0.49  # of points along a wall, in least openings: two neighbours of one point are nearer than such an opening
 ROOMY = 0.9  # of the radius of the circle that free space has room for
-RECESS = (
-    0.25  # a wall between two corners of a triangle that lies no farther beyond their chord, in least openings, is one
-)
+RECESS = 0.25  # in least openings: what lies no farther beyond the chord of two corners of a triangle is one wall
 CLOSE = 0.6  # if its points fill so much of the way between them
 JUMP = 1 / SPACING  # distance between the points of neighbouring beams beyond which a wall ends, in spacings
 

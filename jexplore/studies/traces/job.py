@@ -18,7 +18,7 @@ from jexplore.driving.mission import SIZE
 from jexplore.driving.settings import ROBOTS, WHOLE, Noise, Robot, Tuning, require_noise, require_robot, require_tuning
 from jexplore.studies import checks
 from jexplore.studies.traces.truth import Truth, truth_of
-from jexplore.tracemap.record import BtmMap, check
+from jexplore.tracemap.record import BtmMap
 from jexplore.worlds.starts import draw_starts
 from jexplore.worlds.world import World
 
@@ -27,7 +27,6 @@ MOST_STEPS = 100_000
 STEPS_M2 = 100  # steps of 4 cm for each square metre of free area: four metres of way
 CLEARANCE_M = 0.5  # of starts that are drawn
 ROOMY = 128, 256  # most nodes and links of a map of a building
-RESERVED = "self", "node", "link"  # names that no attribute can have
 NOISE = "noise."  # names of noise begin so in a sweep
 
 
@@ -172,11 +171,11 @@ def attributes_of(texts: Sequence[str]) -> tuple[tuple[str, Any, tuple[float, fl
             x_m, y_m = (float(v) for v in place.split(","))
         except ValueError:
             x_m = y_m = math.nan
-        if not (name and equals and math.isfinite(x_m) and math.isfinite(y_m)) or name in RESERVED:
+        if not (name and equals and math.isfinite(x_m) and math.isfinite(y_m)):
             raise InputError(f"attribute must be NAME=VALUE@X,Y, as in victim=true@12.5,4, got {text!r}")
         with contextlib.suppress(ValueError, RecursionError):
             value = json.loads(value, parse_constant=str)
-        check(BtmMap((), (), {name: value}))
+        BtmMap((), ()).with_attributes({name: value})
         found.append((name, value, (x_m, y_m)))
     return tuple(found)
 

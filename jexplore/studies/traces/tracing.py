@@ -230,7 +230,7 @@ def map_of(plan: TraceJob, result: Any, i: int) -> BtmMap:
     at = result.node_at[i][: len(found.nodes)] + np.asarray(plan.world.origin_m)
     for name, value, place in plan.attributes if found.nodes else ():
         node = int(np.nanargmin(np.hypot(*(at - place).T)))
-        found = found.with_attributes(node=node, **{name: value})
+        found = found.with_attributes({name: value}, node=node)
     return found
 
 
