@@ -130,15 +130,20 @@ def test_a_plane_is_exact():
 # ---------------------------------------------------------------- heights between the points
 
 
+def of_heights(height_m, spacing_m):
+    height_m = np.array(height_m, np.float32)
+    return Terrain(height_m=height_m, spacing_m=np.float32(spacing_m), peak_m=height_m.max())
+
+
 def test_heights_are_scipys():
     rng = np.random.default_rng(2)
-    terrain = Terrain(height_m=rng.normal(size=(7, 11)).astype(np.float32), spacing_m=np.float32(0.25))
+    terrain = of_heights(rng.normal(size=(7, 11)), 0.25)
     x, y = rng.uniform(-0.5, 3.2, 500), rng.uniform(-0.5, 2.2, 500)  # beyond the edges too
     np.testing.assert_allclose(height_at(terrain, x, y), exact(terrain, x, y), atol=1e-5)
 
 
 def test_heights_by_hand():
-    terrain = Terrain(height_m=np.array([[1, 2], [3, 8]], np.float32), spacing_m=np.float32(2))
+    terrain = of_heights([[1, 2], [3, 8]], 2)
     x = np.array([1.0, 3, 1, 3, 2, -5, 9, 9, 1.5])
     y = np.array([1.0, 1, 3, 3, 2, -5, -5, 9, 2.5])
     np.testing.assert_allclose(height_at(terrain, x, y), [1, 2, 3, 8, 3.5, 1, 2, 8, 3.5], atol=1e-6)

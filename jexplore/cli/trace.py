@@ -46,8 +46,8 @@ class Trace:
     seed: int = 0
     """Draw the noise from this seed."""
     engine: EngineName = "auto"
-    """Make runs one after the other on each core, or many in lockstep, as suits a GPU. The results are equal; by
-    default the machine decides."""
+    """Make runs one after the other on each core, or many in lockstep, as suits a GPU. The results are equal but for
+    rounding; by default the machine decides."""
     lanes: int | None = None
     """Make so many runs at a time in lockstep; by default as many as the memory holds."""
     workers: int | None = None

@@ -1,4 +1,4 @@
-"""Many runs of one building, by either engine, with equal results.
+"""Many runs of one building, by either engine, with results that are equal but for rounding.
 
 Robot, thresholds and noise differ from run to run as the caller likes: they are arrays, so that a sweep over any of
 them is one program.

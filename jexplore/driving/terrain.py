@@ -18,6 +18,7 @@ class Terrain:
 
     height_m: Array  # [h, w] float32
     spacing_m: Array  # float32, of the grid; its first point lies at half a spacing from the map's corner
+    peak_m: Array  # float32, the largest height
 
 
 def terrain_of(elevation: np.ndarray | None, cell_m: float) -> Terrain:
@@ -32,9 +33,11 @@ def terrain_of(elevation: np.ndarray | None, cell_m: float) -> Terrain:
     """
     # Ignored types: numpy on the host, where the record says what it is on the device.
     if elevation is None or not np.any(elevation):
-        return Terrain(height_m=np.zeros((2, 2), np.float32), spacing_m=np.float32(cell_m))  # type: ignore[arg-type]
+        level = np.zeros((2, 2), np.float32)
+        return Terrain(height_m=level, spacing_m=np.float32(cell_m), peak_m=level.max())  # type: ignore[arg-type]
     fine = _finer(_finer(np.asarray(elevation, np.float64)).T).T
-    return Terrain(height_m=fine.astype(np.float32), spacing_m=np.float32(cell_m / FINER))  # type: ignore[arg-type]
+    fine = fine.astype(np.float32)
+    return Terrain(height_m=fine, spacing_m=np.float32(cell_m / FINER), peak_m=fine.max())  # type: ignore[arg-type]
 
 
 def _finer(height):

@@ -154,7 +154,7 @@ def scan(draws: Draws, building: Building, robot: Robot, noise: Noise, body: Bod
     ranges = cast(building.walls, (origin[0], origin[1], 0.0), bearing, RANGE_M) / flat
     terrain = building.terrain
     tilts = jnp.abs(jnp.stack([body.pitch, body.roll, jnp.radians(robot.scan_pitch_deg)]))
-    meets_ground = jnp.any(tilts > 1e-3) | (jnp.max(terrain.height_m) > origin[2])
+    meets_ground = jnp.any(tilts > 1e-3) | (terrain.peak_m > origin[2])
     ground = run_if(
         meets_ground,
         lambda _: look_at(terrain, origin, direction, RANGE_M, GROUND_M),

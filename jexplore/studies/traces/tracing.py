@@ -87,7 +87,7 @@ def execute(
 
     Args:
       plan: `TraceJob`.
-      engine, lanes, workers: see `runner.find_resources`; results are equal.
+      engine, lanes, workers: see `runner.find_resources`; results are equal but for rounding.
       on_progress: called with the number of runs finished so far, those that were there before included.
       ledger: where units, those of `blocks_of`, are kept as soon as they are finished.
 
@@ -206,7 +206,7 @@ def trace(
 
     Args:
       world: name or `World`.
-      engine, lanes, workers: see `runner.find_resources`; results are equal.
+      engine, lanes, workers: see `runner.find_resources`; results are equal but for rounding.
       on_progress: called with the number of runs finished so far.
       **options: see `prepare_trace`.
 
