@@ -193,7 +193,6 @@ def helped(state: Any, senses: Senses, makes_node: Array, building: Building, ro
         body=state.body.replace(pose=state.body.pose.at[2].add(turn)),
         estimate=state.estimate.at[2].add(turn),
         odometry=state.odometry.at[2].add(turn),
-        around=surround.moved(state.around, jnp.float32(0), jnp.float32(0), turn),
         drive=state.drive.replace(latch=jnp.where(helps, Latch.FREE, state.drive.latch).astype(jnp.int32)),
         track=jax.tree.map(lambda fresh, old: jnp.where(helps, fresh, old), behaviour.no_track(), state.track),
         writer=state.writer.replace(map=map_.replace(intervention=map_.intervention.at[node].add(1, mode="drop"))),

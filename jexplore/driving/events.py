@@ -14,7 +14,7 @@ from jexplore.driving import behaviour, mapping
 from jexplore.driving.behaviour import FreeSpace, Latch, Track
 from jexplore.driving.mapping import Writer
 from jexplore.driving.nodes import SAME_NODE_M, Event
-from jexplore.driving.sensing import ground_profile, perception, surround
+from jexplore.driving.sensing import ground_profile, perception, steadying, surround
 from jexplore.driving.sensing.surround import Surround
 from jexplore.driving.settings import Robot, Tuning
 from jexplore.driving.vehicle import ANGLES_RAD, BEAM_SPACING_RAD, to_robot
@@ -83,7 +83,6 @@ def look_ahead(
     writer: Writer,
     walls: Walls,
     around: Surround,
-    pitch: Array,
     placed: Callable[[Array], Array],
     tuning: Tuning,
     robot: Robot,
@@ -96,13 +95,13 @@ def look_ahead(
       writer: `Writer` with this step's measurements.
       walls: `Walls`.
       around: `Surround`.
-      pitch: measured, radians.
       placed: function from the robot's frame into the odometry's.
       tuning, robot: `Tuning`, `Robot`.
       is_blind: bool, whether the scan gave hardly any numbers.
     """
     is_free = state.drive.latch == Latch.FREE
     xy, known = surround.points(around)
+    pitch, pitch_m = steadying.attitude(writer.way.pitch, writer.way.odometer_m, state.step)
     # What was seen from ground of another inclination may have been ground.
     leans = jnp.abs(pitch - writer.level.even) > jnp.radians(tuning.inclination_deg)
     track, overflow = _watch(state, writer, xy, known, walls.beside.min(), leans, placed, tuning)
@@ -115,7 +114,7 @@ def look_ahead(
     level, changed, crease_m, steepest = mapping.watch_level(
         writer.level,
         pitch,
-        state.odometer_m,
+        pitch_m,
         jnp.radians(tuning.inclination_deg),
         mapping.EVEN_LENGTHS * robot.length_m,
     )

@@ -22,7 +22,7 @@ from jexplore.driving.behaviour import Drive, FreeSpace, Latch, Track
 from jexplore.driving.events import GOAL_M, due, look_ahead, walls_of_scan
 from jexplore.driving.manoeuvre import Manoeuvre
 from jexplore.driving.mapping import Writer
-from jexplore.driving.sensing import matching, surround
+from jexplore.driving.sensing import matching, steadying, surround
 from jexplore.driving.sensing.matching import Key
 from jexplore.driving.sensing.surround import Surround
 from jexplore.driving.settings import Noise, Robot, Tuning
@@ -70,7 +70,8 @@ class State:
     body: Body
     estimate: Array  # [3] float32, odometry, corrected where a node is met again
     odometry: Array  # [3] float32, likewise without corrections
-    around: Surround
+    around: Surround  # where the last scan was taken
+    scanned: Array  # [3] float32, odometry without corrections there
     key: Key
     manoeuvre: Manoeuvre
     touched: Array  # bool, a wall has just refused a step
@@ -140,6 +141,7 @@ def at_start(setup: Setup, building: Building, robot: Robot, start: Array) -> St
         estimate=start,
         odometry=start,
         around=surround.unknown(),
+        scanned=start,
         key=matching.at_start(start),
         manoeuvre=manoeuvre.at_rest(start),
         touched=jnp.bool_(False),
@@ -180,17 +182,18 @@ def step(draws: Draws, building: Building, robot: Robot, tuning: Tuning, noise: 
     Returns:
       `State`.
     """
-    senses = sense(draws, building, robot, noise, state.body)
+    senses, looked_from = sense(draws, building, robot, noise, state.body), state.odometry[2]
     blind = jnp.where(jnp.sum(jnp.isnan(senses.ranges_m)) > BEAMS / 2, state.blind + 1, 0)
-    senses, is_ground = levelled(senses, robot)
+    senses, is_ground = levelled(senses.replace(ranges_m=steadying.scan(senses.ranges_m)), robot)
     walls = walls_of_scan(senses.ranges_m, tuning, robot)
-    around = surround.seen(state.around, jnp.where(is_ground, jnp.inf, senses.ranges_m))
-    ways_m = surround.ways(around, robot)
     key, odometry, estimate = matching.put_right(state.key, state.odometry, state.estimate, senses.ranges_m)
-    state = state.replace(key=key, odometry=odometry, estimate=estimate)
+    around = surround.moved(state.around, *matching.between(state.scanned, odometry))
+    around = surround.seen(around, jnp.where(is_ground, jnp.inf, senses.ranges_m))
+    ways_m = surround.ways(around, robot)
+    state = state.replace(key=key, odometry=odometry, estimate=estimate, around=around, scanned=odometry)
     placed = to_odometry(state.estimate)
     writer = mapping.note(state, senses, walls.beside.sum(), robot)
-    ahead = look_ahead(state, writer, walls, around, senses.pitch, placed, tuning, robot, blind != 0)
+    ahead = look_ahead(state, writer, walls, around, placed, tuning, robot, blind != 0)
     at_goal = senses.beacon_m < GOAL_M
     writer, drive, ahead, event = _decided(
         state, writer, ahead, around, ways_m, placed, at_goal, _is_open(building), tuning, robot
@@ -199,8 +202,8 @@ def step(draws: Draws, building: Building, robot: Robot, tuning: Tuning, noise: 
     points = placed(xy), known
     writer, drive, track, estimate = nodes.made(state, writer, drive, ahead.track, event, points, tuning, robot)
     mode, drive, target, getting, speed = _driven(state, drive, ahead, walls, around, ways_m, estimate, tuning, robot)
-    after = _moved(draws, building, robot, noise, state, estimate, senses, around, speed)
-    turn = after.odometry[2] - state.odometry[2]
+    after = _moved(draws, building, robot, noise, state, estimate, senses, speed)
+    turn = after.odometry[2] - looked_from
     after = after.replace(
         manoeuvre=manoeuvre.remembered(getting, after.odometry),
         climbed_m=state.climbed_m - (after.odometer_m - state.odometer_m) * jnp.tan(senses.pitch),
@@ -256,13 +259,12 @@ def _driven(state, drive, ahead, walls, around, ways_m, estimate, tuning, robot)
     return mode, drive, target, getting, speed
 
 
-def _moved(draws, building, robot, noise, state, estimate, senses, around, speed):
-    """The state once the robot has moved: its body, its odometry and what lies round it."""
+def _moved(draws, building, robot, noise, state, estimate, senses, speed):
+    """The state once the robot has moved: its body and its odometry."""
     body, gone_to, gone_m = move(draws, building, robot, noise, state.body, estimate, senses, speed[0], speed[1])
     step_m, turn = to_robot(estimate)(gone_to[:2]), gone_to[2] - estimate[2]
     off2 = jnp.sum((building.marks[:, :2] - body.pose[:2]) ** 2, axis=1)
     return state.replace(
-        around=surround.moved(around, step_m[0], step_m[1], turn),
         odometry=jnp.append(to_odometry(state.odometry)(step_m), state.odometry[2] + turn),
         touched=body.contacts > state.body.contacts,
         body=body,

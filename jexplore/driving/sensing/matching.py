@@ -125,6 +125,11 @@ def at_start(pose: Array) -> Key:
     return Key(jnp.full(BEAMS, jnp.nan), pose + jnp.array([0.0, 0.0, 10.0]), pose + jnp.array([0.0, 0.0, 10.0]))
 
 
+def between(one: Array, other: Array) -> Array:
+    """The second pose in the frame of the first: `[3]`."""
+    return jnp.stack([*to_robot(one)(other[:2]), other[2] - one[2]])
+
+
 def put_right(key: Key, odometry: Array, estimate: Array, ranges_m: Array) -> tuple[Key, Array, Array]:
     """Puts the odometry right by what the robot sees, where it has moved on since the last time.
 
@@ -138,12 +143,12 @@ def put_right(key: Key, odometry: Array, estimate: Array, ranges_m: Array) -> tu
     Returns:
       `(key, odometry, estimate)`: both poses are moved alike.
     """
-    since = _between(key.last, odometry)
+    since = between(key.last, odometry)
     is_due = (jnp.hypot(since[0], since[1]) >= EVERY_M) | (jnp.abs(since[2]) >= EVERY_RAD)
 
     def right(carry):
         key, odometry, estimate = carry
-        found, share = match(key.ranges_m, ranges_m, _between(key.pose, odometry), since)
+        found, share = match(key.ranges_m, ranges_m, between(key.pose, odometry), since)
         after = jnp.concatenate([to_odometry(key.pose)(found[:2]), key.pose[2:] + found[2:]])
         step, turn = to_robot(odometry)(after[:2]), after[2] - odometry[2]
         estimate = jnp.concatenate([to_odometry(estimate)(step), estimate[2:] + turn])
@@ -153,8 +158,3 @@ def put_right(key: Key, odometry: Array, estimate: Array, ranges_m: Array) -> tu
         return jax.tree.map(lambda one, other: jnp.where(is_far, one, other), fresh, old), after, estimate
 
     return run_if(is_due, right, (key, odometry, estimate))
-
-
-def _between(one, other):
-    """The second pose in the frame of the first: `[3]`."""
-    return jnp.stack([*to_robot(one)(other[:2]), other[2] - one[2]])

@@ -12,7 +12,7 @@ from jexplore import btm
 from jexplore.driving import behaviour, events, mission, vehicle
 from jexplore.driving.batch import MAX_STEPS, Driven
 from jexplore.driving.behaviour import RunMode
-from jexplore.driving.sensing import perception, surround
+from jexplore.driving.sensing import steadying, surround
 from jexplore.driving.walls import segments
 from jexplore.report.operator_view import Recording
 from jexplore.studies.traces import tracing
@@ -71,17 +71,12 @@ def _frame(key, building, robot, tuning, noise, state):
     """One step, and what was seen in it."""
     draws = vehicle.draw(key)
     senses = vehicle.sense(draws, building, robot, noise, state.body)
-    level, is_ground = vehicle.levelled(senses, robot)
-    level_m = level.ranges_m
-    xy, valid = perception.points(level_m, vehicle.ANGLES_RAD)
-    wall_m = jnp.minimum(*perception.clearances(xy, valid, robot.length_m / 2))
-    around = surround.seen(state.around, jnp.where(is_ground, jnp.inf, level_m))
-    found = events.triangles(*surround.points(around), wall_m, tuning)
+    after = mission.step(draws, building, robot, tuning, noise, state)
+    level, _ = vehicle.levelled(senses.replace(ranges_m=steadying.scan(senses.ranges_m)), robot)
+    walls = events.walls_of_scan(level.ranges_m, tuning, robot)
+    found = events.triangles(*surround.points(after.around), walls.beside.min(), tuning)
     best = jnp.argsort(jnp.where(found.valid, jnp.hypot(*found.centre.T), jnp.inf))[:TRIANGLES]
     there = found.valid[best]
-    after = mission.step(draws, building, robot, tuning, noise, state)
-    region = tuning.ahead_m / 2, tuning.ahead_m / 2 + tuning.region_m
-    left_m, right_m = perception.sides(xy, valid, *region)
     seen = {
         "pose": state.body.pose,
         "estimate": state.estimate,
@@ -95,8 +90,8 @@ def _frame(key, building, robot, tuning, noise, state):
         "n_nodes": after.writer.map.n_nodes,
         "status": after.writer.map.status,
         "votes": behaviour.votes(after.track),
-        "left_m": left_m,
-        "right_m": right_m,
+        "left_m": walls.region_sides[0],
+        "right_m": walls.region_sides[1],
     }
     return after, seen
 

@@ -1,0 +1,73 @@
+"""What a noisy sensor says, averaged over as many readings as its noise asks for, and no more.
+
+The noise is told by the readings themselves: what is measured changes gradually, noise jumps.
+"""
+
+import math
+
+import jax.numpy as jnp
+from jax import Array, lax
+
+from jexplore.arrays.loops import run_if
+
+JUMP_OF_ONE = 0.6745 * math.sqrt(6)  # median of second differences of noise whose standard deviation is 1
+STEPS = 32  # steps by which the noise of the attitude is told
+STEADY_DEG = 0.33  # standard deviation of a mean attitude
+MOST_STEPS = 16  # readings of which it is the mean
+STEADY_M = 0.015  # standard deviation of a mean range
+MOST_PAIRS = 6  # beams on either side of which it is the mean
+AGREE = 3.7  # standard deviations within which two beams and the one between them agree
+
+
+def attitude(angle: Array, odometer_m: Array, step: Array) -> tuple[Array, Array]:
+    """The mean of the last angles of the way: of one where the noise is small.
+
+    Args:
+      angle: `[T]` float32, radians, of every step.
+      odometer_m: `[T]` float32.
+      step: int32, the last one.
+
+    Returns:
+      `(angle, odometer_m)`: float32, radians; in the middle of the steps that it is the mean of.
+    """
+    first = jnp.clip(step + 1 - STEPS, 0, angle.shape[0] - STEPS)
+    angle, odometer_m = (lax.dynamic_slice(a, (first,), (STEPS,)) for a in (angle, odometer_m))
+    age = step - first - jnp.arange(STEPS)
+    jumps = jnp.abs(angle[2:] - 2 * angle[1:-1] + angle[:-2])
+    deviation = jnp.median(jnp.where(age[2:] >= 0, jumps, 0)) / JUMP_OF_ONE
+    n = jnp.clip(jnp.round((deviation / math.radians(STEADY_DEG)) ** 2), 1, MOST_STEPS)
+    weight = ((age >= 0) & (age < n)) / jnp.minimum(n, step + 1)
+    return weight @ angle, weight @ jnp.where(age >= 0, odometer_m, 0)
+
+
+def scan(ranges_m: Array) -> Array:
+    """Ranges averaged over pairs of beams, one on either side, as long as these agree: walls stay straight.
+
+    The reciprocal range of a straight wall is a sine of the bearing: over a few degrees it is a line.
+
+    Args:
+      ranges_m: `[B]` float32, beams at even angles; inf: no return; NaN: no reading.
+
+    Returns:
+      `[B]` float32, likewise; the ranges themselves where the noise is small.
+    """
+    near = jnp.where(jnp.isnan(ranges_m), jnp.nan, 1 / ranges_m)  # 0: no return
+    returns = jnp.isfinite(ranges_m)
+    jumps = jnp.abs(near[2:] - 2 * near[1:-1] + near[:-2]) * ranges_m[1:-1] ** 2
+    deviation = jnp.nanmedian(jnp.where(returns[1:-1], jumps, jnp.nan)) / JUMP_OF_ONE
+    pairs = jnp.clip(jnp.round(((deviation / STEADY_M) ** 2 - 1) / 2), 0, MOST_PAIRS)
+
+    def mean(_):
+        limit = AGREE * deviation / jnp.where(returns, ranges_m, 1) ** 2
+        wide = jnp.pad(near, MOST_PAIRS, constant_values=jnp.nan)
+        n, total, count, goes_on = len(ranges_m), near, jnp.ones_like(near), returns
+        for k in range(1, MOST_PAIRS + 1):
+            before, after = (wide[MOST_PAIRS + j : MOST_PAIRS + j + n] for j in (-k, k))
+            middle = (before + after) / 2
+            missing = jnp.isnan(middle)
+            goes_on &= (k <= pairs) & (missing | (jnp.abs(middle - near) < limit))
+            counts = goes_on & ~missing
+            total, count = total + jnp.where(counts, 2 * middle, 0), count + 2 * counts
+        return jnp.where(returns, count / total, ranges_m)
+
+    return run_if(pairs > 0, mean, ranges_m)
