@@ -25,6 +25,8 @@ EVERY = 3  # steps between two looks for triangles
 SCAN_POINTS = 64  # of a scan that are made into triangles
 BESIDE_M = -0.2  # a divergence is looked for so far ahead of the robot's middle or farther
 GOAL_M = 0.5  # a run ends where it hears its goal's beacon within this
+RISES_M = 0.1  # where the profile ahead rises by more, what looks like a wall may be stairs
+STEP_SLACK_M = 0.015  # a step ahead may be lower than it looks by this
 LOOK_M = 0.30  # of the profile ahead, in which a robot finds that it cannot climb
 RECENT = 64  # steps whose profile is looked at for that
 SURE = 3  # steps in a row that it finds so
@@ -64,7 +66,7 @@ def walls_of_scan(ranges_m: Array, tuning: Tuning, robot: Robot) -> Walls:
 class Ahead(NamedTuple):
     """What lies ahead, and what has just been passed."""
 
-    leans: Array  # bool, the robot stands otherwise than where it last stood evenly
+    leans: Array  # bool, the robot stands otherwise than where it last stood evenly, or the ground rises before it
     track: Track
     scan_overflow: Array  # int32, ends of walls that did not fit into the scan's points
     space: FreeSpace
@@ -75,7 +77,7 @@ class Ahead(NamedTuple):
     crease_m: Array  # float32, odometer where it changed
     steepest: Array  # float32, the larger inclination, radians
     blocked: Array  # int32, steps in a row with ground ahead that the robot cannot climb
-    beyond: Any  # pair: height of the step and inclination of the slope that stop it, see `_cannot_climb`
+    beyond: Any  # pair: height of the step and inclination of the slope that stop it, see `_ground_ahead`
 
 
 def look_ahead(
@@ -102,8 +104,9 @@ def look_ahead(
     is_free = state.drive.latch == Latch.FREE
     xy, known = surround.points(around)
     pitch, pitch_m = steadying.attitude(writer.way.pitch, writer.way.odometer_m, state.step)
-    # What was seen from ground of another inclination may have been ground.
-    leans = jnp.abs(pitch - writer.level.even) > jnp.radians(tuning.inclination_deg)
+    rise, stops, step_m, slope = _ground_ahead(writer.way, robot, state)
+    # What is seen from ground of another inclination, or where the ground rises, may be ground.
+    leans = (jnp.abs(pitch - writer.level.even) > jnp.radians(tuning.inclination_deg)) | (rise > RISES_M)
     track, overflow = _watch(state, writer, xy, known, walls.beside.min(), leans, placed, tuning)
     left_m, right_m = walls.region_sides
     space, enters, leaves = behaviour.watch_free_space(
@@ -118,7 +121,6 @@ def look_ahead(
         jnp.radians(tuning.inclination_deg),
         mapping.EVEN_LENGTHS * robot.length_m,
     )
-    stops, step_m, slope = _cannot_climb(writer.way, robot, state)
     return Ahead(
         leans=leans,
         track=track,
@@ -167,11 +169,12 @@ def _watch(state, writer, xy, valid, wall_m, leans, placed, tuning):
     return run_if(looks, looked, (track, jnp.int32(0)))
 
 
-def _cannot_climb(way, robot, state):
-    """Whether the ground ahead is more than the robot can climb, as it looks or as the robot has just found.
+def _ground_ahead(way, robot, state):
+    """How far the ground ahead rises, and whether that is more than the robot can climb, as it looks or as the robot
+    has just found.
 
     Returns:
-      `(stops, step_m, slope)`: bool; height of the step that stops it, 0 for none; inclination of the slope that does,
+      `(rise_m, stops, step_m, slope)`: float32; bool; height of the step that stops it, 0 for none; inclination of the slope that does,
         radians, 0 for none, NaN where it was not seen.
     """
     first = jnp.clip(state.step + 1 - RECENT, 0, way.ground_x_m.shape[0] - RECENT)
@@ -185,14 +188,18 @@ def _cannot_climb(way, robot, state):
     slope_m = LOOK_M * jnp.tan(jnp.radians(robot.max_slope_deg)) + 0.02
 
     def judged(_):
-        step_m, beyond = ground_profile.profile(x, z, ahead | behind).step_m, ground_profile.profile(x, z, ahead)
-        is_step = ((step_m > robot.max_step_m) | state.halts) & (step_m > mapping.STEP_M)
-        stops = is_step | (rise > slope_m) | state.halts
+        near, beyond = ground_profile.profile(x, z, ahead | behind), ground_profile.profile(x, z, ahead)
+        step_m = near.step_m
+        is_step = ((step_m > robot.max_step_m + STEP_SLACK_M) | state.halts) & (step_m > mapping.STEP_M)
+        # Two steps that it climbs one by one rise more than a slope that it climbs.
+        sudden = ground_profile.sudden(x, z, ahead | behind) > mapping.STEP_M
+        gentle = sudden & (near.slope <= jnp.tan(jnp.radians(robot.max_slope_deg)))
+        stops = is_step | ((rise > slope_m) & ~gentle) | state.halts
         slope = jnp.where(beyond.count < 3, jnp.nan, jnp.abs(jnp.arctan(beyond.slope)))
         return stops, jnp.where(is_step, step_m, 0.0), jnp.where(stops & ~is_step, slope, 0.0)
 
     high = (rise > jnp.minimum(slope_m, robot.max_step_m)) | state.halts
-    return run_if(high, judged, (jnp.bool_(False), jnp.float32(0), jnp.float32(0)))
+    return rise, *run_if(high, judged, (jnp.bool_(False), jnp.float32(0), jnp.float32(0)))
 
 
 def _passes_start(state):

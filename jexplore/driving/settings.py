@@ -101,8 +101,9 @@ class Tuning:
     """So many of the last nine scans, 1 to 9, must show a triangle before it is believed; 1 means no voting."""
     same_m: float = 0.4
     """Two circle centres nearer than this, in metres, are one."""
-    variance_max_m2: float = 3e-4
-    """An obstacle is stairs if its height profile has a residual variance above this [Vmax], in square metres."""
+    tread_wave_m2: float = 1.5e-5
+    """An obstacle is stairs if its height profile goes up and down about its slope with every tread by a variance above
+    this [Vmax], in square metres."""
     inclination_deg: float = 5.0
     """A change of the ground's inclination by more than this, in degrees, is an obstacle."""
     speed_m_s: float = 0.4
@@ -134,7 +135,7 @@ def require_tuning(tuning: Tuning) -> None:
         if field.type is int:
             require_whole(f"tuning.{field.name}", value, low=1, high=WHOLE[field.name])
         else:
-            above = field.name not in ("obtuse_tol_deg", "leave_m", "variance_max_m2")
+            above = field.name not in ("obtuse_tol_deg", "leave_m", "tread_wave_m2")
             require_number(f"tuning.{field.name}", value, low_open=above, high=1000)
     for low, high in (("width_m", "open_m"), ("arrive_m", "open_m")):
         if getattr(tuning, low) >= getattr(tuning, high):

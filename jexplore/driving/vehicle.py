@@ -230,7 +230,7 @@ def move(
     contact = touches(building, robot, pose)
     steep = jnp.radians(robot.max_slope_deg) + 1e-3
     climbs = (jnp.abs(pitch) <= steep) & (jnp.abs(roll) <= steep) | (jnp.abs(pitch) < jnp.abs(body.pitch))
-    climbs = climbs & (rise <= jnp.maximum(robot.max_step_m, body.rise_m)) | (flat == 0)
+    climbs = climbs & (rise <= jnp.maximum(robot.max_step_m + 1e-3, body.rise_m)) | (flat == 0)
     goes = ~contact & climbs
     moved = Body(
         pose=jnp.where(goes, pose, body.pose),

@@ -1,14 +1,21 @@
 """What the scanner that looks down shows: the ground before the robot, and what a height profile of the way says."""
 
 import functools
+import math
 
 import jax.numpy as jnp
+import numpy as np
 from flax import struct
 from jax import Array
 
 from jexplore.driving.sensing.perception import running_sum
 
-CELLS = 512  # of a profile, each as long as the gap of a step
+CELLS, CELL_M = 512, 0.02  # of a profile
+FLANK_M = 0.10  # a step is the difference of the mean heights so far before and behind a place, without its cell
+TREADS_M = 0.20, 0.44, 13  # shortest and longest period of steps, and how many are tried
+
+_ANGLE = 2 * math.pi * CELL_M * np.arange(CELLS) / np.linspace(TREADS_M[0], TREADS_M[1], TREADS_M[2])[:, None]
+_WAVES = np.concatenate([np.cos(_ANGLE), np.sin(_ANGLE)]).astype(np.float32)
 
 
 def ground_point(
@@ -50,25 +57,25 @@ class Profile:
     """What a height profile says of the obstacle under it."""
 
     variance_m2: Array  # float32, residual variance about the least-squares line, n - 2 in the denominator
+    tread_wave_m2: Array  # float32, part of it that is a sine of the period of a tread, of the best one
     slope: Array  # float32, of that line, signed
     step_m: Array  # float32, height of a step, the median of all
     count: Array  # int32, points
 
 
-def profile(x_m: Array, z_m: Array, valid: Array, *, flank_m: float = 0.10, gap_m: float = 0.02) -> Profile:
+def profile(x_m: Array, z_m: Array, valid: Array) -> Profile:
     """Fits a line to heights along the way.
 
     Args:
       x_m, z_m, valid: `[P]`, points of the profile.
-      flank_m: a step is the difference of the mean heights this far before and behind a place. Static.
-      gap_m: but not nearer than this. Static.
 
     Returns:
       `Profile`; zeros where there are fewer than three points.
 
     Source:
-      Mano et al., section III.A.2. Changed: a slope is what fits a line, stairs what does not (the text has both the
-      same way round), and the height of a step comes from the profile.
+      Mano et al., section III.A.2. Changed: a slope is what fits a line, stairs what goes up and down about it with
+      every tread (the text has both the same way round, and takes all of the residual variance: noise is in it), and
+      the height of a step comes from the profile.
     """
     n = jnp.sum(valid)
     per = 1 / jnp.maximum(n, 1)
@@ -80,22 +87,41 @@ def profile(x_m: Array, z_m: Array, valid: Array, *, flank_m: float = 0.10, gap_
     variance = jnp.where(enough, jnp.sum(residual**2) / jnp.maximum(n - 2, 1), 0)
     return Profile(
         variance_m2=variance,
+        tread_wave_m2=jnp.where(enough, _tread_wave(x, residual, valid), 0),
         slope=jnp.where(enough, slope, 0),
-        step_m=jnp.where(enough, _step_height(x, z, valid, flank_m, gap_m), 0),
+        step_m=jnp.where(enough, _step_height(x, z, valid), 0),
         count=n.astype(jnp.int32),
     )
 
 
-def _step_height(x, z, valid, flank_m, gap_m):
+def _cell_of(x_m, valid):
+    """Cells of the way, each as long as `CELL_M`, from the first point on: `[P]` int32, beyond the last for none."""
+    first = jnp.min(jnp.where(valid, x_m, jnp.inf))
+    return jnp.where(valid, ((x_m - first) / CELL_M).astype(jnp.int32), CELLS)
+
+
+def _tread_wave(x_m, residual_m, valid):
+    """The largest power, in square metres, of a residual's waves as long as a tread."""
+    total = jnp.zeros(CELLS, jnp.float32).at[_cell_of(x_m, valid)].add(residual_m, mode="drop")
+    mean = _WAVES @ total / jnp.maximum(jnp.sum(valid), 1)  # [2 * periods]
+    return jnp.max(2 * jnp.sum(mean.reshape(2, -1) ** 2, axis=0))
+
+
+def sudden(x_m: Array, z_m: Array, valid: Array) -> Array:
+    """The largest rise from a point of a profile to the next one beyond what a slope of 45 degrees would rise: float32,
+    metres. Steps are that steep, slopes are not. Arguments as for `profile`, in the order of time.
+    """
+    both = valid[1:] & valid[:-1]
+    x, z = jnp.where(valid, x_m, 0), jnp.where(valid, z_m, 0)
+    return jnp.max(jnp.where(both, jnp.diff(z) - jnp.abs(jnp.diff(x)), 0))
+
+
+def _step_height(x, z, valid):
     """The height of a step: the median of the differences of mean height between the flanks of steps."""
     # Points come in the order of time, about in that of x: flanks are sums over sorted cells of the way.
-    cell = gap_m
-    first = jnp.min(jnp.where(valid, x, jnp.inf))
-    n = CELLS
-    at = jnp.where(valid, ((x - first) / cell).astype(jnp.int32), n)  # what lies beyond the last cell is left out
+    n, at, wide = CELLS, _cell_of(x, valid), round(FLANK_M / CELL_M)
     count = jnp.zeros(n, jnp.float32).at[at].add(1, mode="drop")
     total = jnp.zeros(n, jnp.float32).at[at].add(z, mode="drop")
-    wide = round(flank_m / cell)
     run_n, run_z = (jnp.pad(running_sum(a), (1, 0)) for a in (count, total))
 
     def window(run, low, high):  # sums of cells [i + low, i + high)

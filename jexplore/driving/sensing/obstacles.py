@@ -10,6 +10,8 @@ from jexplore.btm import Btm
 from jexplore.driving.sensing import ground_profile
 from jexplore.driving.settings import Robot, Tuning
 
+STANDS_OUT = 0.2  # of the profile's variance besides: the best of many waves through noise has less
+SURE = 7  # a wave larger than so many thresholds is one however large the rest
 MARGIN_M = 0.1  # the profile of an obstacle is looked at so far from the nodes at its ends
 
 
@@ -41,7 +43,10 @@ def judged(
     found = ground_profile.profile(way.ground_x_m, way.ground_z_m, within & jnp.isfinite(way.ground_x_m))
     is_steep = jnp.abs(jnp.arctan(found.slope)) > jnp.radians(tuning.inclination_deg)
     is_judged = over & is_steep & (found.count >= 3) & (event.odometer_m > writer.node_m)
-    stairs = is_judged & (found.variance_m2 > tuning.variance_max_m2)
+    # What is left besides the wave is noise, or a body that tips.
+    rest = found.variance_m2 - found.tread_wave_m2
+    doubt = jnp.minimum(STANDS_OUT * rest, SURE * tuning.tread_wave_m2)
+    stairs = is_judged & (found.tread_wave_m2 > jnp.maximum(tuning.tread_wave_m2, doubt))
 
     def mark(array, at, value, when):
         return array.at[jnp.where(when, at, array.shape[0])].set(value, mode="drop")
