@@ -14,7 +14,7 @@ from jexplore.driving import behaviour, mapping
 from jexplore.driving.behaviour import FreeSpace, Latch, Track
 from jexplore.driving.mapping import Writer
 from jexplore.driving.nodes import SAME_NODE_M, Event
-from jexplore.driving.sensing import ground_profile, perception, steadying, surround
+from jexplore.driving.sensing import ground_profile, perception, surround
 from jexplore.driving.sensing.surround import Surround
 from jexplore.driving.settings import Robot, Tuning
 from jexplore.driving.vehicle import ANGLES_RAD, BEAM_SPACING_RAD, to_robot
@@ -103,10 +103,10 @@ def look_ahead(
     """
     is_free = state.drive.latch == Latch.FREE
     xy, known = surround.points(around)
-    pitch, pitch_m = steadying.attitude(writer.way.pitch, writer.way.odometer_m, state.step)
+    lean, lean_m = mapping.lean_of(writer.way, state.step)
     rise, stops, step_m, slope = _ground_ahead(writer.way, robot, state)
     # What is seen from ground of another inclination, or where the ground rises, may be ground.
-    leans = (jnp.abs(pitch - writer.level.even) > jnp.radians(tuning.inclination_deg)) | (rise > RISES_M)
+    leans = (jnp.hypot(*(lean - writer.level.even)) > jnp.radians(tuning.inclination_deg)) | (rise > RISES_M)
     track, overflow = _watch(state, writer, xy, known, walls.beside.min(), leans, placed, tuning)
     left_m, right_m = walls.region_sides
     space, enters, leaves = behaviour.watch_free_space(
@@ -116,8 +116,8 @@ def look_ahead(
     border_m = jnp.where(leaves, space.since_m + walls.region[1], border_m)
     level, changed, crease_m, steepest = mapping.watch_level(
         writer.level,
-        pitch,
-        pitch_m,
+        lean,
+        lean_m,
         jnp.radians(tuning.inclination_deg),
         mapping.EVEN_LENGTHS * robot.length_m,
     )

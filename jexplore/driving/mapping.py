@@ -10,16 +10,17 @@ from typing import Any, ClassVar, Self
 
 import jax.numpy as jnp
 from flax import struct
-from jax import Array
+from jax import Array, lax
 
 from jexplore import btm
 from jexplore.btm import Btm
 from jexplore.driving.behaviour import Latch, RunMode
-from jexplore.driving.sensing import ground_profile
+from jexplore.driving.sensing import ground_profile, steadying
 from jexplore.driving.settings import Robot
 from jexplore.driving.vehicle import Senses, down_directions
 
-EVEN_DEG = 1.0  # the robot stands evenly once its pitch has varied by less than this
+LEAN_STEPS = 32  # steps in which the noise of the attitude is told
+EVEN_DEG = 1.0  # the robot stands evenly once its lean has varied by less than this
 EVEN_LENGTHS = 0.25  # over this way, in lengths of the robot: on a long robot a gentle slope comes slowly
 MEANT_STEPS = 5  # of which the width of a passage is the mean
 MEANT_M = 0.1  # as far as they are this near
@@ -34,6 +35,7 @@ class Way:
     odometer_m: Array  # [T] float32, inf where there was no step yet
     pose: Array  # [T, 3] float32, odometry: x, y, metres; heading, radians
     pitch: Array  # [T] float32, measured, radians
+    roll: Array  # [T] float32, likewise
     posture: Array  # [T] float32, inclination of the body, radians
     width_m: Array  # [T] float32, of the passage; inf where a side is open
     ground_x_m: Array  # [T] float32, odometer at the point that the downward scanner saw; inf for none
@@ -48,6 +50,7 @@ def no_way(size: int) -> Way:
         odometer_m=jnp.full(size, jnp.inf),
         pose=jnp.zeros((size, 3)),
         pitch=jnp.zeros(size),
+        roll=jnp.zeros(size),
         posture=jnp.zeros(size),
         width_m=jnp.full(size, jnp.inf),
         ground_x_m=jnp.full(size, jnp.inf),
@@ -58,12 +61,12 @@ def no_way(size: int) -> Way:
 
 @struct.dataclass
 class Level:
-    """The inclination of the ground that the robot stands on, and of what it last stood on evenly."""
+    """The lean of the ground that the robot stands on, and of what it last stood on evenly; see `lean_of`."""
 
-    even: Array  # float32, radians, pitch when it last stood evenly
-    anchor: Array  # float32, radians, pitch since which it has varied little
+    even: Array  # [2] float32, radians, when it last stood evenly
+    anchor: Array  # [2] float32, radians, since which it has varied little
     anchor_m: Array  # float32, odometer there
-    left_m: Array  # float32, odometer where it last had the even pitch
+    left_m: Array  # float32, odometer where it last was the even one
 
 
 @struct.dataclass
@@ -104,7 +107,7 @@ def begin(n_steps: int, n_nodes: int, n_links: int, pose: Array, behind: Array |
         link=link,
         left_bearing=jnp.float32(1) * pose[2],
         entry=jnp.zeros(2),
-        level=Level(even=zero, anchor=zero, anchor_m=zero, left_m=zero),
+        level=Level(even=jnp.zeros(2), anchor=jnp.zeros(2), anchor_m=zero, left_m=zero),
         border_m=jnp.float32(jnp.inf),
         passed=jnp.array([0.0, 0.0, 0.0, -jnp.inf], jnp.float32),
         tries=jnp.zeros(n_links, jnp.int32),
@@ -114,31 +117,56 @@ def begin(n_steps: int, n_nodes: int, n_links: int, pose: Array, behind: Array |
     )
 
 
+def lean_of(way: Way, step: Array) -> tuple[Array, Array]:
+    """How the ground leans on which the robot stands: which way it rises in the odometry's frame, and by what angle.
+
+    A robot that turns on a slope pitches and rolls otherwise than before; the lean of the slope stays what it is.
+
+    Args:
+      way: `Way`, with this step.
+      step: int32.
+
+    Returns:
+      `(lean, odometer_m)`: `[2]` float32, radians, averaged over as many steps as the attitude's noise asks for, which
+        is told by the pitch; float32, in the middle of them.
+    """
+    first = jnp.clip(step + 1 - LEAN_STEPS, 0, way.pitch.shape[0] - LEAN_STEPS)
+    pitch, roll, odometer_m = (
+        lax.dynamic_slice(a, (first,), (LEAN_STEPS,)) for a in (way.pitch, way.roll, way.odometer_m)
+    )
+    heading = lax.dynamic_slice(way.pose, (first, 2), (LEAN_STEPS, 1))[:, 0]
+    age = step - first - jnp.arange(LEAN_STEPS)
+    share = steadying.shares(pitch, age)
+    cos, sin = jnp.cos(heading), jnp.sin(heading)
+    lean = jnp.stack([-pitch * cos - roll * sin, -pitch * sin + roll * cos])
+    return lean @ share, share @ jnp.where(age >= 0, odometer_m, 0)
+
+
 def watch_level(
-    level: Level, pitch: Array | float, odometer_m: Array | float, threshold: Array | float, even_m: Array | float
+    level: Level, lean: Array, odometer_m: Array | float, threshold: Array | float, even_m: Array | float
 ) -> tuple[Level, Array, Array, Array]:
-    """Takes one more pitch into account.
+    """Takes one more lean into account.
 
     Args:
       level: `Level`.
-      pitch: measured, radians.
+      lean: `[2]` float32, radians, from `lean_of`.
       odometer_m: float32.
       threshold: change of inclination that is an obstacle, radians.
-      even_m: the robot stands evenly once its pitch has varied by less than `EVEN_DEG` over this way.
+      even_m: the robot stands evenly once its lean has varied by less than `EVEN_DEG` over this way.
 
     Returns:
       `(level, changed, crease_m, steepest)`: whether the robot now stands evenly on ground of another inclination; the
         odometer at the crease between both, half way between leaving the one and arriving on the other; the larger of
         both inclinations, radians.
     """
-    varied = jnp.abs(pitch - level.anchor) > math.radians(EVEN_DEG)
-    anchor = jnp.where(varied, pitch, level.anchor)
+    varied = jnp.hypot(*(lean - level.anchor)) > math.radians(EVEN_DEG)
+    anchor = jnp.where(varied, lean, level.anchor)
     anchor_m = jnp.where(varied, odometer_m, level.anchor_m)
     even = odometer_m - anchor_m >= even_m
-    changed = even & (jnp.abs(anchor - level.even) > threshold)
+    changed = even & (jnp.hypot(*(anchor - level.even)) > threshold)
     crease = (level.left_m + anchor_m) / 2
-    steepest = jnp.maximum(jnp.abs(anchor), jnp.abs(level.even))
-    same = jnp.abs(pitch - level.even) <= math.radians(EVEN_DEG)
+    steepest = jnp.maximum(jnp.hypot(*anchor), jnp.hypot(*level.even))
+    same = jnp.hypot(*(lean - level.even)) <= math.radians(EVEN_DEG)
     after = Level(
         even=jnp.where(even, anchor, level.even),
         anchor=anchor,
@@ -249,6 +277,7 @@ def note(state: Any, senses: Senses, width_m: Array, robot: Robot) -> Writer:
         "odometer_m": state.odometer_m,
         "pose": state.estimate,
         "pitch": senses.pitch,
+        "roll": senses.roll,
         "posture": jnp.arccos(jnp.cos(senses.pitch) * jnp.cos(senses.roll)),
         "width_m": jnp.where(turns, jnp.inf, width_m),
         "ground_x_m": jnp.where(ground_seen, state.odometer_m + ground_x, jnp.inf),

@@ -62,7 +62,7 @@ def judged(
     margin = robot.length_m / 2 + 0.05
     on_it = (way.odometer_m > writer.node_m + margin) & (way.odometer_m < event.odometer_m - margin)
     n = jnp.sum(on_it)
-    even = jnp.degrees(jnp.sum(jnp.where(on_it, jnp.abs(way.pitch), 0)) / jnp.maximum(n, 1))
+    even = jnp.degrees(jnp.sum(jnp.where(on_it, way.posture, 0)) / jnp.maximum(n, 1))
     even = jnp.where(over & (n > 0) & (even > tuning.inclination_deg), even, jnp.nan)
     inclination = map_.inclination_deg
     for at, is_one in ((before, over), (here, over & (event.kind == btm.OBSTACLE))):

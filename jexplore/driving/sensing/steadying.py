@@ -6,12 +6,11 @@ The noise is told by the readings themselves: what is measured changes gradually
 import math
 
 import jax.numpy as jnp
-from jax import Array, lax
+from jax import Array
 
 from jexplore.arrays.loops import run_if
 
 JUMP_OF_ONE = 0.6745 * math.sqrt(6)  # median of second differences of noise whose standard deviation is 1
-STEPS = 32  # steps by which the noise of the attitude is told
 STEADY_DEG = 0.33  # standard deviation of a mean attitude
 MOST_STEPS = 16  # readings of which it is the mean
 STEADY_M = 0.015  # standard deviation of a mean range
@@ -19,25 +18,21 @@ MOST_PAIRS = 6  # beams on either side of which it is the mean
 AGREE = 3.7  # standard deviations within which two beams and the one between them agree
 
 
-def attitude(angle: Array, odometer_m: Array, step: Array) -> tuple[Array, Array]:
-    """The mean of the last angles of the way: of one where the noise is small.
+def shares(angle: Array, age: Array) -> Array:
+    """How much each of the last readings counts in their mean: only the last one where the noise is small.
 
     Args:
-      angle: `[T]` float32, radians, of every step.
-      odometer_m: `[T]` float32.
-      step: int32, the last one.
+      angle: `[S]` float32, radians, of steps in a row.
+      age: `[S]` int32, steps since then; below 0: not there yet.
 
     Returns:
-      `(angle, odometer_m)`: float32, radians; in the middle of the steps that it is the mean of.
+      `[S]` float32, whose sum is 1.
     """
-    first = jnp.clip(step + 1 - STEPS, 0, angle.shape[0] - STEPS)
-    angle, odometer_m = (lax.dynamic_slice(a, (first,), (STEPS,)) for a in (angle, odometer_m))
-    age = step - first - jnp.arange(STEPS)
     jumps = jnp.abs(angle[2:] - 2 * angle[1:-1] + angle[:-2])
     deviation = jnp.median(jnp.where(age[2:] >= 0, jumps, 0)) / JUMP_OF_ONE
     n = jnp.clip(jnp.round((deviation / math.radians(STEADY_DEG)) ** 2), 1, MOST_STEPS)
-    weight = ((age >= 0) & (age < n)) / jnp.minimum(n, step + 1)
-    return weight @ angle, weight @ jnp.where(age >= 0, odometer_m, 0)
+    counts = (age >= 0) & (age < n)
+    return counts / jnp.sum(counts)
 
 
 def scan(ranges_m: Array) -> Array:
