@@ -295,7 +295,7 @@ def _is_passed(event, found, others, back, again, is_divergence):
     """
     n, other = jnp.sum(found.valid), jnp.argmax(others)
     straight = jnp.abs(btm.wrapped(found.bearing[other] - back)) > math.pi - IN_LINE_RAD
-    in_line = (n == 2) & (jnp.sum(others) == 1) & straight
+    in_line = (n == 2) & (jnp.sum(others) == 1) & straight & ~again
     wide = (found.width_m > CORNER * 2 * event.radius) | _is_behind(found)
     corner = (n == 1) & jnp.any(found.valid & wide) & ~again
     return is_divergence & (in_line | corner), jnp.where(corner, jnp.argmax(found.valid), other)
