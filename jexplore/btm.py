@@ -44,6 +44,8 @@ class Btm:
     length_m: Array  # [M] float32
     min_width_m: Array  # [M] float32
     link_posture_deg: Array  # [M] float32
+    max_roll_deg: Array  # [M] float32
+    max_step_m: Array  # [M] float32
     start_bearing: Array  # [M] float32, radians
     end_bearing: Array  # [M] float32, radians
     opening_m: Array  # [M] float32
@@ -60,9 +62,8 @@ def empty(n_nodes: int, n_links: int) -> Btm:
         return jnp.full(n, value, dtype)
 
     nodes = dict.fromkeys(("x_m", "y_m", "inclination_deg", "step_m", "posture_deg", "variance_m2"), jnp.nan)
-    links = dict.fromkeys(
-        ("length_m", "min_width_m", "link_posture_deg", "start_bearing", "end_bearing", "opening_m"), jnp.nan
-    )
+    measures = ("length_m", "min_width_m", "link_posture_deg", "max_roll_deg", "max_step_m", "opening_m")
+    links = dict.fromkeys((*measures, "start_bearing", "end_bearing"), jnp.nan)
     return Btm(
         **{name: full(n_nodes, value, jnp.float32) for name, value in nodes.items()},
         **{name: full(n_links, value, jnp.float32) for name, value in links.items()},
@@ -262,6 +263,8 @@ def to_map(btm: Btm, *, origin_m: tuple[float, float] = (0.0, 0.0), **attributes
             length_m=number("length_m", i),
             min_width_m=number("min_width_m", i),
             posture_deg=number("link_posture_deg", i),
+            max_roll_deg=number("max_roll_deg", i),
+            max_step_m=number("max_step_m", i),
             opening_m=number("opening_m", i),
             attributes=extras(blocked=bool(fields["blocked"][i])),
         )

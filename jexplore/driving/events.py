@@ -1,6 +1,7 @@
 """What lies ahead of the robot, and which node of the map is due."""
 
 import dataclasses
+import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -14,7 +15,8 @@ from jexplore.driving import behaviour, mapping
 from jexplore.driving.behaviour import FreeSpace, Latch, Track
 from jexplore.driving.mapping import Writer
 from jexplore.driving.nodes import SAME_NODE_M, Event
-from jexplore.driving.sensing import ground_profile, perception, surround
+from jexplore.driving.sensing import ground_profile, lone_steps, perception, surround
+from jexplore.driving.sensing.lone_steps import LoneStep
 from jexplore.driving.sensing.surround import Surround
 from jexplore.driving.settings import Robot, Tuning
 from jexplore.driving.vehicle import ANGLES_RAD, BEAM_SPACING_RAD, to_robot
@@ -29,6 +31,7 @@ RISES_M = 0.1  # where the profile ahead rises by more, what looks like a wall m
 STEP_SLACK_M = 0.015  # a step ahead may be lower than it looks by this
 LOOK_M = 0.30  # of the profile ahead, in which a robot finds that it cannot climb
 RECENT = 64  # steps whose profile is looked at for that
+LEVEL_RAD = math.radians(4)  # ground that leans less is level, where a single step is looked for
 SURE = 3  # steps in a row that it finds so
 ALONG = 0.7  # cosine of the angle between a robot's heading and a link along which it drives, at least
 
@@ -77,6 +80,9 @@ class Ahead(NamedTuple):
     crease_m: Array  # float32, odometer where it changed
     steepest: Array  # float32, the larger inclination, radians
     blocked: Array  # int32, steps in a row with ground ahead that the robot cannot climb
+    lone_step: LoneStep  # that is ahead, under the robot or just passed
+    is_lone: Array  # bool, whether it has just passed it
+    lone_step_after: LoneStep  # what is left of it once the node is made
     beyond: Any  # pair: height of the step and inclination of the slope that stop it, see `_ground_ahead`
 
 
@@ -104,9 +110,11 @@ def look_ahead(
     is_free = state.drive.latch == Latch.FREE
     xy, known = surround.points(around)
     lean, lean_m = mapping.lean_of(writer.way, state.step)
-    rise, stops, step_m, slope = _ground_ahead(writer.way, robot, state)
+    ground = _recent_ground(writer.way, state)
+    rise, stops, step_m, slope = _ground_ahead(*ground, robot, state)
     # What is seen from ground of another inclination, or where the ground rises, may be ground.
-    leans = (jnp.hypot(*(lean - writer.level.even)) > jnp.radians(tuning.inclination_deg)) | (rise > RISES_M)
+    tips = jnp.hypot(*(lean - writer.level.even)) > jnp.radians(tuning.inclination_deg)
+    leans = tips | (rise > RISES_M)
     track, overflow = _watch(state, writer, xy, known, walls.beside.min(), leans, placed, tuning)
     left_m, right_m = walls.region_sides
     space, enters, leaves = behaviour.watch_free_space(
@@ -121,8 +129,13 @@ def look_ahead(
         jnp.radians(tuning.inclination_deg),
         mapping.EVEN_LENGTHS * robot.length_m,
     )
+    blocked = jnp.where(stops & (is_free | state.halts), state.blocked + 1, 0)
+    lone_step, is_lone, after = _lone_step(state, writer, ground, tips, level, changed, crease_m, blocked, robot)
     return Ahead(
         leans=leans,
+        lone_step=lone_step,
+        is_lone=is_lone,
+        lone_step_after=after,
         track=track,
         scan_overflow=overflow,
         space=space,
@@ -132,9 +145,21 @@ def look_ahead(
         changed=changed,
         crease_m=crease_m,
         steepest=steepest,
-        blocked=jnp.where(stops & (is_free | state.halts), state.blocked + 1, 0),
+        blocked=blocked,
         beyond=(step_m, slope),
     )
+
+
+def _lone_step(state, writer, ground, tips, level, changed, crease_m, blocked, robot):
+    """`(lone_step, is_lone, after)`: see `Ahead`. Where the ground's inclination changes, that makes the node."""
+    is_level = jnp.hypot(*level.even) < LEVEL_RAD
+    looks = is_level & ~tips & (state.drive.latch != Latch.LOOK) & ~state.manoeuvre.backing
+    now = lone_steps.watched(writer.lone_step, *ground, looks)
+    passed = lone_steps.is_passed(now, state.odometer_m, robot.length_m) & ~tips & is_level
+    is_lone = run_if(passed, lambda _: lone_steps.has_tipped(now, writer.way, robot.length_m), jnp.bool_(False))
+    gone = passed | (changed & (crease_m > now.from_m - lone_steps.TOGETHER_M / 2)) | (blocked >= SURE)
+    after = jax.tree.map(lambda none, old: jnp.where(gone, none, old), lone_steps.none(), now)
+    return now, is_lone & ~changed, after
 
 
 def triangles(xy: Array, valid: Array, wall_m: Array | float, tuning: Tuning) -> perception.Divergence:
@@ -169,17 +194,21 @@ def _watch(state, writer, xy, valid, wall_m, leans, placed, tuning):
     return run_if(looks, looked, (track, jnp.int32(0)))
 
 
-def _ground_ahead(way, robot, state):
+def _recent_ground(way, state):
+    """The last points of the profile: `(x_m, z_m)`, `[RECENT]` each, x inf where there is none."""
+    first = jnp.clip(state.step + 1 - RECENT, 0, way.ground_x_m.shape[0] - RECENT)
+    x, z = (lax.dynamic_slice(array, (first,), (RECENT,)) for array in (way.ground_x_m, way.ground_z_m))
+    return jnp.where(first + jnp.arange(RECENT) <= state.step, x, jnp.inf), z
+
+
+def _ground_ahead(x, z, robot, state):
     """How far the ground ahead rises, and whether that is more than the robot can climb, as it looks or as the robot
     has just found.
 
     Returns:
-      `(rise_m, stops, step_m, slope)`: float32; bool; height of the step that stops it, 0 for none; inclination of the slope that does,
-        radians, 0 for none, NaN where it was not seen.
+      `(rise_m, stops, step_m, slope)`: float32; bool; height of the step that stops it, 0 for none; inclination of the
+        slope that does, radians, 0 for none, NaN where it was not seen.
     """
-    first = jnp.clip(state.step + 1 - RECENT, 0, way.ground_x_m.shape[0] - RECENT)
-    x, z = (lax.dynamic_slice(array, (first,), (RECENT,)) for array in (way.ground_x_m, way.ground_z_m))
-    x = jnp.where(first + jnp.arange(RECENT) <= state.step, x, jnp.inf)
     nose = state.odometer_m + robot.length_m / 2
     ahead = (x > nose) & (x < nose + LOOK_M)
     behind = (x <= nose) & (x > nose - LOOK_M)
@@ -190,9 +219,9 @@ def _ground_ahead(way, robot, state):
     def judged(_):
         near, beyond = ground_profile.profile(x, z, ahead | behind), ground_profile.profile(x, z, ahead)
         step_m = near.step_m
-        is_step = ((step_m > robot.max_step_m + STEP_SLACK_M) | state.halts) & (step_m > mapping.STEP_M)
+        is_step = ((step_m > robot.max_step_m + STEP_SLACK_M) | state.halts) & (step_m > ground_profile.STEP_M)
         # Two steps that it climbs one by one rise more than a slope that it climbs.
-        sudden = ground_profile.sudden(x, z, ahead | behind) > mapping.STEP_M
+        sudden = ground_profile.sudden(x, z, ahead | behind) > ground_profile.STEP_M
         gentle = sudden & (near.slope <= jnp.tan(jnp.radians(robot.max_slope_deg)))
         stops = is_step | ((rise > slope_m) & ~gentle) | state.halts
         slope = jnp.where(beyond.count < 3, jnp.nan, jnp.abs(jnp.arctan(beyond.slope)))
@@ -238,11 +267,15 @@ def due(state: Any, writer: Writer, ahead: Ahead, at_goal: Array, is_open: Array
     here = state.estimate
     crease = run_if(changed, lambda _: mapping.pose_at(writer.way, ahead.crease_m), here)
     crease_m = jnp.maximum(ahead.crease_m, writer.node_m)
+    step = ahead.lone_step
+    step_m = jnp.maximum((step.from_m + step.to_m) / 2, writer.node_m)
+    on_step = run_if(ahead.is_lone, lambda _: mapping.pose_at(writer.way, step_m), here)
     order = [
         (at_goal | returns, btm.TERMINAL, state.odometer_m, here, here[:2]),
         (arrives & ~crosses, btm.DIVERGENCE, state.odometer_m, here, ahead.track.centre),
         (stops, btm.OBSTACLE, state.odometer_m, here, here[:2]),
         (crosses, btm.FREE_SPACE, state.odometer_m, here, here[:2]),
+        (ahead.is_lone, btm.OBSTACLE, step_m, on_step, on_step[:2]),
         (changed, btm.OBSTACLE, crease_m, crease, crease[:2]),
     ]
     kind, odometer_m, pose, centre = jnp.int32(btm.NONE), state.odometer_m, here, here[:2]
@@ -250,7 +283,7 @@ def due(state: Any, writer: Writer, ahead: Ahead, at_goal: Array, is_open: Array
         kind, odometer_m, pose, centre = (
             jnp.where(due, new, old) for new, old in zip(values, (kind, odometer_m, pose, centre))
         )
-    is_blocked = stops & (kind == btm.OBSTACLE) & ~changed
+    is_blocked = stops & (kind == btm.OBSTACLE) & ~changed & ~ahead.is_lone
     return Event(
         kind=kind.astype(jnp.int32),
         odometer_m=odometer_m,
@@ -259,7 +292,7 @@ def due(state: Any, writer: Writer, ahead: Ahead, at_goal: Array, is_open: Array
         radius=jnp.where(kind == btm.DIVERGENCE, ahead.track.radius, 0.0),
         posture=writer.way.posture[jnp.minimum(state.step, writer.way.posture.shape[0] - 1)],
         steepest=jnp.where(is_blocked, ahead.beyond[1], ahead.steepest),
-        step_m=jnp.where(is_blocked, ahead.beyond[0], 0.0),
+        step_m=jnp.where(is_blocked, ahead.beyond[0], jnp.where(ahead.is_lone, step.height_m, 0.0)),
         blocked=is_blocked,
         returns=returns & ~at_goal & (kind == btm.TERMINAL),
     )

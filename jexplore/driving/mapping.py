@@ -15,7 +15,8 @@ from jax import Array, lax
 from jexplore import btm
 from jexplore.btm import Btm
 from jexplore.driving.behaviour import Latch, RunMode
-from jexplore.driving.sensing import ground_profile, steadying
+from jexplore.driving.sensing import ground_profile, lone_steps, steadying
+from jexplore.driving.sensing.lone_steps import LoneStep
 from jexplore.driving.settings import Robot
 from jexplore.driving.vehicle import Senses, down_directions
 
@@ -25,7 +26,6 @@ EVEN_LENGTHS = 0.25  # over this way, in lengths of the robot: on a long robot a
 MEANT_STEPS = 5  # of which the width of a passage is the mean
 MEANT_M = 0.1  # as far as they are this near
 BEYOND_M = 0.05, 1.0  # a robot beyond an opening is no farther before it and behind it
-STEP_M = 0.04  # a rise of the profile by more than this within a cell's length is a step
 
 
 @struct.dataclass
@@ -81,6 +81,7 @@ class Writer:
     left_bearing: Array  # float32, radians, in which it left the last node
     entry: Array  # [2] float32, where it began to approach a divergence
     level: Level
+    lone_step: LoneStep  # that is ahead or under the robot
     border_m: Array  # float32, odometer at which a free space will have been entered or left; inf: none
     passed: Array  # [4] float32, a place that was none: x, y, radius, metres; odometer there
     tries: Array  # [M] int32, how often the robot has set off on a link that was un-searched
@@ -108,6 +109,7 @@ def begin(n_steps: int, n_nodes: int, n_links: int, pose: Array, behind: Array |
         left_bearing=jnp.float32(1) * pose[2],
         entry=jnp.zeros(2),
         level=Level(even=jnp.zeros(2), anchor=jnp.zeros(2), anchor_m=zero, left_m=zero),
+        lone_step=lone_steps.none(),
         border_m=jnp.float32(jnp.inf),
         passed=jnp.array([0.0, 0.0, 0.0, -jnp.inf], jnp.float32),
         tries=jnp.zeros(n_links, jnp.int32),
@@ -181,9 +183,9 @@ def pose_at(way: Way, odometer_m: Array | float) -> Array:
     return way.pose[jnp.argmax(way.odometer_m >= odometer_m)]
 
 
-def along(way: Way, from_m: Array | float, to_m: Array | float) -> tuple[Array, Array]:
-    """Narrowest passage and largest inclination of the body between two places: `(metres, degrees)`; inf and 0 for no
-    step.
+def along(way: Way, from_m: Array | float, to_m: Array | float) -> tuple[Array, Array, Array]:
+    """Narrowest passage, largest inclination of the body and largest roll between two places: `(metres, degrees,
+    degrees)`; inf, 0 and 0 for no step.
     """
     within = (way.odometer_m >= from_m) & (way.odometer_m <= to_m)
     known = within & jnp.isfinite(way.width_m)
@@ -195,7 +197,8 @@ def along(way: Way, from_m: Array | float, to_m: Array | float) -> tuple[Array, 
         near = jnp.abs(place[k : k + n] - way.odometer_m) <= MEANT_M
         total, count = total + jnp.where(near, value[k : k + n], 0), count + near
     width = jnp.min(jnp.where(known, total / jnp.maximum(count, 1), jnp.inf))
-    return width, jnp.degrees(jnp.max(jnp.where(within, way.posture, 0)))
+    leans = (jnp.degrees(jnp.max(jnp.where(within, angle, 0))) for angle in (way.posture, jnp.abs(way.roll)))
+    return width, *leans
 
 
 def has_left(writer: Writer, odometer_m: Array | float, leave_m: Array | float) -> Array:

@@ -186,7 +186,8 @@ def step(draws: Draws, building: Building, robot: Robot, tuning: Tuning, noise: 
     blind = jnp.where(jnp.sum(jnp.isnan(senses.ranges_m)) > BEAMS / 2, state.blind + 1, 0)
     senses, is_ground = levelled(senses.replace(ranges_m=steadying.scan(senses.ranges_m)), robot)
     walls = walls_of_scan(senses.ranges_m, tuning, robot)
-    key, odometry, estimate = matching.put_right(state.key, state.odometry, state.estimate, senses.ranges_m)
+    attitude = jnp.stack([senses.pitch, senses.roll])
+    key, odometry, estimate = matching.put_right(state.key, state.odometry, state.estimate, senses.ranges_m, attitude)
     around = surround.moved(state.around, *matching.between(state.scanned, odometry))
     around = surround.seen(around, jnp.where(is_ground, jnp.inf, senses.ranges_m))
     ways_m = surround.ways(around, robot)
@@ -234,6 +235,7 @@ def _decided(state, writer, ahead, around, ways_m, placed, at_goal, is_open, tun
     writer = writer.replace(
         passed=jnp.where(gives_up, none, writer.passed),
         level=ahead.level,
+        lone_step=ahead.lone_step_after,
         entry=jnp.where(
             begins | ((drive.latch == Latch.APPROACH) & (state.drive.latch == Latch.LOOK)),
             state.estimate[:2],

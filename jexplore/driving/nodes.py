@@ -58,6 +58,7 @@ class Arrival(NamedTuple):
     shift: Array  # [2] float32, correction of the odometry, metres
     width: Array  # float32, of the way here, metres
     posture: Array  # float32, the steepest on it, degrees
+    roll: Array  # float32, the largest roll, degrees
 
 
 def _arrive(writer, event, tuning, is_divergence, is_terminal):
@@ -68,7 +69,7 @@ def _arrive(writer, event, tuning, is_divergence, is_terminal):
     may_be_last = is_divergence & has_left(writer, event.odometer_m, tuning.leave_m)
     again = (distance < reach) & ((near != writer.node) | may_be_last) & ~is_terminal | event.returns
     near = jnp.where(event.returns, 0, near)
-    width, posture = along(writer.way, writer.node_m, event.odometer_m)
+    width, posture, roll = along(writer.way, writer.node_m, event.odometer_m)
     added, new = btm.add_node(
         writer.map,
         event.kind,
@@ -84,7 +85,7 @@ def _arrive(writer, event, tuning, is_divergence, is_terminal):
     fits = again | (writer.map.n_nodes < map_.kind.shape[0])
     met = again & is_divergence & (distance < SHIFT_M)
     shift = jnp.where(met, SHIFT_SHARE * (jnp.stack([map_.x_m[near], map_.y_m[near]]) - event.centre), 0.0)
-    return Arrival(map_, jnp.where(again, near, new), again, near, met, fits, shift, width, posture)
+    return Arrival(map_, jnp.where(again, near, new), again, near, met, fits, shift, width, posture, roll)
 
 
 def _find_openings(writer, event, points, tuning, is_divergence):
@@ -116,7 +117,7 @@ def _holds_start(writer, event):
     return (writer.node == 0) & (off_m < event.radius)
 
 
-def _end_way_here(map_, writer, event, at, back):
+def _end_way_here(map_, writer, event, at, back, step_m):
     """Ends the link that led here: `(map, link)`.
 
     On a known link to a known node nothing is new; a new node on it shows that the robot has left it unawares: it came
@@ -132,7 +133,7 @@ def _end_way_here(map_, writer, event, at, back):
     turned_back = at.again & (at.near == writer.node) & ~on_known & (off < math.pi / 4)  # it comes back as it left
     map_ = map_.replace(blocked=map_.blocked.at[jnp.where(turned_back, link, size)].set(True, mode="drop"))
     is_new = (~on_known | astray) & ~turned_back
-    map_ = _end_link(map_, writer, at.node, event, back, at.width, at.posture, link, is_new)
+    map_ = _end_link(map_, writer, event, at, back, step_m, link, is_new)
     return _withdraw_double(map_, at.node, back, at.again & is_new), link
 
 
@@ -156,12 +157,12 @@ def write(
     is_divergence, size = event.kind == btm.DIVERGENCE, writer.map.start.shape[0]
     is_terminal = (event.kind == btm.TERMINAL) & ~event.returns
     at = _arrive(writer, event, tuning, is_divergence, is_terminal)
-    map_ = obstacles.judged(at.map, writer, event, tuning, robot, at.posture, at.node)
+    map_, step_m = obstacles.judged(at.map, writer, event, tuning, robot, at.posture, at.node)
     found, others, back = _find_openings(writer, event, points, tuning, is_divergence)
     turn = jnp.where(at.met, _turn_to(at.map, at.node, found), 0.0)
     back, found = back + turn, dataclasses.replace(found, bearing=found.bearing + turn)
     event = dataclasses.replace(event, pose=event.pose.at[2].add(turn))
-    map_, link = _end_way_here(map_, writer, event, at, back)
+    map_, link = _end_way_here(map_, writer, event, at, back, step_m)
     map_ = _add_openings(map_, event, at.node, found, others, is_divergence & ~at.again)
     goes_on = ~is_divergence & ~is_terminal & ~at.again
     map_, onward = btm.add_link(map_, at.node, event.pose[2], when=goes_on, blocked=event.blocked)
@@ -353,15 +354,17 @@ def _heading(angle):
     return jnp.stack([jnp.cos(angle), jnp.sin(angle)])
 
 
-def _end_link(map_, writer, node, event, back, width, posture, link, when):
+def _end_link(map_, writer, event, at_node, back, step_m, link, when):
     """Ends a link at a node."""
     at = jnp.where(when, link, map_.start.shape[0])
     values = {
-        "end": node,
+        "end": at_node.node,
         "status": btm.SEARCHED,
         "length_m": event.odometer_m - writer.node_m,
-        "min_width_m": width,
-        "link_posture_deg": posture,
+        "min_width_m": at_node.width,
+        "link_posture_deg": at_node.posture,
+        "max_roll_deg": at_node.roll,
+        "max_step_m": step_m,
         "end_bearing": btm.wrapped(back),
     }
     return map_.replace(**{name: getattr(map_, name).at[at].set(v, mode="drop") for name, v in values.items()})

@@ -84,11 +84,13 @@ def tables(found: BtmMap) -> str:
         cells += [_cell(node.inclination_deg, 1), _cell(node.step_m, 3), _cell(node.posture_deg, 1)]
         lines.append(cells)
     nodes = aligned_table(head, lines, left=LEFT)
-    head = ["link", "from", "to", "status", "length m", "min width m", "posture deg", "bearing deg", "opening m"]
+    head = ["link", "from", "to", "status", "length m", "min width m", "step m", "posture deg", "roll deg"]
+    head += ["bearing deg", "opening m"]
     lines = []
     for link in found.links:
         cells = [str(link.id), str(link.start), "–" if link.end < 0 else str(link.end), link.status]
-        cells += [_cell(link.length_m, 2), _cell(link.min_width_m, 2), _cell(link.posture_deg, 1)]
+        cells += [_cell(link.length_m, 2), _cell(link.min_width_m, 2), _cell(link.max_step_m, 3)]
+        cells += [_cell(link.posture_deg, 1), _cell(link.max_roll_deg, 1)]
         cells += [_cell(link.start_bearing_deg, 0), _cell(link.opening_m, 2)]
         lines.append(cells)
     return nodes + "\n" + aligned_table(head, lines, left=LEFT)

@@ -18,7 +18,7 @@ SHORTEST_M = 0.001
 """Least cost of an edge: the planner of the Route Server gives up over one that costs nothing."""
 
 _NODE_MEASURES = ("inclination_deg", "step_m", "posture_deg")
-_LINK_MEASURES = ("length_m", "min_width_m", "posture_deg", "opening_m")
+_LINK_MEASURES = ("length_m", "min_width_m", "posture_deg", "max_roll_deg", "max_step_m", "opening_m")
 _NOT_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 

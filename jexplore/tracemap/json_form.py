@@ -13,7 +13,7 @@ from jexplore.config import InputError
 from jexplore.tracemap.record import BtmMap, Link, Node, called, check
 
 FORMAT = "behavioral-trace-map"
-VERSION = (1, 0)
+VERSION = (1, 1)
 """The first number changes where an older reader would go wrong, the second where it would not."""
 
 

@@ -63,6 +63,10 @@ class Link:
     """Narrowest passage along the link, metres."""
     posture_deg: float | None = None
     """Largest inclination of the robot's body along the link, degrees."""
+    max_roll_deg: float | None = None
+    """Largest roll of the robot's body along the link, to either side, degrees."""
+    max_step_m: float | None = None
+    """Highest step along the link, up or down, metres; 0 where none stands out of the sensors' noise."""
     opening_m: float | None = None
     """Width of the opening at the first node, metres."""
     attributes: Mapping[str, Any] = dataclasses.field(default_factory=dict)
@@ -193,7 +197,7 @@ def _records(items, member, where):
 
 
 _CHOICES = {"type": NODE_TYPES, "obstacle": OBSTACLES, "status": STATUS}
-_LENGTHS = ("step_m", "length_m", "min_width_m", "opening_m")
+_LENGTHS = ("step_m", "length_m", "min_width_m", "max_step_m", "opening_m")
 
 
 def _value(field, value, own):

@@ -9,9 +9,14 @@ from flax import struct
 from jax import Array
 
 from jexplore.driving.sensing.perception import running_sum
+from jexplore.driving.sensing.steadying import JUMP_OF_ONE
 
 CELLS, CELL_M = 512, 0.02  # of a profile
+STEP_M = 0.04  # a rise of the profile by more than this from point to point is a step
 FLANK_M = 0.10  # a step is the difference of the mean heights so far before and behind a place, without its cell
+RISE_M = FLANK_M + 2 * CELL_M  # between the middles of both flanks
+LEAST_M = 0.015  # no lower step is told of
+SURE = 4.5  # standard deviations of a point; a lower one may be noise
 TREADS_M = 0.20, 0.44, 13  # shortest and longest period of steps, and how many are tried
 
 _ANGLE = 2 * math.pi * CELL_M * np.arange(CELLS) / np.linspace(TREADS_M[0], TREADS_M[1], TREADS_M[2])[:, None]
@@ -60,6 +65,7 @@ class Profile:
     tread_wave_m2: Array  # float32, part of it that is a sine of the period of a tread, of the best one
     slope: Array  # float32, of that line, signed
     step_m: Array  # float32, height of a step, the median of all
+    highest_m: Array  # float32, of the highest one, beyond what the slope rises; 0 where none stands out of the noise
     count: Array  # int32, points
 
 
@@ -84,12 +90,15 @@ def profile(x_m: Array, z_m: Array, valid: Array) -> Profile:
     slope = jnp.sum(x * z) / jnp.maximum(jnp.sum(x * x), 1e-9)
     residual = jnp.where(valid, z - slope * x, 0)
     enough = n >= 3
+    rises = _rises(x, z, valid)
+    highest = jnp.max(rises) - jnp.abs(slope) * RISE_M
     variance = jnp.where(enough, jnp.sum(residual**2) / jnp.maximum(n - 2, 1), 0)
     return Profile(
         variance_m2=variance,
         tread_wave_m2=jnp.where(enough, _tread_wave(x, residual, valid), 0),
         slope=jnp.where(enough, slope, 0),
-        step_m=jnp.where(enough, _step_height(x, z, valid), 0),
+        step_m=jnp.where(enough, _step_height(rises), 0),
+        highest_m=jnp.where(enough & (highest > LEAST_M) & (highest > SURE * _noise(z, valid)), highest, 0),
         count=n.astype(jnp.int32),
     )
 
@@ -116,8 +125,15 @@ def sudden(x_m: Array, z_m: Array, valid: Array) -> Array:
     return jnp.max(jnp.where(both, jnp.diff(z) - jnp.abs(jnp.diff(x)), 0))
 
 
-def _step_height(x, z, valid):
-    """The height of a step: the median of the differences of mean height between the flanks of steps."""
+def _noise(z_m, valid):
+    """Standard deviation of a point's height, told by how it jumps from point to point."""
+    there = valid[2:] & valid[1:-1] & valid[:-2]
+    jumps = jnp.abs(z_m[2:] - 2 * z_m[1:-1] + z_m[:-2])
+    return jnp.nan_to_num(jnp.nanmedian(jnp.where(there, jumps, jnp.nan))) / JUMP_OF_ONE
+
+
+def _rises(x, z, valid):
+    """By how much the mean height differs between both flanks of every cell: `[CELLS]`, metres."""
     # Points come in the order of time, about in that of x: flanks are sums over sorted cells of the way.
     n, at, wide = CELLS, _cell_of(x, valid), round(FLANK_M / CELL_M)
     count = jnp.zeros(n, jnp.float32).at[at].add(1, mode="drop")
@@ -133,7 +149,12 @@ def _step_height(x, z, valid):
     after_n, after_z = window(run_n, 1, wide), window(run_z, 1, wide)
     both = (before_n > 0) & (after_n > 0)
     rise = jnp.abs(after_z / jnp.maximum(after_n, 1) - before_z / jnp.maximum(before_n, 1))
-    rise = jnp.where(both, rise, 0)
+    return jnp.where(both, rise, 0)
+
+
+def _step_height(rise):
+    """The height of a step: the median of those of all."""
+    n, wide = CELLS, round(FLANK_M / CELL_M)
     around = [jnp.pad(rise, wide)[k : k + n] for k in range(2 * wide + 1)]
     top = functools.reduce(jnp.maximum, around)
     # A step is a place steeper than those near it; where the robot's body tips, its heights are off for a moment.

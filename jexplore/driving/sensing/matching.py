@@ -4,6 +4,8 @@ Tracks slip where they turn, and encoders do not notice; walls stay where they a
 """
 
 import math
+from collections.abc import Callable
+from typing import ClassVar, Self
 
 import jax
 import jax.numpy as jnp
@@ -25,6 +27,7 @@ DOUBT = 0.1  # of way and turn: standard deviation of what the encoders say, bes
 DOUBT_M, DOUBT_RAD = 0.01, math.radians(0.5)  # these
 LEAST = 30  # points that must lie on lines
 MOST = 4  # of these standard deviations: a match that is farther off is none
+PLANE_RAD = math.radians(6)  # scans are of one plane if the robot leans no more otherwise
 SHARE = 0.6  # of the points; with fewer the next scan is matched with this one
 
 
@@ -116,13 +119,16 @@ class Key:
     """The scan with which the next ones are matched. Poses are odometry without corrections at nodes."""
 
     ranges_m: Array  # [B] float32
+    attitude: Array  # [2] float32, radians, pitch and roll where it was taken
     pose: Array  # [3] float32, where it was taken
     last: Array  # [3] float32, where a scan was matched with it last
+    replace: ClassVar[Callable[..., Self]]
 
 
 def at_start(pose: Array) -> Key:
     """No scan yet; the first one becomes it. `pose`: `[3]`."""
-    return Key(jnp.full(BEAMS, jnp.nan), pose + jnp.array([0.0, 0.0, 10.0]), pose + jnp.array([0.0, 0.0, 10.0]))
+    far = pose + jnp.array([0.0, 0.0, 10.0])
+    return Key(jnp.full(BEAMS, jnp.nan), jnp.zeros(2), far, far)
 
 
 def between(one: Array, other: Array) -> Array:
@@ -130,7 +136,7 @@ def between(one: Array, other: Array) -> Array:
     return jnp.stack([*to_robot(one)(other[:2]), other[2] - one[2]])
 
 
-def put_right(key: Key, odometry: Array, estimate: Array, ranges_m: Array) -> tuple[Key, Array, Array]:
+def put_right(key: Key, odometry: Array, estimate: Array, ranges_m: Array, attitude: Array) -> tuple[Key, Array, Array]:
     """Puts the odometry right by what the robot sees, where it has moved on since the last time.
 
     A scan serves for as long as the robot sees much of the same: every change to another adds an error.
@@ -139,6 +145,7 @@ def put_right(key: Key, odometry: Array, estimate: Array, ranges_m: Array) -> tu
       key: `Key`.
       odometry, estimate: `[3]`, poses without corrections at nodes and with these.
       ranges_m: `[B]` float32, the last scan.
+      attitude: `[2]` float32, radians, pitch and roll; a scan is not matched with one of another plane.
 
     Returns:
       `(key, odometry, estimate)`: both poses are moved alike.
@@ -148,13 +155,16 @@ def put_right(key: Key, odometry: Array, estimate: Array, ranges_m: Array) -> tu
 
     def right(carry):
         key, odometry, estimate = carry
-        found, share = match(key.ranges_m, ranges_m, between(key.pose, odometry), since)
+        moved = between(key.pose, odometry)
+        found, share = match(key.ranges_m, ranges_m, moved, since)
+        in_plane = jnp.hypot(*(attitude - key.attitude)) < PLANE_RAD
+        found, share = jnp.where(in_plane, found, moved), jnp.where(in_plane, share, 0.0)
         after = jnp.concatenate([to_odometry(key.pose)(found[:2]), key.pose[2:] + found[2:]])
         step, turn = to_robot(odometry)(after[:2]), after[2] - odometry[2]
         estimate = jnp.concatenate([to_odometry(estimate)(step), estimate[2:] + turn])
         is_far = (jnp.hypot(found[0], found[1]) >= KEY_M) | (jnp.abs(found[2]) >= KEY_RAD) | (share < SHARE)
-        fresh = Key(ranges_m, after, after)
-        old = Key(key.ranges_m, key.pose, after)
+        fresh = Key(ranges_m, attitude, after, after)
+        old = key.replace(last=after)
         return jax.tree.map(lambda one, other: jnp.where(is_far, one, other), fresh, old), after, estimate
 
     return run_if(is_due, right, (key, odometry, estimate))

@@ -23,7 +23,7 @@ def judged(
     robot: Robot,
     posture: Array,
     here: Array,
-) -> Btm:
+) -> tuple[Btm, Array]:
     """Says of the obstacle that lies behind what it is, once the robot has passed it.
 
     Args:
@@ -34,7 +34,7 @@ def judged(
       here: int32, the node.
 
     Returns:
-      `Btm`.
+      `(map, step_m)`: `Btm`; float32, the highest step on the way here, NaN where hardly any ground was seen.
     """
     before = jnp.minimum(writer.node, map_.kind.shape[0] - 1)
     over = map_.kind[before] == btm.OBSTACLE
@@ -67,10 +67,12 @@ def judged(
     inclination = map_.inclination_deg
     for at, is_one in ((before, over), (here, over & (event.kind == btm.OBSTACLE))):
         inclination = mark(inclination, at, jnp.fmax(inclination[at], even), is_one)
-    return map_.replace(
+    step_here = jnp.where(stairs, found.step_m, found.highest_m)
+    map_ = map_.replace(
         obstacle=obstacle,
         step_m=step,
         variance_m2=variance,
         inclination_deg=inclination,
         posture_deg=mark(map_.posture_deg, before, jnp.fmax(known, posture), over),
     )
+    return map_, jnp.where(found.count >= 3, step_here, jnp.nan)

@@ -339,6 +339,7 @@ function fillTables() {
     if (!known) notes.push("un-searched");
     if (!known && link.opening_m !== null) notes.push(`opening ${number(link.opening_m, 1, " m")}`);
     if (known && link.posture_deg !== null) notes.push(`tilt ${number(link.posture_deg, 1, "\u00b0")}`);
+    if (known && link.max_step_m) notes.push(`step ${number(link.max_step_m, 2, " m")}`);
     const last = add(row, "td", [...notes, ...(known ? extras(link) : [])].join(", "));
     if (!known) last.className = "none";
   }

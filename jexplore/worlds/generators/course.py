@@ -6,7 +6,7 @@ from jexplore.worlds.generators.draft import random_stream
 from jexplore.worlds.generators.route import LEFT, RIGHT, STRAIGHT, Route
 from jexplore.worlds.world import World
 
-OBSTACLES = {"slope": 3, "stairs": 4, "none": 0}
+OBSTACLES = {"slope": 3, "stairs": 4, "platform": 2, "sill": 1, "cross-slope": 2, "none": 0}
 """Name -> places at which the ground bends: the stairs have a landing."""
 _KIND = 6
 _START_M = 1.5  # from the wall behind the start
@@ -48,8 +48,9 @@ def course(
       seed: integer from 0.
       cell_m: edge of a cell, metres, at most 0.2.
       width_m: width of the passages, metres; for seeds from 1 they have 0.7 to 1.2 times this, and at least 1.2 m.
-      obstacle: `slope`; `stairs` of the same length, with treads of 0.3 m; `none`, level ground in the same layout.
-      riser_m: height of a step of the stairs, metres.
+      obstacle: `slope`; in the same layout `stairs` of the same length, with treads of 0.3 m; a `platform` of one step
+        up and one down; a `sill` 0.2 m long; a `cross-slope`, which rises to one side; `none`, level ground.
+      riser_m: height of a step, metres.
       furniture: whether small boxes stand along some walls; they leave at least 1.2 m. The corner of a box and the two
         walls make a right-angled triangle, which a robot may take for a divergence: the topology has none there.
       dead_ends: whether a way to the right may be a dead end, for seeds from 1.

@@ -14,6 +14,8 @@ from jexplore.worlds.generators.route import MARGIN_M, RAMP_M, Route, largest_ci
 from jexplore.worlds.world import Course, World, require_side
 
 TREAD_M = 0.30
+SILL_M = 0.2
+TWIST_M = 1.0  # on which level ground becomes a cross slope
 _BESIDE_M = 0.4  # the ground of a ramp goes on so far into the walls beside it, for interpolation
 
 
@@ -56,7 +58,7 @@ def render(route: Route, cell_m: float, obstacle: str, riser_m: float) -> World:
     Args:
       route: a `Route`.
       cell_m: edge of a cell, metres.
-      obstacle: `slope` or `stairs`: what the ramps of the route are.
+      obstacle: what the ramps of the route are; one of `course.OBSTACLES`.
       riser_m: height of a step, metres.
 
     Returns:
@@ -88,7 +90,8 @@ def render(route: Route, cell_m: float, obstacle: str, riser_m: float) -> World:
 
 
 def _creases(grid, ramp, obstacle):
-    """Where the ground bends along a ramp's passage, metres: start, top, end; of stairs both ends of the landing.
+    """Where the ground bends along a ramp's passage, metres: start, top, end; of stairs both ends of the landing, of a
+    platform its ends, of a sill its middle, of a cross slope the middles of the ways on which the ground twists.
 
     A slope has its creases in the middles of cells, half a cell after the drawing: heights interpolated between the
     middles of cells are then exact. Steps begin at edges of cells.
@@ -98,30 +101,45 @@ def _creases(grid, ramp, obstacle):
     start = grid.snap(ramp.along, ramp.heading % 2)
     if obstacle == "slope":
         return [start + forward * (grid.cell_m / 2 + k * run) for k in range(3)]
-    return [start + forward * along for along in (0, run - TREAD_M, run + TREAD_M, 2 * run)]
+    twist = to_cells(TWIST_M / grid.cell_m) * grid.cell_m
+    along = {
+        "stairs": (0, run - TREAD_M, run + TREAD_M, 2 * run),
+        "platform": (0, 2 * run),
+        "sill": (run,),
+        "cross-slope": (twist / 2, 2 * run - twist / 2),
+    }
+    return [start + forward * at for at in along[obstacle]]
 
 
 def _raise_ground(elevation, grid, ramp, obstacle, riser_m):
-    start, *_, end = _creases(grid, ramp, obstacle)
+    start, *_, end = _creases(grid, ramp, "slope" if obstacle == "slope" else "platform")
     top = (start + end) / 2
     axis = ramp.heading % 2
     run = abs(top - start)
     middles = (np.arange(elevation.shape[1 - axis]) + 0.5) * grid.cell_m
     inward = run - np.abs(middles - top)  # distance from the nearer end
-    if obstacle == "slope":
+    if obstacle in ("slope", "cross-slope"):
         height = np.maximum(inward, 0) * math.tan(math.radians(ramp.angle_deg))
-    else:
+    elif obstacle == "stairs":
         height = np.where(inward > 0, (np.floor(inward / TREAD_M + 1e-6) + 1) * riser_m, 0)
+    else:
+        edge_m = 0 if obstacle == "platform" else run - SILL_M / 2
+        height = np.where(inward > edge_m + 1e-6, riser_m, 0)
     low, high = min(start, end), max(start, end)
     along = slice(math.floor(low / grid.cell_m + 1e-6), math.ceil(high / grid.cell_m - 1e-6))
     across = slice(
         grid.cells(ramp.lane[0] - _BESIDE_M, 1 - axis),
         grid.cells(ramp.lane[1] + _BESIDE_M, 1 - axis),
     )
+    tilt = np.ones(across.stop - across.start)
+    if obstacle == "cross-slope":  # it twists to its angle, and rises to one side of the middle by as much as it falls
+        middle = grid.middle(ramp.heading, ramp.lane)
+        height = np.minimum(height / TWIST_M, math.tan(math.radians(ramp.angle_deg)))
+        tilt = (np.arange(across.start, across.stop) + 0.5) * grid.cell_m - middle
     if axis:
-        elevation[along, across] = height[along, None]
+        elevation[along, across] = height[along, None] * tilt
     else:
-        elevation[across, along] = height[None, along]
+        elevation[across, along] = height[None, along] * tilt[:, None]
 
 
 def _node(number, stop, grid, obstacle, riser_m):
@@ -133,8 +151,10 @@ def _node(number, stop, grid, obstacle, riser_m):
     axis = stop.heading % 2
     if stop.ramp is not None:
         along = _creases(grid, stop.ramp, obstacle)[stop.crease]
-        inclined = {"inclination_deg": stop.ramp.angle_deg} if obstacle == "slope" else {"step_m": riser_m}
-        about = {"obstacle": obstacle, **inclined}
+        if obstacle in ("slope", "cross-slope"):
+            about = {"obstacle": "slope", "inclination_deg": stop.ramp.angle_deg}
+        else:
+            about = {"obstacle": "stairs", "step_m": riser_m}
     elif stop.type == "free_space":
         along = grid.snap(stop.along, axis)
     else:

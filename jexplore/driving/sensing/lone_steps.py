@@ -1,0 +1,76 @@
+"""Single steps and sills: the ground before and behind is level, so that only its profile tells of them."""
+
+from collections.abc import Callable
+from typing import ClassVar, Self
+
+import jax.numpy as jnp
+from flax import struct
+from jax import Array
+
+from jexplore.driving.sensing.ground_profile import STEP_M, SURE
+from jexplore.driving.sensing.steadying import JUMP_OF_ONE
+
+FLANK = 3  # points on either side of a step, whose height is the difference of their means
+FACE_M = 0.04  # between them, where points may lie on its face
+TOGETHER_M = 1.2  # steps no farther apart are one: the two edges of a sill, a short flight
+PASSED_M = 0.15  # the robot's end is so far beyond it
+TIPS = 0.5  # of the angle at which a robot stands with one end on it: it has tipped so far
+
+
+@struct.dataclass
+class LoneStep:
+    """A step ahead of the robot or under it, or several close together."""
+
+    from_m: Array  # float32, odometer at the first of them, inf: none
+    to_m: Array  # float32, at the last
+    height_m: Array  # float32, of the highest
+    replace: ClassVar[Callable[..., Self]]
+
+
+def none() -> LoneStep:
+    """No step."""
+    return LoneStep(jnp.float32(jnp.inf), jnp.float32(jnp.inf), jnp.float32(0))
+
+
+def watched(step: LoneStep, x_m: Array, z_m: Array, looks: Array | bool) -> LoneStep:
+    """Takes the last point of the profile into account.
+
+    Args:
+      step: `LoneStep`.
+      x_m, z_m: `[P]` float32, the last points of the profile, in the order of time; x inf where there is none.
+      looks: bool; False: nothing new, as where the robot does not stand on level ground.
+    """
+    there = jnp.isfinite(x_m)
+    # Behind an edge that leads down the ground is hidden: flanks are so many points, however far.
+    after = jnp.argsort(there)[-FLANK:]
+    begins = jnp.min(jnp.where(there[after], x_m[after], -jnp.inf))
+    earlier = there & (x_m < begins - FACE_M)
+    before = jnp.argsort(earlier)[-FLANK:]
+    rise = jnp.abs(z_m[after].mean() - z_m[before].mean())
+    place = (begins + x_m[before[-1]]) / 2
+    jumps = jnp.where(there[2:] & there[1:-1] & there[:-2], jnp.abs(z_m[2:] - 2 * z_m[1:-1] + z_m[:-2]), jnp.nan)
+    deviation = jnp.nanmedian(jumps) / JUMP_OF_ONE
+    is_one = looks & earlier[before[0]] & (rise > jnp.maximum(STEP_M, SURE * deviation))
+    joins = jnp.isfinite(step.from_m) & (place - step.to_m < TOGETHER_M)
+    return LoneStep(
+        from_m=jnp.where(is_one & ~joins, place, step.from_m),
+        to_m=jnp.where(is_one, place, step.to_m),
+        height_m=jnp.where(is_one, jnp.where(joins, jnp.maximum(rise, step.height_m), rise), step.height_m),
+    )
+
+
+def is_passed(step: LoneStep, odometer_m: Array, length_m: Array | float) -> Array:
+    """Whether a robot of some length, metres, has gone over it: bool."""
+    return odometer_m - step.to_m > length_m / 2 + PASSED_M
+
+
+def has_tipped(step: LoneStep, way: object, length_m: Array | float) -> Array:
+    """Whether the robot has leant as one that goes over a step so high: bool. Else it has turned away before it.
+
+    Args:
+      step: `LoneStep`.
+      way: `mapping.Way`.
+      length_m: of the robot.
+    """
+    near = (way.odometer_m > step.from_m - length_m) & (way.odometer_m < step.to_m + length_m)
+    return jnp.max(jnp.where(near, way.posture, 0)) > TIPS * jnp.arctan(step.height_m / length_m)
