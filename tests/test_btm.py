@@ -49,7 +49,16 @@ def test_an_empty_map_holds_nothing():
         np.testing.assert_array_equal(getattr(map_, name), [NONE] * 3)
     for name in ("x_m", "y_m", "inclination_deg", "step_m", "posture_deg", "variance_m2"):
         np.testing.assert_array_equal(getattr(map_, name), [np.nan] * 2)
-    for name in ("length_m", "min_width_m", "link_posture_deg", "start_bearing", "end_bearing", "opening_m"):
+    for name in (
+        "length_m",
+        "min_width_m",
+        "link_posture_deg",
+        "max_roll_deg",
+        "max_step_m",
+        "start_bearing",
+        "end_bearing",
+        "opening_m",
+    ):
         np.testing.assert_array_equal(getattr(map_, name), [np.nan] * 3)
     for name, value in (("radius_m", [0, 0]), ("intervention", [0, 0]), ("blocked", [False] * 3)):
         np.testing.assert_array_equal(getattr(map_, name), value)

@@ -133,6 +133,37 @@ def test_stairs_have_treads_and_risers():
     np.testing.assert_allclose([node.x_m for node in stairs], [6.6, 8.7, 9.3, 11.4])
 
 
+def test_a_platform_is_one_step_up_and_one_down():
+    world = course(0, obstacle="platform", riser_m=0.12)
+    expected = np.concatenate([np.zeros(66), np.full(48, 0.12), np.zeros(244 - 114)])
+    np.testing.assert_allclose(world.elevation[270], expected, atol=1e-6)
+    nodes = world.course.topology.nodes[1:3]
+    assert [(node.obstacle, node.step_m) for node in nodes] == [("stairs", 0.12)] * 2
+    np.testing.assert_allclose([node.x_m for node in nodes], [6.6, 11.4])
+
+
+def test_a_sill_lies_in_the_middle():
+    world = course(0, obstacle="sill", riser_m=0.06)
+    expected = np.concatenate([np.zeros(89), np.full(2, 0.06), np.zeros(244 - 91)])
+    np.testing.assert_allclose(world.elevation[270], expected, atol=1e-6)
+    (node,) = [node for node in world.course.topology.nodes if node.type == "obstacle"]
+    assert (node.obstacle, node.step_m, node.inclination_deg) == ("stairs", 0.06, None)
+    assert node.x_m == pytest.approx(9.0)
+
+
+def test_a_cross_slope_twists_to_its_angle_and_back():
+    world = course(0, obstacle="cross-slope")
+    middle = world.elevation[260:280, 90]  # the passage is 2 m wide, rows 260 to 279
+    np.testing.assert_allclose(np.diff(middle) / 0.1, math.tan(math.radians(10)), atol=1e-5)
+    assert middle.mean() == pytest.approx(0, abs=1e-6)  # it rises to one side by as much as it falls to the other
+    twist = world.elevation[279, 64:80]
+    assert (np.diff(twist)[3:11] > 0).all()
+    np.testing.assert_allclose(twist[:2], 0)
+    nodes = [node for node in world.course.topology.nodes if node.type == "obstacle"]
+    assert [(node.obstacle, node.inclination_deg) for node in nodes] == [("slope", 10.0)] * 2
+    np.testing.assert_allclose([node.x_m for node in nodes], [7.1, 10.9])
+
+
 def test_without_the_slope_the_layout_is_the_same(courses):
     world = load_world("course:obstacle=none")
     assert types(world) == "TDFFDT"
@@ -390,7 +421,10 @@ def test_elevation_and_course_go_along_with_a_world(courses):
 @pytest.mark.parametrize(
     ("name", "line"),
     [
-        ("course:obstacle=river", "obstacle must be one of slope, stairs, none, got 'river'"),
+        (
+            "course:obstacle=river",
+            "obstacle must be one of slope, stairs, platform, sill, cross-slope, none, got 'river'",
+        ),
         ("course:obstacle=1", "obstacle must be a word, got 1"),
         ("course:width_m=1.0", "width_m must be a number at least 1.2 and at most 3, got 1.0"),
         ("course:riser_m=0", "riser_m must be a number at least 0.01"),

@@ -23,10 +23,17 @@ def test_json_by_hand():
         {"robot": "ü"},
     )
     unknown = {"inclination_deg": None, "posture_deg": None}
-    link = {"start": 4, "min_width_m": None, "posture_deg": None, "attributes": {}}
+    link = {
+        "start": 4,
+        "min_width_m": None,
+        "posture_deg": None,
+        "max_roll_deg": None,
+        "max_step_m": None,
+        "attributes": {},
+    }
     assert json_form.to_json(btm) == {
         "format": "behavioral-trace-map",
-        "version": [1, 0],
+        "version": [1, 1],
         "attributes": {"robot": "ü"},
         "nodes": [
             {"id": 4, "x_m": 1.5, "y_m": -2.0, "type": "terminal", "obstacle": None, **unknown, "step_m": None}

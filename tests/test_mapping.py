@@ -43,8 +43,45 @@ WATCH = jax.jit(
 
 
 def _watched(level, pitch, odometer_m, even_m):
-    level, *seen = mapping.watch_level(level, pitch, odometer_m, math.radians(TUNING.inclination_deg), even_m)
+    lean = jnp.stack([-pitch, 0.0])
+    level, *seen = mapping.watch_level(level, lean, odometer_m, math.radians(TUNING.inclination_deg), even_m)
     return level, seen
+
+
+def way_of(pitch, roll, heading):
+    """The way of a robot that stands so step by step, angles in degrees."""
+    n = len(pitch)
+    pose = jnp.zeros((64, 3)).at[:n, 2].set(jnp.radians(jnp.asarray(heading, jnp.float32)))
+    angles = {
+        name: jnp.zeros(64).at[:n].set(jnp.radians(jnp.asarray(values, jnp.float32)))
+        for name, values in (("pitch", pitch), ("roll", roll))
+    }
+    return mapping.no_way(64).replace(pose=pose, odometer_m=jnp.arange(64) * STEP_M, **angles)
+
+
+def test_a_robot_that_turns_on_a_slope_stands_on_the_same_ground():
+    """It rises to the east by 10 degrees: ahead, beside and behind."""
+    for heading, pitch, roll in ((0, -10, 0), (90, 0, -10), (180, 10, 0), (-90, 0, 10)):
+        lean, odometer_m = mapping.lean_of(way_of([pitch] * 40, [roll] * 40, [heading] * 40), jnp.int32(39))
+        np.testing.assert_allclose(np.degrees(lean), [10, 0], atol=1e-4)
+        assert float(odometer_m) == pytest.approx(39 * STEP_M)
+
+
+def test_a_pitch_that_jumps_is_averaged_and_one_that_does_not_is_not():
+    rng = np.random.default_rng(0)
+    calm, level = rng.normal(scale=0.1, size=60), np.zeros(60)
+    lean, odometer_m = mapping.lean_of(way_of(calm, level, level), jnp.int32(59))
+    assert float(lean[0]) == pytest.approx(math.radians(-calm[59]), abs=1e-6)
+    assert float(odometer_m) == pytest.approx(59 * STEP_M)
+    off = []
+    for _ in range(100):
+        noisy = 5 + rng.normal(size=60)
+        lean, odometer_m = mapping.lean_of(way_of(noisy, level, level), jnp.int32(59))
+        off.append(-math.degrees(float(lean[0])) - 5)
+        assert 50 * STEP_M < float(odometer_m) < 60 * STEP_M
+    assert np.std(off) < 0.5
+    first, _ = mapping.lean_of(way_of(noisy[:1], level[:1], level[:1]), jnp.int32(0))
+    assert float(first[0]) == pytest.approx(math.radians(-noisy[0]), abs=1e-6)
 
 
 def changes(pitch, odometer, length_m=KAMUI.length_m):
@@ -144,9 +181,15 @@ ROWS = [(0, 0, 0, 0, 0, 1, 2.0), (1, 1, 0, 0.1, 0, 8, 1.5), (2, 2, 0, 0.2, 0, 3,
 
 def test_narrowest_and_steepest_between_two_places():
     way = path(begun(), *ROWS).way
-    for bounds, want in (((0, 3), (1, 9)), ((0, 2), (1.5, 8)), ((1.5, 2.5), (1.8, 3)), ((1.1, 1.9), (math.inf, 0))):
+    way = way.replace(roll=way.roll.at[1].set(math.radians(-7)))
+    for bounds, want in (
+        ((0, 3), (1, 9, 7)),
+        ((0, 2), (1.5, 8, 7)),
+        ((1.5, 2.5), (1.8, 3, 0)),
+        ((1.1, 1.9), (math.inf, 0, 0)),
+    ):
         assert [float(value) for value in mapping.along(way, *bounds)] == pytest.approx(want)
-    assert [float(value) for value in mapping.along(mapping.no_way(3), 0, 9)] == [math.inf, 0]
+    assert [float(value) for value in mapping.along(mapping.no_way(3), 0, 9)] == [math.inf, 0, 0]
 
 
 def test_noise_makes_a_passage_hardly_narrower():
@@ -772,7 +815,7 @@ def test_an_obstacle_is_a_slope_until_its_profile_says_otherwise():
     assert first.nodes[1].inclination_deg == pytest.approx(9)
     for node in written.nodes[1:]:
         assert (node.type, node.obstacle, node.step_m) == ("obstacle", "slope", None)
-        assert node.inclination_deg == pytest.approx(10, abs=0.01)  # as it was ridden
+        assert node.inclination_deg == pytest.approx(11, abs=0.01)  # as the body leant
         assert node.attributes.get("profile_variance_m2", 0) < 1e-6
     assert written.links[1].posture_deg == pytest.approx(11)
     assert [node.posture_deg for node in written.nodes[1:]] == pytest.approx([11, 11])
@@ -788,9 +831,11 @@ def test_stairs_fit_no_line():
         assert node.attributes["profile_variance_m2"] == pytest.approx(0.1**2 / 12, rel=0.2)
 
 
-def test_low_risers_read_as_a_slope():
+def test_low_risers_are_stairs_too():
     _, _, written = over(lambda s: stairs(s) / 2, pitch=-8)
-    assert {node.obstacle for node in written.nodes[1:]} == {"slope"}
+    assert {node.obstacle for node in written.nodes[1:]} == {"stairs"}
+    assert written.nodes[1].step_m == pytest.approx(0.05, abs=1e-3)
+    assert written.links[1].max_step_m == pytest.approx(0.05, abs=1e-3)
     assert written.nodes[1].attributes["profile_variance_m2"] == pytest.approx(0.05**2 / 12, rel=0.2)
 
 

@@ -194,6 +194,7 @@ def test_the_turn_is_weighed_likewise(turn):
 
 # ---------------------------------------------------------------- the scan with which others are matched
 
+LEVEL = jnp.zeros(2)
 PUT_RIGHT = jax.jit(matching.put_right)
 
 
@@ -205,7 +206,7 @@ def driven(walls, poses, odometry, key=None):
     for i, pose in enumerate(poses):
         if i:
             now = now + jnp.asarray(np.subtract(odometry[i], odometry[i - 1]), jnp.float32)
-        key, now, _ = PUT_RIGHT(key, now, now, jnp.asarray(cast(walls, pose, ANGLES_RAD, RANGE_M)))
+        key, now, _ = PUT_RIGHT(key, now, now, jnp.asarray(cast(walls, pose, ANGLES_RAD, RANGE_M)), LEVEL)
         keys.append(np.asarray(key.pose).tolist())
     return keys, np.asarray(now)
 
@@ -240,7 +241,21 @@ def test_where_much_else_is_seen_the_next_scan_is_matched_with_the_last_one():
     keys, _ = driven(ROOM, poses, poses)
     assert keys[1] == keys[0]
     key = matching.at_start(jnp.zeros(3))
-    key, now, _ = PUT_RIGHT(key, jnp.zeros(3), jnp.zeros(3), jnp.asarray(cast(ROOM, poses[0], ANGLES_RAD, RANGE_M)))
+    seen = jnp.asarray(cast(ROOM, poses[0], ANGLES_RAD, RANGE_M))
+    key, now, _ = PUT_RIGHT(key, jnp.zeros(3), jnp.zeros(3), seen, LEVEL)
     other = jnp.asarray(cast(box(-9, -0.4, 0.7, 6), poses[0], ANGLES_RAD, RANGE_M))
-    key, _, _ = PUT_RIGHT(key, now + jnp.array([0.2, 0, 0]), now, other)
+    key, _, _ = PUT_RIGHT(key, now + jnp.array([0.2, 0, 0]), now, other, LEVEL)
     assert key.pose.tolist() == pytest.approx([0.2, 0, 0])
+
+
+def test_scans_of_two_planes_are_not_matched():
+    """The robot leans by 10 degrees more: what it sees is not laid over what it saw."""
+    key = matching.at_start(jnp.zeros(3))
+    seen = [jnp.asarray(cast(ROOM, (x, 0.0, 0.0), ANGLES_RAD, RANGE_M)) for x in (-1.5, -1.3)]
+    key, now, _ = PUT_RIGHT(key, jnp.zeros(3), jnp.zeros(3), seen[0], LEVEL)
+    said = now + jnp.array([0.22, 0, 0])  # 2 cm too much
+    for lean_deg, found_m in ((0.0, 0.2), (5.0, 0.2), (10.0, 0.22)):
+        lean = jnp.asarray([math.radians(lean_deg), 0.0])
+        fresh, after, _ = PUT_RIGHT(key, said, said, seen[1], lean)
+        assert float(after[0]) == pytest.approx(found_m, abs=5e-3)
+        assert (fresh.attitude.tolist() == lean.tolist()) == (lean_deg in (0.0, 10.0))

@@ -100,7 +100,7 @@ def test_every_field_of_the_tables_is_set(course):
 
 def test_pose_and_estimate_are_of_one_moment(course):
     """Matching scans adds some millimetres each time, along passages above all."""
-    np.testing.assert_allclose(course.driven.truth[:, :2], course.driven.estimate[:, :2], atol=0.1)
+    np.testing.assert_allclose(course.driven.truth[:, :2], course.driven.estimate[:, :2], atol=0.15)
     np.testing.assert_allclose(course.driven.truth[:, 2], course.driven.estimate[:, 2], atol=0.01)
 
 

@@ -157,6 +157,7 @@ def test_the_rest_comes_back():
     assert data["links"][2] == {
         **{"id": 2, "start": 7, "end": -1, "status": "un-searched", "start_bearing_deg": 270, "end_bearing_deg": None},
         **{"length_m": None, "min_width_m": None, "posture_deg": None, "opening_m": None, "attributes": {}},
+        **{"max_roll_deg": None, "max_step_m": None},
     }
 
 

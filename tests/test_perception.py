@@ -12,7 +12,8 @@ from ref.passages import CORNER, EAST, FEATURES, NORTH, WIDTHS_M, building
 from jexplore.driving import terrain, vehicle, walls
 from jexplore.driving.events import SCAN_POINTS
 from jexplore.driving.events import triangles as look
-from jexplore.driving.sensing import ground_profile, perception, surround
+from jexplore.driving.sensing import ground_profile, obstacles, perception, surround
+from jexplore.driving.sensing.ground_profile import RISE_M
 from jexplore.driving.settings import ROBOTS, Tuning
 from jexplore.driving.vehicle import ANGLES_RAD, BEAM_SPACING_RAD, BEAMS, RANGE_M
 
@@ -712,15 +713,17 @@ def test_a_slope_fits_a_line(degrees):
         assert float(found.step_m) <= 0.17 * abs(gradient) + 1e-5
 
 
-@pytest.mark.parametrize("riser_m", [0.05, 0.08, 0.1, 0.15, 0.2])
+@pytest.mark.parametrize("riser_m", [0.03, 0.05, 0.08, 0.1, 0.15, 0.2])
 @pytest.mark.parametrize("sign", [1, -1])
 def test_stairs_leave_a_twelfth_of_the_riser_squared(riser_m, sign):
     found = profile_of(WAY, staircase(WAY, 0.3, sign * riser_m))
     assert float(found.variance_m2) == pytest.approx(riser_m**2 / 12, rel=0.1)
     assert float(found.slope) == pytest.approx(sign * riser_m / 0.3, rel=0.05)
     assert float(found.step_m) == pytest.approx(riser_m, abs=0.01)
-    is_stairs = float(found.variance_m2) > TUNING.variance_max_m2
-    assert is_stairs == (riser_m > 0.06)  # a riser of 5 cm reads as a slope
+    beyond_slope_m = riser_m * (1 - RISE_M / 0.3)
+    assert float(found.highest_m) == pytest.approx(beyond_slope_m, abs=0.01)
+    assert float(found.tread_wave_m2) == pytest.approx(riser_m**2 / (2 * math.pi**2), rel=0.15)  # of a sawtooth
+    assert obstacles.is_stairs(found, TUNING)
 
 
 def test_variance_and_slope_are_those_of_polyfit():
@@ -749,17 +752,43 @@ def test_noise_shows_as_its_square_and_hardly_moves_the_step():
     """Of the mean of 9 beams with 1 and with 3 cm."""
     rng = np.random.default_rng(8)
     for sigma in (0.01 / 3, 0.03 / 3):
-        variance, step, stairs = [], [], []
+        variance, step, stairs, slopes = [], [], [], []
         for _ in range(60):
             noise = rng.normal(scale=sigma, size=len(WAY))
             found = profile_of(WAY, WAY * math.tan(TEN) + noise)
             variance.append(float(found.variance_m2))
+            slopes.append(bool(obstacles.is_stairs(found, TUNING)))
             step.append(float(found.step_m))
             stairs.append(float(profile_of(WAY, staircase(WAY, 0.3, 0.15) + noise).step_m))
         assert np.mean(variance) == pytest.approx(sigma**2, rel=0.1)
-        assert max(variance) < TUNING.variance_max_m2  # still a slope
+        assert not any(slopes)  # are stairs
         assert max(step) < 0.17 * math.tan(TEN) + 4 * sigma
         assert np.mean(stairs) == pytest.approx(0.15, abs=0.01 + sigma)
+
+
+@pytest.mark.parametrize("sigma", [0.01, 0.02])
+def test_noise_alone_makes_no_stairs_of_a_slope_and_hides_none_of_ten_centimetres(sigma):
+    """Of the mean height of a scan's beams: as with 3 cm and more, and with an attitude that is a degree off."""
+    rng = np.random.default_rng(9)
+    slopes = stairs = highest = 0
+    for _ in range(100):
+        noise = rng.normal(scale=sigma, size=len(WAY))
+        slope = profile_of(WAY, WAY * math.tan(TEN) + noise)
+        slopes += bool(obstacles.is_stairs(slope, TUNING))
+        highest += float(profile_of(WAY, noise).highest_m) > 0
+        stairs += bool(obstacles.is_stairs(profile_of(WAY, staircase(WAY, 0.3, 0.1) + noise), TUNING))
+    assert (slopes, stairs) == (0, 100)
+    assert highest <= 2  # level ground has no step
+
+
+def test_a_riser_is_sudden_and_a_slope_is_not():
+    x = jnp.asarray(WAY, jnp.float32)
+    for degrees in (-60, 0, 30, 45):
+        assert float(ground_profile.sudden(x, x * math.tan(math.radians(degrees)), x > 0)) < 1e-5
+    z = jnp.where(x > 1.51, 0.2, 0.0)
+    assert float(ground_profile.sudden(x, z, x > 0)) == pytest.approx(0.16, abs=1e-3)
+    assert float(ground_profile.sudden(x, z, x < 1.5)) <= 0
+    assert float(ground_profile.sudden(x, -z, x > 0)) <= 0  # down
 
 
 def test_a_riser_that_leans_by_two_gaps_is_still_one_step():
@@ -806,6 +835,6 @@ def test_stairs_as_the_robot_measures_them(riser_m, tread_m):
     x, z = np.array(x), np.array(z)
     on = x > 1.3
     found = profile_of(x[on], z[on])
-    assert float(found.variance_m2) > TUNING.variance_max_m2
+    assert obstacles.is_stairs(found, TUNING)
     assert float(found.step_m) == pytest.approx(riser_m, abs=0.015)
     assert float(found.slope) == pytest.approx(riser_m / tread_m, rel=0.15)

@@ -44,7 +44,7 @@ BOUNDS = {
     "tuning.votes": (0, 1, 9, 10),
     "tuning.helps": (0, 1, 100, 101),
     "tuning.same_m": (0, LEAST, 1000, MOST),
-    "tuning.variance_max_m2": (-ABOVE, 0, 1000, MOST),
+    "tuning.tread_wave_m2": (-ABOVE, 0, 1000, MOST),
     "tuning.inclination_deg": (0.99, 1, 45, 45.1),
     "tuning.speed_m_s": (0, LEAST, 1000, MOST),
     "tuning.turn_gain": (0, LEAST, 1000, MOST),

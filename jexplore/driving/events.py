@@ -116,18 +116,15 @@ def look_ahead(
     tips = jnp.hypot(*(lean - writer.level.even)) > jnp.radians(tuning.inclination_deg)
     leans = tips | (rise > RISES_M)
     track, overflow = _watch(state, writer, xy, known, walls.beside.min(), leans, placed, tuning)
-    left_m, right_m = walls.region_sides
+    looks = is_free & ~is_blind
     space, enters, leaves = behaviour.watch_free_space(
-        state.space, left_m, right_m, state.odometer_m, tuning.open_m, is_free & ~is_blind, walls.roomy
+        state.space, *walls.region_sides, state.odometer_m, tuning.open_m, looks, walls.roomy
     )
     border_m = jnp.where(enters, space.since_m + walls.region[0], writer.border_m)
     border_m = jnp.where(leaves, space.since_m + walls.region[1], border_m)
+    even_m = mapping.EVEN_LENGTHS * robot.length_m
     level, changed, crease_m, steepest = mapping.watch_level(
-        writer.level,
-        lean,
-        lean_m,
-        jnp.radians(tuning.inclination_deg),
-        mapping.EVEN_LENGTHS * robot.length_m,
+        writer.level, lean, lean_m, jnp.radians(tuning.inclination_deg), even_m
     )
     blocked = jnp.where(stops & (is_free | state.halts), state.blocked + 1, 0)
     lone_step, is_lone, after = _lone_step(state, writer, ground, tips, level, changed, crease_m, blocked, robot)

@@ -101,7 +101,7 @@ class Tuning:
     """So many of the last nine scans, 1 to 9, must show a triangle before it is believed; 1 means no voting."""
     same_m: float = 0.4
     """Two circle centres nearer than this, in metres, are one."""
-    tread_wave_m2: float = 1.5e-5
+    tread_wave_m2: float = 2e-5
     """An obstacle is stairs if its height profile goes up and down about its slope with every tread by a variance above
     this [Vmax], in square metres."""
     inclination_deg: float = 5.0

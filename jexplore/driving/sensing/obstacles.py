@@ -8,11 +8,21 @@ from jax import Array
 from jexplore import btm
 from jexplore.btm import Btm
 from jexplore.driving.sensing import ground_profile
+from jexplore.driving.sensing.ground_profile import Profile
 from jexplore.driving.settings import Robot, Tuning
 
-STANDS_OUT = 0.2  # of the profile's variance besides: the best of many waves through noise has less
+STANDS_OUT = 22.0  # shares that a point has of the variance besides: of noise the best wave has more once in 10,000
 SURE = 7  # a wave larger than so many thresholds is one however large the rest
 MARGIN_M = 0.1  # the profile of an obstacle is looked at so far from the nodes at its ends
+
+
+def is_stairs(found: Profile, tuning: Tuning) -> Array:
+    """Whether an inclined profile is that of stairs: its wave is large enough, and stands out of what is left besides,
+    which is noise, or a body that tips: bool.
+    """
+    rest = found.variance_m2 - found.tread_wave_m2
+    doubt = jnp.minimum(STANDS_OUT / jnp.maximum(found.count, 1) * rest, SURE * tuning.tread_wave_m2)
+    return found.tread_wave_m2 > jnp.maximum(tuning.tread_wave_m2, doubt)
 
 
 def judged(
@@ -43,10 +53,7 @@ def judged(
     found = ground_profile.profile(way.ground_x_m, way.ground_z_m, within & jnp.isfinite(way.ground_x_m))
     is_steep = jnp.abs(jnp.arctan(found.slope)) > jnp.radians(tuning.inclination_deg)
     is_judged = over & is_steep & (found.count >= 3) & (event.odometer_m > writer.node_m)
-    # What is left besides the wave is noise, or a body that tips.
-    rest = found.variance_m2 - found.tread_wave_m2
-    doubt = jnp.minimum(STANDS_OUT * rest, SURE * tuning.tread_wave_m2)
-    stairs = is_judged & (found.tread_wave_m2 > jnp.maximum(tuning.tread_wave_m2, doubt))
+    stairs = is_judged & is_stairs(found, tuning)
 
     def mark(array, at, value, when):
         return array.at[jnp.where(when, at, array.shape[0])].set(value, mode="drop")

@@ -1,0 +1,95 @@
+"""Single steps and sills in level ground, told from the profile that a robot drives over."""
+
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jexplore.driving import mapping
+from jexplore.driving.sensing import lone_steps
+
+pytestmark = pytest.mark.jit
+LENGTH_M, AHEAD_M, STEP_M, RECENT = 0.7, 0.7, 0.04, 64
+
+
+def driven(ground, sigma=0.0, seed=0, way_m=8.0, looks=lambda odometer_m: True):
+    """The step as it is known along the way: a list of `(odometer, LoneStep)`."""
+    odometer = np.arange(0, way_m, STEP_M)
+    x = (odometer + AHEAD_M).astype(np.float32)
+    z = np.array([ground(v) for v in x]) + np.random.default_rng(seed).normal(scale=sigma, size=x.size)
+    padded_x = np.concatenate([np.full(RECENT, np.inf), x]).astype(np.float32)
+    padded_z = np.concatenate([np.zeros(RECENT), z]).astype(np.float32)
+    now, found = lone_steps.none(), []
+    for i, at in enumerate(odometer):
+        part = slice(i + 1, i + 1 + RECENT)
+        now = WATCHED(now, padded_x[part], padded_z[part], looks(at))
+        found.append((at, now))
+    return found
+
+
+WATCHED = jax.jit(lone_steps.watched)
+
+
+def up(at, height):
+    return lambda x: height * (x > at)
+
+
+def sill(at, height, length=0.2):
+    return lambda x: height * (at < x < at + length)
+
+
+@pytest.mark.parametrize("height", [0.06, 0.12, 0.18, -0.06, -0.18])
+def test_a_step_is_found_with_its_place_and_height(height):
+    step = driven(up(4.01, height))[-1][1]
+    assert float((step.from_m + step.to_m) / 2) == pytest.approx(4.01, abs=0.06)
+    assert float(step.height_m) == pytest.approx(abs(height), abs=1e-3)
+
+
+@pytest.mark.parametrize("height", [0.06, 0.12, 0.18])
+def test_both_edges_of_a_sill_are_one_step(height):
+    step = driven(sill(4.01, height))[-1][1]
+    assert float((step.from_m + step.to_m) / 2) == pytest.approx(4.11, abs=0.06)
+    assert float(step.height_m) == pytest.approx(height, abs=1e-3)
+
+
+def test_the_ground_hidden_behind_an_edge_does_not_matter():
+    """What looks down at 45 degrees sees the ground again as far behind an edge as that is high."""
+    now = lone_steps.none()
+    x = np.array([3.6, 3.64, 3.68, 3.72, 3.76, 3.93, 3.97, 4.01], np.float32)
+    z = np.where(x < 3.8, 0.15, 0.0).astype(np.float32)
+    for n in range(1, len(x) + 1):
+        pad = RECENT - n
+        now = WATCHED(now, np.pad(x[:n], (pad, 0), constant_values=np.inf), np.pad(z[:n], (pad, 0)), True)
+    assert float(now.height_m) == pytest.approx(0.15, abs=1e-6)
+    assert 3.7 < float(now.from_m) <= float(now.to_m) < 3.93
+
+
+def test_low_ones_slopes_and_noise_are_none():
+    for ground in (up(4.01, 0.03), lambda x: 0.05 * x):
+        assert not np.isfinite(driven(ground)[-1][1].from_m)
+    false = sum(bool(np.isfinite(driven(lambda x: 0.0, sigma, seed)[-1][1].from_m))
+                for sigma in (0.005, 0.01, 0.02) for seed in range(20))  # fmt: skip
+    assert false <= 1
+
+
+def test_where_the_robot_does_not_look_there_is_none():
+    assert not np.isfinite(driven(up(4.01, 0.12), looks=lambda at: False)[-1][1].from_m)
+
+
+def test_it_has_been_passed_once_the_robots_end_has():
+    passed = [bool(lone_steps.is_passed(step, jnp.float32(at), LENGTH_M)) for at, step in driven(up(4.01, 0.12))]
+    first = passed.index(True) * STEP_M
+    assert all(passed[passed.index(True) :])
+    assert 4.01 + LENGTH_M / 2 + 0.1 < first < 4.01 + LENGTH_M / 2 + 0.3
+
+
+@pytest.mark.parametrize(("degrees", "tipped"), [(9.0, True), (1.0, False)])
+def test_a_robot_that_did_not_tip_has_turned_away(degrees, tipped):
+    step = lone_steps.LoneStep(jnp.float32(4.0), jnp.float32(4.1), jnp.float32(0.12))
+    odometer = jnp.arange(256) * STEP_M
+    posture = jnp.where(jnp.abs(odometer - 4) < 0.3, math.radians(degrees), math.radians(0.2))
+    posture = jnp.where(odometer > 8, 1.0, posture)  # elsewhere it may lean as it likes
+    way = mapping.no_way(256).replace(odometer_m=odometer, posture=posture)
+    assert bool(lone_steps.has_tipped(step, way, LENGTH_M)) == tipped
