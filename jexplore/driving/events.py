@@ -116,9 +116,9 @@ def look_ahead(
     tips = jnp.hypot(*(lean - writer.level.even)) > jnp.radians(tuning.inclination_deg)
     leans = tips | (rise > RISES_M)
     track, overflow = _watch(state, writer, xy, known, walls.beside.min(), leans, placed, tuning)
-    looks = is_free & ~is_blind
+    (left_m, right_m), looks = walls.region_sides, is_free & ~is_blind
     space, enters, leaves = behaviour.watch_free_space(
-        state.space, *walls.region_sides, state.odometer_m, tuning.open_m, looks, walls.roomy
+        state.space, left_m, right_m, state.odometer_m, tuning.open_m, looks, walls.roomy
     )
     border_m = jnp.where(enters, space.since_m + walls.region[0], writer.border_m)
     border_m = jnp.where(leaves, space.since_m + walls.region[1], border_m)
@@ -151,7 +151,7 @@ def _lone_step(state, writer, ground, tips, level, changed, crease_m, blocked, r
     """`(lone_step, is_lone, after)`: see `Ahead`. Where the ground's inclination changes, that makes the node."""
     is_level = jnp.hypot(*level.even) < LEVEL_RAD
     looks = is_level & ~tips & (state.drive.latch != Latch.LOOK) & ~state.manoeuvre.backing
-    now = lone_steps.watched(writer.lone_step, *ground, looks)
+    now = lone_steps.watched(writer.lone_step, ground[0], ground[1], looks)
     passed = lone_steps.is_passed(now, state.odometer_m, robot.length_m) & ~tips & is_level
     is_lone = run_if(passed, lambda _: lone_steps.has_tipped(now, writer.way, robot.length_m), jnp.bool_(False))
     gone = passed | (changed & (crease_m > now.from_m - lone_steps.TOGETHER_M / 2)) | (blocked >= SURE)

@@ -197,8 +197,8 @@ def along(way: Way, from_m: Array | float, to_m: Array | float) -> tuple[Array, 
         near = jnp.abs(place[k : k + n] - way.odometer_m) <= MEANT_M
         total, count = total + jnp.where(near, value[k : k + n], 0), count + near
     width = jnp.min(jnp.where(known, total / jnp.maximum(count, 1), jnp.inf))
-    leans = (jnp.degrees(jnp.max(jnp.where(within, angle, 0))) for angle in (way.posture, jnp.abs(way.roll)))
-    return width, *leans
+    posture, roll = (jnp.degrees(jnp.max(jnp.where(within, a, 0))) for a in (way.posture, jnp.abs(way.roll)))
+    return width, posture, roll
 
 
 def has_left(writer: Writer, odometer_m: Array | float, leave_m: Array | float) -> Array:

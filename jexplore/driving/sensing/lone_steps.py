@@ -1,7 +1,7 @@
 """Single steps and sills: the ground before and behind is level, so that only its profile tells of them."""
 
 from collections.abc import Callable
-from typing import ClassVar, Self
+from typing import Any, ClassVar, Self
 
 import jax.numpy as jnp
 from flax import struct
@@ -64,7 +64,7 @@ def is_passed(step: LoneStep, odometer_m: Array, length_m: Array | float) -> Arr
     return odometer_m - step.to_m > length_m / 2 + PASSED_M
 
 
-def has_tipped(step: LoneStep, way: object, length_m: Array | float) -> Array:
+def has_tipped(step: LoneStep, way: Any, length_m: Array | float) -> Array:
     """Whether the robot has leant as one that goes over a step so high: bool. Else it has turned away before it.
 
     Args:
