@@ -218,18 +218,20 @@ def sensors(runs):
 
 
 def steps(runs):
-    """Risers: what they are taken for, and how high."""
+    """Stairs, single steps, sills and a cross slope: what they are taken for, and how high."""
     each = max(8, runs // 25)
-    head("riser m", "range noise m", "runs", "typed as stairs", "the true map", "height m, 5 to 95 %", "steps refused")
-    for riser in (0.03, 0.05, 0.06, 0.10, 0.15, 0.20):
+    head("obstacle", "range noise m", "runs", "typed as stairs", "the true map", "height m, 5 to 95 %", "steps refused")
+    risers = {"stairs": (0.03, 0.05, 0.06, 0.10, 0.15, 0.20), "platform": (0.06, 0.15), "sill": (0.06, 0.12, 0.18)}
+    obstacles = [f"{name},riser_m={riser}" for name, some in risers.items() for riser in some] + ["cross-slope"]
+    for obstacle in obstacles:
         for sigma in (0.01, 0.03):
-            found = traced(f"course:obstacle=stairs,riser_m={riser}", runs=each, noise=Noise(range_m=sigma))
+            found = traced(f"course:obstacle={obstacle}", runs=each, noise=Noise(range_m=sigma))
             nodes = [node for i in range(each) for node in found.maps[i].nodes if node.type == "obstacle"]
             typed = share(sum(node.obstacle == "stairs" for node in nodes), len(nodes)) if nodes else "–"
             heights = [node.step_m for node in nodes if node.step_m is not None]
             span = "{:.3f} to {:.3f}".format(*np.percentile(heights, [5, 95])) if heights else "–"
             right = share(int(found.table["true"].sum()), each)
-            row(riser, sigma, each, typed, right, span, found.table["refused"].sum())
+            row(obstacle, sigma, each, typed, right, span, found.table["refused"].sum())
 
 
 def furniture(runs):
