@@ -1,6 +1,6 @@
-"""What is claimed of Behavioral Trace Maps, measured: repeatability, ablations, typing of obstacles, accuracy, speed.
+"""What is claimed of Behavioral Trace Maps, measured: repeatability, ablations, accuracy, buildings, sensors, speed.
 
-    python benchmarks/btm.py [--runs 1000] [--parts repeat ablation stairs place robots]
+    python benchmarks/btm.py [--runs 1000] [--parts repeat ablation place robots]
     python benchmarks/btm.py [--runs 1000] [--parts buildings furniture sensors steps speed]
 
 Everything is printed as Markdown. 1000 runs of each take some twenty minutes on two cores.
@@ -21,7 +21,7 @@ from jexplore.tracemap.record import BtmMap
 from jexplore.tracemap.similarity import code
 
 STILL = Noise(attitude_deg=0, odometry=0, heading_deg_sqrt_m=0, slip=0, beacon_m=0)
-PARTS = ("repeat", "ablation", "stairs", "place", "robots", "buildings", "furniture", "sensors", "steps", "speed")
+PARTS = ("repeat", "ablation", "place", "robots", "buildings", "furniture", "sensors", "steps", "speed")
 ERRORS = {
     "none besides 1 cm": {},
     "range noise 5 cm": {"range_m": 0.05},
@@ -80,36 +80,6 @@ def ablation(runs):
                 table = traced(world, runs=runs, noise=Noise(range_m=sigma), tuning=tuning).table
                 right = share(int(table["true"].sum()), len(table))
                 row(f"{name}, {world}", sigma, right, f"{table['nodes'].mean():.1f}")
-
-
-def variances(world, runs, sigma):
-    """Residual variances of all obstacle nodes of some runs."""
-    found = traced(world, runs=runs, noise=Noise(range_m=sigma))
-    maps = [found.maps[i] for i in range(runs)]
-    nodes = [node for m in maps for node in m.nodes if node.type == "obstacle"]
-    return np.array([node.attributes.get("profile_variance_m2", np.nan) for node in nodes]), nodes
-
-
-def stairs(runs):
-    head("world", "range noise m", "variance, 5 to 95 % (1e-4 m2)", "inclination deg", "posture deg", "step m")
-    groups = {}
-    worlds = ["course", *(f"course:obstacle=stairs,riser_m={h}" for h in (0.05, 0.08, 0.10, 0.15))]
-    for sigma in (0.01, 0.03):
-        for world in worlds:
-            found, nodes = variances(world, runs, sigma)
-            groups[world, sigma] = found[np.isfinite(found)]
-            low, high = 1e4 * np.percentile(groups[world, sigma], [5, 95])
-
-            def span(name, nodes=nodes):
-                values = [v for v in (getattr(node, name) for node in nodes) if v is not None]
-                return f"{min(values):.3g} to {max(values):.3g}" if values else "–"
-
-            row(world, sigma, f"{low:.2f} to {high:.2f}", span("inclination_deg"), span("posture_deg"), span("step_m"))
-    head("Vmax 1e-4 m2", "range noise m", "slopes called stairs", *(f"stairs of {w[-4:]} m found" for w in worlds[1:]))
-    for sigma in (0.01, 0.03):
-        for limit in (0.5e-4, 1e-4, 2e-4, 3e-4, 5e-4, 8e-4, 12e-4):
-            cells = [f"{100 * (groups[world, sigma] > limit).mean():.1f} %" for world in worlds]
-            row(f"{1e4 * limit:g}", sigma, *cells)
 
 
 def place(runs):
