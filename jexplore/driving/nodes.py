@@ -172,7 +172,7 @@ def write(
     applied = TURN_SHARE * turn
     ways = _either_of(is_divergence, _through(event, found, bearing, turn, tuning.leave_m), plain)
     ways = to_odometry(jnp.stack([0.0, 0.0, applied - turn]))(ways[0]), ways[1] + applied - turn
-    passes, which = _is_passed(event, found, others, back, at.again, is_divergence)
+    passes, which = _is_passed(writer, event, found, others, back, at, is_divergence)
     target, out = _either_of(passes, _through(event, found, found.bearing[which], 0.0, tuning.leave_m), ways)
     taken = jnp.where(onto == btm.NONE, size, onto)
     written = writer.replace(
@@ -288,26 +288,34 @@ def _where_to(map_, writer, event, at, back, onward, is_divergence):
     return map_, fails, jnp.where(through, onward, jnp.where(use_open, open_link, hop)), bearing, through
 
 
-def _is_passed(event, found, others, back, again, is_divergence):
+def _is_passed(writer, event, found, others, back, at, is_divergence):
     """Whether a place is none, and which of its openings the robot takes: `(passes, which)`.
 
-    One with two openings in line is a stretch of a passage, one with a single opening much wider than its circle lies
-    in the corner of a room.
+    One with two openings in line is a stretch of a passage, unless the link leads to a node there; one with a single
+    opening much wider than its circle lies in the corner of a room.
     """
     n, other = jnp.sum(found.valid), jnp.argmax(others)
     straight = jnp.abs(btm.wrapped(found.bearing[other] - back)) > math.pi - IN_LINE_RAD
-    in_line = (n == 2) & (jnp.sum(others) == 1) & straight & ~again
+    followed, to = _leads_to(writer)
+    in_line = (n == 2) & (jnp.sum(others) == 1) & straight & ~(at.again & followed & (at.near == to))
     wide = (found.width_m > CORNER * 2 * event.radius) | _is_behind(found)
-    corner = (n == 1) & jnp.any(found.valid & wide) & ~again
+    corner = (n == 1) & jnp.any(found.valid & wide) & ~at.again
     return is_divergence & (in_line | corner), jnp.where(corner, jnp.argmax(found.valid), other)
+
+
+def _leads_to(writer):
+    """Whether the robot follows a link that is known, and to which node: `(followed, to)`."""
+    map_, size = writer.map, writer.map.start.shape[0]
+    link = jnp.minimum(writer.link, size - 1)
+    to = jnp.where(map_.start[link] == writer.node, map_.end[link], map_.start[link])
+    return (writer.link < size) & (map_.status[link] == btm.SEARCHED), to
 
 
 def _failed(writer, at):
     """`Writer.fails` with the link that the robot has come by."""
-    map_, size = writer.map, writer.map.start.shape[0]
+    size = writer.map.start.shape[0]
     link = jnp.minimum(writer.link, size - 1)
-    to = jnp.where(map_.start[link] == writer.node, map_.end[link], map_.start[link])
-    followed = (writer.link < size) & (map_.status[link] == btm.SEARCHED)
+    followed, to = _leads_to(writer)
     return writer.fails.at[jnp.where(followed, link, size)].set(
         jnp.where(at.node == to, 0, writer.fails[link] + 1), mode="drop"
     )

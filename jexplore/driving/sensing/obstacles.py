@@ -11,8 +11,8 @@ from jexplore.driving.sensing import ground_profile
 from jexplore.driving.sensing.ground_profile import Profile
 from jexplore.driving.settings import Robot, Tuning
 
-STANDS_OUT = 22.0  # shares that a point has of the variance besides: of noise the best wave has more once in 10,000
-SURE = 7  # a wave larger than so many thresholds is one however large the rest
+STANDS_OUT = 15.0  # shares that a point has of the variance besides: of noise the best wave has more once in 300
+SURE = 5  # a wave larger than so many thresholds is one however large the rest
 MARGIN_M = 0.1  # the profile of an obstacle is looked at so far from the nodes at its ends
 
 
