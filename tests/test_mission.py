@@ -154,6 +154,35 @@ def test_the_wheeled_robot_cannot_pass_stairs():
 
 
 @pytest.mark.jit
+@pytest.mark.parametrize(
+    ("obstacle", "step_m"),
+    [("stairs,riser_m=0.2", 0.2), ("platform,riser_m=0.15", 0.15), ("sill,riser_m=0.06", 0.06), ("cross-slope", None)],
+)
+def test_what_the_robot_goes_over_is_in_its_map(obstacle, step_m):
+    found = ran(job.prepare_trace(f"course:obstacle={obstacle}", noise=Noise(range_m=0.01)))
+    assert code(found.first) == code(found.truth)
+    assert found.table["refused"].tolist() == [0]
+    nodes = [node for node in found.first.nodes if node.type == "obstacle"]
+    true = [node for node in found.truth.nodes if node.type == "obstacle"]
+    for node, other in zip(nodes, true, strict=True):
+        assert math.hypot(node.x_m - other.x_m, node.y_m - other.y_m) < 0.3
+        assert node.step_m == (None if step_m is None else pytest.approx(step_m, abs=0.025))
+    over = [link for link in found.first.links if link.max_roll_deg and link.max_roll_deg > 5]
+    assert bool(over) == (step_m is None)  # whoever goes along a cross slope rolls
+
+
+@pytest.mark.jit
+@pytest.mark.parametrize(
+    "noise",
+    [Noise(range_m=0.05), Noise(range_m=0.01, attitude_deg=1), Noise(range_m=0.01, slip=0.2)],
+    ids=["ranges", "attitude", "slip"],
+)
+def test_a_noisy_sensor_makes_the_same_map(noise):
+    found = ran(job.prepare_trace("course", noise=noise, runs=4))
+    assert found.table["true"].sum() >= 3  # of 24 each: 23, 24, 24
+
+
+@pytest.mark.jit
 def test_a_riser_that_the_ground_refuses_is_an_obstacle():
     # The scanner looks over the stairs: what is higher than it looks like the end of the passage.
     robot = "kamui:scan_height_m=2"

@@ -150,7 +150,8 @@ def look_ahead(
 def _lone_step(state, writer, ground, tips, level, changed, crease_m, blocked, robot):
     """`(lone_step, is_lone, after)`: see `Ahead`. Where the ground's inclination changes, that makes the node."""
     is_level = jnp.hypot(*level.even) < LEVEL_RAD
-    looks = is_level & ~tips & (state.drive.latch != Latch.LOOK) & ~state.manoeuvre.backing
+    is_on = state.odometer_m + robot.length_m / 2 > writer.lone_step.from_m
+    looks = is_level & ~tips & ~is_on & (state.drive.latch != Latch.LOOK) & ~state.manoeuvre.backing
     now = lone_steps.watched(writer.lone_step, ground[0], ground[1], looks)
     passed = lone_steps.is_passed(now, state.odometer_m, robot.length_m) & ~tips & is_level
     is_lone = run_if(passed, lambda _: lone_steps.has_tipped(now, writer.way, robot.length_m), jnp.bool_(False))

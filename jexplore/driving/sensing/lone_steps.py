@@ -13,7 +13,7 @@ from jexplore.driving.sensing.steadying import JUMP_OF_ONE
 FLANK = 3  # points on either side of a step, whose height is the difference of their means
 FACE_M = 0.04  # between them, where points may lie on its face
 TOGETHER_M = 1.2  # steps no farther apart are one: the two edges of a sill, a short flight
-PASSED_M = 0.15  # the robot's end is so far beyond it
+PASSED_M = 0.30  # the robot's end is so far beyond it: until then its own tipping shows in the profile
 TIPS = 0.5  # of the angle at which a robot stands with one end on it: it has tipped so far
 
 
@@ -38,7 +38,7 @@ def watched(step: LoneStep, x_m: Array, z_m: Array, looks: Array | bool) -> Lone
     Args:
       step: `LoneStep`.
       x_m, z_m: `[P]` float32, the last points of the profile, in the order of time; x inf where there is none.
-      looks: bool; False: nothing new, as where the robot does not stand on level ground.
+      looks: bool; False: nothing new, as where the robot does not stand on level ground, or is on the step.
     """
     there = jnp.isfinite(x_m)
     # Behind an edge that leads down the ground is hidden: flanks are so many points, however far.

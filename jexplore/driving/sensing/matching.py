@@ -28,6 +28,7 @@ DOUBT_M, DOUBT_RAD = 0.01, math.radians(0.5)  # these
 LEAST = 30  # points that must lie on lines
 MOST = 4  # of these standard deviations: a match that is farther off is none
 PLANE_RAD = math.radians(6)  # scans are of one plane if the robot leans no more otherwise
+TILT_RAD = math.radians(12)  # one of a robot that leans more is bent
 SHARE = 0.6  # of the points; with fewer the next scan is matched with this one
 
 
@@ -145,7 +146,8 @@ def put_right(key: Key, odometry: Array, estimate: Array, ranges_m: Array, attit
       key: `Key`.
       odometry, estimate: `[3]`, poses without corrections at nodes and with these.
       ranges_m: `[B]` float32, the last scan.
-      attitude: `[2]` float32, radians, pitch and roll; a scan is not matched with one of another plane.
+      attitude: `[2]` float32, radians, pitch and roll; a scan is not matched with one of another
+        plane, nor where the robot leans much.
 
     Returns:
       `(key, odometry, estimate)`: both poses are moved alike.
@@ -157,7 +159,7 @@ def put_right(key: Key, odometry: Array, estimate: Array, ranges_m: Array, attit
         key, odometry, estimate = carry
         moved = between(key.pose, odometry)
         found, share = match(key.ranges_m, ranges_m, moved, since)
-        in_plane = jnp.hypot(*(attitude - key.attitude)) < PLANE_RAD
+        in_plane = (jnp.hypot(*(attitude - key.attitude)) < PLANE_RAD) & (jnp.hypot(*attitude) < TILT_RAD)
         found, share = jnp.where(in_plane, found, moved), jnp.where(in_plane, share, 0.0)
         after = jnp.concatenate([to_odometry(key.pose)(found[:2]), key.pose[2:] + found[2:]])
         step, turn = to_robot(odometry)(after[:2]), after[2] - odometry[2]
