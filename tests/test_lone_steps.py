@@ -14,7 +14,7 @@ pytestmark = pytest.mark.jit
 LENGTH_M, AHEAD_M, STEP_M, RECENT = 0.7, 0.7, 0.04, 64
 
 
-def driven(ground, sigma=0.0, seed=0, way_m=8.0, looks=lambda odometer_m: True):
+def driven(ground, sigma=0.0, seed=0, way_m=8.0):
     """The step as it is known along the way: a list of `(odometer, LoneStep)`."""
     odometer = np.arange(0, way_m, STEP_M)
     x = (odometer + AHEAD_M).astype(np.float32)
@@ -24,7 +24,7 @@ def driven(ground, sigma=0.0, seed=0, way_m=8.0, looks=lambda odometer_m: True):
     now, found = lone_steps.none(), []
     for i, at in enumerate(odometer):
         part = slice(i + 1, i + 1 + RECENT)
-        now = WATCHED(now, padded_x[part], padded_z[part], looks(at))
+        now = WATCHED(now, padded_x[part], padded_z[part])
         found.append((at, now))
     return found
 
@@ -61,7 +61,7 @@ def test_the_ground_hidden_behind_an_edge_does_not_matter():
     z = np.where(x < 3.8, 0.15, 0.0).astype(np.float32)
     for n in range(1, len(x) + 1):
         pad = RECENT - n
-        now = WATCHED(now, np.pad(x[:n], (pad, 0), constant_values=np.inf), np.pad(z[:n], (pad, 0)), True)
+        now = WATCHED(now, np.pad(x[:n], (pad, 0), constant_values=np.inf), np.pad(z[:n], (pad, 0)))
     assert float(now.height_m) == pytest.approx(0.15, abs=1e-6)
     assert 3.7 < float(now.from_m) <= float(now.to_m) < 3.93
 
@@ -72,10 +72,6 @@ def test_low_ones_slopes_and_noise_are_none():
     false = sum(bool(np.isfinite(driven(lambda x: 0.0, sigma, seed)[-1][1].from_m))
                 for sigma in (0.005, 0.01, 0.02) for seed in range(20))  # fmt: skip
     assert false <= 1
-
-
-def test_where_the_robot_does_not_look_there_is_none():
-    assert not np.isfinite(driven(up(4.01, 0.12), looks=lambda at: False)[-1][1].from_m)
 
 
 def test_it_has_been_passed_once_the_robots_end_has():

@@ -152,7 +152,13 @@ def _lone_step(state, writer, ground, tips, level, changed, crease_m, blocked, r
     is_level = jnp.hypot(*level.even) < LEVEL_RAD
     is_on = state.odometer_m + robot.length_m / 2 > writer.lone_step.from_m
     looks = is_level & ~tips & ~is_on & (state.drive.latch != Latch.LOOK) & ~state.manoeuvre.backing
-    now = lone_steps.watched(writer.lone_step, ground[0], ground[1], looks)
+    near = jnp.isfinite(ground[0]) & (ground[0] > state.odometer_m)
+    span_m = jnp.max(jnp.where(near, ground[1], -jnp.inf)) - jnp.min(jnp.where(near, ground[1], jnp.inf))
+    now = run_if(
+        looks & (span_m > ground_profile.STEP_M),
+        lambda _: lone_steps.watched(writer.lone_step, ground[0], ground[1]),
+        writer.lone_step,
+    )
     passed = lone_steps.is_passed(now, state.odometer_m, robot.length_m) & ~tips & is_level
     is_lone = run_if(passed, lambda _: lone_steps.has_tipped(now, writer.way, robot.length_m), jnp.bool_(False))
     gone = passed | (changed & (crease_m > now.from_m - lone_steps.TOGETHER_M / 2)) | (blocked >= SURE)

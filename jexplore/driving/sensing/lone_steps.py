@@ -32,13 +32,12 @@ def none() -> LoneStep:
     return LoneStep(jnp.float32(jnp.inf), jnp.float32(jnp.inf), jnp.float32(0))
 
 
-def watched(step: LoneStep, x_m: Array, z_m: Array, looks: Array | bool) -> LoneStep:
-    """Takes the last point of the profile into account.
+def watched(step: LoneStep, x_m: Array, z_m: Array) -> LoneStep:
+    """Takes the last point of the profile into account, of a robot on level ground before the step.
 
     Args:
       step: `LoneStep`.
       x_m, z_m: `[P]` float32, the last points of the profile, in the order of time; x inf where there is none.
-      looks: bool; False: nothing new, as where the robot does not stand on level ground, or is on the step.
     """
     there = jnp.isfinite(x_m)
     # Behind an edge that leads down the ground is hidden: flanks are so many points, however far.
@@ -50,7 +49,7 @@ def watched(step: LoneStep, x_m: Array, z_m: Array, looks: Array | bool) -> Lone
     place = (begins + x_m[before[-1]]) / 2
     jumps = jnp.where(there[2:] & there[1:-1] & there[:-2], jnp.abs(z_m[2:] - 2 * z_m[1:-1] + z_m[:-2]), jnp.nan)
     deviation = jnp.nanmedian(jumps) / JUMP_OF_ONE
-    is_one = looks & earlier[before[0]] & (rise > jnp.maximum(STEP_M, SURE * deviation))
+    is_one = earlier[before[0]] & (rise > jnp.maximum(STEP_M, SURE * deviation))
     joins = jnp.isfinite(step.from_m) & (place - step.to_m < TOGETHER_M)
     return LoneStep(
         from_m=jnp.where(is_one & ~joins, place, step.from_m),

@@ -28,11 +28,21 @@ def shares(angle: Array, age: Array) -> Array:
     Returns:
       `[S]` float32, whose sum is 1.
     """
-    jumps = jnp.abs(angle[2:] - 2 * angle[1:-1] + angle[:-2])
-    deviation = jnp.median(jnp.where(age[2:] >= 0, jumps, 0)) / JUMP_OF_ONE
-    n = jnp.clip(jnp.round((deviation / math.radians(STEADY_DEG)) ** 2), 1, MOST_STEPS)
-    counts = (age >= 0) & (age < n)
-    return counts / jnp.sum(counts)
+    jumps = jnp.where(age[2:] >= 0, jnp.abs(angle[2:] - 2 * angle[1:-1] + angle[:-2]), 0)
+    is_noisy = _more_than_half(jumps > JUMP_OF_ONE * math.radians(STEADY_DEG) * math.sqrt(1.5), len(jumps))
+
+    def several(_):
+        deviation = jnp.median(jumps) / JUMP_OF_ONE
+        n = jnp.clip(jnp.round((deviation / math.radians(STEADY_DEG)) ** 2), 1, MOST_STEPS)
+        counts = (age >= 0) & (age < n)
+        return counts / jnp.sum(counts)
+
+    return run_if(is_noisy, several, (age == 0).astype(jnp.float32))
+
+
+def _more_than_half(which, n):
+    """Whether the median lies beyond a limit: sorting is dear, and hardly ever needed."""
+    return 2 * jnp.sum(which) > n
 
 
 def scan(ranges_m: Array) -> Array:
@@ -49,10 +59,12 @@ def scan(ranges_m: Array) -> Array:
     near = jnp.where(jnp.isnan(ranges_m), jnp.nan, 1 / ranges_m)  # 0: no return
     returns = jnp.isfinite(ranges_m)
     jumps = jnp.abs(near[2:] - 2 * near[1:-1] + near[:-2]) * ranges_m[1:-1] ** 2
-    deviation = jnp.nanmedian(jnp.where(returns[1:-1], jumps, jnp.nan)) / JUMP_OF_ONE
-    pairs = jnp.clip(jnp.round(((deviation / STEADY_M) ** 2 - 1) / 2), 0, MOST_PAIRS)
+    jumps = jnp.where(returns[1:-1], jumps, jnp.nan)
+    is_noisy = _more_than_half(jumps > JUMP_OF_ONE * STEADY_M * math.sqrt(2), jnp.sum(~jnp.isnan(jumps)))
 
     def mean(_):
+        deviation = jnp.nanmedian(jumps) / JUMP_OF_ONE
+        pairs = jnp.clip(jnp.round(((deviation / STEADY_M) ** 2 - 1) / 2), 0, MOST_PAIRS)
         limit = AGREE * deviation / jnp.where(returns, ranges_m, 1) ** 2
         wide = jnp.pad(near, MOST_PAIRS, constant_values=jnp.nan)
         n, total, count, goes_on = len(ranges_m), near, jnp.ones_like(near), returns
@@ -65,4 +77,4 @@ def scan(ranges_m: Array) -> Array:
             total, count = total + jnp.where(counts, 2 * middle, 0), count + 2 * counts
         return jnp.where(returns, count / total, ranges_m)
 
-    return run_if(pairs > 0, mean, ranges_m)
+    return run_if(is_noisy, mean, ranges_m)
