@@ -151,6 +151,16 @@ def test_a_sill_lies_in_the_middle():
     assert node.x_m == pytest.approx(9.0)
 
 
+@pytest.mark.parametrize("cell_m", [0.05, 0.2])
+def test_a_sill_is_a_cell_long_on_either_side_at_least(cell_m):
+    for seed in (0, 1, 2):
+        world = course(seed, obstacle="sill", riser_m=0.06, cell_m=cell_m)
+        (node,) = [node for node in world.course.topology.nodes if node.type == "obstacle"]
+        row, col = int(node.y_m / cell_m), int(node.x_m / cell_m)
+        assert world.elevation[row, col] == pytest.approx(0.06)
+        assert world.elevation.max() == pytest.approx(0.06)
+
+
 def test_a_cross_slope_twists_to_its_angle_and_back():
     world = course(0, obstacle="cross-slope")
     middle = world.elevation[260:280, 90]  # the passage is 2 m wide, rows 260 to 279

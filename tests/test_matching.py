@@ -258,4 +258,4 @@ def test_scans_of_two_planes_are_not_matched():
         lean = jnp.asarray([math.radians(lean_deg), 0.0])
         fresh, after, _ = PUT_RIGHT(key, said, said, seen[1], lean)
         assert float(after[0]) == pytest.approx(found_m, abs=5e-3)
-        assert (fresh.attitude.tolist() == lean.tolist()) == (lean_deg in (0.0, 10.0))
+        assert (fresh.lean.tolist() == lean.tolist()) == (lean_deg in (0.0, 10.0))

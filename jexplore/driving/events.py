@@ -161,7 +161,13 @@ def _lone_step(state, writer, ground, tips, level, changed, crease_m, blocked, r
     )
     passed = lone_steps.is_passed(now, state.odometer_m, robot.length_m) & ~tips & is_level
     is_lone = run_if(passed, lambda _: lone_steps.has_tipped(now, writer.way, robot.length_m), jnp.bool_(False))
-    gone = passed | (changed & (crease_m > now.from_m - lone_steps.TOGETHER_M / 2)) | (blocked >= SURE)
+    is_lone &= (now.from_m + now.to_m) / 2 > writer.node_m
+    gone = (
+        passed
+        | state.manoeuvre.backing
+        | (changed & (crease_m > now.from_m - lone_steps.TOGETHER_M / 2))
+        | (blocked >= SURE)
+    )
     after = jax.tree.map(lambda none, old: jnp.where(gone, none, old), lone_steps.none(), now)
     return now, is_lone & ~changed, after
 

@@ -1,7 +1,8 @@
 """How the robot writes its map while it drives: what it remembers of the way, and when a node is made.
 
 A node is made on arrival, never from afar: a divergence at the middle of its circle, free space where the robot enters
-and leaves it, an obstacle where the ground's inclination changes, known once the robot stands evenly again.
+and leaves it, an obstacle where the ground's inclination changes or a single step lies, known once the robot stands
+evenly again.
 """
 
 import math
@@ -23,7 +24,7 @@ from jexplore.driving.vehicle import Senses, down_directions
 LEAN_STEPS = 32  # steps in which the noise of the attitude is told
 EVEN_DEG = 1.0  # the robot stands evenly once its lean has varied by less than this
 EVEN_LENGTHS = 0.25  # over this way, in lengths of the robot: on a long robot a gentle slope comes slowly
-MEANT_STEPS = 5  # of which the width of a passage is the mean
+MEANT_STEPS = 5  # of which the width of a passage is the mean, and the roll on it
 MEANT_M = 0.1  # as far as they are this near
 BEYOND_M = 0.05, 1.0  # a robot beyond an opening is no farther before it and behind it
 
@@ -119,6 +120,12 @@ def begin(n_steps: int, n_nodes: int, n_links: int, pose: Array, behind: Array |
     )
 
 
+def lean(pitch: Array, roll: Array, heading: Array) -> Array:
+    """Which way the ground rises under a robot, and by what angle: `[2, ...]`, radians, in the frame of its heading."""
+    cos, sin = jnp.cos(heading), jnp.sin(heading)
+    return jnp.stack([-pitch * cos - roll * sin, -pitch * sin + roll * cos])
+
+
 def lean_of(way: Way, step: Array) -> tuple[Array, Array]:
     """How the ground leans on which the robot stands: which way it rises in the odometry's frame, and by what angle.
 
@@ -139,9 +146,7 @@ def lean_of(way: Way, step: Array) -> tuple[Array, Array]:
     heading = lax.dynamic_slice(way.pose, (first, 2), (LEAN_STEPS, 1))[:, 0]
     age = step - first - jnp.arange(LEAN_STEPS)
     share = steadying.shares(pitch, age)
-    cos, sin = jnp.cos(heading), jnp.sin(heading)
-    lean = jnp.stack([-pitch * cos - roll * sin, -pitch * sin + roll * cos])
-    return lean @ share, share @ jnp.where(age >= 0, odometer_m, 0)
+    return lean(pitch, roll, heading) @ share, share @ jnp.where(age >= 0, odometer_m, 0)
 
 
 def watch_level(
@@ -197,7 +202,8 @@ def along(way: Way, from_m: Array | float, to_m: Array | float) -> tuple[Array, 
         near = jnp.abs(place[k : k + n] - way.odometer_m) <= MEANT_M
         total, count = total + jnp.where(near, value[k : k + n], 0), count + near
     width = jnp.min(jnp.where(known, total / jnp.maximum(count, 1), jnp.inf))
-    posture, roll = (jnp.degrees(jnp.max(jnp.where(within, a, 0))) for a in (way.posture, jnp.abs(way.roll)))
+    mean_roll = jnp.convolve(way.roll, jnp.full(MEANT_STEPS, 1 / MEANT_STEPS), mode="same")
+    posture, roll = (jnp.degrees(jnp.max(jnp.where(within, a, 0))) for a in (way.posture, jnp.abs(mean_roll)))
     return width, posture, roll
 
 

@@ -186,8 +186,8 @@ def step(draws: Draws, building: Building, robot: Robot, tuning: Tuning, noise: 
     blind = jnp.where(jnp.sum(jnp.isnan(senses.ranges_m)) > BEAMS / 2, state.blind + 1, 0)
     senses, is_ground = levelled(senses.replace(ranges_m=steadying.scan(senses.ranges_m)), robot)
     walls = walls_of_scan(senses.ranges_m, tuning, robot)
-    attitude = jnp.stack([senses.pitch, senses.roll])
-    key, odometry, estimate = matching.put_right(state.key, state.odometry, state.estimate, senses.ranges_m, attitude)
+    lean = mapping.lean(senses.pitch, senses.roll, state.odometry[2])
+    key, odometry, estimate = matching.put_right(state.key, state.odometry, state.estimate, senses.ranges_m, lean)
     around = surround.moved(state.around, *matching.between(state.scanned, odometry))
     around = surround.seen(around, jnp.where(is_ground, jnp.inf, senses.ranges_m))
     ways_m = surround.ways(around, robot)
@@ -207,7 +207,7 @@ def step(draws: Draws, building: Building, robot: Robot, tuning: Tuning, noise: 
     turn = after.odometry[2] - looked_from
     after = after.replace(
         manoeuvre=manoeuvre.remembered(getting, after.odometry),
-        climbed_m=state.climbed_m - (after.odometer_m - state.odometer_m) * jnp.tan(senses.pitch),
+        climbed_m=state.climbed_m - (after.odometer_m - state.odometer_m) * jnp.sign(speed[0]) * jnp.tan(senses.pitch),
         track=track,
         space=ahead.space,
         drive=drive.replace(looked=jnp.where(drive.latch == Latch.LOOK, drive.looked + jnp.abs(turn), 0.0)),

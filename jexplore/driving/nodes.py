@@ -41,7 +41,7 @@ class Event:
     radius: Array  # float32, of a divergence's circle
     posture: Array  # float32, radians, inclination of the body
     steepest: Array  # float32, radians, of an obstacle
-    step_m: Array  # float32, height of a step that the robot cannot climb; 0
+    step_m: Array  # float32, height of a step that it has gone over, or cannot climb; 0
     blocked: Array  # bool, an obstacle that the robot cannot pass
     returns: Array  # bool, to the node where it started
 

@@ -1,7 +1,8 @@
 """What the engines run: a program of pure functions over one robot's state, and the runs that are wanted of it.
 
 A program is written for one robot and knows nothing of batches. The engines run many: one after the other on the cores
-of a CPU (`serial`), or together in the lanes of an accelerator (`lockstep`), with equal bits.
+of a CPU (`serial`), or together in the lanes of an accelerator (`lockstep`): episodes with equal bits, trace runs with
+results that are equal but for rounding.
 """
 
 import dataclasses

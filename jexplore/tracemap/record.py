@@ -66,7 +66,8 @@ class Link:
     max_roll_deg: float | None = None
     """Largest roll of the robot's body along the link, to either side, degrees."""
     max_step_m: float | None = None
-    """Highest step along the link, up or down, metres; 0 where none stands out of the sensors' noise."""
+    """Highest step between the nodes, up or down, metres; 0 where none stands out of the sensors' noise. A single step
+    is a node: its height is that node's."""
     opening_m: float | None = None
     """Width of the opening at the first node, metres."""
     attributes: Mapping[str, Any] = dataclasses.field(default_factory=dict)

@@ -11,10 +11,10 @@ from jax import Array
 from jexplore.driving.sensing.perception import running_sum
 from jexplore.driving.sensing.steadying import JUMP_OF_ONE
 
-CELLS, CELL_M = 512, 0.02  # of a profile
+CELLS, CELL_M = 1024, 0.02  # of a profile: what lies beyond is left out
 STEP_M = 0.04  # a rise of the profile by more than this from point to point is a step
-FLANK_M = 0.10  # a step is the difference of the mean heights so far before and behind a place, without its cell
-RISE_M = FLANK_M + 2 * CELL_M  # between the middles of both flanks
+FLANK_M = 0.10  # a step is the difference of the mean heights so far before and behind a place, but for a cell
+RISE_M = FLANK_M + CELL_M  # between the middles of both flanks
 LEAST_M = 0.015  # no lower step is told of
 SURE = 4.5  # standard deviations of a point; a lower one may be noise
 TREADS_M = 0.20, 0.44, 13  # shortest and longest period of steps, and how many are tried

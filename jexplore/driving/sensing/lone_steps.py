@@ -12,8 +12,9 @@ from jexplore.driving.sensing.steadying import JUMP_OF_ONE
 
 FLANK = 3  # points on either side of a step, whose height is the difference of their means
 FACE_M = 0.04  # between them, where points may lie on its face
-TOGETHER_M = 1.2  # steps no farther apart are one: the two edges of a sill, a short flight
+TOGETHER_M = 1.2  # steps no farther apart are one, as high as those seen before the robot is on the first
 PASSED_M = 0.30  # the robot's end is so far beyond it: until then its own tipping shows in the profile
+MEANT = 5  # steps over which its attitude is averaged for that
 TIPS = 0.5  # of the angle at which a robot stands with one end on it: it has tipped so far
 
 
@@ -72,4 +73,5 @@ def has_tipped(step: LoneStep, way: Any, length_m: Array | float) -> Array:
       length_m: of the robot.
     """
     near = (way.odometer_m > step.from_m - length_m) & (way.odometer_m < step.to_m + length_m)
-    return jnp.max(jnp.where(near, way.posture, 0)) > TIPS * jnp.arctan(step.height_m / length_m)
+    mean = jnp.convolve(way.posture, jnp.full(MEANT, 1 / MEANT), mode="same")
+    return jnp.max(jnp.where(near, mean, 0)) > TIPS * jnp.arctan(step.height_m / length_m)

@@ -120,7 +120,7 @@ class Key:
     """The scan with which the next ones are matched. Poses are odometry without corrections at nodes."""
 
     ranges_m: Array  # [B] float32
-    attitude: Array  # [2] float32, radians, pitch and roll where it was taken
+    lean: Array  # [2] float32, radians, of the ground where it was taken, see `mapping.lean`
     pose: Array  # [3] float32, where it was taken
     last: Array  # [3] float32, where a scan was matched with it last
     replace: ClassVar[Callable[..., Self]]
@@ -137,7 +137,7 @@ def between(one: Array, other: Array) -> Array:
     return jnp.stack([*to_robot(one)(other[:2]), other[2] - one[2]])
 
 
-def put_right(key: Key, odometry: Array, estimate: Array, ranges_m: Array, attitude: Array) -> tuple[Key, Array, Array]:
+def put_right(key: Key, odometry: Array, estimate: Array, ranges_m: Array, lean: Array) -> tuple[Key, Array, Array]:
     """Puts the odometry right by what the robot sees, where it has moved on since the last time.
 
     A scan serves for as long as the robot sees much of the same: every change to another adds an error.
@@ -146,7 +146,7 @@ def put_right(key: Key, odometry: Array, estimate: Array, ranges_m: Array, attit
       key: `Key`.
       odometry, estimate: `[3]`, poses without corrections at nodes and with these.
       ranges_m: `[B]` float32, the last scan.
-      attitude: `[2]` float32, radians, pitch and roll; a scan is not matched with one of another
+      lean: `[2]` float32, radians, of the ground, see `mapping.lean`; a scan is not matched with one of another
         plane, nor where the robot leans much.
 
     Returns:
@@ -159,13 +159,13 @@ def put_right(key: Key, odometry: Array, estimate: Array, ranges_m: Array, attit
         key, odometry, estimate = carry
         moved = between(key.pose, odometry)
         found, share = match(key.ranges_m, ranges_m, moved, since)
-        in_plane = (jnp.hypot(*(attitude - key.attitude)) < PLANE_RAD) & (jnp.hypot(*attitude) < TILT_RAD)
+        in_plane = (jnp.hypot(*(lean - key.lean)) < PLANE_RAD) & (jnp.hypot(*lean) < TILT_RAD)
         found, share = jnp.where(in_plane, found, moved), jnp.where(in_plane, share, 0.0)
         after = jnp.concatenate([to_odometry(key.pose)(found[:2]), key.pose[2:] + found[2:]])
         step, turn = to_robot(odometry)(after[:2]), after[2] - odometry[2]
         estimate = jnp.concatenate([to_odometry(estimate)(step), estimate[2:] + turn])
         is_far = (jnp.hypot(found[0], found[1]) >= KEY_M) | (jnp.abs(found[2]) >= KEY_RAD) | (share < SHARE)
-        fresh = Key(ranges_m, attitude, after, after)
+        fresh = Key(ranges_m, lean, after, after)
         old = key.replace(last=after)
         return jax.tree.map(lambda one, other: jnp.where(is_far, one, other), fresh, old), after, estimate
 

@@ -74,7 +74,8 @@ def judged(
     inclination = map_.inclination_deg
     for at, is_one in ((before, over), (here, over & (event.kind == btm.OBSTACLE))):
         inclination = mark(inclination, at, jnp.fmax(inclination[at], even), is_one)
-    step_here = jnp.where(stairs, found.step_m, found.highest_m)
+    risers = found.highest_m + jnp.abs(found.slope) * ground_profile.RISE_M
+    step_here = jnp.where(stairs, jnp.maximum(found.step_m, risers), found.highest_m)
     map_ = map_.replace(
         obstacle=obstacle,
         step_m=step,

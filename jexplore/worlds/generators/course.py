@@ -7,7 +7,7 @@ from jexplore.worlds.generators.route import LEFT, RIGHT, STRAIGHT, Route
 from jexplore.worlds.world import World
 
 OBSTACLES = {"slope": 3, "stairs": 4, "platform": 2, "sill": 1, "cross-slope": 2, "none": 0}
-"""Name -> places at which the ground bends: the stairs have a landing."""
+"""Name -> places that become nodes: the stairs have a landing."""
 _KIND = 6
 _START_M = 1.5  # from the wall behind the start
 _TRIES = 60

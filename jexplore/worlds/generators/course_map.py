@@ -123,7 +123,7 @@ def _raise_ground(elevation, grid, ramp, obstacle, riser_m):
     elif obstacle == "stairs":
         height = np.where(inward > 0, (np.floor(inward / TREAD_M + 1e-6) + 1) * riser_m, 0)
     else:
-        edge_m = 0 if obstacle == "platform" else run - SILL_M / 2
+        edge_m = 0 if obstacle == "platform" else run - max(SILL_M / 2, grid.cell_m)
         height = np.where(inward > edge_m + 1e-6, riser_m, 0)
     low, high = min(start, end), max(start, end)
     along = slice(math.floor(low / grid.cell_m + 1e-6), math.ceil(high / grid.cell_m - 1e-6))

@@ -14,7 +14,7 @@ _STEP = ((1, 0), (0, 1), (-1, 0), (0, -1))
 
 @dataclasses.dataclass(frozen=True)
 class Ramp:
-    """An obstacle across a passage, `RAMP_M` up and `RAMP_M` down."""
+    """An obstacle across a passage, twice `RAMP_M` long."""
 
     heading: int
     lane: tuple[float, float]
@@ -42,7 +42,7 @@ class Stop:
     """Of a divergence: headings of its openings."""
     ramp: Ramp | None = None
     crease: int = 0
-    """Of an obstacle: 0 start, 1 top, 2 end."""
+    """Of an obstacle: which of the places at which its ground changes."""
 
 
 @dataclasses.dataclass(frozen=True)
