@@ -181,11 +181,11 @@ ROWS = [(0, 0, 0, 0, 0, 1, 2.0), (1, 1, 0, 0.1, 0, 8, 1.5), (2, 2, 0, 0.2, 0, 3,
 
 def test_narrowest_and_steepest_between_two_places():
     way = path(begun(), *ROWS).way
-    way = way.replace(roll=way.roll.at[1].set(math.radians(-7)))
+    way = way.replace(roll=way.roll.at[1].set(math.radians(-35)))  # of five steps the mean
     for bounds, want in (
         ((0, 3), (1, 9, 7)),
         ((0, 2), (1.5, 8, 7)),
-        ((1.5, 2.5), (1.8, 3, 0)),
+        ((1.5, 2.5), (1.8, 3, 7)),
         ((1.1, 1.9), (math.inf, 0, 0)),
     ):
         assert [float(value) for value in mapping.along(way, *bounds)] == pytest.approx(want)

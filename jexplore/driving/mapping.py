@@ -202,7 +202,7 @@ def along(way: Way, from_m: Array | float, to_m: Array | float) -> tuple[Array, 
         near = jnp.abs(place[k : k + n] - way.odometer_m) <= MEANT_M
         total, count = total + jnp.where(near, value[k : k + n], 0), count + near
     width = jnp.min(jnp.where(known, total / jnp.maximum(count, 1), jnp.inf))
-    mean_roll = jnp.convolve(way.roll, jnp.full(MEANT_STEPS, 1 / MEANT_STEPS), mode="same")
+    mean_roll = jnp.convolve(jnp.pad(way.roll, half), jnp.full(MEANT_STEPS, 1 / MEANT_STEPS), mode="valid")
     posture, roll = (jnp.degrees(jnp.max(jnp.where(within, a, 0))) for a in (way.posture, jnp.abs(mean_roll)))
     return width, posture, roll
 

@@ -73,5 +73,5 @@ def has_tipped(step: LoneStep, way: Any, length_m: Array | float) -> Array:
       length_m: of the robot.
     """
     near = (way.odometer_m > step.from_m - length_m) & (way.odometer_m < step.to_m + length_m)
-    mean = jnp.convolve(way.posture, jnp.full(MEANT, 1 / MEANT), mode="same")
+    mean = jnp.convolve(jnp.pad(way.posture, MEANT // 2), jnp.full(MEANT, 1 / MEANT), mode="valid")
     return jnp.max(jnp.where(near, mean, 0)) > TIPS * jnp.arctan(step.height_m / length_m)
