@@ -111,14 +111,14 @@ def look_ahead(
     xy, known = surround.points(around)
     lean, lean_m = mapping.lean_of(writer.way, state.step)
     ground = _recent_ground(writer.way, state)
-    rise, stops, step_m, slope = _ground_ahead(*ground, robot, state)
+    rise, stops, beyond = _ground_ahead(*ground, robot, state)
     # What is seen from ground of another inclination, or where the ground rises, may be ground.
     tips = jnp.hypot(*(lean - writer.level.even)) > jnp.radians(tuning.inclination_deg)
     leans = tips | (rise > RISES_M)
     track, overflow = _watch(state, writer, xy, known, walls.beside.min(), leans, placed, tuning)
-    (left_m, right_m), looks = walls.region_sides, is_free & ~is_blind
+    left_m, right_m = walls.region_sides
     space, enters, leaves = behaviour.watch_free_space(
-        state.space, left_m, right_m, state.odometer_m, tuning.open_m, looks, walls.roomy
+        state.space, left_m, right_m, state.odometer_m, tuning.open_m, is_free & ~is_blind, walls.roomy
     )
     border_m = jnp.where(enters, space.since_m + walls.region[0], writer.border_m)
     border_m = jnp.where(leaves, space.since_m + walls.region[1], border_m)
@@ -143,7 +143,7 @@ def look_ahead(
         crease_m=crease_m,
         steepest=steepest,
         blocked=blocked,
-        beyond=(step_m, slope),
+        beyond=beyond,
     )
 
 
@@ -216,8 +216,8 @@ def _ground_ahead(x, z, robot, state):
     has just found.
 
     Returns:
-      `(rise_m, stops, step_m, slope)`: float32; bool; height of the step that stops it, 0 for none; inclination of the
-        slope that does, radians, 0 for none, NaN where it was not seen.
+      `(rise_m, stops, beyond)`: float32; bool; pair, height of the step that stops it, 0 for none, and inclination of
+        the slope that does, radians, 0 for none, NaN where it was not seen.
     """
     nose = state.odometer_m + robot.length_m / 2
     ahead = (x > nose) & (x < nose + LOOK_M)
@@ -235,10 +235,10 @@ def _ground_ahead(x, z, robot, state):
         gentle = sudden & (near.slope <= jnp.tan(jnp.radians(robot.max_slope_deg)))
         stops = is_step | ((rise > slope_m) & ~gentle) | state.halts
         slope = jnp.where(beyond.count < 3, jnp.nan, jnp.abs(jnp.arctan(beyond.slope)))
-        return stops, jnp.where(is_step, step_m, 0.0), jnp.where(stops & ~is_step, slope, 0.0)
+        return stops, (jnp.where(is_step, step_m, 0.0), jnp.where(stops & ~is_step, slope, 0.0))
 
     high = (rise > jnp.minimum(slope_m, robot.max_step_m)) | state.halts
-    return rise, *run_if(high, judged, (jnp.bool_(False), jnp.float32(0), jnp.float32(0)))
+    return rise, *run_if(high, judged, (jnp.bool_(False), (jnp.float32(0), jnp.float32(0))))
 
 
 def _passes_start(state):

@@ -121,7 +121,9 @@ def begin(n_steps: int, n_nodes: int, n_links: int, pose: Array, behind: Array |
 
 
 def lean(pitch: Array, roll: Array, heading: Array) -> Array:
-    """Which way the ground rises under a robot, and by what angle: `[2, ...]`, radians, in the frame of its heading."""
+    """Which way the ground rises under a robot, and by what angle: `[2, ...]`, radians. Heading and result are in the
+    same frame, such as the odometry's.
+    """
     cos, sin = jnp.cos(heading), jnp.sin(heading)
     return jnp.stack([-pitch * cos - roll * sin, -pitch * sin + roll * cos])
 
@@ -202,8 +204,8 @@ def along(way: Way, from_m: Array | float, to_m: Array | float) -> tuple[Array, 
         near = jnp.abs(place[k : k + n] - way.odometer_m) <= MEANT_M
         total, count = total + jnp.where(near, value[k : k + n], 0), count + near
     width = jnp.min(jnp.where(known, total / jnp.maximum(count, 1), jnp.inf))
-    mean_roll = jnp.convolve(jnp.pad(way.roll, half), jnp.full(MEANT_STEPS, 1 / MEANT_STEPS), mode="valid")
-    posture, roll = (jnp.degrees(jnp.max(jnp.where(within, a, 0))) for a in (way.posture, jnp.abs(mean_roll)))
+    rolls = jnp.abs(steadying.running_mean(way.roll, MEANT_STEPS))
+    posture, roll = (jnp.degrees(jnp.max(jnp.where(within, a, 0))) for a in (way.posture, rolls))
     return width, posture, roll
 
 

@@ -31,6 +31,7 @@ from jexplore.driving.vehicle import (
     Body,
     Building,
     Draws,
+    Senses,
     at_rest,
     draw,
     levelled,
@@ -171,6 +172,11 @@ def at_start(setup: Setup, building: Building, robot: Robot, start: Array) -> St
     )
 
 
+def steadied(senses: Senses, robot: Robot) -> tuple[Senses, Array]:
+    """What the scanner that looks ahead says, its noise averaged, in the plane: see `vehicle.levelled`."""
+    return levelled(senses.replace(ranges_m=steadying.scan(senses.ranges_m)), robot)
+
+
 def step(draws: Draws, building: Building, robot: Robot, tuning: Tuning, noise: Noise, state: State) -> State:
     """One step of a run: sense, perceive, write, decide, move.
 
@@ -184,7 +190,7 @@ def step(draws: Draws, building: Building, robot: Robot, tuning: Tuning, noise: 
     """
     senses, looked_from = sense(draws, building, robot, noise, state.body), state.odometry[2]
     blind = jnp.where(jnp.sum(jnp.isnan(senses.ranges_m)) > BEAMS / 2, state.blind + 1, 0)
-    senses, is_ground = levelled(senses.replace(ranges_m=steadying.scan(senses.ranges_m)), robot)
+    senses, is_ground = steadied(senses, robot)
     walls = walls_of_scan(senses.ranges_m, tuning, robot)
     lean = mapping.lean(senses.pitch, senses.roll, state.odometry[2])
     key, odometry, estimate = matching.put_right(state.key, state.odometry, state.estimate, senses.ranges_m, lean)

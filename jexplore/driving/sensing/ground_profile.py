@@ -8,8 +8,8 @@ import numpy as np
 from flax import struct
 from jax import Array
 
+from jexplore.driving.sensing import steadying
 from jexplore.driving.sensing.perception import running_sum
-from jexplore.driving.sensing.steadying import JUMP_OF_ONE
 
 CELLS, CELL_M = 1024, 0.02  # of a profile: what lies beyond is left out
 STEP_M = 0.04  # a rise of the profile by more than this from point to point is a step
@@ -17,9 +17,9 @@ FLANK_M = 0.10  # a step is the difference of the mean heights so far before and
 RISE_M = FLANK_M + CELL_M  # between the middles of both flanks
 LEAST_M = 0.015  # no lower step is told of
 SURE = 4.5  # standard deviations of a point; a lower one may be noise
-TREADS_M = 0.20, 0.44, 13  # shortest and longest period of steps, and how many are tried
+TREADS_M = np.linspace(0.20, 0.44, 13)  # periods of steps that are tried
 
-_ANGLE = 2 * math.pi * CELL_M * np.arange(CELLS) / np.linspace(TREADS_M[0], TREADS_M[1], TREADS_M[2])[:, None]
+_ANGLE = 2 * math.pi * CELL_M * np.arange(CELLS) / TREADS_M[:, None]
 _WAVES = np.concatenate([np.cos(_ANGLE), np.sin(_ANGLE)]).astype(np.float32)
 
 
@@ -91,14 +91,14 @@ def profile(x_m: Array, z_m: Array, valid: Array) -> Profile:
     residual = jnp.where(valid, z - slope * x, 0)
     enough = n >= 3
     rises = _rises(x, z, valid)
-    highest = jnp.max(rises) - jnp.abs(slope) * RISE_M
+    highest, noise = jnp.max(rises) - jnp.abs(slope) * RISE_M, steadying.deviation(steadying.jumps_of(z, valid))
     variance = jnp.where(enough, jnp.sum(residual**2) / jnp.maximum(n - 2, 1), 0)
     return Profile(
         variance_m2=variance,
         tread_wave_m2=jnp.where(enough, _tread_wave(x, residual, valid), 0),
         slope=jnp.where(enough, slope, 0),
         step_m=jnp.where(enough, _step_height(rises), 0),
-        highest_m=jnp.where(enough & (highest > LEAST_M) & (highest > SURE * _noise(z, valid)), highest, 0),
+        highest_m=jnp.where(enough & (highest > LEAST_M) & (highest > SURE * noise), highest, 0),
         count=n.astype(jnp.int32),
     )
 
@@ -123,13 +123,6 @@ def sudden(x_m: Array, z_m: Array, valid: Array) -> Array:
     both = valid[1:] & valid[:-1]
     x, z = jnp.where(valid, x_m, 0), jnp.where(valid, z_m, 0)
     return jnp.max(jnp.where(both, jnp.diff(z) - jnp.abs(jnp.diff(x)), 0))
-
-
-def _noise(z_m, valid):
-    """Standard deviation of a point's height, told by how it jumps from point to point."""
-    there = valid[2:] & valid[1:-1] & valid[:-2]
-    jumps = jnp.abs(z_m[2:] - 2 * z_m[1:-1] + z_m[:-2])
-    return jnp.nan_to_num(jnp.nanmedian(jnp.where(there, jumps, jnp.nan))) / JUMP_OF_ONE
 
 
 def _rises(x, z, valid):

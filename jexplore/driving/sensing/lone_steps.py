@@ -1,14 +1,13 @@
 """Single steps and sills: the ground before and behind is level, so that only its profile tells of them."""
 
-from collections.abc import Callable
-from typing import Any, ClassVar, Self
+from typing import Any
 
 import jax.numpy as jnp
 from flax import struct
 from jax import Array
 
+from jexplore.driving.sensing import steadying
 from jexplore.driving.sensing.ground_profile import STEP_M, SURE
-from jexplore.driving.sensing.steadying import JUMP_OF_ONE
 
 FLANK = 3  # points on either side of a step, whose height is the difference of their means
 FACE_M = 0.04  # between them, where points may lie on its face
@@ -25,7 +24,6 @@ class LoneStep:
     from_m: Array  # float32, odometer at the first of them, inf: none
     to_m: Array  # float32, at the last
     height_m: Array  # float32, of the highest
-    replace: ClassVar[Callable[..., Self]]
 
 
 def none() -> LoneStep:
@@ -48,9 +46,8 @@ def watched(step: LoneStep, x_m: Array, z_m: Array) -> LoneStep:
     before = jnp.argsort(earlier)[-FLANK:]
     rise = jnp.abs(z_m[after].mean() - z_m[before].mean())
     place = (begins + x_m[before[-1]]) / 2
-    jumps = jnp.where(there[2:] & there[1:-1] & there[:-2], jnp.abs(z_m[2:] - 2 * z_m[1:-1] + z_m[:-2]), jnp.nan)
-    deviation = jnp.nanmedian(jumps) / JUMP_OF_ONE
-    is_one = earlier[before[0]] & (rise > jnp.maximum(STEP_M, SURE * deviation))
+    noise = steadying.deviation(steadying.jumps_of(z_m, there))
+    is_one = earlier[before[0]] & (rise > jnp.maximum(STEP_M, SURE * noise))
     joins = jnp.isfinite(step.from_m) & (place - step.to_m < TOGETHER_M)
     return LoneStep(
         from_m=jnp.where(is_one & ~joins, place, step.from_m),
@@ -73,5 +70,6 @@ def has_tipped(step: LoneStep, way: Any, length_m: Array | float) -> Array:
       length_m: of the robot.
     """
     near = (way.odometer_m > step.from_m - length_m) & (way.odometer_m < step.to_m + length_m)
-    mean = jnp.convolve(jnp.pad(way.posture, MEANT // 2), jnp.full(MEANT, 1 / MEANT), mode="valid")
-    return jnp.max(jnp.where(near, mean, 0)) > TIPS * jnp.arctan(step.height_m / length_m)
+    return jnp.max(jnp.where(near, steadying.running_mean(way.posture, MEANT), 0)) > TIPS * jnp.arctan(
+        step.height_m / length_m
+    )

@@ -10,12 +10,38 @@ from jax import Array
 
 from jexplore.arrays.loops import run_if
 
-JUMP_OF_ONE = 0.6745 * math.sqrt(6)  # median of second differences of noise whose standard deviation is 1
+_JUMP_OF_ONE = 0.6745 * math.sqrt(6)  # median of second differences of noise whose standard deviation is 1
 STEADY_DEG = 0.33  # standard deviation of a mean attitude
 MOST_STEPS = 16  # readings of which it is the mean
 STEADY_M = 0.015  # standard deviation of a mean range
 MOST_PAIRS = 6  # beams on either side of which it is the mean
 AGREE = 3.7  # standard deviations within which two beams and the one between them agree
+
+
+def deviation(jumps: Array) -> Array:
+    """Standard deviation of the noise of readings that jump so: float32; 0 where none is known. See `jumps_of`."""
+    return jnp.nan_to_num(jnp.nanmedian(jumps)) / _JUMP_OF_ONE
+
+
+def jumps_of(values: Array, there: Array) -> Array:
+    """How far every reading lies from the line through its neighbours, twofold: `[S - 2]`, NaN where one is missing.
+
+    Args:
+      values: `[S]` float32.
+      there: `[S]` bool, whether there is a reading.
+    """
+    both = there[2:] & there[1:-1] & there[:-2]
+    return jnp.where(both, jnp.abs(values[2:] - 2 * values[1:-1] + values[:-2]), jnp.nan)
+
+
+def _deviates_more(jumps, limit):
+    """Whether `deviation` is above a limit, without a median: sorting is dear, and hardly ever needed."""
+    return 2 * jnp.sum(jumps > _JUMP_OF_ONE * limit) > jnp.sum(~jnp.isnan(jumps))
+
+
+def running_mean(values: Array, n: int) -> Array:
+    """The mean of every value and its neighbours, n in all (odd, static), with zeros beyond the ends: `[S]`."""
+    return jnp.convolve(jnp.pad(values, n // 2), jnp.full(n, 1 / n), mode="valid")
 
 
 def shares(angle: Array, age: Array) -> Array:
@@ -28,21 +54,15 @@ def shares(angle: Array, age: Array) -> Array:
     Returns:
       `[S]` float32, whose sum is 1.
     """
-    jumps = jnp.where(age[2:] >= 0, jnp.abs(angle[2:] - 2 * angle[1:-1] + angle[:-2]), 0)
-    is_noisy = _more_than_half(jumps > JUMP_OF_ONE * math.radians(STEADY_DEG) * math.sqrt(1.5), len(jumps))
+    steady, jumps = math.radians(STEADY_DEG), jumps_of(angle, age >= 0)
 
     def several(_):
-        deviation = jnp.median(jumps) / JUMP_OF_ONE
-        n = jnp.clip(jnp.round((deviation / math.radians(STEADY_DEG)) ** 2), 1, MOST_STEPS)
+        n = jnp.clip(jnp.round((deviation(jumps) / steady) ** 2), 1, MOST_STEPS)
         counts = (age >= 0) & (age < n)
         return counts / jnp.sum(counts)
 
-    return run_if(is_noisy, several, (age == 0).astype(jnp.float32))
-
-
-def _more_than_half(which, n):
-    """Whether the median lies beyond a limit: sorting is dear, and hardly ever needed."""
-    return 2 * jnp.sum(which) > n
+    # From one and a half readings on it takes two.
+    return run_if(_deviates_more(jumps, steady * math.sqrt(1.5)), several, (age == 0).astype(jnp.float32))
 
 
 def scan(ranges_m: Array) -> Array:
@@ -58,14 +78,12 @@ def scan(ranges_m: Array) -> Array:
     """
     near = jnp.where(jnp.isnan(ranges_m), jnp.nan, 1 / ranges_m)  # 0: no return
     returns = jnp.isfinite(ranges_m)
-    jumps = jnp.abs(near[2:] - 2 * near[1:-1] + near[:-2]) * ranges_m[1:-1] ** 2
-    jumps = jnp.where(returns[1:-1], jumps, jnp.nan)
-    is_noisy = _more_than_half(jumps > JUMP_OF_ONE * STEADY_M * math.sqrt(2), jnp.sum(~jnp.isnan(jumps)))
+    jumps = jumps_of(near, returns) * ranges_m[1:-1] ** 2
 
     def mean(_):
-        deviation = jnp.nanmedian(jumps) / JUMP_OF_ONE
-        pairs = jnp.clip(jnp.round(((deviation / STEADY_M) ** 2 - 1) / 2), 0, MOST_PAIRS)
-        limit = AGREE * deviation / jnp.where(returns, ranges_m, 1) ** 2
+        sd = deviation(jumps)
+        pairs = jnp.clip(jnp.round(((sd / STEADY_M) ** 2 - 1) / 2), 0, MOST_PAIRS)
+        limit = AGREE * sd / jnp.where(returns, ranges_m, 1) ** 2
         wide = jnp.pad(near, MOST_PAIRS, constant_values=jnp.nan)
         n, total, count, goes_on = len(ranges_m), near, jnp.ones_like(near), returns
         for k in range(1, MOST_PAIRS + 1):
@@ -77,4 +95,4 @@ def scan(ranges_m: Array) -> Array:
             total, count = total + jnp.where(counts, 2 * middle, 0), count + 2 * counts
         return jnp.where(returns, count / total, ranges_m)
 
-    return run_if(is_noisy, mean, ranges_m)
+    return run_if(_deviates_more(jumps, STEADY_M * math.sqrt(2)), mean, ranges_m)

@@ -12,7 +12,7 @@ from jexplore import btm
 from jexplore.driving import behaviour, events, mission, vehicle
 from jexplore.driving.batch import MAX_STEPS, Driven
 from jexplore.driving.behaviour import RunMode
-from jexplore.driving.sensing import steadying, surround
+from jexplore.driving.sensing import surround
 from jexplore.driving.walls import segments
 from jexplore.report.operator_view import Recording
 from jexplore.studies.traces import tracing
@@ -72,8 +72,7 @@ def _frame(key, building, robot, tuning, noise, state):
     draws = vehicle.draw(key)
     senses = vehicle.sense(draws, building, robot, noise, state.body)
     after = mission.step(draws, building, robot, tuning, noise, state)
-    level, _ = vehicle.levelled(senses.replace(ranges_m=steadying.scan(senses.ranges_m)), robot)
-    walls = events.walls_of_scan(level.ranges_m, tuning, robot)
+    walls = events.walls_of_scan(mission.steadied(senses, robot)[0].ranges_m, tuning, robot)
     found = events.triangles(*surround.points(after.around), walls.beside.min(), tuning)
     best = jnp.argsort(jnp.where(found.valid, jnp.hypot(*found.centre.T), jnp.inf))[:TRIANGLES]
     there = found.valid[best]

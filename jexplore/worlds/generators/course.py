@@ -49,7 +49,8 @@ def course(
       cell_m: edge of a cell, metres, at most 0.2.
       width_m: width of the passages, metres; for seeds from 1 they have 0.7 to 1.2 times this, and at least 1.2 m.
       obstacle: `slope`; in the same layout `stairs` of the same length, with treads of 0.3 m; a `platform` of one step
-        up and one down; a `sill` 0.2 m long; a `cross-slope`, which rises to one side; `none`, level ground.
+        up and one down; a `sill` 0.2 m long, two cells at least; a `cross-slope`, which rises to one side; `none`,
+        level ground.
       riser_m: height of a step, metres.
       furniture: whether small boxes stand along some walls; they leave at least 1.2 m. The corner of a box and the two
         walls make a right-angled triangle, which a robot may take for a divergence: the topology has none there.
