@@ -37,20 +37,20 @@ class Subsets:
         """Memory that is held."""
         return 4 * len(self.floor.cells) * len(self._costs)
 
-    def add(self, cell: int, region: np.ndarray) -> Iterator[None]:
+    def add(self, cell: int, places: np.ndarray) -> Iterator[None]:
         """Adds a witness; the caller may look at the clock after each flood, and stop: then nothing has changed.
 
         Args:
           cell: the witness.
-          region: numbers of the cells that see it.
+          places: those that see it.
         """
-        places = self.floor.numbers(region)
         assert len(places), "a witness that nobody can see"
         n = len(self.witnesses)
         edges = [*self._edges, edge_of(self.floor, places)]
         away = [*self._away, self.floor.away_from(edges[-1])]
         apart = np.array([[far[edge].min() for edge in edges] for far in away])
-        onward, everything = _onward(apart), (1 << n + 1) - 1
+        ahead = _Ahead(apart, np.stack([np.concatenate([far[edge] for edge in edges]) for far in away]))
+        at, first = np.concatenate(edges), np.cumsum([0, *map(len, edges)])
         new: dict[int, np.ndarray] = {}
         # Only sets of which some witness could have been the last: their number grows by one from layer to layer.
         layers: list[set[int]] = [set() for _ in range(n + 2)]
@@ -58,16 +58,18 @@ class Subsets:
             layers[old.bit_count() + 1].add(old | 1 << n)
         for layer in layers:
             for mask in sorted(layer):
-                seeds = np.full(len(self.floor.cells), FAR, np.int32)
+                costs, spans = [], []
                 for i in range(n + 1):
                     before = mask & ~(1 << i)
-                    costs = (new if before >> n else self._costs).get(before)
-                    if mask >> i & 1 and costs is not None:
-                        at = edges[i]
-                        least = costs[at] + _ahead(everything & ~mask, away, onward, at)
-                        at = at[least <= self.most]
-                        seeds[at] = np.minimum(seeds[at], costs[at])
-                if np.any(seeds < FAR):
+                    known = (new if before >> n else self._costs).get(before)
+                    if mask >> i & 1 and known is not None:
+                        costs.append(known[edges[i]])
+                        spans.append(np.arange(first[i], first[i + 1]))
+                cost, span = np.concatenate(costs), np.concatenate(spans)
+                take = np.flatnonzero(cost + ahead.of(((1 << n + 1) - 1) & ~mask, span) <= self.most)
+                if len(take):
+                    seeds = np.full(len(self.floor.cells), FAR, np.int32)
+                    np.minimum.at(seeds, at[span[take]], cost[take])
                     new[mask] = self.floor.flood(seeds)
                     for i in range(n):
                         if not mask >> i & 1:
@@ -106,15 +108,22 @@ class Subsets:
         return [(i, set(self._edges[i].tolist()), costs) for i, costs in rest if costs is not None]
 
 
-def _ahead(rest, away, onward, at):
-    """What a walk from some places costs at least that has still to see some witnesses: the shortest way from edge to
-    edge in the best order, and the farthest edge.
+class _Ahead:
+    """What a walk costs at least that has still to see some witnesses: the shortest way from edge to edge in the best
+    order, and the farthest edge.
     """
-    members = [i for i in range(len(away)) if rest >> i & 1]
-    if not members:
-        return 0
-    far = np.array([away[i][at] for i in members])
-    return np.maximum((far + onward[rest, members][:, None]).min(axis=0), far.max(axis=0))
+
+    def __init__(self, apart, away):
+        """`apart`: `[n, n]`, between edges. `away`: `[n, E]`, from the places of all edges, one after the other."""
+        self._away, self._onward, self._bits = away.astype(np.int64), _onward(apart), 1 << np.arange(len(away))
+
+    def of(self, rest, span):
+        """The costs from some of the places: `[k]` int64."""
+        members = np.flatnonzero(rest & self._bits)
+        if not len(members):
+            return 0
+        away = self._away[np.ix_(members, span)]
+        return np.maximum((away + self._onward[rest, members][:, None]).min(axis=0), away.max(axis=0))
 
 
 def _onward(apart):

@@ -1,7 +1,6 @@
-"""Short walks that see everything: witnesses in an order, the shortest walk through their regions, a better order.
+"""The shortest walk that sees witnesses in a given order, exactly: by a flood from region to region.
 
-For a given order the shortest walk is found exactly, by a flood from region to region. Forward and backward costs
-together say, without a flood, what one more witness costs at every place in the order.
+Forward and backward costs together say, without a flood, what one more witness costs at every place in the order.
 """
 
 from collections.abc import Callable
@@ -18,17 +17,11 @@ class Tour:
     order: list[int]
     """Cells."""
 
-    def __init__(self, floor: Floor, from_start: np.ndarray, regions: Callable[[int], np.ndarray]) -> None:
-        self.floor, self.order, self._regions = floor, [], regions
-        self._places: dict[int, np.ndarray] = {}
+    def __init__(self, floor: Floor, from_start: np.ndarray, region: Callable[[int], np.ndarray]) -> None:
+        """`from_start`: `[n]` int32, costs to every place. `region`: places that see a cell."""
+        self.floor, self.order, self.region = floor, [], region
         self._ahead = [from_start]  # i -> cost from the start by the first i regions
         self._behind = [np.zeros_like(from_start)]  # i -> cost by the last i regions to the end, wherever that is
-
-    def region(self, cell: int) -> np.ndarray:
-        """Places that see a cell."""
-        if cell not in self._places:
-            self._places[cell] = self.floor.numbers(self._regions(cell))
-        return self._places[cell]
 
     def _through(self, costs, cell):
         """Costs to every cell by the region of one, from costs to its cells."""
@@ -56,15 +49,6 @@ class Tour:
         n, places = len(self.order), self.region(cell)
         self._make(n, n)
         return np.array([(self._ahead[i][places] + self._behind[n - i][places]).min() for i in range(n + 1)])
-
-    def insert(self, at: int, cell: int) -> None:
-        """Puts a witness at a place of the order."""
-        del self._ahead[at + 1 :], self._behind[len(self.order) - at + 1 :]
-        self.order.insert(at, cell)
-
-    def add(self, cell: int) -> None:
-        """Puts a witness where it costs least."""
-        self.insert(int(np.argmin(self.insertions(cell))), cell)
 
     def to(self, order: list[int]) -> None:
         """Takes another order; what both begin and end with is not made again."""

@@ -1,0 +1,121 @@
+"""Short walks that see everything: what a walk does not see becomes a witness, until it sees all."""
+
+from collections.abc import Callable
+
+import numpy as np
+from scipy import ndimage
+
+from jexplore.reach import FAR
+from jexplore.studies.bounds.floor import Floor
+from jexplore.studies.bounds.sights import Coverage
+from jexplore.studies.bounds.stops import Order, Stops, improved, new_order
+from jexplore.studies.bounds.tour import Tour
+
+NEW = 8  # witnesses that one walk gives, at most
+SAMPLES = 4  # unseen cells of a patch of which one becomes a witness
+TRIES = 80  # of an order that is new; half of it for one that was tried before
+KEPT = 3  # orders
+STALE = 15  # orders in a row without a shorter walk, after which none is looked for
+
+
+class Walks:
+    """Walks on one floor, ever shorter."""
+
+    walk: np.ndarray
+    """The shortest that sees everything, numbers of cells from the start on; empty while none was found."""
+    cost: int
+    """Its cost; FAR while none was found."""
+    stops: Stops
+    """All witnesses."""
+
+    def __init__(
+        self,
+        floor: Floor,
+        from_start: np.ndarray,
+        region: Callable[[int], np.ndarray],
+        coverage: Coverage,
+        rng: np.random.Generator,
+    ) -> None:
+        """`region`: places that see a cell."""
+        self.floor, self.region, self.coverage, self._rng = floor, region, coverage, rng
+        self.stops = Stops(floor, from_start, region)
+        self.walk, self.cost = np.zeros(0, np.int64), FAR
+        self._tour = Tour(floor, from_start, region)
+        self._kept: list[Order] = [Order(self.stops)]
+
+    @property
+    def witnesses(self) -> list[int]:
+        """In the order in which they were found."""
+        return list(self.stops.own)
+
+    def find(self, over: Callable[[], bool]) -> bool:
+        """Looks for a walk: whether there is one before it is over."""
+        walk = self.floor.scene.start * np.ones(1, np.int64)
+        while not over():
+            unseen = self.coverage.unseen(walk)
+            if not len(unseen):
+                self.walk, self.cost = walk, self._tour.cost
+                return True
+            self._see(walk, unseen)
+            self._kept = [improved(self._kept[0], self._rng, TRIES, over=over)]
+            walk = self._exact(self._kept[0])
+        return False
+
+    def shorten(self, over: Callable[[], bool]) -> None:
+        """Looks for shorter ones until it is over, or nothing has come of it for long."""
+        stale = 0
+        while not over() and stale < STALE and self.cost > 0:
+            cells = self.witnesses
+            fresh = new_order(self.stops, [cells[i] for i in self._rng.permutation(len(cells))])
+            tried = [improved(order, self._rng, TRIES // 2, over=over) for order in self._kept]
+            tried.append(improved(fresh, self._rng, TRIES, over=over))
+            tried.sort(key=lambda order: order.cost)
+            self._kept = [one for i, one in enumerate(tried) if one.cost not in [o.cost for o in tried[:i]]][:KEPT]
+            walk, cost = self._exact(self._kept[0]), self._tour.cost
+            if cost >= self.cost:
+                stale += 1
+                continue
+            unseen = self.coverage.unseen(walk)
+            if len(unseen):
+                self._see(walk, unseen)
+            else:
+                self.walk, self.cost, stale = walk, cost, 0
+
+    def _exact(self, order):
+        """The shortest walk in an order; where it begins to see each witness becomes a stop."""
+        self._tour.to(order.witnesses)
+        walk = self._tour.walk()
+        places, at = self.floor.numbers(walk), 0
+        for cell in order.witnesses:
+            at += int(np.argmax(self.stops.inside[cell][places[at:]]))
+            self.stops.touch(cell, int(places[at]))
+        order.settle()
+        return walk
+
+    def _see(self, walk, unseen):
+        """Makes witnesses of what a walk does not see, and puts them into the orders."""
+        for cell in self._new_witnesses(walk, unseen):
+            self.stops.add(cell)
+            for order in self._kept:
+                order.insert(cell)
+
+    def _new_witnesses(self, walk, unseen):
+        """One cell of each patch of unseen ones, the farthest patches first: the one that is farthest from being seen,
+        and of equals the one that fewest places see.
+        """
+        scene = self.floor.scene
+        away = self.floor.away_from(self.floor.numbers(walk))
+        far = np.full(len(scene.occupied), -1, np.int64)
+        far[self.floor.cells] = away
+        mask = np.zeros(len(far), bool)
+        mask[unseen] = True
+        labels, _ = ndimage.label(mask.reshape(-1, scene.width), np.ones((3, 3)))  # type: ignore[misc]
+        unseen = unseen[np.argsort(-far[unseen], kind="stable")]
+        patches, found = labels.reshape(-1)[unseen], []
+        _, first = np.unique(patches, return_index=True)
+        for patch in patches[np.sort(first)][:NEW]:
+            own = unseen[patches == patch]
+            some = own[np.unique(np.linspace(0, len(own) - 1, SAMPLES).astype(int))].tolist()
+            sizes = {cell: (int(away[self.region(cell)].min()), -len(self.region(cell))) for cell in some}
+            found.append(max(some, key=lambda cell: sizes[cell]))
+        return found
