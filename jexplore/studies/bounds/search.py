@@ -20,9 +20,10 @@ from jexplore.studies.bounds.walks import Walks
 MOST_WITNESSES = 24  # whose subsets are all looked at
 MOST_BYTES = 1_500_000_000  # that they may take
 MOST_REGIONS = 60  # of a bound by pieces
-CLOSE = 1.08  # a bound so close to the walk is not tried by pieces
+CLOSE = 1.01  # a walk that is not so close to the bound is looked for once more
+FAR_OFF = 1.08  # a bound that is so far off is tried by pieces
 MANY = 24  # unseen cells of which the one that costs most becomes a witness
-WALKS, CLEAR, PIECES = 0.45, 0.75, 0.8  # of the budget: when walks, the lower bound, that by pieces must be done
+WALKS, CLEAR, AGAIN, PIECES = 0.4, 0.7, 0.8, 0.85  # of the budget: when walks, the bound, walks, that by pieces end
 
 
 class Budget:
@@ -148,14 +149,16 @@ def search(scene: Scene, budget: Budget, seed: int = 0) -> Found:
         low, low_any = clear.farthest(walks.witnesses), wide.farthest(walks.witnesses)
         return Found(walks.walk, FAR, max(low, low_any), low_any, False, walks.witnesses, "farthest")
     walks.shorten(lambda: budget.over(WALKS))
-    walk, high = walks.walk, walks.cost
     known = telling(walks.stops, walks.witnesses, MOST_WITNESSES, rng, lambda: budget.over(CLEAR))
-    subsets, exact = clear.shortest(CLEAR, high, known)
+    subsets, exact = clear.shortest(CLEAR, walks.cost, known)
+    if exact is None and subsets.low * CLOSE < walks.cost:
+        walks.shorten(lambda: budget.over(AGAIN), subsets.order)
+    walk, high = walks.walk, walks.cost
     low, method, witnesses = min(subsets.low, high), "subsets", list(subsets.witnesses)
     if exact is not None:
         walk, high = exact, walk_cost(exact, scene.width)
         assert low == high
-    if low * CLOSE < high:
+    if low * FAR_OFF < high:
         better = clear.by_pieces(known, PIECES, high)
         if better > low:
             low, method, witnesses = better, "pieces", known[:MOST_REGIONS]
@@ -170,7 +173,7 @@ def _any(scene, budget, coverage, regions, high, known):
     wide = Search(scene, scene.any, budget, coverage, regions)
     subsets, exact = wide.shortest(1.0, high, known)
     low = min(max(subsets.low, wide.farthest(known)), high)
-    if exact is None and low * CLOSE < high and not budget.over(0.95):
+    if exact is None and low * FAR_OFF < high and not budget.over(0.95):
         low = max(low, wide.by_pieces(known, 1.0, high))
     return low
 

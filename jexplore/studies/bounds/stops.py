@@ -117,7 +117,7 @@ class Order:
         there = np.flatnonzero(made.inside[cell][made.places[numbers]]) if len(numbers) else numbers
         if len(there):  # a stop that there is sees it
             return 0, int(there[0]) + 1, int(numbers[there[0]])
-        way = made.apart[np.ix_(numbers, own)]
+        way = made.apart[numbers[:, None], own]
         before = np.vstack([made.from_start[own][None], way])
         after = np.vstack([way, np.zeros((1, len(own)), np.int64)])
         extra = before + after - np.append(self._legs(), 0)[:, None]
@@ -138,16 +138,16 @@ class Order:
     def _best_stops(self):
         if not self.pairs:
             return
-        made, choices = self._stops, []
+        made, apart, choices = self._stops, self._stops.apart, []
         for cell in self.witnesses:  # a stop of the one before may see it as well: then the robot stays
             own = made.own[cell]
             if choices:
                 before = choices[-1]
-                own = np.union1d(own, before[made.inside[cell][made.places[before]]])
+                own = np.concatenate([own, before[made.inside[cell][made.places[before]]]])
             choices.append(own)
         cost, ways = made.from_start[choices[0]], []
         for before, now in itertools.pairwise(choices):
-            through = cost[:, None] + made.apart[np.ix_(before, now)]
+            through = cost[:, None] + apart[before[:, None], now]
             ways.append(np.argmin(through, axis=0))
             cost = through[ways[-1], np.arange(len(now))]
         which = [int(np.argmin(cost))]
@@ -161,7 +161,7 @@ class Order:
         turned, n = False, len(self.pairs)
         while n > 2:
             numbers, legs = self._numbers(), self._legs()
-            apart = self._stops.apart[np.ix_(numbers, numbers)]
+            apart = self._stops.apart[numbers[:, None], numbers]
             before = np.concatenate([self._stops.from_start[numbers][None], apart[:-1]])  # the last is to come first
             after = np.concatenate([apart[:, 1:], np.zeros((n, 1), np.int64)], axis=1)  # the first is to come last
             gain = np.triu(before + after - legs[:, None] - np.append(legs[1:], 0)[None], 1)
@@ -201,6 +201,8 @@ def improved(
             break
         other = _renewed(now, rng, most)
         new = other.cost
+        if other.witnesses == now.witnesses:
+            continue
         if new < cost * (1 + WORSE / 2):
             other.settle()
             new = other.cost

@@ -1,6 +1,6 @@
 """Short walks that see everything: what a walk does not see becomes a witness, until it sees all."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from scipy import ndimage
@@ -14,6 +14,7 @@ from jexplore.studies.bounds.tour import Tour
 NEW = 8  # witnesses that one walk gives, at most
 SAMPLES = 4  # unseen cells of a patch of which one becomes a witness
 TRIES = 80  # of an order that is new; half of it for one that was tried before
+FEW = 30  # of an order that sees not yet everything
 KEPT = 3  # orders
 STALE = 15  # orders in a row without a shorter walk, after which none is looked for
 
@@ -57,12 +58,27 @@ class Walks:
                 self.walk, self.cost = walk, self._tour.cost
                 return True
             self._see(walk, unseen)
-            self._kept = [improved(self._kept[0], self._rng, TRIES, over=over)]
+            self._kept = [improved(self._kept[0], self._rng, FEW, over=over)]
             walk = self._exact(self._kept[0])
         return False
 
-    def shorten(self, over: Callable[[], bool]) -> None:
-        """Looks for shorter ones until it is over, or nothing has come of it for long."""
+    def shorten(self, over: Callable[[], bool], first: Sequence[int] = ()) -> None:
+        """Looks for shorter ones until it is over, or nothing has come of it for long.
+
+        Args:
+          over: whether it is.
+          first: cells in an order to try, into which the other witnesses are put.
+        """
+        if first:
+            for cell in first:
+                self.stops.add(cell)
+            order = Order(self.stops, ((cell, int(self.stops.own[cell][0])) for cell in first))
+            order.settle()
+            for cell in self.witnesses:
+                if cell not in first:
+                    order.insert(cell)
+            order.settle()
+            self._kept = [order, *self._kept]
         stale = 0
         while not over() and stale < STALE and self.cost > 0:
             cells = self.witnesses
