@@ -23,7 +23,7 @@ MOST_REGIONS = 60  # of a bound by pieces
 CLOSE = 1.01  # a walk that is not so close to the bound is looked for once more
 FAR_OFF = 1.08  # a bound that is so far off is tried by pieces
 MANY = 24  # unseen cells of which the one that costs most becomes a witness
-WALKS, CLEAR, AGAIN, PIECES = 0.4, 0.7, 0.8, 0.85  # of the budget: when walks, the bound, walks, that by pieces end
+WALKS, CLEAR, AGAIN, PIECES = 0.35, 0.7, 0.9, 0.95  # of the budget: when walks, the bound, walks, that by pieces end
 
 
 class Budget:

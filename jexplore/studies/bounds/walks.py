@@ -16,7 +16,7 @@ SAMPLES = 4  # unseen cells of a patch of which one becomes a witness
 TRIES = 80  # of an order that is new; half of it for one that was tried before
 FEW = 30  # of an order that sees not yet everything
 KEPT = 3  # orders
-STALE = 15  # orders in a row without a shorter walk, after which none is looked for
+STALE = 10  # orders in a row without a shorter walk, after which none is looked for
 
 
 class Walks:
