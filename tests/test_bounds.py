@@ -17,6 +17,7 @@ from jexplore.studies.bounds import bound as study
 from jexplore.studies.bounds import pieces, scene, search, subsets
 from jexplore.studies.bounds import start as single
 from jexplore.studies.bounds.floor import Floor, edge_of, walk_cost
+from jexplore.studies.bounds.sights import Coverage
 from jexplore.studies.checks import ready_starts
 from jexplore.worlds.world import World
 
@@ -45,6 +46,15 @@ def flat_of(made, row, col):
     return (row + made.pad) * made.width + col + made.pad
 
 
+def seen_from(made, cells):
+    """What robots on some cells see: a mask of the padded map."""
+    assert made.sights is not None
+    found = np.zeros(len(made.occupied), bool)
+    for cell in cells:
+        found[made.sights.seen(int(cell))] = True
+    return found
+
+
 def as_map(made, flat):
     """A mask of the padded map, cut to the world."""
     return flat.reshape(-1, made.width)[made.pad : -made.pad, made.pad : -made.pad]
@@ -65,7 +75,7 @@ def test_what_is_to_be_seen_and_from_where_is_the_episodes(seed):
     free = np.argwhere(labels == labels[start[:2]])
     seen = {tuple(cell): look(*cell) for cell in free.tolist()}
     for cell, known in seen.items():
-        mine = as_map(made, made.seen_from(flat_of(made, *cell)))
+        mine = as_map(made, seen_from(made, [flat_of(made, *cell)]))
         np.testing.assert_array_equal(mine & ~world.occupied, known & ~world.occupied)
     for cell in free[:: max(1, len(free) // 6)].tolist():
         rows, cols = made.cells(made.region(int(flat_of(made, *cell))))
@@ -95,8 +105,8 @@ def test_the_exact_search_is_brute_force(seed, side, share, rules):
     assert found.low_any <= wide <= clear
     assert found.low_any == found.low or not np.array_equal(made.any, made.clear)
     budget = search.Budget(None, 4000)
-    sight = search.Sight(made)
-    exact, walk = search.Search(made, made.any, budget, sight, {}).shortest(1.0, FAR)
+    coverage = Coverage(made.sights, made.must_see)
+    exact, walk = search.Search(made, made.any, budget, coverage, {}).shortest(1.0, FAR)
     assert walk is not None
     assert exact.low == wide
 
@@ -138,17 +148,17 @@ def test_low_never_falls_as_witnesses_are_added_and_pieces_are_no_better_than_th
     start = tuple(int(v) for v in ready_starts(world, "random", 1, seed=0, rules=Rules())[0])
     made = scene.prepare_scene(world, start, NEAR, Rules(), 2)
     budget = search.Budget(None, 10**6)
-    own = search.Search(made, made.clear, budget, search.Sight(made), {})
+    own = search.Search(made, made.clear, budget, Coverage(made.sights, made.must_see), {})
     exact, rng = subsets.Subsets(own.floor, FAR), np.random.default_rng(0)
     cells = rng.choice(np.flatnonzero(made.must_see), 8, replace=False).tolist()
     lows = []
     for cell in cells:
-        if own.from_start[own.floor.numbers(own.region(cell))].min() == 0:
+        if own.from_start[own.region(cell)].min() == 0:
             continue
         for _ in exact.add(cell, own.region(cell)):
             pass
         lows.append(exact.low)
-        regions = [own.floor.numbers(own.region(other)) for other in exact.witnesses]
+        regions = [own.region(other) for other in exact.witnesses]
         for most in (8, 60):
             until = time.monotonic() + 1.0
             how = {"left_s": lambda: 0.5, "over": lambda until=until: time.monotonic() > until}
@@ -160,7 +170,7 @@ def test_low_never_falls_as_witnesses_are_added_and_pieces_are_no_better_than_th
     assert walk_cost(walk, made.width) == exact.low
     assert sorted(exact.order) == sorted(exact.witnesses)
     for cell in exact.witnesses:
-        assert made.seen_from(walk)[cell]
+        assert seen_from(made, walk)[cell]
 
 
 def test_a_corridor_by_hand():

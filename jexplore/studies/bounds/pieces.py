@@ -180,7 +180,7 @@ def bound_by_pieces(
     from_start: np.ndarray,
     high: int,
     *,
-    most: int = 160,
+    most: int = 100,
     left_s: Callable[[], float],
     over: Callable[[], bool],
     branches: bool = True,

@@ -19,11 +19,13 @@ from jexplore.studies.bounds.walks import Walks
 
 MOST_WITNESSES = 24  # whose subsets are all looked at
 MOST_BYTES = 1_500_000_000  # that they may take
-MOST_REGIONS = 60  # of a bound by pieces
+MOST_REGIONS = 24  # of a bound by pieces
 CLOSE = 1.01  # a walk that is not so close to the bound is looked for once more
 FAR_OFF = 1.08  # a bound that is so far off is tried by pieces
 MANY = 24  # unseen cells of which the one that costs most becomes a witness
-WALKS, CLEAR, AGAIN, PIECES = 0.35, 0.7, 0.9, 0.95  # of the budget: when walks, the bound, walks, that by pieces end
+# Shares of the budget that are used up when each part ends at the latest: walks, the lower bound by subsets and that by
+# pieces, walks once more, the subsets of robots that stand anywhere.
+WALKS, CLEAR, PIECES, AGAIN, ANY = 0.35, 0.6, 0.75, 0.85, 0.94
 
 
 class Budget:
@@ -149,31 +151,34 @@ def search(scene: Scene, budget: Budget, seed: int = 0) -> Found:
         low, low_any = clear.farthest(walks.witnesses), wide.farthest(walks.witnesses)
         return Found(walks.walk, FAR, max(low, low_any), low_any, False, walks.witnesses, "farthest")
     walks.shorten(lambda: budget.over(WALKS))
-    known = telling(walks.stops, walks.witnesses, MOST_WITNESSES, rng, lambda: budget.over(CLEAR))
+    known = telling(walks.stops, walks.witnesses, MOST_WITNESSES, rng, lambda: budget.over(PIECES))
     subsets, exact = clear.shortest(CLEAR, walks.cost, known)
-    if exact is None and subsets.low * CLOSE < walks.cost:
+    low, method, witnesses = min(subsets.low, walks.cost), "subsets", list(subsets.witnesses)
+    farthest = clear.farthest(walks.witnesses)
+    if farthest > low:
+        low, method, witnesses = farthest, "farthest", walks.witnesses
+    if exact is None and low * FAR_OFF < walks.cost:
+        better = clear.by_pieces(known, PIECES, walks.cost)
+        if better > low:
+            low, method, witnesses = better, "pieces", known[:MOST_REGIONS]
+    if exact is None and low * CLOSE < walks.cost:
         walks.shorten(lambda: budget.over(AGAIN), subsets.order)
     walk, high = walks.walk, walks.cost
-    low, method, witnesses = min(subsets.low, high), "subsets", list(subsets.witnesses)
     if exact is not None:
         walk, high = exact, walk_cost(exact, scene.width)
         assert low == high
-    if low * FAR_OFF < high:
-        better = clear.by_pieces(known, PIECES, high)
-        if better > low:
-            low, method, witnesses = better, "pieces", known[:MOST_REGIONS]
     low_any = low
     if not np.array_equal(scene.any, scene.clear):
-        low_any = _any(scene, budget, coverage, regions, high, known)
+        wide = Search(scene, scene.any, budget, coverage, regions)
+        low_any = max(_any(wide, high, known), min(high, wide.farthest(walks.witnesses)))
     return Found(walk, high, max(low, low_any), low_any, max(low, low_any) >= high, witnesses, method)
 
 
-def _any(scene, budget, coverage, regions, high, known):
+def _any(wide, high, known):
     """The lower bound of robots that may stand on any free cell."""
-    wide = Search(scene, scene.any, budget, coverage, regions)
-    subsets, exact = wide.shortest(1.0, high, known)
-    low = min(max(subsets.low, wide.farthest(known)), high)
-    if exact is None and low * FAR_OFF < high and not budget.over(0.95):
+    subsets, exact = wide.shortest(ANY, high, known)
+    low = min(subsets.low, high)
+    if exact is None and low * FAR_OFF < high:
         low = max(low, wide.by_pieces(known, 1.0, high))
     return low
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from jexplore.studies.bounds.floor import Floor, edge_of
 
-STOPS = 20  # of a witness, at most, to begin with
+STOPS = 10  # of a witness, at most, to begin with
 WORSE = 0.005  # by how much, relative, an order may become longer for a while
 GONE = 10  # witnesses taken out at once, at most
 

@@ -11,10 +11,10 @@ from jexplore.studies.bounds.sights import Coverage
 from jexplore.studies.bounds.stops import Order, Stops, improved, new_order
 from jexplore.studies.bounds.tour import Tour
 
-NEW = 8  # witnesses that one walk gives, at most
+NEW = 16  # witnesses that one walk gives, at most
 SAMPLES = 4  # unseen cells of a patch of which one becomes a witness
 TRIES = 80  # of an order that is new; half of it for one that was tried before
-FEW = 30  # of an order that sees not yet everything
+FEW = 12  # of an order that sees not yet everything
 KEPT = 3  # orders
 STALE = 10  # orders in a row without a shorter walk, after which none is looked for
 
