@@ -87,8 +87,9 @@ def prepare_scene(world: World, start: tuple[int, int, int], lidar: Lidar, rules
     small = Sights.size(world.shape, pad, rays) <= MOST_BYTES
     sights = _sights(occupied.tobytes(), occupied.shape, pad, lidar, world.cell_m) if small else None
     must_see = goal.reshape(-1)
-    for look in range(looks if sights is not None else 0):
-        must_see[sights.seen(row * width + col, (start[2] // 45 + look * HEADINGS // looks) % HEADINGS)] = False
+    if sights is not None:
+        for look in range(looks):
+            must_see[sights.seen(row * width + col, (start[2] // 45 + look * HEADINGS // looks) % HEADINGS)] = False
     return Scene(
         *(width, pad, world.shape, row * width + col, occupied.reshape(-1), stand.reshape(-1)),
         any=flooded(~occupied, row, col).reshape(-1),

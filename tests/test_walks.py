@@ -1,0 +1,207 @@
+"""Walks of bounds: what is seen from where by hand, orders beside brute force, walks that see everything."""
+
+import itertools
+
+import numpy as np
+import pytest
+
+import jexplore as jx
+from jexplore.config import Lidar, Rules
+from jexplore.reach import FAR, STRAIGHT
+from jexplore.studies.bounds import scene, search, stops, walks
+from jexplore.studies.bounds import start as single
+from jexplore.studies.bounds.sights import Coverage, Sights, rays_of
+from jexplore.studies.checks import ready_starts
+from jexplore.worlds.world import World
+
+pytestmark = pytest.mark.jit
+NEAR, RULES = Lidar(n_beams=61, range_m=1.5), Rules()
+
+
+def searched(name="rooms:width_m=5,height_m=5", seed=0):
+    world = jx.load_world(name, cell_m=0.1)
+    start = tuple(int(v) for v in ready_starts(world, "random", 1, seed=seed, rules=RULES)[0])
+    made = scene.prepare_scene(world, start, NEAR, RULES, 2)
+    assert made is not None
+    assert made.sights is not None
+    coverage = Coverage(made.sights, made.must_see)
+    return search.Search(made, made.clear, search.Budget(None, 10**9), coverage, {})
+
+
+def walks_of(own, seed=0):
+    return walks.Walks(own.floor, own.from_start, own.region, own.coverage, np.random.default_rng(seed))
+
+
+def some_stops(own, n, seed=0):
+    """The `Stops` of some witnesses, and these."""
+    rng, made = np.random.default_rng(seed), stops.Stops(own.floor, own.from_start, own.region)
+    cells = [int(cell) for cell in rng.permutation(np.flatnonzero(own.scene.must_see))]
+    cells = [cell for cell in cells[:60] if own.from_start[own.region(cell)].min() > 0][:n]
+    for cell in cells:
+        made.add(cell)
+    assert len(cells) == n
+    return made, cells
+
+
+def test_sights_by_hand():
+    """A corridor of six cells with a pillar in it, and a scanner that enters two cells ahead in each direction."""
+    rays = rays_of(Lidar(n_beams=4, fov_deg=360, range_m=0.2), 0.1)
+    pad = int(rays.length.max()) + 1
+    occupied = np.ones((3, 8), bool)
+    occupied[1, 1:7] = False
+    occupied[1, 4] = True
+    padded = np.pad(occupied, pad, constant_values=True)
+    made, width = Sights(padded, pad, rays), padded.shape[1]
+    free = ~padded.reshape(-1)
+
+    def flat(col):
+        return (1 + pad) * width + col + pad
+
+    for col, seen in {1: [1, 2, 3], 2: [1, 2, 3], 3: [1, 2, 3], 5: [5, 6], 6: [5, 6]}.items():
+        assert set(made.seen(flat(col)).tolist()) == {flat(c) for c in seen}
+        assert made.region(flat(col), free).tolist() == [flat(c) for c in seen]  # sight is symmetric here
+    assert set(made.seen(flat(1), 0).tolist()) == {flat(c) for c in (1, 2, 3)}
+    assert made.region(flat(3), free & (np.arange(len(free)) != flat(1))).tolist() == [flat(2), flat(3)]
+    assert Sights.size((3, 8), pad, rays) == made._free_steps.nbytes
+    must = np.zeros(len(free), bool)
+    must[[flat(c) for c in (1, 3, 6)]] = True
+    coverage = Coverage(made, must)
+    assert coverage.unseen(np.array([flat(2)])).tolist() == [flat(6)]
+    assert coverage.unseen(np.array([flat(5), flat(3)])).tolist() == []
+
+
+def test_stops_are_as_far_apart_as_floods_say():
+    own = searched()
+    made, cells = some_stops(own, 5)
+    for number, place in enumerate(made.places.tolist()):
+        away = own.floor.away_from(np.array([place]))
+        np.testing.assert_array_equal(made.apart[number], away[made.places])
+        assert made.from_start[number] == own.from_start[place]
+    for cell in cells:
+        assert set(made.places[made.own[cell]].tolist()) <= set(own.region(cell).tolist())
+        assert 1 <= len(made.own[cell]) <= stops.STOPS
+    before = len(made.places)
+    made.add(cells[0])
+    made.touch(cells[0], int(made.places[made.own[cells[0]][0]]))
+    assert len(made.places) == before
+    made.touch(cells[0], int(own.region(cells[0])[-1]))
+    assert len(made.places) in (before, before + 1)
+
+
+def shortest_way(made, cells):
+    """The cost of the best stops for an order, by trying all."""
+    least = FAR
+    for chosen in itertools.product(*(made.own[cell] for cell in cells)):
+        way = [made.from_start[chosen[0]], *(made.apart[a, b] for a, b in itertools.pairwise(chosen))]
+        least = min(least, int(sum(way)))
+    return least
+
+
+def test_the_best_stops_of_an_order_and_the_best_order():
+    own = searched()
+    made, cells = some_stops(own, 4)
+    for cell in cells:
+        made.own[cell] = made.own[cell][:4]
+    least = FAR
+    for order in itertools.permutations(cells):
+        settled = stops.Order(made, ((cell, int(made.own[cell][0])) for cell in order))
+        settled._best_stops()
+        assert settled.witnesses == list(order)
+        assert settled.cost <= shortest_way(made, order)  # a stop of another witness may see it as well
+        least = min(least, settled.cost)
+    found = stops.improved(stops.new_order(made, cells), np.random.default_rng(0), 60)
+    assert found.cost == least
+
+
+def test_an_insertion_costs_what_it_says():
+    own = searched()
+    made, cells = some_stops(own, 6)
+    order = stops.Order(made)
+    for cell in cells:
+        before = order.cost
+        extra, at, stop = order.insertion(cell)
+        order.insert(cell)
+        assert order.pairs[at] == (cell, stop)
+        assert order.cost == before + extra
+        assert made.inside[cell][made.places[stop]]
+    copy, settled = order.copy(), order.cost
+    order.settle()
+    assert order.cost <= settled == copy.cost
+    assert sorted(order.witnesses) == sorted(cells)
+    better = stops.improved(order, np.random.default_rng(1), 30)
+    assert better.cost <= order.cost
+    assert sorted(better.witnesses) == sorted(cells)
+    assert stops.improved(order, np.random.default_rng(1), 30, over=lambda: True).cost <= order.cost
+
+
+@pytest.mark.parametrize("name", ["rooms:width_m=5,height_m=5", "cave:width_m=6,height_m=6"])
+def test_walks_see_everything_and_become_shorter(name):
+    own = searched(name)
+    found = walks_of(own)
+    assert found.cost == FAR
+    assert not found.find(lambda: True)
+    assert found.find(lambda: False)
+    first = found.cost
+    assert not len(own.coverage.unseen(found.walk))
+    assert found.walk[0] == own.scene.start
+    found.shorten(lambda: False)
+    assert found.cost <= first
+    assert not len(own.coverage.unseen(found.walk))
+    assert search.walk_cost(found.walk, own.scene.width) == found.cost
+    again = walks_of(own)
+    again.find(lambda: False)
+    again.shorten(lambda: False)
+    assert (again.cost, again.walk.tolist()) == (found.cost, found.walk.tolist())  # nothing asks a clock
+    again.shorten(lambda: False, found.witnesses[::-1][:3])
+    assert again.cost <= found.cost
+
+
+def test_a_bad_walk_is_mended_from_a_good_order():
+    own = searched()
+    good, bad = walks_of(own), walks_of(own, seed=1)
+    good.find(lambda: False)
+    good.shorten(lambda: False)
+    bad.find(lambda: False)
+    bad.cost = FAR - 1
+    bad._kept = bad._kept[:1]
+    bad.shorten(lambda: False, good._kept[0].witnesses)
+    assert bad.cost <= good.cost * 1.02
+
+
+def test_what_tells_most_comes_first():
+    """Two dead ends of a corridor tell everything; cells between them nothing more."""
+    occupied = np.ones((5, 62), bool)
+    occupied[1:4, 1:61] = False
+    world = World(occupied=occupied, cell_m=0.1, name="corridor")
+    made = scene.prepare_scene(
+        world, (2, 20, 0), Lidar(n_beams=31, range_m=0.35), Rules(clearance_m=0.1, near_m=0.0), 2
+    )
+    assert made is not None
+    assert made.sights is not None
+    own = search.Search(made, made.clear, search.Budget(None, 10**9), Coverage(made.sights, made.must_see), {})
+    middle = 2 + made.pad
+    cells = [middle * made.width + col + made.pad for col in (8, 30, 2, 45, 59)]
+    found = stops.Stops(own.floor, own.from_start, own.region)
+    for cell in cells:
+        found.add(cell)
+    rng = np.random.default_rng(0)
+    chosen = stops.telling(found, cells, 3, rng, lambda: False)
+    assert chosen[:2] == [cells[4], cells[2]]
+    assert len(chosen) == 3
+    assert stops.telling(found, cells, 3, rng, lambda: True) == []
+    # 18 cells to the left, all the way back and to the right, less what is seen ahead (3 cells, at both ends).
+    walk = walks_of(own)
+    assert walk.find(lambda: False)
+    walk.shorten(lambda: False)
+    assert walk.cost == (15 + 15 + 36) * STRAIGHT
+
+
+def test_a_world_too_large_for_what_is_seen_from_every_cell(monkeypatch):
+    world = jx.load_world("rooms:width_m=5,height_m=5", cell_m=0.1)
+    start = tuple(int(v) for v in ready_starts(world, "random", 1, seed=0, rules=RULES)[0])
+    whole = single.solve(single.Task(world, start, NEAR, RULES, None, 3000)).row
+    monkeypatch.setattr(scene, "MOST_BYTES", 10)
+    row = single.solve(single.Task(world, start, NEAR, RULES, None, 3000)).row
+    assert (row["status"], row["method"]) == (single.WEAK, "outside")
+    assert 0 < row["low_any_m"] <= row["low_m"] < whole["low_m"]
+    assert row["low_any_m"] <= whole["low_any_m"]
