@@ -196,6 +196,20 @@ def test_what_tells_most_comes_first():
     assert walk.cost == (15 + 15 + 36) * STRAIGHT
 
 
+def test_a_walk_longer_than_costs_can_say():
+    """A winding corridor of some 20,000 cells."""
+    occupied = np.ones((201, 201), bool)
+    occupied[1:-1:2, 1:-1] = False
+    occupied[2:-1:4, -2] = False
+    occupied[4:-1:4, 1] = False
+    world = World(occupied=occupied, cell_m=0.1, name="winding")
+    rules = Rules(clearance_m=0.0, near_m=0.0)
+    row = single.solve(single.Task(world, (1, 1, 0), Lidar(n_beams=8, range_m=0.3), rules, None, 4000)).row
+    assert row["status"] == single.WEAK
+    assert np.isnan(row["high_m"])
+    assert 1600 < row["low_any_m"] <= row["low_m"] <= FAR / STRAIGHT * 0.1
+
+
 def test_a_world_too_large_for_what_is_seen_from_every_cell(monkeypatch):
     world = jx.load_world("rooms:width_m=5,height_m=5", cell_m=0.1)
     start = tuple(int(v) for v in ready_starts(world, "random", 1, seed=0, rules=RULES)[0])

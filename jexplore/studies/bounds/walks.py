@@ -50,7 +50,7 @@ class Walks:
         return list(self.stops.own)
 
     def find(self, over: Callable[[], bool]) -> bool:
-        """Looks for a walk: whether there is one before it is over."""
+        """Looks for a walk: whether there is one, shorter than FAR, before it is over."""
         walk = self.floor.scene.start * np.ones(1, np.int64)
         while not over():
             unseen = self.coverage.unseen(walk)
@@ -60,6 +60,8 @@ class Walks:
             self._see(walk, unseen)
             self._kept = [improved(self._kept[0], self._rng, FEW, over=over)]
             walk = self._exact(self._kept[0])
+            if not len(walk):
+                break
         return False
 
     def shorten(self, over: Callable[[], bool], first: Sequence[int] = ()) -> None:
@@ -98,8 +100,10 @@ class Walks:
                 self.walk, self.cost, stale = walk, cost, 0
 
     def _exact(self, order):
-        """The shortest walk in an order; where it begins to see each witness becomes a stop."""
+        """The shortest walk in an order, none if it costs FAR; where it begins to see each witness becomes a stop."""
         self._tour.to(order.witnesses)
+        if self._tour.cost >= FAR:
+            return np.zeros(0, np.int64)
         walk = self._tour.walk()
         places, at = self.floor.numbers(walk), 0
         for cell in order.witnesses:
