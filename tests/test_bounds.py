@@ -13,8 +13,8 @@ import jexplore as jx
 from jexplore.cli import main
 from jexplore.config import InputError, Lidar, Rules
 from jexplore.reach import FAR, STRAIGHT
+from jexplore.studies.bounds import beside, pieces, scene, search, subsets
 from jexplore.studies.bounds import bound as study
-from jexplore.studies.bounds import pieces, scene, search, subsets
 from jexplore.studies.bounds import start as single
 from jexplore.studies.bounds.floor import Floor, edge_of, walk_cost
 from jexplore.studies.bounds.sights import Coverage
@@ -324,3 +324,19 @@ def test_a_comparison_beside_its_bounds(tmp_path, capsys):
         found.beside(jx.compare(other, "closest", episodes=1, lidar=NEAR))
     with pytest.raises(InputError, match="have none of them"):
         found.beside(jx.compare(ROOMS, "closest", episodes=1, seed=5, lidar=NEAR))
+
+
+def test_ratios_over_worlds_by_hand():
+    """Each world counts once, however many starts it has, and ratios are averaged as logarithms."""
+    rows = [("cave#0", 2.0), ("cave#0", 8.0), ("cave#1", 1.0), ("maze#0", 0.5), ("maze#1", 2.0), ("maze#1", math.nan)]
+    table = pd.DataFrame(rows, columns=["world", "path_over_high"]).assign(strategy="closest", path_over_low_any=2.0)
+    head, _, line = (text.strip("|").split("|") for text in beside.beside_table(table, ["strategy"]).splitlines())
+    found = {name.strip(): value.strip() for name, value in zip(head, line)}
+    assert found["n"] == "6"
+    assert found["path / high"].startswith("1.414 [")  # (4 * 1 * 0.5 * 2) ** (1 / 4)
+    assert (found["cave"], found["maze"]) == ("2.000", "1.000")
+    assert (found["worst / high"], found["below 1"]) == ("8.000", "1")
+    assert found["path / low any"].split()[0] == "2.000"
+    by_world = beside.beside_table(table)
+    assert "maze#1" in by_world
+    assert "cave |" not in by_world.splitlines()[0]

@@ -6,8 +6,12 @@ pandas is imported by the functions that need it.
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, cast
 
+import numpy as np
+
 from jexplore.config import InputError
-from jexplore.report.tables import aligned_table, number_text
+from jexplore.report.tables import aligned_table, number_text, ratio_text
+from jexplore.studies.statistics.over_worlds import kind_of, mean_over_worlds
+from jexplore.studies.statistics.paired import safe_exp
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -47,17 +51,33 @@ def beside(episodes: "pd.DataFrame", bounds: "pd.DataFrame", digests: Mapping[st
 
 
 def beside_table(table: "pd.DataFrame", by: Sequence[str] = ("world", "strategy")) -> str:
-    """Means and the worst of the ratios as Markdown.
+    """Ratios to the bounds as Markdown: means of logarithms, each world once, and the worst episode's.
+
+    Intervals (95 %) are for other worlds of the same kinds, as in a league; where there are several kinds, each one's
+    ratio to the walk is a column.
 
     Args:
       table: from `beside`.
       by: columns; a row for each of their values.
     """
-    head = [*by, "n", "path / high", "worst", "below 1", "path / low any", "worst "]
+    found = table.assign(kind=[kind_of(world) for world in table["world"]])
+    kinds = [] if "world" in by else list(dict.fromkeys(found["kind"]))
+    kinds = kinds if len(kinds) > 1 else []
+    head = [*by, "n", "path / high", *kinds, "worst / high", "below 1", "path / low any", "worst / low any"]
     lines = []
-    for names, rows in table.groupby(list(by), sort=False):
+    for names, rows in found.groupby(list(by), sort=False):
         own = cast(Any, rows)
         high, low = (own[name].dropna() for name in COLUMNS)
-        line = [*map(str, cast(tuple, names)), str(len(low)), number_text(high.mean(), 3), number_text(high.max(), 3)]
-        lines.append([*line, str(int((high < 1).sum())), number_text(low.mean(), 3), number_text(low.max(), 3)])
+        line = [*map(str, cast(tuple, names)), str(len(low)), _over_worlds(own, COLUMNS[0])]
+        line += [_over_worlds(own[own["kind"] == kind], COLUMNS[0]).split(" ")[0] for kind in kinds]
+        line += [number_text(high.max(), 3), str(int((high < 1).sum()))]
+        lines.append([*line, _over_worlds(own, COLUMNS[1]), number_text(low.max(), 3)])
     return aligned_table(head, lines, left=by)
+
+
+def _over_worlds(rows, column):
+    """The ratio of some episodes, a world's mean logarithm counting once, and its interval, as text."""
+    known = rows.dropna(subset=[column])
+    logs = np.log(known[column]).groupby(known["world"], sort=False).mean()
+    mean, low, high, _ = mean_over_worlds(logs.to_numpy(), [kind_of(world) for world in logs.index])
+    return ratio_text(safe_exp(mean), safe_exp(low), safe_exp(high))
