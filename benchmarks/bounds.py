@@ -34,7 +34,7 @@ def some(draw, number):
         p_free=float(draw.choice([0.25, 0.5])),
     )
     compared = jx.compare(world, names, episodes=STARTS, seed=number, lidar=lidar, rules=rules)
-    found = jx.bound(world, starts=STARTS, seed=number, lidar=lidar, rules=rules, max_floods=300)
+    found = jx.bound(world, starts=STARTS, seed=number, lidar=lidar, rules=rules, max_floods=1500)
     return found.beside(compared), found.table
 
 

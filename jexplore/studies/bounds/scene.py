@@ -11,14 +11,17 @@ from scipy import ndimage
 from jexplore.config import Lidar, Rules
 from jexplore.grid import radius_d2
 from jexplore.raycast import HEADINGS
-from jexplore.studies.bounds.sights import MOST_BYTES, Sights, rays_of
+from jexplore.studies.bounds.sights import TABLE_BYTES, Sights, TableOfSights, rays_of
 from jexplore.worlds.world import World
 
 
 @functools.lru_cache(maxsize=2)
 def _sights(occupied: bytes, shape: tuple[int, int], pad: int, lidar: Lidar, cell_m: float) -> Sights:
     """The `Sights` of a world, made once for all its starts."""
-    return Sights(np.frombuffer(occupied, bool).reshape(shape), pad, rays_of(lidar, cell_m))
+    rays = rays_of(lidar, cell_m)
+    small = TableOfSights.size((shape[0] - 2 * pad, shape[1] - 2 * pad), pad, rays) <= TABLE_BYTES
+    kind = TableOfSights if small else Sights
+    return kind(np.frombuffer(occupied, bool).reshape(shape), pad, rays)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -42,11 +45,8 @@ class Scene:
     """`[P]` bool, where any robot may stand: free cells that a path leads to."""
     must_see: np.ndarray
     """`[P]` bool, what is to be seen and was not at the start."""
-    sights: Sights | None
-    """What is seen from every cell; None where that takes too much memory. Then `must_see` holds what was seen at the
-    start as well."""
-    range_cells: int
-    """Of the longest beam."""
+    sights: Sights
+    """What is seen from where."""
 
     def cells(self, flat: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
         """Rows and columns in the world of cells with these numbers."""
@@ -55,7 +55,6 @@ class Scene:
 
     def region(self, cell: int) -> np.ndarray:
         """Cells from which some beam enters a cell, wherever a robot may stand: `[n]` int, sorted, with its own."""
-        assert self.sights is not None
         return self.sights.region(cell, self.any)
 
 
@@ -72,8 +71,7 @@ def prepare_scene(world: World, start: tuple[int, int, int], lidar: Lidar, rules
     Returns:
       `Scene`; None where the start is enclosed.
     """
-    rays = rays_of(lidar, world.cell_m)
-    pad = int(rays.length.max()) + 1
+    pad = int(rays_of(lidar, world.cell_m).length.max()) + 1
     occupied = np.pad(world.occupied, pad, constant_values=True)
     row, col = start[0] + pad, start[1] + pad
     clear = ~_within(occupied, radius_d2(rules.clearance_m, world.cell_m))
@@ -84,18 +82,15 @@ def prepare_scene(world: World, start: tuple[int, int, int], lidar: Lidar, rules
     if occupied[row, col] or not np.any(goal & ((rows != row) | (cols != col))):
         return None
     width = occupied.shape[1]
-    small = Sights.size(world.shape, pad, rays) <= MOST_BYTES
-    sights = _sights(occupied.tobytes(), occupied.shape, pad, lidar, world.cell_m) if small else None
+    sights = _sights(occupied.tobytes(), occupied.shape, pad, lidar, world.cell_m)
     must_see = goal.reshape(-1)
-    if sights is not None:
-        for look in range(looks):
-            must_see[sights.seen(row * width + col, (start[2] // 45 + look * HEADINGS // looks) % HEADINGS)] = False
+    for look in range(looks):
+        must_see[sights.seen(row * width + col, (start[2] // 45 + look * HEADINGS // looks) % HEADINGS)] = False
     return Scene(
         *(width, pad, world.shape, row * width + col, occupied.reshape(-1), stand.reshape(-1)),
         any=flooded(~occupied, row, col).reshape(-1),
         must_see=must_see,
         sights=sights,
-        range_cells=pad - 1,
     )
 
 

@@ -5,7 +5,6 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy import ndimage
 
 from jexplore.reach import FAR
 from jexplore.studies.bounds.floor import Floor, walk_cost
@@ -17,15 +16,16 @@ from jexplore.studies.bounds.subsets import Subsets
 from jexplore.studies.bounds.tour import Tour
 from jexplore.studies.bounds.walks import Walks
 
-MOST_WITNESSES = 24  # whose subsets are all looked at
+MOST_WITNESSES = 20  # whose subsets are all looked at
 MOST_BYTES = 1_500_000_000  # that they may take
 MOST_REGIONS = 24  # of a bound by pieces
 CLOSE = 1.01  # a walk that is not so close to the bound is looked for once more
 FAR_OFF = 1.08  # a bound that is so far off is tried by pieces
 MANY = 24  # unseen cells of which the one that costs most becomes a witness
-# Shares of the budget that are used up when each part ends at the latest: walks, the lower bound by subsets and that by
-# pieces, walks once more, the subsets of robots that stand anywhere.
-WALKS, CLEAR, PIECES, AGAIN, ANY = 0.35, 0.6, 0.75, 0.85, 0.94
+WALKS = 0.35  # of the budget, for walks; the first one may take all
+# Of what is left then, when each part ends at the latest: telling witnesses, the lower bound by subsets and by pieces,
+# walks once more, the subsets of robots that stand anywhere.
+TELLING, CLEAR, PIECES, AGAIN, ANY = 0.15, 0.4, 0.6, 0.75, 0.9
 
 
 class Budget:
@@ -38,6 +38,13 @@ class Budget:
     @property
     def elapsed_s(self) -> float:
         return time.monotonic() - self._began
+
+    def share(self, of_what_is_left: float) -> float:
+        """The share that is spent when so much of what is left is."""
+        whole = self.floods if self.floods is not None else self.seconds or 0.0
+        spent = self.spent if self.floods is not None else self.elapsed_s
+        used = min(1.0, spent / whole) if whole else 1.0
+        return used + (1 - used) * of_what_is_left
 
     def over(self, share: float = 1.0) -> bool:
         """Whether a share of it is spent."""
@@ -59,7 +66,15 @@ class Found(NamedTuple):
     low_any: int  # no walk of any robot does
     optimal: bool  # whether `high` is the least
     witnesses: list[int]  # cells of the lower bound
-    method: str  # "subsets", "pieces", "farthest" or "outside": where `low` is from
+    method: str  # "subsets", "pieces" or "farthest": where `low` is from
+
+
+class LowerBound(NamedTuple):
+    """No walk that sees some witnesses costs less."""
+
+    low: int
+    method: str
+    witnesses: list[int]
 
 
 class Search:
@@ -127,9 +142,34 @@ class Search:
                 return subsets, None
             walk = subsets.walk()
 
-    def by_pieces(self, cells: list[int], share: float, high: int) -> int:
-        """The bound of many witnesses, see `pieces`."""
-        regions = [self.region(cell) for cell in cells[:MOST_REGIONS]]
+    def bound(
+        self, known: Sequence[int], walks: Walks, until: float, pieces_until: float
+    ) -> tuple[LowerBound, list[int], np.ndarray | None]:
+        """The best lower bound.
+
+        Args:
+          known: witnesses, the most telling first.
+          walks: with a walk that sees everything.
+          until: the share of the budget that subsets may use up.
+          pieces_until: and that by pieces, if the bound is far off.
+
+        Returns:
+          `(LowerBound, order, walk)`: the witnesses of subsets in the order in which their shortest walk sees them;
+            that walk if it sees everything, else None.
+        """
+        subsets, exact = self.shortest(until, walks.cost, known)
+        found = [LowerBound(min(subsets.low, walks.cost), "subsets", list(subsets.witnesses))]
+        if exact is None:
+            found.append(LowerBound(self.farthest(walks.witnesses), "farthest", walks.witnesses))
+        if exact is None and found[0].low * FAR_OFF < walks.cost:
+            found.append(LowerBound(self.by_pieces(known, pieces_until, walks.cost), "pieces", list(known)))
+        return max(found, key=lambda bound: bound.low), subsets.order, exact
+
+    def by_pieces(self, cells: Sequence[int], share: float, high: int) -> int:
+        """The bound of many witnesses, see `pieces`; 0 where the share is spent."""
+        if self.budget.over(share):
+            return 0
+        regions = [self.region(cell) for cell in cells]
         left: Callable[[], float] = lambda: self.budget.left_s(share)  # noqa: E731
         return bound_by_pieces(
             *(self.floor, regions, self.from_start, high),
@@ -141,8 +181,6 @@ class Search:
 
 def search(scene: Scene, budget: Budget, seed: int = 0) -> Found:
     """The shortest walk of a start, as far as the budget goes: see the modules `walks`, `subsets` and `pieces`."""
-    if scene.sights is None:
-        return _outside(scene, budget)
     coverage, regions = Coverage(scene.sights, scene.must_see), {}
     clear, rng = Search(scene, scene.clear, budget, coverage, regions), np.random.default_rng(seed)
     walks = Walks(clear.floor, clear.from_start, clear.region, coverage, rng)
@@ -151,45 +189,20 @@ def search(scene: Scene, budget: Budget, seed: int = 0) -> Found:
         low, low_any = clear.farthest(walks.witnesses), wide.farthest(walks.witnesses)
         return Found(walks.walk, FAR, max(low, low_any), low_any, False, walks.witnesses, "farthest")
     walks.shorten(lambda: budget.over(WALKS))
-    known = telling(walks.stops, walks.witnesses, MOST_WITNESSES, rng, lambda: budget.over(PIECES))
-    subsets, exact = clear.shortest(CLEAR, walks.cost, known)
-    low, method, witnesses = min(subsets.low, walks.cost), "subsets", list(subsets.witnesses)
-    farthest = clear.farthest(walks.witnesses)
-    if farthest > low:
-        low, method, witnesses = farthest, "farthest", walks.witnesses
-    if exact is None and low * FAR_OFF < walks.cost:
-        better = clear.by_pieces(known, PIECES, walks.cost)
-        if better > low:
-            low, method, witnesses = better, "pieces", known[:MOST_REGIONS]
-    if exact is None and low * CLOSE < walks.cost:
-        walks.shorten(lambda: budget.over(AGAIN), subsets.order)
+    tell, until, pieces, again, wide_until = (budget.share(part) for part in (TELLING, CLEAR, PIECES, AGAIN, ANY))
+    known = telling(walks.stops, walks.witnesses, MOST_REGIONS, rng, lambda: budget.over(tell))
+    best, order, exact = clear.bound(known, walks, until, pieces)
+    if exact is None and best.low * CLOSE < walks.cost:
+        walks.shorten(lambda: budget.over(again), order)
     walk, high = walks.walk, walks.cost
     if exact is not None:
         walk, high = exact, walk_cost(exact, scene.width)
-        assert low == high
-    low_any = low
+        assert best.low == high
+    low_any = best.low
     if not np.array_equal(scene.any, scene.clear):
         wide = Search(scene, scene.any, budget, coverage, regions)
-        low_any = max(_any(wide, high, known), min(high, wide.farthest(walks.witnesses)))
-    return Found(walk, high, max(low, low_any), low_any, max(low, low_any) >= high, witnesses, method)
-
-
-def _any(wide, high, known):
-    """The lower bound of robots that may stand on any free cell."""
-    subsets, exact = wide.shortest(ANY, high, known)
-    low = min(subsets.low, high)
-    if exact is None and low * FAR_OFF < high:
-        low = max(low, wide.by_pieces(known, 1.0, high))
-    return low
-
-
-def _outside(scene, budget):
-    """Lower bounds where nobody has looked what is seen from where: the way to within range of the farthest cell."""
-    lows = []
-    for stand in (scene.clear, scene.any):
-        floor = Floor(scene, stand, budget)
-        costs = np.full(len(scene.occupied), FAR, np.int32)
-        costs[floor.cells] = floor.away_from(floor.numbers(np.array([scene.start])))
-        near = ndimage.minimum_filter(costs.reshape(-1, scene.width), 2 * scene.range_cells + 1, mode="nearest")
-        lows.append(int(near.reshape(-1)[scene.must_see].max(initial=0)))
-    return Found(np.zeros(0, np.int64), FAR, max(lows), lows[1], False, [], "outside")
+        other, _, _ = wide.bound(known, walks, wide_until, 1.0)
+        low_any = min(other.low, high)
+        best = max(best, other, key=lambda bound: bound.low)
+    low = min(best.low, high)
+    return Found(walk, high, low, low_any, low >= high, best.witnesses, best.method)

@@ -1,4 +1,4 @@
-"""How far a robot sees from every cell, and with that from where each cell is seen. On the host, exact."""
+"""What a robot sees from a cell, and from where a cell is seen. On the host, exact."""
 
 import functools
 from typing import Any, NamedTuple
@@ -8,7 +8,7 @@ import numpy as np
 from jexplore.config import Lidar
 from jexplore.raycast import HEADINGS, beam_table
 
-MOST_BYTES = 1_000_000_000  # of a table of sights
+TABLE_BYTES = 1_000_000_000  # of what is seen from every cell; where that is more, each look is cast anew
 ROWS_BYTES = 300_000_000  # of what is remembered of single cells
 
 
@@ -35,34 +35,19 @@ def rays_of(lidar: Lidar, cell_m: float) -> Rays:
 
 
 class Sights:
-    """What is seen from every cell of a map that is padded with walls by the scanner's range.
+    """What is seen from where, on a map that is padded with walls by the scanner's range.
 
-    Cells are flat numbers in the padded map. Every ray of every cell is followed once, one step of one ray at a time
-    for all cells together; after that a region or a view is a look-up.
+    Cells are flat numbers in the padded map.
     """
 
     def __init__(self, occupied: np.ndarray, pad: int, rays: Rays) -> None:
         """`occupied`: `[H, W]` bool, padded. `pad`: cells of padding on each side."""
-        width = occupied.shape[1]
-        self.rays, self._first = rays, pad * width
-        self._n = (occupied.shape[0] - 2 * pad) * width  # cells of the rows that are not padding
-        self._offset = rays.drow * width + rays.dcol
-        within = np.arange(self._offset.shape[1]) < rays.length[:, None]
-        self._ray, self._step = np.nonzero(within)
+        self.rays, self._occupied = rays, occupied.reshape(-1)
+        self._offset = rays.drow * occupied.shape[1] + rays.dcol
+        self._within = np.arange(self._offset.shape[1]) < rays.length[:, None]
+        self._ray, self._step = np.nonzero(self._within)
         self._leads = self._offset[self._ray, self._step]
-        free, still = (~occupied).reshape(-1).astype(np.uint8), np.empty(self._n, np.uint8)
-        self._free_steps = np.zeros((len(rays.length), self._n), _counts(self._offset.shape[1]))
-        for ray, steps in enumerate(rays.length):
-            still[:] = 1
-            for leads in self._offset[ray, :steps]:
-                at = self._first + leads
-                still &= free[at : at + self._n]
-                self._free_steps[ray] += still
-
-    @staticmethod
-    def size(shape: tuple[int, int], pad: int, rays: Rays) -> int:
-        """Bytes that the table of a map of this shape, without padding, takes."""
-        return len(rays.length) * shape[0] * (shape[1] + 2 * pad) * _counts(rays.drow.shape[1])().itemsize
+        self._first, self._last = pad * occupied.shape[1], (occupied.shape[0] - pad) * occupied.shape[1]
 
     def region(self, cell: int, stand: np.ndarray) -> np.ndarray:
         """Cells from which some beam enters a cell: `[n]` int, sorted, its own among them.
@@ -71,25 +56,65 @@ class Sights:
 
         Args:
           cell: free.
-          stand: `[P]` bool, where a robot may stand.
+          stand: `[P]` bool, where a robot may stand; nowhere in the padding.
         """
-        place = cell - self._leads - self._first
-        inside = np.flatnonzero((place >= 0) & (place < self._n))
-        inside = inside[stand[place[inside] + self._first]]
-        sees = self._free_steps[self._ray[inside], place[inside]] > self._step[inside]
-        found = np.append(place[inside[sees]] + self._first, cell)
+        place = cell - self._leads
+        known = np.flatnonzero((place >= self._first) & (place < self._last))
+        known = known[stand[place[known]]]
+        sees = self._sees(self._ray[known], self._step[known], place[known])
+        found = np.append(place[known[sees]], cell)
         return np.unique(found[stand[found]])
+
+    def _sees(self, ray, step, place):
+        """Whether rays of some cells get as far as some step: `[n]` bool."""
+        sees, left = np.zeros(len(ray), bool), np.arange(len(ray))
+        for back in range(int(step.max(initial=-1)) + 1):  # what is on the way there, from the cell backwards
+            sees[left[step[left] == back]] = True
+            left = left[step[left] > back]
+            left = left[~self._occupied[place[left] + self._offset[ray[left], step[left] - back - 1]]]
+        return sees
 
     def seen(self, cell: int, heading: int | None = None) -> np.ndarray:
         """Free cells that a robot on a cell sees, turned to every heading or to one: `[n]` int, its own among them."""
+        own = slice(None) if heading is None else self.rays.headings[heading]
+        at = cell + self._offset[own]
+        open_way = np.logical_and.accumulate(
+            self._within[own] & ~self._occupied[np.where(self._within[own], at, cell)], 1
+        )
+        return np.append(at[open_way], cell)
+
+
+class TableOfSights(Sights):
+    """The same, with every ray of every cell followed once; after that a region or a view is a look-up."""
+
+    def __init__(self, occupied: np.ndarray, pad: int, rays: Rays) -> None:
+        super().__init__(occupied, pad, rays)
+        n = self._last - self._first  # cells of the rows that are not padding
+        free, still = (~self._occupied).astype(np.uint8), np.empty(n, np.uint8)
+        self._free_steps = np.zeros((len(rays.length), n), _counts(rays))
+        for ray, steps in enumerate(rays.length):  # one step of one ray at a time, for all cells together
+            still[:] = 1
+            for leads in self._offset[ray, :steps]:
+                still &= free[self._first + leads : self._last + leads]
+                self._free_steps[ray] += still
+
+    @staticmethod
+    def size(shape: tuple[int, int], pad: int, rays: Rays) -> int:
+        """Bytes that the table of a map of this shape, without padding, takes."""
+        return len(rays.length) * shape[0] * (shape[1] + 2 * pad) * _counts(rays)().itemsize
+
+    def _sees(self, ray, step, place):
+        return self._free_steps[ray, place - self._first] > step
+
+    def seen(self, cell: int, heading: int | None = None) -> np.ndarray:
         own = slice(None) if heading is None else self.rays.headings[heading]
         offset, steps = self._offset[own], self._free_steps[own, cell - self._first]
         return np.append(cell + offset[np.arange(offset.shape[1]) < steps[:, None]], cell)
 
 
-def _counts(steps: int) -> Any:
-    """The type that so many steps fit into."""
-    return np.uint8 if steps < 256 else np.uint16
+def _counts(rays: Rays) -> Any:
+    """The type that counts of steps fit into."""
+    return np.uint8 if rays.drow.shape[1] < 256 else np.uint16
 
 
 class Coverage:
@@ -103,10 +128,10 @@ class Coverage:
 
     def unseen(self, walk: np.ndarray) -> np.ndarray:
         """Cells that must be seen and are not from a walk: `[n]` int."""
-        if len(self._rows) * len(self.cells) // 8 > ROWS_BYTES:
-            self._rows.clear()
         seen = np.zeros(-(-len(self.cells) // 8), np.uint8)
         for cell in dict.fromkeys(walk.tolist()):
+            if len(self._rows) * len(seen) > ROWS_BYTES:
+                self._rows.clear()
             if cell not in self._rows:
                 own = np.zeros(len(self.cells) + 1, bool)  # the last is of what need not be seen
                 own[self._place[self.sights.seen(cell)]] = True

@@ -159,7 +159,7 @@ class Order:
     def _turned(self):
         """Turns parts round, the best one first; whether any was."""
         turned, n = False, len(self.pairs)
-        while n > 2:
+        while n > 1:
             numbers, legs = self._numbers(), self._legs()
             apart = self._stops.apart[numbers[:, None], numbers]
             before = np.concatenate([self._stops.from_start[numbers][None], apart[:-1]])  # the last is to come first

@@ -35,7 +35,8 @@ class Subsets:
     @property
     def bytes(self) -> int:
         """Memory that is held."""
-        return 4 * len(self.floor.cells) * len(self._costs)
+        n = len(self.witnesses)
+        return 4 * len(self.floor.cells) * len(self._costs) + 4 * n * 2**n
 
     def add(self, cell: int, places: np.ndarray) -> Iterator[None]:
         """Adds a witness; the caller may look at the clock after each flood, and stop: then nothing has changed.
@@ -128,11 +129,11 @@ class _Ahead:
 
 def _onward(apart):
     """What it costs at least to see some witnesses from the edge of the first on, in the best order of the others:
-    `[2**n, n]` int64, over sets and their first ones (Held and Karp, over the distances between edges).
+    `[2**n, n]` int32, over sets and their first ones (Held and Karp, over the distances between edges).
     """
-    n = len(apart)
-    found, masks = np.full((1 << n, n), FAR, np.int64), np.arange(1 << n)
-    size = np.array([mask.bit_count() for mask in range(1 << n)])
+    n, apart = len(apart), np.minimum(apart, FAR - 1).astype(np.int32)  # two FARs do not fit
+    found, masks = np.full((1 << n, n), FAR, np.int32), np.arange(1 << n)
+    size = np.bitwise_count(masks)
     for layer in range(1, n + 1):
         own = masks[size == layer]
         for i in range(n):

@@ -42,13 +42,14 @@ class Tour:
         n = len(self.order)
         done = min(n, len(self._ahead) - 1)
         self._make(done, n - done)
-        return int((self._ahead[done] + self._behind[n - done]).min())
+        return int((self._ahead[done].astype(np.int64) + self._behind[n - done]).min())
 
     def insertions(self, cell: int) -> np.ndarray:
         """What the walk costs with a witness more at each place of the order: `[n + 1]` int."""
         n, places = len(self.order), self.region(cell)
         self._make(n, n)
-        return np.array([(self._ahead[i][places] + self._behind[n - i][places]).min() for i in range(n + 1)])
+        ahead = (self._ahead[i][places].astype(np.int64) for i in range(n + 1))
+        return np.array([(costs + self._behind[n - i][places]).min() for i, costs in enumerate(ahead)])
 
     def to(self, order: list[int]) -> None:
         """Takes another order; what both begin and end with is not made again."""

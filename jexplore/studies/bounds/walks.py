@@ -52,17 +52,18 @@ class Walks:
     def find(self, over: Callable[[], bool]) -> bool:
         """Looks for a walk: whether there is one, shorter than FAR, before it is over."""
         walk = self.floor.scene.start * np.ones(1, np.int64)
-        while not over():
+        while True:
             unseen = self.coverage.unseen(walk)
             if not len(unseen):
                 self.walk, self.cost = walk, self._tour.cost
                 return True
-            self._see(walk, unseen)
+            self._see(walk, unseen, over)
+            if over():
+                return False
             self._kept = [improved(self._kept[0], self._rng, FEW, over=over)]
             walk = self._exact(self._kept[0])
             if not len(walk):
-                break
-        return False
+                return False
 
     def shorten(self, over: Callable[[], bool], first: Sequence[int] = ()) -> None:
         """Looks for shorter ones until it is over, or nothing has come of it for long.
@@ -73,7 +74,8 @@ class Walks:
         """
         if first:
             for cell in first:
-                self.stops.add(cell)
+                if cell not in self.stops.own:
+                    self._add(cell)
             order = Order(self.stops, ((cell, int(self.stops.own[cell][0])) for cell in first))
             order.settle()
             for cell in self.witnesses:
@@ -95,7 +97,7 @@ class Walks:
                 continue
             unseen = self.coverage.unseen(walk)
             if len(unseen):
-                self._see(walk, unseen)
+                self._see(walk, unseen, over)
             else:
                 self.walk, self.cost, stale = walk, cost, 0
 
@@ -112,12 +114,18 @@ class Walks:
         order.settle()
         return walk
 
-    def _see(self, walk, unseen):
-        """Makes witnesses of what a walk does not see, and puts them into the orders."""
+    def _see(self, walk, unseen, over):
+        """Makes witnesses of what a walk does not see: one, or more until it is over."""
         for cell in self._new_witnesses(walk, unseen):
-            self.stops.add(cell)
-            for order in self._kept:
-                order.insert(cell)
+            self._add(cell)
+            if over():
+                break
+
+    def _add(self, cell):
+        """Makes a cell a witness of all orders."""
+        self.stops.add(cell)
+        for order in self._kept:
+            order.insert(cell)
 
     def _new_witnesses(self, walk, unseen):
         """One cell of each patch of unseen ones, the farthest patches first: the one that is farthest from being seen,
