@@ -133,7 +133,7 @@ def test_the_walk_sees_everything_and_keeps_to_the_corner_rule():
 def test_no_episode_is_shorter_than_the_bound_of_any_robot(kind):
     world = jx.load_world(f"{kind}:width_m=7,height_m=7", cell_m=0.1)
     episodes = jx.compare(world, ["closest", "closest+recheck", "random"], episodes=4, lidar=NEAR).to_pandas()
-    table = jx.bound(world, starts=4, lidar=NEAR, max_floods=2000).table
+    table = jx.bound(world, starts=4, lidar=NEAR, max_floods=1200).table
     np.testing.assert_array_equal(table[["start_row", "start_col"]], episodes[["start_row", "start_col"]][:4])
     done = episodes[episodes["outcome"] == "COMPLETE"]
     assert len(done) > 8
