@@ -61,6 +61,12 @@ class Floor:
         costs[places] = 0
         return self.flood(costs)
 
+    def farthest_first(self, cells: np.ndarray, walk: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Some cells in the order of how far they are from a walk, and that of every place: `[k]` and `[n]` int."""
+        away, far = self.away_from(self.numbers(walk)), np.full(len(self.scene.occupied), -1, np.int32)
+        far[self.cells] = away
+        return cells[np.argsort(-far[cells], kind="stable")], away
+
     @functools.cached_property
     def before(self) -> list[np.ndarray]:
         """For each of `MOTIONS`, the place from which it leads to each place: `[n]` int; -1 where it does not."""

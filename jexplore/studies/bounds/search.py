@@ -102,10 +102,7 @@ class Search:
         """Of the unseen cells one that costs much to be seen by a walk that sees others in an order."""
         tour = Tour(self.floor, self.from_start, self.region)
         tour.to(order)
-        away = self.floor.away_from(self.floor.numbers(walk))
-        far = np.full(len(self.scene.occupied), -1, np.int32)
-        far[self.floor.cells] = away
-        unseen = unseen[np.argsort(-far[unseen], kind="stable")]
+        unseen, _ = self.floor.farthest_first(unseen, walk)
         some = unseen[np.unique(np.linspace(0, len(unseen) - 1, MANY).astype(int))].tolist()
         return max(some, key=lambda cell: int(tour.insertions(cell).min()))
 

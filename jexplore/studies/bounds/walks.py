@@ -132,13 +132,10 @@ class Walks:
         and of equals the one that fewest places see.
         """
         scene = self.floor.scene
-        away = self.floor.away_from(self.floor.numbers(walk))
-        far = np.full(len(scene.occupied), -1, np.int64)
-        far[self.floor.cells] = away
-        mask = np.zeros(len(far), bool)
+        mask = np.zeros(len(scene.occupied), bool)
         mask[unseen] = True
         labels, _ = ndimage.label(mask.reshape(-1, scene.width), np.ones((3, 3)))  # type: ignore[misc]
-        unseen = unseen[np.argsort(-far[unseen], kind="stable")]
+        unseen, away = self.floor.farthest_first(unseen, walk)
         patches, found = labels.reshape(-1)[unseen], []
         _, first = np.unique(patches, return_index=True)
         for patch in patches[np.sort(first)][:NEW]:
