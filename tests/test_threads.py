@@ -6,7 +6,7 @@ import time
 
 import pytest
 
-from jexplore.engine.threads import Pieces, share_out
+from jexplore.engine.threads import IN_ROTATION, Pieces, share_out
 
 
 def squares(total, most, *, seconds=0.0, fails_at=-1, n_devices=1):
@@ -56,6 +56,19 @@ def test_works_take_turns():
         work.keep = lambda first, n, found, name=name: calls.append((name, first))
     share_out(works, 1, lambda done: None)
     assert calls == [(name, i) for i in range(5) for name in "ab"]
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_of_very_many_works_the_first_end_before_the_last_begin(workers):
+    calls, n = [], 3 * IN_ROTATION
+    works = [squares(4, 1)[0] for _ in range(n)]
+    for number, work in enumerate(works):
+        work.keep = lambda first, n, found, number=number: calls.append((number, first))
+    share_out(works, workers, lambda done: None)
+    last_begins = calls.index((n - 1, 0))
+    ended = sum(first == 3 for _, first in calls[:last_begins])
+    assert n - IN_ROTATION - workers <= ended < n
+    assert sorted(calls) == [(number, first) for number in range(n) for first in range(4)]
 
 
 def test_what_fails_in_a_thread_is_raised_and_the_rest_is_kept():

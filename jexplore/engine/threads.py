@@ -10,6 +10,7 @@ from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
 from typing import Any
 
 CALL_S = 1.0  # seconds that a call should take: how often progress moves, and how long Ctrl-C waits
+IN_ROTATION = 64  # kinds that are under way at a time: each ends, and can be kept, before many others begin
 
 
 @dataclasses.dataclass
@@ -47,7 +48,8 @@ class Pieces:
 
 
 def share_out(kinds: Iterable[Pieces], workers: int, on_progress: Callable[[int], object]) -> None:
-    """Does all pieces of some kinds: those of a turn in rotation, so that what is interrupted has done a part of each.
+    """Does all pieces of some kinds: those of a turn in rotation, some at a time, so that what is interrupted has done a
+    part of each, or, where there are very many, ended some.
 
     Args:
       kinds: list of `Pieces`.
@@ -71,7 +73,7 @@ def share_out(kinds: Iterable[Pieces], workers: int, on_progress: Callable[[int]
     try:
         while waiting or running or later:
             while (waiting or later) and len(running) < workers:
-                while later and (not waiting or later[0].turn == waiting[0].turn):
+                while later and (not waiting or (later[0].turn == waiting[0].turn and len(waiting) < IN_ROTATION)):
                     waiting.append(later.popleft())
                 pieces = waiting.popleft()
                 first, n = pieces.take(workers)
