@@ -287,6 +287,36 @@ def test_how_runs_may_end(change, outcome):
     found = ran(job.prepare_trace("course", **{"noise": STILL, **change}))
     assert found.table["outcome"].tolist() == [outcome]
     assert found.table["steps"][0] == {"BLIND": mission.BLIND_STEPS, "STEP_LIMIT": 100}[outcome]
+    assert kinds(found.first) == "TT"  # it ends at a node, before which nothing has been searched
+    way, onward = found.first.links
+    assert (way.start, way.end, way.status) == (0, 1, "searched")
+    assert way.length_m == pytest.approx(found.table["path_m"][0], abs=0.02)
+    assert (onward.start, onward.status) == (1, "un-searched")
+    assert onward.start_bearing_deg == pytest.approx(math.degrees(found.driven.estimate[-1, 2]), abs=3)
+    end = found.first.nodes[1]
+    assert math.hypot(*(np.array([end.x_m, end.y_m]) - found.driven.truth[-1, :2])) < 0.1
+
+
+@pytest.mark.jit
+def test_a_map_has_as_much_room_as_is_asked_for():
+    plan = job.prepare_trace("course", noise=STILL, nodes=4, links=6)
+    assert plan.is_narrow
+    assert plan.places == 9
+    found = ran(plan)
+    assert found.table["outcome"].tolist() == ["MAP_FULL"]
+    assert len(found.first.nodes) == 4
+
+
+def test_room_for_the_maps_of_buildings():
+    plan = job.prepare_trace("rooms")
+    assert plan.size == (job.ROOMY, 2 * job.ROOMY)
+    assert not plan.is_narrow
+    many = plan.truth._replace(map=dataclasses.replace(plan.truth.map, nodes=plan.truth.map.nodes[:1] * 70))
+    assert job.room_for(plan.world, many) == (256, 512)
+    assert job.room_for(plan.world, many, links=30) == (256, 30)
+    for wrong in ({"nodes": 1}, {"links": 1}, {"nodes": job.MOST_NODES + 1}):
+        with pytest.raises(InputError, match=next(iter(wrong))):
+            job.prepare_trace("course", **wrong)
 
 
 @pytest.mark.jit

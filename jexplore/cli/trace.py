@@ -56,6 +56,10 @@ class Trace:
     """Make the edge of a cell this long, in metres."""
     max_steps: int | None = None
     """End a run as STEP_LIMIT after so many steps of 0.1 s; by default 6000, more in a large building."""
+    nodes: int | None = None
+    """Give the map room for so many nodes; by default 32 for a course, in other worlds more than the true map has."""
+    links: int | None = None
+    """Give the map room for so many links; by default two a node."""
     attribute: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUE@X,Y [...]", help_behavior_hint="")] = ()
     """Give the node that is nearest to a place in the building, in metres, an attribute: victim=true@12.5,4,
     radio_dbm=-61@3,8."""
@@ -105,7 +109,11 @@ class Trace:
                 cell_m=self.cell_m,
                 max_steps=self.max_steps,
                 attributes=self.attribute,
+                nodes=self.nodes,
+                links=self.links,
             )
+            if plan.is_narrow:
+                say(f"jexplore: note: the true map has {plan.places} nodes, this one has room for {plan.size[0]}", 0)
             ledger = out.keep(tracing.asked(plan), len(tracing.blocks_of(plan)))
             if ledger is None:
                 out.draw_missing({})

@@ -178,7 +178,7 @@ def helped(state: Any, senses: Senses, makes_node: Array, building: Building, ro
     on = (state.odometer_m - state.moved_m > STUCK_M) | makes_node
     moved_m = jnp.where(on, state.odometer_m, state.moved_m)
     moved_step = jnp.where(on, state.step, state.moved_step)
-    helps = state.step - moved_step >= STUCK_STEPS
+    helps = (state.step - moved_step >= STUCK_STEPS) & (state.outcome == 0)
     told = jnp.stack([*state.estimate[:2], state.step.astype(jnp.float32), state.mode.astype(jnp.float32)])
     ranges = jnp.where(jnp.isnan(senses.ranges_m), 0, jnp.minimum(senses.ranges_m, RANGE_M))
 

@@ -13,6 +13,7 @@ import jax.numpy as jnp
 from flax import struct
 from jax import Array
 
+from jexplore.arrays.loops import run_if
 from jexplore.btm import wrapped
 from jexplore.driving.sensing import surround
 from jexplore.driving.sensing.surround import DIRECTION, Surround
@@ -115,7 +116,8 @@ def drive(
     wanted = jnp.where(turning != 0, jnp.pi, jnp.abs(course))
 
     backing = _backs(now, around, robot, in_place, wanted, omega, touched)
-    back_v, back_omega, length = _back(now, around, robot, pose, speed, touched)
+    still = jnp.float32(0), jnp.float32(0), now.length
+    back_v, back_omega, length = run_if(backing, lambda _: _back(now, around, robot, pose, speed, touched), still)
     after = now.replace(
         backing=backing,
         backed_m=jnp.where(backing, now.backed_m + jnp.maximum(jnp.abs(back_v) * 0.1, LEAST_BACK_M), 0),
@@ -152,13 +154,16 @@ def _meets(around, robot, ahead_m, turn):
 
 def _backs(now, around, robot, in_place, wanted, omega, touched):
     """Whether the robot goes back: it cannot turn as it wants, or has touched something."""
+    margin_m = jnp.where(now.backing, 2 * surround.MARGIN_M, surround.MARGIN_M)
+    needed = jnp.where(now.backing, jnp.pi, jnp.minimum(wanted, GLANCE_RAD))
 
-    def can(margin_m, needed):
+    def swept(_):
         left, right = surround.free_turn(around, robot, margin_m)
-        return jnp.where(omega >= 0, left, right) >= jnp.minimum(needed, jnp.pi)
+        return jnp.where(omega >= 0, left, right) >= needed
 
-    starts = (in_place & ~can(surround.MARGIN_M, jnp.minimum(wanted, GLANCE_RAD))) | touched
-    enough = (now.backed_m >= BACK_M) & can(2 * surround.MARGIN_M, jnp.pi) | (now.backed_m > MOST_BACK_M)
+    can = run_if(in_place | now.backing, swept, jnp.bool_(True))
+    starts = (in_place & ~can) | touched
+    enough = (now.backed_m >= BACK_M) & can | (now.backed_m > MOST_BACK_M)
     return jnp.where(now.backing, ~enough, starts) & (now.kept > 1)
 
 

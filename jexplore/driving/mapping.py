@@ -14,6 +14,7 @@ from flax import struct
 from jax import Array, lax
 
 from jexplore import btm
+from jexplore.arrays.loops import run_if
 from jexplore.btm import Btm
 from jexplore.driving.behaviour import Latch, RunMode
 from jexplore.driving.sensing import ground_profile, lone_steps, steadying
@@ -237,6 +238,44 @@ def came_through(writer: Writer, middles: Array, across: Array, width_m: Array) 
     there = (out_m > -BEYOND_M[0]) & (out_m < BEYOND_M[1]) & (jnp.abs(aside_m) < width_m[:, None] / 2)
     there &= _since_node(writer)
     return jnp.max(jnp.where(there, jnp.arange(there.shape[1]), -1), axis=1)
+
+
+def broken_off(writer: Writer, pose: Array, odometer_m: Array, steps: Array, when: Array) -> tuple[Btm, Array]:
+    """The map of a run that breaks off on a link that it had not searched: this ends where the robot stands, and what
+    lies before it has not been searched.
+
+    Args:
+      writer: `Writer`.
+      pose: `[3]` float32, odometry.
+      odometer_m: float32.
+      steps: int32, of the run: what the way holds from there on is none of it.
+      when: bool, whether the run breaks off.
+
+    Returns:
+      `(map, node)`: `Btm`; int32, N where nothing was added.
+    """
+    n, size = writer.map.kind.shape[0], writer.map.start.shape[0]
+    link = jnp.minimum(writer.link, size - 1)
+    when &= (writer.link < size) & (writer.map.status[link] == btm.UNSEARCHED) & (writer.map.n_nodes < n)
+
+    def ended(map_):
+        gone = jnp.arange(writer.way.odometer_m.shape[0]) < steps
+        way = writer.way.replace(odometer_m=jnp.where(gone, writer.way.odometer_m, jnp.inf))
+        width_m, posture_deg, roll_deg = along(way, writer.node_m, odometer_m)
+        map_, node = btm.add_node(map_, btm.TERMINAL, pose[0], pose[1])
+        found = {
+            "end": node,
+            "status": btm.SEARCHED,
+            "length_m": odometer_m - writer.node_m,
+            "min_width_m": width_m,
+            "link_posture_deg": posture_deg,
+            "max_roll_deg": roll_deg,
+            "end_bearing": btm.wrapped(pose[2] + math.pi),
+        }
+        map_ = map_.replace(**{name: getattr(map_, name).at[link].set(value) for name, value in found.items()})
+        return btm.add_link(map_, node, pose[2])[0]
+
+    return run_if(when, ended, writer.map), jnp.where(when, writer.map.n_nodes, n)
 
 
 def _since_node(writer):

@@ -64,6 +64,10 @@ class Outcome(enum.IntEnum):
     """A node did not fit into the map."""
 
 
+BROKEN_OFF = (Outcome.STUCK, Outcome.BLIND, Outcome.STEP_LIMIT)
+"""A run that ends so ends at a node of type terminal, if it was on a link that it had not searched."""
+
+
 @struct.dataclass
 class State:
     """A run in progress."""
@@ -250,7 +254,10 @@ def _decided(state, writer, ahead, around, ways_m, placed, at_goal, is_open, tun
         border_m=jnp.where(early, state.odometer_m, ahead.border_m),
     )
     ahead = ahead._replace(track=track)
-    return writer, drive, ahead, due(state, writer, ahead, at_goal, is_open, arrives)
+    event = due(state, writer, ahead, at_goal, is_open, arrives)
+    # A large map must stay as it is once the run is done.
+    kind = jnp.where(state.outcome == Outcome.RUNNING, event.kind, btm.NONE)
+    return writer, drive, ahead, dataclasses.replace(event, kind=kind)
 
 
 def _driven(state, drive, ahead, walls, around, ways_m, estimate, tuning, robot):
@@ -344,9 +351,10 @@ def advance(setup: Setup, given: Given, state: State) -> State:
 def finish(setup: Setup, given: Given, state: State) -> Result:
     """The `Result` of a run that has ended. Arguments as for `begin`."""
     del setup, given
-    body = state.body
+    body, breaks_off = state.body, jnp.isin(state.outcome, jnp.array(BROKEN_OFF, jnp.int32))
+    map_, node = mapping.broken_off(state.writer, state.estimate, state.odometer_m, state.step, breaks_off)
     return Result(
-        map=state.writer.map,
+        map=map_,
         outcome=state.outcome,
         steps=state.step,
         path_m=body.path_m,
@@ -354,7 +362,7 @@ def finish(setup: Setup, given: Given, state: State) -> Result:
         refused=body.refused,
         interventions=state.helps,
         help_at=state.help_at,
-        node_at=state.node_at,
+        node_at=state.node_at.at[node].set(body.pose[:2], mode="drop"),
         met=state.met,
         scan_overflow=state.scan_overflow,
         drift_m=jnp.hypot(*(body.pose[:2] - state.estimate[:2])),

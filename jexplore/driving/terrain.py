@@ -3,7 +3,7 @@
 import jax.numpy as jnp
 import numpy as np
 from flax import struct
-from jax import Array
+from jax import Array, lax
 
 FINER = 4  # heights are kept this much finer than cells: a step is a ramp of a quarter of a cell
 CONTACTS = 14  # points of a track, lengthwise, that may touch the ground
@@ -68,12 +68,10 @@ def height_at(terrain: Terrain, x_m: Array | float, y_m: Array | float) -> Array
     col, row = jnp.minimum(u.astype(jnp.int32), cols - 2), jnp.minimum(v.astype(jnp.int32), rows - 2)
     u, v = u - col, v - row
     flat, at = jnp.asarray(terrain.height_m).reshape(-1), row * cols + col
-
-    def read(offset):
-        return flat.at[at + offset].get(mode="clip", wrap_negative_indices=False)
-
-    low = read(0) + u * (read(1) - read(0))
-    high = read(cols) + u * (read(cols + 1) - read(cols))
+    corners = at[..., None] + np.array([0, 1, cols, cols + 1], np.int32)
+    z = flat.at[corners].get(mode="clip", wrap_negative_indices=False)
+    low = z[..., 0] + u * (z[..., 1] - z[..., 0])
+    high = z[..., 2] + u * (z[..., 3] - z[..., 2])
     return low + v * (high - low)
 
 
@@ -149,7 +147,8 @@ def look_at(
     for _ in range(HALVINGS):
         middle = (low + high) / 2
         under = above(middle) <= 0
-        low, high = jnp.where(under, low, middle), jnp.where(under, middle, high)
+        # Else XLA computes every halving anew in those that follow.
+        low, high = lax.optimization_barrier((jnp.where(under, low, middle), jnp.where(under, middle, high)))
     return jnp.where(jnp.any(below, axis=0), (low + high) / 2, jnp.inf)
 
 

@@ -26,7 +26,9 @@ MAX_RUNS = 1_000_000
 MOST_STEPS = 100_000
 STEPS_M2 = 100  # steps of 4 cm for each square metre of free area: four metres of way
 CLEARANCE_M = 0.5  # of starts that are drawn
-ROOMY = 128, 256  # most nodes and links of a map of a building
+ROOMY = 128  # most nodes of a map of a building, at least
+SPARE = 2  # nodes that there is room for by default, for each place of the true map that is one
+MOST_NODES = 8192
 NOISE = "noise."  # names of noise begin so in a sweep
 
 
@@ -51,9 +53,19 @@ class TraceJob:
     settings: int
     max_steps: int
     size: tuple[int, int] = SIZE
-    """Most nodes and links of a map."""
+    """Most nodes and links of a map; see `room_for`."""
     attributes: tuple[tuple[str, Any, tuple[float, float]], ...] = ()
     """Name, value and place, metres: the node of every run's map that is nearest to the place in truth gets it."""
+
+    @property
+    def is_narrow(self) -> bool:
+        """Whether the map has less room than there are places that a run should find."""
+        return self.size[0] < self.places
+
+    @property
+    def places(self) -> int:
+        """Nodes of the true map, or of its part that the robot can reach."""
+        return len(self.truth.map.nodes)
 
     def first_settings(self) -> tuple[Any, Tuning, Noise]:
         """Robot, thresholds and noise of run 0: `(Robot, Tuning, Noise)`."""
@@ -195,6 +207,8 @@ def prepare_trace(
     cell_m: float = 0.1,
     max_steps: int | None = None,
     attributes: Sequence[str] = (),
+    nodes: int | None = None,
+    links: int | None = None,
 ) -> TraceJob:
     """Checks everything before anything is compiled.
 
@@ -212,6 +226,7 @@ def prepare_trace(
       max_steps: steps after which a run ends as STEP_LIMIT; by default `MAX_STEPS`, outside of courses more in
         proportion to the free area.
       attributes: see `attributes_of`.
+      nodes, links: most of a map; a run that needs more ends as MAP_FULL. See `room_for` for the defaults.
 
     Returns:
       `TraceJob`.
@@ -237,9 +252,25 @@ def prepare_trace(
     for i in range(count):
         _require(robot, *with_values(tuning, noise, own_values(swept, i)))
     building, truth, begins = _placed(world, _ends(world, start, starts, seed), robot, tuning)
-    size = SIZE if world.course is not None else ROOMY
+    size = room_for(world, truth, nodes, links)
     found = world, building, truth, begins, robot, tuning, noise, runs, seed, swept, count, max_steps, size
     return TraceJob(*found, attributes_of(attributes))
+
+
+def room_for(world: World, truth: Truth, nodes: int | None = None, links: int | None = None) -> tuple[int, int]:
+    """Most nodes and links of a map.
+
+    By default those of a course, or in other worlds `SPARE` nodes for each one of the true map, `ROOMY` at least, in
+    doublings, so that similar buildings share a program; and two links a node.
+
+    Raises:
+      InputError: a number out of range.
+    """
+    wanted = max(SPARE * len(truth.map.nodes), ROOMY)
+    room = 1 << (min(wanted, MOST_NODES) - 1).bit_length()
+    room = SIZE[0] if world.course is not None else room
+    room = require_whole("nodes", room if nodes is None else nodes, 2, MOST_NODES)
+    return room, require_whole("links", 2 * room if links is None else links, 2, 2 * MOST_NODES)
 
 
 def _require(robot, tuning, noise):

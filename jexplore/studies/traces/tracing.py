@@ -68,8 +68,8 @@ def asked(plan: TraceJob) -> dict[str, Any]:
         "version": __version__,
         "world": os.fspath(plan.world.name),
         **{name: getattr(plan, name) for name in ("robot", "tuning", "noise", "runs", "seed", "swept", "max_steps")},
+        **{name: getattr(plan, name) for name in ("size", "attributes")},
         "starts": plan.begins,
-        "attributes": plan.attributes,
         "digest": digest(plan.world),
     }
 
