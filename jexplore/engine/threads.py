@@ -50,8 +50,8 @@ class Pieces:
 def share_out(kinds: Iterable[Pieces], workers: int, on_progress: Callable[[int], object]) -> None:
     """Does all pieces of some kinds.
 
-    Those of a turn are done in rotation, `IN_ROTATION` at a time: what is interrupted has done a part of each, or, where
-    there are very many, has ended some.
+    Those of a turn are done in rotation, `IN_ROTATION` at a time: what is interrupted has done a part of each, or,
+    where there are very many, has ended some.
 
     Args:
       kinds: list of `Pieces`.
