@@ -143,12 +143,15 @@ def look_at(
     distance = jnp.arange(1, n + 1, dtype=jnp.float32)[:, None] * step
     below = above(distance) <= 0  # [n, D]
     first = jnp.argmax(below, axis=0)
-    low, high = first * step, (first + 1) * step
-    for _ in range(HALVINGS):
+
+    def halved(_, ends):
+        low, high = ends
         middle = (low + high) / 2
         under = above(middle) <= 0
-        # Else XLA computes every halving anew in those that follow.
-        low, high = lax.optimization_barrier((jnp.where(under, low, middle), jnp.where(under, middle, high)))
+        return jnp.where(under, low, middle), jnp.where(under, middle, high)
+
+    # As a loop: unrolled, XLA computes every halving anew in those that follow.
+    low, high = lax.fori_loop(0, HALVINGS, halved, (first * step, (first + 1) * step))
     return jnp.where(jnp.any(below, axis=0), (low + high) / 2, jnp.inf)
 
 
