@@ -34,6 +34,7 @@ OUT_RAD = math.radians(60)  # a link has been taken when the robot's heading is 
 LATCH_STEPS = 200  # a target that is not reached in so many steps is given up
 STUCK_STEPS = 150  # without going on or finding a node: the operator helps
 STUCK_M = 0.3
+STRAY_STEPS, STRAY_M = 600, 3.0  # likewise where it has driven up and down for so long within so far of one place
 HELPS_KEPT = 16  # helps of which place, time and run mode are kept
 LOST_M = 0.5  # a divergence farther ahead than this and its radius, and no longer seen, is none
 
@@ -164,7 +165,7 @@ def _surveyed(track, around, ways_m, placed, tuning, robot):
 
 
 def helped(state: Any, senses: Senses, makes_node: Array, building: Building, robot: Robot) -> Any:
-    """Where the robot has not got on for long the operator turns it to where the way is longest.
+    """Where the robot has not got on for long, or drives up and down, the operator turns it to where the way is longest.
 
     Args:
       state: `mission.State` after a step.
@@ -178,7 +179,11 @@ def helped(state: Any, senses: Senses, makes_node: Array, building: Building, ro
     on = (state.odometer_m - state.moved_m > STUCK_M) | makes_node
     moved_m = jnp.where(on, state.odometer_m, state.moved_m)
     moved_step = jnp.where(on, state.step, state.moved_step)
-    helps = (state.step - moved_step >= STUCK_STEPS) & (state.outcome == 0)
+    strays = (jnp.hypot(*(state.estimate[:2] - state.stray_from)) > STRAY_M) | makes_node
+    stray_from = jnp.where(strays, state.estimate[:2], state.stray_from)
+    stray_step = jnp.where(strays, state.step, state.stray_step)
+    helps = (state.step - moved_step >= STUCK_STEPS) | (state.step - stray_step >= STRAY_STEPS)
+    helps &= state.outcome == 0
     told = jnp.stack([*state.estimate[:2], state.step.astype(jnp.float32), state.mode.astype(jnp.float32)])
     ranges = jnp.where(jnp.isnan(senses.ranges_m), 0, jnp.minimum(senses.ranges_m, RANGE_M))
 
@@ -198,6 +203,8 @@ def helped(state: Any, senses: Senses, makes_node: Array, building: Building, ro
         writer=state.writer.replace(map=map_.replace(intervention=map_.intervention.at[node].add(1, mode="drop"))),
         moved_m=moved_m,
         moved_step=jnp.where(helps, state.step, moved_step),
+        stray_from=stray_from,
+        stray_step=jnp.where(helps, state.step, stray_step),
         helps=state.helps + helps,
         since_node=jnp.where(makes_node, 0, state.since_node + helps),
         help_at=state.help_at.at[jnp.where(helps, state.helps, HELPS_KEPT)].set(told, mode="drop"),

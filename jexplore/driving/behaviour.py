@@ -13,7 +13,7 @@ from flax import struct
 from jax import Array, lax
 
 from jexplore.driving import manoeuvre
-from jexplore.driving.sensing import perception
+from jexplore.driving.sensing import perception, surround
 from jexplore.driving.settings import Robot, Tuning
 
 WINDOW = 9  # scans that vote
@@ -21,6 +21,7 @@ DOUBT = 2  # votes up to which another triangle takes the place of one that a sc
 DEBOUNCE = 3  # steps that a free space must be seen, or not seen, in a row
 HYSTERESIS_M = 0.3  # a free space ends where both sides have a wall this much nearer than where it began
 GUARD_M = 0.1  # a wall this near to the robot's front stops it, if there is no way past it
+ROOM_M = 0.1  # a wall is followed at so much more than it takes to turn in place
 GETS_PAST = 1.75, manoeuvre.GO_M  # bearing, radians, within which a way so long, metres, leads past it
 GETS_ON = 1.0, 0.8  # likewise past what seems to close a passage
 
@@ -190,7 +191,7 @@ class Drive:
     known: Array  # bool, the place that is approached is a node, met again
     surveys: Array  # int32, places that it has gone to since the last node, each better than the one before
     turning: Array  # int32, side to which a dead end turns the robot: 1 left, -1 right, 0 none
-    left_m: Array  # float32, last distance of a wall on the left within C1
+    left_m: Array  # float32, last distance of a wall on the left within C1, or of one beside which it can turn
     right_m: Array  # float32, likewise on the right
     replace: ClassVar[Callable[..., Self]]
 
@@ -244,10 +245,11 @@ def choose_mode(
     turns = (mode == RunMode.DEAD_END) | (mode == RunMode.CONTACT_GUARD)
     turning = jnp.where(turns, jnp.where(drive.turning == 0, larger, drive.turning), 0)
     walls = ~free & ~closed & ~latched
+    least_m = jnp.hypot(robot.length_m, robot.width_m) / 2 + surround.MARGIN_M + ROOM_M
     return mode, drive.replace(
         turning=turning.astype(jnp.int32),
-        left_m=jnp.where(walls & (left_m < tuning.open_m), left_m, drive.left_m),
-        right_m=jnp.where(walls & (right_m < tuning.open_m), right_m, drive.right_m),
+        left_m=jnp.where(walls & (left_m < tuning.open_m), jnp.maximum(left_m, least_m), drive.left_m),
+        right_m=jnp.where(walls & (right_m < tuning.open_m), jnp.maximum(right_m, least_m), drive.right_m),
     )
 
 

@@ -163,7 +163,8 @@ def _backs(now, around, robot, in_place, wanted, omega, touched):
 
     can = run_if(in_place | now.backing, swept, jnp.bool_(True))
     starts = (in_place & ~can) | touched
-    enough = (now.backed_m >= BACK_M) & can | (now.backed_m > MOST_BACK_M)
+    # Nor does it go back farther once the way that it wants is free.
+    enough = (now.backed_m >= BACK_M) & (can | ~in_place) | (now.backed_m > MOST_BACK_M)
     return jnp.where(now.backing, ~enough, starts) & (now.kept > 1)
 
 

@@ -94,6 +94,8 @@ class State:
     blind: Array  # int32, scans in a row without numbers
     moved_m: Array  # float32, odometer when it last got on
     moved_step: Array  # int32, and the step
+    stray_from: Array  # [2] float32, where it has been near for long, odometry
+    stray_step: Array  # int32, since which step
     helps: Array  # int32
     since_node: Array  # int32, of them, since the last node
     help_at: Array  # [HELPS_KEPT, 4] float32, x, y of the first of them, odometry; step; run mode
@@ -164,6 +166,8 @@ def at_start(setup: Setup, building: Building, robot: Robot, start: Array) -> St
         blind=none,
         moved_m=zero,
         moved_step=none,
+        stray_from=start[:2],
+        stray_step=none,
         helps=none,
         since_node=none,
         help_at=jnp.full((approach.HELPS_KEPT, 4), jnp.nan),

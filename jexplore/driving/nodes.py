@@ -99,7 +99,7 @@ def _find_openings(writer, event, points, tuning, is_divergence):
         is_divergence, came_from(writer, event.centre, event.radius) - event.centre, -_heading(event.pose[2])
     )
     came = jnp.arctan2(came[1], came[0])
-    found = openings.openings(
+    found = openings.ways_out(
         points[0], points[1], event.centre, event.radius, tuning.width_m, circle=tuning.circle, size=OPENINGS
     )
     off = jnp.where(found.valid, jnp.abs(btm.wrapped(found.bearing - came)), jnp.inf)

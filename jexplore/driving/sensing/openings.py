@@ -3,6 +3,7 @@
 import functools
 import math
 
+import jax
 import jax.numpy as jnp
 from flax import struct
 from jax import Array
@@ -24,6 +25,8 @@ DOOR = 3  # directions that a door takes at least
 BEYOND_M = 0.25  # what lies farther than its wall is seen through a door of it
 BOTH_ENDS = 0.75  # share of the directions of a wall that its ends are
 AHEAD = 0.6  # radii from the centre from which on they are
+WIDER = 1.5  # search circles, in which doors that lie partly outside one are looked for
+OTHER_M = 0.5  # from the middle of every other opening
 ALIKE_M = 0.02  # connections of the walls beside a gap that are longer by this count for less
 PASSAGE_RAD = math.radians(30)  # a link bears as its passage does if that differs no more from where it is seen
 APART_RAD = math.radians(40)  # and no other opening bears so nearly alike
@@ -168,7 +171,7 @@ def openings(xy: Array, valid: Array, centre: Array, radius_m: Array | float, wi
       nearer to the centre than `NEAR` radii (or as many distances of the nearest wall, if that is more), a wall
       farther in, does not divide an opening, unless that leaves a gap as narrow as a door which leads on; and
       where a gap leads into a pocket whose walls are all in sight, the doors in these count instead, and a
-      corner does not.
+      corner does not, unless there is no other way out.
     """
     offset = xy - centre
     search_m = circle * radius_m
@@ -197,10 +200,34 @@ def openings(xy: Array, valid: Array, centre: Array, radius_m: Array | float, wi
     across = jnp.where(only, jnp.arctan2(middle[:, 1], middle[:, 0]), across)
     wide = jnp.where(only, jnp.sum(jnp.where(gap_here, width, 0)), narrowest)
     doors = _doors(whole[0], door, door_end, size)
-    own = stays | (valid & only), middle, across, wide
+    stays |= valid & only
+    own = jnp.where(jnp.any(stays) | jnp.any(doors[0]), stays, valid), middle, across, wide
     more = jnp.sum(gap_here, dtype=jnp.int32) - size, jnp.sum(door, dtype=jnp.int32) - size
     together = [jnp.concatenate(pair) for pair in zip(own, doors)]
     return _in_order(together, jnp.maximum(more[0], 0) + jnp.maximum(more[1], 0), size)
+
+
+def ways_out(xy: Array, valid: Array, centre: Array, radius_m: Array | float, width_m: Array | float, *,
+             circle: Array | float, size: int) -> Openings:  # fmt: skip
+    """`openings` of a place, and doors in the walls beside it whose farther jamb lies outside the search circle.
+
+    Two doors that face each other across a passage are rarely opposite to the centimetre. One whose middle lies in the
+    circle belongs to the place, as the one across the passage does; the circle alone sees one gap of it and the passage.
+
+    Args and returns: as for `openings`.
+    """
+
+    def seen(wider):
+        return openings(xy, valid, centre, radius_m, width_m, circle=circle * wider, size=size)
+
+    both = jax.vmap(seen)(jnp.array([1.0, WIDER]))
+    found, more = (jax.tree.map(lambda a, i=i: a[i], both) for i in range(2))
+    inside = jnp.hypot(*more.middle.T) <= circle * radius_m
+    off = jnp.hypot(*jnp.moveaxis(more.middle[:, None] - found.middle, -1, 0))
+    off = jnp.where(found.valid, off, jnp.inf)
+    extra = more.valid & inside & (more.width_m <= DOOR_M) & (jnp.min(off, axis=1) > OTHER_M)
+    parts = [(a.valid if a is found else extra, a.middle, a.across, a.width_m) for a in (found, more)]
+    return _in_order([jnp.concatenate(pair) for pair in zip(*parts)], found.overflow, size)
 
 
 def _doors(place, door, door_end, size):
