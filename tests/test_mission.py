@@ -10,7 +10,7 @@ import pytest
 
 from jexplore import btm
 from jexplore.config import InputError
-from jexplore.driving import batch, mission, vehicle
+from jexplore.driving import approach, batch, mission, vehicle
 from jexplore.driving.batch import building_of, numbers_of, pose_in
 from jexplore.driving.behaviour import RunMode
 from jexplore.driving.mission import Outcome
@@ -295,6 +295,25 @@ def test_how_runs_may_end(change, outcome):
     assert onward.start_bearing_deg == pytest.approx(math.degrees(found.driven.estimate[-1, 2]), abs=3)
     end = found.first.nodes[1]
     assert math.hypot(*(np.array([end.x_m, end.y_m]) - found.driven.truth[-1, :2])) < 0.1
+
+
+@pytest.mark.jit
+def test_a_robot_that_drives_up_and_down_is_helped(course):
+    plan = course.plan
+    building = jax.tree.map(jnp.asarray, plan.building)
+    state = mission.at_start(mission.Setup(700), building, KAMUI, plan.begins[0])
+    senses = mission.sense(vehicle.draw(jax.random.key(0)), building, KAMUI, STILL, state.body)
+    late = state.replace(step=jnp.int32(approach.STRAY_STEPS), moved_step=jnp.int32(approach.STRAY_STEPS - 1))
+    helped = approach.helped(late, senses, jnp.bool_(False), building, KAMUI)
+    assert (int(helped.helps), int(helped.stray_step)) == (1, approach.STRAY_STEPS)
+    off = late.replace(estimate=late.estimate.at[0].add(approach.STRAY_M + 0.1))
+    for state, makes_node in ((off, False), (late, True), (late.replace(step=late.step - 1), False)):
+        after = approach.helped(state, senses, jnp.bool_(makes_node), building, KAMUI)
+        assert int(after.helps) == 0
+    gone = approach.helped(off, senses, jnp.bool_(False), building, KAMUI)
+    assert gone.stray_from.tolist() == off.estimate[:2].tolist()
+    done = late.replace(outcome=jnp.int32(Outcome.EXHAUSTED))
+    assert int(approach.helped(done, senses, jnp.bool_(False), building, KAMUI).helps) == 0
 
 
 @pytest.mark.jit

@@ -327,3 +327,60 @@ def test_noise_miscounts_hardly_any_corner(circle):
             centre = np.array(where) * width_m + rng.normal(scale=0.03, size=2)
             right += len(ways_out(xy, centre, radius * width_m, circle=circle)[0]) == 2
     assert right >= 22  # of 24
+
+
+def seen_from(occupied, centre, cell_m=0.1):
+    """What beams a degree apart meet all round a place: `[360, 2]`."""
+    made = jax.tree.map(np.asarray, walls.walls_of(occupied, cell_m))
+    angles = np.radians(np.arange(360)).astype(np.float32)
+    ranges = np.asarray(walls.cast(made, (*np.float32(centre), np.float32(0)), angles, 20.0))
+    return np.asarray(centre) + ranges[:, None] * np.stack([np.cos(angles), np.sin(angles)], 1)
+
+
+def passage(*doors):
+    """A passage of 2.4 m along x, from 4 to 6.4 m, with doors of 1 m in its walls: (where they begin, upper or not)."""
+    occupied = np.ones((104, 240), bool)
+    occupied[40:64, 2:-2] = False
+    occupied[2:38, 2:-2] = occupied[66:-2, 2:-2] = False  # one long room on either side
+    for begins, upper in doors:
+        occupied[slice(64, 66) if upper else slice(38, 40), begins : begins + 10] = False
+    return occupied
+
+
+find_ways_out = jax.jit(openings.ways_out, static_argnames="size")
+
+
+def all_ways_out(xy, centre, radius_m):
+    """Middles of all ways out of a place, `[n, 2]`, in their order."""
+    numbers = np.float32(centre), np.float32(radius_m), np.float32(TUNING.width_m)
+    found = find_ways_out(np.float32(xy), np.ones(len(xy), bool), *numbers, circle=1.5, size=K)
+    return np.asarray(found.middle)[np.asarray(found.valid)] + centre
+
+
+@pytest.mark.parametrize("askew", [0, 4, 8, 11, -11])
+def test_doors_that_face_each_other_askew_belong_to_one_place(askew):
+    centre = (12.0, 5.2)
+    middles = all_ways_out(seen_from(passage((115, False), (115 + askew, True)), centre), centre, 1.2)
+    assert len(middles) == 4
+    for door in ((12.0, 4.0), (12.0 + askew / 10, 6.4)):
+        assert np.min(np.hypot(*(middles - door).T)) < 0.25
+    towards = np.arctan2(*(middles - centre).T[::-1])  # in the order of their bearings, and none twice
+    assert (np.diff(towards) > 0.3).all()
+
+
+def test_a_door_whose_middle_lies_outside_the_circle_is_none_of_the_place():
+    centre = (12.0, 5.2)
+    assert len(all_ways_out(seen_from(passage((115, False), (133, True)), centre), centre, 1.2)) == 3
+
+
+def test_a_place_has_some_way_out():
+    """A room whose door lies in a corner, half in the search circle, seen from one place only."""
+    occupied = np.ones((110, 80), bool)
+    occupied[66:100, 3:50] = False
+    occupied[40:64, 3:-3] = False  # the passage before it
+    occupied[64:66, 7:19] = False  # the door
+    centre = (3.31, 8.30)
+    xy = seen_from(occupied, centre)
+    bearings, _, _ = ways_out(xy, centre, 1.7)
+    assert len(bearings) >= 1
+    assert min(np.abs(wrapped_deg(bearings - 180))) < 60

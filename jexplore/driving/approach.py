@@ -165,7 +165,7 @@ def _surveyed(track, around, ways_m, placed, tuning, robot):
 
 
 def helped(state: Any, senses: Senses, makes_node: Array, building: Building, robot: Robot) -> Any:
-    """Where the robot has not got on for long, or drives up and down, the operator turns it to where the way is longest.
+    """Where the robot does not get on, or drives up and down, the operator turns it to where the way is longest.
 
     Args:
       state: `mission.State` after a step.

@@ -212,7 +212,7 @@ def ways_out(xy: Array, valid: Array, centre: Array, radius_m: Array | float, wi
     """`openings` of a place, and doors in the walls beside it whose farther jamb lies outside the search circle.
 
     Two doors that face each other across a passage are rarely opposite to the centimetre. One whose middle lies in the
-    circle belongs to the place, as the one across the passage does; the circle alone sees one gap of it and the passage.
+    circle belongs to the place, as the one across the passage does; in the circle alone it and the passage are one gap.
 
     Args and returns: as for `openings`.
     """
