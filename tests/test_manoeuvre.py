@@ -242,13 +242,25 @@ def test_what_was_touched_is_left_by_the_least_way_back():
     assert v == pytest.approx(TUNING.speed_m_s)  # and on it goes
 
 
+def test_it_goes_back_no_farther_once_the_way_that_it_wants_is_free():
+    """Between walls where it cannot turn: back for a turn, but not for a target ahead."""
+    beside = of((0, 0.3), (0, -0.3))
+    now = along_x(1.0).replace(backing=jnp.bool_(True), backed_m=jnp.float32(BACK_M + 0.01))
+    assert driven(now, beside, turning=1)[0].backing
+    after, v, _ = driven(now, beside)
+    assert not after.backing
+    assert v == pytest.approx(TUNING.speed_m_s)
+    early = now.replace(backed_m=jnp.float32(BACK_M / 2))
+    assert driven(early, beside)[0].backing
+
+
 @pytest.mark.parametrize("left_m", [0.1, -0.1])
 def test_going_back_it_comes_over_to_the_trail(left_m):
     """It stands beside its trail, heading alike, with a wall on either side too near to turn."""
     now = gone(*[(x, left_m, 0) for x in np.arange(-2, 0.001, 0.05)]).replace(backing=jnp.bool_(True))
     pose = np.zeros(3)
     for _ in range(40):
-        now, v, omega = driven(now, of((0, 0.45 - pose[1]), (0, -0.45 - pose[1])), pose=pose)
+        now, v, omega = driven(now, of((0, 0.45 - pose[1]), (0, -0.45 - pose[1])), pose=pose, turning=1)
         pose = exact(pose, v, omega)
     assert pose[0] < -0.7
     assert pose[1] == pytest.approx(left_m, abs=0.04)

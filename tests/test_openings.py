@@ -207,11 +207,17 @@ def room(length_m, *doors, side=()):
 def test_the_rest_of_a_room_is_no_opening_where_it_is_a_corner(length_m, n):
     """A circle of 1.5 m touches three of its walls; the search circle leaves a gap of 3 m at 1.68 m to the west.
 
-    It is one where the wall beyond is farther behind it than 0.65 of that, 3.63 m from the centre.
+    It is one where the wall beyond is farther behind it than 0.65 of that, 3.63 m from the centre, and where there is
+    no other, as the one of 1.1 m to the east.
     """
-    found, widths = doors_of(room(length_m), radius_m=1.5)
-    assert len(found) == n
-    np.testing.assert_allclose(widths, 3, atol=0.01)
+    xy = room(length_m)
+    door = xy[(xy[:, 0] < 1.4) | (np.abs(xy[:, 1]) > 0.5)]
+    found, widths = doors_of(door, radius_m=1.5)
+    assert len(found) == 1 + n
+    np.testing.assert_allclose(sorted(widths), [1.1, 3][: 1 + n], atol=0.02)
+    found, widths = doors_of(xy, radius_m=1.5)
+    assert np.abs(found[:, 0]) == pytest.approx([180], abs=0.1)
+    np.testing.assert_allclose(widths, [3], atol=0.01)
 
 
 @pytest.mark.parametrize("length_m", [2.0, 2.5, 3.0])

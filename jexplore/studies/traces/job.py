@@ -223,10 +223,9 @@ def prepare_trace(
       start: x, y, metres; heading, degrees; by default the world's own, else drawn.
       sweep, settings: see `swept_values`.
       cell_m: edge of a cell, metres.
-      max_steps: steps after which a run ends as STEP_LIMIT; by default `MAX_STEPS`, outside of courses more in
-        proportion to the free area.
+      max_steps: steps after which a run ends as STEP_LIMIT; by default `MAX_STEPS`, in buildings more by free area.
       attributes: see `attributes_of`.
-      nodes, links: most of a map; a run that needs more ends as MAP_FULL. See `room_for` for the defaults.
+      nodes, links: most of a map; a run that needs more ends as MAP_FULL. By default see `room_for`.
 
     Returns:
       `TraceJob`.
@@ -242,19 +241,17 @@ def prepare_trace(
     seed = require_whole("seed", seed, 0, MAX_SEED)
     settings = require_whole("settings", settings, 1, MAX_RUNS)
     max_steps = require_whole("max_steps", _enough(world) if max_steps is None else max_steps, 100, MOST_STEPS)
-    robot = robot_of(robot) if isinstance(robot, str) else robot
-    tuning, noise = tuning or Tuning(), noise or Noise()
-    _require(robot, tuning, noise)
+    robot, tuning, noise = _sound(robot, tuning, noise)
     swept = swept_values(sweep, settings, seed)
     count = len(next(iter(swept.values()))) if swept else 1
     if count * runs > MAX_RUNS:
         raise InputError(f"{count} settings x {runs} runs are more than {MAX_RUNS}; use fewer")
     for i in range(count):
         _require(robot, *with_values(tuning, noise, own_values(swept, i)))
-    building, truth, begins = _placed(world, _ends(world, start, starts, seed), robot, tuning)
-    size = room_for(world, truth, nodes, links)
-    found = world, building, truth, begins, robot, tuning, noise, runs, seed, swept, count, max_steps, size
-    return TraceJob(*found, attributes_of(attributes))
+    places = _placed(world, _ends(world, start, starts, seed), robot, tuning)
+    size = room_for(world, places[1], nodes, links)
+    found = robot, tuning, noise, runs, seed, swept, count, max_steps, size
+    return TraceJob(world, *places, *found, attributes_of(attributes))
 
 
 def room_for(world: World, truth: Truth, nodes: int | None = None, links: int | None = None) -> tuple[int, int]:
@@ -271,6 +268,14 @@ def room_for(world: World, truth: Truth, nodes: int | None = None, links: int | 
     room = SIZE[0] if world.course is not None else room
     room = require_whole("nodes", room if nodes is None else nodes, 2, MOST_NODES)
     return room, require_whole("links", 2 * room if links is None else links, 2, 2 * MOST_NODES)
+
+
+def _sound(robot, tuning, noise):
+    """Robot, thresholds and noise, those that are not given by default."""
+    robot = robot_of(robot) if isinstance(robot, str) else robot
+    tuning, noise = tuning or Tuning(), noise or Noise()
+    _require(robot, tuning, noise)
+    return robot, tuning, noise
 
 
 def _require(robot, tuning, noise):
