@@ -225,7 +225,8 @@ def ways_out(xy: Array, valid: Array, centre: Array, radius_m: Array | float, wi
     inside = jnp.hypot(*more.middle.T) <= circle * radius_m
     off = jnp.hypot(*jnp.moveaxis(more.middle[:, None] - found.middle, -1, 0))
     off = jnp.where(found.valid, off, jnp.inf)
-    extra = more.valid & inside & (more.width_m <= DOOR_M) & (jnp.min(off, axis=1) > OTHER_M)
+    alike = found.valid & (jnp.abs(wrapped(more.across[:, None] - found.across)) < APART_RAD)
+    extra = more.valid & inside & (more.width_m <= DOOR_M) & (jnp.min(off, axis=1) > OTHER_M) & ~jnp.any(alike, axis=1)
     parts = [(a.valid if a is found else extra, a.middle, a.across, a.width_m) for a in (found, more)]
     return _in_order([jnp.concatenate(pair) for pair in zip(*parts)], found.overflow, size)
 
