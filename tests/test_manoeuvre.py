@@ -242,16 +242,16 @@ def test_what_was_touched_is_left_by_the_least_way_back():
     assert v == pytest.approx(TUNING.speed_m_s)  # and on it goes
 
 
-def test_it_goes_back_no_farther_once_the_way_that_it_wants_is_free():
-    """Between walls where it cannot turn: back for a turn, but not for a target ahead."""
-    beside = of((0, 0.3), (0, -0.3))
+def test_it_goes_back_no_farther_where_that_leads_nowhere():
+    """Between walls where it cannot turn, with a third one behind it."""
+    beside, behind = [(0, 0.3), (0, -0.3)], [(-0.36, y) for y in (-0.1, 0, 0.1)]
     now = along_x(1.0).replace(backing=jnp.bool_(True), backed_m=jnp.float32(BACK_M + 0.01))
-    assert driven(now, beside, turning=1)[0].backing
-    after, v, _ = driven(now, beside)
+    assert driven(now, of(*beside))[0].backing  # there is room behind it
+    assert driven(now, of(*beside, *behind), turning=1)[0].backing  # it wants to turn
+    after, v, _ = driven(now, of(*beside, *behind))
     assert not after.backing
     assert v == pytest.approx(TUNING.speed_m_s)
-    early = now.replace(backed_m=jnp.float32(BACK_M / 2))
-    assert driven(early, beside)[0].backing
+    assert driven(now.replace(backed_m=jnp.float32(BACK_M / 2)), of(*beside, *behind))[0].backing
 
 
 @pytest.mark.parametrize("left_m", [0.1, -0.1])
@@ -260,7 +260,7 @@ def test_going_back_it_comes_over_to_the_trail(left_m):
     now = gone(*[(x, left_m, 0) for x in np.arange(-2, 0.001, 0.05)]).replace(backing=jnp.bool_(True))
     pose = np.zeros(3)
     for _ in range(40):
-        now, v, omega = driven(now, of((0, 0.45 - pose[1]), (0, -0.45 - pose[1])), pose=pose, turning=1)
+        now, v, omega = driven(now, of((0, 0.45 - pose[1]), (0, -0.45 - pose[1])), pose=pose)
         pose = exact(pose, v, omega)
     assert pose[0] < -0.7
     assert pose[1] == pytest.approx(left_m, abs=0.04)

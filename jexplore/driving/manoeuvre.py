@@ -115,9 +115,13 @@ def drive(
     v = jnp.where(in_place, 0, v)
     wanted = jnp.where(turning != 0, jnp.pi, jnp.abs(course))
 
-    backing = _backs(now, around, robot, in_place, wanted, omega, touched)
-    still = jnp.float32(0), jnp.float32(0), now.length
-    back_v, back_omega, length = run_if(backing, lambda _: _back(now, around, robot, pose, speed, touched), still)
+    starts, enough = _backs(now, around, robot, in_place, wanted, omega, touched)
+    goes = (now.backing | starts) & (now.kept > 1)
+    still = jnp.float32(0), jnp.float32(0), now.length, jnp.bool_(False)
+    back_v, back_omega, length, wedged = run_if(goes, lambda _: _back(now, around, robot, pose, speed, touched), still)
+    # Nor does it go back farther where that leads nowhere and the way that it wants is free.
+    enough |= wedged & ~in_place & (now.backed_m >= BACK_M)
+    backing = goes & ~(now.backing & enough)
     after = now.replace(
         backing=backing,
         backed_m=jnp.where(backing, now.backed_m + jnp.maximum(jnp.abs(back_v) * 0.1, LEAST_BACK_M), 0),
@@ -153,7 +157,9 @@ def _meets(around, robot, ahead_m, turn):
 
 
 def _backs(now, around, robot, in_place, wanted, omega, touched):
-    """Whether the robot goes back: it cannot turn as it wants, or has touched something."""
+    """Whether the robot begins to go back, as it cannot turn as it wants or has touched something; and whether it has
+    gone back far enough: `(starts, enough)`.
+    """
     margin_m = jnp.where(now.backing, 2 * surround.MARGIN_M, surround.MARGIN_M)
     needed = jnp.where(now.backing, jnp.pi, jnp.minimum(wanted, GLANCE_RAD))
 
@@ -163,9 +169,7 @@ def _backs(now, around, robot, in_place, wanted, omega, touched):
 
     can = run_if(in_place | now.backing, swept, jnp.bool_(True))
     starts = (in_place & ~can) | touched
-    # Nor does it go back farther once the way that it wants is free.
-    enough = (now.backed_m >= BACK_M) & (can | ~in_place) | (now.backed_m > MOST_BACK_M)
-    return jnp.where(now.backing, ~enough, starts) & (now.kept > 1)
+    return starts, (now.backed_m >= BACK_M) & can | (now.backed_m > MOST_BACK_M)
 
 
 def _gets_free(speed):
@@ -175,7 +179,8 @@ def _gets_free(speed):
 
 
 def _back(now, around, robot, pose, speed, touched):
-    """Speed and turn rate to the pose before, and how many poses are left: `(v, omega, length)`.
+    """Speed and turn rate to the pose before, how many poses are left, and whether neither is free: `(v, omega, length,
+    wedged)`.
 
     Where that would touch, it goes straight back, and where that would, by whatever leads farthest away.
     """
@@ -200,4 +205,4 @@ def _back(now, around, robot, pose, speed, touched):
     best = jnp.where(touched, 2 + turn_of, best)
     found, passes = ways[best], best > 0
     near |= passes & (jnp.hypot(offset[0], offset[1]) < BACK_M)
-    return found[0], found[1], jnp.where(near, now.length - 1, now.length)
+    return found[0], found[1], jnp.where(near, now.length - 1, now.length), ~jnp.any(free)
