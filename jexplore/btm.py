@@ -130,6 +130,27 @@ def add_link(
     ), at
 
 
+def end_link(
+    btm: Btm, link: Array | int, end: Array | int, bearing: Array | float, *, when: Array | bool = True, **fields: Any
+) -> Btm:
+    """Ends a link at a node: it has been followed.
+
+    Args:
+      btm: `Btm`.
+      link: int32, id.
+      end: int32, id of a node.
+      bearing: float32, direction in which the link leaves that node, radians.
+      when: bool scalar; if False, nothing changes.
+      **fields: other fields of a link.
+
+    Returns:
+      `Btm`.
+    """
+    at = jnp.where(when, link, btm.start.shape[0])
+    new = {"end": end, "status": SEARCHED, "end_bearing": wrapped(bearing), **fields}
+    return btm.replace(**{name: _put(getattr(btm, name), at, value) for name, value in new.items()})
+
+
 def wrapped(angle: Any) -> Any:
     """An angle in [-pi, pi), radians."""
     return (angle + math.pi) % (2 * math.pi) - math.pi

@@ -183,7 +183,6 @@ def helped(state: Any, senses: Senses, makes_node: Array, building: Building, ro
     stray_from = jnp.where(strays, state.estimate[:2], state.stray_from)
     stray_step = jnp.where(strays, state.step, state.stray_step)
     helps = (state.step - moved_step >= STUCK_STEPS) | (state.step - stray_step >= STRAY_STEPS)
-    helps &= state.outcome == 0
     told = jnp.stack([*state.estimate[:2], state.step.astype(jnp.float32), state.mode.astype(jnp.float32)])
     ranges = jnp.where(jnp.isnan(senses.ranges_m), 0, jnp.minimum(senses.ranges_m, RANGE_M))
 

@@ -263,16 +263,9 @@ def broken_off(writer: Writer, pose: Array, odometer_m: Array, steps: Array, whe
         way = writer.way.replace(odometer_m=jnp.where(gone, writer.way.odometer_m, jnp.inf))
         width_m, posture_deg, roll_deg = along(way, writer.node_m, odometer_m)
         map_, node = btm.add_node(map_, btm.TERMINAL, pose[0], pose[1])
-        found = {
-            "end": node,
-            "status": btm.SEARCHED,
-            "length_m": odometer_m - writer.node_m,
-            "min_width_m": width_m,
-            "link_posture_deg": posture_deg,
-            "max_roll_deg": roll_deg,
-            "end_bearing": btm.wrapped(pose[2] + math.pi),
-        }
-        map_ = map_.replace(**{name: getattr(map_, name).at[link].set(value) for name, value in found.items()})
+        found = {"length_m": odometer_m - writer.node_m, "min_width_m": width_m}
+        found |= {"link_posture_deg": posture_deg, "max_roll_deg": roll_deg}
+        map_ = btm.end_link(map_, link, node, pose[2] + math.pi, **found)
         return btm.add_link(map_, node, pose[2])[0]
 
     return run_if(when, ended, writer.map), jnp.where(when, writer.map.n_nodes, n)

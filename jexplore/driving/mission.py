@@ -258,10 +258,7 @@ def _decided(state, writer, ahead, around, ways_m, placed, at_goal, is_open, tun
         border_m=jnp.where(early, state.odometer_m, ahead.border_m),
     )
     ahead = ahead._replace(track=track)
-    event = due(state, writer, ahead, at_goal, is_open, arrives)
-    # A large map must stay as it is once the run is done.
-    kind = jnp.where(state.outcome == Outcome.RUNNING, event.kind, btm.NONE)
-    return writer, drive, ahead, dataclasses.replace(event, kind=kind)
+    return writer, drive, ahead, due(state, writer, ahead, at_goal, is_open, arrives)
 
 
 def _driven(state, drive, ahead, walls, around, ways_m, estimate, tuning, robot):

@@ -364,18 +364,14 @@ def _heading(angle):
 
 def _end_link(map_, writer, event, at_node, back, step_m, link, when):
     """Ends a link at a node."""
-    at = jnp.where(when, link, map_.start.shape[0])
-    values = {
-        "end": at_node.node,
-        "status": btm.SEARCHED,
+    found = {
         "length_m": event.odometer_m - writer.node_m,
         "min_width_m": at_node.width,
         "link_posture_deg": at_node.posture,
         "max_roll_deg": at_node.roll,
         "max_step_m": step_m,
-        "end_bearing": btm.wrapped(back),
     }
-    return map_.replace(**{name: getattr(map_, name).at[at].set(v, mode="drop") for name, v in values.items()})
+    return btm.end_link(map_, link, at_node.node, back, when=when, **found)
 
 
 def _withdraw_double(map_, node, back, when):

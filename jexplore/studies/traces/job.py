@@ -16,6 +16,7 @@ from jexplore.driving import vehicle
 from jexplore.driving.batch import MAX_STEPS, building_of, pose_in, require_start
 from jexplore.driving.mission import SIZE
 from jexplore.driving.settings import ROBOTS, WHOLE, Noise, Robot, Tuning, require_noise, require_robot, require_tuning
+from jexplore.engine.lanes import SMALL
 from jexplore.studies import checks
 from jexplore.studies.traces.truth import Truth, truth_of
 from jexplore.tracemap.record import BtmMap
@@ -28,7 +29,7 @@ STEPS_M2 = 100  # steps of 4 cm for each square metre of free area: four metres 
 CLEARANCE_M = 0.5  # of starts that are drawn
 ROOMY = 128  # most nodes of a map of a building, at least
 SPARE = 2  # nodes that there is room for by default, for each place of the true map that is one
-MOST_NODES = 8192
+MOST_NODES = SMALL // 2  # links are twice as many: the engine keeps arrays so small as they are once a run is done
 NOISE = "noise."  # names of noise begin so in a sweep
 
 
