@@ -6,6 +6,7 @@ See README.md in this folder for the columns.
 """
 
 import argparse
+import dataclasses
 import importlib.util
 import sys
 from pathlib import Path
@@ -20,6 +21,8 @@ from jexplore.bench.timing import interleaved, mean_and_se, one_core, ratio, spr
 from jexplore.config import InputError, require_whole
 from jexplore.engine.backend import start_backend
 from jexplore.exploration.results import path_m
+from jexplore.exploration.sensing import native_kernel
+from jexplore.exploration.site import KERNELS
 from jexplore.exploration.state import Outcome
 from jexplore.report import store
 from jexplore.studies.checks import ready_strategies, ready_worlds
@@ -47,12 +50,12 @@ def load_yardstick(path):
     return module
 
 
-def beside(compiler, world, strategy, yardstick, episodes, repeat):
+def beside(compiler, world, strategy, kernels, yardstick, episodes, repeat):
     """Times one case on one core in turns with the yardstick, from the same starts: a dict for the report.
 
     The yardstick's starts have any heading; ours are rounded to 45 degrees. Its world is ours, cell by cell.
     """
-    program = compiler.serial(world, strategy)
+    program = compiler.serial(world, strategy, kernels)
     rows, cols, headings, _ = yardstick.pick_starts(world.occupied, episodes, 0, WALL_M / world.cell_m)
     starts = np.stack([rows, cols, np.rint(np.degrees(headings) / 45).astype(int) % 8 * 45], axis=1).astype(np.int32)
     explorer = yardstick.Explorer(
@@ -82,6 +85,7 @@ def beside(compiler, world, strategy, yardstick, episodes, repeat):
     return {
         "world": world.name,
         "strategy": strategy.name,
+        "fast": kernels.native is not None,
         "shape": list(world.shape),
         "s_per_episode": {name: spread(values) for name, values in wall.items()},
         "cpu_s_per_episode": {name: spread(values) for name, values in cpu.items()},
@@ -98,12 +102,12 @@ def beside(compiler, world, strategy, yardstick, episodes, repeat):
 def table(cases):
     """The cases as Markdown."""
     header = [
-        "one core", "strategy", "ours, CPU ms", "yardstick", "ratio", "ratio by the clock",
+        "one core", "strategy", "scans by", "ours, CPU ms", "yardstick", "ratio", "ratio by the clock",
         "path m", "yardstick", "paired difference", "plans", "yardstick", "scans", "yardstick", "equal",
     ]  # fmt: skip
     return markdown(header, [
         [
-            case["world"].rpartition("/")[2], case["strategy"],
+            case["world"].rpartition("/")[2], case["strategy"], "C++" if case["fast"] else "JAX",
             *(1e3 * case["cpu_s_per_episode"][who]["median"] for who in ("ours", "yardstick")),
             case["cpu_time_ratio"], case["time_ratio"],
             *(plus_minus(case["path_m"][who]) for who in ("ours", "yardstick")),
@@ -120,6 +124,7 @@ def parse():
     parser.add_argument("--yardstick", type=Path, default=YARDSTICK, help="numba simulator; default %(default)s")
     parser.add_argument("--worlds", nargs="+", help=f"default: Stage's {' and '.join(MAPS)}")
     parser.add_argument("--strategies", nargs="+", default=["closest+recheck"], help=f"among {', '.join(STRATEGIES)}")
+    parser.add_argument("--fast", action="store_true", help="ours also with the kernel in C++ that makes the scans")
     parser.add_argument("--episodes", type=int, default=16, help="of each strategy in each world")
     parser.add_argument("--repeat", type=int, default=5, help="turns of ours and the yardstick")
     parser.add_argument("--out", type=Path, help="JSON file")
@@ -138,7 +143,12 @@ def main():
             raise InputError(f"--strategies must be among {', '.join(STRATEGIES)}, got {strategy.name!r}")
     if importlib.util.find_spec("numba") is None:
         raise InputError(f"--yardstick {args.yardstick}: needs numba, which the extra bench installs")
-    yardstick = load_yardstick(args.yardstick)
+    yardstick, kernels = load_yardstick(args.yardstick), [KERNELS["serial"]]
+    if args.fast:
+        native = native_kernel()
+        if native.target is None:
+            raise InputError(f"--fast: {native.why_not}")
+        kernels.append(dataclasses.replace(kernels[0], native=native.target))
     worlds = ready_worlds(args.worlds or [str(SHARED / "maps" / "stage" / name) for name in MAPS], 0.1)
     start_backend(1)
     jax.config.update("jax_enable_compilation_cache", False)
@@ -148,9 +158,10 @@ def main():
         pass
     compiler = Compiler()
     report["cases"] = [
-        beside(compiler, world, strategy, yardstick, args.episodes, args.repeat)
+        beside(compiler, world, strategy, own, yardstick, args.episodes, args.repeat)
         for world in worlds
         for strategy in strategies
+        for own in kernels
     ]
     report["programs"] = compiler.programs
     print(table(report["cases"]))

@@ -4,12 +4,11 @@ frontier cells.
 
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 from flax import struct
 from jax import Array, lax
 
-from jexplore.arrays import bits, sparse
+from jexplore.arrays import bits, groups, sparse
 from jexplore.arrays.loops import settled, stored
 from jexplore.distance import within, within_packed
 from jexplore.grid import Grid, any_within_one_packed, is_free, is_known, is_occupied
@@ -138,7 +137,12 @@ def label_clusters(cells: sparse.Cells) -> Array:
 
 
 def frontier_clusters(
-    frontier: Array, cost: Array | None = None, *, max_clusters: int, max_cells: int | None = None
+    frontier: Array,
+    cost: Array | None = None,
+    *,
+    max_clusters: int,
+    max_cells: int | None = None,
+    part: int | None = groups.PART,
 ) -> Clusters:
     """Groups of frontier cells that touch each other along edges or corners.
 
@@ -149,6 +153,8 @@ def frontier_clusters(
       max_clusters: M, slots. Static. Clusters beyond it are counted in `overflow`, not kept.
       max_cells: frontier cells that are looked at, the first in (row, col) order; by default one in 16 of the map, at
         least 256. Static.
+      part: frontier cells that are worked on at a time; None for all, which is for many maps in lockstep. The clusters
+        are the same. Static.
 
     Returns:
       `Clusters`. Among members that are equally good, the one with the lowest flat index stands for all.
@@ -158,39 +164,75 @@ def frontier_clusters(
     """
     height, width = frontier.shape
     none = height * width
-    cells = sparse.listed(frontier, min(none, max(256, none // 16) if max_cells is None else max_cells))
-    size = cells.cell.shape[0]
-    lowest = label_clusters(cells)
-    is_first = (lowest == lax.iota(jnp.int32, size)) & (cells.cell < none)
-    number = jnp.cumsum(is_first, dtype=jnp.int32) - 1  # number of each cluster, at its first cell
-    label = jnp.where(cells.cell < none, number[lowest], max_clusters)
-    slot = jnp.minimum(label, max_clusters)  # clusters that do not fit go to one slot too many, which is cut off
-    count = jnp.sum(is_first, dtype=jnp.int32)
-
-    def total(values):
-        return jax.ops.segment_sum(values, slot, max_clusters + 1)
-
-    rows, cols = cells.cell // width, cells.cell % width
-    sizes = total(jnp.where(label < max_clusters, 1, 0))
-    sum_row, sum_col = total(rows), total(cols)
-    if cost is None:
-        # In units of 1 / size, squared: integers would overflow, and equal distances must tie.
-        dr = (rows * sizes[slot] - sum_row[slot]).astype(jnp.float32) / jnp.maximum(sizes[slot], 1)
-        dc = (cols * sizes[slot] - sum_col[slot]).astype(jnp.float32) / jnp.maximum(sizes[slot], 1)
-        off = dr * dr + dc * dc
-    else:
-        off = sparse.at(cost, cells.cell, 0)
-    best = jax.ops.segment_min(off, slot, max_clusters + 1)
-    member = jnp.where((off == best[slot]) & (label < max_clusters), cells.cell, none)
-    chosen = jax.ops.segment_min(member, slot, max_clusters + 1)[:max_clusters]
-    used = sizes[:max_clusters] > 0
-    kept = jnp.where(label < max_clusters, label, -1)
+    cells = groups.grouped(frontier, min(none, max(256, none // 16) if max_cells is None else max_cells), part=part)
+    number, count, total = _sizes(cells, width, max_clusters)
+    chosen, label = _members(cells, number, total, cost, frontier.shape)
+    used = total[0] > 0
     return Clusters(
-        label=jnp.full((none,), -1, jnp.int32).at[cells.cell].set(kept, mode="drop").reshape(height, width),
-        size=sizes[:max_clusters],
+        label=label.reshape(height, width),
+        size=total[0],
         row=jnp.where(used, chosen // width, -1),
         col=jnp.where(used, chosen % width, -1),
         count=count,
         overflow=jnp.maximum(count - max_clusters, 0),
         left_out=cells.overflow,
     )
+
+
+def _sizes(cells, width, max_clusters):
+    """The number of each listed cell's cluster, `[K]` int32, `max_clusters` for one that does not fit; how many
+    clusters there are; and their cells, the sum of their rows, and of their columns, `[3, M]` int32.
+    """
+
+    def add(slot, used, state):
+        number, total, count = state
+        at, lowest = groups.read(cells.cell, slot), groups.read(cells.lowest, slot)
+        is_first = used & (lowest == slot)
+        # A cluster's first cell comes before its others, so that its number is known by then.
+        own = count + jnp.cumsum(is_first, dtype=jnp.int32) - 1
+        number = groups.write(number, slot, is_first, jnp.minimum(own, max_clusters))
+        own = number[lowest]
+        number = groups.write(number, slot, used, own)
+        which = jnp.where(used, own, max_clusters)
+        more = jnp.stack([jnp.ones_like(at), at // width, at % width])
+        return number, total.at[:, which].add(more, mode="drop"), count + jnp.sum(is_first, dtype=jnp.int32)
+
+    number = jnp.full(cells.cell.shape, max_clusters, jnp.int32)
+    start = number, jnp.zeros((3, max_clusters), jnp.int32), jnp.int32(0)
+    number, total, count = groups.by_parts(cells, add, start)
+    return number, count, total
+
+
+def _members(cells, number, total, cost, shape):
+    """The flat index of the cell that stands for each cluster, `[M]` int32, and the cluster of every cell of the map,
+    `[H * W]` int32; arguments from `_sizes` and `frontier_clusters`.
+    """
+    none, width, max_clusters = shape[0] * shape[1], shape[1], total.shape[1]
+
+    def off(slot, which):
+        """How badly the cells of a part stand for their clusters."""
+        at = groups.read(cells.cell, slot)
+        if cost is not None:
+            return sparse.at(cost, at, 0)
+        # In units of 1 / size, squared: integers would overflow, and equal distances must tie.
+        size, sum_row, sum_col = total.at[:, which].get(mode="clip")
+        dr = (at // width * size - sum_row).astype(jnp.float32) / jnp.maximum(size, 1)
+        dc = (at % width * size - sum_col).astype(jnp.float32) / jnp.maximum(size, 1)
+        return dr * dr + dc * dc
+
+    def least(slot, used, state):
+        which = jnp.where(used, groups.read(number, slot), max_clusters)
+        return state.at[which].min(off(slot, which), mode="drop")
+
+    def first_of_the_best(slot, used, state):
+        chosen, label = state
+        at, own = groups.read(cells.cell, slot), groups.read(number, slot)
+        which = jnp.where(used, own, max_clusters)
+        good = off(slot, which) == best.at[which].get(mode="clip")
+        chosen = chosen.at[jnp.where(good, which, max_clusters)].min(at, mode="drop")
+        return chosen, label.at[jnp.where(used, at, none)].set(jnp.where(own < max_clusters, own, -1), mode="drop")
+
+    worst = jnp.full(max_clusters, jnp.iinfo(jnp.int32).max) if cost is not None else jnp.full(max_clusters, jnp.inf)
+    best = groups.by_parts(cells, least, worst)
+    blank = jnp.full(max_clusters, none, jnp.int32), jnp.full(none, -1, jnp.int32)
+    return groups.by_parts(cells, first_of_the_best, blank)

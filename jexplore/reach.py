@@ -26,7 +26,7 @@ NO_MOTION = -1
 STEPS = (STRAIGHT, DIAGONAL)
 
 
-def _motions_into(words):
+def motions_into(words):
     """For each motion, the cells into which a robot can make it: list of 8 packed masks, from the packed
     traversable cells.
     """
@@ -56,7 +56,7 @@ def _relax(b, floors, steps):
     return jnp.minimum(beside(b, 0, 0), best)
 
 
-def _source(shape, row, col):
+def source(shape, row, col):
     """FAR everywhere but 0 at one cell: `[H, W]` int32."""
     return lax.dynamic_update_slice(jnp.full(shape, FAR, jnp.int32), jnp.zeros((1, 1), jnp.int32), (row, col))
 
@@ -128,6 +128,7 @@ def reach_packed(
     goals: Array | None = None,
     *,
     limit: Array | int = FAR,
+    within: int | None = None,
     method: str = "sweeps",
 ) -> Array:
     """`reach` with packed traversable cells.
@@ -137,6 +138,7 @@ def reach_packed(
       row, col: int32, start.
       goals: `[32 K, W]` bool, or None.
       limit: int32, costs above it may not be final either.
+      within: straight steps, if the limit is never more: a wave is then so long and no longer. Static.
       method: one of `METHODS`. Static.
 
     Returns:
@@ -144,7 +146,8 @@ def reach_packed(
     """
     if method not in METHODS:
         raise ValueError(f"expected method: one of {', '.join(METHODS)}, got {method!r}")
-    return METHODS[method](words, None, (row, col), goals, jnp.int32(limit), STEPS)
+    more = {"within": within} if method == "wave" else {}
+    return METHODS[method](words, None, (row, col), goals, jnp.int32(limit), STEPS, **more)
 
 
 def nearest_source(words: Array, sources: Array, n: int, *, method: str = "sweeps") -> Array:
@@ -175,24 +178,61 @@ def _horizon(cost, goals, limit):
     return limit if goals is None else jnp.minimum(limit, lowest(jnp.where(goals, cost, FAR)))
 
 
-def _wave(words, start, at, goals, limit, steps):
-    """`_sweeps`, all cells at once: after t rounds every path of t motions is in, so every cost up to t."""
-    motions = stored(words[0, 0] >= 0, lambda: _motions_into(words))
+def _relaxed(cost, motions, steps, rounds):
+    """Costs after at least so many rounds, in a loop whose length is known; costs after t are final up to t motions."""
 
-    def under_way(state):
-        settled, _, horizon, changed = state
-        return changed & (settled <= horizon) & (settled < FAR)
-
-    def grow(state):
-        settled, cost, _, changed = state
+    def some(_, cost):
         floors = _floors(motions)
-        new = lax.fori_loop(0, ROUNDS, lambda _, cost: _relax(bordered(cost, FAR), floors, steps), cost)
-        # Costs only ever get closer to what is final, so that a wave that has ended may run on.
-        settled = jnp.minimum(settled + ROUNDS * steps[0], FAR)
-        return settled, new, _horizon(new, goals, limit), changed & (count(new != cost) > 0)
+        for _ in range(ROUNDS):  # unrolled: a kernel each on an accelerator, which a loop would copy between
+            cost = _relax(bordered(cost, FAR), floors, steps)
+        return cost
 
-    cost = _source((bits.WORD * words.shape[0], words.shape[1]), *at) if start is None else start
-    return repeat(under_way, grow, (jnp.int32(0), cost, _horizon(cost, goals, limit), limit >= 0))[1]
+    return lax.fori_loop(0, -(-rounds // ROUNDS), some, cost)
+
+
+def spread(
+    motions: list[Array],
+    wave: tuple[Array, Array],
+    goals: Array | None,
+    limit: Array | int = FAR,
+    *,
+    steps: tuple[int, int] = STEPS,
+    rounds: int = ROUNDS,
+) -> tuple[Array, Array]:
+    """Some rounds of a wave: relaxations of all cells at once.
+
+    Args:
+      motions: from `motions_into`.
+      wave: `(settled, cost)`: int32, costs up to it are final, FAR once the wave has ended; `[32 K, W]` int32.
+      goals, limit, steps: as for `reach_packed`, and what a straight and a diagonal step cost (static).
+      rounds: a multiple of `ROUNDS`; after t of them every path of t motions is in, so every cost up to t. Static.
+
+    Returns:
+      the wave after that. One that has ended may run on: costs only ever get closer to what is final.
+    """
+    (settled, cost), floors = wave, _floors(motions)
+    new = before = cost if rounds == ROUNDS else _relaxed(cost, motions, steps, rounds - ROUNDS)
+    for _ in range(ROUNDS):
+        before, new = new, _relax(bordered(new, FAR), floors, steps)
+    # Whether the last round changed anything, and the cheapest goal, in as few passes over the map as can be.
+    values = [jnp.where(new != before, 0, FAR)] + ([] if goals is None else [jnp.where(goals, new, FAR)])
+    low = jnp.min(lax.optimization_barrier(jnp.stack([jnp.min(a, axis=0) for a in values])), axis=1)
+    horizon = limit if goals is None else jnp.minimum(limit, low[1])
+    settled = jnp.minimum(settled + rounds * steps[0], FAR)
+    return jnp.where((low[0] == 0) & (settled <= horizon), settled, FAR), new
+
+
+def _wave(words, start, at, goals, limit, steps, within=None):
+    """`_sweeps`, all cells at once."""
+    motions = stored(words[0, 0] >= 0, lambda: motions_into(words))
+    cost = source((bits.WORD * words.shape[0], words.shape[1]), *at) if start is None else start
+    with jax.named_scope("wave"):
+        if within is not None:
+            return _relaxed(cost, motions, steps, within)
+        settled = jnp.where(_horizon(cost, goals, limit) >= 0, 0, FAR)
+        return repeat(
+            lambda wave: wave[0] < FAR, lambda wave: spread(motions, wave, goals, limit, steps=steps), (settled, cost)
+        )[1]
 
 
 def _sweeps(words, start, at, goals, limit, steps):
@@ -213,7 +253,7 @@ def _sweeps(words, start, at, goals, limit, steps):
 
     def prepare():
         across = bits.transposed(words)
-        return _motions_into(words), _motions_into(across), _extent(across), _extent(words)
+        return motions_into(words), motions_into(across), _extent(across), _extent(words)
 
     motions, across, rows, cols = stored(words[0, 0] >= 0, prepare)
 
@@ -242,7 +282,7 @@ def _sweeps(words, start, at, goals, limit, steps):
         far = horizon // steps[0] if start is None else far
         return cost, far, (change <= horizon) & (change < FAR), n + 1
 
-    cost = _source((height + 2, width + 2), at[0] + 1, at[1] + 1) if start is None else bordered(start, FAR)
+    cost = source((height + 2, width + 2), at[0] + 1, at[1] + 1) if start is None else bordered(start, FAR)
     # A path of n cells is settled after at most n sweeps.
     state = cost, limit // STRAIGHT if start is None else jnp.int32(FAR), limit >= 0, jnp.int32(0)
     return lax.while_loop(lambda s: s[2] & (s[3] < height * width), sweep, state)[0][1:-1, 1:-1]
@@ -258,7 +298,6 @@ def _sweeps_as_one(words, start, at, goals, limit, steps):
 
 
 METHODS: dict[str, Callable[..., Array]] = {"sweeps": _sweeps_as_one, "wave": _wave}
-STRIDES = {"sweeps": 1, "wave": 8}  # for `lay_route` beside each method: in lockstep a look costs more than a motion
 
 
 def flood(words: Array, row: Array | int, col: Array | int) -> Array:
@@ -271,7 +310,7 @@ def flood(words: Array, row: Array | int, col: Array | int) -> Array:
     Returns:
       `[K, W]` uint32, packed; the start is among them.
     """
-    motions = stored(words[0, 0] >= 0, lambda: _motions_into(words))
+    motions = stored(words[0, 0] >= 0, lambda: motions_into(words))
     at = jnp.stack([lax.broadcasted_iota(jnp.int32, words.shape, axis) for axis in (0, 1)])
     here = (at[0] == row // bits.WORD) & (at[1] == col)
     start = jnp.where(here, jnp.uint32(1) << jnp.uint32(row % bits.WORD), jnp.uint32(0))
@@ -281,7 +320,8 @@ def flood(words: Array, row: Array | int, col: Array | int) -> Array:
             reached = reached | (possible & bits.shifted(reached, -drow, -dcol))
         return reached
 
-    return settled(lambda reached: lax.fori_loop(0, 2 * ROUNDS, step, reached), start)
+    with jax.named_scope("flood"):
+        return settled(lambda reached: lax.fori_loop(0, 2 * ROUNDS, step, reached), start)
 
 
 def _extent(words):
@@ -303,82 +343,6 @@ def saturated(cost: Array, traversable: Array) -> Array:
     """
     reached, left = bits.pack(cost < FAR), bits.pack(cost == FAR)
     entered = jnp.zeros_like(left)
-    for (drow, dcol), possible in zip(MOTIONS, _motions_into(bits.pack(traversable))):
+    for (drow, dcol), possible in zip(MOTIONS, motions_into(bits.pack(traversable))):
         entered = entered | (left & possible & bits.shifted(reached, -drow, -dcol))
     return count(bits.unpack(entered, cost.shape[0]))
-
-
-def _last_motion(cost, traversable):
-    """The pinned predecessor rule, for cells given with their 3 x 3 neighbourhoods.
-
-    Args:
-      cost: `[3, 3, ...]` int32, of the cell (in the middle) and its neighbours; FAR outside the map.
-      traversable: `[3, 3, ...]` bool; False outside the map.
-
-    Returns:
-      `[...]` int8: the first of `MOTIONS` by which the cell's cost arises; -1 where there is none.
-    """
-    matches = []
-    for drow, dcol in MOTIONS:
-        before = cost[1 - drow, 1 - dcol]
-        step = DIAGONAL if drow and dcol else STRAIGHT
-        beside = traversable[1 - drow, 1] & traversable[1, 1 - dcol] if drow and dcol else True
-        matches.append((before < FAR) & (before + step == cost[1, 1]) & traversable[1, 1] & beside)
-    motion = jnp.argmax(jnp.stack(matches), axis=0).astype(jnp.int8)
-    return jnp.where(jnp.any(jnp.stack(matches), axis=0), motion, jnp.int8(NO_MOTION))
-
-
-def lay_route(
-    route: Array,
-    cost: Array,
-    traversable: Array,
-    start: tuple[Array | int, ...],
-    target: tuple[Array | int, ...],
-    origin: tuple[Array | int, ...],
-    *,
-    stride: int = 1,
-) -> Array:
-    """Writes the way from the start to a target into a map of motions: the path read-out.
-
-    Args:
-      route: `[H, W]` int8, index into `MOTIONS`; at each cell of the path the motion to its next cell is written, the
-        rest stays.
-      cost: `[h, w]` int32, from `reach`, of a window of the map or of all of it.
-      traversable: `[h, w]` bool, what `cost` was made from.
-      start, target: `(row, col)` int32, in the map; both inside the window, `target` with a final cost.
-      origin: `(row, col)` int32 of the window's cell (0, 0) in the map.
-      stride: motions between two looks at whether the start is reached. Static.
-
-    Returns:
-      `route`: `[H, W]` int8. Following it from the start ends at the target, after at most h * w motions.
-    """
-
-    def lay(route, cost, traversable, start, target, origin):
-        cost, traversable = jnp.pad(cost, 1, constant_values=FAR), jnp.pad(traversable, 1)
-        return _walk_back(route, cost, traversable, start, target, origin, stride)
-
-    arguments = route, cost, traversable, start, target, origin
-    return one_kernel(lay, *arguments) if stride == 1 else lay(*arguments)
-
-
-def _walk_back(route, cost, traversable, start, target, origin, stride):
-    """`lay_route` with cost and traversable cells in a border."""
-    motions = jnp.asarray(MOTIONS, jnp.int32)
-
-    def under_way(state):
-        n, row, col, _ = state
-        return ((row != start[0]) | (col != start[1])) & (n < cost.size)
-
-    def back(state):
-        n, row, col, route = state
-        going = under_way(state)
-        corner = row - origin[0], col - origin[1]
-        motion = _last_motion(*(lax.dynamic_slice(a, corner, (3, 3)) for a in (cost, traversable)))
-        motion = jnp.where(going, motion, route[row, col])
-        row, col = (jnp.where(going, at - motions[motion, axis], at) for axis, at in enumerate((row, col)))
-        return n + going, row, col, lax.dynamic_update_slice(route, motion[None, None], (row, col))
-
-    def walk(state):
-        return back(state) if stride == 1 else lax.fori_loop(0, stride, lambda _, state: back(state), state)
-
-    return repeat(under_way, walk, (jnp.int32(0), target[0], target[1], route))[3]

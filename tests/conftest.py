@@ -16,7 +16,7 @@ import jax
 import pytest
 
 from jexplore.driving import batch, mission
-from jexplore.engine import devices
+from jexplore.engine import devices, plugins
 
 hypothesis.settings.register_profile("jexplore", deadline=None, print_blob=True)
 hypothesis.settings.load_profile("jexplore")
@@ -29,7 +29,11 @@ except AttributeError:  # another C library
 
 
 def pytest_configure(config):
-    """Compiled programs are kept from run to run, for the processes that tests start as well."""
+    """Compiled programs are kept from run to run, for the processes that tests start as well; so is the CPU, where a
+    plugin for compiling only is installed.
+    """
+    plugins.keep_to_cpu()
+    jax.config.update("jax_platforms", os.environ.get("JAX_PLATFORMS"))
     if hasattr(config, "cache"):
         folder = str(config.cache.mkdir("jax"))
         os.environ["JAX_COMPILATION_CACHE_DIR"] = folder

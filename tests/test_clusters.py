@@ -18,7 +18,7 @@ from jexplore.policies import clusters
 from jexplore.policies.distance_advantage import advantage
 from jexplore.policies.mcdm import choquet, relative
 from jexplore.policies.tour import improved, inserted
-from jexplore.reach import STRAIGHT, reach
+from jexplore.reach import FAR, STRAIGHT, reach
 
 ONE_METRE = {"cell_m": 1.0, "reach": "wave", "scan": "whole"}
 CROSS = Lidar(n_beams=4, fov_deg=360, range_m=4.0)  # in cells of one metre: four cells back, right, ahead, left
@@ -102,6 +102,9 @@ def test_three_niches(name, numbers):
         assert beliefs.target_of(f"{name}:{text}".rstrip(":"), beliefs.belief_of(NICHES, **ONE_METRE), STAR) == want
 
 
+BETWEEN = jax.jit(clusters.costs_between, static_argnames="method")
+
+
 @jax.jit
 def everything(belief, beams):
     """`Targets`, what is seen from them, how far apart they are, and traversable cells."""
@@ -135,6 +138,46 @@ def test_the_best_of_some_targets():
         assert clusters.best_of(at, worth, jnp.asarray(usable, bool)) == want
     assert clusters.best_of(at, worth, jnp.asarray([1, 1, 1, 0], bool)).dtype == jnp.int32
     assert clusters.best_of(at.replace(used=at.used & False), worth, worth > 0) == -1
+
+
+@pytest.mark.jit
+@pytest.mark.parametrize("scan", ["blocks", "whole"])
+@pytest.mark.parametrize("enough", [0, 1, 3, 12, 2**30])
+def test_what_shows_less_than_enough_is_counted(scan, enough):
+    shape, lidar, short = (60, 70), Lidar(n_beams=61, fov_deg=270, range_m=1.6), 0
+    run = jax.jit(lambda belief, beams: (
+        at := clusters.targets(belief, field(belief)),
+        clusters.seen_from(belief, at, beams)[0],
+        clusters.shown_from(belief, at, beams, enough),
+    ))  # fmt: skip
+    for seed in range(3):
+        belief = beliefs.but_for_spots(seed, shape, clearance_d2=1)
+        belief = belief.replace(model=belief.model.replace(scan=scan))
+        at, exact, shown = jax.tree.map(np.asarray, run(belief, beliefs.table(lidar, belief)))
+        assert ((shown >= enough) == (exact >= enough)).all()
+        assert (shown <= exact).all()
+        assert (shown == exact)[exact < enough].all()
+        assert not shown[~at.used].any()
+        short += int((shown < exact).sum())
+    assert (short > 0) == (scan == "blocks" and enough in (0, 1, 3))
+
+
+@pytest.mark.jit
+@given(st.integers(0, 2**30), st.integers(0, 12))
+@settings(max_examples=40, deadline=None)
+def testcosts_between_cells_are_those_from_each(seed, n):
+    """More cells than maps that stand beside each other, and fewer."""
+    draw = np.random.default_rng(seed)
+    passable = draw.random((7, 9)) < 0.75
+    row, col = (draw.integers(0, size, 12).astype(np.int32) for size in passable.shape)
+    passable[row, col] = True
+    want = np.full((12, 12), FAR)
+    np.fill_diagonal(want, 0)
+    for i in range(n):
+        want[i, :n] = reach(passable, row[i], col[i])[row[:n], col[:n]]
+    for method in ("sweeps", "wave"):
+        got = np.array(BETWEEN(passable, row, col, np.int32(n), method))
+        np.testing.assert_array_equal(got[:n, :n], want[:n, :n])
 
 
 # ---------------------------------------------------------------- how far targets lie apart
@@ -254,6 +297,30 @@ def test_the_last_way_is_open():
     for start in itertools.permutations((1, 2, 3)):
         route = jnp.asarray([0, *start, 0, 0, 0])
         assert length_of(lengths, improved(lengths, route, n)[:4].tolist()) <= length_of(lengths, [0, *start])
+
+
+def best_turns(lengths, route, n):
+    """Oracle for `improved`: every turn tried, the best one taken, of equal ones the first."""
+    while True:
+        found = [(0.0, route)]
+        for i, j in itertools.combinations(range(1, n + 1), 2):
+            new = [*route[:i], *route[i : j + 1][::-1], *route[j + 1 :]]
+            found.append((length_of(lengths, route) - length_of(lengths, new), new))
+        saved, new = max(found, key=lambda turn: turn[0])
+        if saved <= 1e-3:
+            return route
+        route = new
+
+
+@pytest.mark.jit
+@pytest.mark.parametrize("n", [7, 8, 15, 20])
+def test_every_turn_is_tried_however_many_stops_there_are(n):
+    """More than are tried together, in a table with room for more. City blocks tie, and are whole numbers."""
+    for seed in range(4):
+        places = np.random.default_rng((n, seed)).integers(0, 12, (23, 2))
+        lengths = np.abs(places[:, None] - places).sum(-1).astype(np.float32)
+        first, better = (route[: n + 1].tolist() for route in both(jnp.asarray(lengths), jnp.int32(n)))
+        assert better == best_turns(lengths, first, n)
 
 
 def turned(route):

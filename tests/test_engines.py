@@ -1,5 +1,6 @@
 """One result, whichever way episodes run: engines, batch sizes, kernels, devices, processes; runs that end early."""
 
+import dataclasses
 import json
 import os
 import socket
@@ -13,10 +14,12 @@ import pytest
 from ref import maps
 from ref.jobs import LIDAR, RULES, digest, few, some_jobs
 
+from jexplore import planning
+from jexplore.arrays import loops
 from jexplore.config import InputError, Rules
-from jexplore.engine import lockstep, serial
+from jexplore.engine import devices, lockstep, runner, serial
 from jexplore.exploration.batch import Job, run_jobs
-from jexplore.exploration.site import KERNELS, Kernels, line_of, prepare_site
+from jexplore.exploration.site import KERNELS, Kernels, kernels_for, line_of, prepare_site
 from jexplore.exploration.state import Outcome
 from jexplore.policies import parse_strategy
 from jexplore.worlds.starts import draw_starts
@@ -72,6 +75,31 @@ def test_calls_of_any_size_give_the_same(want, size, monkeypatch):
 )
 def test_kernels_give_the_same_in_either_engine(want, engine, kernels):
     assert_equal(run_jobs(some_jobs(), LIDAR, RULES, engine=engine, kernels=kernels), want)
+
+
+@pytest.mark.jit
+@pytest.mark.parametrize(("n_lanes", "windows"), [(7, (16, 32)), (64, ())])
+def test_planning_in_pieces_gives_the_same(want, n_lanes, windows, monkeypatch):
+    monkeypatch.setattr(planning, "WINDOWS", windows)
+    kernels = kernels_for("lockstep", "gpu")
+    assert kernels == dataclasses.replace(KERNELS["lockstep"], in_pieces=True)
+    report = run_jobs(some_jobs(), LIDAR, RULES, engine="lockstep", lanes=n_lanes, kernels=kernels)
+    assert_equal(report, want)
+    assert 0 < report.costs.useful_decisions <= 1
+
+
+def test_only_accelerators_plan_in_pieces():
+    assert kernels_for("lockstep", "cpu") == KERNELS["lockstep"]
+    assert kernels_for("serial", "gpu") == KERNELS["serial"]
+
+
+@pytest.mark.jit
+def test_what_plans_in_pieces_keeps_its_program_beside_others():
+    (job, *_), kernels = some_jobs(), kernels_for("lockstep", "gpu")
+    jobs = [job._replace(strategy=parse_strategy(name), starts=job.starts[:2]) for name in ("closest", "random")]
+    both = [run_jobs(jobs, LIDAR, RULES, engine="lockstep", kernels=own) for own in (kernels, KERNELS["lockstep"])]
+    assert_equal(*both)
+    assert both[0].outcomes[0].result.plans.tolist() != both[0].outcomes[1].result.plans.tolist()
 
 
 @pytest.mark.jit
@@ -268,6 +296,44 @@ def test_lanes_fit_the_memory(monkeypatch):
     assert few & (few - 1) == 0
     line.which = line.which[:20]
     assert fitting(2**40) == 20
+
+
+class Accelerator:
+    platform = "gpu"
+
+
+def test_the_engine_that_is_likely_to_be_faster():
+    cpu, gpu, cores = jax.local_devices(backend="cpu")[:1], [Accelerator()], runner.CORES_WORTH
+    assert runner.faster_engine(cpu, 1, 10**6) == "serial"
+    assert runner.faster_engine(gpu, cores - 1) == "lockstep"
+    assert runner.faster_engine(gpu, cores) == "serial"
+    assert runner.faster_engine(gpu * 2, 2 * cores - 1, 2 * runner.FILLING) == "lockstep"
+    assert runner.faster_engine(gpu * 2, 1, 2 * runner.FILLING - 1) == "serial"
+
+
+def test_beside_an_accelerator_the_serial_engine_has_the_cpu(monkeypatch):
+    found = jax.local_devices
+    monkeypatch.setattr(jax, "local_devices", lambda backend=None: found(backend="cpu") if backend else [Accelerator()])
+    monkeypatch.setattr(runner, "own_cores", lambda: 2)
+    assert runner.find_resources().engine == "lockstep"
+    assert runner.find_resources(runs=1).engine == "serial"
+    assert runner.find_resources(runs=1, lanes=1).engine == "lockstep"
+    for how in ({"engine": "serial"}, {"workers": runner.CORES_WORTH}, {"runs": 1}):
+        resources = runner.find_resources(**how)
+        assert (resources.engine, resources.devices) == ("serial", found(backend="cpu"))
+    with pytest.raises(InputError, match="lanes are for the engine lockstep, got 4 for serial"):
+        runner.find_resources(engine="serial", lanes=4)
+
+
+@pytest.mark.jit
+def test_what_is_compiled_for_a_cpu_beside_an_accelerator_is_as_for_a_cpu(want, monkeypatch):
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    devices._compiled.cache_clear()
+    traced = []
+    monkeypatch.setattr(loops, "_on_cpu", lambda own=loops._on_cpu: traced.append(own()) or traced[-1])
+    report = run_jobs(some_jobs()[:1], LIDAR, RULES, engine="serial", workers=2)
+    assert set(traced) == {True}
+    assert_equal(report, want._replace(outcomes=want.outcomes[:1]))
 
 
 @pytest.mark.parametrize(

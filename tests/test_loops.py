@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jexplore.arrays.loops import SHARE, first_lanes, one_kernel, put, repeat, run_if, stored, take
+from jexplore.arrays.loops import SHARE, at_a_time, first_lanes, one_kernel, put, repeat, run_if, stored, take
 
 
 def bumped(x, table):
@@ -30,7 +30,7 @@ def kept(x, y):
 
 
 @pytest.mark.jit
-@pytest.mark.parametrize("n", [1, 5, SHARE, 2 * SHARE + 1])
+@pytest.mark.parametrize("n", [1, 5, SHARE, 2 * SHARE + 1, 70])
 @pytest.mark.parametrize(
     "function",
     [lambda x: bumped(x, jnp.arange(3) + x), lambda x: halved(x, jnp.int32(2)), lambda x: kept(x, 7)],
@@ -43,6 +43,10 @@ def test_many_at_a_time_are_as_many_alone(function, n):
         with jax.disable_jit():
             plain = function(x)
         jax.tree.map(lambda many, one, i=i: np.testing.assert_array_equal(many[i], one), together, plain)
+
+
+def test_of_many_lanes_a_larger_share_is_worked_on():
+    assert [at_a_time(n) for n in (1, SHARE, 64, 65, 128)] == [1, 1, 8, 17, 32]
 
 
 @pytest.mark.jit

@@ -13,7 +13,7 @@ from jax import Array
 
 from jexplore.engine.lanes import Engine, split
 from jexplore.engine.lockstep import Group
-from jexplore.engine.program import Line, Program, given_of
+from jexplore.engine.program import Line, Pieces, Program, given_of
 from jexplore.engine.runner import find_resources, run_all
 
 ROOM = 2000  # a large array: more than the engine restores
@@ -67,19 +67,41 @@ def finish(setup, given, state):
 WALKS = Program(Setup(2), begin, advance, is_done, finish, lambda state: state.way, decide, must_decide)
 
 
-def some_lines():
+def glance(setup, given, state):
+    """Settles it in every second place."""
+    return state.at % 2 == 0, decide(setup, given, state)
+
+
+def second_glance(setup, given, state):
+    """Settles it at every second step."""
+    return state.n % 2 == 0, decide(setup, given, state)
+
+
+# A search takes one to three pieces; what it has seen tells that it comes back to its own run.
+PIECES = Pieces(
+    glances=(glance, second_glance),
+    begin=lambda setup, given, state: {"left": 1 + state.n % 3, "at": state.at},
+    go_on=lambda search: {**search, "left": jnp.maximum(search["left"] - 1, 0)},
+    is_done=lambda search: search["left"] == 0,
+    conclude=lambda setup, given, state, search: decide(setup, given, state.replace(at=search["at"])),
+)
+
+PIECEMEAL = WALKS._replace(pieces=PIECES)
+
+
+def some_lines(program=WALKS):
     """Two scenes, two bonuses, and one line with other weights."""
     shared, lines = {"unused": np.zeros(3, np.float32)}, []
     scenes = [np.array([-50, 50], np.int32), np.array([-4, 4], np.int32)]
     for i, (scene, bonus, weights) in enumerate([(0, 0, [1, 2, 3, 4]), (1, 5, [1, 2, 3, 4]), (0, 0, [7, 7, 7, 7])]):
         numbers = {"weights": np.array(weights, np.int32), "bonus": np.int32(bonus)}
         tasks = np.arange(10, dtype=np.int32)
-        lines.append(Line(WALKS, shared, scenes[scene], numbers, 3 + i, tasks, np.arange(10)))
+        lines.append(Line(program, shared, scenes[scene], numbers, 3 + i, tasks, np.arange(10)))
     return lines
 
 
-def run(**how):
-    lines = some_lines()
+def run(program=WALKS, **how):
+    lines = some_lines(program)
     return lines, run_all(lines, find_resources(**how))
 
 
@@ -100,6 +122,13 @@ def by_hand(line, number):
         {"engine": "serial", "workers": 2},
         {"engine": "lockstep", "lanes": 4},
         {"engine": "lockstep", "lanes": 64},
+        {"engine": "lockstep", "lanes": 4, "program": WALKS._replace(pieces=PIECES)},
+        {
+            "engine": "lockstep",
+            "lanes": 16,
+            "program": WALKS._replace(pieces=PIECES._replace(glances=(glance, glance))),
+        },
+        {"engine": "lockstep", "lanes": 7, "program": WALKS._replace(pieces=PIECES._replace(glances=()))},
     ],
 )
 def test_engines_make_the_runs_that_a_loop_makes(how):

@@ -13,6 +13,7 @@ from ref import maps, plans, rooms
 from ref.definitions import predecessors
 
 from jexplore.arrays import bits
+from jexplore.planning.readout import lay_route
 from jexplore.reach import (
     DIAGONAL,
     FAR,
@@ -21,7 +22,6 @@ from jexplore.reach import (
     MOTIONS,
     STRAIGHT,
     flood,
-    lay_route,
     nearest_source,
     reach,
     reach_packed,

@@ -4,6 +4,8 @@ Measured on one CPU core, a 192 x 192 mask: packing 3 microseconds; the disc of 
 packed.
 """
 
+from typing import NamedTuple
+
 import jax.numpy as jnp
 from jax import Array, lax
 
@@ -72,6 +74,37 @@ def _nth_bit(word, n):
     return at
 
 
+class Order(NamedTuple):
+    """The True cells of a mask counted in (row, col) order."""
+
+    across: Array  # [n] uint32, one word for every 32 columns of a row, row after row
+    until: Array  # [n] int32, True cells up to the end of each
+
+
+def in_order(words: Array) -> Order:
+    """`Order` of a mask: `[K, W]` uint32, packed."""
+    across = transposed(words).T.reshape(-1)
+    return Order(across, jnp.cumsum(lax.population_count(across).astype(jnp.int32)))
+
+
+def nth_of(order: Order, n: Array, width: int) -> Array:
+    """True cells by their number.
+
+    Args:
+      order: `Order`.
+      n: `[m]` int32, counted from 0.
+      width: W, columns of the mask. Static.
+
+    Returns:
+      `[m]` int32, flat index (row * W + col); arbitrary where there are not so many.
+    """
+    across, until = order
+    per_row = -(-width // WORD)
+    at = jnp.minimum(jnp.searchsorted(until, n, side="right").astype(jnp.int32), across.shape[0] - 1)
+    before = until[at] - lax.population_count(across[at]).astype(jnp.int32)
+    return at // per_row * width + at % per_row * WORD + _nth_bit(across[at], n - before)
+
+
 def nth_cells(words: Array, n: Array) -> Array:
     """True cells of a mask by their number in (row, col) order.
 
@@ -82,14 +115,8 @@ def nth_cells(words: Array, n: Array) -> Array:
     Returns:
       `[m]` int32, flat index (row * W + col); 32 K * W where there are not so many.
     """
-    height, width = WORD * words.shape[0], words.shape[1]
-    across = transposed(words).T.reshape(-1)  # one word for every 32 columns of a row, row after row
-    per_row = across.shape[0] // height
-    until = jnp.cumsum(lax.population_count(across).astype(jnp.int32))
-    at = jnp.minimum(jnp.searchsorted(until, n, side="right").astype(jnp.int32), across.shape[0] - 1)
-    before = until[at] - lax.population_count(across[at]).astype(jnp.int32)
-    cell = at // per_row * width + at % per_row * WORD + _nth_bit(across[at], n - before)
-    return jnp.where(n < until[-1], cell, height * width)
+    order = in_order(words)
+    return jnp.where(n < order.until[-1], nth_of(order, n, words.shape[1]), WORD * words.size)
 
 
 def first_cells(words: Array, size: int) -> Array:

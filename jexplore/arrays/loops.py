@@ -19,6 +19,7 @@ from jax.experimental.xla_metadata import set_xla_metadata
 from jax.extend.core import jaxpr_as_fun
 
 SHARE = 8  # a condition under vmap is worked off by groups of one lane in so many
+MANY = 64  # lanes, more of which only an accelerator has: there of one in half as many
 
 
 def _hoisted(function, *examples):
@@ -54,8 +55,14 @@ def take(tree: Any, at: Array) -> Any:
 
 
 def put(tree: Any, at: Array, values: Any) -> Any:
-    """A pytree with its lanes `at` (`[m]` int32) replaced; what lies beyond the last lane is dropped."""
-    return jax.tree.map(lambda a, new: a.at[at].set(new, mode="drop"), tree, values)
+    """A pytree with its lanes `at` (`[m]` int32) replaced, none of them twice; what lies beyond the last is dropped.
+
+    An accelerator is told that no lane comes twice: it would write bools and bytes one after the other.
+    """
+    own = jax.tree.leaves(tree)
+    n = own[0].shape[0] if own else 0
+    at = jnp.where(at < n, at, n + lax.iota(jnp.int32, at.shape[0]))  # what is dropped comes only once as well
+    return jax.tree.map(lambda a, new: a.at[at].set(new, mode="drop", unique_indices=True), tree, values)
 
 
 def first_lanes(mask: Array, m: int) -> Array:
@@ -63,10 +70,19 @@ def first_lanes(mask: Array, m: int) -> Array:
     return jnp.nonzero(mask, size=m, fill_value=mask.shape[0])[0].astype(jnp.int32)
 
 
+def at_a_time(n: int) -> int:
+    """Lanes, of n, on which `run_if` works at a time under `vmap`.
+
+    A few at a time waste little on lanes that do not need it, which is what counts on a CPU; on an accelerator a loop
+    costs the same whatever the number of lanes, while there are few (estimated: `jexplore bench --target h100`).
+    """
+    return -(-n // (SHARE if n <= MANY else SHARE // 2))
+
+
 def run_if(predicate: Array | bool, function: Callable[[Any], Any], otherwise: Any) -> Any:
     """`function(otherwise)` if a condition holds, else `otherwise`.
 
-    Under `vmap` the lanes for which it holds are gathered, an eighth of all at a time, until none is left.
+    Under `vmap` the lanes for which it holds are gathered, `at_a_time` of them, until none is left.
 
     Args:
       predicate: bool scalar.
@@ -98,15 +114,21 @@ def run_if(predicate: Array | bool, function: Callable[[Any], Any], otherwise: A
 
         def turn(carry):
             left, state = carry
-            at = first_lanes(left, -(-n // SHARE))
+            at = first_lanes(left, at_a_time(n))
             some = jax.tree.map(lambda a, b: take(a, at) if b else a, closed, batched[1])
             new = jax.vmap(pure, axes)(some, take(state, at))
-            return left.at[at].set(False, mode="drop"), put(state, at, new)
+            return put(left, at, jnp.zeros(at.shape, bool)), put(state, at, new)
 
         _, out = lax.while_loop(lambda carry: jnp.any(carry[0]), turn, (predicate, state))
         return out, _all_batched(out)
 
     return call(jnp.asarray(predicate), closed, otherwise)
+
+
+def _on_cpu():
+    """Whether what is traced now is for a CPU."""
+    device: Any = jax.config.values["jax_default_device"]  # None, a device, or a platform's name
+    return (getattr(device, "platform", device) or jax.default_backend()) == "cpu"
 
 
 def alone_on_cpu(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -130,7 +152,7 @@ def alone_on_cpu(function: Callable[..., Any]) -> Callable[..., Any]:
             return jax.tree.unflatten(tree, [next(some) if b else leaf for b, leaf in zip(own, leaves)])
 
         lanes = [leaf for b, leaf in zip(own, leaves) if b]  # what they share is not copied
-        if jax.default_backend() == "cpu":
+        if _on_cpu():
             out = lax.map(lambda some: call(*whole(some)), lanes)
         else:
             out = jax.vmap(lambda some: function(*whole(some)))(lanes)
@@ -238,7 +260,7 @@ def one_kernel(function: Callable[..., Any], *args: Any) -> Any:
     Returns:
       what `function` returns.
     """
-    if jax.config.values["jax_disable_jit"] or jax.default_backend() != "cpu":
+    if jax.config.values["jax_disable_jit"] or not _on_cpu():
         return function(*args)
     pure, closed = _hoisted(function, *args)
     leaves, tree = jax.tree.flatten((closed, *args))

@@ -16,7 +16,7 @@ from jexplore.engine import lanes, serial
 from jexplore.engine.lockstep import Group
 from jexplore.engine.runner import Costs
 from jexplore.exploration.results import path_m
-from jexplore.exploration.site import KERNELS, line_of, prepare_site
+from jexplore.exploration.site import KERNELS, Kernels, line_of, prepare_site
 from jexplore.exploration.state import Outcome, Result
 from jexplore.policies import Strategy
 from jexplore.worlds.starts import draw_starts
@@ -98,9 +98,9 @@ class Compiler:
             self.made[key] = program, about
         return self.made[key]
 
-    def serial(self, world: World, strategy: Strategy) -> Compiled:
+    def serial(self, world: World, strategy: Strategy, kernels: Kernels = KERNELS["serial"]) -> Compiled:
         """The serial engine's `Compiled` of a world and a strategy."""
-        site, line = _line(world, strategy, "serial", np.zeros((1, 3), np.int32))
+        site, line = _line(world, strategy, kernels, np.zeros((1, 3), np.int32))
         n, scenes = serial.CHUNK, jax.tree.map(lambda a: a[None], line.scene)
         shared = jax.device_put((scenes, line.shared, line.numbers))
         blank = np.zeros(n, np.int32), np.zeros((n, 3), np.int32), np.int32(0), np.uint32(SEED)
@@ -134,7 +134,7 @@ class Compiler:
 
     def lockstep(self, world: World, strategy: Strategy, n_lanes: int, episodes: int) -> Compiled:
         """The lockstep engine's `Compiled` for so many episodes in so many lanes, or as many as the memory holds."""
-        site, line = _line(world, strategy, "lockstep", np.zeros((episodes, 3), np.int32))
+        site, line = _line(world, strategy, KERNELS["lockstep"], np.zeros((episodes, 3), np.int32))
         group = Group([line], jax.local_devices()[:1])
         engine, common = group.engine, group.common
 
@@ -181,9 +181,9 @@ class Compiler:
         return self.made[key]
 
 
-def _line(world, strategy, engine, starts):
-    """A world's `Site` and the `Line` of a strategy's episodes in it, with the engine's own kernels."""
-    site = prepare_site(world, LIDAR, RULES, KERNELS[engine])
+def _line(world, strategy, kernels, starts):
+    """A world's `Site` and the `Line` of a strategy's episodes in it."""
+    site = prepare_site(world, LIDAR, RULES, kernels)
     return site, line_of(site, site.with_strategy(strategy), starts, SEED, np.arange(len(starts)))
 
 

@@ -36,6 +36,8 @@ class Explore:
     """Start where the seed says, at the world's own start, or in a cell with a heading that is a multiple of 45."""
     frames: int = 300
     """Give the animation at most so many frames, evenly spaced."""
+    fast: bool = False
+    """Make scans by a kernel in C++, as for `jexplore compare`: worth while for an episode of many minutes."""
     out: OutFolder = None
     """Write into this folder."""
     overwrite: bool = False
@@ -65,7 +67,7 @@ class Explore:
                 rules=self.rules,
             )
             with note(COMPILING):
-                found = run_job(job, self.lidar, self.rules)
+                found = run_job(job, self.lidar, self.rules, fast=self.fast)
             measures = {"world": found.world.name, "strategy": found.strategy, **found.measures}
             times = {"compile_s": found.compile_s, "run_s": found.run_s}
             record = out.record(arguments, self, result=measures, worlds=[describe(found.world)], **times)

@@ -6,6 +6,8 @@ from pathlib import Path
 
 import jax
 
+from jexplore.engine.plugins import is_idle
+
 
 def start_backend(workers: int) -> None:
     """Starts JAX with as many threads as there are to be workers.
@@ -19,6 +21,8 @@ def start_backend(workers: int) -> None:
     Args:
       workers: threads that will call compiled programs at the same time.
     """
+    if not jax.config.values["jax_platforms"] and is_idle():
+        jax.config.update("jax_platforms", "cpu")  # the plugin for CUDA would only complain
     before = os.environ.get("NPROC")
     os.environ["NPROC"] = str(workers)
     try:
@@ -30,15 +34,25 @@ def start_backend(workers: int) -> None:
             os.environ["NPROC"] = before
 
 
+def cache_folder() -> Path:
+    """The folder for what is compiled, made if need be: `$XDG_CACHE_HOME/jexplore` (`~/.cache/jexplore`).
+
+    Raises:
+      OSError: it cannot be made.
+      RuntimeError: there is no home.
+    """
+    folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "jexplore"
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder
+
+
 def use_compilation_cache() -> None:
     """Keeps compiled programs on disk, so that a later process need not compile them again.
 
-    In `$JAX_COMPILATION_CACHE_DIR` if that is set, else in `$XDG_CACHE_HOME/jexplore` (`~/.cache/jexplore`). No home
-    or a folder that cannot be written means no cache.
+    In `$JAX_COMPILATION_CACHE_DIR` if that is set, else in `cache_folder()`. No home or a folder that cannot be written
+    means no cache.
     """
     if jax.config.values["jax_compilation_cache_dir"] is None:
-        with contextlib.suppress(OSError, RuntimeError):  # RuntimeError: there is no home
-            folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "jexplore"
-            folder.mkdir(parents=True, exist_ok=True)
-            jax.config.update("jax_compilation_cache_dir", str(folder))
+        with contextlib.suppress(OSError, RuntimeError):
+            jax.config.update("jax_compilation_cache_dir", str(cache_folder()))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)

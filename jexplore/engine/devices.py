@@ -1,5 +1,6 @@
 """Several devices, each of which works on its own part without a word to the others; programs compiled for them."""
 
+import contextlib
 import functools
 from collections.abc import Callable, Hashable, Sequence
 from typing import Any
@@ -101,6 +102,8 @@ def compiled(
 
 @functools.lru_cache(maxsize=PROGRAMS)
 def _compiled(made, tree, leaves, devices, donate, options, configuration):
-    del devices, configuration  # they only tell programs apart
-    lowered = jax.jit(made.function, donate_argnums=donate).lower(*jax.tree.unflatten(tree, leaves))
+    del configuration  # it only tells programs apart
+    other = devices[0].platform != jax.default_backend()  # a CPU beside an accelerator
+    with jax.default_device(devices[0]) if other else contextlib.nullcontext():
+        lowered = jax.jit(made.function, donate_argnums=donate).lower(*jax.tree.unflatten(tree, leaves))
     return lowered.compile(compiler_options=dict(options)), lowered.out_info

@@ -1,7 +1,7 @@
 """Runs in lockstep: L lanes that advance together, as an accelerator wants it.
 
 No lane waits for the slowest. All lanes advance in every turn; those that must decide wait until there are enough of
-them to fill a group, which is gathered and decides on its own; those whose run is done are measured, and filled again
+them for a group, which is gathered and decides on its own; those whose run is done are measured, and filled again
 from the queue, in groups as well. Results are written by their place in the queue.
 """
 
@@ -15,10 +15,12 @@ from flax import struct
 from jax import Array, lax
 
 from jexplore.arrays.loops import first_lanes, put, take
+from jexplore.engine import thoughts
 from jexplore.engine.program import Given, Program
 
-DECIDERS = 8  # one lane in so many decides at a time: at most so large a share of the lanes waits
+DECIDERS = 8  # one lane in so many decides at a time, and at most so large a share of the runs under way waits
 STARTERS = 16  # one lane in so many is measured and started at a time
+SPAN = 4  # turns between two looks at which lanes are to be filled, where deciding goes in pieces
 SMALL = 1024  # elements of a lane's array up to which the engine keeps the old one where a lane does nothing
 
 
@@ -61,7 +63,7 @@ class Usage:
 
     turns: Array  # int32
     advanced: Array  # int32, lanes that advanced in these turns
-    groups: Array  # int32, groups that decided
+    groups: Array  # int32, groups that decided; in pieces, of a first glance, or without glances of slots
     decided: Array  # int32, lanes in these groups
     replace: ClassVar[Callable[..., Self]]
 
@@ -77,7 +79,19 @@ class Lanes:
     ended: Array  # [N] bool, runs that have a result
     results: Any  # [N, ...]
     kept: Any  # [K, ...], what is kept of one run of each line that has such a run
+    thoughts: Any = ()  # `thoughts.Thoughts`, where deciding goes in pieces
     replace: ClassVar[Callable[..., Self]]
+
+
+def enough(alive: Any) -> Any:
+    """How many lanes must wait for a group to decide: an eighth of those that hold a run that is not done.
+
+    Of all lanes would be too many: when the queue is empty and lanes fall empty, the rest would wait for each other.
+
+    Args:
+      alive: how many these are, int or array.
+    """
+    return -(-alive // DECIDERS)
 
 
 def split(numbers: Any) -> tuple[list[Any], list[Any], Callable[[Iterable[Any], Iterable[Any]], Any]]:
@@ -129,18 +143,19 @@ class Engine:
           queue, common: `Queue`, `Common`.
           n_lanes: L. Static.
         """
-        zero = jnp.int32(0)
+        zero, pieces = jnp.int32(0), self.program.pieces
 
         def one():
             task = jax.tree.map(lambda a: a[0], queue.task)
             given = self._given(common, queue, zero, [a[0] for a in common.table.scalars], task)
             state = self._begin(given)
-            return state, *self._finish(given, state)
+            search = () if pieces is None else pieces.begin(self.program.setup, given, state)
+            return state, *self._finish(given, state), search
 
         def blank(tree, n):
             return jax.tree.map(lambda x: jnp.zeros((n, *x.shape), x.dtype), tree)
 
-        state, result, kept = jax.eval_shape(one)
+        state, result, kept, search = jax.eval_shape(one)
         n = queue.line.shape[0]
         return Lanes(
             at=jnp.full((n_lanes,), -1, jnp.int32),
@@ -150,21 +165,26 @@ class Engine:
             ended=jnp.zeros(n, bool),
             results=blank(result, n),
             kept=blank(kept, common.table.slots.shape[0]),
+            thoughts=() if pieces is None else thoughts.blank(pieces, search, n_lanes),
         )
 
     def lane_bytes(self, lanes: Lanes, shared: Any) -> int:
-        """An estimate of what one lane needs, with its share of what deciding, starting and advancing need in between.
+        """An estimate of what one lane needs on an accelerator, with its share of what deciding, starting and advancing
+        need in between: one after the other, so that the most counts.
 
         Args:
           lanes: `Lanes`, or their shapes.
           shared: as in `Given`.
         """
         n_lanes = lanes.at.shape[0]
-        own = sum(math.prod(a.shape) * a.dtype.itemsize for a in jax.tree.leaves(lanes.state)) // n_lanes
+        own = _bytes(lanes.state) // n_lanes
         one = jax.tree.map(lambda a: jax.ShapeDtypeStruct(a.shape[1:], a.dtype), lanes.state)
         deciding, advancing = self.program.scratch(shared, one)
-        groups = (2 * own + deciding) // DECIDERS if self.program.decide is not None else 0
-        return own + groups + 2 * own // STARTERS + advancing
+        groups = (own + deciding) // DECIDERS if self.program.decide is not None else 0
+        if self.program.pieces is not None:  # searches, and once more what one piece makes of them
+            slots = lanes.thoughts.lane.shape[0]
+            own += 2 * _bytes(lanes.thoughts.searches) // slots // thoughts.SEEKERS
+        return own + max(groups, 2 * own // STARTERS, advancing)
 
     def _done(self, lanes):
         return (lanes.at >= 0) & jax.vmap(self.program.is_done)(lanes.state)
@@ -189,9 +209,9 @@ class Engine:
         slot = jnp.where(real & (queue.number[at] == table.keeps[line]), table.slot[line], table.slots.shape[0])
         at = jnp.where(real, at, n)
         return lanes.replace(
-            at=lanes.at.at[which].set(-1, mode="drop"),
+            at=put(lanes.at, which, jnp.full(m, -1, jnp.int32)),
             done=lanes.done + _count(real),
-            ended=lanes.ended.at[at].set(True, mode="drop"),
+            ended=put(lanes.ended, at, jnp.ones(m, bool)),
             results=put(lanes.results, at, result),
             kept=put(lanes.kept, slot, kept),
         )
@@ -205,28 +225,80 @@ class Engine:
         state = self._on_lanes(common, queue, at, self._begin)
         which = jnp.where(real, which, lanes.at.shape[0])
         return lanes.replace(
-            at=lanes.at.at[which].set(at, mode="drop"),
+            at=put(lanes.at, which, at),
             state=put(lanes.state, which, state),
             next=lanes.next + _count(real),
         )
 
     def _decide(self, queue, common, lanes, m):
-        """Up to m lanes decide: `(lanes, how many)`. Arrays that deciding hands on are left where they are."""
+        """Up to m lanes decide: `(lanes, how many)`."""
         which = first_lanes(self._must_decide(lanes), m)
-        real = which < lanes.at.shape[0]
-        leaves, tree = jax.tree.flatten(lanes.state)
-        changed = []
 
-        def decide(given, *own):
-            new = jax.tree.leaves(self.program.decide(self.program.setup, given, jax.tree.unflatten(tree, own)))
-            changed[:] = [i for i, (a, b) in enumerate(zip(own, new)) if a is not b]
-            return [new[i] for i in changed]
+        def decide(given, state):
+            return True, self.program.decide(self.program.setup, given, state)
+
+        return self._changed(queue, common, lanes, which, decide)[0], _count(which < lanes.at.shape[0])
+
+    def _changed(self, queue, common, lanes, which, function, *own):
+        """`(lanes, settled)`: some lanes as `function(given, state, *own)`, which returns `(settled, state)`, makes
+        them where it is settled. Arrays that it hands on are left where they are.
+        """
+        leaves, tree = jax.tree.flatten(lanes.state)
+        changed, n = [], len(leaves)
+
+        def change(given, *both):
+            state, own = both[:n], both[n:]
+            settled, new = function(given, jax.tree.unflatten(tree, state), *own)
+            new = jax.tree.leaves(new)
+            changed[:] = [i for i, (a, b) in enumerate(zip(state, new)) if a is not b]
+            return jnp.asarray(settled), [new[i] for i in changed]
 
         at = jnp.maximum(take(lanes.at, which), 0)
-        new = self._on_lanes(common, queue, at, decide, *take(leaves, which))
+        settled, new = self._on_lanes(common, queue, at, change, *take(leaves, which), *own)
+        where = jnp.where(settled, which, lanes.at.shape[0])
         for i, values in zip(changed, new):
-            leaves[i] = put(leaves[i], which, values)
-        return lanes.replace(state=jax.tree.unflatten(tree, leaves)), _count(real)
+            leaves[i] = put(leaves[i], where, values)
+        return lanes.replace(state=jax.tree.unflatten(tree, leaves)), settled
+
+    def _glance(self, queue, common, lanes, i, m):
+        """Up to m lanes are given glance i: `(lanes, how many)`."""
+        which = first_lanes(self._must_decide(lanes) & (lanes.thoughts.stage == i), m)
+
+        def glance(given, state):
+            return self.program.pieces.glances[i](self.program.setup, given, state)
+
+        lanes, settled = self._changed(queue, common, lanes, which, glance)
+        return lanes.replace(thoughts=thoughts.glanced(lanes.thoughts, which, settled)), _count(which < lanes.at.size)
+
+    def _search(self, queue, common, lanes, m):
+        """Up to m lanes get a slot, all searches go on, and up to m of them end: `(lanes, how many were taken)`."""
+        pieces, setup, own = self.program.pieces, self.program.setup, lanes.thoughts
+        slot, lane = thoughts.taken(own, self._must_decide(lanes) & (own.stage == len(pieces.glances)), m)
+        at = jnp.maximum(take(lanes.at, lane), 0)
+        with jax.named_scope("begin"):
+            new = self._on_lanes(
+                common, queue, at, lambda given, state: pieces.begin(setup, given, state), take(lanes.state, lane)
+            )
+        own = own.replace(lane=put(own.lane, slot, lane), searches=put(own.searches, slot, new))
+        n, own = _count(own.lane < lanes.at.size), own.replace(searches=jax.vmap(pieces.go_on)(own.searches))
+        slot, lane = thoughts.found(pieces, own, m)
+
+        def conclude(given, state, search):
+            return True, pieces.conclude(setup, given, state, search)
+
+        lanes, _ = self._changed(queue, common, lanes, lane, conclude, take(own.searches, slot))
+        return lanes.replace(thoughts=thoughts.given_back(own, slot, lane)), n
+
+    def _think(self, queue, common, lanes, usage):
+        """The deciding of a turn, in pieces: `(lanes, usage)`."""
+        size, counts = thoughts.sizes(lanes.at.size, len(self.program.pieces.glances)), []
+        for i, m in enumerate(size.glances):
+            with jax.named_scope(f"glance{i}"):
+                lanes, n = self._glance(queue, common, lanes, i, m)
+            counts.append(n)
+        with jax.named_scope("search"):
+            lanes, n = self._search(queue, common, lanes, size.newcomers)
+        return lanes, usage.replace(groups=usage.groups + 1, decided=usage.decided + [*counts, n][0])
 
     def _advance(self, queue, common, lanes, under_way):
         """All lanes that are under way advance; small arrays of the others are kept, large ones are left alone."""
@@ -267,30 +339,48 @@ class Engine:
             return self._start(queue, common, self._measure(queue, common, lanes, starters), starters)
 
         def must_decide(state):
-            waiting = _count(self._must_decide(state[0]))
-            return (waiting >= deciders) | ((waiting > 0) & ~jnp.any(self._under_way(state[0])))
+            waiting, under_way = _count(self._must_decide(state[0])), _count(self._under_way(state[0]))
+            return (waiting > 0) & (waiting >= enough(waiting + under_way))
 
         def decided(state):
             lanes, usage = state
             lanes, n = self._decide(queue, common, lanes, deciders)
             return lanes, usage.replace(groups=usage.groups + 1, decided=usage.decided + n)
 
+        def fill(lanes):
+            with jax.named_scope("fill"):
+                return lax.while_loop(change, changed, lanes)
+
         def turn(state):
             lanes, usage = state
-            lanes = lax.while_loop(change, changed, lanes)
-            if self.program.decide is not None:
-                lanes, usage = lax.while_loop(must_decide, decided, (lanes, usage))
+            with jax.named_scope("decide"):
+                if self.program.pieces is not None:
+                    lanes, usage = self._think(queue, common, lanes, usage)
+                elif self.program.decide is not None:
+                    lanes, usage = lax.while_loop(must_decide, decided, (lanes, usage))
             under_way = self._under_way(lanes)
-            lanes = self._advance(queue, common, lanes, under_way)
+            with jax.named_scope("advance"):
+                lanes = self._advance(queue, common, lanes, under_way)
             return lanes, usage.replace(turns=usage.turns + 1, advanced=usage.advanced + _count(under_way))
+
+        def turns_on(state):
+            lanes, usage = state
+            n = 1 if self.program.pieces is None else SPAN
+            return lax.fori_loop(0, n, lambda _, state: turn(state), (fill(lanes), usage))
 
         def goes_on(state):
             lanes, usage = state
             return (usage.turns < turns) & (lanes.done < queue.count)
 
         zero = jnp.int32(0)
-        return lax.while_loop(goes_on, turn, (lanes, Usage(turns=zero, advanced=zero, groups=zero, decided=zero)))
+        return lax.while_loop(goes_on, turns_on, (lanes, Usage(turns=zero, advanced=zero, groups=zero, decided=zero)))
+
+
+def _bytes(tree):
+    return sum(math.prod(a.shape) * a.dtype.itemsize for a in jax.tree.leaves(tree))
 
 
 def _count(mask):
-    return jnp.sum(mask, dtype=jnp.int32)
+    # A sum over lanes is one block of threads on an accelerator: what the mask is made from, and what else is, must not
+    # become part of it.
+    return jnp.sum(lax.optimization_barrier(mask), dtype=jnp.int32)

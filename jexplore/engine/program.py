@@ -36,6 +36,20 @@ class Given:
         return jax.tree.map(lambda a: a[self.scene], self.scenes)
 
 
+class Pieces(NamedTuple):
+    """Deciding as work of a fixed size in every turn: in lockstep on an accelerator nothing then waits for the host.
+
+    A run that must decide is given a first glance, and if that does not settle it the next: in every turn a group of
+    lanes each. What no glance settles is searched for in a slot, a piece in every turn, while the others go on.
+    """
+
+    glances: tuple[Callable[[Any, Given, Any], Any], ...]  # each (setup, given, state) -> (settled, state)
+    begin: Callable[[Any, Given, Any], Any]  # (setup, given, state) -> search, a pytree of arrays
+    go_on: Callable[[Any], Any]  # (search) -> search after one more piece; leaves one that is done as it is
+    is_done: Callable[[Any], Any]  # (search) -> bool
+    conclude: Callable[[Any, Given, Any, Any], Any]  # (setup, given, state, search) -> state that has decided
+
+
 class Program(NamedTuple):
     """The life of one robot as pure functions. Hashable: equal programs share what is compiled.
 
@@ -54,6 +68,7 @@ class Program(NamedTuple):
     keep: Callable[[Any], Any]  # (state) -> pytree of arrays: what is kept of one run besides its result
     decide: Callable[[Any, Given, Any], Any] | Any = None  # (setup, given, state) -> state; or None
     must_decide: Callable[[Any], Any] | None = None  # (state) -> bool, for runs that are not done
+    pieces: Pieces | Any = None  # what lockstep does instead of `decide`, with the same outcome
     # (state) -> pytree of arrays: what is kept of every run besides its result
     record: Callable[[Any], Any] | None = None
     cpu_options: tuple[tuple[str, Any], ...] = ()  # pairs of name and value: options of XLA's compiler on a CPU

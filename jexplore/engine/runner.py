@@ -21,6 +21,8 @@ from jexplore.engine.lanes import Usage
 from jexplore.engine.program import Line
 
 ENGINES = ("serial", "lockstep")
+CORES_WORTH = 16  # cores that do what lockstep is estimated to do on an accelerator: `bench --target` beside `bench`
+FILLING = 1024  # runs a device, below which its lanes stay empty
 
 
 @dataclasses.dataclass
@@ -84,16 +86,31 @@ def own_cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def find_resources(*, engine: str | None = None, lanes: int | None = None, workers: int | None = None) -> Resources:
+def faster_engine(devices: Sequence[Any], cores: int, runs: int | None = None) -> str:
+    """The engine that is likely to be the faster one, by an estimate: lockstep has been measured on no accelerator.
+
+    Args:
+      devices: list of JAX devices.
+      cores: CPU cores there are instead.
+      runs: to be made; None: many.
+    """
+    few = runs is not None and runs < FILLING * len(devices)
+    return "serial" if devices[0].platform == "cpu" or few or cores >= CORES_WORTH * len(devices) else "lockstep"
+
+
+def find_resources(
+    *, engine: str | None = None, lanes: int | None = None, workers: int | None = None, runs: int | None = None
+) -> Resources:
     """What there is to run with, and what is asked of it. Starts JAX.
 
     Args:
-      engine: one of `ENGINES`; by default serial on a CPU, else lockstep.
+      engine: one of `ENGINES`; by default `faster_engine`, and lockstep where lanes are asked for.
       lanes: lanes on each device in lockstep; by default as many as its memory holds, at most 4096.
       workers: threads of the serial engine on one device; by default the CPU cores that this process may use.
+      runs: that are to be made; None: many.
 
     Returns:
-      `Resources`.
+      `Resources`. The serial engine has the CPU, whatever else there is.
 
     Raises:
       InputError: an engine that does not exist, lanes or workers below 1, lanes for the serial engine, 64-bit mode.
@@ -108,9 +125,13 @@ def find_resources(*, engine: str | None = None, lanes: int | None = None, worke
     cores = own_cores()
     start_backend(workers or cores)  # before anything else asks JAX for its devices
     devices = jax.local_devices()
-    engine = engine or ("serial" if devices[0].platform == "cpu" else "lockstep")
+    if engine is None:
+        wants_lanes = lanes is not None and devices[0].platform != "cpu"
+        engine = "lockstep" if wants_lanes else faster_engine(devices, workers or cores, runs)
     if lanes is not None and engine == "serial":
         raise InputError(f"lanes are for the engine lockstep, got {lanes} for serial")
+    if engine == "serial" and devices[0].platform != "cpu":
+        devices = jax.local_devices(backend="cpu")
     workers = (workers or cores) if len(devices) == 1 else 1
     return Resources(engine, devices, workers, lanes, jax.process_index(), jax.process_count())
 

@@ -17,58 +17,15 @@ from jexplore.distance import within_packed
 from jexplore.engine.program import Given
 from jexplore.exploration import trail
 from jexplore.exploration.motion import motion_step, turn_between
+from jexplore.exploration.sensing import sense, square, stacked
 from jexplore.exploration.state import Outcome, Setup, State, Stream, no_counts
 from jexplore.frontier import disc
-from jexplore.grid import count, empty_grid, is_known
+from jexplore.grid import empty_grid, is_known
 from jexplore.planning import Belief, Choice, is_live, is_open
-from jexplore.raycast import disturb, fold, scan
 from jexplore.reach import DIAGONAL, FAR, NO_MOTION, STRAIGHT, flood
 
-STRIDE = 16  # cells by which the square moves in which known cells are counted
 BAD_TARGETS = 3  # targets in a row that no path leads to, and an episode ends
 LOOK_AROUND = 4  # looks, at least, with which a robot looks all round on arrival, the one on arrival included
-
-
-def _square(row, col, shape, window):
-    """The corner of a square that holds every cell that a scan can change, and its shape: `((row, col), (h, w))`.
-
-    It moves by `STRIDE` cells at a time, so that its known cells need not be counted anew for every scan.
-    """
-    size = tuple(min(n, 2 * window + STRIDE) for n in shape)
-    corner = [jnp.clip((at - window) // STRIDE * STRIDE, 0, n - m) for at, n, m in zip((row, col), shape, size)]
-    return jnp.stack(corner), size
-
-
-def _known_in(grid, corner, size):
-    """Known cells in a square: int32."""
-    hits, misses = (lax.dynamic_slice(a, corner, size) for a in (grid.hits, grid.misses))
-    return count((hits | misses) != 0)
-
-
-def _sense(setup, given, state, when):
-    """One scan where the robot stands, counted into its map where it believes to be, or nothing."""
-    belief, beams, occupied, base = state.belief, given.shared, *_stacked(given, given.scenes.occupied)
-    seen = scan(occupied, base + state.row, state.col, state.heading, beams, method=belief.model.scan)
-    if setup.noisy:
-        key = jax.random.fold_in(jax.random.fold_in(given.key, Stream.SENSOR), state.scans)
-        noise = {"sigma_cells": given.numbers.sigma_cells, "dropout": given.numbers.dropout}
-        seen = disturb(key, seen, state.row, state.col, state.heading, beams, belief.extent, **noise)
-    corner, size = _square(belief.row, belief.col, state.shape, setup.window)
-    # Known cells outside the square, counted before the update. The number is added where it changes nothing (it is
-    # never negative), so that it is made first, and the update can then be made in place.
-    outside = run_if(
-        jnp.any(corner != state.corner), lambda _: state.known - _known_in(belief.grid, corner, size), state.outside
-    )
-    row = belief.row + jnp.minimum(outside, 0)
-    grid = fold(belief.grid, row, belief.col, belief.heading, seen, beams, when=when, method=belief.model.scan)
-    known = outside + _known_in(grid, corner, size)
-    state = state.replace(corner=corner, outside=outside, scans=state.scans + when, known=known)
-    return state.replace(belief=belief.replace(grid=grid))
-
-
-def _stacked(given, maps):
-    """Maps of all worlds as one, one above the other, and the row where the run's own begins: `([M * H, W], int32)`."""
-    return maps.reshape(-1, maps.shape[-1]), given.scene * maps.shape[-2]
 
 
 def _mark(mask, rows, cols, when: Array | bool = True):
@@ -93,7 +50,7 @@ def _move(setup, given, state):
     at_limit = state.walking & ~looking & (state.steps >= given.numbers.max_steps)
     motion = state.route[belief.row, belief.col]
     drow, dcol, heading = motion_step(motion)
-    occupied, base = _stacked(given, given.scenes.occupied)
+    occupied, base = stacked(given, given.scenes.occupied)
     wall = occupied[base + state.row + drow, state.col + dcol]
     blocked = wall | ~is_open(belief, belief.row + drow, belief.col + dcol)
     ahead = state.walking & ~looking & ~at_limit
@@ -105,7 +62,7 @@ def _move(setup, given, state):
         return jnp.where(looking, (old + 8 // _n_looks(setup)) % 8, jnp.where(ahead, heading, old))
 
     row, col = state.row + drow, state.col + dcol
-    rooms, base = _stacked(given, given.scenes.rooms)
+    rooms, base = stacked(given, given.scenes.rooms)
     room = rooms[base + row, col]
     entered = (room >= 0) & (room != state.room)
     return state.replace(
@@ -175,7 +132,7 @@ def advance(setup: Setup, given: Given, state: State) -> State:
     here, near = (row == 0) & (col == 0), row * row + col * col <= numbers.arrival_d2
     due = walking & (here | (state.bumped >= 0) | (state.unscanned >= numbers.scan_every))
     state = state.replace(unscanned=jnp.where(due, 0, state.unscanned))
-    state = trail.note_step(_sense(setup, given, state, due), walking)
+    state = trail.note_step(sense(setup, given, state, due), walking)
     live = is_live(state.belief, *state.target)
     if setup.policy.live is not None:
         asked = state.is_view & state.walking & (numbers.recheck | near)
@@ -212,7 +169,7 @@ def commit(setup: Setup, given: Given, state: State, choice: Choice, route: Arra
     Args:
       setup, given, state: as for `decide`.
       choice: `planning.Choice`.
-      route: `[H, W]` int8, motions from the robot's cell to the target (`reach.lay_route`).
+      route: `[H, W]` int8, motions from the robot's cell to the target (`planning.readout.lay_route`).
       live: bool, whether a look from the target is worth while: of a strategy's target it always is.
 
     Returns:
@@ -248,7 +205,7 @@ def _find_goal(given, row, col):
         start; bool.
     """
     model, shape = given.numbers.model, given.scenes.occupied.shape[1:]
-    maps, base = _stacked(given, given.scenes.occupied)
+    maps, base = stacked(given, given.scenes.occupied)
     occupied = lax.dynamic_slice(maps, (base, jnp.int32(0)), shape)
     free, walls, near = stored(
         row >= 0, lambda: [bits.pack(m) for m in (~occupied, occupied, disc(shape, row, col, model.near_d2))]
@@ -298,7 +255,7 @@ def begin(setup: Setup, given: Given) -> State:
     shape = truth.occupied.shape[1:]
     goal, stuck = _find_goal(given, row, col)
     belief = blank_belief(given)
-    rooms, base = _stacked(given, truth.rooms)
+    rooms, base = stacked(given, truth.rooms)
     room = rooms[base + row, col]
     steps, choices = trail.blank(setup.capacity)
     state = State(
@@ -316,7 +273,7 @@ def begin(setup: Setup, given: Given) -> State:
         walking=jnp.bool_(False),
         bumped=jnp.int32(NO_MOTION),
         came_from=jnp.stack([row, col]),
-        corner=_square(row, col, shape, setup.window)[0],
+        corner=square(row, col, shape, setup.window)[0],
         room=room,
         outcome=jnp.where(stuck, Outcome.STUCK, Outcome.RUNNING).astype(jnp.int32),
         room_entries=(room >= 0).astype(jnp.int32),
@@ -324,7 +281,7 @@ def begin(setup: Setup, given: Given) -> State:
     )
 
     def look_round(_, state):
-        state, belief = _sense(setup, given, state, ~stuck), state.belief
+        state, belief = sense(setup, given, state, ~stuck), state.belief
         turned = (belief.heading + 8 // setup.first_scans) % 8
         return state.replace(heading=turned, belief=state.belief.replace(heading=turned))
 

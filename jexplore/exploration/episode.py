@@ -5,12 +5,15 @@ from jax import lax
 
 from jexplore.engine.program import Given, Program
 from jexplore.exploration import environment
+from jexplore.exploration.pieces import pieces_of
 from jexplore.exploration.state import MARKS, PERCENTILES, Outcome, Result, Setup, State
 from jexplore.exploration.trail import LOOKS, RECORDS, Trail, kept
 from jexplore.grid import beside, bordered, count, is_known
-from jexplore.raycast import BLOCK
+from jexplore.policies.closest import is_nearest
 
-PLANNING_BYTES = 40  # a cell, that a plan needs besides the state; an estimate
+# Bytes besides the state, an estimate: of a cell for a plan, where a quarter of a group looks at whole maps at a time;
+# of a beam for a scan.
+PLANNING_BYTES, SCAN_BYTES = 10, 24
 
 
 # A tenth of the time of compiling, and nothing gained by it: loops here store what they would compute anew.
@@ -100,7 +103,7 @@ def _must_plan(state):
 
 
 def _scratch(beams, state):
-    return PLANNING_BYTES * state.route.size, 12 * beams.offset[0].size + 16 * BLOCK
+    return PLANNING_BYTES * state.route.size, SCAN_BYTES * beams.length.shape[-1]
 
 
 def program_of(setup: Setup, keep: str | None = None) -> Program:
@@ -122,6 +125,7 @@ def program_of(setup: Setup, keep: str | None = None) -> Program:
         keep=kept,
         decide=plan,
         must_decide=_must_plan,
+        pieces=None if setup.windows is None or not is_nearest(setup.policy) else pieces_of(setup.windows),
         record=None if keep is None else RECORDS[keep],
         cpu_options=CPU_OPTIONS,
         scratch=_scratch,

@@ -19,7 +19,7 @@ from jexplore.exploration.episode import program_of
 from jexplore.exploration.state import Numbers, Setup, Truth
 from jexplore.exploration.trail import record_of
 from jexplore.grid import in_cells, radius_d2
-from jexplore.planning import MapModel
+from jexplore.planning import MapModel, windows
 from jexplore.policies.catalogue import adapt
 from jexplore.policies.policy import Strategy
 from jexplore.raycast import Beams, beam_table, scans_all_round
@@ -37,6 +37,11 @@ class Kernels:
     """One of `reach.METHODS`."""
     scan: str = "blocks"
     """One of `raycast.METHODS`."""
+    native: str | None = None
+    """Target of the kernel in C++ that scans and counts, see `sensing`; None: those in JAX. For one robot on a CPU;
+    a noisy scanner has none."""
+    in_pieces: bool = False
+    """Whether lockstep plans in pieces, with `reach` "wave", for strategies of which it knows how."""
 
     def __post_init__(self) -> None:
         for name, known in (("reach", reach.METHODS), ("scan", raycast.METHODS)):
@@ -46,6 +51,11 @@ class Kernels:
 
 KERNELS = {"serial": Kernels(), "lockstep": Kernels(reach="wave", scan="whole")}
 """Engine -> the kernels that suit it."""
+
+
+def kernels_for(engine: str, platform: str) -> Kernels:
+    """The kernels that suit an engine on devices of a platform: on accelerators the host is not to be waited for."""
+    return dataclasses.replace(KERNELS[engine], in_pieces=engine == "lockstep" and platform != "cpu")
 
 
 class Site(NamedTuple):
@@ -108,8 +118,7 @@ def prepare_site(
     Returns:
       `Site` of numpy arrays.
     """
-    height, width = world.shape
-    shape = shape or (bucket(height), bucket(width))
+    shape = shape or (bucket(world.shape[0]), bucket(world.shape[1]))
     pad = [(0, full - n) for full, n in zip(shape, world.shape)]
     rooms = world.rooms if world.rooms is not None else np.full(world.shape, -1, np.int32)
     # Ignored types: numpy on the host, where the record says what it is on the device.
@@ -119,7 +128,7 @@ def prepare_site(
         region=np.pad(_regions(world.occupied), pad),  # type: ignore[arg-type]
         extent=np.asarray(world.shape, np.int32),  # type: ignore[arg-type]
     )
-    limit = max(LEAST_LIMIT, height * width)
+    limit = max(LEAST_LIMIT, math.prod(world.shape))
     everyone = [(lidar, rules), *(pair for pair in alike if pair[0].n_beams == lidar.n_beams)]
     model = MapModel(
         p_free=np.float32(rules.p_free),  # type: ignore[arg-type]
@@ -144,7 +153,8 @@ def prepare_site(
     )
     longest_m = max(one.range_m for one, _ in everyone)
     beams = _beams(lidar.n_beams, lidar.fov_deg, lidar.range_m, world.cell_m, shape[1], longest_m)
-    return Site(truth, beams, _setup(everyone, world.cell_m, shape, limit), numbers)
+    glances = tuple(windows(shape, model.clearance_d2)) if kernels.in_pieces else None
+    return Site(truth, beams, _setup(everyone, world.cell_m, shape, limit, kernels.native, glances), numbers)
 
 
 def cost_of(length_m: float, cell_m: float) -> int:
@@ -159,17 +169,20 @@ def _regions(occupied):
     return ndimage.label(~occupied)[0].astype(np.int32)  # type: ignore[index]  # scipy says too little
 
 
-def _setup(everyone, cell_m, shape, limit):
+def _setup(everyone, cell_m, shape, limit, native, glances):
     """What is fixed before compiling, such that it suits several scanners and rules, those of the site first."""
     lidar, _ = everyone[0]
     max_steps = max(rules.max_steps or limit for _, rules in everyone)
     farthest_m = max(one.range_m + 4 * one.sigma_m for one, _ in everyone)
+    noisy = any(one.sigma_m > 0 or one.dropout > 0 for one, _ in everyone)
     return Setup(
         policy=None,
         first_scans=scans_all_round(lidar.fov_deg),
         window=math.ceil(in_cells(farthest_m, cell_m)) + 1,
-        noisy=any(one.sigma_m > 0 or one.dropout > 0 for one, _ in everyone),
+        noisy=noisy,
         capacity=max(LEAST_LIMIT, shape[0] * shape[1]) if max_steps <= limit else max_steps,
+        native=None if noisy else native,
+        windows=glances,
     )
 
 

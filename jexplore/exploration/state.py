@@ -59,6 +59,8 @@ class Setup(NamedTuple):
     window: int  # half width of the square that one scan can change, cells
     noisy: bool  # whether the scanner's noise is simulated
     capacity: int  # T, steps that the trail has room for; at least max_steps
+    native: str | None = None  # target of the kernel in C++ that scans and counts, see `sensing`; None: those in JAX
+    windows: tuple[int, ...] | None = None  # that planning in pieces glances at, sides; None: it does not
 
 
 @struct.dataclass
@@ -113,7 +115,7 @@ class State:
     heading: Array  # int32, units of 45 degrees
     belief: Belief
     goal: Array  # [ceil(H / 32), W] uint32, packed: cells that are known when the episode is complete
-    route: Array  # [H, W] int8, see `reach.lay_route`
+    route: Array  # [H, W] int8, see `planning.readout.lay_route`
     trail: Array  # [T + 1, 2] int32, see `trail.Trail`
     choices: Array  # [P, 2] int32, see `trail.Choices`
     carry: Any  # the policy's

@@ -88,7 +88,8 @@ def check(bank: Bank, settings: Settings) -> None:
     sizes = sorted({world.cell_m for world in bank.worlds})
     if len(sizes) > 1:
         raise InputError(f"worlds to train in by ppo must have cells of one size, got {sizes[0]:g} and {sizes[1]:g} m")
-    devices = len(find_resources().devices)
+    find_resources()  # starts JAX
+    devices = len(jax.local_devices())
     if settings.lanes % devices:
         raise InputError(f"lanes must be a multiple of {devices}, the number of devices, got {settings.lanes}")
 

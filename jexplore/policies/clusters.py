@@ -5,23 +5,26 @@ far they lie apart.
 import dataclasses
 import math
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, ClassVar, Self
 
 import jax.numpy as jnp
+import numpy as np
 from flax import struct
-from jax import Array
+from jax import Array, lax
 
 from jexplore.arrays import bits
-from jexplore.arrays.loops import repeat
+from jexplore.arrays.groups import PART
+from jexplore.arrays.loops import first_lanes, repeat, run_if
 from jexplore.frontier import clear_cells, frontier_clusters
-from jexplore.gain import look, prospect, unknown_within
+from jexplore.gain import look, prospect, unknown_near, unknown_within
 from jexplore.grid import Grid, empty_grid
 from jexplore.planning import Belief, Choice, Field, choose, metres
 from jexplore.raycast import Beams, all_round
-from jexplore.reach import FAR, reach_packed
+from jexplore.reach import FAR, METHODS, STEPS
 
 CLUSTERS = 128  # most clusters that are told apart
 COARSEST = 4  # cells a side, of the blocks that paths between clusters are measured in
+ACROSS = {"sweeps": 3, "wave": 1}  # how often a map stands beside itself, each way, while these are measured
 
 
 @struct.dataclass
@@ -34,11 +37,13 @@ class Targets:
     path_m: Array  # [M] float32, from the robot; inf in an unused slot
     size: Array  # [M] int32, frontier cells; 0 in an unused slot
     overflow: Array  # int32, clusters and frontier cells that did not fit
+    replace: ClassVar[Callable[..., Self]]
 
 
 def targets(belief: Belief, known: Field) -> Targets:
     """`Targets` of a belief and its `Field`."""
-    found = frontier_clusters(known.candidates, known.cost, max_clusters=CLUSTERS)
+    part = PART if belief.model.reach == "sweeps" else None
+    found = frontier_clusters(known.candidates, known.cost, max_clusters=CLUSTERS, part=part)
     used = found.row >= 0
     cost = known.cost[jnp.maximum(found.row, 0), jnp.maximum(found.col, 0)]
     path_m = jnp.where(used, metres(cost, belief.model.cell_m), jnp.inf)
@@ -64,6 +69,49 @@ def seen_from(belief: Belief, at: Targets, beams: Beams) -> tuple[Array, Array]:
 
     seen = from_each(belief, at, beams, tell, 2)
     return seen[0], seen[1]
+
+
+def shown_from(belief: Belief, at: Targets, beams: Beams, enough: Array | int) -> Array:
+    """How many unknown cells looks all round from every target would show, as far as that matters.
+
+    For one robot on a CPU a look ends beside the target where that alone shows enough.
+
+    Args:
+      belief: `Belief`.
+      at: `Targets`.
+      beams: `Beams`.
+      enough: int32, a number of cells.
+
+    Returns:
+      `[M]` int32: exact where it is less than `enough`, else at least that; 0 in an unused slot.
+    """
+
+    def tell(ahead, row, col, beams, scratch):
+        told, scratch = look(ahead, row, col, beams, scratch, method=belief.model.scan)
+        return told.unknown[None], scratch
+
+    if belief.model.scan != "blocks":
+        return from_each(belief, at, beams, tell, 1)[0]
+    n, m = jnp.sum(at.used, dtype=jnp.int32), at.row.shape[0]
+
+    def near(state):
+        i, shown = state
+        i_ = jnp.minimum(i, m - 1)
+        where = jnp.maximum(at.row[i_], 0), jnp.maximum(at.col[i_], 0)
+        new = unknown_near(belief.grid, belief.extent, belief.model.p_free, *where, beams)
+        on = i < n
+        return i + on, shown.at[jnp.where(on, i, m)].set(new, mode="drop")
+
+    _, shown = repeat(lambda state: state[0] < n, near, (jnp.int32(0), jnp.zeros(m, jnp.int32)))
+    left = at.used & (shown < enough)
+
+    def look_on(shown):
+        which = first_lanes(left, m)
+        some = jnp.minimum(which, m - 1)
+        rest = at.replace(row=at.row[some], col=at.col[some], used=which < m)
+        return shown.at[which].set(from_each(belief, rest, beams, tell, 1)[0], mode="drop")
+
+    return run_if(jnp.any(left), look_on, shown)
 
 
 def unknown_from(belief: Belief, at: Targets, beams: Beams, radii_m: Sequence[float]) -> Array:
@@ -133,21 +181,54 @@ def apart(belief: Belief, at: Targets) -> Array:
     height, width = clear.shape
     pad = ((0, -height % side), (0, -width % side))
     blocks = jnp.pad(clear, pad).reshape(-(-height // side), side, -(-width // side), side).any(axis=(1, 3))
-    words = bits.pack(blocks)
     row, col = jnp.maximum(at.row, 0) // side, jnp.maximum(at.col, 0) // side
     n = jnp.sum(at.used, dtype=jnp.int32)
-
-    def spread(state):
-        i, table = state
-        i_ = jnp.minimum(i, row.shape[0] - 1)
-        cost = reach_packed(words, row[i_], col[i_], method=belief.model.reach)[row, col]
-        on = i < n
-        return i + on, table.at[jnp.where(on, i, table.shape[0])].set(cost, mode="drop")
-
-    table = jnp.full((row.shape[0], row.shape[0]), FAR, jnp.int32)
-    _, table = repeat(lambda state: state[0] < n, spread, (jnp.int32(0), table))
+    table = costs_between(blocks, row, col, n, belief.model.reach)
     table = jnp.where(at.used[None] & at.used[:, None], table, FAR)
     return jnp.where(table < FAR, metres(table, side * belief.model.cell_m), jnp.inf)
+
+
+def costs_between(passable: Array, row: Array, col: Array, n: Array | int, method: str) -> Array:
+    """Costs of the paths between the first n of some cells.
+
+    The map stands side by side with itself, up to `ACROSS` times each way, with a wall between: so many sources are
+    spread from at once, a map each, for which a sweep along a row or a column costs little more than for one.
+
+    Args:
+      passable: `[h, w]` bool.
+      row, col: `[M]` int32, the cells, all of them passable.
+      n: int32.
+      method: one of `reach.METHODS`. Static.
+
+    Returns:
+      `[M, M]` int32, as of `reach.reach`, symmetric, 0 on the diagonal; arbitrary where not both are of the first n.
+    """
+    height, width = (size + 1 for size in passable.shape)
+    across = ACROSS[method]
+    # From the corner outwards: few maps fill a small square, and the sweeps end at its edges.
+    tiles = np.array(sorted(np.ndindex(across, across), key=lambda tile: (max(tile), tile)), np.int32)
+    tile = lax.iota(jnp.int32, len(tiles))
+    top, left = jnp.asarray(tiles[:, 0] * height), jnp.asarray(tiles[:, 1] * width)
+    m, alone = row.shape[0], jnp.pad(passable, ((0, 1), (0, 1)))
+
+    def spread(state):
+        first, table = state
+        source = first + tile
+        on = source < n - 1  # the last one's are known from the others
+        used = jnp.zeros((across, across), bool).at[tiles[:, 0], tiles[:, 1]].set(on)
+        walls = jnp.where(used[:, None, :, None], alone[None, :, None, :], False)
+        words = bits.pack(walls.reshape(across * height, across * width))
+        here = jnp.minimum(source, m - 1)
+        begin = jnp.full((bits.WORD * words.shape[0], words.shape[1]), FAR, jnp.int32)
+        begin = begin.at[jnp.where(on, top + row[here], begin.shape[0]), left + col[here]].set(0, mode="drop")
+        cost = METHODS[method](words, begin, (0, 0), None, jnp.int32(FAR), STEPS)
+        cost = cost[top[:, None] + row, left[:, None] + col]
+        going = first < n - 1
+        return first + jnp.where(going, len(tiles), 0), table.at[jnp.where(on, source, m)].set(cost, mode="drop")
+
+    start = jnp.int32(0), jnp.where(jnp.eye(m, dtype=bool), 0, FAR)
+    _, table = repeat(lambda state: state[0] < n - 1, spread, start)
+    return jnp.minimum(table, table.T)
 
 
 def go_to(belief: Belief, route: Array, known: Field, at: Targets, which: Array) -> tuple[Choice, Array]:

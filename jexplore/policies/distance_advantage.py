@@ -16,9 +16,10 @@ from jax import Array
 
 from jexplore.config import require_number, require_whole
 from jexplore.planning import field
-from jexplore.policies.clusters import apart, best_of, go_to, init, seen_from, targets
+from jexplore.policies.clusters import apart, best_of, go_to, init, shown_from, targets
 from jexplore.policies.policy import Policy
 
+EVERY = 2**30  # more unknown cells than any look shows
 LEAST = 1e-6  # keeps a quotient finite where nothing counts
 
 
@@ -58,7 +59,8 @@ def mean_apart(apart_m: Array, used: Array, counts: Array | float = 1.0) -> Arra
 def _select(key, params, carry, belief, beams, route):
     known = field(belief)
     at = targets(belief, known)
-    unknown, _ = seen_from(belief, at, beams)
+    exact = params.by_area | (params.side_weight > 0)
+    unknown = shown_from(belief, at, beams, jnp.where(exact, EVERY, params.min_gain))
     usable, area = at.used & (unknown >= params.min_gain), unknown.astype(jnp.float32)
     counts = jnp.where(params.by_area, area, 1.0)
     worth = advantage(at.path_m, apart(belief, at), usable, params.weight, counts)

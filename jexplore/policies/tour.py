@@ -13,10 +13,11 @@ from jax import Array, lax
 from jexplore.arrays.loops import repeat
 from jexplore.config import require_whole
 from jexplore.planning import field
-from jexplore.policies.clusters import CLUSTERS, apart, go_to, init, seen_from, targets
+from jexplore.policies.clusters import CLUSTERS, apart, go_to, init, shown_from, targets
 from jexplore.policies.policy import Policy
 
 FAR_M = 1e6  # stands for "no path", so that sums stay finite
+AT_A_TIME = 8  # stops of a route at which it is tried to turn it, together
 
 
 class Params(NamedTuple):
@@ -71,17 +72,28 @@ def improved(length: Array, route: Array, n: Array | int) -> Array:
     nodes = lax.iota(jnp.int32, size)
 
     def best_turn(route):
+        """How much shorter the best turn makes the route, and the first and the last stop that it turns."""
         # Turning stops i..j round replaces the ways into i and out of j; behind the last stop there is none.
         before, after = jnp.roll(route, 1), jnp.roll(route, -1)
         enter, leave = length[before, route], jnp.where(nodes < n, length[route, after], 0.0)
-        swapped = length[before[:, None], route[None]] + jnp.where(
-            nodes[None] < n, length[route[:, None], after[None]], 0.0
-        )
-        gain = enter[:, None] + leave[None] - swapped
-        valid = (nodes[:, None] >= 1) & (nodes[None] > nodes[:, None]) & (nodes[None] <= n)
-        gain = jnp.where(valid, gain, -jnp.inf)
-        at = jnp.argmax(gain)
-        return gain.reshape(-1)[at], at // size, at % size
+
+        def look(state):
+            first, best, *places = state
+            i = first + lax.iota(jnp.int32, AT_A_TIME)
+            i_ = jnp.minimum(i, size - 1)
+            behind = jnp.where(nodes[None] < n, length[route[i_][:, None], after[None]], 0.0)
+            swapped = length[before[i_][:, None], route[None]] + behind
+            gain = enter[i_][:, None] + leave[None] - swapped
+            valid = (i[:, None] >= 1) & (nodes[None] > i[:, None]) & (nodes[None] <= n)
+            gain = jnp.where(valid, gain, -jnp.inf)
+            at = jnp.argmax(gain).astype(jnp.int32)
+            better = gain.reshape(-1)[at] > best
+            new = gain.reshape(-1)[at], first + at // size, at % size
+            best = [jnp.where(better, one, other) for one, other in zip(new, (best, *places))]
+            return first + jnp.where(first <= n, AT_A_TIME, 0), *best
+
+        none = jnp.int32(0)
+        return repeat(lambda state: state[0] <= n, look, (none, jnp.float32(-jnp.inf), none, none))[1:]
 
     def turn(state):
         i, route, saved, first, last = state
@@ -97,8 +109,7 @@ def improved(length: Array, route: Array, n: Array | int) -> Array:
 def _select(key, params, carry, belief, beams, route):
     known = field(belief)
     at = targets(belief, known)
-    unknown, _ = seen_from(belief, at, beams)
-    usable = at.used & (unknown >= params.min_gain)
+    usable = at.used & (shown_from(belief, at, beams, params.min_gain) >= params.min_gain)
     usable = jnp.where(jnp.any(usable), usable, at.used)
     stops = jnp.argsort(~usable, stable=True)  # slots to be visited first, in their order
     n = jnp.sum(usable, dtype=jnp.int32)

@@ -276,6 +276,7 @@ def compare(
     workers: int | None = None,
     on_progress: Callable[[int], object] | None = None,
     keep: str | None = None,
+    fast: bool = False,
 ) -> Comparison:
     """Runs every strategy in every world, from the same starts. An interruption keeps what is finished.
 
@@ -289,18 +290,21 @@ def compare(
       start: "random", or "world" for every world's own start in every episode.
       lidar: `Lidar`.
       rules: `Rules`.
-      engine: one of `runner.ENGINES`; by default "serial" on a CPU, "lockstep" on an accelerator. Results are equal.
+      engine: one of `runner.ENGINES`; by default the one that is likely to be faster. Results are equal.
       lanes: episodes at a time on each device in lockstep; by default as many as its memory holds.
       workers: threads of the serial engine; by default one a core.
       on_progress: called now and then with the number of episodes finished.
       keep: "paths" for the way of every episode, 12 bytes a step, "maps" for its last map as well, a byte a cell; see
         `Comparison`.
+      fast: whether scans are made by a kernel in C++, which takes a compiler; for the engine serial on a CPU. Results
+        are equal. Where there is no compiler, or the scanner is noisy, scans are made as ever.
 
     Returns:
       `Comparison`.
 
     Raises:
       InputError: a name, number, map or start that cannot be used. Raised before anything is compiled.
+      InputWarning: no compiler for `fast`, or it fails.
     """
     jobs = prepare_jobs(
         worlds, strategies, episodes=episodes, seed=seed, cell_m=cell_m, start=start, lidar=lidar, rules=rules
@@ -309,7 +313,7 @@ def compare(
         raise InputError(f"keep must be None, {' or '.join(RECORDS)}, got {keep!r}")
     use_compilation_cache()
     how = {"engine": engine, "lanes": lanes, "workers": workers, "on_progress": on_progress}
-    return assemble(jobs, run_units(jobs, **how, keep=keep))
+    return assemble(jobs, run_units(jobs, **how, keep=keep, fast=fast))
 
 
 def prepare_jobs(

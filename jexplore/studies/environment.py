@@ -111,7 +111,9 @@ class Environment:
         self.cell_m, self._rules = sizes[0], rules
         rows, cols = (max(bucket(side) for side in sides) for sides in zip(*(world.shape for world in self.worlds)))
         self.shape = rows, cols
-        kernels, sites, cells = KERNELS[find_resources().engine], [], []
+        find_resources()  # starts JAX
+        kernels = KERNELS["serial" if jax.local_devices()[0].platform == "cpu" else "lockstep"]
+        sites, cells = [], []
         for world in self.worlds:
             require_clearance(world, rules)
             require_memory(world, lidar, rules)

@@ -169,6 +169,7 @@ def explore(
     start: str | tuple[int, int, int] = "random",
     lidar: Lidar = LIDAR,
     rules: Rules = RULES,
+    fast: bool = False,
 ) -> Episode:
     """Runs one episode and keeps its map and way.
 
@@ -183,6 +184,7 @@ def explore(
       start: "random", "world" for the world's own, or `(row, col, heading_deg)`.
       lidar: `Lidar`.
       rules: `Rules`.
+      fast: as in `comparison.compare`: worth while for an episode of many minutes.
 
     Returns:
       `Episode`.
@@ -191,7 +193,7 @@ def explore(
       InputError: a name, number, map or start that cannot be used. Raised before anything is compiled.
     """
     job = prepare_job(world, strategy, seed=seed, episode=episode, cell_m=cell_m, start=start, lidar=lidar, rules=rules)
-    return run_job(job, lidar, rules)
+    return run_job(job, lidar, rules, fast=fast)
 
 
 def prepare_job(
@@ -216,11 +218,11 @@ def prepare_job(
     return Job(world, parsed, np.tile(np.asarray(own, np.int32), (episode + 1, 1)), seed)
 
 
-def run_job(job: Job, lidar: Lidar, rules: Rules) -> Episode:
+def run_job(job: Job, lidar: Lidar, rules: Rules, *, fast: bool = False) -> Episode:
     """The `Episode` of a job: its last one."""
     use_compilation_cache()
     number = len(job.starts) - 1
-    report = batch.run_jobs([job], lidar, rules, only=number)
+    report = batch.run_jobs([job], lidar, rules, only=number, fast=fast)
     ((result, final, _),) = report.outcomes
     assert final is not None  # a run that was interrupted has raised
     has_rooms, cell_m = job.world.rooms is not None, job.world.cell_m

@@ -5,7 +5,8 @@ import jax.numpy as jnp
 
 from jexplore.frontier import disc
 from jexplore.grid import any_within_one, beside, bordered, is_known
-from jexplore.reach import FAR, _last_motion
+from jexplore.planning.readout import _last_motion
+from jexplore.reach import FAR
 
 
 def traversable_cells(clear, free, driven, row, col, near_d2):

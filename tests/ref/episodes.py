@@ -1,6 +1,5 @@
 """Whole episodes by the engine and by the oracle, and what differs between the two."""
 
-import dataclasses
 import functools
 import math
 
@@ -57,7 +56,8 @@ def numbers_of(strategy, lidar, rules, cell_m, kernels="serial"):
             near_d2=np.int32(radius_d2(rules.near_m, cell_m)),
             cell_m=np.float32(cell_m),
             clearance_d2=radius_d2(rules.clearance_m, cell_m),
-            **dataclasses.asdict(KERNELS[kernels]),
+            reach=KERNELS[kernels].reach,
+            scan=KERNELS[kernels].scan,
         ),
         look_around=np.bool_(rules.look_around),
         recheck=np.bool_(strategy.recheck),

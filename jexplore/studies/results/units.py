@@ -204,6 +204,7 @@ def run_units(
     on_progress: Callable[[int], object] | None = None,
     keep: str | None = None,
     alike: Sequence[tuple[Lidar, Rules]] = (),
+    fast: bool = False,
 ) -> Ran:
     """Runs every episode of every job that the ledger does not have.
 
@@ -211,8 +212,7 @@ def run_units(
       jobs: list of `Job`, each with its scanner and rules.
       ledger: where units are kept as soon as they are finished.
       units: numbers of the units to be run or read; by default all.
-      engine, lanes, workers, on_progress, keep, alike: as in `batch.run_jobs`. Progress counts episodes that were there
-        before as well.
+      engine, lanes, workers, on_progress, keep, alike, fast: as in `batch.run_jobs`; progress counts earlier ones too.
 
     Returns:
       `Ran`. After Ctrl-C it holds what had been finished.
@@ -242,7 +242,7 @@ def run_units(
         progress = None if on_progress is None else (lambda done: on_progress(done + resumed))
         how: dict[str, Any] = {"engine": engine, "lanes": lanes, "workers": workers, "keep": keep, "alike": alike}
         try:
-            found = batch.run_jobs(some, Lidar(), Rules(), **how, on_progress=progress, on_job=on_job)
+            found = batch.run_jobs(some, Lidar(), Rules(), **how, fast=fast, on_progress=progress, on_job=on_job)
         except KeyboardInterrupt:
             if not pieces:
                 raise

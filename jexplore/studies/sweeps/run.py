@@ -172,6 +172,7 @@ def run_sweep(
     workers: int | None = None,
     gpu: bool = False,
     on_progress: Callable[[int], object] | None = None,
+    fast: bool = False,
 ) -> Swept:
     """Runs the units of a sweep that the ledger does not have.
 
@@ -184,6 +185,7 @@ def run_sweep(
         default.
       gpu: whether every task of a Ray cluster takes a GPU.
       on_progress: called with the number of episodes finished, those that were there before included.
+      fast: as in `batch.run_jobs`, for strategies on this machine.
 
     Returns:
       `Swept`. After Ctrl-C it holds the units that were finished.
@@ -195,6 +197,8 @@ def run_sweep(
 
     if gpu and engine != "ray":
         raise InputError("gpu is for the engine ray: others take the GPUs that they find")
+    if fast and (engine == "ray" or isinstance(plan, TracePlan)):
+        raise InputError("fast is for strategies by the engine serial on this machine's CPU, not for robots or ray")
     numbers, tables = in_shard(len(plan.units), shard), {}
     if ledger is not None:
         tables = {i: ledger.get(i) for i in numbers if i in ledger.done}
@@ -208,7 +212,7 @@ def run_sweep(
     left = [number for number in numbers if number not in tables]
     progress = None if on_progress is None else (lambda done: on_progress(done + resumed))
     how: dict[str, Any] = {"engine": engine, "lanes": lanes, "workers": workers}
-    costs = _run_left(plan, left, on_unit, how, gpu, progress) if left else Costs()
+    costs = _run_left(plan, left, on_unit, how, gpu, fast, progress) if left else Costs()
     if not tables:
         raise KeyboardInterrupt
     table = ordered(typed(pd.concat([tables[i] for i in sorted(tables)], ignore_index=True), plan), plan)
@@ -216,7 +220,7 @@ def run_sweep(
     return Swept(plan.spec, table, tuple(plan.columns), costs, wanted - len(table), resumed, plan.reference)
 
 
-def _run_left(plan, left, on_unit, how, gpu, on_progress):
+def _run_left(plan, left, on_unit, how, gpu, fast, on_progress):
     """Runs some units of a sweep by whatever engine: `Costs`."""
     if isinstance(plan, TracePlan):
         if how["engine"] == "ray":
@@ -224,7 +228,7 @@ def _run_left(plan, left, on_unit, how, gpu, on_progress):
         return run_traces(plan, left, on_unit, **how, on_progress=on_progress)
     if how["engine"] != "ray":
         use_compilation_cache()
-        return run_block_units(plan, left, on_unit, **how, on_progress=on_progress)
+        return run_block_units(plan, left, on_unit, **how, fast=fast, on_progress=on_progress)
     from jexplore.studies.sweeps import cluster
 
     if how["lanes"] is not None:
@@ -258,12 +262,13 @@ def sweep(
     workers: int | None = None,
     gpu: bool = False,
     on_progress: Callable[[int], object] | None = None,
+    fast: bool = False,
 ) -> Swept:
     """Compares strategies over many settings.
 
     Args:
       spec: a `Sweep`, a mapping of its fields, or a YAML file. `jexplore sweep` keeps what it finishes; this does not.
-      engine, lanes, workers, gpu, on_progress: as in `run_sweep`.
+      engine, lanes, workers, gpu, on_progress, fast: as in `run_sweep`.
 
     Returns:
       `Swept`.
@@ -278,7 +283,7 @@ def sweep(
     if not isinstance(spec, Sweep):
         raise InputError(f"a sweep must be a jx.Sweep, a mapping or a YAML file, got {spec!r}")
     how: dict[str, Any] = {"engine": engine, "lanes": lanes, "workers": workers, "gpu": gpu}
-    return run_sweep(ready(spec), **how, on_progress=on_progress)
+    return run_sweep(ready(spec), **how, on_progress=on_progress, fast=fast)
 
 
 def ready(spec: Sweep) -> Plan | TracePlan:

@@ -7,9 +7,10 @@ candidates.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, ClassVar, Self
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from flax import struct
@@ -17,9 +18,10 @@ from jax import Array, lax
 
 from jexplore.arrays import bits
 from jexplore.arrays.loops import one_kernel, run_if, stored
-from jexplore.frontier import plan_masks
+from jexplore.frontier import Masks, plan_masks
 from jexplore.grid import Grid, count, lowest
-from jexplore.reach import DIAGONAL, FAR, STRAIGHT, STRIDES, lay_route, reach_packed, saturated
+from jexplore.planning.readout import STRIDES, lay_route
+from jexplore.reach import DIAGONAL, FAR, STRAIGHT, reach_packed, saturated
 
 WINDOWS = (64, 128)  # sides of the windows that are searched first, cells
 
@@ -59,7 +61,7 @@ class Choice:
 
     row: Array  # int32; -1: there is no target
     col: Array  # int32; -1: there is no target
-    cost: Array  # int32, see reach.py; FAR: there is no target, or no path leads to it
+    cost: Array  # int32, see `reach`; FAR: there is no target, or no path leads to it
     saturated: Any = np.int32(0)  # int32, without a target: cells whose cost does not fit (`reach.saturated`)
     is_view: Any = np.bool_(False)  # bool, whether it is a view point: live while `Policy.live` says so
     overflow: Any = np.int32(
@@ -85,7 +87,7 @@ class View:
     `path_m` is infinite where no path leads: a gradient through it must mask these cells before it computes with them.
     """
 
-    cost: Array  # [H, W] int32, of the shortest path to every cell (see reach.py); FAR where none leads
+    cost: Array  # [H, W] int32, of the shortest path to every cell (see `reach`); FAR where none leads
     path_m: Array  # [H, W] float32, the same in metres; inf where none leads
     frontier: Array  # [H, W] bool, frontier cells that can be reached and are not exhausted
     belief: Belief
@@ -93,7 +95,7 @@ class View:
 
 
 def metres(cost: Array, cell_m: Array | float) -> Array:
-    """A path's cost (see reach.py) as a length, metres: float32."""
+    """A path's cost (see `reach`) as a length, metres: float32."""
     return cost.astype(jnp.float32) * (cell_m / STRAIGHT)
 
 
@@ -125,7 +127,7 @@ def is_live(belief: Belief, row: Array | int, col: Array | int) -> Array:
     return jnp.any(inside & ((belief.grid.hits[r, c] | belief.grid.misses[r, c]) == 0))
 
 
-def _masks(belief, origin=(0, 0)):
+def masks_of(belief: Belief, origin: tuple[Array | int, ...] = (0, 0)) -> Masks:
     """`frontier.Masks` of a belief, or of a window of it that begins at `origin`."""
     rows = lax.broadcasted_iota(jnp.int32, belief.driven.shape, 0) + origin[0]
     cols = lax.broadcasted_iota(jnp.int32, belief.driven.shape, 1) + origin[1]
@@ -154,7 +156,7 @@ def field(belief: Belief, *, nearest_only: bool = False) -> Field:
       Holz et al. 2010, Figure 3, steps 1 to 4.
     """
     height = belief.driven.shape[0]
-    masks = _masks(belief)
+    masks = masks_of(belief)
     traversable, frontier = bits.unpack(masks.traversable), bits.unpack(masks.frontier)
     cost = reach_packed(
         masks.traversable, belief.row, belief.col, frontier if nearest_only else None, method=belief.model.reach
@@ -175,7 +177,7 @@ def choose(belief: Belief, route: Array, known: Field, row: Array, col: Array) -
 
     Args:
       belief: `Belief`.
-      route: `[H, W]` int8, see `reach.lay_route`.
+      route: `[H, W]` int8, see `readout`.
       known: `Field` of the belief.
       row, col: int32, a cell with a finite cost; -1 for none.
 
@@ -190,7 +192,8 @@ def choose(belief: Belief, route: Array, known: Field, row: Array, col: Array) -
 
     # Only beside cells whose cost hardly fits can there be some whose cost does not.
     dear = lowest(jnp.where(known.cost < FAR, -known.cost, 0)) <= DIAGONAL - FAR
-    out_of_reach = run_if(none & dear, lambda _: saturated(known.cost, known.traversable), jnp.int32(0))
+    with jax.named_scope("saturated"):
+        out_of_reach = run_if(none & dear, lambda _: saturated(known.cost, known.traversable), jnp.int32(0))
     return Choice(row, col, cost, out_of_reach), route
 
 
@@ -208,15 +211,35 @@ def _nearest_in_map(belief, route):
     return choose(belief, route, known, *nearest_of(known))
 
 
-def _nearest_in_window(belief, route, side):
+def windows(shape: Sequence[int], clearance_d2: int) -> list[int]:
+    """Sides of the windows that are searched first, in maps of a shape `(H, W)`.
+
+    A window must be larger than the clearance, and pays only where the whole map is much more work.
+    """
+    return [side for side in WINDOWS if side > 4 * math.isqrt(clearance_d2) and 2 * side <= max(shape)]
+
+
+def bound_of(side: int, clearance_d2: int) -> int:
+    """The cost up to which a window decides: every path that leaves it costs more.
+
+    What decides about a cell of the window may lie outside it, as far as an occupied cell counts, and one more.
+    """
+    return (side // 2 - math.isqrt(clearance_d2) - 2) * STRAIGHT
+
+
+def nearest_in_window(belief: Belief, route: Array, side: int, *, fixed: bool = False) -> tuple[Array, Choice, Array]:
     """The nearest frontier if a window settles it: `(undecided, choice, route)`.
 
     Windows are as wide as a power of two, because flat indices are then cheap to take apart.
+
+    Args:
+      belief, route: as for `nearest_frontier`.
+      side: of the window, one of `windows`. Static.
+      fixed: whether the work is to be the same whatever the belief, for the wave. Static.
     """
-    halo = (
-        math.isqrt(belief.model.clearance_d2) + 1
-    )  # what decides about a cell of the window may lie this far outside it
-    radius = side // 2 - halo - 1
+    bound = bound_of(side, belief.model.clearance_d2)
+    radius = bound // STRAIGHT
+    within = radius if fixed else None
     shape = tuple(min(n, side) for n in belief.driven.shape)
     origin = tuple(
         jnp.clip(at - side // 2, 0, full - n)
@@ -233,19 +256,18 @@ def _nearest_in_window(belief, route, side):
     )
     row, col = belief.row - origin[0], belief.col - origin[1]
     rows, cols = (jnp.abs(lax.broadcasted_iota(jnp.int32, shape, axis) - at) for axis, at in ((0, row), (1, col)))
-    masks = _masks(window, origin)
+    masks = masks_of(window, origin)
     central = stored(row >= 0, lambda: bits.pack((rows <= radius) & (cols <= radius)))
     words, frontier = masks.traversable & central, bits.unpack(masks.frontier & central)
-    # Every path that leaves the window costs more than `radius` straight steps: what costs no more is final.
-    bound = radius * STRAIGHT
     limit = jnp.where(count((masks.frontier & central) != 0) > 0, bound, -1)  # nothing to look for: not at all
-    cost = reach_packed(words, row, col, frontier, limit=limit, method=belief.model.reach)
+    cost = reach_packed(words, row, col, frontier, limit=limit, within=within, method=belief.model.reach)
     best = lowest(jnp.where(frontier, cost, FAR))
     decided = best <= bound
     at_row, at_col = first_at(frontier & (cost == best))
     target = (jnp.where(decided, at_row + origin[0], belief.row), jnp.where(decided, at_col + origin[1], belief.col))
     start = (belief.row, belief.col)
-    route = lay_route(route, cost, bits.unpack(words), start, target, origin, stride=STRIDES[belief.model.reach])
+    stride = STRIDES[belief.model.reach]
+    route = lay_route(route, cost, bits.unpack(words), start, target, origin, stride=stride, within=within)
     return ~decided, Choice(target[0], target[1], best, jnp.int32(0)), route
 
 
@@ -254,7 +276,7 @@ def nearest_frontier(belief: Belief, route: Array) -> tuple[Choice, Array]:
 
     Args:
       belief: `Belief`.
-      route: `[H, W]` int8, see `reach.lay_route`.
+      route: `[H, W]` int8, see `readout`.
 
     Returns:
       `(choice, route)`. Equal costs go to the lowest flat index; `choice.row` is -1 if no frontier can be reached.
@@ -264,13 +286,13 @@ def nearest_frontier(belief: Belief, route: Array) -> tuple[Choice, Array]:
     """
     none = jnp.int32(-1)
     state = (jnp.bool_(True), Choice(none, none, jnp.int32(FAR), jnp.int32(0)), route)
-    for side in WINDOWS:
-        # A window must be larger than the clearance, and pays only where the whole map is much more work.
-        if side > 4 * math.isqrt(belief.model.clearance_d2) and 2 * side <= max(route.shape):
+    for side in windows(route.shape, belief.model.clearance_d2):
 
-            def search(state, side=side):
-                return _nearest_in_window(belief, state[2], side)
+        def search(state, side=side):
+            return nearest_in_window(belief, state[2], side)
 
+        with jax.named_scope(f"window{side}"):
             state = run_if(state[0], search, state)
-    _, choice, route = run_if(state[0], lambda state: (False, *_nearest_in_map(belief, state[2])), state)
+    with jax.named_scope("map"):
+        _, choice, route = run_if(state[0], lambda state: (False, *_nearest_in_map(belief, state[2])), state)
     return choice, route

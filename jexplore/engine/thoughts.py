@@ -1,0 +1,104 @@
+"""Deciding in pieces, for lanes in lockstep: glances at groups of lanes, and searches that go on from turn to turn.
+
+The same work in every turn, whatever the lanes hold: no loop of which the host must ask whether it goes on.
+"""
+
+from collections.abc import Callable
+from typing import Any, ClassVar, NamedTuple, Self
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+from jax import Array
+
+from jexplore.arrays.loops import first_lanes, put, take
+from jexplore.engine.program import Pieces
+
+GLANCERS = (8, 16)  # one lane in so many is given a first glance in a turn, and one in so many each later one
+SEEKERS = 8  # there is a slot for one lane in so many
+NEWCOMERS = 4  # in a turn one slot in so many is taken, and as many are given back; all where there are no glances
+
+
+class Sizes(NamedTuple):
+    """How many lanes each part of the work is for."""
+
+    glances: tuple[int, ...]
+    slots: int
+    newcomers: int
+
+
+def sizes(n_lanes: int, n_glances: int) -> Sizes:
+    """`Sizes` for so many lanes and glances."""
+    slots = -(-n_lanes // SEEKERS)
+    glances = tuple(-(-n_lanes // GLANCERS[min(i, 1)]) for i in range(n_glances))
+    return Sizes(glances, slots, -(-slots // NEWCOMERS) if glances else slots)
+
+
+@struct.dataclass
+class Thoughts:
+    """What lanes that must decide have come to."""
+
+    stage: Array  # [L] int32, glances that have settled nothing
+    lane: Array  # [P] int32, the lane of each slot; L: none
+    searches: Any  # [P, ...]
+    replace: ClassVar[Callable[..., Self]]
+
+
+def blank(pieces: Pieces, search: Any, n_lanes: int) -> Thoughts:
+    """No thoughts.
+
+    Args:
+      pieces: `Pieces`.
+      search: shapes of one search.
+      n_lanes: L.
+    """
+    slots = sizes(n_lanes, len(pieces.glances)).slots
+    return Thoughts(
+        stage=jnp.zeros(n_lanes, jnp.int32),
+        lane=jnp.full(slots, n_lanes, jnp.int32),
+        searches=jax.tree.map(lambda a: jnp.zeros((slots, *a.shape), a.dtype), search),
+    )
+
+
+def glanced(thoughts: Thoughts, which: Array, settled: Array) -> Thoughts:
+    """After a glance at lanes `which` (`[m]` int32) that settled some of them (`[m]` bool)."""
+    stage = jnp.where(settled, 0, take(thoughts.stage, which) + 1)
+    return thoughts.replace(stage=put(thoughts.stage, which, stage))
+
+
+def is_seeking(thoughts: Thoughts) -> Array:
+    """Whether each lane has a slot: `[L]` bool."""
+    n_lanes = thoughts.stage.shape[0]
+    # Slots without a lane write to places of their own beyond the last.
+    return put(jnp.zeros(n_lanes, bool), thoughts.lane, jnp.ones(thoughts.lane.shape, bool))
+
+
+def taken(thoughts: Thoughts, waits: Array, m: int) -> tuple[Array, Array]:
+    """Free slots and the lanes that get them, up to m: `([m] int32, [m] int32)`, P and L where there is none.
+
+    Args:
+      thoughts: `Thoughts`.
+      waits: `[L]` bool, lanes that no glance has settled.
+      m: int. Static.
+    """
+    n_lanes, n_slots = thoughts.stage.shape[0], thoughts.lane.shape[0]
+    slot = first_lanes(thoughts.lane == n_lanes, m)
+    lane = first_lanes(waits & ~is_seeking(thoughts), m)
+    both = (slot < n_slots) & (lane < n_lanes)
+    return jnp.where(both, slot, n_slots), jnp.where(both, lane, n_lanes)
+
+
+def found(pieces: Pieces, thoughts: Thoughts, m: int) -> tuple[Array, Array]:
+    """Slots whose search is done and their lanes, as `taken`."""
+    n_lanes = thoughts.stage.shape[0]
+    slot = first_lanes((thoughts.lane < n_lanes) & jax.vmap(pieces.is_done)(thoughts.searches), m)
+    return slot, jnp.where(slot < thoughts.lane.shape[0], take(thoughts.lane, slot), n_lanes)
+
+
+def given_back(thoughts: Thoughts, slot: Array, lane: Array) -> Thoughts:
+    """Without the searches in some slots (`[m]` int32), and their lanes (`[m]` int32) as if they had none."""
+    n_lanes = thoughts.stage.shape[0]
+    return thoughts.replace(
+        lane=put(thoughts.lane, slot, jnp.full(slot.shape, n_lanes, jnp.int32)),
+        stage=put(thoughts.stage, lane, jnp.zeros(lane.shape, jnp.int32)),
+    )

@@ -1,0 +1,117 @@
+"""What a scan tells a robot: it is made where the robot stands, and counted into its map where it believes to be.
+
+Known cells are counted as they come to be known. `sensing.cpp` does all of it in one pass over the cells that beams
+enter, for one robot on a CPU whose scanner is without noise; every bit is the same.
+"""
+
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax import Array, lax
+
+from jexplore.arrays.loops import run_if
+from jexplore.engine.native import Native, load_kernel
+from jexplore.engine.program import Given
+from jexplore.exploration.state import Setup, State, Stream
+from jexplore.grid import Grid, count
+from jexplore.raycast import Beams, disturb, fold, scan
+
+SOURCE, SYMBOL = Path(__file__).with_suffix(".cpp"), "jexplore_look"
+STRIDE = 16  # cells by which the square moves in which known cells are counted
+
+
+def native_kernel() -> Native:
+    """The kernel in C++, built if need be."""
+    return load_kernel(SOURCE, SYMBOL)
+
+
+def stacked(given: Given, maps: Array) -> tuple[Array, Array]:
+    """Maps of all worlds as one, one above the other, and the row where the run's own begins: `([M * H, W], int32)`."""
+    return maps.reshape(-1, maps.shape[-1]), given.scene * maps.shape[-2]
+
+
+def square(row: Any, col: Any, shape: tuple[int, ...], window: int) -> tuple[Array, tuple[int, ...]]:
+    """The corner of a square that holds every cell that a scan can change, and its shape: `((row, col), (h, w))`.
+
+    It moves by `STRIDE` cells at a time, so that its known cells need not be counted anew for every scan.
+    """
+    size = tuple(min(n, 2 * window + STRIDE) for n in shape)
+    corner = [jnp.clip((at - window) // STRIDE * STRIDE, 0, n - m) for at, n, m in zip((row, col), shape, size)]
+    return jnp.stack(corner), size
+
+
+def _known_in(grid, corner, size):
+    """Known cells in a square: int32."""
+    hits, misses = (lax.dynamic_slice(a, corner, size) for a in (grid.hits, grid.misses))
+    return count((hits | misses) != 0)
+
+
+def look(
+    target: str, grid: Grid, occupied: Array, stands: Any, believes: Any, beams: Beams, when: Array | bool = True
+) -> tuple[Grid, Array]:
+    """`raycast.scan` and `raycast.fold` by the kernel in C++, in place where the map is used no more.
+
+    Args:
+      target: `Native.target`.
+      grid: `Grid`, `[H, W]`.
+      occupied: `[H', W]` bool, as for `scan`.
+      stands: int32 row, col and heading of the scan.
+      believes: int32 row, col and heading of where it is counted.
+      beams: `Beams`.
+      when: bool scalar; if False, nothing is counted.
+
+    Returns:
+      `(grid, fresh)`: the map, and how many of its cells have come to be known, int32.
+    """
+    pose = jnp.stack([jnp.asarray(n, jnp.int32) for n in (*stands, *believes, when)])
+    counts = jax.ShapeDtypeStruct(grid.hits.shape, jnp.int32)
+    results = counts, counts, jax.ShapeDtypeStruct((), jnp.int32)
+    call = jax.ffi.ffi_call(target, results, input_output_aliases={0: 0, 1: 1})
+    # As matrices: a reshape around a call that works in place copies both maps.
+    hits, misses, fresh = call(grid.hits, grid.misses, occupied, beams.by_beam, beams.length, pose)
+    return Grid(hits=hits, misses=misses), fresh
+
+
+def sense(setup: Setup, given: Given, state: State, when: Array) -> State:
+    """One scan where the robot stands, counted into its map where it believes to be, or nothing.
+
+    Args:
+      setup: `Setup`. Static.
+      given: as for `environment.begin`.
+      state: `State`.
+      when: bool scalar, whether there is one.
+
+    Returns:
+      `State`.
+    """
+    belief, beams, occupied, base = state.belief, given.shared, *stacked(given, given.scenes.occupied)
+    stands, believes = (base + state.row, state.col, state.heading), (belief.row, belief.col, belief.heading)
+    if setup.native is not None:
+        grid, fresh = look(setup.native, belief.grid, occupied, stands, believes, beams, when)
+        state = state.replace(scans=state.scans + when, known=state.known + fresh)
+        return state.replace(belief=belief.replace(grid=grid))
+    seen = scan(occupied, *stands, beams, method=belief.model.scan)
+    if setup.noisy:
+        key = jax.random.fold_in(jax.random.fold_in(given.key, Stream.SENSOR), state.scans)
+        noise = {"sigma_cells": given.numbers.sigma_cells, "dropout": given.numbers.dropout}
+        seen = disturb(key, seen, state.row, state.col, state.heading, beams, belief.extent, **noise)
+    corner, size = square(belief.row, belief.col, state.shape, setup.window)
+    # Known cells outside the square, counted before the update. The number is added where it changes nothing (it is
+    # never negative), so that it is made first, and the update can then be made in place.
+    moved = jnp.any(corner != state.corner)
+
+    def recounted(_):
+        return state.known - _known_in(belief.grid, corner, size)
+
+    if setup.windows is None:
+        with jax.named_scope("recount"):
+            outside = run_if(moved, recounted, state.outside)
+    else:  # for all, as cheap as to ask for whom
+        outside = jnp.where(moved, recounted(None), state.outside)
+    row = belief.row + jnp.minimum(outside, 0)
+    grid = fold(belief.grid, row, belief.col, belief.heading, seen, beams, when=when, method=belief.model.scan)
+    known = outside + _known_in(grid, corner, size)
+    state = state.replace(corner=corner, outside=outside, scans=state.scans + when, known=known)
+    return state.replace(belief=belief.replace(grid=grid))

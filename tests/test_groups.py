@@ -1,0 +1,72 @@
+"""8-connected groups over a list that is worked on a part at a time: pencil cases, scipy, laws."""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from ref import maps
+from scipy import ndimage
+
+from jexplore.arrays import groups
+
+SHAPES = ((1, 1), (3, 40), (70, 5))  # wider and taller than a machine word
+masks = st.tuples(st.sampled_from(SHAPES), st.sampled_from((0.0, 0.1, 0.4, 1.0)), st.integers(0, 2**30)).map(
+    lambda case: np.random.default_rng(case[2]).random(case[0]) < case[1]
+)
+GROUPED = jax.jit(groups.grouped, static_argnames=("size", "part"))
+EIGHT = np.ones((3, 3))
+
+
+@pytest.mark.jit
+@pytest.mark.parametrize("part", [1, 2, 4, None])
+def test_groups_by_hand(part):
+    """Two groups that begin in one row; the first takes in what seems a third one until the last row."""
+    found = GROUPED(jnp.asarray(maps.walls(".##.. #.#.. #.#.#")), size=8, part=part)
+    assert found.cell.tolist() == [0, 2, 4, 5, 7, 11, 12, 15]
+    assert found.lowest.tolist() == [0, 0, 2, 0, 0, 0, 0, 7]
+    assert (int(found.count), int(found.overflow)) == (7, 0)
+
+
+@pytest.mark.jit
+def test_cells_that_do_not_fit_are_counted_and_whole_parts_are_made():
+    found = GROUPED(jnp.asarray(maps.walls("####")), size=3, part=2)
+    assert found.cell.tolist() == [0, 1, 2, 4]
+    assert found.lowest.tolist() == [0, 0, 0, 3]
+    assert (int(found.count), int(found.overflow)) == (3, 1)
+
+
+@pytest.mark.jit
+@given(masks, st.sampled_from((7, 64, None)))
+@settings(max_examples=80, deadline=None)
+def test_groups_are_scipys(mask, part):
+    found = GROUPED(jnp.asarray(mask), size=80, part=part)
+    flat = np.flatnonzero(mask)[:80]
+    n = len(flat)
+    assert found.cell[:n].tolist() == flat.tolist()
+    assert (np.asarray(found.cell[n:]) == mask.size).all()
+    kept = np.zeros(mask.size, bool)
+    kept[flat] = True
+    label = ndimage.label(kept.reshape(mask.shape), EIGHT)[0].reshape(-1)[flat]
+    first = [int(np.flatnonzero(label == own)[0]) for own in label]
+    assert found.lowest.tolist() == first + list(range(n, len(found.cell)))
+    assert (int(found.count), int(found.overflow)) == (n, mask.sum() - n)
+
+
+@pytest.mark.jit
+def test_a_long_winding_group_is_one_and_rows_of_a_batch_are_independent():
+    mask = np.ones((21, 20), bool)
+    mask[1::2] = False
+    mask[np.arange(1, 21, 2), np.where(np.arange(10) % 2, 0, 19)] = True
+    some = jnp.asarray(np.stack([mask, mask & False, mask.copy()]))
+    some = some.at[2, 11].set(False)
+    grouped = functools.partial(groups.grouped, size=300, part=32)
+    batch = jax.jit(jax.vmap(grouped))(some)
+    for i, want in enumerate((1, 0, 2)):
+        alone = grouped(some[i])
+        jax.tree.map(lambda many, single, i=i: np.testing.assert_array_equal(many[i], single), batch, alone)
+        used = np.arange(len(alone.cell)) < int(alone.count)
+        assert len(set(np.asarray(alone.lowest)[used].tolist())) == want
