@@ -1,27 +1,36 @@
 """What is claimed of Behavioral Trace Maps, measured: repeatability, ablations, accuracy, buildings, sensors, speed.
 
     python benchmarks/btm.py [--runs 1000] [--parts repeat ablation place robots]
-    python benchmarks/btm.py [--runs 1000] [--parts buildings furniture sensors steps speed]
+    python benchmarks/btm.py [--runs 1000] [--parts buildings furniture sensors steps loops speed] [--seed 0]
+    python benchmarks/btm.py --parts read-off --maps FOLDER
+
+FOLDER has plans of buildings as NAME.png and, furnished, as NAME_furnitures.png, 0.05 m a pixel (Bormann et al. 2016).
 
 Everything is printed as Markdown. 1000 runs of each take some twenty minutes on two cores.
 """
 
 import argparse
 import dataclasses
+import functools
+import itertools
 import os
+from pathlib import Path
 
 import numpy as np
 
 from jexplore.driving.settings import Noise, Tuning
 from jexplore.engine.backend import start_backend, use_compilation_cache
+from jexplore.extraction.extract import extract
 from jexplore.report.trace_tables import share
 from jexplore.studies.traces import job, tracing
 from jexplore.tracemap import record
+from jexplore.tracemap.corrected import correct_map
 from jexplore.tracemap.record import BtmMap
 from jexplore.tracemap.similarity import code
+from jexplore.worlds import load_world
 
 STILL = Noise(attitude_deg=0, odometry=0, heading_deg_sqrt_m=0, slip=0, beacon_m=0)
-PARTS = ("repeat", "ablation", "place", "robots", "buildings", "furniture", "sensors", "steps", "speed")
+PARTS = ("repeat", "ablation", "place", "robots", "buildings", "furniture", "sensors", "steps", "loops", "speed")
 ERRORS = {
     "none besides 1 cm": {},
     "range noise 5 cm": {"range_m": 0.05},
@@ -147,8 +156,8 @@ def robots(runs):
                 row(world, sigma, width, share(right, runs), share(same, runs))
 
 
-def buildings(runs):
-    """Ordinary buildings, each from a fortieth of so many starts, beside what the true map holds.
+def buildings(runs, seed=0):
+    """Ordinary buildings, each from a twenty-fifth of so many starts, beside what the true map holds.
 
     Truth: `extract` of the true map, as far as the robot gets; doors are those of the generator.
     """
@@ -156,7 +165,7 @@ def buildings(runs):
     columns = ["building", "starts", "EXHAUSTED", "with at most one help", "outcomes", "junctions", "doors"]
     head(*columns, "false divergences", "contacts a run", "steps refused", "steps a run", "drift m")
     for world in BUILDINGS:
-        table = traced(world, starts=n, noise=Noise(range_m=0.01)).table
+        table = traced(world, starts=n, seed=seed, noise=Noise(range_m=0.01)).table
         done = table["outcome"] == "EXHAUSTED"
         outcomes = ", ".join(f"{name} {count}" for name, count in table["outcome"].value_counts().items())
         near = [part(table, f"{name}_reached", name) for name in ("junctions", "doors")]
@@ -204,6 +213,34 @@ def steps(runs):
             row(obstacle, sigma, each, typed, right, span, found.table["refused"].sum())
 
 
+def loops(runs):
+    """Courses with ways round, fresh ones: true maps as the robot wrote them and as they were repaired, and how far
+    places of true maps lie off, as written and corrected, root mean squares.
+    """
+    each = max(4, runs // 250)
+    errors = {"1 cm": {}, "and encoders 2 % long": {"length_scale": 1.02, "turn_scale": 1.02}}
+    head("world", "errors", "as written", "repaired", "taken out", "closings", "places off m", "corrected m")
+    for n, seed, name in itertools.product((1, 2, 3), range(21, 25), errors):
+        found = traced(f"course#{seed}:loops={n}", runs=each, noise=Noise(range_m=0.01, **errors[name]))
+        table = found.table
+        right = table["true"].astype(bool)
+        written = share(int((right & (table["contradicted"] == 0)).sum()), each)
+        maps = [found.maps[i] for i in np.flatnonzero(right)]
+        off = [f"{np.mean([off_m(m, found.truth) for m in some]):.2f}" if maps else "–"
+               for some in (maps, [correct_map(m) for m in maps])]  # fmt: skip
+        counts = table["contradicted"].sum(), table["closings"].sum()
+        row(f"#{seed}, {n} ways round", name, written, share(int(right.sum()), each), *counts, *off)
+
+
+def off_m(found: BtmMap, true: BtmMap):
+    """How far nodes lie from the nearest true one of their type, root mean square."""
+    off = [
+        min(np.hypot(node.x_m - o.x_m, node.y_m - o.y_m) for o in true.nodes if o.type == node.type)
+        for node in found.nodes
+    ]
+    return float(np.sqrt(np.mean(np.square(off))))
+
+
 def furniture(runs):
     """Other courses than that of the paper: plain, furnished, and of other widths."""
     head("courses", "runs", "the true map", "not always")
@@ -222,6 +259,20 @@ def furniture(runs):
         row(kind, each * len(worlds), share(right, each * len(worlds)), " ".join(missed) or "–")
 
 
+def read_off(maps):
+    """Nodes that are read off finished plans, plain and furnished."""
+    head("plan", "nodes", "furnished", "times")
+    ratios = []
+    for path in sorted(Path(maps).glob("*_furnitures.png")):
+        plans = path.with_name(path.name.replace("_furnitures", "")), path
+        worlds = [load_world(f"{plan}@0.05") for plan in plans]
+        free = [~world.occupied for world in worlds]
+        n = [len(extract(f, np.ones_like(f), world.cell_m).nodes) for f, world in zip(free, worlds)]
+        ratios.append(n[1] / n[0])
+        row(plans[0].stem, *n, f"{ratios[-1]:.2f}")
+    row("mean", "", "", f"{np.mean(ratios):.2f}")
+
+
 def speed(runs):
     head("runs", "noise m", "runs/s", "steps a run", "us a step and core", "compiling s")
     found = traced("course", runs=runs, noise=Noise(range_m=0.01))
@@ -233,13 +284,21 @@ def speed(runs):
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--runs", type=int, default=1000)
-    parser.add_argument("--parts", nargs="*", default=PARTS, choices=PARTS)
+    parser.add_argument("--parts", nargs="*", default=PARTS, choices=(*PARTS, "read-off"))
+    parser.add_argument("--seed", type=int, default=0, help="of the starts in buildings and their noise")
+    parser.add_argument("--maps", help="folder with the plans of read-off")
     options = parser.parse_args()
     start_backend(WORKERS)
     use_compilation_cache()
+    given = {
+        "buildings": functools.partial(buildings, options.runs, options.seed),
+        "read-off": functools.partial(read_off, options.maps),
+    }
+    if "read-off" in options.parts and options.maps is None:
+        parser.error("read-off needs --maps")
     for part in options.parts:
         print(f"\n## {part}")
-        globals()[part](options.runs)
+        given.get(part, lambda part=part: globals()[part](options.runs))()
 
 
 if __name__ == "__main__":

@@ -21,7 +21,7 @@ TAKEN = {
 }
 """Files of the repository that are pages of the site: path there -> path here."""
 COMMANDS_PAGE = "reference/commands.md"
-SHARED = ("lidar", "rules", "tuning", "noise")
+SHARED = ("lidar", "rules", "tuning", "noise", "limits")
 """Fields of options that are records of their own, each described once."""
 _LINK = re.compile(r"(\]\()([^)\s#]+)((?:#[^)\s]*)?\))")
 _FENCE = re.compile(r"(^ *```.*?^ *```$)", re.MULTILINE | re.DOTALL)
@@ -180,7 +180,8 @@ def _option(field, hint, settings, prefix):
     """How an option is written, and what it is without."""
     default = field.default if field.default_factory is dataclasses.MISSING else field.default_factory()
     metavar = next((one.metavar for one in settings if getattr(one, "metavar", None)), None)
-    name = f"--{prefix}{field.name}".replace("_", "-")
+    own = next((one.name for one in settings if getattr(one, "name", None)), field.name)
+    name = f"--{prefix}{own}".replace("_", "-")
     if any("Positional" in str(one) for one in settings):
         return metavar or field.name.upper(), _default(default)
     if hint is bool:

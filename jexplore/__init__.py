@@ -69,11 +69,27 @@ _MODULE_OF = {
     "Segmentation": "studies.segmentation",
     "trace": "studies.traces.tracing",
     "Traced": "studies.traces.tracing",
+    "drift": "studies.traces.drift",
+    "Drift": "studies.traces.drift",
+    "odometry_map": "studies.traces.odometry_map",
+    "OdometryMap": "studies.traces.odometry_map",
+    "storage": "studies.traces.storage",
+    "route": "studies.traces.routes",
+    "routes": "studies.traces.routes",
+    "follow": "studies.traces.following",
+    "Followed": "studies.traces.following",
+    "Route": "tracemap.route",
     "Robot": "driving.settings",
     "Tuning": "driving.settings",
     "Noise": "driving.settings",
     "BtmMap": "tracemap.record",
     "read_btm": "tracemap.json_form",
+    "correct_map": "tracemap.corrected",
+    "merge_maps": "tracemap.merging.merge",
+    "station": "studies.traces.station",
+    "Merged": "tracemap.merging.merge",
+    "Merging": "tracemap.merging.match",
+    "Limits": "tracemap.merging.walk",
 }
 
 __all__ = [
@@ -85,21 +101,28 @@ __all__ = [
     "BtmMap",
     "Choice",
     "Comparison",
+    "Drift",
     "EnvState",
     "Environment",
     "Episode",
     "Field",
+    "Followed",
     "GymEnv",
     "GymVectorEnv",
     "InputError",
     "InputWarning",
     "Lidar",
+    "Limits",
+    "Merged",
+    "Merging",
     "Noise",
+    "OdometryMap",
     "Outcome",
     "Policy",
     "Range",
     "Reproduction",
     "Robot",
+    "Route",
     "Rules",
     "ScanLog",
     "ScanMap",
@@ -117,21 +140,30 @@ __all__ = [
     "choose",
     "clusters",
     "compare",
+    "correct_map",
+    "drift",
     "explore",
     "field",
     "fold_scans",
+    "follow",
     "frontier_clusters",
     "load",
     "load_world",
+    "merge_maps",
     "metres",
     "nearest_frontier",
     "occupancy_to_world",
+    "odometry_map",
     "read_bag",
     "read_btm",
     "read_carmen",
     "register",
     "reproduce",
+    "route",
+    "routes",
     "segment_maps",
+    "station",
+    "storage",
     "strategy",
     "sweep",
     "trace",
@@ -158,9 +190,20 @@ if TYPE_CHECKING:
     from jexplore.studies.segmentation import Segmentation, segment_maps
     from jexplore.studies.sweeps.run import Swept, sweep
     from jexplore.studies.sweeps.spec import Range, Sweep
+    from jexplore.studies.traces.drift import Drift, drift
+    from jexplore.studies.traces.following import Followed, follow
+    from jexplore.studies.traces.odometry_map import OdometryMap, odometry_map
+    from jexplore.studies.traces.routes import route, routes
+    from jexplore.studies.traces.station import station
+    from jexplore.studies.traces.storage import storage
     from jexplore.studies.traces.tracing import Traced, trace
+    from jexplore.tracemap.corrected import correct_map
     from jexplore.tracemap.json_form import read_btm
+    from jexplore.tracemap.merging.match import Merging
+    from jexplore.tracemap.merging.merge import Merged, merge_maps
+    from jexplore.tracemap.merging.walk import Limits
     from jexplore.tracemap.record import BtmMap
+    from jexplore.tracemap.route import Route
     from jexplore.worlds import GENERATORS, load_world
     from jexplore.worlds.readers.bags import read_bag
     from jexplore.worlds.readers.carmen import read_carmen

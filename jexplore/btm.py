@@ -49,6 +49,9 @@ class Btm:
     start_bearing: Array  # [M] float32, radians
     end_bearing: Array  # [M] float32, radians
     opening_m: Array  # [M] float32
+    moved_x_m: Array  # [M] float32, from its first node to the other as the odometry had it, in the first's frame
+    moved_y_m: Array  # [M] float32, likewise
+    turned: Array  # [M] float32, how far the other end's frame is turned against the first's, radians; NaN: unknown
     n_nodes: Array  # int32, nodes in use
     n_links: Array  # int32, links in use
     overflow: Array  # int32, nodes and links that did not fit
@@ -63,7 +66,7 @@ def empty(n_nodes: int, n_links: int) -> Btm:
 
     nodes = dict.fromkeys(("x_m", "y_m", "inclination_deg", "step_m", "posture_deg", "variance_m2"), jnp.nan)
     measures = ("length_m", "min_width_m", "link_posture_deg", "max_roll_deg", "max_step_m", "opening_m")
-    links = dict.fromkeys((*measures, "start_bearing", "end_bearing"), jnp.nan)
+    links = dict.fromkeys((*measures, "start_bearing", "end_bearing", "moved_x_m", "moved_y_m", "turned"), jnp.nan)
     return Btm(
         **{name: full(n_nodes, value, jnp.float32) for name, value in nodes.items()},
         **{name: full(n_links, value, jnp.float32) for name, value in links.items()},
@@ -287,8 +290,16 @@ def to_map(btm: Btm, *, origin_m: tuple[float, float] = (0.0, 0.0), **attributes
             max_roll_deg=number("max_roll_deg", i),
             max_step_m=number("max_step_m", i),
             opening_m=number("opening_m", i),
-            attributes=extras(blocked=bool(fields["blocked"][i])),
+            attributes=extras(blocked=bool(fields["blocked"][i]), moved=_moved(fields, i)),
         )
         for number_, i in enumerate(kept)
     )
     return BtmMap(nodes, links, {"overflow": int(fields["overflow"]), **attributes})
+
+
+def _moved(fields, i):
+    """How the odometry moved along a link: x, y, metres; turn, degrees, where it is known; none of one not followed."""
+    x_m, y_m, turned = (float(fields[name][i]) for name in ("moved_x_m", "moved_y_m", "turned"))
+    if not math.isfinite(x_m):
+        return []
+    return [x_m, y_m, math.degrees(turned)] if math.isfinite(turned) else [x_m, y_m]

@@ -219,7 +219,7 @@ def test_the_defaults_are_smaller_on_request(monkeypatch):
         (
             "compar",
             "unknown command: 'compar'; there are compare, explore, sweep, merge, bound, train, reproduce, segment, "
-            "trace, worlds, strategies, bench (did you mean 'compare'?)",
+            "trace, route, merge-maps, station, worlds, strategies, bench (did you mean 'compare'?)",
         ),
         ("--worlds cave", "expected a command first"),
         ("compare --epsodes 3", "unknown option --epsodes; did you mean --episodes?"),

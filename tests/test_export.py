@@ -1,19 +1,25 @@
 """Maps for other programs: against the rules of their readers, restated here, and by hand."""
 
 import dataclasses
+import heapq
+import itertools
 import json
 import math
+from pathlib import Path
 
 import networkx
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import jexplore as jx
 from jexplore.config import InputError
 from jexplore.report import store
 from jexplore.tracemap.export import geojson, graphml
 from jexplore.tracemap.record import NOWHERE, BtmMap, Link, Node
 
+TRACED = Path(__file__).resolve().parents[1] / "docs" / "images" / "trace"
 FINITE = st.floats(-1e6, 1e6)
 PLAIN = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False) | st.text(max_size=3),
@@ -253,6 +259,107 @@ def test_the_checker_stumbles(old, new):
     assert old in text
     with pytest.raises(AssertionError):
         loaded(text.replace(old, new, 1))
+
+
+# The planner of the Route Server, restated: single precision, Dijkstra, an edge costs what the scorers add up to.
+
+
+def scored(nodes, edge):
+    """What the distance and the penalty scorer say of an edge, both of weight 1."""
+    a, b = (nodes[edge[end]] for end in ("startid", "endid"))
+    chord = np.hypot(np.float32(b["x"]) - np.float32(a["x"]), np.float32(b["y"]) - np.float32(a["y"]))
+    return chord + np.float32(edge["metadata"].get("penalty", 0.0))
+
+
+def own_cost(nodes, edge):
+    """What an edge costs without scorers; the planner gives up over one that costs nothing."""
+    assert edge["cost"] > 0
+    return np.float32(edge["cost"])
+
+
+def planned(nodes, edges, start, goal, cost_of):
+    """The cost of the cheapest way and its edges; None where there is none, or nowhere to go: the planner says so."""
+    cost, parent, queue = {start: np.float32(0)}, {}, [(np.float32(0), start)]
+    while queue:
+        here_cost, here = heapq.heappop(queue)
+        if here == goal:
+            break
+        for edge in edges.values():
+            if here_cost == cost[here] and edge["startid"] == here:
+                found = here_cost + cost_of(nodes, edge)
+                if found < cost.get(edge["endid"], np.float32(np.finfo(np.float32).max)):
+                    cost[edge["endid"]], parent[edge["endid"]] = found, edge
+                    heapq.heappush(queue, (found, edge["endid"]))
+    if goal not in parent:
+        return None
+    way, at = [], goal
+    while at != start:
+        way.append(parent[at])
+        at = parent[at]["startid"]
+    return float(cost[goal]), way[::-1]
+
+
+def agrees(btm, cost_of):
+    """Every route between two nodes costs on the Route Server what its links are long."""
+    nodes, edges = loaded(json.dumps(store.jsonable(geojson(btm))))
+    pairs = list(itertools.permutations(nodes, 2))
+    (routes,) = jx.routes(btm, ["kamui"], pairs)
+    for (start, goal), route in zip(pairs, routes):
+        found = planned(nodes, edges, start, goal, cost_of)
+        assert route.is_found == (found is not None)
+        if found is not None:
+            assert found[0] == pytest.approx(route.length_m, rel=1e-5, abs=2e-3 * len(edges))
+            places = [start, *(edge["endid"] for edge in found[1])]
+            links = {link.id: {link.start, link.end} for link in btm.links}
+            for edge, ends in zip(found[1], itertools.pairwise(places)):
+                assert links[int(edge["metadata"]["link"])] == set(ends)
+
+
+@st.composite
+def walked(draw):
+    """Maps whose links no robot is refused, and are as long as the straight line or longer."""
+    ids = draw(st.lists(st.integers(0, 60_000), min_size=2, max_size=6, unique=True))
+    side = st.integers(-400, 400).map(lambda tenth: tenth / 10)
+    nodes = {i: Node(i, draw(side), draw(side), "divergence") for i in ids}
+    links, one = [], st.sampled_from(ids)
+    for number in range(draw(st.integers(1, 9))):
+        start, end, more_m = draw(one), draw(one), draw(st.none() | st.integers(0, 90))
+        a, b = nodes[start], nodes[end]
+        length_m = None if more_m is None else math.hypot(a.x_m - b.x_m, a.y_m - b.y_m) + more_m
+        links.append(Link(number, start, end, "searched", 0.0, 90.0, length_m))
+    return BtmMap(tuple(nodes.values()), tuple(links))
+
+
+@pytest.mark.jit
+@settings(max_examples=40)
+@given(walked(), st.sampled_from([scored, own_cost]))
+def test_the_route_server_finds_routes_of_the_same_length(btm, cost_of):
+    agrees(btm, cost_of)
+
+
+def test_the_planner_by_hand():
+    nodes, edges = loaded(json.dumps(geojson(HALL)))
+    cost, way = planned(nodes, edges, 3, 8, scored)
+    assert (cost, [edge["id"] for edge in way]) == (7.5 + 4.0, [9, 12])
+    assert planned(nodes, edges, 3, 3, scored) is None  # it has nowhere to go
+    assert planned(nodes, {9: edges[9]}, 1, 3, scored) is None  # edges lead one way
+
+
+@pytest.mark.jit
+def test_the_map_of_a_run_is_planned_over_alike():
+    btm = jx.read_btm(TRACED / "btm.json")
+    nodes, edges = loaded((TRACED / "btm.geojson").read_text(encoding="utf-8"))
+    assert {node["frame"] for node in nodes.values()} == {"odom"}  # places of the odometry
+    assert len(edges) == 2 * sum(link.end != NOWHERE for link in btm.links)
+    for cost_of in (scored, own_cost):
+        cost, way = planned(nodes, edges, 0, 8, cost_of)
+        assert [int(edge["metadata"]["link"]) for edge in way] == list(jx.route(btm, "kamui", 0, 8).links)
+        longest = sum(
+            max(link.length_m, math.dist(*((nodes[end]["x"], nodes[end]["y"]) for end in (link.start, link.end))))
+            for link in btm.links
+            if link.end != NOWHERE
+        )
+        assert cost == pytest.approx(longest if cost_of is scored else jx.route(btm, "kamui", 0, 8).length_m, rel=1e-5)
 
 
 # GraphML

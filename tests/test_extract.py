@@ -144,6 +144,32 @@ def test_the_doors_of_a_hall_are_linked_in_a_ring():
 
 
 @pytest.mark.jit
+def test_a_smaller_room_behind_a_door_is_a_dead_end():
+    free = board((50, 5, 70, 30), (38, 30, 82, 72), (55, 72, 64, 74), (44, 74, 76, 106))
+    found = mapped(free, start=(60, 12))
+    room = node_at(found, 9.0, 6.0, 0.3)
+    assert room.type == "divergence"
+    assert near_deg(bearings(found, room), [180])
+
+
+@pytest.mark.jit
+def test_a_corner_that_is_cut_off_is_no_room():
+    row, col = np.indices(CORNER.shape)
+    cut = CORNER & (col - row < 60)  # the outer corner, 45 degrees
+    assert types(mapped(cut, start=(60, 12))) == types(mapped(CORNER, start=(60, 12)))
+
+
+@pytest.mark.jit
+@pytest.mark.parametrize(("first_row", "first_col"), [(50, 60), (56, 66), (60, 60), (60, 66)])
+def test_a_room_with_doors_in_two_walls_is_a_corner_that_leads_on(first_row, first_col):
+    doors = (first_row, 50, first_row + 9, 52), (70, first_col, 72, first_col + 9)
+    found = mapped(board((50, 5, 70, 50), (38, 52, 70, 84), (72, 52, 105, 84), *doors), start=(60, 12))
+    corner = node_at(found, 6.8, 5.4, 0.5)
+    assert near_deg(bearings(found, corner), [90, 170], 25)
+    assert any(node.y_m > 7.2 for node in found.nodes), "the room beyond"
+
+
+@pytest.mark.jit
 def test_a_way_into_the_unknown_is_an_unsearched_link():
     known = np.ones_like(TEE)
     known[:40] = False

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from jexplore.driving import manoeuvre
+from jexplore.driving.building.walls import Walls, cast, meets
 from jexplore.driving.manoeuvre import BACK_M, GO_M, STOP_M, TRAIL, TRAIL_M
 from jexplore.driving.sensing import surround
 from jexplore.driving.sensing.surround import DIRECTION, DIRECTIONS, SECTORS, Surround
 from jexplore.driving.settings import ROBOTS, Tuning
 from jexplore.driving.vehicle import ANGLES_RAD, DT_S, RANGE_M
-from jexplore.driving.walls import Walls, cast, meets
 
 pytestmark = pytest.mark.jit
 

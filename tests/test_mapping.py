@@ -1,5 +1,6 @@
 """How a map is written: changes of level from pitch alone, and every kind of node by hand."""
 
+import dataclasses
 import math
 
 import jax
@@ -462,6 +463,7 @@ def test_a_dead_end_sends_back_until_nothing_is_left():
     writer, latch, target, shift = at_a_dead_end(t, (4.0, -6.0), SOUTH, 9.5)
     assert links_of(writer)[south] == (1, 2, SEARCHED)
     assert float(writer.map.length_m[south]) == 6
+    assert btm.to_map(writer.map).links[south].attributes["moved"] == pytest.approx([4 - T_CENTRE[0], -6, 0], abs=1e-5)
     assert int(writer.map.n_links) == 3  # a dead end has none of its own
     assert (int(writer.node), int(writer.link), latch, bool(writer.exhausted)) == (2, south, Latch.LEAVE, False)
     assert degrees(writer.left_bearing) == pytest.approx(90, abs=2)
@@ -507,6 +509,19 @@ def test_where_a_node_is_met_again_the_heading_is_corrected(turn_deg, centre):
     assert degrees(out - left) == pytest.approx(90, abs=4)
     assert target[0] == pytest.approx(4, abs=0.15)
     assert 1 < float(target[1]) - TUNING.leave_m < 1.56
+
+
+@pytest.mark.parametrize(("agree_deg", "share"), [(3.0, 0.75), (0.0, TURN_SHARE)])
+def test_where_all_ways_of_a_node_agree_more_of_the_heading_is_put_right(agree_deg, share):
+    t, *_ = at_the_t()
+    dead, *_ = at_a_dead_end(t, (4.0, -6.0), SOUTH, 9.5)
+    around = seen(turned(T_WALLS - np.array(T_CENTRE), math.radians(8)) + T_CENTRE)
+    due = event(DIVERGENCE, 15.5, (*T_CENTRE, NORTH), T_CENTRE, radius=T_RADIUS)
+    dead = dead.replace(entry=jnp.asarray([3.85, -4.0]))
+    tuning = dataclasses.replace(TUNING, agree_deg=agree_deg, agree_share=0.75)
+    writer, *_, correction = nodes.write(dead, due, around, tuning, KAMUI)
+    assert degrees(correction[2]) == pytest.approx(-8 * share, abs=1)
+    assert degrees(writer.origin[2]) == pytest.approx(-8 * (1 - share), abs=1)  # what is left
 
 
 def test_a_heading_that_is_off_too_far_is_left_alone():

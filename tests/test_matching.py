@@ -7,10 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jexplore.driving.building.walls import FAR_M, Walls, cast
 from jexplore.driving.sensing import matching
 from jexplore.driving.sensing.matching import DOUBT, DOUBT_M, DOUBT_RAD, LEAST
 from jexplore.driving.vehicle import ANGLES_RAD, BEAMS, RANGE_M
-from jexplore.driving.walls import FAR_M, Walls, cast
 
 pytestmark = pytest.mark.jit
 

@@ -8,14 +8,15 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+import jexplore as jx
 from jexplore import btm
 from jexplore.config import InputError
 from jexplore.driving import approach, batch, mission, vehicle
 from jexplore.driving.batch import building_of, numbers_of, pose_in
 from jexplore.driving.behaviour import RunMode
+from jexplore.driving.building.terrain import FINER
 from jexplore.driving.mission import Outcome
 from jexplore.driving.settings import ROBOTS, Noise, Tuning
-from jexplore.driving.terrain import FINER
 from jexplore.driving.vehicle import DT_S
 from jexplore.extraction.extract import extract
 from jexplore.studies.traces import job, tracing
@@ -140,6 +141,9 @@ def test_the_wheeled_robot_cannot_pass_the_slope():
     assert found.table["refused"].tolist() == [0]  # it has seen it
     (onward,) = (link for link in found.first.links if link.status == "un-searched")
     assert onward.attributes["blocked"] is True
+    assert onward.attributes["blocked_for"]["name"] == "wheeled"
+    assert jx.route(found.first, "wheeled", 0, "unsearched").trouble
+    assert jx.route(found.first, "kamui", 0, "unsearched").onward.link == onward.id  # it climbs more
     assert found.first.nodes[1].obstacle == "slope"
     assert abs(found.first.nodes[1].inclination_deg - 10) < 2
 

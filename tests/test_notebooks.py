@@ -13,7 +13,17 @@ import pytest
 
 FOLDER = Path(__file__).resolve().parents[1] / "notebooks"
 PATHS = sorted(FOLDER.glob("*.ipynb"))
-NAMES = ("first_episode", "inside_the_kernels", "own_strategy", "compare", "rooms", "traces", "sweep", "learned")
+NAMES = (
+    "first_episode",
+    "inside_the_kernels",
+    "own_strategy",
+    "compare",
+    "rooms",
+    "traces",
+    "sweep",
+    "learned",
+    "maps_shared",
+)
 KERNEL = {"display_name": "Python 3", "language": "python", "name": "python3"}
 MOST_BYTES = 150_000  # of a notebook
 each = pytest.mark.parametrize("path", PATHS, ids=lambda path: path.stem)

@@ -4,11 +4,13 @@ import itertools
 import math
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from ref.passages import FEATURES, WIDTHS_M, building
 
-from jexplore.driving import vehicle, walls
+from jexplore.driving import vehicle
+from jexplore.driving.building import walls
 from jexplore.driving.sensing import openings, surround
 from jexplore.driving.settings import Tuning
 from jexplore.driving.vehicle import ANGLES_RAD, RANGE_M
@@ -390,3 +392,38 @@ def test_a_place_has_some_way_out():
     bearings, _, _ = ways_out(xy, centre, 1.7)
     assert len(bearings) >= 1
     assert min(np.abs(wrapped_deg(bearings - 180))) < 60
+
+
+def test_what_is_seen_from_the_side_is_a_wall():
+    """A square room with a gap of a metre in one wall: from the wall's own line it is hardly to be seen."""
+    side = np.linspace(-1, 1, 41)
+    rest = side[(side < 0) | (side > 0.9)]
+    walls = [(x, -1) for x in side] + [(-1, y) for y in side] + [(1, y) for y in side] + [(x, 1) for x in rest]
+    xy = jnp.array(walls, float)
+    known = jnp.ones(len(walls), bool)
+
+    def count(seen_from):
+        found = openings.openings(
+            xy,
+            known,
+            jnp.zeros(2),
+            1.0,
+            0.4,
+            circle=1.5,
+            size=8,
+            seen_from=None if seen_from is None else jnp.array(seen_from),
+        )
+        return int(found.valid.sum())
+
+    assert count(None) == 1
+    assert count((0.0, 0.0)) == 1
+    assert count((-0.95, 0.98)) == 0
+
+
+def test_the_only_wall_leaves_its_way_out():
+    """One direction only: the gap is all there is, and ends where it begins."""
+    for seen_from in (None, jnp.array([-0.5, 0.0])):
+        found = openings.openings(
+            jnp.array([[1.0, 0.0]]), jnp.ones(1, bool), jnp.zeros(2), 1.0, 0.4, circle=1.5, size=8, seen_from=seen_from
+        )
+        assert int(found.valid.sum()) == 1

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from ref.passages import CORNER, EAST, FEATURES, NORTH, WIDTHS_M, building
 
-from jexplore.driving import terrain, vehicle, walls
+from jexplore.driving import vehicle
+from jexplore.driving.building import terrain, walls
 from jexplore.driving.events import SCAN_POINTS
 from jexplore.driving.events import triangles as look
 from jexplore.driving.sensing import ground_profile, obstacles, perception, surround

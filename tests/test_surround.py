@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jexplore.driving.building.walls import Walls, cast
 from jexplore.driving.sensing import surround
 from jexplore.driving.sensing.surround import (
     BEHIND,
@@ -19,7 +20,6 @@ from jexplore.driving.sensing.surround import (
 )
 from jexplore.driving.settings import ROBOTS
 from jexplore.driving.vehicle import ANGLES_RAD, BEAMS, RANGE_M
-from jexplore.driving.walls import Walls, cast
 
 KAMUI = ROBOTS["kamui"]
 NAN, INF = math.nan, math.inf

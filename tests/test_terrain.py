@@ -10,8 +10,7 @@ import pytest
 from scipy.interpolate import RegularGridInterpolator
 
 from jexplore.driving import vehicle
-from jexplore.driving.settings import ROBOTS
-from jexplore.driving.terrain import (
+from jexplore.driving.building.terrain import (
     CONTACTS,
     FINER,
     MAX_DOWN_M,
@@ -22,6 +21,7 @@ from jexplore.driving.terrain import (
     terrain_of,
     turned,
 )
+from jexplore.driving.settings import ROBOTS
 
 CELL_M = 0.05
 GROUND_SHAPE = 80, 130

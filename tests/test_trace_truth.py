@@ -5,8 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from jexplore.studies.traces.truth import NEAR_M, Truth, false_divergences, truth_of
+from jexplore.studies.traces.truth import NEAR_M, Truth, false_divergences, maps_from, truth_of
 from jexplore.tracemap.record import BtmMap, Node
+from jexplore.tracemap.rooted import topology_from
 from jexplore.worlds.generators.course import course
 from jexplore.worlds.world import World
 
@@ -123,6 +124,48 @@ def test_of_a_course_the_topology_is_taken():
     assert len(places) < len(found.map.nodes)
     assert not found.is_door.any()
     assert (found.marks[:, 2] >= NEAR_M).all()
+
+
+def maps(world, pose):
+    return maps_from(world, truth(world, start_of(world)), pose)
+
+
+def start_of(world):
+    x_m, y_m, _ = world.course.start_pose
+    return int(y_m / world.cell_m), int(x_m / world.cell_m)
+
+
+def test_a_course_with_a_goal_is_true_from_its_start_alone():
+    world = course(0)
+    assert maps(world, world.course.start_pose) == (world.course.topology,)
+    x_m, y_m, heading = world.course.start_pose
+    assert maps(world, (x_m, y_m, heading + 360)) == (world.course.topology,)
+    for pose in ((x_m + 0.1, y_m, heading), (x_m, y_m, heading + 180), (x_m, y_m, heading + 45)):
+        assert maps(world, pose) == ()
+
+
+def test_a_course_without_a_goal_is_true_as_begun_on_a_link():
+    world = course(0, loops=1)  # its ring has the junction at (22.55, 10) and a side along y = 2
+    topology = world.course.topology
+    assert maps(world, world.course.start_pose) == (topology,)
+    for pose in ((26.0, 2.3, 0.0), (26.0, 2.3, 135.0), (22.8, 13.0, 45.0), (8.0, 10.0, 180.0)):
+        assert maps(world, pose) == (topology_from(topology, pose),)
+    either = maps(world, (26.0, 2.3, 90.0))
+    assert sorted(found.links[0].start_bearing_deg for found in either) == [0, 180]
+    assert set(map(len, (either, maps(world, (22.8, 13.0, 180.0)), maps(world, (22.8, 13.0, 0.0))))) == {2}
+
+
+@pytest.mark.parametrize(
+    ("place", "count"), [((22.55, 10), 0), ((22.55, 11.2), 0), ((22.55, 11.3), 1), ((2.9, 10), 0), ((3.1, 10), 1)]
+)
+def test_a_start_in_the_circle_of_a_divergence_is_on_no_link(place, count):
+    """That of the junction has a radius of 1.25 m, that of the dead end one of 1 m."""
+    assert len(maps(course(0, loops=1), (*place, 45.0))) == count
+
+
+def test_other_worlds_have_no_true_map():
+    world = drawn(A, B)
+    assert maps_from(world, truth(world), (2.0, 1.0, 0.0)) == ()
 
 
 # ---------------------------------------------------------------- false divergences

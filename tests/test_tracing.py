@@ -1,6 +1,7 @@
 """`jexplore trace`: what it writes, what it says, what it refuses."""
 
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -193,6 +194,44 @@ def test_starts_are_drawn_and_a_run_is_held_against_a_topology_only_from_its_sta
     again = job.prepare_trace("course#3", starts=2, runs=5, seed=4)
     assert again.begins.tolist() == plan.begins[:2].tolist()
     assert again.runs == 5
+
+
+def test_on_a_course_without_a_goal_every_start_has_its_own_truth():
+    plan = job.prepare_trace("course:loops=1", starts=12, seed=1)
+    assert np.isnan(plan.building.goal).all()
+    assert plan.size == (32, 64)
+    assert plan.max_steps >= 100 * plan.world.free_m2
+    assert {len(own) for own in plan.truths} == {0, 1, 2}, "in a circle, on a link, square to a link"
+    for pose, own in zip(plan.begins, plan.truths):
+        for true in own:
+            assert (true.nodes[0].x_m, true.nodes[0].y_m) == pytest.approx(pose[:2].tolist())
+            assert len(true.links) == len(true.nodes) == 10
+    assert plan.topology == (plan.truths[0] or (None,))[0]
+    own = job.prepare_trace("course:loops=1")
+    assert own.topology == own.world.course.topology
+    assert job.prepare_trace("course:loops=2,repeat=10").size == (64, 128)
+    assert job.prepare_trace("course#2").size == (32, 64)
+
+
+def summed(true):
+    """Lines about runs of two settings of which so many made the true map."""
+    n = len(true)
+    table = pd.DataFrame({name: np.zeros(n, int) for name in trace_tables.NOTED} | {
+        "run": range(n), "outcome": "EXHAUSTED", "code": "T", "setting": np.arange(n) % 2, "nodes": 1,
+        "helped_at": "", "true": pd.array(true, dtype="boolean"),
+    })  # fmt: skip
+    return trace_tables.summary(SimpleNamespace(table=table, plan=SimpleNamespace(settings=2, swept={})))
+
+
+def test_runs_without_a_truth_do_not_count():
+    told = summed([True, False, None, True])
+    assert told[2].startswith("that of the true topology: 66.7 % ")
+    assert told[2].endswith(" of 3 runs that began on a link")
+    assert "true map" in told[-1]
+    nobody = summed([None] * 4)
+    assert not any("true" in line for line in nobody)
+    assert "alike" in nobody[-1]
+    assert summed([True, False])[2].endswith("]")
 
 
 @pytest.mark.parametrize(

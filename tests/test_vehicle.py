@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from jexplore.driving import vehicle
+from jexplore.driving.building.terrain import terrain_of
+from jexplore.driving.building.walls import walls_of
 from jexplore.driving.settings import ROBOTS, Noise
-from jexplore.driving.terrain import terrain_of
 from jexplore.driving.vehicle import ANGLES_RAD, BEAMS, Building
-from jexplore.driving.walls import walls_of
 
 pytestmark = pytest.mark.jit
 

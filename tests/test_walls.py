@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from ref import any_pose, maps
 
-from jexplore.driving.walls import FAR_M, SLACK_M, Walls, cast, meets, segments, walls_of
+from jexplore.driving.building.walls import FAR_M, SLACK_M, Walls, cast, meets, segments, walls_of
 
 QUARTERS = np.radians([0, 90, 180, -90]).astype(np.float32)
 BOX = maps.walls("""

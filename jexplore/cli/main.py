@@ -1,5 +1,5 @@
-"""The command line: `jexplore compare`, `explore`, `bound`, `train`, `reproduce`, `segment`, `trace`,
-`worlds`, `strategies`, `bench`.
+"""The command line: `jexplore compare`, `explore`, `bound`, `train`, `reproduce`, `segment`, `trace`, `route`,
+`merge-maps`, `station`, `worlds`, `strategies`, `bench`.
 
 Importing this loads neither jax nor numpy; every command imports what it needs when it runs. Wrong input ends with one
 line and status 2 and leaves no files, an interruption with one line and status 130; a comparison or reproduction then
@@ -24,9 +24,13 @@ from jexplore.cli.output.terminal import plain_warnings
 from jexplore.cli.reproduce import Reproduce
 from jexplore.cli.segment import Segment
 from jexplore.cli.sweep import Merge, Sweep
-from jexplore.cli.trace import Trace
+from jexplore.cli.tracemaps.merge_maps import MergeMaps
+from jexplore.cli.tracemaps.route import Route
+from jexplore.cli.tracemaps.station import Station
+from jexplore.cli.tracemaps.trace import Trace
 from jexplore.cli.train import Train
 from jexplore.config import InputError
+from jexplore.engine.plugins import keep_to_cpu
 from jexplore.version import __version__
 
 INTERRUPTED = 130  # exit status of a run that was ended
@@ -42,6 +46,9 @@ COMMANDS: dict[str, type] = {
     "reproduce": Reproduce,
     "segment": Segment,
     "trace": Trace,
+    "route": Route,
+    "merge-maps": MergeMaps,
+    "station": Station,
     "worlds": Worlds,
     "strategies": Strategies,
     "bench": Bench,
@@ -56,10 +63,11 @@ def main(argv: Sequence[str] | None = None) -> int:
       argv: list of text; by default the arguments of this process.
 
     Returns:
-      The exit status: 0; 2 for wrong input; 1 where memory or the reader of the output is gone; 130 if
-        interrupted, 143 by SIGTERM, 129 by SIGHUP.
+      The exit status: 0; 2 for wrong input; 1 where there is no route, or memory or the reader of the output is
+        gone; 130 if interrupted, 143 by SIGTERM, 129 by SIGHUP.
     """
     own = argv is None
+    keep_to_cpu()
     if sys.stdout is None:  # closed by the shell
         sys.stdout = open(os.devnull, "w")  # noqa: SIM115
     if own and isinstance(sys.stdout, io.TextIOWrapper):

@@ -15,11 +15,12 @@ import numpy as np
 from jexplore.arrays.padding import number
 from jexplore.config import InputError
 from jexplore.driving import vehicle
+from jexplore.driving.building.terrain import terrain_of
+from jexplore.driving.building.walls import walls_of
+from jexplore.driving.guide import Guide
 from jexplore.driving.mission import SIZE, Outcome, Result, Setup, program_of
 from jexplore.driving.settings import Noise, Robot, Tuning
-from jexplore.driving.terrain import terrain_of
 from jexplore.driving.vehicle import Building
-from jexplore.driving.walls import walls_of
 from jexplore.engine.program import Line
 from jexplore.engine.runner import Costs, find_resources, run_all
 from jexplore.worlds.world import World
@@ -129,6 +130,7 @@ def run_missions(
     starts: np.ndarray,
     seed: int,
     draws: np.ndarray,
+    guides: Guide | None = None,
     *,
     engine: str | None = None,
     lanes: int | None = None,
@@ -138,6 +140,7 @@ def run_missions(
     on_progress: Callable[[int], Any] | None = None,
     blocks: Sequence[tuple[int, int]] | None = None,
     on_block: Callable[[int, Result, Driven | None], object] | None = None,
+    ways: bool = False,
 ) -> Finished:
     """Makes runs, each with its own robot, thresholds and noise.
 
@@ -147,6 +150,7 @@ def run_missions(
       starts: `[n, 3]` float32, from `pose_in`.
       seed: int.
       draws: `[n]` int32: with the seed they make the runs' keys. Runs of one number draw alike.
+      guides: `Guide` of arrays `[n, ...]`.
       engine, lanes, workers: see `runner.find_resources`.
       max_steps: steps after which a run ends as STEP_LIMIT.
       size: most nodes and links of a map; static.
@@ -154,6 +158,7 @@ def run_missions(
       blocks: list of `(first, n)`: the runs that are to be made, in this order; by default all.
       on_block: called with the number of a block, its `Result` and the way of run 0, if it has it, once its runs have
         ended, soon after, from the calling thread.
+      ways: whether `on_block` gets the way of the first run of every block: with blocks of one run, of every run.
 
     Returns:
       `Finished`. After Ctrl-C it holds what was finished.
@@ -163,21 +168,16 @@ def run_missions(
       KeyboardInterrupt: after Ctrl-C, where nothing was finished.
       MemoryError: a device's memory does not suffice, not even for half the lanes.
     """
-    resources, draws = find_resources(engine=engine, lanes=lanes, workers=workers), np.asarray(draws, np.int32)
+    draws = np.asarray(draws, np.int32)
+    resources = find_resources(engine=engine, lanes=lanes, workers=workers, runs=draws.size)
     # A name would make another program.
-    settings = dataclasses.replace(robots, name=""), tunings, noises, np.asarray(starts, np.float32)
+    settings = dataclasses.replace(robots, name=""), tunings, noises, np.asarray(starts, np.float32), guides
     program = program_of(Setup(max(max_steps, MAX_STEPS), *size))
     limit, lines = np.int32(max_steps), []
     for turn, (first, n) in enumerate([(0, len(draws))] if blocks is None else blocks):
         own = jax.tree.map(lambda a, at=slice(first, first + n): a[at], (settings, draws))
-        lines.append(
-            Line(
-                *(program, (), building, limit, seed, own[0], resources.own(n)),
-                keeps=0 if first == 0 else NO_RUN,
-                draws=own[1],
-                turn=turn,
-            )
-        )
+        what = program, (), building, limit, seed, own[0], resources.own(n)
+        lines.append(Line(*what, keeps=0 if ways or first == 0 else NO_RUN, draws=own[1], turn=turn))
     tell = None if on_block is None else (lambda i: on_block(i, lines[i].results, _driven(lines[i])))
     costs = run_all(lines, resources, on_progress, tell)
     return _together(lines, blocks or [(0, len(draws))], len(draws), costs)
@@ -188,7 +188,7 @@ def _together(lines, blocks, n, costs):
     result = jax.tree.map(lambda a: np.zeros((n, *a.shape[1:]), a.dtype), lines[0].results)
     for (first, some), line in zip(blocks, lines):
         jax.tree.map(lambda whole, own, at=slice(first, first + some): whole.__setitem__(at, own), result, line.results)
-    driven = [_driven(line) for line in lines if line.keeps == 0]
+    driven = [_driven(line) for (first, _), line in zip(blocks, lines) if first == 0]
     return Finished(result, driven[0] if driven else None, costs)
 
 

@@ -17,6 +17,7 @@ from jexplore import btm
 from jexplore.arrays.loops import run_if
 from jexplore.btm import Btm
 from jexplore.driving.behaviour import Latch, RunMode
+from jexplore.driving.guide import Guide
 from jexplore.driving.sensing import ground_profile, lone_steps, steadying
 from jexplore.driving.sensing.lone_steps import LoneStep
 from jexplore.driving.settings import Robot
@@ -90,10 +91,15 @@ class Writer:
     fails: Array  # [M] int32, how often in a row a searched link has led elsewhere
     exhausted: Array  # bool, nothing is left to follow
     full: Array  # bool, a node did not fit
+    sure_m: Array  # float32, odometer where the odometry was last put right at a node
+    origin: Array  # [3] float32, the last node as the odometry has it: x, y, metres; turn of its frame, radians
+    guide: Guide | None = None  # of a robot that follows a route
     replace: ClassVar[Callable[..., Self]]
 
 
-def begin(n_steps: int, n_nodes: int, n_links: int, pose: Array, behind: Array | bool) -> Writer:
+def begin(
+    n_steps: int, n_nodes: int, n_links: int, pose: Array, behind: Array | bool, guide: Guide | None = None
+) -> Writer:
     """A map of the node where the robot starts, the link on which it sets off and, if there is one, the one behind.
 
     Sizes static.
@@ -118,6 +124,9 @@ def begin(n_steps: int, n_nodes: int, n_links: int, pose: Array, behind: Array |
         fails=jnp.zeros(n_links, jnp.int32),
         exhausted=jnp.bool_(False),
         full=jnp.bool_(False),
+        sure_m=zero,
+        origin=jnp.zeros(3).at[:2].set(pose[:2]),
+        guide=guide,
     )
 
 
@@ -184,6 +193,20 @@ def watch_level(
         left_m=jnp.where(same | even, odometer_m, level.left_m),
     )
     return after, changed, crease, steepest
+
+
+def moved(writer: Writer, centre: Array, turn: Array | float) -> Array:
+    """How a node lies from the last one as the odometry has it, in the frame of that one: `[3]` float32, x, y, metres;
+    how far its own frame is turned, radians, NaN where nobody knows.
+
+    Args:
+      writer: `Writer`.
+      centre: `[2]` float32, odometry, of the node.
+      turn: of its own frame against the odometry's, radians.
+    """
+    cos, sin = jnp.cos(writer.origin[2]), jnp.sin(writer.origin[2])
+    x, y = centre - writer.origin[:2]
+    return jnp.stack([cos * x - sin * y, sin * x + cos * y, btm.wrapped(writer.origin[2] - turn)])
 
 
 def pose_at(way: Way, odometer_m: Array | float) -> Array:
@@ -265,6 +288,7 @@ def broken_off(writer: Writer, pose: Array, odometer_m: Array, steps: Array, whe
         map_, node = btm.add_node(map_, btm.TERMINAL, pose[0], pose[1])
         found = {"length_m": odometer_m - writer.node_m, "min_width_m": width_m}
         found |= {"link_posture_deg": posture_deg, "max_roll_deg": roll_deg}
+        found |= dict(zip(("moved_x_m", "moved_y_m", "turned"), moved(writer, pose[:2], 0.0)))
         map_ = btm.end_link(map_, link, node, pose[2] + math.pi, **found)
         return btm.add_link(map_, node, pose[2])[0]
 

@@ -20,6 +20,7 @@ from jexplore.btm import Btm
 from jexplore.driving import approach, behaviour, manoeuvre, mapping, nodes
 from jexplore.driving.behaviour import Drive, FreeSpace, Latch, Track
 from jexplore.driving.events import GOAL_M, due, look_ahead, walls_of_scan
+from jexplore.driving.guide import Guide, on_the_way
 from jexplore.driving.manoeuvre import Manoeuvre
 from jexplore.driving.mapping import Writer
 from jexplore.driving.sensing import matching, steadying, surround
@@ -62,6 +63,10 @@ class Outcome(enum.IntEnum):
     STEP_LIMIT = 5
     MAP_FULL = 6
     """A node did not fit into the map."""
+    ARRIVED = 7
+    """The end of the route that the robot follows is reached."""
+    LOST = 8
+    """What the robot finds is not what its route says, or it cannot pass there."""
 
 
 BROKEN_OFF = (Outcome.STUCK, Outcome.BLIND, Outcome.STEP_LIMIT)
@@ -132,6 +137,8 @@ class Result:
     met: Array  # [K] bool, which of the building's marks it has been at
     scan_overflow: Array  # int32, ends of walls that did not fit into a scan's points
     drift_m: Array  # float32, how far the odometry was off in the end
+    end: Array  # [3] float32, where the robot truly was in the end
+    guide: Guide | None  # of a robot that follows a route
 
 
 def _is_open(building):
@@ -139,8 +146,8 @@ def _is_open(building):
     return jnp.isnan(building.goal[0])
 
 
-def at_start(setup: Setup, building: Building, robot: Robot, start: Array) -> State:
-    """The state before the first step, with no random numbers. `setup` static; `start` from `batch.pose_in`."""
+def at_start(setup: Setup, building: Building, robot: Robot, start: Array, guide: Guide | None = None) -> State:
+    """The state before the first step, without random numbers. `setup` static; `start` from `batch.pose_in`."""
     zero, none = jnp.float32(0), jnp.int32(0)
     start = jnp.asarray(start, jnp.float32)
     return State(
@@ -157,7 +164,7 @@ def at_start(setup: Setup, building: Building, robot: Robot, start: Array) -> St
         track=behaviour.no_track(),
         space=behaviour.no_free_space(),
         drive=behaviour.at_rest(),
-        writer=mapping.begin(setup.room, setup.n_nodes, setup.n_links, start, _is_open(building)),
+        writer=mapping.begin(setup.room, setup.n_nodes, setup.n_links, start, _is_open(building), guide),
         scan_overflow=none,
         mode=none,
         target=jnp.zeros(2),
@@ -189,9 +196,8 @@ def step(draws: Draws, building: Building, robot: Robot, tuning: Tuning, noise: 
     """One step of a run: sense, perceive, write, decide, move.
 
     Args:
-      draws: `Draws`.
+      draws, state: `Draws`, `State`.
       building, robot, tuning, noise: of the run.
-      state: `State`.
 
     Returns:
       `State`.
@@ -216,6 +222,8 @@ def step(draws: Draws, building: Building, robot: Robot, tuning: Tuning, noise: 
     xy, known = surround.points(around)
     points = placed(xy), known
     writer, drive, track, estimate = nodes.made(state, writer, drive, ahead.track, event, points, tuning, robot)
+    if writer.guide is not None:
+        writer = writer.replace(guide=on_the_way(writer.guide, state.odometer_m, estimate[:2], event.blocked))
     mode, drive, target, getting, speed = _driven(state, drive, ahead, walls, around, ways_m, estimate, tuning, robot)
     after = _moved(draws, building, robot, noise, state, estimate, senses, speed)
     turn = after.odometry[2] - looked_from
@@ -307,6 +315,8 @@ def _end(state, at_end, tuning):
         (state.writer.full, Outcome.MAP_FULL),
         (at_end, Outcome.GOAL),
     ]
+    if state.writer.guide is not None:
+        ends += [(state.writer.guide.lost, Outcome.LOST), (state.writer.guide.arrived, Outcome.ARRIVED)]
     outcome = state.outcome
     for ended, name in ends:
         outcome = jnp.where(ended, jnp.int32(name), outcome)
@@ -324,14 +334,14 @@ def begin(setup: Setup, given: Given) -> State:
     Args:
       setup: `Setup`. Static.
       given: `engine.program.Given`: key of the run, step i takes `draw(fold_in(key, i))`; the scenes are `Building`s;
-        the number is the step after which it ends as `STEP_LIMIT`, int32; the task is `(Robot, Tuning, Noise, start)`,
-        whose numbers are arrays, the start from `batch.pose_in`.
+        the number is the step after which it ends as `STEP_LIMIT`, int32; the task is `(Robot, Tuning, Noise, start,
+        guide)`, whose numbers are arrays, the start from `batch.pose_in`, the guide a `Guide` or None.
 
     Returns:
       `State`.
     """
     block = jax.eval_shape(_draws_from, given.key, 0)
-    state = at_start(setup, given.own_scene, given.task[0], given.task[-1])
+    state = at_start(setup, given.own_scene, given.task[0], *given.task[3:])
     return dataclasses.replace(state, draws=jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), block))
 
 
@@ -341,7 +351,7 @@ def advance(setup: Setup, given: Given, state: State) -> State:
     A run that is done writes on beyond its last step, where nobody looks.
     """
     del setup
-    building, (robot, tuning, noise, _) = given.own_scene, given.task
+    building, (robot, tuning, noise, *_) = given.own_scene, given.task
     block = run_if(state.step % BLOCK == 0, lambda _: _draws_from(given.key, state.step), state.draws)
     draws = jax.tree.map(lambda a: a[state.step % BLOCK], block)
     after = step(draws, building, robot, tuning, noise, state.replace(draws=block))
@@ -367,6 +377,8 @@ def finish(setup: Setup, given: Given, state: State) -> Result:
         met=state.met,
         scan_overflow=state.scan_overflow,
         drift_m=jnp.hypot(*(body.pose[:2] - state.estimate[:2])),
+        end=body.pose,
+        guide=state.writer.guide,
     )
 
 

@@ -12,9 +12,9 @@ from jax import Array
 from jexplore import btm
 from jexplore.arrays.loops import run_if
 from jexplore.btm import Btm
-from jexplore.driving import behaviour
+from jexplore.driving import behaviour, guide, links
 from jexplore.driving.behaviour import Drive, Latch, Track
-from jexplore.driving.mapping import Writer, along, came_from, came_through, has_left
+from jexplore.driving.mapping import Writer, along, came_from, came_through, has_left, moved
 from jexplore.driving.sensing import obstacles, openings
 from jexplore.driving.settings import Robot, Tuning
 from jexplore.driving.vehicle import to_odometry
@@ -24,8 +24,7 @@ TRIES = 3  # an un-searched link on which the robot has set off so often in vain
 FAILS = 3  # a searched link that has led elsewhere so often in a row is followed no more
 CORNER = 1.3  # of a circle's diameter: with only one opening, wider than this, it lies in a corner
 IN_LINE_RAD = math.radians(45)  # two openings are in line if they are no farther from it
-TURN_RAD = math.radians(20)  # the odometry's heading is corrected by no more, where a node is met again
-SHIFT_M = 0.7  # and its place, metres
+SHIFT_M = 0.7  # the odometry's place is corrected by half at a node met again no farther than this away, metres
 SAME_NODE_M = 1.0  # free space and obstacles nearer than this to one that is known are that one
 TURN_SHARE, SHIFT_SHARE = 0.2, 0.5  # of what is found there: it is less sure than what scans have said on the way
 
@@ -59,16 +58,21 @@ class Arrival(NamedTuple):
     width: Array  # float32, of the way here, metres
     posture: Array  # float32, the steepest on it, degrees
     roll: Array  # float32, the largest roll, degrees
+    moved: Array  # [3] float32, from the last node: see `mapping.moved`
 
 
-def _arrive(writer, event, tuning, is_divergence, is_terminal):
+def _arrive(writer, event, found, back, tuning, is_divergence, is_terminal):
     """The node that is due: one that is known, or a new one."""
     is_obstacle = event.kind == btm.OBSTACLE
     near, distance = btm.nearest_node(writer.map, event.centre[0], event.centre[1], event.kind)
     reach = jnp.where(is_divergence, jnp.maximum(0.5, event.radius), SAME_NODE_M)
     may_be_last = is_divergence & has_left(writer, event.odometer_m, tuning.leave_m)
-    again = (distance < reach) & ((near != writer.node) | may_be_last) & ~is_terminal | event.returns
-    near = jnp.where(event.returns, 0, near)
+    again = (distance < reach) & ((near != writer.node) | may_be_last) & ~is_terminal
+    alike, is_alike = links.recognised(
+        writer, (event.centre, event.odometer_m), found, back, reach, is_divergence & ~again
+    )
+    near = jnp.where(event.returns, 0, jnp.where(is_alike, alike, near))
+    again = again | is_alike | event.returns
     width, posture, roll = along(writer.way, writer.node_m, event.odometer_m)
     added, new = btm.add_node(
         writer.map,
@@ -83,9 +87,11 @@ def _arrive(writer, event, tuning, is_divergence, is_terminal):
     )
     map_ = _either_of(again, writer.map, added)
     fits = again | (writer.map.n_nodes < map_.kind.shape[0])
-    met = again & is_divergence & (distance < SHIFT_M)
-    shift = jnp.where(met, SHIFT_SHARE * (jnp.stack([map_.x_m[near], map_.y_m[near]]) - event.centre), 0.0)
-    return Arrival(map_, jnp.where(again, near, new), again, near, met, fits, shift, width, posture, roll)
+    met = again & is_divergence & ((distance < SHIFT_M) | is_alike)
+    share = jnp.where(is_alike, 1.0, SHIFT_SHARE)
+    shift = jnp.where(met, share * (jnp.stack([map_.x_m[near], map_.y_m[near]]) - event.centre), 0.0)
+    node, none = jnp.where(again, near, new), jnp.zeros(3)
+    return Arrival(map_, node, again, near, met, fits, shift, width, posture, roll, none)
 
 
 def _find_openings(writer, event, points, tuning, is_divergence):
@@ -100,7 +106,14 @@ def _find_openings(writer, event, points, tuning, is_divergence):
     )
     came = jnp.arctan2(came[1], came[0])
     found = openings.ways_out(
-        points[0], points[1], event.centre, event.radius, tuning.width_m, circle=tuning.circle, size=OPENINGS
+        points[0],
+        points[1],
+        event.centre,
+        event.radius,
+        tuning.width_m,
+        circle=tuning.circle,
+        size=OPENINGS,
+        seen_from=event.pose[:2],
     )
     off = jnp.where(found.valid, jnp.abs(btm.wrapped(found.bearing - came)), jnp.inf)
     passed = came_through(writer, event.centre + found.middle, found.across, found.width_m)
@@ -134,7 +147,7 @@ def _end_way_here(map_, writer, event, at, back, step_m):
     map_ = map_.replace(blocked=map_.blocked.at[jnp.where(turned_back, link, size)].set(True, mode="drop"))
     is_new = (~on_known | astray) & ~turned_back
     map_ = _end_link(map_, writer, event, at, back, step_m, link, is_new)
-    return _withdraw_double(map_, at.node, back, at.again & is_new), link
+    return links.withdraw_double(map_, at.node, back, at.again & is_new), link
 
 
 def write(
@@ -156,23 +169,23 @@ def write(
     """
     is_divergence, size = event.kind == btm.DIVERGENCE, writer.map.start.shape[0]
     is_terminal = (event.kind == btm.TERMINAL) & ~event.returns
-    at = _arrive(writer, event, tuning, is_divergence, is_terminal)
-    map_, step_m = obstacles.judged(at.map, writer, event, tuning, robot, at.posture, at.node)
     found, others, back = _find_openings(writer, event, points, tuning, is_divergence)
-    turn = jnp.where(at.met, _turn_to(at.map, at.node, found), 0.0)
+    at = _arrive(writer, event, found, back, tuning, is_divergence, is_terminal)
+    map_, step_m = obstacles.judged(at.map, writer, event, tuning, robot, at.posture, at.node)
+    at, turn, applied, turned = _turns(writer, event, at, found, tuning)
     back, found = back + turn, dataclasses.replace(found, bearing=found.bearing + turn)
     event = dataclasses.replace(event, pose=event.pose.at[2].add(turn))
     map_, link = _end_way_here(map_, writer, event, at, back, step_m)
     map_ = _add_openings(map_, event, at.node, found, others, is_divergence & ~at.again)
     goes_on = ~is_divergence & ~is_terminal & ~at.again
     map_, onward = btm.add_link(map_, at.node, event.pose[2], when=goes_on, blocked=event.blocked)
-    onward = jnp.where(goes_on, onward, _other_link(map_, at.node, link))
+    onward = jnp.where(goes_on, onward, links.other_link(map_, at.node, link))
+    passes, which = _is_passed(writer, event, found, others, back, at, is_divergence)
     map_, fails, onto, bearing, through = _where_to(map_, writer, event, at, back, onward, is_divergence)
+    guided, onto, bearing = _guided(map_, writer, event, at, found, is_divergence & ~passes, onto, bearing)
     plain = tuning.leave_m * _heading(bearing), bearing
-    applied = TURN_SHARE * turn
     ways = _either_of(is_divergence, _through(event, found, bearing, turn, tuning.leave_m), plain)
     ways = to_odometry(jnp.stack([0.0, 0.0, applied - turn]))(ways[0]), ways[1] + applied - turn
-    passes, which = _is_passed(writer, event, found, others, back, at, is_divergence)
     target, out = _either_of(passes, _through(event, found, found.bearing[which], 0.0, tuning.leave_m), ways)
     taken = jnp.where(onto == btm.NONE, size, onto)
     written = writer.replace(
@@ -185,6 +198,9 @@ def write(
         tries=writer.tries.at[taken].add(1, mode="drop"),
         fails=fails,
         exhausted=~is_terminal & (taken == size),
+        sure_m=jnp.where(at.met | event.returns, event.odometer_m, writer.sure_m),
+        origin=jnp.stack([*(event.centre + at.shift), jnp.nan_to_num(turned) - applied]),
+        guide=guided,
     )
     correction = jnp.where(passes, 0.0, jnp.stack([*at.shift, applied]))
     return (
@@ -194,6 +210,18 @@ def write(
         out,
         correction,
     )
+
+
+def _turns(writer, event, at, found, tuning):
+    """How a node's openings are turned against its links: `(at, turn, applied, turned)`: the `Arrival` with how it lies
+    from the last node; radians: where it puts the odometry right, 0 elsewhere; how much of that is done; of any node,
+    NaN where nobody knows.
+    """
+    turned, spread = links.turn_to(at.map, at.node, found)
+    turn = jnp.where(at.met, turned, 0.0)
+    share = jnp.where(spread < jnp.radians(tuning.agree_deg), tuning.agree_share, TURN_SHARE)
+    turned = jnp.where(at.again, jnp.where(event.kind == btm.DIVERGENCE, turned, jnp.nan), 0.0)
+    return at._replace(moved=moved(writer, event.centre, turned)), turn, share * turn, turned
 
 
 def made(
@@ -237,6 +265,7 @@ def made(
         return whole.map, {name: getattr(whole, name) for name in rest}, drive, track, estimate
 
     names = ("node", "node_m", "link", "left_bearing", "border_m", "passed", "tries", "fails", "exhausted", "full")
+    names = (*names, "origin", "guide")
     rest = {name: getattr(writer, name) for name in names}
     map_, rest, drive, track, estimate = run_if(
         event.kind != btm.NONE, written, (writer.map, rest, drive, track, state.estimate)
@@ -288,6 +317,17 @@ def _where_to(map_, writer, event, at, back, onward, is_divergence):
     return map_, fails, jnp.where(through, onward, jnp.where(use_open, open_link, hop)), bearing, through
 
 
+def _guided(map_, writer, event, at, found, is_place, onto, bearing):
+    """Where a robot that follows a route goes on instead: `(guide, link, bearing)`. No link leads there: it is lost."""
+    if writer.guide is None:
+        return None, onto, bearing
+    guided, wanted = guide.at_place(writer.guide, event.odometer_m, event.centre, found, is_place)
+    link, out, off = links.toward(map_, at.node, wanted)
+    is_lost = is_place & (off > guide.BACK_RAD) & ~guided.arrived
+    guided = guided.replace(lost=guided.lost | is_lost)
+    return guided, jnp.where(is_place, link, onto), jnp.where(is_place, out, bearing)
+
+
 def _is_passed(writer, event, found, others, back, at, is_divergence):
     """Whether a place is none, and which of its openings the robot takes: `(passes, which)`.
 
@@ -296,26 +336,18 @@ def _is_passed(writer, event, found, others, back, at, is_divergence):
     """
     n, other = jnp.sum(found.valid), jnp.argmax(others)
     straight = jnp.abs(btm.wrapped(found.bearing[other] - back)) > math.pi - IN_LINE_RAD
-    followed, to = _leads_to(writer)
+    followed, to = links.leads_to(writer)
     in_line = (n == 2) & (jnp.sum(others) == 1) & straight & ~(at.again & followed & (at.near == to))
     wide = (found.width_m > CORNER * 2 * event.radius) | _is_behind(found)
     corner = (n == 1) & jnp.any(found.valid & wide) & ~at.again
     return is_divergence & (in_line | corner), jnp.where(corner, jnp.argmax(found.valid), other)
 
 
-def _leads_to(writer):
-    """Whether the robot follows a link that is known, and to which node: `(followed, to)`."""
-    map_, size = writer.map, writer.map.start.shape[0]
-    link = jnp.minimum(writer.link, size - 1)
-    to = jnp.where(map_.start[link] == writer.node, map_.end[link], map_.start[link])
-    return (writer.link < size) & (map_.status[link] == btm.SEARCHED), to
-
-
 def _failed(writer, at):
     """`Writer.fails` with the link that the robot has come by."""
     size = writer.map.start.shape[0]
     link = jnp.minimum(writer.link, size - 1)
-    followed, to = _leads_to(writer)
+    followed, to = links.leads_to(writer)
     return writer.fails.at[jnp.where(followed, link, size)].set(
         jnp.where(at.node == to, 0, writer.fails[link] + 1), mode="drop"
     )
@@ -338,20 +370,6 @@ def _either_of(condition, yes, no):
     return jax.tree.map(lambda one, other: jnp.where(condition, one, other), yes, no)
 
 
-def _turn_to(map_, node, found):
-    """By how much the openings of a known node are turned against its links: radians, to be added."""
-    slots = jnp.arange(map_.start.shape[0])
-    there = (slots < map_.n_links) & (map_.status != btm.NONE)
-    bearing = jnp.concatenate([map_.start_bearing, map_.end_bearing])
-    own = jnp.concatenate([there & (map_.start == node), there & (map_.end == node) & (map_.status == btm.SEARCHED)])
-    off = btm.wrapped(bearing[:, None] - found.bearing)  # [2M, K]
-    off = jnp.where(own[:, None] & found.valid, off, jnp.inf)
-    near = jnp.argmin(jnp.abs(off), axis=0)
-    least = jnp.take_along_axis(off, near[None], axis=0)[0]
-    counts = jnp.abs(least) < TURN_RAD
-    return jnp.sum(jnp.where(counts, least, 0)) / jnp.maximum(jnp.sum(counts), 1)
-
-
 def _border_left(writer, event):
     """The border of a free space that is still ahead once a node has been made."""
     reached = (event.kind == btm.FREE_SPACE) & (event.odometer_m >= writer.border_m)
@@ -370,23 +388,6 @@ def _end_link(map_, writer, event, at_node, back, step_m, link, when):
         "link_posture_deg": at_node.posture,
         "max_roll_deg": at_node.roll,
         "max_step_m": step_m,
+        **dict(zip(("moved_x_m", "moved_y_m", "turned"), at_node.moved)),
     }
     return btm.end_link(map_, link, at_node.node, back, when=when, **found)
-
-
-def _withdraw_double(map_, node, back, when):
-    """Takes away the un-searched link of a node by which the robot has just come in from its other end."""
-    off = jnp.abs(btm.wrapped(map_.start_bearing - back))
-    off = jnp.where((map_.start == node) & (map_.status == btm.UNSEARCHED), off, jnp.inf)
-    at = jnp.argmin(off)
-    at = jnp.where(when & (off[at] < math.pi / 4), at, map_.start.shape[0])
-    return map_.replace(
-        status=map_.status.at[at].set(btm.NONE, mode="drop"), start=map_.start.at[at].set(btm.NONE, mode="drop")
-    )
-
-
-def _other_link(map_, node, link):
-    """The link of a node that is not the one given; the same where it is the only one."""
-    touches = ((map_.start == node) | (map_.end == node)) & (map_.status != btm.NONE)
-    others = touches & (jnp.arange(touches.shape[0]) != link)
-    return jnp.where(jnp.any(others), jnp.argmax(others).astype(jnp.int32), link)

@@ -108,6 +108,11 @@ class Tuning:
     """A change of the ground's inclination by more than this, in degrees, is an obstacle."""
     speed_m_s: float = 0.4
     """The robot approaches a target at this speed [Vc], in metres a second."""
+    agree_deg: float = 0.0
+    """Where a place is met again and all its ways are turned alike within this, in degrees, the heading is put right by
+    `agree_share`."""
+    agree_share: float = 1.0
+    """So much of the turn that such a place shows is put right; at others it is a fifth."""
     helps: int = 3
     """The run ends as STUCK when the operator has helped so many times since the last node."""
     turn_gain: float = 1.5
@@ -135,7 +140,7 @@ def require_tuning(tuning: Tuning) -> None:
         if field.type is int:
             require_whole(f"tuning.{field.name}", value, low=1, high=WHOLE[field.name])
         else:
-            above = field.name not in ("obtuse_tol_deg", "leave_m", "tread_wave_m2")
+            above = field.name not in ("obtuse_tol_deg", "leave_m", "tread_wave_m2", "agree_deg", "agree_share")
             require_number(f"tuning.{field.name}", value, low_open=above, high=1000)
     for low, high in (("width_m", "open_m"), ("arrive_m", "open_m")):
         if getattr(tuning, low) >= getattr(tuning, high):
@@ -144,6 +149,8 @@ def require_tuning(tuning: Tuning) -> None:
     require_number("tuning.circle", tuning.circle, low=1, low_open=True, high=3)
     require_number("tuning.obtuse_tol_deg", tuning.obtuse_tol_deg, high=90, high_open=True)
     require_number("tuning.inclination_deg", tuning.inclination_deg, low=1, high=45)
+    require_number("tuning.agree_deg", tuning.agree_deg, high=90)
+    require_number("tuning.agree_share", tuning.agree_share, high=1)
 
 
 def require_noise(noise: Noise) -> None:

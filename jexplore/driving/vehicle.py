@@ -15,9 +15,9 @@ from jax import Array
 from jax.tree_util import register_dataclass
 
 from jexplore.arrays.loops import run_if
+from jexplore.driving.building.terrain import Terrain, attitude, look_at, turned
+from jexplore.driving.building.walls import Walls, cast, meets
 from jexplore.driving.settings import Noise, Robot, Tuning
-from jexplore.driving.terrain import Terrain, attitude, look_at, turned
-from jexplore.driving.walls import Walls, cast, meets
 
 register_dataclass(Robot, [f for f in Robot.__dataclass_fields__ if f != "name"], ["name"])
 register_dataclass(Tuning, list(Tuning.__dataclass_fields__), [])

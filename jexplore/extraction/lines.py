@@ -21,6 +21,9 @@ TAPER_DEG = 135.0
 """Such a branch is a passage with a dead end where they differ by more, else a corner: 90 degrees in a square one."""
 PASSAGE = 6
 """And where they differ by as much for fewer cells: narrow corners are rough."""
+NECK = 0.75
+"""A branch that ends at corners of its own is a way into a room where it has been narrower than this share of its end's
+clearance: a corner that is cut off only narrows."""
 
 _voronoi = jax.jit(voronoi_graph, static_argnames="size")
 
@@ -153,7 +156,7 @@ def take_corners(lines: Lines) -> dict[int, int]:
             if len(near[path[-1]]) > 1:
                 path = path[::-1]
             if len(near[path[-1]]) == 1 and len(near[path[0]]) + corners.get(path[0], 0) > 2:
-                loose[_branch(lines, path)].append(path)
+                loose[_branch(lines, path, path[-1] in corners)].append(path)
         # A junction keeps a way out until its roughness has gone.
         taken = loose["rough"] or loose["corner"]
         if not taken:
@@ -162,17 +165,34 @@ def take_corners(lines: Lines) -> dict[int, int]:
             for a, b in itertools.pairwise(path):
                 near[a].discard(b)
                 near[b].discard(a)
-            corners.pop(path[-1], None)
+            own = corners.pop(path[-1], 0)
             if taken is loose["corner"]:
-                corners[path[0]] = corners.get(path[0], 0) + 1
+                own = 1
+            elif not _is_one_place(lines, path):
+                own = 0
+            if own:
+                corners[path[0]] = corners.get(path[0], 0) + own
 
 
-def _branch(lines, path):
-    """What a branch from a junction to a loose end is: "rough", "corner" or "passage"."""
+def _is_one_place(lines, path):
+    """Whether the end of a branch lies in the disc of its junction and has about its clearance."""
     here, tip = lines.radius[path[0]], lines.radius[path[-1]]
+    return tip >= NECK * here and distance(lines, path[0], path[-1]) <= here
+
+
+def _branch(lines, path, has_corners):
+    """What a branch from a junction to a loose end, which may have corners of its own, is: "rough", "corner" or
+    "passage".
+    """
+    here, tip = lines.radius[path[0]], lines.radius[path[-1]]
+    is_room = has_corners and lines.radius[path].min() < NECK * tip
     radius, spread = lines.radius[path[1:]], lines.spread_deg[path[1:]]
     # Walls on both sides for a while, not only in the disc of the junction.
-    if tip > here or np.count_nonzero(spread[max(2, len(spread) // 3) :] >= TAPER_DEG) >= max(PASSAGE, tip / 2):
+    if (
+        is_room
+        or tip > here
+        or np.count_nonzero(spread[max(2, len(spread) // 3) :] >= TAPER_DEG) >= max(PASSAGE, tip / 2)
+    ):
         return "passage" if distance(lines, path[0], path[-1]) > here else "rough"
     # Not in the disc of the junction, where there is a third wall.
     first = min(2, len(radius) - 1)

@@ -34,6 +34,7 @@ OUR_FILES = (
     *("reproduce.png", "reproduce.svg"),  # reproduce
     *("asked.yaml", "summary.csv", "sweep.png", "sweep-map.png", "sweep.svg", "sweep-map.svg"),  # sweep
     *("btm.json", "btm.geojson", "btm.graphml", "btm.png", "btm.html", "runs.parquet"),  # trace
+    *("route.json", "route.png"),  # route
 )
 """Names that a run writes into its folder: their presence marks it as taken, and only they are ever replaced."""
 

@@ -178,4 +178,4 @@ def page(recording: Recording) -> str:
     """
     modes = '<div id="modekey" aria-label="Colours of the run modes"></div>'
     title, data = plain(recording.title), script_data(_data(recording))
-    return assembled("trace.html", title=title, data=data, own_controls=modes)
+    return assembled("trace.html", title=title, own_style=assembled("trace.css"), data=data, own_controls=modes)

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 
 from jexplore.report.plot import PALETTE, wrapped
 from jexplore.tracemap.record import NODE_TYPES, NOWHERE, BtmMap
+from jexplore.tracemap.route import Route
 
 NODE_STYLES = {
     "terminal": {"marker": "s", "markerfacecolor": "white"},
@@ -25,6 +26,7 @@ NODE_STYLES = {
 MODE_COLOURS = tuple(PALETTE[i] for i in (0, 1, 2, 5, 7, 3, 4, 6))
 """Of run modes, those first that no type of node has; a ninth mode starts over."""
 WALL, POINT, LINK = "#dddddd", "#555555", "black"
+WAY, REFUSED = PALETTE[0], "#e01010"
 STUB_M = 0.8  # drawn length of a link that nobody has followed
 LONG_IN, LEGEND_IN = 8.0, 1.9
 NEAR_M = 0.25  # by which a first pass of a node may be farther than the nearest
@@ -43,17 +45,8 @@ def draw_btm(ax: Axes, btm: BtmMap, *, legend: bool = True) -> list[Line2D]:
       Handles for a legend: a `Line2D` for every type of node and state of a link that the map has.
     """
     places = {node.id: (node.x_m, node.y_m) for node in btm.nodes}
-    ways, stubs = [], []
-    for link in btm.links:
-        start = places[link.start]
-        if link.end == NOWHERE:
-            stubs.append([start, _beside(start, link.start_bearing_deg)])
-        elif link.start == link.end:
-            ends = (bearing for bearing in (link.start_bearing_deg, link.end_bearing_deg) if bearing is not None)
-            ways.append([_beside(start, bearing) for bearing in ends])
-            ways[-1].insert(1, start)
-        else:
-            ways.append([start, places[link.end]])
+    lines_of = _lines(btm, places)
+    ways, stubs = ([lines_of[link.id] for link in btm.links if (link.end == NOWHERE) == is_stub] for is_stub in (0, 1))
     handles = []
     for lines, style, label in ((ways, "-", "searched link"), (stubs, (0, (2, 1)), "un-searched link")):
         if lines:
@@ -73,6 +66,53 @@ def draw_btm(ax: Axes, btm: BtmMap, *, legend: bool = True) -> list[Line2D]:
     ax.autoscale_view()
     if legend and handles:
         ax.legend(handles=handles, loc="upper left", bbox_to_anchor=(1.01, 1.0), fontsize=8, frameon=False)
+    return handles
+
+
+def _lines(btm, places):
+    """How links are drawn: `{id: list of points}`."""
+    lines = {}
+    for link in btm.links:
+        start = places[link.start]
+        if link.end == NOWHERE:
+            lines[link.id] = [start, _beside(start, link.start_bearing_deg)]
+        elif link.start == link.end:
+            ends = (bearing for bearing in (link.start_bearing_deg, link.end_bearing_deg) if bearing is not None)
+            lines[link.id] = [_beside(start, bearing) for bearing in ends]
+            lines[link.id].insert(1, start)
+        else:
+            lines[link.id] = [start, places[link.end]]
+    return lines
+
+
+def draw_route(ax: Axes, btm: BtmMap, route: Route) -> list[Line2D]:
+    """Draws the links of a route as a broad band, refused links with a red cross, nodes not to be passed in red rings.
+
+    Args:
+      ax: `Axes`, in metres, of `draw_btm`.
+      btm: `BtmMap`.
+      route: `Route` over it.
+
+    Returns:
+      Handles for a legend.
+    """
+    places, handles = {node.id: (node.x_m, node.y_m) for node in btm.nodes}, []
+    lines = _lines(btm, places)
+    band = [lines[own] for own in (*route.links, *([] if route.onward is None else [route.onward.link]))]
+    if band:
+        style: dict[str, Any] = {"alpha": 0.45, "linewidth": 7}
+        ax.add_collection(LineCollection(band, colors=WAY, capstyle="round", zorder=3, **style))
+        handles.append(Line2D([], [], color=WAY, label=f"route of {route.robot}", **style))
+    crosses = [np.mean([lines[own][0], lines[own][-1]], axis=0) for own, _ in route.refused]
+    for at, marker, size, label in (
+        (crosses, "x", 9, "refused link"),
+        ([places[own] for own, _ in route.barriers], "o", 15, "not to be passed"),
+    ):
+        if len(at):
+            style = {"linestyle": "none", "marker": marker, "markersize": size, "markerfacecolor": "none"}
+            style |= {"markeredgecolor": REFUSED, "markeredgewidth": 2}
+            ax.plot(*np.transpose(at), zorder=5, **style)
+            handles.append(Line2D([], [], label=label, **style))
     return handles
 
 
@@ -168,6 +208,14 @@ def _draw_building(ax, walls, points):
     return handles
 
 
+def _limits(btm, walls, trail, points):
+    """Corners of what is drawn, with a margin."""
+    nodes = np.array([(node.x_m, node.y_m) for node in btm.nodes]).reshape(-1, 2)
+    everything = np.concatenate([walls.reshape(-1, 2), points, trail[:, :2], nodes])
+    low, high = (everything.min(0), everything.max(0)) if len(everything) else (np.zeros(2), np.ones(2))
+    return low - 1.5 * STUB_M, high + 1.5 * STUB_M
+
+
 def figure(
     btm: BtmMap,
     walls: ArrayLike | None,
@@ -178,6 +226,7 @@ def figure(
     title: str = "",
     *,
     pitch_deg: ArrayLike | None = None,
+    route: Route | None = None,
 ) -> Figure:
     """A page with the building, the run through it and the map that came of it.
 
@@ -190,6 +239,7 @@ def figure(
       mode_names: list of text.
       title: of the page.
       pitch_deg: `[T]` inclination of the body, degrees: a panel below the map. None for none.
+      route: a `Route` over the map, drawn with it. None for none.
 
     Returns:
       `Figure`.
@@ -200,10 +250,7 @@ def figure(
     walls = np.zeros((0, 4)) if walls is None else np.asarray(walls, float).reshape(-1, 4)
     points = np.zeros((0, 2)) if points is None else np.asarray(points, float).reshape(-1, 2)
     trail = np.asarray(trail, float).reshape(-1, 3)
-    nodes = np.array([(node.x_m, node.y_m) for node in btm.nodes]).reshape(-1, 2)
-    everything = np.concatenate([walls.reshape(-1, 2), points, trail[:, :2], nodes])
-    low, high = (everything.min(0), everything.max(0)) if len(everything) else (np.zeros(2), np.ones(2))
-    low, high = low - 1.5 * STUB_M, high + 1.5 * STUB_M
+    low, high = _limits(btm, walls, trail, points)
     pitched = pitch_deg is not None and len(trail) > 0
     width, height = (high - low) * LONG_IN / max(high - low)
     width, height = max(width, 4.0), max(height, 2.6)
@@ -213,7 +260,7 @@ def figure(
     ax = axes[0]
     handles = _draw_building(ax, walls, points)
     handles += draw_trail(ax, trail, modes, mode_names)
-    handles = draw_btm(ax, btm, legend=False) + handles
+    handles = draw_btm(ax, btm, legend=False) + ([] if route is None else draw_route(ax, btm, route)) + handles
     ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
     for axis, long_in in ((ax.xaxis, width), (ax.yaxis, height)):  # not left to the layout, which would chase its ticks
         axis.set_major_locator(MaxNLocator(nbins=max(2, round(long_in)), steps=[1, 2, 5, 10]))

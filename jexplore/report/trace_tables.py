@@ -4,12 +4,15 @@ import collections
 from typing import Any
 
 from jexplore.report.tables import aligned_table
-from jexplore.tracemap.record import BtmMap
+from jexplore.tracemap.passable import called
+from jexplore.tracemap.record import NOWHERE, BtmMap
+from jexplore.tracemap.route import Route
 
 NOTED = {
     "contacts": "steps refused because of a wall",
     "refused": "steps refused because of the ground",
     "interventions": "interventions of the operator",
+    "contradicted": "links that led through another node, taken out",
     "overflow": "warning: nodes and links that did not fit",
     "scan_overflow": "warning: ends of walls that did not fit into a scan's points",
 }
@@ -34,10 +37,12 @@ def summary(traced: Any, most: int = 10) -> list[str]:
     alike = collections.Counter(table["code"]).most_common(1)[0][1]
     if len(table) > 1:
         lines.append(f"exactly the same map: {share(alike, len(table))} of {len(table)} runs")
-    if traced.truth is not None and len(table) > 1:
-        lines.append(f"that of the true topology: {share(int(table['true'].sum()), len(table))}")
-    elif traced.truth is not None:
-        lines.append(f"the true topology: {'yes' if table['true'][0] else 'no'}")
+    known = table["true"].dropna()
+    if len(known) and len(table) > 1:
+        of = "" if len(known) == len(table) else f" of {len(known)} runs that began on a link"
+        lines.append(f"that of the true topology: {share(int(known.sum()), len(known))}{of}")
+    elif len(known):
+        lines.append(f"the true topology: {'yes' if known.iloc[0] else 'no'}")
     for name, what in NOTED.items():
         if table[name].sum():
             lines.append(f"{what}: {table[name].sum()} in {(table[name] > 0).sum()} of the runs")
@@ -51,17 +56,18 @@ def summary(traced: Any, most: int = 10) -> list[str]:
 def _settings_table(traced, most):
     """The settings of a sweep, the best first."""
     groups = [rows for _, rows in traced.table.groupby("setting")]
-    right = "true" if traced.truth is not None else "code"
-    if traced.truth is None:  # without a truth, alike is all that can be said
-        groups.sort(key=lambda rows: -rows["code"].value_counts().iloc[0] / len(rows))
-    else:
-        groups.sort(key=lambda rows: -rows["true"].mean())
+    has_truth = all(rows["true"].count() for rows in groups)
+
+    def hits_of(rows):  # without a truth, alike is all that can be said
+        known = rows["true"].dropna()
+        return (int(known.sum()), len(known)) if has_truth else (int(rows["code"].value_counts().iloc[0]), len(rows))
+
+    groups.sort(key=lambda rows: -hits_of(rows)[0] / hits_of(rows)[1])
     lines = []
     for rows in groups[:most]:
-        hits = int(rows["true"].sum()) if right == "true" else int(rows["code"].value_counts().iloc[0])
         values = [f"{rows[name].iloc[0]:.4g}" for name in traced.plan.swept]
-        lines.append([*values, str(len(rows)), share(hits, len(rows)), f"{rows['nodes'].mean():.1f}"])
-    head = [*traced.plan.swept, "runs", "true map" if right == "true" else "alike", "nodes"]
+        lines.append([*values, str(len(rows)), share(*hits_of(rows)), f"{rows['nodes'].mean():.1f}"])
+    head = [*traced.plan.swept, "runs", "true map" if has_truth else "alike", "nodes"]
     text = aligned_table(head, lines, left=LEFT)
     more = [f"(the best {most} of {len(groups)} settings)"] if len(groups) > most else []
     return [text, *more]
@@ -94,3 +100,45 @@ def tables(found: BtmMap) -> str:
         cells += [_cell(link.start_bearing_deg, 0), _cell(link.opening_m, 2)]
         lines.append(cells)
     return nodes + "\n" + aligned_table(head, lines, left=LEFT)
+
+
+def route_table(route: Route) -> str:
+    """A route that was found, as Markdown: a row a link, an un-searched one last, and a line of the whole.
+
+    `way` 2 of 3 is the second link counter-clockwise from the one by which one came, of the three others; `turn` the
+    angle between them: 180 degrees is straight on, less to the right.
+    """
+    head = ["step", "link", "from", "to", "length m", "way", "turn deg", "bearing deg", "width m", "step m"]
+    head += ["posture deg", "roll deg"]
+    steps, lines = [*route.steps, *([] if route.onward is None else [route.onward])], []
+    for number, step in enumerate(steps, 1):
+        way = "–" if step.way is None else f"{step.way} of {step.ways}"
+        ends = [str(step.start), "–" if step.end == NOWHERE else str(step.end)]
+        cells = [str(number), str(step.link), *ends, _cell(step.length_m, 2), way, _cell(step.turn_deg, 0)]
+        cells += [str(round(step.bearing_deg) % 360), _cell(step.width_m, 2), _cell(step.step_m, 3)]
+        lines.append([*cells, _cell(step.posture_deg, 1), _cell(step.roll_deg, 1)])
+    count = f"{len(route.links)} link" + "s" * (len(route.links) != 1)
+    told = [f"{route.length_m:.2f} m over {count}"]
+    for name, field, which, unit, digits in (
+        ("narrowest", "width_m", min, "m", 2),
+        ("highest step", "step_m", max, "m", 3),
+        ("steepest", "posture_deg", max, "deg", 1),
+        ("largest roll", "roll_deg", max, "deg", 1),
+    ):
+        values = [value for step in steps if (value := getattr(step, field)) is not None]
+        told += [f"{name} {which(values):.{digits}f} {unit}"] if values else []
+    table = aligned_table(head, lines, left=("way",)) + "\n" if lines else ""
+    return f"{table}{route.robot}, node {route.start} to {_goal(route)}: {', '.join(told)}"
+
+
+def _goal(route):
+    if route.onward is None:
+        return f"node {route.end}"
+    return f"un-searched link {route.onward.link} of node {route.end}, bearing {route.onward.bearing_deg:.0f} deg"
+
+
+def refused_lines(btm: BtmMap, route: Route) -> list[str]:
+    """What a robot may not use of a map, and why: a line a link, then one for every node that it cannot pass."""
+    links = {link.id: link for link in btm.links}
+    lines = [f"{called(links[own])}: {', '.join(why)}" for own, why in route.refused]
+    return [*lines, *(f"node {own}, to pass: {', '.join(why)}" for own, why in route.barriers)]

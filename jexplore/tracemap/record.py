@@ -73,6 +73,14 @@ class Link:
     attributes: Mapping[str, Any] = dataclasses.field(default_factory=dict)
 
 
+def length_of(link: Link, nodes: Mapping[int, Node]) -> float:
+    """The length of a searched link, metres: as measured, else the straight line between its nodes, given by id."""
+    if link.length_m is not None:
+        return link.length_m
+    one, other = nodes[link.start], nodes[link.end]
+    return math.dist((one.x_m, one.y_m), (other.x_m, other.y_m))
+
+
 def direction_deg(bearing_deg: float) -> float:
     """The bearing in [0, 360): a tiny negative one would round up to 360."""
     bearing_deg %= 360.0

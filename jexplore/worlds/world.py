@@ -27,10 +27,10 @@ class Course:
 
     start_pose: tuple[float, float, float]
     """x, y in metres, heading in degrees, counter-clockwise from +x."""
-    goal_m: tuple[float, float]
-    """x, y, metres."""
+    goal_m: tuple[float, float] | None
+    """x, y, metres. None: the robot goes on until nothing is left."""
     topology: BtmMap = dataclasses.field(hash=False)
-    """The true map, nodes in the order in which the robot meets them."""
+    """The true map, nodes in the order in which the robot meets them; of a course with a goal the part on its way."""
 
 
 @struct.dataclass

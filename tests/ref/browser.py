@@ -1,6 +1,7 @@
-"""Opens a page in headless Chromium, where there is one."""
+"""Opens a page in headless Chromium, and runs scripts, where there is one."""
 
 import html
+import json
 import re
 import shutil
 import subprocess
@@ -31,3 +32,24 @@ def opener(folder):
         return {name: html.unescape(value) for name, value in re.findall(r'data-(\w+)="(.*?)"', tag)}
 
     return opened
+
+
+def answers(folder, script, given):
+    """What a script's function `answer(given)` returns; run by node where there is one, else by the browser.
+
+    Args:
+      folder: an empty one.
+      script: JavaScript.
+      given: plain JSON types.
+    """
+    program, asked = shutil.which("node"), json.dumps(given).replace("<", "\\u003c")
+    if program is None:
+        write = "document.body.dataset.answer = JSON.stringify(answer(given));"
+        found = opener(folder)(
+            f'<body><script>"use strict";\n{script}\nconst given = {asked};\n{write}</script></body>'
+        )
+        return json.loads(found["answer"])
+    path = folder / "script.js"
+    text = f'"use strict";\n{script}\nconst given = {asked};\nconsole.log(JSON.stringify(answer(given)));\n'
+    path.write_text(text, encoding="ascii")
+    return json.loads(subprocess.run([program, path], capture_output=True, text=True, check=True, timeout=120).stdout)

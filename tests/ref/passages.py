@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from jexplore.driving import walls
+from jexplore.driving.building import walls
 
 WIDTHS_M = (1.2, 2.0, 2.4)
 CELL_M = 0.1

@@ -13,6 +13,7 @@ from jexplore.driving.sensing.perception import running_sum
 
 BEARINGS = 240  # directions round a place in which its nearest point is looked for
 NEAR = 1.15  # radii within which a wall divides two openings
+GRAZE_RAD = math.radians(4)  # what is narrower than this, with beams a degree apart, is a wall seen from the side
 DOOR_M = 1.25  # a gap is a door up to this width, or the next
 NARROW, LEADS_M = 0.6, 0.6  # a gap as narrow as this, in radii, that leads on so far is one, however far its walls
 WALL = 40  # directions on either side of a gap in which its walls are looked at
@@ -70,6 +71,16 @@ def _gaps(point, last, here, width_m):
     pairs = (point, after), (last, after), (point, last_after), (last, last_after)
     width = functools.reduce(jnp.minimum, [jnp.hypot(*(b - a).T) for a, b in pairs])
     return after, width, here & ((width > width_m) | (jnp.sum(here) == 1))
+
+
+def _grazes(point, after, here, centre, seen_from):
+    """Whether a gap of less than half a turn begins and ends in nearly one direction from where the robot stands."""
+    if seen_from is None:
+        return False
+    one, other = (place + centre - seen_from for place in (point, after))
+    apart = jnp.arctan2(one[:, 1], one[:, 0]) - jnp.arctan2(other[:, 1], other[:, 0])
+    span = (_next(here) - jnp.arange(BEARINGS)) % BEARINGS  # 0: the gap is all there is
+    return (jnp.abs(wrapped(apart)) < GRAZE_RAD) & (span > 0) & (span < BEARINGS // 2)
 
 
 def _polar(offset, distance, inside, most_m):
@@ -151,7 +162,7 @@ def _pockets(point, whole, first, last, valid, width_m):
 
 
 def openings(xy: Array, valid: Array, centre: Array, radius_m: Array | float, width_m: Array | float, *,
-             circle: Array | float, size: int) -> Openings:  # fmt: skip
+             circle: Array | float, size: int, seen_from: Array | None = None) -> Openings:  # fmt: skip
     """Gaps between neighbouring points in a circle, as seen from its centre, that a robot fits through.
 
     Args:
@@ -161,6 +172,8 @@ def openings(xy: Array, valid: Array, centre: Array, radius_m: Array | float, wi
       width_m: least width of an opening [W].
       circle: radius of the search circle [k], in `radius_m`; points beyond it are left out.
       size: K, most openings. Static.
+      seen_from: `[2]` float32, where the robot stands: what looks narrower than `GRAZE_RAD` from there is a wall that
+        it sees from the side. None leaves all.
 
     Returns:
       `Openings`. Without any point in the circle there is none.
@@ -179,14 +192,16 @@ def openings(xy: Array, valid: Array, centre: Array, radius_m: Array | float, wi
     point, last, here = _polar(offset, distance, valid & (distance <= search_m), search_m)
     whole = _polar(offset, distance, valid, FAR_M)
     # A wall is what lies between two gaps.
-    _, gap_m, gap_here = _gaps(point, last, here, width_m)
+    after, gap_m, gap_here = _gaps(point, last, here, width_m)
+    gap_here &= ~_grazes(point, after, here, centre, seen_from)
     wall = (running_sum(gap_here.astype(jnp.float32)) - gap_here) % jnp.maximum(jnp.sum(gap_here), 1)
     distance = jnp.where(here, jnp.hypot(*point.T), jnp.inf)
     nearest_m = jnp.min(jnp.where(wall[:, None] == wall, distance[:, None], jnp.inf), axis=0)
     door = gap_here & (gap_m < jnp.maximum(NARROW * radius_m, DOOR_M)) & _leads_on(distance, here, whole)
     beside = jnp.any(door & ((wall[:, None] == wall) | (wall[:, None] == wall[_next(here)])), axis=1)
     here &= (nearest_m <= NEAR * jnp.maximum(radius_m, jnp.min(distance))) | beside
-    _, width, gap_here = _gaps(point, last, here, width_m)
+    after, width, gap_here = _gaps(point, last, here, width_m)
+    gap_here &= ~_grazes(point, after, here, centre, seen_from)
     only = jnp.sum(here) == 1
     place = running_sum(gap_here.astype(jnp.float32)).astype(jnp.int32) - 1
     chosen = gap_here & (place == jnp.arange(size)[:, None])  # [K, BEARINGS]
@@ -208,7 +223,7 @@ def openings(xy: Array, valid: Array, centre: Array, radius_m: Array | float, wi
 
 
 def ways_out(xy: Array, valid: Array, centre: Array, radius_m: Array | float, width_m: Array | float, *,
-             circle: Array | float, size: int) -> Openings:  # fmt: skip
+             circle: Array | float, size: int, seen_from: Array | None = None) -> Openings:  # fmt: skip
     """`openings` of a place, and doors in the walls beside it whose farther jamb lies outside the search circle.
 
     Two doors that face each other across a passage are rarely opposite to the centimetre. One whose middle lies in the
@@ -218,7 +233,7 @@ def ways_out(xy: Array, valid: Array, centre: Array, radius_m: Array | float, wi
     """
 
     def seen(wider):
-        return openings(xy, valid, centre, radius_m, width_m, circle=circle * wider, size=size)
+        return openings(xy, valid, centre, radius_m, width_m, circle=circle * wider, size=size, seen_from=seen_from)
 
     both = jax.vmap(seen)(jnp.array([1.0, WIDER]))
     found, more = (jax.tree.map(lambda a, i=i: a[i], both) for i in range(2))

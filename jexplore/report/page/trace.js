@@ -26,7 +26,6 @@ const onColour = (colour) => {
   const [r, g, b] = [1, 3, 5].map((at) => (parseInt(colour.slice(at, at + 2), 16) / 255) ** 2.2);
   return 0.2126 * r + 0.7152 * g + 0.0722 * b > 0.18 ? "#000000" : "#ffffff";
 };
-const GLYPH = {terminal: "\u25a0", divergence: "\u25cf", free_space: "\u25c6", obstacle: "\u25b2"};
 
 // ---- state
 const LAYERS = [
@@ -164,42 +163,25 @@ function drawTruth() {
   stroke(ink.soft, 1.4, [3, 3]);
 }
 const searched = (k) => run.link_searched_frame[k] <= time.frame && nodeIndex.has(links[k].end) && nodeIndex.get(links[k].end) < run.n_nodes[time.frame];
-const ahead = (node, degrees, metres) => [node.x_m + metres * Math.cos(degrees * Math.PI / 180), node.y_m + metres * Math.sin(degrees * Math.PI / 180)];
 function drawStubs() {
   for (let k = 0; k < run.n_links[time.frame]; k++) {
     const start = nodes[nodeIndex.get(links[k].start)];
     if (searched(k) || nodeIndex.get(start.id) >= run.n_nodes[time.frame]) continue;
-    const tip = ahead(start, links[k].start_bearing_deg, 1.1);
-    trace([[start.x_m, start.y_m], tip]); stroke(ink.floor, 5); trace([[start.x_m, start.y_m], tip]); stroke(ink.ink, 2.2, [5, 4]);
-    disc(...tip, 8); fill(ink.floor); stroke(ink.ink, 1.6);
-    label("?", sx(tip[0]), sy(tip[1]) + 0.5, ink.ink, "center", 11);
+    drawStub(plane, start, ahead(start, links[k].start_bearing_deg, 1.1));
   }
 }
 function drawLinks() {
   for (let k = 0; k < run.n_links[time.frame]; k++) {
     const link = links[k], from = nodeIndex.get(link.start);
     if (from >= run.n_nodes[time.frame] || !searched(k)) continue;
-    const start = nodes[from];
-    const end = nodes[nodeIndex.get(link.end)];
-    const chord = Math.hypot(end.x_m - start.x_m, end.y_m - start.y_m);
-    const reach = Math.max(0.35 * chord, link.start === link.end ? (link.length_m || 4.5) / 3 : 0);
-    const back = link.end_bearing_deg === null ? Math.atan2(start.y_m - end.y_m, start.x_m - end.x_m) * 180 / Math.PI : link.end_bearing_deg;
-    const [ax, ay] = ahead(start, link.start_bearing_deg, reach), [bx, by] = ahead(end, back, reach);
-    pen.beginPath(); pen.moveTo(sx(start.x_m), sy(start.y_m));
-    pen.bezierCurveTo(sx(ax), sy(ay), sx(bx), sy(by), sx(end.x_m), sy(end.y_m));
+    traceCurve(plane, curveOf(link, nodes[from], nodes[nodeIndex.get(link.end)]));
     pen.globalAlpha = 0.4; stroke(ink.band, 10); pen.globalAlpha = 1;
   }
 }
 function drawNodes() {
-  const size = 7;
   nodes.slice(0, run.n_nodes[time.frame]).forEach((node, index) => {
     const x = sx(node.x_m), y = sy(node.y_m);
-    pen.beginPath();
-    if (node.type === "terminal") pen.rect(x - size, y - size, 2 * size, 2 * size);
-    else if (node.type === "free_space") [[0, -9], [9, 0], [0, 9], [-9, 0]].forEach(([u, v]) => pen.lineTo(x + u, y + v));
-    else if (node.type === "obstacle") [[0, -9], [9, 7], [-9, 7]].forEach(([u, v]) => pen.lineTo(x + u, y + v));
-    else pen.arc(x, y, size + 0.5, 0, 2 * Math.PI);
-    pen.closePath(); fill(ink.card); pen.lineJoin = "round"; stroke(ink.ink, 2.4);
+    traceMark(pen, node.type, x, y); fill(ink.card); pen.lineJoin = "round"; stroke(ink.ink, 2.4);
     if (index === picked) { disc(node.x_m, node.y_m, 16); stroke(ink.focus, 3); }
     label(String(node.id), x + 13, y - 13, ink.ink, "left", 13);
   });
@@ -296,15 +278,6 @@ function bearings(node) {
     if (links[k].end === node.id && searched(k) && links[k].end_bearing_deg !== null) found.push(links[k].end_bearing_deg);
   }
   return found.map((degrees) => ((degrees % 360) + 360) % 360).sort((a, b) => a - b);
-}
-const extras = (item) => Object.entries(item.attributes).map(([name, value]) => `${words(name)}: ${typeof value === "string" ? value : typeof value === "number" ? Number(value.toPrecision(3)) : JSON.stringify(value)}`);
-function nodeNotes(node) {
-  const notes = [];
-  if (node.obstacle) notes.push(node.obstacle);
-  if (node.inclination_deg !== null) notes.push(number(node.inclination_deg, 1, "\u00b0"));
-  if (node.step_m !== null) notes.push(`step ${number(node.step_m, 2, " m")}`);
-  if (node.posture_deg !== null) notes.push(`tilt ${number(node.posture_deg, 1, "\u00b0")}`);
-  return [...notes, ...extras(node)].join(", ");
 }
 let tablesKey = "", rowsBefore = 0;
 function fillTables() {

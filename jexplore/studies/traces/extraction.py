@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from jexplore.config import require_number
+from jexplore.driving.building.walls import segments, walls_of
 from jexplore.driving.settings import Tuning, require_tuning
-from jexplore.driving.walls import segments, walls_of
 from jexplore.extraction.extract import extract
 from jexplore.grid import centre_of
 from jexplore.report import plot_traces

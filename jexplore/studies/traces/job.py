@@ -2,6 +2,7 @@
 
 import contextlib
 import dataclasses
+import functools
 import itertools
 import json
 import math
@@ -18,7 +19,7 @@ from jexplore.driving.mission import SIZE
 from jexplore.driving.settings import ROBOTS, WHOLE, Noise, Robot, Tuning, require_noise, require_robot, require_tuning
 from jexplore.engine.lanes import SMALL
 from jexplore.studies import checks
-from jexplore.studies.traces.truth import Truth, truth_of
+from jexplore.studies.traces.truth import Truth, maps_from, truth_of
 from jexplore.tracemap.record import BtmMap
 from jexplore.worlds.starts import draw_starts
 from jexplore.worlds.world import World
@@ -72,13 +73,17 @@ class TraceJob:
         """Robot, thresholds and noise of run 0: `(Robot, Tuning, Noise)`."""
         return self.robot, *with_values(self.tuning, self.noise, own_values(self.swept, 0))
 
+    @functools.cached_property
+    def truths(self) -> tuple[tuple[BtmMap, ...], ...]:
+        """Of every start the maps that are true of a run from there: see `truth.maps_from`."""
+        x_m, y_m = self.world.origin_m
+        poses = [(float(x) + x_m, float(y) + y_m, math.degrees(heading)) for x, y, heading in self.begins]
+        return tuple(maps_from(self.world, self.truth, pose) for pose in poses)
+
     @property
     def topology(self) -> BtmMap | None:
-        """The true map of a course, where all runs begin at its start; else None."""
-        course = self.world.course
-        if course is None or not np.allclose(self.begins, pose_in(self.world, course.start_pose)):
-            return None
-        return course.topology
+        """The true map of run 0; None where none is known."""
+        return next(iter(self.truths[0]), None)
 
     def starts_of(self, runs: np.ndarray) -> np.ndarray:
         """Where runs of these numbers begin: `[n, 3]` float32."""
@@ -214,8 +219,8 @@ def prepare_trace(
     """Checks everything before anything is compiled.
 
     Args:
-      world: name or `World`. A course has its own start and goal; in others the robot starts at `start` and the run
-        ends when nothing is left to follow.
+      world: name or `World`. A course has its own start, and mostly a goal; in others the robot starts at `start`.
+        Without a goal the run ends when nothing is left to follow.
       robot: name, see `robot_of`.
       runs: of every setting; by default one a start.
       starts: n: run i begins at draw i modulo n of the seed; by default all begin at one place.
@@ -258,15 +263,14 @@ def prepare_trace(
 def room_for(world: World, truth: Truth, nodes: int | None = None, links: int | None = None) -> tuple[int, int]:
     """Most nodes and links of a map.
 
-    By default those of a course, or in other worlds `SPARE` nodes for each one of the true map, `ROOMY` at least, in
-    doublings, so that similar buildings share a program; and two links a node.
+    By default `SIZE` of a course; where there is no goal `SPARE` nodes for each one of the true map, on a course that
+    many at least, in other worlds `ROOMY`, in doublings, so that similar buildings share a program; two links a node.
 
     Raises:
       InputError: a number out of range.
     """
-    wanted = max(SPARE * len(truth.map.nodes), ROOMY)
-    room = 1 << (min(wanted, MOST_NODES) - 1).bit_length()
-    room = SIZE[0] if world.course is not None else room
+    wanted = max(SPARE * len(truth.map.nodes), ROOMY if world.course is None else SIZE[0])
+    room = SIZE[0] if _has_goal(world) else 1 << (min(wanted, MOST_NODES) - 1).bit_length()
     room = require_whole("nodes", room if nodes is None else nodes, 2, MOST_NODES)
     return room, require_whole("links", 2 * room if links is None else links, 2, 2 * MOST_NODES)
 
@@ -285,9 +289,13 @@ def _require(robot, tuning, noise):
     require_noise(noise)
 
 
+def _has_goal(world):
+    return world.course is not None and world.course.goal_m is not None
+
+
 def _enough(world):
     """Steps that suffice for a world, in whole `MAX_STEPS`."""
-    wanted = MAX_STEPS if world.course is not None else STEPS_M2 * world.free_m2
+    wanted = MAX_STEPS if _has_goal(world) else STEPS_M2 * world.free_m2
     return int(min(-(-max(wanted, MAX_STEPS) // MAX_STEPS) * MAX_STEPS, MOST_STEPS))
 
 

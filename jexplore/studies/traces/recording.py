@@ -12,10 +12,11 @@ from jexplore import btm
 from jexplore.driving import behaviour, events, mission, vehicle
 from jexplore.driving.batch import MAX_STEPS, Driven
 from jexplore.driving.behaviour import RunMode
+from jexplore.driving.building.walls import segments
 from jexplore.driving.sensing import surround
-from jexplore.driving.walls import segments
 from jexplore.report.operator_view import Recording
 from jexplore.studies.traces import tracing
+from jexplore.studies.traces.scans import measured
 
 TRIANGLES = 8  # most that are shown of a scan
 MODE_NAMES = tuple(mode.name.lower().replace("_", " ") for mode in RunMode)
@@ -25,25 +26,11 @@ POINT_EVERY = 5  # steps between two scans whose points are drawn
 def scan_points(plan: tracing.TraceJob, track: Driven) -> np.ndarray:
     """Points of some scans of run 0 along its way, as they were measured: `[P, 2]`, metres, in the world's frame."""
     steps = np.arange(0, len(track.truth), POINT_EVERY)
-    robot, _, noise = (_numbers(s) for s in plan.first_settings())
-    found = np.asarray(_measured(_key(plan), plan.building, robot, noise, (steps, track.truth[steps])))
+    found = measured(plan, steps, track.truth[steps])
     angle = track.estimate[steps, 2:3] + vehicle.ANGLES_RAD
     hit = np.isfinite(found)
     reach = np.where(hit, found, 0)[..., None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
     return (track.estimate[steps, None, :2] + reach)[hit] + np.asarray(plan.world.origin_m)
-
-
-@jax.jit
-def _measured(key, building, robot, noise, steps_and_poses):
-    """What the scanner that looks ahead said in some steps, in the plane: `[n, B]`."""
-
-    def one(of):
-        step, pose = of
-        body = vehicle.at_rest(building, robot, pose)
-        senses = vehicle.sense(vehicle.draw(jax.random.fold_in(key, step)), building, robot, noise, body)
-        return vehicle.levelled(senses, robot)[0].ranges_m
-
-    return jax.lax.map(one, steps_and_poses)
 
 
 def _numbers(settings):

@@ -20,11 +20,15 @@ from jexplore.report.ledger import Ledger
 from jexplore.studies.results.provenance import digest
 from jexplore.studies.results.units import LEAST, MOST_UNITS
 from jexplore.studies.traces.job import TraceJob, prepare_trace, with_values
+from jexplore.studies.traces.scans import scans_of
 from jexplore.studies.traces.truth import false_divergences
 from jexplore.tracemap import json_form
+from jexplore.tracemap.passable import BLOCKED, blocked_for
 from jexplore.tracemap.record import BtmMap
+from jexplore.tracemap.repaired import repaired
 from jexplore.tracemap.similarity import code
 from jexplore.version import __version__
+from jexplore.worlds.readers.scans import ScanLog
 from jexplore.worlds.world import World
 
 FRAME = "odom"  # of a run's map: its places are those of the odometry, corrected by scans and at nodes met again
@@ -53,6 +57,10 @@ class Traced:
     def truth(self) -> BtmMap | None:
         """The true map, a `BtmMap`: see `TraceJob.topology`."""
         return self.plan.topology
+
+    def scans(self) -> ScanLog:
+        """What the scanner of run 0 said along its way, a `ScanLog`: see `scans.scans_of`."""
+        return scans_of(self.plan, self.driven)
 
 
 def blocks_of(plan: TraceJob) -> list[tuple[int, int]]:
@@ -221,12 +229,15 @@ def trace(
 
 
 def map_of(plan: TraceJob, result: Any, i: int) -> BtmMap:
-    """The map of run i of a `Result`: `BtmMap`."""
+    """The map of run i of a `Result` as the robot wrote it: `BtmMap`."""
     import jax
 
     own = jax.tree.map(lambda a: a[i], result.map)
     about = {"world": plan.world.name, "robot": plan.robot.name, "seed": plan.seed, "frame": FRAME}
     found = btm.to_map(own, origin_m=plan.world.origin_m, **about)
+    for link in found.links:
+        if link.attributes.get(BLOCKED):
+            found = found.with_attributes(blocked_for(plan.robot), link=link.id)
     at = result.node_at[i][: len(found.nodes)] + np.asarray(plan.world.origin_m)
     for name, value, place in plan.attributes if found.nodes else ():
         node = int(np.nanargmin(np.hypot(*(at - place).T)))
@@ -245,7 +256,7 @@ def _helps(help_at, origin_m):
 
 
 def table_of(plan: TraceJob, result: Any, setting: Any, which: Any, chosen: dict[str, Any]) -> tuple[Any, list[BtmMap]]:
-    """The table of runs that have ended, and the maps of all.
+    """The table of runs that have ended, and the maps of all, what contradicted itself in them taken out.
 
     Args:
       plan: `TraceJob`.
@@ -255,9 +266,11 @@ def table_of(plan: TraceJob, result: Any, setting: Any, which: Any, chosen: dict
     """
     import pandas as pd
 
-    maps = [map_of(plan, result, i) for i in range(len(which))]
+    found = [repaired(map_of(plan, result, i)) for i in range(len(which))]
+    maps = [of_run.map for of_run in found]
     codes = [code(found) for found in maps]
-    truth = None if plan.topology is None else code(plan.topology)
+    truths = [{code(true) for true in own} for own in plan.truths]
+    own_truths = [truths[run % len(truths)] for run in which]
     marks, is_door = result.met[:, : len(plan.truth.marks)], plan.truth.is_door
     node_at = result.node_at + np.asarray(plan.world.origin_m)
     slopes = [[n.inclination_deg for n in m.nodes if n.inclination_deg is not None] for m in maps]
@@ -289,10 +302,12 @@ def table_of(plan: TraceJob, result: Any, setting: Any, which: Any, chosen: dict
             "unsearched": [sum(link.status == "un-searched" for link in m.links) for m in maps],
             "inclination_deg": [max(s, default=np.nan) for s in slopes],
             "step_m": [max(s, default=np.nan) for s in steps],
+            "closings": [of_run.closings for of_run in found],
+            "contradicted": [of_run.contradicted for of_run in found],
             "overflow": result.map.overflow,
             "scan_overflow": result.scan_overflow,
             "code": codes,
-            "true": pd.array([None if truth is None else found == truth for found in codes], dtype="boolean"),
+            "true": pd.array([one in own if own else None for one, own in zip(codes, own_truths)], dtype="boolean"),
         }
     )
     return table[table["outcome"] != "RUNNING"].reset_index(drop=True), maps

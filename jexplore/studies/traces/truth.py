@@ -9,9 +9,11 @@ from jexplore.extraction.extract import extract
 from jexplore.grid import centre_of
 from jexplore.rooms.doors import middles_of
 from jexplore.tracemap.record import BtmMap
+from jexplore.tracemap.rooted import topology_from
 from jexplore.worlds.starts import clear_cells, label_components
 from jexplore.worlds.world import World
 
+SQUARE_DEG = 1.0  # a heading this near to square to a link is
 NEAR_M = 0.5  # a junction is reached within this, or within its circle if that is more; a door within this
 
 
@@ -65,6 +67,33 @@ def truth_of(world: World, start_rc: tuple[int, int], width_m: float, open_m: fl
     at = np.concatenate([places, doors])
     marks = np.column_stack([at, np.concatenate([radius, np.full(len(doors), NEAR_M)])])
     return Truth(found, marks, np.arange(len(marks)) >= len(places))
+
+
+def maps_from(world: World, truth: Truth, pose: tuple[float, float, float]) -> tuple[BtmMap, ...]:
+    """The maps that are true of a run that begins at a pose: any of them will do.
+
+    Args:
+      world: `World`.
+      truth: of it, `Truth`.
+      pose: x, y, metres, in the world's frame; heading, degrees.
+
+    Returns:
+      Of a course with a goal its topology, from its own start alone. Of one without a goal the topology as begun there:
+      two where the heading is square to the link, for it has no ahead. None of other worlds, nor where the start lies
+      in the circle of a divergence: it is on no link then.
+    """
+    course = world.course
+    if course is None:
+        return ()
+    if course.goal_m is not None:
+        off = np.subtract(pose, course.start_pose)
+        at_start = np.hypot(*off[:2]) < 1e-3 and abs((off[2] + 180) % 360 - 180) < 1e-3
+        return (course.topology,) if at_start else ()
+    off_m = np.hypot(*(truth.marks[:, :2] - pose[:2]).T)
+    if np.any((off_m < truth.marks[:, 2]) & ~truth.is_door):
+        return ()
+    either = [topology_from(course.topology, (*pose[:2], pose[2] + turn)) for turn in (0.0, -SQUARE_DEG, SQUARE_DEG)]
+    return tuple(found for i, found in enumerate(either) if found not in either[:i])
 
 
 def _around(clear, cell):

@@ -1,9 +1,10 @@
 """A course for Behavioral Trace Maps: passages, a slope, junctions and a hall, with the topology that is true of it."""
 
-from jexplore.config import InputError, require_number
+from jexplore.config import InputError, require_number, require_whole
 from jexplore.worlds.generators.course_map import render
 from jexplore.worlds.generators.draft import random_stream
-from jexplore.worlds.generators.route import LEFT, RIGHT, STRAIGHT, Route
+from jexplore.worlds.generators.network import network
+from jexplore.worlds.generators.route import LEFT, RIGHT, STRAIGHT, Route, drawn_width, fifths
 from jexplore.worlds.world import World
 
 OBSTACLES = {"slope": 3, "stairs": 4, "platform": 2, "sill": 1, "cross-slope": 2, "none": 0}
@@ -31,6 +32,8 @@ def course(
     riser_m: float = 0.10,
     furniture: bool = False,
     dead_ends: bool = True,
+    loops: int = 0,
+    repeat: int = 0,
 ) -> World:
     """A way from a start to a goal, for a robot that at a junction takes the first way counter-clockwise from behind.
 
@@ -40,6 +43,9 @@ def course(
     to the goal; ways that it does not take go on for at least 6 m. `World.course` has start, goal and true topology:
     a divergence lies at the centre of the largest empty circle that touches three walls, links run along the centre
     lines, and their bearings are those of the passages.
+
+    With `loops` or `repeat` there is no goal, and the topology is whole: a passage with the obstacle leads to rings or
+    equal junctions; those of seed 0 are 6 m apart.
 
     Everything is a multiple of 0.2 m, so one seed is one course where `cell_m` divides that; at other cells widths are
     rounded to whole cells, and the topology with them.
@@ -54,7 +60,9 @@ def course(
       riser_m: height of a step, metres.
       furniture: whether small boxes stand along some walls; they leave at least 1.2 m. The corner of a box and the two
         walls make a right-angled triangle, which a robot may take for a divergence: the topology has none there.
-      dead_ends: whether a way to the right may be a dead end, for seeds from 1.
+      dead_ends: whether a way to the right, or a ring, may have a dead end, for seeds from 1.
+      loops: so many independent ways round, 0 to 3: rings of at least 20 m, apart or with a side in common.
+      repeat: so many T junctions, 2 to 10 or none, equally far apart and alike; with `loops`, on the first ring.
 
     Returns:
       A `World` without rooms, with a start and a course, and with elevation where there is an obstacle.
@@ -65,20 +73,38 @@ def course(
     Source:
       Mano et al. 2009, Autonomous generation of Behavioral Trace Maps using rescue robots.
     """
+    _require(cell_m, width_m, obstacle, riser_m)
+    _require_network(loops, repeat, furniture, dead_ends)
+    rng, creases = random_stream(seed, _KIND), OBSTACLES[obstacle]
+    if loops or repeat:
+        plan = network(rng if seed else None, width_m, creases, loops, repeat, dead_ends)
+    else:
+        plan = _drawn(rng, width_m, creases, dead_ends) if seed else _paper(width_m, creases)
+    if furniture:
+        _furnish(rng, plan)
+    return render(plan, cell_m, obstacle, riser_m)
+
+
+def _require(cell_m, width_m, obstacle, riser_m):
     require_number("course: cell_m", cell_m, low=0.001, high=0.2)
     require_number("course: width_m", width_m, low=1.2, high=3.0)
     require_number("course: riser_m", riser_m, low=0.01, high=0.3)
     if obstacle not in OBSTACLES:
         raise InputError(f"course: obstacle must be one of {', '.join(OBSTACLES)}, got {obstacle!r}")
+
+
+def _require_network(loops, repeat, furniture, dead_ends):
     for name, value in (("furniture", furniture), ("dead_ends", dead_ends)):
         if not isinstance(value, bool):
             raise InputError(f"course: {name} must be true or false, got {value!r}")
-    rng = random_stream(seed, _KIND)
-    creases = OBSTACLES[obstacle]
-    route = _drawn(rng, width_m, creases, dead_ends) if seed else _paper(width_m, creases)
-    if furniture:
-        _furnish(rng, route)
-    return render(route, cell_m, obstacle, riser_m)
+    require_whole("course: loops", loops, 0, 3)
+    require_whole("course: repeat", repeat, 0, 10)
+    if repeat == 1:
+        raise InputError("course: repeat must be from 2 to 10, or 0 for none, got 1")
+    if furniture and (loops or repeat):
+        raise InputError("course: furniture must be false where there are loops or repeat, got true")
+    if repeat and not dead_ends:
+        raise InputError("course: dead_ends must be true with repeat, whose side passages are dead ends, got false")
 
 
 def _paper(width_m, creases):
@@ -110,21 +136,21 @@ def _drawn(rng, width_m, creases, dead_ends):
 def _attempt(rng, n_elements, width_m, creases, dead_ends):
     elements = ["ramp", "junction", *(["hall"] if n_elements > 2 and rng.random() < 0.8 else [])]
     elements += ["junction"] * (n_elements - len(elements))
-    route = Route(int(rng.integers(4)), _width(rng, width_m), _START_M)
+    route = Route(int(rng.integers(4)), drawn_width(rng, width_m), _START_M)
     first_m = 0.1  # brings the first passage to whole multiples
     for element in rng.permutation(elements):
-        route.passage(_fifths(rng, 4.4, 7.0) + first_m)
+        route.passage(fifths(rng, 4.4, 7.0) + first_m)
         first_m = 0.0
         if element == "ramp":
             route.ramp(float(rng.integers(6, 16)), creases)
         elif element == "hall":
-            route.hall(_fifths(rng, 5.0, 8.0), _fifths(rng, 4.0, 6.0), int(rng.choice((LEFT, RIGHT))))
+            route.hall(fifths(rng, 5.0, 8.0), fifths(rng, 4.0, 6.0), int(rng.choice((LEFT, RIGHT))))
         else:
             turns = _JUNCTIONS[rng.choice(len(_JUNCTIONS), p=[weight for _, weight in _JUNCTIONS])][0]
-            dead_m = _fifths(rng, 5.0, 7.0) if rng.random() < 0.4 else 0.0
+            dead_m = fifths(rng, 5.0, 7.0) if rng.random() < 0.4 else 0.0
             possible = dead_ends and RIGHT in turns and len(turns) > 1
-            route.junction(turns, _width(rng, width_m), _fifths(rng, 6.2, 8.0), dead_m if possible else 0.0)
-    route.goal(_fifths(rng, 5.0, 7.0), _fifths(rng, 6.2, 8.0))
+            route.junction(turns, drawn_width(rng, width_m), fifths(rng, 6.2, 8.0), dead_m if possible else 0.0)
+    route.goal(fifths(rng, 5.0, 7.0), fifths(rng, 6.2, 8.0))
     return route
 
 
@@ -134,17 +160,8 @@ def _furnish(rng, route):
         along, across = sorted((0, 1), key=lambda axis: axis != heading % 2)
         length, width = (rect[axis + 2] - rect[axis] for axis in (along, across))
         depth = min(0.4, 0.2 * int((width - 1.2 + 1e-6) / 0.2))
-        size = _fifths(rng, 0.4, 0.8)
-        start = _fifths(rng, 1.6, max(1.6, length - 1.6 - size))
+        size = fifths(rng, 0.4, 0.8)
+        start = fifths(rng, 1.6, max(1.6, length - 1.6 - size))
         side = int(rng.integers(2))
         if depth > 0 and rng.random() < 0.4:
             route.box(i, start, size, depth, side)
-
-
-def _width(rng, width_m):
-    return max(1.2, _fifths(rng, 0.7 * width_m, 1.2 * width_m))
-
-
-def _fifths(rng, low, high):
-    """A multiple of 0.2 m from about `low` to about `high`."""
-    return 0.2 * int(rng.integers(round(low / 0.2), round(high / 0.2) + 1))

@@ -9,7 +9,9 @@ import math
 import numpy as np
 
 from jexplore.tracemap.record import NOWHERE, BtmMap, Link, Node
+from jexplore.tracemap.rooted import topology_from
 from jexplore.worlds.generators.draft import to_cells
+from jexplore.worlds.generators.network import Network
 from jexplore.worlds.generators.route import MARGIN_M, RAMP_M, Route, largest_circle
 from jexplore.worlds.world import Course, World, require_side
 
@@ -52,13 +54,13 @@ class _Grid:
         return round((high - low) * self.cell_m, 9)
 
 
-def render(route: Route, cell_m: float, obstacle: str, riser_m: float) -> World:
+def render(plan: Route | Network, cell_m: float, obstacle: str, riser_m: float) -> World:
     """A course as a world.
 
     Args:
-      route: a `Route`.
+      plan: a `Route`, which ends at a goal, or a `Network`, in which the robot goes on until nothing is left.
       cell_m: edge of a cell, metres.
-      obstacle: what the ramps of the route are; one of `course.OBSTACLES`.
+      obstacle: what the ramps of the plan are; one of `course.OBSTACLES`.
       riser_m: height of a step, metres.
 
     Returns:
@@ -67,25 +69,26 @@ def render(route: Route, cell_m: float, obstacle: str, riser_m: float) -> World:
     Raises:
       InputError: more than `MAX_SIDE` cells a side.
     """
-    grid = _Grid([rect for _, rect in route.rects], cell_m)
+    grid = _Grid(plan.areas, cell_m)
     require_side("course", *grid.shape)
     occupied = np.ones(grid.shape, bool)
-    for _, rect in route.rects:
+    for rect in plan.areas:
         occupied[grid.box(rect)] = False
-    for rect in route.boxes:
+    for rect in plan.boxes:
         occupied[grid.box(rect)] = True
-    elevation = np.zeros(grid.shape, np.float32) if route.ramps else None
-    for ramp in route.ramps:
+    elevation = np.zeros(grid.shape, np.float32) if plan.ramps else None
+    for ramp in plan.ramps:
         _raise_ground(elevation, grid, ramp, obstacle, riser_m)
-    nodes = tuple(_node(i, stop, grid, obstacle, riser_m) for i, stop in enumerate(route.stops))
-    links = _links(route, nodes, grid)
-    start, goal = nodes[0], nodes[-1]
+    nodes = tuple(_node(i, stop, grid, obstacle, riser_m) for i, stop in enumerate(plan.stops))
+    topology = BtmMap(nodes, _links(plan, nodes, grid))
+    start, heading_deg = _node(0, plan.start, grid, obstacle, riser_m), 90.0 * plan.start.heading
+    pose = start.x_m, start.y_m, heading_deg
     course = Course(
-        start_pose=(start.x_m, start.y_m, 90.0 * route.stops[0].heading),
-        goal_m=(goal.x_m, goal.y_m),
-        topology=BtmMap(nodes, links),
+        start_pose=pose,
+        goal_m=(nodes[-1].x_m, nodes[-1].y_m) if plan.has_goal else None,
+        topology=topology if plan.has_goal else topology_from(topology, pose),
     )
-    cell = int(start.y_m / cell_m), int(start.x_m / cell_m), 90 * route.stops[0].heading
+    cell = int(start.y_m / cell_m), int(start.x_m / cell_m), int(heading_deg)
     return World(occupied=occupied, elevation=elevation, start=cell, cell_m=float(cell_m), course=course)
 
 

@@ -6,9 +6,12 @@ A route is drawn as one would walk it. Headings and turns are quarter turns: 0 i
 import dataclasses
 from collections.abc import Collection, Sequence
 
+import numpy as np
+
 MARGIN_M = 1.0  # wall between two passages that do not meet, and round the whole
 RAMP_M = 2.4  # length of the way up, and of the way down
 RIGHT, STRAIGHT, LEFT = -1, 0, 1
+Rect = tuple[float, float, float, float]
 _STEP = ((1, 0), (0, 1), (-1, 0), (0, -1))
 
 
@@ -36,7 +39,7 @@ class Stop:
     """Of the passage, as in `Ramp`."""
     along: float = 0.0
     """As in `Ramp`. Without meaning where there is a rectangle or a ramp."""
-    rect: tuple[float, float, float, float] | None = None
+    rect: Rect | None = None
     """Of a divergence: where its passages overlap; the last stretch of a dead end."""
     arms: frozenset[int] = frozenset()
     """Of a divergence: headings of its openings."""
@@ -63,12 +66,12 @@ class Route:
     width: float
     part: int
     fits: bool
-    rects: list[tuple[int, tuple[float, float, float, float]]]
-    boxes: list[tuple[float, float, float, float]]
+    rects: list[tuple[int, Rect]]
+    boxes: list[Rect]
     stops: list[Stop]
     legs: list[Leg]
     ramps: list[Ramp]
-    straights: list[tuple[tuple[float, float, float, float], int]]
+    straights: list[tuple[Rect, int]]
 
     def __init__(self, heading: int, width: float, start_m: float) -> None:
         """Begin with a wall, and the robot `start_m` before it with its back to it."""
@@ -81,6 +84,21 @@ class Route:
         self._carve(start_m)
         self._advance(start_m)
         self._arrive(self._stop("terminal"))
+
+    @property
+    def areas(self) -> list[Rect]:
+        """The rectangles that are free, `(x0, y0, x1, y1)`, metres."""
+        return [rect for _, rect in self.rects]
+
+    @property
+    def start(self) -> Stop:
+        """Where the robot starts, its heading that of the course."""
+        return self.stops[0]
+
+    @property
+    def has_goal(self) -> bool:
+        """True: the last stop is the goal, and ways that the robot does not take have no end."""
+        return True
 
     def passage(self, length: float) -> None:
         """Go on straight. Every passage begins a part of the route; what follows it belongs to the same part."""
@@ -197,17 +215,28 @@ class Route:
         xs = sorted(round(x + dx * a - dy * b, 6) for a, b in ((0.0, right), (length, left)))
         ys = sorted(round(y + dy * a + dx * b, 6) for a, b in ((0.0, right), (length, left)))
         rect = xs[0], ys[0], xs[1], ys[1]
-        self.fits &= not any(_near(rect, other) for part, other in self.rects if part < self.part - 1)
+        self.fits &= not any(is_near(rect, other) for part, other in self.rects if part < self.part - 1)
         self.rects.append((self.part, rect))
         return rect
 
 
-def _near(a, b):
+def is_near(a: Sequence[float], b: Sequence[float]) -> bool:
+    """Whether two rectangles `(x0, y0, x1, y1)` are nearer than `MARGIN_M` in both axes."""
     gap = MARGIN_M - 1e-6
     return a[0] < b[2] + gap and b[0] < a[2] + gap and a[1] < b[3] + gap and b[1] < a[3] + gap
 
 
-def largest_circle(rect: tuple[float, float, float, float], arms: Collection[int]) -> tuple[float, float, float]:
+def drawn_width(rng: np.random.Generator, width_m: float) -> float:
+    """Width of a passage, metres: a multiple of 0.2 m, 0.7 to 1.2 times `width_m` and at least 1.2 m."""
+    return max(1.2, fifths(rng, 0.7 * width_m, 1.2 * width_m))
+
+
+def fifths(rng: np.random.Generator, low: float, high: float) -> float:
+    """A multiple of 0.2 m from about `low` to about `high`."""
+    return 0.2 * int(rng.integers(round(low / 0.2), round(high / 0.2) + 1))
+
+
+def largest_circle(rect: Rect, arms: Collection[int]) -> tuple[float, float, float]:
     """Centre and radius of the largest empty circle at a junction: it touches three walls, at a crossing four.
 
     Args:

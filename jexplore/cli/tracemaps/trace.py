@@ -57,12 +57,15 @@ class Trace:
     max_steps: int | None = None
     """End a run as STEP_LIMIT after so many steps of 0.1 s; by default 6000, more in a large building."""
     nodes: int | None = None
-    """Give the map room for so many nodes; by default 32 for a course, in other worlds more than the true map has."""
+    """Give the map room for so many nodes; by default 32 for a course with a goal, else more than the true map has."""
     links: int | None = None
     """Give the map room for so many links; by default two a node."""
     attribute: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUE@X,Y [...]", help_behavior_hint="")] = ()
     """Give the node that is nearest to a place in the building, in metres, an attribute: victim=true@12.5,4,
     radio_dbm=-61@3,8."""
+    corrected: bool = False
+    """Write the map of run 0 with places that fit the odometry along all its links: what has drifted until a place was
+    met again is spread over the links (frame map)."""
     animate: bool = False
     """Also write btm.html, one file that replays without a network what the operator sees of run 0."""
     from_episode: bool = False
@@ -124,6 +127,7 @@ class Trace:
         from jexplore.engine.backend import use_compilation_cache
         from jexplore.report import store, trace_tables
         from jexplore.studies.traces import tracing
+        from jexplore.tracemap.corrected import correct_map
 
         use_compilation_cache()
         how = {"engine": None if self.engine == "auto" else self.engine, "lanes": self.lanes, "workers": self.workers}
@@ -136,7 +140,10 @@ class Trace:
         entries = {"runs_per_s": runs_per_s, "resumed": found.resumed, "interrupted": missing}
         entries["worlds"] = [describe(plan.world)]
         record = out.record(arguments, self, **entries, **{name: getattr(costs, name) for name in names})
-        files = {**_exchanged(found.first), "runs.parquet": lambda path: store.write_parquet(found.table, path)}
+        files = {
+            **_exchanged(correct_map(found.first) if self.corrected else found.first),
+            "runs.parquet": lambda path: store.write_parquet(found.table, path),
+        }
         text = trace_tables.tables(found.first) + "\n" + "\n".join(trace_tables.summary(found))
         pictures = {"btm.png": functools.partial(_draw, found)}
         if self.animate and not costs.interrupted:

@@ -1,0 +1,127 @@
+"""Routes over a map: what planning costs, and how many another robot drives to their end.
+
+    python benchmarks/routes.py [--parts planning driven] [--routes 400] [--seed 0] [--repeat 7]
+
+Planning: a street map of 1,000 nodes, three of four streets there, for 16 robots of 0.3 to 0.9 m and 625 pairs of
+nodes; the first call compiles. Lengths are held against networkx, for the narrowest and the widest.
+
+Driven: a crawler writes the map, a wheeled robot follows routes over it in the building. Half of the routes lie on
+courses without an obstacle (#0 to #9), half in the office. The crawler's own run, 1 cm of range noise, gives the map;
+routes are drawn among all that the wheeled robot may use between nodes of it. Arrived: the robot says so and truly
+stands within 1.5 m of where the map has the end. Printed as Markdown.
+"""
+
+import argparse
+import math
+import os
+import statistics
+import time
+
+import networkx
+import numpy as np
+
+import jexplore as jx
+from jexplore.bench.tables import markdown
+from jexplore.driving.settings import Noise
+from jexplore.engine.backend import start_backend, use_compilation_cache
+from jexplore.report.trace_tables import share
+from jexplore.studies.traces import following, job, routes, tracing
+from jexplore.tracemap.record import BtmMap, Link, Node
+
+WORLDS = {"courses #0 to #9": [f"course#{i}:obstacle=none" for i in range(10)], "office": ["office"]}
+NEAR_M = 1.5
+NOISE = Noise(range_m=0.01)
+WORKERS = os.cpu_count() or 1
+SIDE, NODES, ROBOTS, PAIRS = 32, 1000, 16, 625
+
+
+def streets(rng: np.random.Generator) -> BtmMap:
+    """Nodes 5 m apart in rows, and links of any width between neighbours, some of them wanting."""
+    nodes = tuple(Node(i, i % SIDE * 5.0, i // SIDE * 5.0, "divergence") for i in range(NODES))
+    links = []
+    for i in range(NODES):
+        for j in (i + 1 if (i + 1) % SIDE else NODES, i + SIDE):
+            if j < NODES and rng.random() < 0.75:
+                length, width, posture = 5 + rng.random(), rng.uniform(0.4, 1.5), rng.uniform(0, 12)
+                values = (float(value) for value in (length, width, posture, 0.0, 0.0))
+                links.append(Link(len(links), i, j, "searched", 0.0, 180.0, *values))
+    return BtmMap(nodes, tuple(links))
+
+
+def planning(seed: int, repeat: int) -> str:
+    """What many robots and pairs cost: a table."""
+    rng = np.random.default_rng(seed)
+    btm = streets(rng)
+    robots = [f"kamui:width_m={width:.2f}" for width in np.linspace(0.3, 0.9, ROBOTS)]
+    pairs = [(int(a), int(b)) for a, b in rng.integers(0, NODES, (PAIRS, 2))]
+    clock, cpu = [], []
+    for _ in range(repeat + 1):
+        began, used = time.perf_counter(), time.process_time()
+        found = jx.routes(btm, robots, pairs)
+        clock.append(time.perf_counter() - began)
+        cpu.append(time.process_time() - used)
+    began, equal = time.process_time(), True
+    for own in found[:: ROBOTS - 1]:  # of the narrowest and of the widest
+        graph = networkx.MultiGraph()
+        graph.add_nodes_from(range(NODES))
+        shut = {number for number, _ in own[0].refused}
+        graph.add_weighted_edges_from((x.start, x.end, x.length_m) for x in btm.links if x.id not in shut)
+        lengths = {end: networkx.single_source_dijkstra_path_length(graph, end) for _, end in pairs}
+        equal &= all(
+            math.isclose(route.length_m, lengths[end].get(start, math.inf), abs_tol=0.001 * max(len(route.links), 1))
+            for (start, end), route in zip(pairs, own)
+        )
+    oracle = (time.process_time() - began) / 2
+    there = sum(route.is_found for of in found for route in of)
+    row = [f"{ROBOTS} x {PAIRS}", f"{NODES}, {len(btm.links)}", there, cpu[0] - statistics.median(cpu[1:])]
+    row += [statistics.median(clock[1:]), min(clock[1:]), statistics.median(cpu[1:]), oracle, equal]
+    head = ["robots x pairs", "nodes, links", "ways found", "compiling CPU s", "s by the clock", "least", "CPU s"]
+    return markdown([*head, "networkx, lengths alone, CPU s a robot", "equal"], [row])
+
+
+def driven(world: str, n: int, seed: int):
+    """The table of n routes in a world, and what was found otherwise."""
+    found = tracing.execute(job.prepare_trace(world, noise=NOISE, seed=seed), workers=WORKERS).first
+    ids = [node.id for node in found.nodes]
+    rng = np.random.default_rng(seed)
+    pairs = [(a, b) for a in ids for b in ids if a != b]
+    order = [pairs[i] for i in rng.permutation(len(pairs))]
+    able = [route for route in routes.routes(found, ["wheeled"], order)[0] if route.links]
+    chosen = [able[i % len(able)] for i in range(n)]
+    return following.follow(world, found, chosen, "wheeled", noise=NOISE, seed=seed, workers=WORKERS)
+
+
+def drives(n_routes: int, seed: int) -> str:
+    """How many routes are driven to their end: a table."""
+    rows = []
+    for name, worlds in WORLDS.items():
+        each = -(-n_routes // 2 // len(worlds))
+        tables = [driven(world, each, seed).table for world in worlds]
+        there = sum(int(((t["outcome"] == "ARRIVED") & (t["off_m"] < NEAR_M)).sum()) for t in tables)
+        n, says = each * len(worlds), sum(int((t["outcome"] == "ARRIVED").sum()) for t in tables)
+        outcomes = {o: sum(int((t["outcome"] == o).sum()) for t in tables) for t in tables for o in set(t["outcome"])}
+        sums = [sum(int(t[c].sum()) for t in tables) for c in ("places", "missed", "extra", "refused", "interventions")]
+        metres = sum(t["path_m"].sum() for t in tables) / n
+        told = ", ".join(f"{o} {k}" for o, k in sorted(outcomes.items()))
+        rows.append([name, n, share(there, n), share(says, n), told, f"{metres:.1f}", *sums])
+    columns = ["building", "routes", "arrived", "says so", "outcomes", "m a route"]
+    return markdown([*columns, "places", "missed", "extra", "steps refused", "helps"], rows)
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--parts", nargs="+", choices=("planning", "driven"), default=["planning", "driven"])
+    parser.add_argument("--routes", type=int, default=400)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--repeat", type=int, default=7)
+    options = parser.parse_args()
+    start_backend(WORKERS)
+    if "planning" in options.parts:
+        print(planning(options.seed, options.repeat), end="\n\n")
+    if "driven" in options.parts:
+        use_compilation_cache()
+        print(drives(options.routes, options.seed))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""Commands that write, join and use Behavioral Trace Maps."""

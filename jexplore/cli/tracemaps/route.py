@@ -1,0 +1,168 @@
+"""The command `jexplore route`."""
+
+import dataclasses
+import os
+import sys
+from collections.abc import Sequence
+from typing import Annotated, Any
+
+import tyro
+
+from jexplore.cli.output.console import COMPILING, Out, note
+from jexplore.cli.output.terminal import show_line, show_table
+from jexplore.config import InputError
+
+NO_ROUTE = 1  # exit status
+
+File = Annotated[str | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")]
+Folder = Annotated[str | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")]
+Goal = Annotated[str | None, tyro.conf.arg(metavar="PLACE", help_behavior_hint="")]
+Start = Annotated[str | None, tyro.conf.arg(name="from", metavar="PLACE", help_behavior_hint="")]
+
+
+@dataclasses.dataclass(frozen=True)
+class Route:
+    """Find the shortest way over a Behavioral Trace Map that a robot may use.
+
+    Prints a table of links and by which way to leave every node; then the links that the robot may not use, with all
+    reasons, and what the map does not say. With --drive the robot then follows it in the true building, and what it
+    finds otherwise there is told. Without a way, or where it does not arrive, the exit status is 1. With --out it
+    writes route.json, route.png and run.json, and with --drive btm.json, the map with what was found.
+    """
+
+    map: File = None
+    """Go over this map, the btm.json of `jexplore trace`."""
+    robot: Annotated[str, tyro.conf.arg(metavar="ROBOT")] = "kamui"
+    """Go with this robot: kamui (a crawler) or wheeled; with other measures kamui:width_m=0.6,max_slope_deg=8."""
+    from_: Start = None
+    """Begin at the node of this id, or at the one that is nearest to X,Y, in metres; by default at the map's first."""
+    to: Goal = None
+    """Go to a node, named alike, or to the nearest link that is un-searched: unsearched."""
+    known_only: bool = False
+    """Refuse searched links of which the map does not have width, step, inclination and roll."""
+    drive: Annotated[str | None, tyro.conf.arg(metavar="WORLD", help_behavior_hint="")] = None
+    """Let the robot follow the way to its last node in this building, that of the map: course:obstacle=none."""
+    noise_m: float = 0.01
+    """Give its scanners' ranges this standard deviation, in metres."""
+    seed: int = 0
+    """Draw the noise from this seed."""
+    within_m: float = 2.0
+    """Take a node for X,Y that lies no farther from it than this, in metres."""
+    out: Folder = None
+    """Write into this folder; by default nothing is written."""
+    overwrite: bool = False
+    """Replace the run that the folder holds."""
+
+    def execute(self, arguments: Sequence[str]) -> int | None:
+        """Runs the command; returns the exit status, None for 0."""
+        for name, given in (("--map", self.map), ("--to", self.to)):
+            if given is None:
+                raise InputError(f"expected {name}: jexplore route --map btm.json --robot wheeled --from 0 --to 4")
+        if self.overwrite and self.out is None:
+            raise InputError("--overwrite goes with --out DIR")
+        plain = type(self)()
+        if self.drive is None and (self.noise_m, self.seed) != (plain.noise_m, plain.seed):
+            raise InputError("--noise-m and --seed go with --drive WORLD")
+        if self.drive is not None:
+            self._require_drive()
+        from jexplore.tracemap.json_form import read_btm
+
+        btm = read_btm(str(self.map))
+        if self.out is None:
+            route = self._found(btm)
+            return _tell(btm, route) or self._followed(btm, route)[0]
+        with Out(self, "route") as out:
+            route = self._found(btm)
+            status = _tell(btm, route)
+            driven, changed = (NO_ROUTE, btm) if status else self._followed(btm, route)
+            status = status or driven
+            wrote = _write(out, self, arguments, btm, route, changed)
+            sys.stdout.flush()
+            drawn = out.draw({"route.png": lambda path: _draw(btm, route, path)})
+            print(f"wrote {', '.join([*wrote, *drawn])} to {out.run.path}{os.sep}")
+            return status
+
+    def _require_drive(self):
+        """Refuses a building or numbers before anything is printed."""
+        from jexplore.config import MAX_SEED, require_whole
+        from jexplore.driving.settings import Noise, require_noise
+        from jexplore.studies.checks import ready_worlds
+
+        require_whole("seed", self.seed, 0, MAX_SEED)
+        require_noise(Noise(range_m=self.noise_m))
+        ready_worlds(self.drive or "", 0.1)
+
+    def _found(self, btm) -> Any:
+        from jexplore.engine.backend import use_compilation_cache
+        from jexplore.studies.traces import routes
+
+        use_compilation_cache()
+        start = btm.nodes[0].id if self.from_ is None and btm.nodes else self.from_ or ""
+        with note(COMPILING):
+            return routes.route(
+                btm, self.robot, start, self.to or "", known_only=self.known_only, within_m=self.within_m
+            )
+
+    def _followed(self, btm, route) -> tuple[int, Any]:
+        """Drives the route, where that is asked; the exit status, and the map with what was found."""
+        if self.drive is None:
+            return 0, btm
+        if not route.links:
+            show_line("driven: nothing, for the way has no link")
+            return 0, btm
+        from jexplore.driving.settings import Noise
+        from jexplore.studies.traces.following import follow
+
+        with note(COMPILING):
+            found = follow(self.drive, btm, [route], self.robot, noise=Noise(range_m=self.noise_m), seed=self.seed)
+        row = found.table.iloc[0]
+        told = f"{row['outcome']} after {row['path_m']:.2f} m, {row['off_m']:.2f} m from where the map has the end"
+        show_line(f"driven: {told}; {row['missed']} of {row['places']} places missed, {row['extra']} more found")
+        for line in found.changes:
+            show_line(f"found: {line}", indent=7)
+        return (0 if row["outcome"] == "ARRIVED" else NO_ROUTE), found.map
+
+
+def _tell(btm, route) -> int:
+    """Prints a route, or why there is none; the exit status."""
+    from jexplore.report import trace_tables
+
+    if route.is_found:
+        show_table(trace_tables.route_table(route))
+    else:
+        show_line(f"no route: {route.trouble}")
+    for title, lines in (("refused", trace_tables.refused_lines(btm, route)), ("unknown", route.unknown)):
+        for line in lines:
+            show_line(f"{title}: {line}", indent=len(title) + 2)
+    return 0 if route.is_found else NO_ROUTE
+
+
+def _write(out, options, arguments, btm, route, changed):
+    """Writes what was found; the names of the files."""
+    from jexplore.report import store
+
+    record = out.record(arguments, options, map=btm.attributes)
+    found = {**store.jsonable(route), "is_found": route.is_found}
+    for name in ("refused", "barriers"):
+        found[name] = [{"id": own, "reasons": list(why)} for own, why in getattr(route, name)]
+    files = {
+        "route.json": lambda path: store.write_json(found, path),
+        "run.json": lambda path: store.write_json(record, path),
+    }
+    if options.drive is not None:
+        from jexplore.tracemap import json_form
+
+        files["btm.json"] = lambda path: store.write_json(json_form.to_json(changed), path)
+    out.write(files)
+    return list(files)
+
+
+def _draw(btm, route, path):
+    """The picture of the map with the route."""
+    import numpy as np
+
+    from jexplore.report import plot, plot_traces
+
+    title = route.trouble or f"{route.robot}, node {route.start} to {route.end}, {route.length_m:.2f} m"
+    figure = plot_traces.figure(btm, None, np.zeros((0, 3)), None, [], [], title, route=route)
+    plot.save_figure(figure, path)

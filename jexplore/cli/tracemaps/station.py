@@ -1,0 +1,58 @@
+"""The command `jexplore station`."""
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Annotated
+
+import tyro
+
+from jexplore.cli.output.terminal import show_line, show_table
+from jexplore.cli.tracemaps.files import Files, file_out, names_of, require_once
+from jexplore.config import InputError
+
+
+@dataclasses.dataclass(frozen=True)
+class Station:
+    """Make one web page of robots' Behavioral Trace Maps, for an operator: drawn, with routes for any robot.
+
+    Several maps are merged as by `jexplore merge-maps`; those that do not fit stand beside the global map. The page
+    works without a network.
+    """
+
+    maps: tyro.conf.Positional[Files] = ()
+    """Files of the maps, such as btm.json. The global map lies in the frame of the first."""
+    out: Annotated[str | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")] = None
+    """Write the page into this file, such as page.html."""
+    overwrite: bool = False
+    """Replace the file, if there is one."""
+
+    def execute(self, arguments: Sequence[str]) -> int | None:
+        """Runs the command; returns the exit status, None for 0."""
+        from jexplore.report import store
+        from jexplore.studies.traces.station import page_of, panels_of
+        from jexplore.tracemap import json_form
+
+        if not self.maps:
+            raise InputError("station: expected files of one map or more: jexplore station btm.json --out page.html")
+        require_once("station", self.maps)
+        if self.out is None:
+            raise InputError("expected --out: jexplore station btm.json --out page.html")
+        out = file_out(self.out, self.maps, overwrite=self.overwrite)
+        panels, said = panels_of([json_form.read_btm(path) for path in self.maps], names_of(self.maps))
+        page = page_of(panels, said)
+        with store.atomic(out) as part:
+            part.write_text(page, encoding="ascii")
+        show_table(*_table(panels))
+        for line in [f"{panel.name}: {panel.note}" for panel in panels if panel.note] + said:
+            show_line(line)
+        print(f"wrote {self.out}")
+        return 0
+
+
+def _table(panels):
+    rows = []
+    for panel in panels:
+        followed = sum(link.end >= 0 for link in panel.map.links)
+        left = len(panel.map.links) - followed
+        rows.append([panel.name, ", ".join(panel.maps), len(panel.map.nodes), followed, left])
+    return ["panel", "maps", "nodes", "searched links", "un-searched"], rows

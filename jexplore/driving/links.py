@@ -1,0 +1,139 @@
+"""The links of a node in a map that is being written, and which known node a place is by its ways."""
+
+import math
+
+import jax.numpy as jnp
+from jax import Array
+
+from jexplore import btm
+from jexplore.arrays.loops import run_if
+from jexplore.btm import Btm
+from jexplore.driving.mapping import Writer
+from jexplore.driving.sensing.openings import Openings
+
+ALIKE_RAD = math.radians(40)  # a link and an opening that lie no farther apart are one
+DRIFT = 0.025, 2.5  # of the way since it was put right, metres at most: how far off a known place may seem
+WAY_DRIFT = 0.05  # of the way along a known link: how far off its other node may seem
+TURN_RAD = math.radians(20)  # the odometry's heading is corrected by no more, where a node is met again
+
+
+def turn_to(map_: Btm, node: Array, found: Openings) -> tuple[Array, Array]:
+    """By how much the openings of a known node are turned against its links, and how well they agree.
+
+    Returns:
+      `(turn, spread)`: radians, to be added; the farthest that a link lies from its opening once that is done, radians,
+        inf where there are fewer than two of them, or one has no partner within `TURN_RAD`.
+    """
+    own, bearing = ends_at(map_, node)
+    off = btm.wrapped(bearing[:, None] - found.bearing)  # [2M, K]
+    off = jnp.where(own[:, None] & found.valid, off, jnp.inf)
+    near = jnp.argmin(jnp.abs(off), axis=0)
+    least = jnp.take_along_axis(off, near[None], axis=0)[0]
+    counts = jnp.abs(least) < TURN_RAD
+    n = jnp.sum(counts)
+    turn = jnp.sum(jnp.where(counts, least, 0)) / jnp.maximum(n, 1)
+    whole = (n >= 2) & (n == jnp.sum(own)) & (n == jnp.sum(found.valid))
+    return turn, jnp.where(whole, jnp.max(jnp.where(counts, jnp.abs(least - turn), 0)), jnp.inf)
+
+
+def withdraw_double(map_: Btm, node: Array, back: Array, when: Array) -> Btm:
+    """Takes away the un-searched link of a node by which the robot has just come in from its other end."""
+    off = jnp.abs(btm.wrapped(map_.start_bearing - back))
+    off = jnp.where((map_.start == node) & (map_.status == btm.UNSEARCHED), off, jnp.inf)
+    at = jnp.argmin(off)
+    at = jnp.where(when & (off[at] < math.pi / 4), at, map_.start.shape[0])
+    return map_.replace(
+        status=map_.status.at[at].set(btm.NONE, mode="drop"), start=map_.start.at[at].set(btm.NONE, mode="drop")
+    )
+
+
+def other_link(map_: Btm, node: Array, link: Array) -> Array:
+    """The link of a node that is not the one given; the same where it is the only one."""
+    touches = ((map_.start == node) | (map_.end == node)) & (map_.status != btm.NONE)
+    others = touches & (jnp.arange(touches.shape[0]) != link)
+    return jnp.where(jnp.any(others), jnp.argmax(others).astype(jnp.int32), link)
+
+
+def toward(map_: Btm, node: Array, bearing: Array) -> tuple[Array, Array, Array]:
+    """The link of a node that leaves it nearest to a direction.
+
+    Returns:
+      `(link, bearing, off)`: int32; its bearing there and how far that lies off, radians; inf where there is none.
+    """
+    n, (ends, bearings) = map_.start.shape[0], ends_at(map_, node)
+    off = jnp.where(ends, jnp.abs(btm.wrapped(bearings - bearing)), jnp.inf)
+    best = jnp.argmin(off)
+    return (best % n).astype(jnp.int32), bearings[best], off[best]
+
+
+def ends_at(map_: Btm, node: Array) -> tuple[Array, Array]:
+    """Which ends of links a node has, and how they bear: `[2M]` bool, of the first ends, then of the others; `[2M]`
+    float32, radians.
+    """
+    there = (jnp.arange(map_.start.shape[0]) < map_.n_links) & (map_.status != btm.NONE)
+    own = [there & (map_.start == node), there & (map_.end == node) & (map_.status == btm.SEARCHED)]
+    return jnp.concatenate(own), jnp.concatenate([map_.start_bearing, map_.end_bearing])
+
+
+def is_alike(map_: Btm, node: Array, found: Openings, back: Array, leads: Array) -> Array:
+    """Whether a place may be a node: all its links are among the openings, and all openings among them.
+
+    Args:
+      map_: `Btm`.
+      node: int32.
+      found: `Openings` of the place.
+      back: float32, bearing of the way in, radians.
+      leads: bool, the robot follows a link to that node; else one of the node's own must wait to be searched there.
+
+    Returns:
+      bool.
+    """
+    own, bearing = ends_at(map_, node)
+    near = own[:, None] & found.valid & (jnp.abs(btm.wrapped(bearing[:, None] - found.bearing)) < ALIKE_RAD)
+    missing = jnp.sum(own & ~jnp.any(near, axis=1))
+    more = jnp.sum(found.valid & ~jnp.any(near, axis=0))
+    waits = (map_.start == node) & btm.open_links(map_) & (jnp.abs(btm.wrapped(map_.start_bearing - back)) < ALIKE_RAD)
+    return (missing == 0) & (more == 0) & (leads | jnp.any(waits))
+
+
+def leads_to(writer: Writer) -> tuple[Array, Array]:
+    """Whether the robot follows a link that is known, and to which node: `(followed, to)`."""
+    map_, size = writer.map, writer.map.start.shape[0]
+    link = jnp.minimum(writer.link, size - 1)
+    to = jnp.where(map_.start[link] == writer.node, map_.end[link], map_.start[link])
+    return (writer.link < size) & (map_.status[link] == btm.SEARCHED), to
+
+
+def recognised(
+    writer: Writer, place: tuple[Array, Array], found: Openings, back: Array, reach: Array, when: Array
+) -> tuple[Array, Array]:
+    """A known divergence that seems to lie elsewhere, for the odometry is off: `(node, whether there is one)`.
+
+    It has the very ways that are seen, and the one by which the robot has come waits to be searched; or it is
+    where the link leads that the robot follows. The nearest counts, where no other is nearly as near.
+
+    Args:
+      writer: `Writer`.
+      place: `[2]` float32, its centre, odometry; float32, odometer there.
+      found: `Openings` of it.
+      back: float32, bearing of the way in, radians.
+      reach: float32, metres: a node so near is taken for the place without all this.
+      when: bool, whether to look at all.
+    """
+    map_, (centre, odometer_m) = writer.map, place
+    n = map_.kind.shape[0]
+    off_m = jnp.hypot(map_.x_m - centre[0], map_.y_m - centre[1])
+    drift_m = jnp.minimum(DRIFT[0] * (odometer_m - writer.sure_m), DRIFT[1])
+    followed, to = leads_to(writer)
+    gone_m = odometer_m - writer.node_m
+    leads = followed & (jnp.arange(n) == to)
+    limit_m = reach + jnp.where(leads, WAY_DRIFT * gone_m, jnp.where(followed, 0.0, drift_m))
+    may = when & (map_.kind == btm.DIVERGENCE) & (off_m < limit_m) & (jnp.arange(n) != writer.node)
+
+    def judged(_):
+        others = jnp.where((map_.kind == btm.DIVERGENCE) & (jnp.arange(n) != writer.node), off_m, jnp.inf)
+        first = jnp.argmin(jnp.where(may, off_m, jnp.inf)).astype(jnp.int32)
+        is_alone = jnp.min(others.at[first].set(jnp.inf)) > 2 * off_m[first]
+        return first, is_alone & is_alike(map_, first, found, back, leads[first])
+
+    return run_if(jnp.any(may), judged, (jnp.int32(0), jnp.bool_(False)))

@@ -1,0 +1,123 @@
+"""A station's page: Behavioral Trace Maps of several robots as one web page on which routes are asked for."""
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from jexplore.report.page.assemble import assembled, plain, script_data
+from jexplore.tracemap.merging.join import FROM
+from jexplore.tracemap.merging.notes import CONFLICTS, MERGED_FROM, sources_of
+from jexplore.tracemap.passable import (
+    Body,
+    block_of,
+    called,
+    hindrances,
+    inclination_of,
+    refusals,
+    step_of,
+    unknowns,
+    unknowns_at,
+)
+from jexplore.tracemap.record import NOWHERE, BtmMap, Link, Node, length_of
+from jexplore.tracemap.route import UNIT_M, Index, index_of
+
+
+@dataclasses.dataclass(frozen=True)
+class Panel:
+    """A map of the page, in a frame of its own."""
+
+    name: str
+    map: BtmMap
+    """A proper one; see `record.check`."""
+    maps: tuple[str, ...]
+    """Names of the maps that it was made of."""
+    note: str = ""
+    """Why it stands apart, or what is to be known of its frame: a sentence."""
+
+
+def station_page(title: str, panels: Sequence[Panel], robots: Sequence[Body], notes: Sequence[str] = ()) -> str:
+    """Maps as one HTML file: no network, no server, no other file. It is plain ASCII.
+
+    What the given robots may not use is found here; for a robot that is typed in the page repeats the comparisons.
+
+    Args:
+      title: of the page.
+      panels: one or more; the first is shown large.
+      robots: those that can be chosen by name.
+      notes: sentences, such as what the maps say differently.
+
+    Returns:
+      The page, text.
+    """
+    writers = list(dict.fromkeys(writer for panel in panels for writer in sources_of(panel.map, panel.name)))
+    data = {
+        "robots": [
+            {name: getattr(robot, name) for name in ("name", "width_m", "max_step_m", "max_slope_deg")}
+            for robot in robots
+        ],
+        "writers": writers,
+        "notes": list(notes),
+        "panels": [_panel(panel, robots) for panel in panels],
+    }
+    return assembled("station.html", title=plain(title), own_style=assembled("station.css"), data=script_data(data))
+
+
+def _panel(panel: Panel, robots: Sequence[Body]) -> dict[str, Any]:
+    """What the page reads of a map, plain JSON types; ids as keys become text."""
+    btm, index = panel.map, index_of(panel.map)
+    nodes = index.nodes
+    about = {key: value for key, value in btm.attributes.items() if key not in (MERGED_FROM, CONFLICTS)}
+    return {
+        "name": panel.name,
+        "maps": list(panel.maps),
+        "note": panel.note,
+        "attributes": about,
+        "conflicts": btm.attributes.get(CONFLICTS, {}),
+        "nodes": [_node(node, panel) for node in btm.nodes],
+        "links": [_link(link, panel, index) for link in btm.links],
+        "uses": [
+            {
+                "refused": _reasons({link.id: refusals(link, nodes, robot) for link in btm.links}),
+                "barriers": _reasons({node.id: hindrances(node, robot) for node in btm.nodes}),
+            }
+            for robot in robots
+        ],
+    }
+
+
+def _reasons(of: Mapping[int, Sequence[str]]) -> dict[str, list[str]]:
+    return {str(key): list(why) for key, why in of.items() if why}
+
+
+def _item(item: Node | Link, panel: Panel) -> dict[str, Any]:
+    """Fields of a node or link; who wrote it, and what they say differently, apart from the other attributes."""
+    own = dict(item.attributes)
+    told = own.pop(FROM, {panel.name: item.id}) if MERGED_FROM in panel.map.attributes else {panel.name: item.id}
+    return {**vars(item), "from": told, "conflicts": own.pop(CONFLICTS, {}), "attributes": own}
+
+
+def _node(node: Node, panel: Panel) -> dict[str, Any]:
+    bearings, angles = panel.map.bearings_deg(node.id), panel.map.angles_deg(node.id)
+    return {
+        **_item(node, panel),
+        "bearings_deg": bearings,
+        "angles_deg": angles,
+        "unknown": list(unknowns_at(node)),
+    }
+
+
+def _link(link: Link, panel: Panel, index: Index) -> dict[str, Any]:
+    metres, nodes = None if link.end == NOWHERE else length_of(link, index.nodes), index.nodes
+    block = block_of(link)
+    return {
+        **_item(link, panel),
+        "step_m": step_of(link, nodes),
+        "inclination_deg": inclination_of(link, nodes),
+        "blocked": block is not None,
+        "block": None if block is None else vars(block),
+        "called": called(link),
+        "unknown": list(unknowns(link, nodes)),
+        "doubts": list(index.doubts(link)),
+        "metres": metres,
+        "length_mm": None if metres is None else round(metres / UNIT_M),
+    }

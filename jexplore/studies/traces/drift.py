@@ -1,0 +1,278 @@
+"""What drift does to a Behavioral Trace Map, and to the grid map that is drawn from the same odometry."""
+
+import dataclasses
+import os
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from jexplore.config import InputError
+from jexplore.driving import batch
+from jexplore.driving.batch import Driven, numbers_of
+from jexplore.driving.settings import Noise, require_noise
+from jexplore.engine.backend import use_compilation_cache
+from jexplore.studies.traces.job import NOISE, TraceJob, own_values, prepare_trace, with_values
+from jexplore.studies.traces.odometry_map import OdometryMap, occupied_centres, odometry_map
+from jexplore.studies.traces.scans import scans_of
+from jexplore.studies.traces.tracing import table_of
+from jexplore.tracemap.record import BtmMap
+from jexplore.worlds.world import World
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.figure import Figure
+
+AXES: dict[str, tuple[float, ...]] = {
+    "length_scale": (0.9, 0.95, 1.0, 1.05, 1.1),
+    "turn_scale": (0.8, 0.9, 1.0, 1.1, 1.2),
+    "heading_bias_deg_m": (0.0, 1.0, 3.0, 6.0, 10.0),
+    "heading_deg_sqrt_m": (0.5, 2.0, 5.0, 10.0, 20.0),
+    "slip": (0.02, 0.1, 0.2, 0.3, 0.4),
+}
+"""Errors of the odometry, fields of `Noise` -> the values of each that are tried."""
+RANGE_M = 0.01  # range noise of a study, by default
+SCAN_EVERY = 10  # steps between two scans that are drawn
+
+
+@dataclasses.dataclass(frozen=True)
+class Example:
+    """A run whose map is true, and whose grid map is the worst of those."""
+
+    errors: dict[str, float]
+    """Those errors of its odometry that are not the study's own."""
+    run: int
+    map: BtmMap
+    """As it was written."""
+    placed: BtmMap
+    """The same with nodes where they truly lie, and bearings as they truly are."""
+    drawn: OdometryMap
+
+
+@dataclasses.dataclass(frozen=True)
+class Drift:
+    """What `drift` found."""
+
+    plan: TraceJob
+    axes: dict[str, list[float]]
+    """Name of an error -> its values, rising, with that of the study."""
+    runs: "pd.DataFrame"
+    """A row a run: the columns of a trace's table; the errors; `node_error_m`, mean distance of the map's nodes from
+    where they truly lie; `on_wall` and `doubled` of the grid map, see `OdometryMap`."""
+    example: Example | None
+    """None where no map was true."""
+
+    @property
+    def summary(self) -> "pd.DataFrame":
+        """A row for every error and value: see `summarised`."""
+        return summarised(self.runs, self.axes, self.plan.noise)
+
+    def figure(self) -> "Figure":
+        """The three measures over every error; below the example: its grid map, and its map on the true plan."""
+        from jexplore.report.plots import drift as plots
+        from jexplore.studies.traces.recording import wall_lines
+
+        pictures = None
+        if self.example is not None:
+            drawn, cell_m = self.example.drawn, self.example.drawn.map.cell_m
+            what = ", ".join(f"{plots.NAMES.get(name, name)} {value:g}" for name, value in self.example.errors.items())
+            pictures = plots.Pictures(
+                title=what or "no further error",
+                walls=wall_lines(self.plan),
+                cells=occupied_centres(drawn.map),
+                cell_m=cell_m,
+                map=self.example.map,
+                placed=self.example.placed,
+            )
+        return plots.figure(self.summary, pictures)
+
+
+def drift(
+    world: str | os.PathLike[str] | World = "course",
+    *,
+    axes: Mapping[str, Sequence[float]] | None = None,
+    runs: int = 8,
+    noise: Noise | None = None,
+    workers: int | None = None,
+    on_progress: Callable[[int], Any] | None = None,
+    **options: Any,
+) -> Drift:
+    """Lets a robot write its map with an odometry that is wrong in one way after the other, and draws its grid map.
+
+    The grid map is drawn from the scans of the same run, each placed where the robot took itself to be: by encoders,
+    matched scans and nodes met again, as in the Behavioral Trace Map. All runs are one batch of one compiled program.
+
+    Args:
+      world: name or `World`. Structure is judged where there is a true map, as of a course.
+      axes: names of errors, fields of `Noise`, and their values; by default `AXES`. Each varies alone.
+      runs: of every value; run i draws alike with all of them.
+      noise: `Noise` of what does not vary; by default 1 cm of range noise.
+      workers: see `runner.find_resources`.
+      on_progress: called with the number of runs finished so far.
+      **options: see `prepare_trace`; the grid map has cells as large as the world's.
+
+    Returns:
+      `Drift`. After Ctrl-C it holds what was finished.
+
+    Raises:
+      InputError: no such error, no value, or one out of range; else as `prepare_trace`.
+      KeyboardInterrupt: no run has been finished.
+    """
+    noise = noise or Noise(range_m=RANGE_M)
+    if options.get("sweep"):
+        raise InputError("a study of drift varies its axes: sweep thresholds with jx.trace")
+    plan = prepare_trace(world, noise=noise, runs=runs, **options)
+    values, swept = _settings(AXES if axes is None else axes, noise)
+    plan = dataclasses.replace(plan, swept=swept, settings=len(next(iter(swept.values()))))
+    use_compilation_cache()
+    made = _Made(plan, on_progress)
+    tunings, noises = with_values(plan.tuning, plan.noise, {name: v[made.setting] for name, v in swept.items()})
+    n = len(made.which)
+    costs = batch.run_missions(
+        plan.building,
+        numbers_of(plan.robot, n),
+        numbers_of(tunings, n),
+        numbers_of(noises, n),
+        plan.starts_of(made.which),
+        plan.seed,
+        made.which,
+        max_steps=plan.max_steps,
+        size=plan.size,
+        blocks=[(i, 1) for i in range(n)],
+        on_block=made.put,
+        ways=True,
+        workers=workers,
+    ).costs
+    if costs.interrupted and not made.rows:
+        raise KeyboardInterrupt
+    return Drift(plan, values, made.table(), made.example)
+
+
+def _settings(axes, noise):
+    """Values of every error, and what is swept: setting 0 is the study's own noise."""
+    fields = {field.name for field in dataclasses.fields(Noise)}
+    if not axes:
+        raise InputError("axes must name an error or more, got none")
+    values, rows = {}, [{}]
+    for name, given in axes.items():
+        if name not in fields:
+            raise InputError(f"axes must be errors of jx.Noise, {', '.join(sorted(fields))}, got {name!r}")
+        own = float(getattr(noise, name))
+        if not len(given):
+            raise InputError(f"axes: {name} must have a value or more, got none")
+        for value in given:
+            require_noise(dataclasses.replace(noise, **{name: float(value)}))
+        values[name] = sorted({own, *map(float, given)})
+        rows += [{name: value} for value in values[name] if value != own]
+    return values, {f"{NOISE}{name}": np.array([row.get(name, getattr(noise, name)) for row in rows]) for name in axes}
+
+
+class _Made:
+    """What has been found of a study."""
+
+    def __init__(self, plan, on_progress):
+        self.plan, self.on_progress = plan, on_progress
+        # Run 0 of every value, then run 1 of every value: one that is interrupted has some of all.
+        self.setting = np.tile(np.arange(plan.settings), plan.runs)
+        self.which = np.repeat(np.arange(plan.runs, dtype=np.int32), plan.settings)
+        self.rows: dict[int, Any] = {}
+        self.example: Example | None = None
+
+    def put(self, i, result, way):
+        """Takes run i: a `Result` with a leading axis of 1, and its way."""
+        plan, setting, run = self.plan, int(self.setting[i]), int(self.which[i])
+        errors = own_values(plan.swept, setting)
+        row, maps = table_of(plan, result, self.setting[i : i + 1], self.which[i : i + 1], errors)
+        found = maps[0]
+        log = scans_of(plan, way, setting=setting, run=run, every=SCAN_EVERY)
+        drawn = odometry_map(log, plan.world, cell_m=plan.world.cell_m)
+        placed = placed_truly(found, result.node_at[0] + np.asarray(plan.world.origin_m), way, plan.world.origin_m)
+        off_m = [np.hypot(a.x_m - b.x_m, a.y_m - b.y_m) for a, b in zip(found.nodes, placed.nodes)]
+        self.rows[i] = row.assign(node_error_m=float(np.mean(off_m)), on_wall=drawn.on_wall, doubled=drawn.doubled)
+        best = self.example
+        if row["true"].fillna(False).iloc[0] and (best is None or _rank(drawn) > _rank(best.drawn)):
+            other = {name.removeprefix(NOISE): v for name, v in errors.items() if v != plan.swept[name][0]}
+            self.example = Example(other, run, found, placed, drawn)
+        if self.on_progress is not None:
+            self.on_progress(len(self.rows))
+
+    def table(self):
+        """The table of all runs."""
+        import pandas as pd
+
+        table = pd.concat([self.rows[i] for i in sorted(self.rows)])
+        return table.sort_values(["setting", "run"], ignore_index=True)
+
+
+def _rank(drawn):
+    """How broken a grid map is: the larger, the worse."""
+    return np.nan_to_num(drawn.doubled), -np.nan_to_num(drawn.on_wall, nan=1.0)
+
+
+def placed_truly(btm: BtmMap, node_at: np.ndarray, way: Driven, origin_m: tuple[float, float] = (0.0, 0.0)) -> BtmMap:
+    """The map with its nodes where they truly lie: as they lay from the robot when it made them.
+
+    Args:
+      btm: as a run wrote it, `BtmMap`.
+      node_at: `[N, 2]`, where the robot truly was when it made each node, metres, in the world's frame.
+      way: of the run, `Driven`.
+      origin_m: of the world.
+
+    Returns:
+      `BtmMap`, bearings turned likewise.
+    """
+    turns, nodes = {}, []
+    for node, at in zip(btm.nodes, node_at):
+        step = int(np.argmin(np.hypot(*(way.truth[:, :2] + np.asarray(origin_m) - at).T)))
+        true, own = (
+            np.array([*pose[:2] + np.asarray(origin_m), pose[2]]) for pose in (way.truth[step], way.estimate[step])
+        )
+        turn = true[2] - own[2]
+        dx, dy = node.x_m - own[0], node.y_m - own[1]
+        x_m = true[0] + np.cos(turn) * dx - np.sin(turn) * dy
+        y_m = true[1] + np.sin(turn) * dx + np.cos(turn) * dy
+        turns[node.id] = float(np.degrees(turn))
+        nodes.append(dataclasses.replace(node, x_m=float(x_m), y_m=float(y_m)))
+    links = []
+    for link in btm.links:
+        end = None if link.end_bearing_deg is None else link.end_bearing_deg + turns[link.end]
+        start = link.start_bearing_deg + turns[link.start]
+        links.append(dataclasses.replace(link, start_bearing_deg=start, end_bearing_deg=end))
+    return dataclasses.replace(btm, nodes=tuple(nodes), links=tuple(links))
+
+
+def summarised(runs: Any, axes: Mapping[str, Sequence[float]], noise: Noise) -> "pd.DataFrame":
+    """A row for every error and value.
+
+    Args:
+      runs: `Drift.runs`, a pandas DataFrame.
+      axes: `Drift.axes`.
+      noise: the study's own.
+
+    Returns:
+      Columns `error`, `value`, `n` runs; `true`, the share whose map has the true structure, with its 95 % Wilson
+      interval `true_low`, `true_high` (NaN without a truth); of `node_error_m`, `on_wall` and `doubled` the median, and
+      the quartiles as `..._low`, `..._high`. Values without a run are left out.
+    """
+    import pandas as pd
+    from scipy.stats import binomtest
+
+    rows = []
+    for name, values in axes.items():
+        others = [f"{NOISE}{other}" for other in axes if other != name]
+        alone = np.all([runs[other] == getattr(noise, other.removeprefix(NOISE)) for other in others], axis=0)
+        for value in values:
+            some = runs[alone & (runs[f"{NOISE}{name}"] == value)]
+            if not len(some):
+                continue
+            known = some["true"].dropna()
+            row: dict[str, Any] = {"error": name, "value": value, "n": len(some), "true": np.nan}
+            row |= {"true_low": np.nan, "true_high": np.nan}
+            if len(known):
+                low, high = binomtest(int(known.sum()), len(known)).proportion_ci(method="wilson")
+                row |= {"true": float(known.astype(float).mean()), "true_low": low, "true_high": high}
+            for measure in ("node_error_m", "on_wall", "doubled"):
+                low, median, high = np.nanquantile(some[measure], [0.25, 0.5, 0.75])
+                row |= {measure: median, f"{measure}_low": low, f"{measure}_high": high}
+            rows.append(row)
+    return pd.DataFrame(rows)

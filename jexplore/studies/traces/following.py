@@ -1,0 +1,256 @@
+"""Robots that follow routes over a Behavioral Trace Map in the true building, and what they find otherwise there."""
+
+import dataclasses
+import math
+import os
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jexplore.config import MAX_SEED, InputError, require_kind, require_whole
+from jexplore.driving import vehicle
+from jexplore.driving.batch import MAX_STEPS, building_of, numbers_of, outcome_names, pose_in, run_missions
+from jexplore.driving.guide import Guide, guide_of
+from jexplore.driving.settings import Noise, Robot, Tuning, require_noise, require_tuning
+from jexplore.studies import checks
+from jexplore.studies.traces import routes
+from jexplore.studies.traces.job import MOST_STEPS
+from jexplore.tracemap.merging.rigid import apart_deg
+from jexplore.tracemap.passable import FOUND_BY, blocked_for
+from jexplore.tracemap.record import NOWHERE, STATUS, BtmMap, Link
+from jexplore.tracemap.route import Route
+from jexplore.worlds.world import World
+
+SIZE = 32, 64  # most nodes and links of the map that a robot writes on its way
+PLACES = 8  # a guide has room for places in multiples of this
+CLEAR_M = 1.5, 1.0, 2.0, 0.6, 3.0, 0.3  # a robot starts so far along its link: the first that is free
+SAME_DEG = 40.0  # ways that lie no farther apart are one
+ONE_DEG = 20.0  # links of a node that leave it no farther apart are one way: two nodes of a passage
+STEPS_M = 60  # steps that a robot has for each metre of its route
+
+
+@dataclasses.dataclass(frozen=True)
+class Followed:
+    """What `follow` found."""
+
+    table: Any
+    """pandas DataFrame, a row a route: from, to, outcome (ARRIVED, LOST, BLOCKED, ...), length_m by the map, path_m,
+    off_m from where the map has its end, places on it, missed and extra ones, steps, contacts, refused steps, help by
+    the operator."""
+    map: BtmMap
+    """The map with what was found otherwise: ways that it did not have, as un-searched links; links that could not be
+    passed, with the attributes `blocked` and `blocked_for`; each with `found_by`."""
+    changes: tuple[str, ...]
+    """The same in sentences."""
+
+
+def follow(
+    world: str | os.PathLike[str] | World,
+    btm: BtmMap,
+    found: Sequence[Route],
+    robot: str | Robot,
+    *,
+    noise: Noise | None = None,
+    tuning: Tuning | None = None,
+    seed: int = 0,
+    cell_m: float = 0.1,
+    workers: int | None = None,
+    on_progress: Callable[[int], Any] | None = None,
+) -> Followed:
+    """Lets a robot follow routes in the true building.
+
+    It starts on the first link of a route, a little beyond the node, and from there on knows of the map only how the
+    next divergences lie from the last one that it has recognised, how their ways bear and which one to take. It drives
+    as one that explores does. A route ends at its last node, or where the way is as long as the map says if that is no
+    divergence.
+
+    Args:
+      world: name or `World`: the building of the map, in whose frame this must be.
+      btm: the map that the routes are of.
+      found: routes of one link or more, from `jx.route` or `jx.routes`.
+      robot: name or `Robot`.
+      noise, tuning: `Noise`, `Tuning`.
+      seed: of the noise: route i draws as run i does.
+      cell_m: edge of a cell of the world, metres.
+      workers: see `runner.find_resources`.
+      on_progress: called with the number of routes driven so far.
+
+    Returns:
+      `Followed`.
+
+    Raises:
+      InputError: no route, one without a link or of another map, or a start where the robot does not fit.
+    """
+    (world,) = checks.ready_worlds([world], cell_m)
+    body, tuning, noise = _checked(btm, found, robot, tuning, noise)
+    seed = require_whole("seed", seed, 0, MAX_SEED)
+    how = {"workers": workers, "on_progress": on_progress}
+    result = _driven(world, btm, found, body, (tuning, noise), seed, how)
+    changed, told = _changed(btm, found, result, body)
+    return Followed(_table(world, btm, found, result), changed, tuple(told))
+
+
+def _driven(world, btm, found, robot, settings, seed, how):
+    """The `mission.Result` of all routes."""
+    building = building_of(world)
+    begun = [_start(world, building, robot, btm, route) for route in found]
+    guides = _guides(world, btm, found, [metres for _, metres in begun])
+    n, longest = len(found), max(route.length_m for route in found)
+    return run_missions(
+        building,
+        numbers_of(robot, n),
+        numbers_of(settings[0], n),
+        numbers_of(settings[1], n),
+        np.stack([pose for pose, _ in begun]),
+        seed,
+        np.arange(n),
+        guides,
+        max_steps=int(min(max(MAX_STEPS, STEPS_M * longest), MOST_STEPS)),
+        size=SIZE,
+        **how,
+    ).result
+
+
+def _checked(btm, found, robot, tuning, noise):
+    """`(Robot, Tuning, Noise)`, or a refusal."""
+    btm = routes.checked(btm)
+    body = routes.robot_of(robot) if isinstance(robot, str) else robot
+    tuning, noise = tuning or Tuning(), noise or Noise()
+    require_kind("robot", body, Robot)
+    require_tuning(tuning)
+    require_noise(noise)
+    if isinstance(found, (str, Route)) or not all(isinstance(route, Route) for route in found):
+        raise InputError("routes to follow must be a list of jx.Route, such as jx.routes(...)[0]")
+    if not found:
+        raise InputError("expected a route or more, got none")
+    nodes, links = {node.id for node in btm.nodes}, {link.id for link in btm.links}
+    for route in found:
+        if not route.links:
+            raise InputError(f"a route to follow must have a link, got {route!r}")
+        if not (nodes.issuperset(route.nodes) and links.issuperset(route.links)):
+            raise InputError(f"a route to follow must be one of this map, got {route!r}")
+    return body, tuning, noise
+
+
+def _start(world, building, robot, btm, route):
+    """Where a robot that follows a route begins, `[3]` from `pose_in`, and how far from the node, metres."""
+    step = route.steps[0]
+    node = next(node for node in btm.nodes if node.id == step.start)
+    angle = math.radians(step.bearing_deg)
+    device = jax.tree.map(jnp.asarray, building)
+    for metres in CLEAR_M:
+        if metres <= max(step.length_m / 2, CLEAR_M[-1]):
+            x_m, y_m = node.x_m + metres * math.cos(angle), node.y_m + metres * math.sin(angle)
+            pose = pose_in(world, (x_m, y_m, step.bearing_deg))
+            if not bool(vehicle.touches(device, robot, jnp.asarray(pose))):
+                return pose, metres
+    raise InputError(f"{robot.name} does not fit on link {step.link} beside node {step.start}")
+
+
+def _guides(world, btm, found, begun):
+    """`Guide` of arrays, one a route; `begun` is how far robots start from the node."""
+    nodes = {node.id: node for node in btm.nodes}
+    made = []
+    for route, start_m in zip(found, begun):
+        at = nodes[route.nodes[0]]
+        node_xy = at.x_m - world.origin_m[0], at.y_m - world.origin_m[1]
+        out, ways, leg, length_m, gone = [], [], [], [], 0.0
+        for step, on in zip(route.steps, [*route.steps[1:], None]):
+            gone += step.length_m
+            node = nodes[step.end]
+            if node.type == "divergence":
+                out.append(math.radians(on.bearing_deg if on else 0.0))
+                ways.append(_ways(btm, step.end))
+                leg.append((node.x_m - at.x_m, node.y_m - at.y_m))
+                length_m.append(gone)
+                at, gone = node, 0.0
+        made.append((out, ways, leg, length_m, {"tail_m": gone, "node_xy": node_xy, "start_m": start_m}))
+    size = max(-(-max(len(out) for out, *_ in made) // PLACES), 1) * PLACES
+    return jax.tree.map(lambda *a: np.stack(a), *(guide_of(*of, **more, size=size) for *of, more in made))
+
+
+def _ways(btm, node):
+    """Bearings of the ways of a node, radians."""
+    found = []
+    for bearing in btm.bearings_deg(node):
+        if all(abs(apart_deg(bearing, other)) > ONE_DEG for other in found):
+            found.append(bearing)
+    return [math.radians(bearing) for bearing in found]
+
+
+def _table(world, btm, found, result):
+    import pandas as pd
+
+    places = {node.id: (node.x_m, node.y_m) for node in btm.nodes}
+    ends = np.array([places[route.nodes[-1]] for route in found])
+    off_m = np.hypot(*(result.end[:, :2] + np.asarray(world.origin_m) - ends).T)
+
+    guide: Guide = result.guide
+    names = ["BLOCKED" if blocked else name for name, blocked in zip(outcome_names(result), guide.blocked)]
+    return pd.DataFrame(
+        {
+            "from": [route.start for route in found],
+            "to": [route.end for route in found],
+            "outcome": names,
+            "length_m": [route.length_m for route in found],
+            "path_m": result.path_m,
+            "off_m": off_m,
+            "places": guide.count,
+            "missed": guide.missed,
+            "extra": guide.extra,
+            "steps": result.steps,
+            "contacts": result.contacts,
+            "refused": result.refused,
+            "interventions": result.interventions,
+            "drift_m": result.drift_m,
+        }
+    )
+
+
+# What is otherwise
+
+
+def _changed(btm, found, result, robot):
+    """The map with what was found otherwise, and sentences."""
+    links = {link.id: link for link in btm.links}
+    told, count = [], max(links, default=-1) + 1
+    for i, route in enumerate(found):
+        if result.guide.blocked[i]:
+            link = _ahead(btm, route, int(result.guide.at[i]))
+            own = {**links[link].attributes, **blocked_for(robot), FOUND_BY: robot.name}
+            links[link] = dataclasses.replace(links[link], attributes=own)
+            told.append(f"link {link} could not be passed by {robot.name}")
+        for node, bearing in _new_ways(btm, route, result.guide.seen[i]):
+            there = [_bearing(link, node) for link in links.values() if node in (link.start, link.end)]
+            if all(abs(apart_deg(bearing, own)) > SAME_DEG for own in there if own is not None):
+                links[count] = Link(count, node, NOWHERE, STATUS[0], bearing, attributes={FOUND_BY: robot.name})
+                told.append(f"node {node} has a way at {bearing:.0f} degrees that the map did not have")
+                count += 1
+    return dataclasses.replace(btm, links=tuple(links.values())), told
+
+
+def _places(btm, route):
+    """The divergences on a route, with the step that leads to each: a list."""
+    types = {node.id: node.type for node in btm.nodes}
+    return [step for step in route.steps if types[step.end] == "divergence"]
+
+
+def _ahead(btm, route, at):
+    """The link on which a robot is that has passed so many places: the first one after the last of them."""
+    passed = [step.end for step in _places(btm, route)][:at]
+    first = 1 + max((i for i, step in enumerate(route.steps) if passed and step.end == passed[-1]), default=-1)
+    return route.steps[min(first, len(route.steps) - 1)].link
+
+
+def _new_ways(btm, route, seen):
+    """Ways that were found at the places of a route: pairs of a node and a bearing, degrees."""
+    for step, ways in zip(_places(btm, route), seen):
+        for bearing in ways[np.isfinite(ways)]:
+            yield step.end, math.degrees(float(bearing)) % 360.0
+
+
+def _bearing(link, node):
+    return link.start_bearing_deg if link.start == node else link.end_bearing_deg

@@ -1,0 +1,215 @@
+"""Routes over a Behavioral Trace Map for robots other than the one that wrote it: one, or many at a time."""
+
+import dataclasses
+import math
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+
+from jexplore.config import InputError, require_kind, require_number, shown
+from jexplore.driving.settings import Robot, require_robot
+from jexplore.studies.traces.job import robot_of
+from jexplore.tracemap.passable import hindrances, refusals
+from jexplore.tracemap.record import NOWHERE, BtmMap, Link, check
+from jexplore.tracemap.route import Index, Route, Sheet, index_of
+from jexplore.tracemap.shortest import Problem, walks
+
+Place = int | str | tuple[float, float]
+UNSEARCHED = "unsearched"
+"""The place to go to that is the nearest un-searched link."""
+WITHIN_M = 2.0
+
+
+def route(
+    btm: BtmMap,
+    robot: str | Robot,
+    start: Place,
+    end: Place,
+    *,
+    known_only: bool = False,
+    within_m: float = WITHIN_M,
+) -> Route:
+    """The shortest way over links that a robot may use.
+
+    Args:
+      btm: the map, such as `jx.read_btm("btm.json")`.
+      robot: name, also with other measures: `wheeled`, `kamui:width_m=0.6`; or `Robot`.
+      start: a node's id, or `(x, y)`, metres, for the nearest node; both also as text, `"4"` and `"12.5,4"`.
+      end: the same; or `"unsearched"`, the un-searched link that is nearest to go to.
+      known_only: whether links with unknown measures are refused; else they are told in `Route.unknown`.
+      within_m: farthest that a node may lie from a place.
+
+    Returns:
+      `Route`; of equal lengths, in whole millimetres, the one with the fewest links, then with the lowest ids in order.
+
+    Raises:
+      InputError: not a proper map, no such robot or node, no node near the place.
+    """
+    return routes(btm, [robot], [(start, end)], known_only=known_only, within_m=within_m)[0][0]
+
+
+def routes(
+    btm: BtmMap,
+    robots: Sequence[str | Robot],
+    pairs: Iterable[tuple[Place, Place]],
+    *,
+    known_only: bool = False,
+    within_m: float = WITHIN_M,
+) -> list[list[Route]]:
+    """The routes of many robots between many pairs of places, side by side.
+
+    Robots that may use the same of the map are one problem.
+
+    Args:
+      btm: the map.
+      robots: as in `route`.
+      pairs: `(start, end)`, as in `route`.
+      known_only, within_m: as in `route`.
+
+    Returns:
+      A list for every robot, of a `Route` for every pair.
+
+    Raises:
+      InputError: as `route`.
+    """
+    btm = checked(btm)
+    require_number("within_m", within_m)
+    if isinstance(robots, (str, Robot)):
+        raise InputError(f"robots must be a list, got {shown(robots)}")
+    bodies = [_robot(robot) for robot in robots]
+    pairs = list(pairs)
+    if not all(isinstance(pair, (tuple, list)) and len(pair) == 2 for pair in pairs):
+        raise InputError(f"pairs must be pairs of places, (start, end), got {shown(pairs)}")
+    index = index_of(btm)
+    asked = [(_node(index, start, "from", within_m), _goal(index, end, within_m)) for start, end in pairs]
+    if not asked:
+        return [[] for _ in bodies]
+    sheet = Sheet(index)
+    uses = [_use_of(index, body, known_only) for body in bodies]
+    problems = list(dict.fromkeys(use.problem for use in uses))
+    found: list[list[Route]] = [[] for _ in uses]
+    for problem, ways in zip(problems, walks(index, problems, asked)):
+        for i, use in enumerate(uses):
+            if use.problem == problem:
+                found[i] = [_made(sheet, use, pair, walk) for pair, walk in zip(asked, ways)]
+    return found
+
+
+def checked(btm: BtmMap) -> BtmMap:
+    """The map with plain values.
+
+    Raises:
+      InputError: it is no proper map, or one without a node.
+    """
+    if not isinstance(btm, BtmMap):
+        raise InputError(f'btm must be a jx.BtmMap, such as jx.read_btm("btm.json"), got {shown(btm)}')
+    btm = check(btm)
+    if not btm.nodes:
+        raise InputError("the map has no node: there is nowhere to go")
+    return btm
+
+
+@dataclasses.dataclass(frozen=True)
+class _Use:
+    """What a robot may use of a map."""
+
+    robot: Robot
+    refused: tuple[tuple[int, tuple[str, ...]], ...]  # links with reasons, by id, un-searched ones included
+    refused_ways: tuple[tuple[int, tuple[str, ...]], ...]  # searched ones only
+    barriers: tuple[tuple[int, tuple[str, ...]], ...]  # nodes with reasons
+    open: dict[int, Link]  # node -> the first un-searched link there that it may follow, by id
+    problem: Problem
+
+
+def _use_of(index, robot, known_only):
+    links = [index.links[own] for own in sorted(index.links)]
+    why = {link.id: refusals(link, index.nodes, robot, known_only=known_only) for link in links}
+    at = {own: hindrances(index.nodes[own], robot, known_only=known_only) for own in sorted(index.nodes)}
+    refused, barriers = (tuple((own, reasons) for own, reasons in of.items() if reasons) for of in (why, at))
+    ways = tuple(one for one in refused if index.links[one[0]].end != NOWHERE)
+    stubs = {link.start: link for link in reversed(links) if link.end == NOWHERE and not why[link.id]}
+    problem = Problem(frozenset(dict(ways)), frozenset(dict(barriers)), frozenset(stubs))
+    return _Use(robot, refused, ways, barriers, stubs, problem)
+
+
+def _robot(robot):
+    if isinstance(robot, str):
+        return robot_of(robot)
+    require_kind("robot", robot, Robot)
+    require_robot(robot)
+    return robot
+
+
+def _goal(index: Index, place: Place, within_m: float) -> int | None:
+    return None if isinstance(place, str) and place == UNSEARCHED else _node(index, place, "to", within_m)
+
+
+def _node(index: Index, place: Place, name: str, within_m: float) -> int:
+    """The id of the node that is meant."""
+    ids = index.nodes
+    numbers = _numbers(place)
+    if numbers is None:
+        also = f", or {UNSEARCHED}" if name == "to" else ""
+        raise InputError(f"{name} must be a node's id or X,Y in metres{also}, got {shown(place)}")
+    if len(numbers) == 1:
+        if numbers[0] not in ids:
+            raise InputError(f"{name}: there is no node {numbers[0]}: the map has nodes {min(ids)} to {max(ids)}")
+        return int(numbers[0])
+    away, nearest = min((math.dist(numbers, (node.x_m, node.y_m)), node.id) for node in ids.values())
+    if away > within_m:
+        at = ",".join(f"{number:g}" for number in numbers)
+        raise InputError(f"{name}: the node nearest to {at} is {nearest}, {away:.2f} m away, more than {within_m:g} m")
+    return nearest
+
+
+def _numbers(place):
+    """A place as a tuple of one whole number or two numbers; None for anything else."""
+    try:
+        if isinstance(place, str):
+            parts = place.split(",")
+            found = (int(place),) if len(parts) == 1 else tuple(map(float, parts))
+        elif isinstance(place, (int, np.integer)):
+            found = () if isinstance(place, bool) else (int(place),)
+        else:
+            found = tuple(map(float, place))
+            found = found if len(found) == 2 else ()
+    except (TypeError, ValueError, OverflowError):
+        return None
+    return found if 1 <= len(found) <= 2 and all(map(math.isfinite, found)) else None
+
+
+def _made(sheet, use, pair, walk):
+    """The `Route` of a robot, from its way or None."""
+    (start, goal), seeks = pair, pair[1] is None
+    about = {"robot": use.robot.name, "start": start, "barriers": use.barriers}
+    about["refused"] = use.refused if seeks else use.refused_ways
+    if walk is None:
+        none = {"nodes": (), "links": (), "steps": (), "onward": None, "unknown": (), "length_m": math.inf}
+        return Route(end=goal, trouble=_trouble(sheet, use, start, goal), **none, **about)
+    nodes, links = walk
+    last = (use.open[nodes[-1]].id,) if seeks else ()
+    steps = sheet.steps(nodes, (*links, *last))
+    return Route(
+        end=nodes[-1],
+        nodes=nodes,
+        links=links,
+        length_m=math.fsum(map(sheet.length_m.__getitem__, links)),
+        steps=steps[: len(links)],
+        onward=steps[-1] if last else None,
+        unknown=sheet.unknown((*links, *last), nodes[1:] if last else nodes[1:-1]),
+        trouble="",
+        **about,
+    )
+
+
+def _trouble(sheet, use, start, goal):
+    """Why there is no way: a sentence."""
+    part = sheet.part
+    if goal is not None and part[goal] == part[start]:
+        return f"{use.robot.name} cannot get from node {start} to node {goal}"
+    if goal is not None:
+        return f"nodes {start} and {goal} lie in parts of the map that no link joins"
+    if part[start] in sheet.parts_with_stubs:
+        return f"{use.robot.name} can get from node {start} to no un-searched link"
+    apart = f"node {start} and the un-searched links lie in parts of the map that no link joins"
+    return apart if sheet.parts_with_stubs else "the map has no un-searched link"

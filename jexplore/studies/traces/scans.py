@@ -1,0 +1,78 @@
+"""What the scanner that looks ahead said along the way of a run that wrote a Behavioral Trace Map."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jexplore.driving import vehicle
+from jexplore.driving.batch import Driven, numbers_of
+from jexplore.studies.traces.job import TraceJob, own_values, with_values
+from jexplore.worlds.readers.scans import ScanLog
+
+EVERY = 5  # steps between two scans of a log: 0.2 m of way
+TOGETHER = 64  # scans that are made in one call
+
+
+def scans_of(plan: TraceJob, way: Driven, *, setting: int = 0, run: int = 0, every: int = EVERY) -> ScanLog:
+    """Scans of a run, as they were measured, noise included.
+
+    Args:
+      plan: `TraceJob`.
+      way: of the run, `Driven`.
+      setting, run: its numbers; together they make its noise.
+      every: steps between two scans.
+
+    Returns:
+      `ScanLog` in the world's frame: `poses` are true, `odometry` is where the robot took itself to be: odometry,
+      corrected by scans and at nodes met again. Readings are distances in the plane; 0 where there is none, or where a
+      beam has met ground.
+    """
+    steps = np.arange(0, len(way.truth), every)
+    ranges = measured(plan, steps, way.truth[steps], setting=setting, run=run)
+    ranges = np.where(np.isnan(ranges), 0.0, np.minimum(ranges, vehicle.RANGE_M)).astype(np.float64)
+    origin = np.array([*plan.world.origin_m, 0.0])
+    return ScanLog(
+        poses=way.truth[steps] + origin,
+        odometry=way.estimate[steps] + origin,
+        ranges=ranges,
+        angles_rad=vehicle.ANGLES_RAD.astype(np.float64),
+        times=vehicle.DT_S * steps,
+        max_range_m=vehicle.RANGE_M,
+    )
+
+
+def measured(plan: TraceJob, steps: np.ndarray, poses: np.ndarray, *, setting: int = 0, run: int = 0) -> np.ndarray:
+    """What the scanner said in some steps of a run, in the plane, see `vehicle.levelled`.
+
+    Args:
+      plan: `TraceJob`.
+      steps: `[n]` int.
+      poses: `[n, 3]` float32, where the robot truly was in these, in the building.
+      setting, run: numbers of the run.
+
+    Returns:
+      `[n, B]` float32, metres; inf: no return; NaN: no reading, or ground.
+    """
+    _, noise = with_values(plan.tuning, plan.noise, own_values(plan.swept, setting))
+    settings: list[Any] = [jax.tree.map(lambda a: a[0], numbers_of(record, 1)) for record in (plan.robot, noise)]
+    key = jax.random.fold_in(jax.random.key(np.uint32(plan.seed)), run)
+    building, found = jax.device_put(plan.building), []
+    for first in range(0, len(steps), TOGETHER):
+        own = steps[first : first + TOGETHER], poses[first : first + TOGETHER]
+        lack = TOGETHER - len(own[0])
+        some = np.pad(own[0], (0, lack), "edge"), np.pad(own[1], ((0, lack), (0, 0)), "edge")
+        found.append(np.asarray(_measured(key, building, *settings, some))[: TOGETHER - lack])
+    return np.concatenate(found)
+
+
+@jax.jit
+def _measured(key, building, robot, noise, steps_and_poses):
+    def one(of):
+        step, pose = of
+        body = vehicle.at_rest(building, robot, pose)
+        senses = vehicle.sense(vehicle.draw(jax.random.fold_in(key, step)), building, robot, noise, body)
+        return vehicle.levelled(senses, robot)[0].ranges_m
+
+    return jax.lax.map(one, jax.tree.map(jnp.asarray, steps_and_poses))

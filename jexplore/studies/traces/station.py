@@ -1,0 +1,135 @@
+"""A station: the Behavioral Trace Maps of several robots as one page for an operator.
+
+Plain Python: importing this loads neither jax nor numpy.
+"""
+
+from collections.abc import Sequence
+
+from jexplore.config import InputError, require_kind
+from jexplore.driving.settings import ROBOTS
+from jexplore.report.page.station import Panel, station_page
+from jexplore.tracemap.merging import notes
+from jexplore.tracemap.merging.match import Merging, match
+from jexplore.tracemap.merging.merge import Merged, merge_maps
+from jexplore.tracemap.merging.rigid import Move
+from jexplore.tracemap.record import BtmMap, check
+
+FAR_M = 1e6  # what a map says in metres is less
+TOGETHER = "global map"
+WHY = {
+    Merging.NOT_ENOUGH_IN_COMMON: "it has not enough in common with the other maps",
+    Merging.AMBIGUOUS: "it could be laid on the other maps in more than one way",
+}
+"""Why a map stands apart from a global map."""
+NONE = {
+    Merging.NOT_ENOUGH_IN_COMMON: "no two of the maps have enough in common",
+    Merging.AMBIGUOUS: "the maps could be laid on each other in more than one way",
+}
+"""Why there is no global map."""
+
+
+def station(maps: Sequence[BtmMap], names: Sequence[str] | None = None, *, title: str | None = None) -> str:
+    """Maps of robots as one HTML file that works without a network: the maps drawn, and routes over them.
+
+    Maps that fit are merged as by `merge_maps`; those that do not stand beside the global map, each in its own frame.
+
+    Args:
+      maps: one or more, such as `jx.read_btm("btm.json")`.
+      names: of the maps; by default their numbers, from "0".
+      title: of the page; by default the names.
+
+    Returns:
+      The page, text, plain ASCII.
+
+    Raises:
+      InputError: no map, names that are not as many or not different, or an improper map.
+    """
+    panels, said = panels_of(maps, names)
+    return page_of(panels, said, title)
+
+
+def page_of(panels: Sequence[Panel], said: Sequence[str], title: str | None = None) -> str:
+    """The page of what `panels_of` found."""
+    names = [name for panel in panels for name in panel.maps]
+    return station_page(title or f"Station: {', '.join(names)}", panels, list(ROBOTS.values()), said)
+
+
+def panels_of(maps: Sequence[BtmMap], names: Sequence[str] | None = None) -> tuple[list[Panel], list[str]]:
+    """Maps merged as far as they fit.
+
+    Args:
+      maps, names: as of `station`.
+
+    Returns:
+      Panels, the map that most maps are in first; and what merged maps say differently, sentences: attributes, and
+      ways of one place that lead elsewhere.
+
+    Raises:
+      InputError: as `station`.
+    """
+    names = [str(i) for i in range(len(maps))] if names is None else list(names)
+    if not maps:
+        raise InputError("station: expected one map or more, got none")
+    if len(names) != len(maps) or not all(isinstance(name, str) for name in names) or len(set(names)) < len(names):
+        raise InputError(f"expected a name of its own for each of {len(maps)} maps, got {names!r}")
+    given = {}
+    for name, btm in zip(names, maps):
+        require_kind("a map", btm, BtmMap)
+        given[name] = check(btm)
+        _require_near(given[name], name)
+        _require_sources(given[name], name)
+    if len(given) == 1:
+        return [Panel(name, btm, (name,)) for name, btm in given.items()], [
+            line for btm in given.values() for line in notes.conflicts(btm)
+        ]
+    return _panels(given)
+
+
+def _panels(given):
+    """The same of two maps or more, by name."""
+    groups, left, outcome = [], given, Merging.MERGED
+    while len(left) > 1:
+        found = merge_maps(list(left.values()), list(left))
+        outcome = found.outcome
+        if len(found.moves) < 2:
+            break
+        groups.append(found)
+        left = {name: left[name] for name in found.left}
+    main = groups[0].map if groups else None
+    panels = [_joined(found, given, main) for found in groups]
+    for name, btm in left.items():
+        why = NONE[outcome] if main is None else WHY[_outcome(main, btm)]
+        panels.append(Panel(name, btm, (name,), f"Stands apart: {why}."))
+    said = [line for found in groups for line in found.notes]
+    return panels, said + [line for btm in left.values() for line in notes.conflicts(btm)]
+
+
+def _joined(found: Merged, given, main):
+    maps = tuple(name for name in given if name in found.moves)
+    note = f"In the frame of {next(name for name, move in found.moves.items() if move == Move())}."
+    if found.map is main:
+        return Panel(TOGETHER, found.map, maps, note)
+    return Panel(" and ".join(maps), found.map, maps, f"Stands apart: {WHY[_outcome(main, found.map)]}. {note}")
+
+
+def _outcome(main, btm):
+    """Why a map is no part of another. Where it would fit alone, the maps that it is one with do not."""
+    outcome = match(main, btm).outcome
+    return outcome if outcome in WHY else Merging.NOT_ENOUGH_IN_COMMON
+
+
+def _require_near(btm, name):
+    """Refuse numbers that no drawing and no sum of lengths holds."""
+    found = [(f"node {node.id}", value) for node in btm.nodes for value in (node.x_m, node.y_m)]
+    found += [(f"link {link.id}", link.length_m or 0.0) for link in btm.links]
+    for what, value in found:
+        if not abs(value) < FAR_M:
+            raise InputError(f"{name}: {what}: expected places and lengths below {FAR_M / 1000:g} km, got {value:g} m")
+
+
+def _require_sources(btm, name):
+    """Refuse what merging could not have written about who says what."""
+    sources = btm.attributes.get(notes.MERGED_FROM, [])
+    if not (isinstance(sources, list) and all(isinstance(source, str) for source in sources)):
+        raise InputError(f"{name}: {notes.MERGED_FROM} must be a list of names, got {sources!r}")
+    notes.stripped(btm, name)

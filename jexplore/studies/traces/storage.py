@@ -1,0 +1,151 @@
+"""How many bytes a building takes as a Behavioral Trace Map, as a packed grid and as a pose graph."""
+
+import json
+import math
+import os
+import zlib
+
+import numpy as np
+from scipy import ndimage
+
+from jexplore.driving.vehicle import BEAMS
+from jexplore.extraction.extract import extract
+from jexplore.grid import is_known, is_occupied
+from jexplore.report.store import jsonable
+from jexplore.studies import checks
+from jexplore.tracemap.json_form import to_json
+from jexplore.tracemap.record import NODE_TYPES, NOWHERE, OBSTACLES, STATUS, BtmMap
+from jexplore.worlds.readers.scans import ScanMap
+from jexplore.worlds.world import World
+
+CELLS_A_BYTE = 4  # two bits a cell: unknown, free, occupied
+POSE_EVERY_M = 1.0  # a pose graph has a pose for so much way, with a scan
+POSE_BYTES = 3 * 4  # x, y, heading, float32
+EDGE_BYTES = 2 * 4 + 3 * 4 + 6 * 4  # two poses, the motion between, the upper half of its information, float32
+P_FREE = 0.25  # largest reflection probability of a free cell
+READING_BYTES = 2  # a range in whole millimetres
+UNKNOWN = -1  # of a measure in a packed record
+_NODE = (("x", "<i2"), ("y", "<i2"), ("type", "i1"), ("inclination", "i1"), ("step", "i1"), ("posture", "i1"))
+_LINK = (
+    *(("start", "<u2"), ("end", "<i2"), ("status", "i1"), ("start_bearing", "<i2"), ("end_bearing", "<i2")),
+    *(("length", "<i2"), ("width", "i1"), ("opening", "i1"), ("step", "i1"), ("posture", "i1"), ("roll", "i1")),
+)
+
+
+def storage(
+    world: str | os.PathLike[str] | World,
+    btm: BtmMap | None = None,
+    *,
+    drawn: ScanMap | None = None,
+    cell_m: float = 0.1,
+) -> dict[str, int]:
+    """Bytes that a building takes in several forms.
+
+    Args:
+      world: name or `World`.
+      btm: its map; by default the true one of a course, else what is read off the finished plan, see
+        `extraction.extract`.
+      drawn: a grid map from scans; by default the finished plan, whose straight walls compress better.
+      cell_m: edge of a cell, metres.
+
+    Returns:
+      Name -> bytes: `btm_json`, without spaces; `btm_packed`, see `packed`; `grid_packed`, two bits a cell of the
+      building's bounding box; `pose_graph`, a pose with a scan and an edge to the next for every metre of searched
+      link, and an edge for every link that closes a way round. `_zlib` behind the first three: compressed.
+
+    Raises:
+      InputError: no such world.
+    """
+    (world,) = checks.ready_worlds([world], cell_m)
+    free = ~world.occupied
+    if btm is None:
+        btm = extract(free, np.ones_like(free), world.cell_m) if world.course is None else world.course.topology
+    text = json.dumps(jsonable(to_json(btm)), separators=(",", ":")).encode()
+    forms = {
+        "btm_json": text,
+        "btm_packed": packed(btm),
+        "grid_packed": _grid(_plan(world) if drawn is None else _drawn(drawn)),
+    }
+    found = {name: len(data) for name, data in forms.items()}
+    found |= {f"{name}_zlib": len(zlib.compress(data, 9)) for name, data in forms.items()}
+    return {**found, "pose_graph": _pose_graph(btm)}
+
+
+def packed(btm: BtmMap) -> bytes:
+    """The map as two arrays of records, one behind the other: 8 bytes a node, 16 a link, without attributes.
+
+    Places, lengths and bearings are whole centimetres and degrees of 16 bits, widths and openings decimetres, steps
+    centimetres and inclinations degrees of 8 bits; a type and its obstacle are one number, so are status and a link
+    that is `blocked`. What a byte cannot hold is its largest number.
+    """
+    x_m, y_m = (min((getattr(node, name) for node in btm.nodes), default=0.0) for name in ("x_m", "y_m"))
+    place = {node.id: i for i, node in enumerate(btm.nodes)} | {NOWHERE: NOWHERE}
+    nodes = [
+        (
+            *(_whole(node.x_m - x_m, 100, 2), _whole(node.y_m - y_m, 100, 2)),
+            NODE_TYPES.index(node.type) + (len(NODE_TYPES) * OBSTACLES.index(node.obstacle) if node.obstacle else 0),
+            *(_whole(node.inclination_deg, 1), _whole(node.step_m, 100), _whole(node.posture_deg, 1)),
+        )
+        for node in btm.nodes
+    ]
+    links = [
+        (
+            *(place[link.start], place[link.end]),
+            STATUS.index(link.status) + len(STATUS) * bool(link.attributes.get("blocked")),
+            *(_whole(link.start_bearing_deg, 1, 2), _whole(link.end_bearing_deg, 1, 2), _whole(link.length_m, 100, 2)),
+            *(_whole(link.min_width_m, 10), _whole(link.opening_m, 10), _whole(link.max_step_m, 100)),
+            *(_whole(link.posture_deg, 1), _whole(link.max_roll_deg, 1)),
+        )
+        for link in btm.links
+    ]
+    return np.array(nodes, list(_NODE)).tobytes() + np.array(links, list(_LINK)).tobytes()
+
+
+def _whole(value, scale, size=1):
+    """A measure as a whole number of so many bytes."""
+    return UNKNOWN if value is None else min(round(value * scale), 2 ** (8 * size - 1) - 1)
+
+
+def _plan(world):
+    """States of cells of the finished plan: 0 unknown, 1 free, 2 occupied and beside a free one."""
+    free = ~world.occupied
+    beside = ndimage.binary_dilation(free, np.ones((3, 3), bool))
+    return np.where(free, 1, np.where(beside, 2, 0)).astype(np.uint8)
+
+
+def _drawn(drawn):
+    """States of cells of a `ScanMap`, likewise."""
+    known, occupied = is_known(drawn.grid), is_occupied(drawn.grid, P_FREE)
+    return np.asarray(known).astype(np.uint8) + np.asarray(occupied)
+
+
+def _grid(states):
+    """Two bits a cell of the bounding box of what is known."""
+    seen = np.argwhere(states)
+    (top, left), (bottom, right) = seen.min(axis=0), seen.max(axis=0) + 1
+    flat = states[top:bottom, left:right].reshape(-1)
+    four = np.pad(flat, (0, -len(flat) % CELLS_A_BYTE)).reshape(-1, CELLS_A_BYTE)
+    return (four << np.array([0, 2, 4, 6], np.uint8)).sum(axis=1).astype(np.uint8).tobytes()
+
+
+def _pose_graph(btm):
+    """Bytes of poses, one scan each, and edges."""
+    searched = [link for link in btm.links if link.end != NOWHERE]
+    way_m = sum(link.length_m or 0.0 for link in searched)
+    poses = 1 + math.ceil(way_m / POSE_EVERY_M)
+    rounds = len(searched) - len(btm.nodes) + _parts(btm, searched)
+    return poses * (POSE_BYTES + READING_BYTES * BEAMS) + (poses - 1 + rounds) * EDGE_BYTES
+
+
+def _parts(btm, searched):
+    """How many parts of a map are not connected."""
+    part = {node.id: node.id for node in btm.nodes}
+
+    def root(node):
+        while part[node] != node:
+            node = part[node]
+        return node
+
+    for link in searched:
+        part[root(link.start)] = root(link.end)
+    return len({root(node) for node in part})

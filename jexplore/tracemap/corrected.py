@@ -1,0 +1,105 @@
+"""What the odometry says along the links of a map, laid out so that nothing is torn where a run came back."""
+
+import dataclasses
+import math
+
+import jax
+import numpy as np
+
+from jexplore.arrays.padding import bucket
+from jexplore.arrays.pose_graph import settle
+from jexplore.config import InputError
+from jexplore.tracemap.record import NOWHERE, BtmMap, Link, check, direction_deg
+
+FRAME = "map"  # of a corrected map
+PLACE = 0.1, 0.03  # standard deviation of a move along a link: metres, and so much of its length besides
+TURN_DEG = 2.0  # of how far the frame of one end is turned against that of the other
+
+
+def correct_map(btm: BtmMap) -> BtmMap:
+    """The map with places and bearings that fit what the odometry said along all links as well as possible.
+
+    While a robot drives, it takes a place that it has been at for where it was; what the odometry has gathered until
+    then stays in the last links. Here every link takes a share. The first node stays where it is, and so do parts of
+    the map of which nothing is known but their places. A scale that is wrong everywhere stays wrong.
+
+    Args:
+      btm: a map whose searched links have the attribute `moved`, as those of runs do: x, y, metres, from the first node
+        to the other in the first's frame; how far the other's frame is turned, degrees, where that is known.
+
+    Returns:
+      `BtmMap`, its attribute `frame` is `map`.
+
+    Raises:
+      InputError: not a proper map, there are searched links and none has the attribute, or one is none.
+    """
+    btm = check(btm)
+    place, _ = laid_out(btm, moves(btm))
+    turn_deg = {node.id: math.degrees(place[i][2]) for i, node in enumerate(btm.nodes)}
+    nodes = (dataclasses.replace(node, x_m=float(x_m), y_m=float(y_m)) for node, (x_m, y_m, _) in zip(btm.nodes, place))
+    links = (_turned(link, turn_deg) for link in btm.links)
+    return dataclasses.replace(
+        btm, nodes=tuple(nodes), links=tuple(links), attributes={**btm.attributes, "frame": FRAME}
+    )
+
+
+def moves(btm: BtmMap) -> list[tuple[int, int, list[float]]]:
+    """What the odometry says: of every searched link that has it its first node, the other, and `moved`.
+
+    Raises:
+      InputError: there are searched links and none has the attribute, or one is not two or three numbers.
+    """
+    found = [(link.start, link.end, _moved(link)) for link in btm.links if link.end != NOWHERE]
+    found = [(start, end, moved) for start, end, moved in found if moved is not None]
+    if not found and any(link.end != NOWHERE for link in btm.links):
+        raise InputError("to correct a map its links must have the attribute moved, as those of a run have; none has")
+    return found
+
+
+def laid_out(btm: BtmMap, moves: list[tuple[int, int, list[float]]]) -> tuple[np.ndarray, np.ndarray]:
+    """Places that fit moves between nodes best.
+
+    Args:
+      btm: the map.
+      moves: from which node to which, ids, and `[x_m, y_m]` or `[x_m, y_m, turn_deg]`.
+
+    Returns:
+      `(pose, misfit)`: `[n, 3]` float32, x, y, metres, and how far the frame of every node is turned, radians;
+        `[m, 3]` float32, of every move, in standard deviations.
+    """
+    n, m, row = len(btm.nodes), len(moves), {node.id: i for i, node in enumerate(btm.nodes)}
+    pose = np.zeros((bucket(n), 3), np.float32)
+    pose[:n, :2] = np.reshape([(node.x_m, node.y_m) for node in btm.nodes], (n, 2))
+    ends, moved = np.full((bucket(m), 2), -1, np.int32), np.zeros((bucket(m), 3), np.float32)
+    spread = np.full((bucket(m), 2), np.inf, np.float32)
+    for i, (start, end, (x_m, y_m, *turn_deg)) in enumerate(moves):
+        ends[i], moved[i] = (row[start], row[end]), (x_m, y_m, math.radians(sum(turn_deg)))
+        spread[i] = PLACE[0] + PLACE[1] * math.hypot(x_m, y_m), math.radians(TURN_DEG) if turn_deg else np.inf
+    found = jax.jit(settle)(pose, ends, moved, spread)
+    return np.asarray(found.pose)[:n], np.asarray(found.misfit)[:m]
+
+
+def _moved(link):
+    moved = link.attributes.get("moved")
+    if moved is None:
+        return None
+    is_list = isinstance(moved, list) and len(moved) in (2, 3)
+    if not (is_list and all(isinstance(value, (int, float)) and not isinstance(value, bool) for value in moved)):
+        raise InputError(
+            f"link {link.id}: the attribute moved must be [x_m, y_m] or [x_m, y_m, turn_deg], got {moved!r}"
+        )
+    return moved
+
+
+def _turned(link: Link, turn_deg) -> Link:
+    """A link with the bearings that it has once the frames of its nodes are turned."""
+    end_deg = None
+    if link.end_bearing_deg is not None:
+        end_deg = _signed(link.end_bearing_deg + turn_deg[link.end])
+    start_deg = _signed(link.start_bearing_deg + turn_deg[link.start])
+    return dataclasses.replace(link, start_bearing_deg=start_deg, end_bearing_deg=end_deg)
+
+
+def _signed(bearing_deg):
+    bearing_deg = direction_deg(bearing_deg)
+    return bearing_deg - 360 if bearing_deg >= 180 else bearing_deg

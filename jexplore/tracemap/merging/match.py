@@ -1,0 +1,176 @@
+"""Which nodes of two Behavioral Trace Maps are the same places: the guess that explains most, if no other rivals it."""
+
+import dataclasses
+import enum
+import math
+
+from jexplore.tracemap.merging.evidence import Evidence
+from jexplore.tracemap.merging.neighbours import with_neighbours
+from jexplore.tracemap.merging.rigid import Move, apart_deg, fit, mean_deg, mirrored
+from jexplore.tracemap.merging.walk import Guess, Limits, Pair
+from jexplore.tracemap.merging.ways import Way, places_of
+from jexplore.tracemap.record import BtmMap
+
+EVIDENCE = 6.0
+"""Nats that a match must be worth, beyond what the number of tries makes of chance."""
+MARGIN = 4.6
+"""Nats by which it must be worth more than any other that it excludes: a hundred to one."""
+PART = 2.0  # nats that a part must be worth that hangs together by ways which only one map has
+
+
+class Merging(enum.Enum):
+    """How a merge ended."""
+
+    MERGED = "merged"
+    NOT_ENOUGH_IN_COMMON = "not enough in common"
+    AMBIGUOUS = "ambiguous"
+
+
+@dataclasses.dataclass(frozen=True)
+class Match:
+    """What two maps have in common."""
+
+    outcome: Merging
+    nodes: dict[int, int]
+    """Node of the second map -> the same of the first."""
+    ways: tuple[tuple[Way, Way], ...]
+    """Ways of places that are matched, of the first map and of the second, each once."""
+    contradictions: tuple[tuple[Way, Way], ...]
+    """Ways of places that are matched, likewise, which leave alike and go on otherwise."""
+    move: Move
+    """Takes the second map into the frame of the first."""
+    evidence: float
+    """Nats beyond chance."""
+    margin: float
+    """Nats beyond the best match that excludes it; infinite without one. 0 at most where it contradicts itself and the
+    second map in a mirror explains more."""
+
+
+@dataclasses.dataclass
+class _Candidate:
+    guess: Guess
+    gain: float
+    nodes: dict[int, int]
+    move: Move
+
+
+def match(one: BtmMap, other: BtmMap, *, limits: Limits | None = None, min_common: int = 3) -> Match:
+    """What two proper maps have in common.
+
+    Guesses are grown from every pair of nodes that look alike, and weighed. The best one holds if it has enough nodes,
+    is worth enough and no rival is worth nearly as much. Where it contradicts itself, the second map in a mirror is a
+    rival, too: what a building and its mirror image have in common ends in nodes whose links leave the other way round.
+    Then parts are added that lie where they should but hang on it only by ways that one map lacks, and last what lies
+    where it should though it looks otherwise: `with_neighbours`.
+
+    Args:
+      one, other: the maps.
+      limits: how far they may be apart where they show one place.
+      min_common: least number of nodes in common.
+    """
+    pair, evidence, found = _weighed(one, other, limits or Limits())
+    if not found:
+        return Match(Merging.NOT_ENOUGH_IN_COMMON, {}, (), (), Move(), -math.inf, math.inf)
+    best, *rest = found
+    margin = best.gain - max((c.gain for c in rest if not _together(best, c, other, pair.limits)), default=-math.inf)
+    worth = best.gain - evidence.tries
+    if best.guess.contradictions:
+        reflected = [candidate.gain for candidate in _weighed(one, mirrored(other), pair.limits)[2]]
+        margin = min(margin, 0.0 if max(reflected, default=-math.inf) > best.gain + MARGIN else math.inf)
+    parts = _parts(best, rest, other, pair.limits)
+    nodes = {b: a for part in parts for b, a in part.nodes.items()}
+    if len(nodes) < min_common or worth < EVIDENCE:
+        outcome = Merging.NOT_ENOUGH_IN_COMMON
+    else:
+        outcome = Merging.AMBIGUOUS if margin < MARGIN else Merging.MERGED
+    move = _fit(one, other, nodes, best.move.turn_deg)
+    ways, against = ([x for part in parts for x in getattr(part.guess, name)] for name in ("ways", "contradictions"))
+    if outcome is Merging.MERGED:
+        turns = {a: alike.turn_deg for part in parts for a, alike in part.guess.alike.items()}
+        nodes, ways = with_neighbours(pair, nodes, ways, turns, move)
+        move = _fit(one, other, nodes, move.turn_deg)
+        same = [_links(*both) for both in ways]
+        against = [both for both in against if not any(_links(*both) <= links for links in same)]
+    return Match(outcome, nodes, tuple(ways), tuple(against), move, worth, margin)
+
+
+def _weighed(one, other, limits):
+    """The pair, its evidence, and what its guesses are worth, the best first: a list of `_Candidate`."""
+    pair = Pair(places_of(one), places_of(other), limits)
+    evidence, found = Evidence(pair), []
+    for guess in pair.guesses():
+        nodes = {b: a for a, b in guess.places.items()} | _same_stops(guess, limits)
+        move = _move(one, other, guess, nodes, limits)
+        if move is not None:
+            found.append(_Candidate(guess, evidence.gain(guess), nodes, move))
+    return pair, evidence, sorted(found, key=lambda candidate: -candidate.gain)
+
+
+def _links(way, match):
+    return {id(link) for one in (way, match) for link, _ in one.steps}
+
+
+def _same_stops(guess, limits):
+    """Terminal nodes of two maps at one point of a way: `{of the second: of the first}`."""
+    whole = [(way.length_m, match.length_m) for way, match in guess.ways if way.is_whole and match.is_whole]
+    noise2, scale2 = limits.length_m**2 / 4 + 1e-6, limits.length_share**2 * 2 / 3 + 1e-9
+    first, second = (sum(lengths[side] ** 2 for lengths in whole) / noise2 + 1 / scale2 for side in (0, 1))
+    scale = (second / first) ** 0.25  # half of it to either map
+    unsure = (first * second) ** -0.25  # standard deviation of what the ways leave open of it
+    same = {}
+    for way, match in guess.ways:
+        for a, at in way.stops:
+            near = [(abs(there / scale - scale * at), there, b) for b, there in match.stops if b not in same]
+            off, there, b = min(near, default=(math.inf, 0.0, -1))
+            if off <= limits.length_m + 2 * math.sqrt(at * there) * unsure:
+                same[b] = a
+    return same
+
+
+def _move(one, other, guess, nodes, limits):
+    """The transform of a guess; None if places lie farther apart than drift allows."""
+    move = _fit(one, other, nodes, mean_deg([alike.turn_deg for alike in guess.alike.values()]))
+    onto, points = _places(one), _places(other)
+    middle = [sum(onto[a][axis] for a in nodes.values()) / len(nodes) for axis in (0, 1)]
+    limit_m = limits.place(max(math.dist(onto[a], middle) for a in nodes.values()))
+    is_near = all(math.dist(move.place(*points[b]), onto[a]) <= limit_m for b, a in nodes.items())
+    return move if is_near else None
+
+
+def _places(btm):
+    return {node.id: (node.x_m, node.y_m) for node in btm.nodes}
+
+
+def _fit(one, other, nodes, turn_deg):
+    onto, points = _places(one), _places(other)
+    return fit([points[b] for b in nodes], [onto[a] for a in nodes.values()], turn_deg)
+
+
+def _together(best, candidate, other, limits):
+    """Whether two guesses can both be right: no node has two meanings, and they move the second map alike."""
+    if any(best.nodes.get(b, a) != a for b, a in candidate.nodes.items()):
+        return False
+    back = {a: b for b, a in best.nodes.items()}
+    if any(back.get(a, b) != b for b, a in candidate.nodes.items()):
+        return False
+    if candidate.nodes.keys() & best.nodes.keys():
+        return True
+    points = _places(other)
+    middle = points[next(iter(best.nodes))]
+    for b in candidate.nodes:
+        away = math.dist(points[b], middle)
+        if math.dist(best.move.place(*points[b]), candidate.move.place(*points[b])) > limits.place(away):
+            return False
+    away = math.dist(points[next(iter(candidate.nodes))], middle)
+    return abs(apart_deg(best.move.turn_deg, candidate.move.turn_deg)) <= limits.turn(away)
+
+
+def _parts(best, rest, other, limits):
+    """The best guess and what goes with it, the best first."""
+    parts = [best]
+    for candidate in rest:
+        taken = {b for part in parts for b in part.nodes}
+        is_new = not taken & candidate.nodes.keys() and candidate.gain > PART and not candidate.guess.contradictions
+        if is_new and all(_together(part, candidate, other, limits) for part in parts):
+            parts.append(candidate)
+    return parts

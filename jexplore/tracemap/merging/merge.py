@@ -1,0 +1,153 @@
+"""Behavioral Trace Maps without a common frame become one."""
+
+import dataclasses
+import itertools
+import math
+from collections.abc import Sequence
+
+from jexplore.config import InputError, require_kind, require_whole
+from jexplore.tracemap.merging import notes
+from jexplore.tracemap.merging.join import FROM, join
+from jexplore.tracemap.merging.match import Match, Merging, match
+from jexplore.tracemap.merging.rigid import Move
+from jexplore.tracemap.merging.walk import Limits
+from jexplore.tracemap.record import BtmMap, check
+
+
+@dataclasses.dataclass(frozen=True)
+class Merged:
+    """What `merge_maps` found."""
+
+    outcome: Merging
+    """`MERGED` only if all maps are one."""
+    map: BtmMap
+    """The map that most maps are in; without a merge the one with most nodes. In the frame of the first map in it."""
+    nodes: dict[str, dict[int, int]]
+    """Name of a map in it -> node there -> node of `map`."""
+    moves: dict[str, Move]
+    """Name of a map in it -> what takes it into the frame of `map`."""
+    matched: int
+    """Nodes of `map` that more than one map has."""
+    left: tuple[str, ...]
+    """Names of the maps that are not in it."""
+    evidence: float
+    """Of the weakest merge, or of the best one refused: nats beyond what chance gives; -inf where nothing is alike."""
+    margin: float
+    """Likewise: nats beyond the best match that excludes it."""
+    notes: tuple[str, ...]
+    """What the maps say differently, in plain sentences: attributes, and ways of one place that lead elsewhere."""
+
+
+@dataclasses.dataclass(frozen=True)
+class _Part:
+    map: BtmMap
+    moves: dict[str, Move]
+
+
+def merge_maps(
+    maps: Sequence[BtmMap],
+    names: Sequence[str] | None = None,
+    *,
+    min_common: int = 3,
+    limits: Limits | None = None,
+) -> Merged:
+    """Maps of one building, each in a frame of its own, as one map.
+
+    The two maps with most evidence become one, again and again. Two become one only if they have nodes enough in
+    common, if that is no chance, and if no other way to lay them on each other explains nearly as much: maps of
+    passages that all look alike are refused. A map is neither scaled nor mirrored.
+
+    Nodes and links of the result have an attribute `from`, their ids by name of the map. The first node is where the
+    robot of the first map started. Attributes that maps give different values are in `conflicts`, with who says so.
+
+    Args:
+      maps: two maps or more.
+      names: of the maps; by default their numbers, from "0".
+      min_common: least number of nodes that two maps must have in common.
+      limits: how far maps of one place may be apart.
+
+    Returns:
+      `Merged`; that maps do not fit is an outcome.
+
+    Raises:
+      InputError: fewer than two maps, names that are not as many or not different, an improper map, or one with
+        `merged_from`, `from` or `conflicts` that merging could not have written.
+    """
+    names = [str(i) for i in range(len(maps))] if names is None else list(names)
+    if len(maps) < 2:
+        raise InputError(f"expected two maps or more, got {len(maps)}")
+    if len(names) != len(maps) or not all(isinstance(name, str) for name in names):
+        raise InputError(f"expected a name for each of {len(maps)} maps, got {names!r}")
+    limits = Limits() if limits is None else limits
+    require_kind("limits", limits, Limits)
+    min_common = require_whole("min_common", min_common, 1, 10**6)
+    originals = {}
+    for name, btm in zip(names, maps):
+        require_kind("a map", btm, BtmMap)
+        originals[name] = check(btm)
+    stripped = [(name, notes.stripped(originals[name], name)) for name in names]
+    sources = [source for name in names for source in notes.sources_of(originals[name], name)]
+    twice = sorted({source for source in sources if sources.count(source) > 1})
+    if twice:
+        raise InputError(f'expected maps with names of their own, got "{twice[0]}" twice')
+    parts = [_Part(btm, {name: Move()}) for name, btm in stripped]
+    parts, joins, refused = _merged(parts, limits, min_common)
+    return _result(parts, joins, refused, originals)
+
+
+def _merged(parts, limits, min_common):
+    """Parts that cannot be merged further, the matches that were made, and those that were refused at the end."""
+    joins, known = [], {}  # joins: matches, and of which parts
+    while True:
+        for one, other in itertools.combinations(parts, 2):
+            key = (tuple(one.moves), tuple(other.moves))
+            if key not in known:
+                known[key] = (match(one.map, other.map, limits=limits, min_common=min_common), one, other)
+        pairs = [known[tuple(one.moves), tuple(other.moves)] for one, other in itertools.combinations(parts, 2)]
+        fitting = [pair for pair in pairs if pair[0].outcome is Merging.MERGED]
+        if not fitting:
+            return parts, joins, [(found, one, other) for found, one, other in pairs]
+        found, one, other = max(fitting, key=lambda pair: pair[0].evidence)
+        joins.append((found, one, other))
+        moves = {**one.moves, **{name: found.move.after(move) for name, move in other.moves.items()}}
+        whole = _Part(join(one.map, other.map, found), moves)
+        parts = [whole if part is one else part for part in parts if part is not other]
+
+
+def _result(parts, joins, refused, originals):
+    main = max(parts, key=lambda part: (len(part.moves), len(part.map.nodes)))
+    own = [found for found, one, other in refused if main in (one, other)]
+    told: list[Match] = own or [found for found, _, _ in joins]
+    if not own:
+        outcome, worst = Merging.MERGED, min(told, key=lambda found: found.evidence)
+    else:
+        outcome, worst = max(((found.outcome, found) for found in own), key=lambda pair: pair[1].evidence)
+    nodes = {name: {} for name in main.moves}
+    for node in main.map.nodes:
+        for name, key in node.attributes[FROM].items():
+            nodes[name][key] = node.id
+    btm = notes.restored(main.map, {name: originals[name] for name in originals if name in main.moves})
+    return Merged(
+        outcome=outcome,
+        map=btm,
+        nodes=nodes,
+        moves=main.moves,
+        matched=sum(len(node.attributes[FROM]) > 1 for node in main.map.nodes),
+        left=tuple(name for name in originals if name not in main.moves),
+        evidence=worst.evidence,
+        margin=worst.margin if worst.evidence > -math.inf else math.inf,
+        notes=(*notes.conflicts(btm), *_contradictions(joins, nodes)),
+    )
+
+
+def _contradictions(joins, nodes):
+    """Sentences about joins that left contradictions: whose, how many, and at which nodes of the whole."""
+    for found, one, other in joins:
+        if found.contradictions and one.moves.keys() <= nodes.keys():
+            ids = {node.id: node.attributes[FROM] for node in one.map.nodes}
+            told = [
+                ids[link.start if ahead else link.end]
+                for (link, ahead), *_ in (a.steps for a, _ in found.contradictions)
+            ]
+            at = sorted({nodes[name][key] for own in told for name, key in list(own.items())[:1]})
+            yield notes.contradiction(list(one.moves), list(other.moves), len(told), at)

@@ -1,0 +1,141 @@
+"""What merged maps say besides measures: attributes of all of them, and who says what."""
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from jexplore.config import InputError, shown
+from jexplore.tracemap.merging.join import FROM
+from jexplore.tracemap.record import BtmMap
+
+MERGED_FROM = "merged_from"
+"""Attribute of a merged map: names of the maps that it was made of."""
+CONFLICTS = "conflicts"
+"""Attribute of what maps say different things about: `{attribute: [{"from": [names], "value": value}, ...]}`."""
+
+
+def sources_of(btm: BtmMap, name: str) -> list[str]:
+    """Names of the maps that a map was made of: its own, if it was not merged."""
+    return list(btm.attributes.get(MERGED_FROM, [name]))
+
+
+def stripped(btm: BtmMap, name: str) -> BtmMap:
+    """The map with no attributes but `FROM`, by its name.
+
+    Raises:
+      InputError: it, or a node or link of it, says of whom it is in a way that merging could not have written.
+    """
+    _require_sources(btm, name)
+    nodes = (dataclasses.replace(node, attributes={FROM: {name: node.id}}) for node in btm.nodes)
+    links = (dataclasses.replace(link, attributes={FROM: {name: link.id}}) for link in btm.links)
+    return BtmMap(tuple(nodes), tuple(links))
+
+
+def restored(btm: BtmMap, originals: Mapping[str, BtmMap]) -> BtmMap:
+    """A joined map of stripped ones with the attributes of their originals, by name.
+
+    What only some say, or all alike, stands as it was; where they differ it goes to `CONFLICTS`. Merged maps among the
+    originals hand on whom they were made of.
+    """
+    items = {
+        name: ({node.id: node for node in one.nodes}, {link.id: link for link in one.links})
+        for name, one in originals.items()
+    }
+
+    def filled(item, kind):
+        told = [(name, items[name][kind][key]) for name, key in item.attributes[FROM].items()]
+        sources = {}
+        for name, one in told:
+            sources |= one.attributes.get(FROM, {name: one.id})
+        said = [(list(one.attributes.get(FROM, [name])), one.attributes) for name, one in told]
+        return dataclasses.replace(item, attributes={**_joined(said), FROM: sources})
+
+    said = [(sources_of(one, name), one.attributes) for name, one in originals.items()]
+    sources = [source for names, _ in said for source in names]
+    return BtmMap(
+        tuple(filled(node, 0) for node in btm.nodes),
+        tuple(filled(link, 1) for link in btm.links),
+        {**_joined(said), MERGED_FROM: sources},
+    )
+
+
+def conflicts(btm: BtmMap) -> list[str]:
+    """Sentences about what the maps that one was made of say differently."""
+    found = []
+    for what, item in _named(btm):
+        for name, told in item.attributes.get(CONFLICTS, {}).items():
+            found.append(
+                f"{what}: {name} is " + " and ".join(f"{t['value']!r} in {', '.join(t['from'])}" for t in told)
+            )
+    return found
+
+
+def contradiction(names: Sequence[str], others: Sequence[str], count: int, nodes: Sequence[int]) -> str:
+    """The sentence about ways that leave the same nodes alike but go on otherwise in some maps than in others."""
+    what = f"{count} way leads" if count == 1 else f"{count} ways lead"
+    where = f"node{'s' * (len(nodes) > 1)} {', '.join(map(str, nodes))}"
+    return f"{where}: {what} elsewhere in {', '.join(others)} than in {', '.join(names)}; the map has both"
+
+
+def _require_sources(btm, name):
+    """Refuse a map whose `MERGED_FROM`, `FROM` or `CONFLICTS` are none that merging writes."""
+    sources, is_merged = btm.attributes.get(MERGED_FROM), MERGED_FROM in btm.attributes
+    if is_merged and not _are_names(sources):
+        raise InputError(f"{name}: {MERGED_FROM}: expected a list of names of maps, got {shown(sources)}")
+    for what, item in _named(btm)[1:]:
+        own, is_there = item.attributes.get(FROM), FROM in item.attributes
+        if is_there and not is_merged:
+            raise InputError(f'{name}: {what}: expected no attribute "{FROM}", got {shown(own)}')
+        if is_merged and not _are_ids(own, sources):
+            wanted = f"a {FROM} with ids by names in {MERGED_FROM}"
+            raise InputError(f"{name}: {what}: expected {wanted}, got {shown(own)}")
+    for what, item in _named(btm):
+        told = item.attributes.get(CONFLICTS, {})
+        if not (isinstance(told, dict) and all(_is_told(*pair) for pair in told.items())):
+            wanted = f"{CONFLICTS} with lists of {{from, value}} by attribute"
+            raise InputError(f"{name}: {what}: expected {wanted}, got {shown(told)}")
+
+
+def _named(btm):
+    return [("the map", btm), *((f"node {n.id}", n) for n in btm.nodes), *((f"link {n.id}", n) for n in btm.links)]
+
+
+def _are_names(value):
+    return isinstance(value, list) and len(value) > 0 and all(isinstance(name, str) for name in value)
+
+
+def _are_ids(value, names):
+    is_filled = isinstance(value, dict) and len(value) > 0
+    return is_filled and all(name in names and type(key) is int for name, key in value.items())
+
+
+def _is_told(attribute, told):
+    return (
+        attribute not in (FROM, MERGED_FROM, CONFLICTS)
+        and isinstance(told, list)
+        and len(told) > 0
+        and all(isinstance(one, dict) and one.keys() == {"from", "value"} and _are_names(one["from"]) for one in told)
+    )
+
+
+def _joined(said: Sequence[tuple[list[str], Mapping[str, Any]]]) -> dict[str, Any]:
+    """Attributes of one thing from those who know it: `(names, attributes)`."""
+    values: dict[str, list[dict[str, Any]]] = {}
+    for names, attributes in said:
+        for key, value in attributes.items():
+            if key not in (FROM, MERGED_FROM, CONFLICTS):
+                _add(values.setdefault(key, []), names, value)
+        for key, told in attributes.get(CONFLICTS, {}).items():
+            for one in told:
+                _add(values.setdefault(key, []), one["from"], one["value"])
+    plain = {key: told[0]["value"] for key, told in values.items() if len(told) == 1}
+    differing = {key: told for key, told in values.items() if len(told) > 1}
+    return {**plain, **({CONFLICTS: differing} if differing else {})}
+
+
+def _add(told, names, value):
+    for one in told:
+        if one["value"] == value and type(one["value"]) is type(value):
+            one["from"] += [name for name in names if name not in one["from"]]
+            return
+    told.append({"from": list(names), "value": value})

@@ -1,0 +1,94 @@
+"""Turning and shifting a map into the frame of another one."""
+
+import dataclasses
+import math
+from collections.abc import Sequence
+
+from jexplore.tracemap.record import BtmMap, direction_deg
+
+
+@dataclasses.dataclass(frozen=True)
+class Move:
+    """A rigid transform: first the turn about the origin, then the shift."""
+
+    x_m: float = 0.0
+    y_m: float = 0.0
+    turn_deg: float = 0.0
+
+    def place(self, x_m: float, y_m: float) -> tuple[float, float]:
+        """Where a point goes."""
+        cos, sin = math.cos(math.radians(self.turn_deg)), math.sin(math.radians(self.turn_deg))
+        return cos * x_m - sin * y_m + self.x_m, sin * x_m + cos * y_m + self.y_m
+
+    def after(self, first: "Move") -> "Move":
+        """This move as the second of two."""
+        x_m, y_m = self.place(first.x_m, first.y_m)
+        return Move(x_m, y_m, direction_deg(self.turn_deg + first.turn_deg))
+
+
+def apart_deg(a: float, b: float) -> float:
+    """From bearing `b` to bearing `a`, degrees in [-180, 180)."""
+    return (a - b + 180.0) % 360.0 - 180.0
+
+
+def mean_deg(bearings: Sequence[float], weights: Sequence[float] | None = None) -> float:
+    """Mean of bearings that are less than half a turn apart."""
+    weights = weights or [1.0] * len(bearings)
+    off = sum(weight * apart_deg(bearing, bearings[0]) for weight, bearing in zip(weights, bearings))
+    return direction_deg(bearings[0] + off / sum(weights))
+
+
+def fit(points: Sequence[tuple[float, float]], onto: Sequence[tuple[float, float]], turn_deg: float) -> Move:
+    """The rigid transform that takes points nearest to others, by least squares.
+
+    Args:
+      points, onto: `[N]` pairs of metres, N >= 1.
+      turn_deg: the turn where the points say nothing about it: all lie within 1 cm.
+
+    Source:
+      Umeyama 1991, Least-squares estimation of transformation parameters between two point patterns; in the plane.
+    """
+    n = len(points)
+    (px, py), (qx, qy) = ((sum(p[0] for p in many) / n, sum(p[1] for p in many) / n) for many in (points, onto))
+    dot = sum((p[0] - px) * (q[0] - qx) + (p[1] - py) * (q[1] - qy) for p, q in zip(points, onto))
+    cross = sum((p[0] - px) * (q[1] - qy) - (p[1] - py) * (q[0] - qx) for p, q in zip(points, onto))
+    if math.hypot(dot, cross) > 1e-4 * n:
+        turn_deg = math.degrees(math.atan2(cross, dot))
+    x_m, y_m = Move(turn_deg=turn_deg).place(px, py)
+    return Move(qx - x_m, qy - y_m, direction_deg(turn_deg))
+
+
+def moved(btm: BtmMap, move: Move) -> BtmMap:
+    """The map in another frame."""
+    nodes, links = [], []
+    for node in btm.nodes:
+        x_m, y_m = move.place(node.x_m, node.y_m)
+        nodes.append(dataclasses.replace(node, x_m=x_m, y_m=y_m))
+    for link in btm.links:
+        back = link.end_bearing_deg
+        links.append(
+            dataclasses.replace(
+                link,
+                start_bearing_deg=direction_deg(link.start_bearing_deg + move.turn_deg),
+                end_bearing_deg=None if back is None else direction_deg(back + move.turn_deg),
+            )
+        )
+    return BtmMap(tuple(nodes), tuple(links), btm.attributes)
+
+
+def mirrored(btm: BtmMap) -> BtmMap:
+    """The map in a mirror that stands on its y axis: links go round nodes the other way."""
+
+    def turned(bearing_deg: float) -> float:
+        return direction_deg(180.0 - bearing_deg)
+
+    nodes = tuple(dataclasses.replace(node, x_m=-node.x_m) for node in btm.nodes)
+    links = tuple(
+        dataclasses.replace(
+            link,
+            start_bearing_deg=turned(link.start_bearing_deg),
+            end_bearing_deg=None if link.end_bearing_deg is None else turned(link.end_bearing_deg),
+        )
+        for link in btm.links
+    )
+    return BtmMap(nodes, links, btm.attributes)

@@ -1,0 +1,184 @@
+"""Walks through two maps at once: what else must be one place if this one is."""
+
+import dataclasses
+import itertools
+import math
+from collections.abc import Iterator, Sequence
+
+from jexplore.config import require_number, require_whole
+from jexplore.tracemap.merging.rigid import apart_deg
+from jexplore.tracemap.merging.ways import Places, Way
+
+
+@dataclasses.dataclass(frozen=True)
+class Limits:
+    """How far two maps of one place may be apart."""
+
+    angle_deg: float = 15.0
+    """Of an angle between two links, from what the other map says, degrees."""
+    length_share: float = 0.05
+    """Of a length, as a share of it, in each map: encoders that are wrong always."""
+    length_m: float = 0.3
+    """Of a length, besides, metres."""
+    lost: int = 1
+    """Links that one map may lack at a node that the other has there."""
+    heading_deg: float = 2.0
+    """Standard deviation of the heading after 1 m, degrees; it grows with the root of the way."""
+
+    def __post_init__(self):
+        for name, high in {"angle_deg": 90.0, "length_share": 0.5, "length_m": math.inf, "heading_deg": 90.0}.items():
+            require_number(f"limits: {name}", getattr(self, name), low=0.0, high=high)
+        require_whole("limits: lost", self.lost, 0, 100)
+
+    def length(self, one_m: float, other_m: float) -> float:
+        """How far two lengths may differ, metres."""
+        return self.length_m + self.length_share * (one_m + other_m)
+
+    def turn(self, way_m: float) -> float:
+        """How far two maps may differ in how much a way turns, degrees."""
+        return self.angle_deg + 2 * math.sqrt(2 * way_m) * self.heading_deg
+
+    def place(self, away_m: float) -> float:
+        """How far places may lie apart that reach so far from their middle, metres: both heading walks, thrice."""
+        walk = 3 * math.sqrt(2 * away_m / 3) * math.radians(self.heading_deg)
+        return 2 * self.length_m + (2 * self.length_share + walk) * away_m
+
+
+@dataclasses.dataclass(frozen=True)
+class Likeness:
+    """Two places that look alike."""
+
+    turn_deg: float
+    """Direction in the first map less direction in the second, there, degrees."""
+    ways: tuple[tuple[int, int], ...]
+    """Ways of the first and of the second that leave alike."""
+    lost: int
+    """Ways that only one of them has."""
+
+
+@dataclasses.dataclass
+class Guess:
+    """Which places of two maps are the same."""
+
+    places: dict[int, int] = dataclasses.field(default_factory=dict)
+    """Of the first map -> of the second."""
+    others: dict[int, int] = dataclasses.field(default_factory=dict)
+    """Of the second map -> of the first."""
+    alike: dict[int, Likeness] = dataclasses.field(default_factory=dict)
+    """By places of the first map."""
+    entries: list[tuple[int, int, int, int]] = dataclasses.field(default_factory=list)
+    """Places in order, each with the way by which it was entered: `(place, way, place, way)`."""
+    ways: list[tuple[Way, Way]] = dataclasses.field(default_factory=list)
+    """Those that are the same, each told once, and seen from the same side."""
+    contradictions: list[tuple[Way, Way]] = dataclasses.field(default_factory=list)
+    """Ways that leave one place alike and go on otherwise."""
+
+
+class Pair:
+    """Two maps, and the walks through them."""
+
+    def __init__(self, one: Places, other: Places, limits: Limits) -> None:
+        self.one, self.other, self.limits = one, other, limits
+        self._alike = {}
+
+    def alike(self, one: tuple[Places, int, int], other: tuple[Places, int, int]) -> Likeness | None:
+        """Whether two places look alike, each entered by one of its ways `(map, place, way)`; None if not.
+
+        They have one type and one obstacle, and ways that leave at the same angles. A way that only one of them has, as
+        where a robot took a niche for a passage, is lost; more than `limits.lost` are too many.
+        """
+        key = (id(one[0]), *one[1:], id(other[0]), *other[1:])
+        if key not in self._alike:
+            self._alike[key] = self._compared(*one, *other)
+        return self._alike[key]
+
+    def _compared(self, one, a, i, other, b, j):
+        first, second, ways, others = one.nodes[a], other.nodes[b], one.ways[a], other.ways[b]
+        if (first.type, first.obstacle) != (second.type, second.obstacle):
+            return None
+        if abs(len(ways) - len(others)) > self.limits.lost:
+            return None
+        turn_deg = apart_deg(ways[i].bearing_deg, others[j].bearing_deg)
+        found, turn_deg = self.aligned(ways, others, turn_deg, (i, j))
+        lost = len(ways) + len(others) - 2 * len(found)
+        return Likeness(turn_deg, found, lost) if (i, j) in found and lost <= self.limits.lost else None
+
+    def aligned(
+        self, ways: Sequence[Way], others: Sequence[Way], turn_deg: float, entry: tuple[int, int] | None = None
+    ) -> tuple[tuple[tuple[int, int], ...], float]:
+        """Ways of two places that leave alike, once the second is turned about so, and the turn that suits them best.
+
+        Args:
+          ways, others: of the places.
+          turn_deg: degrees.
+          entry: two that are no others', whatever leaves nearer to them.
+        """
+        off = {
+            (p, q): apart_deg(way.bearing_deg, other.bearing_deg + turn_deg)
+            for p, way in enumerate(ways)
+            for q, other in enumerate(others)
+            if entry is None or (p == entry[0]) == (q == entry[1])
+        }
+        found = []
+        for p, q in sorted(off, key=lambda both: abs(off[both])):
+            if abs(off[p, q]) <= 2 * self.limits.angle_deg and not any(p == m or q == n for m, n in found):
+                found.append((p, q))
+        middle = sum(off[both] for both in found) / max(len(found), 1)
+        found = tuple(both for both in found if abs(off[both] - middle) <= self.limits.angle_deg)
+        return found, apart_deg(turn_deg + middle, 0.0)
+
+    def guesses(self) -> Iterator[Guess]:
+        """All that can be grown, each once: from every pair of places that look alike, in every turn."""
+        seen = set()
+        for a, ways in self.one.ways.items():
+            for b, others in self.other.ways.items():
+                for i, j in itertools.product(range(len(ways)), range(len(others))):
+                    if (a, i, b, j) not in seen and self.alike((self.one, a, i), (self.other, b, j)):
+                        guess = self.grown(a, i, b, j)
+                        seen.update((p, m, q, n) for p, q in guess.places.items() for m, n in guess.alike[p].ways)
+                        yield guess
+
+    def grown(self, a: int, i: int, b: int, j: int) -> Guess:
+        """What follows if place a is place b, and way i of the one way j of the other.
+
+        Both maps are walked along the same ways. A way that only one map has followed says nothing; two that end in
+        places that differ contradict, and the walk does not go on there.
+
+        Source:
+          Huang and Beevers 2005, Topological map merging.
+        """
+        guess, told = Guess(), set()
+        self._enter(guess, a, i, b, j)
+        for a, _, b, _ in guess.entries:  # grows on the way
+            for m, n in guess.alike[a].ways:
+                if ((a, m), (b, n)) in told:
+                    continue
+                way, match = self.one.ways[a][m], self.other.ways[b][n]
+                told |= {((a, m), (b, n)), ((way.end, way.back), (match.end, match.back))}
+                is_same = self.lengths_agree(way, match) and self._goes_on(guess, a, way, match)
+                (guess.ways if is_same else guess.contradictions).append((way, match))
+        return guess
+
+    def _enter(self, guess, a, i, b, j, turn_deg=0.0, limit_deg=180.0):
+        """Whether the places look alike, the second turned about so; then they are taken for the same."""
+        alike = self.alike((self.one, a, i), (self.other, b, j))
+        if alike is None or abs(apart_deg(alike.turn_deg, turn_deg)) > limit_deg:
+            return False
+        guess.places[a], guess.others[b], guess.alike[a] = b, a, alike
+        guess.entries.append((a, i, b, j))
+        return True
+
+    def lengths_agree(self, way: Way, match: Way) -> bool:
+        """Whether two ways may be one. A way that has not been followed to its end may be longer than it says."""
+        off, limit = way.length_m - match.length_m, self.limits.length(way.length_m, match.length_m)
+        return (not way.is_whole or off >= -limit) and (not match.is_whole or off <= limit)
+
+    def _goes_on(self, guess, a, way, match):
+        """Whether two ways lead to one place, as far as is known; that place is entered."""
+        if not (way.is_whole and match.is_whole):
+            return True
+        p, q = way.end, match.end
+        if p in guess.places or q in guess.others:
+            return guess.places.get(p) == q and (way.back, match.back) in guess.alike[p].ways
+        limit_deg = self.limits.turn(way.length_m)
+        return self._enter(guess, p, way.back, q, match.back, guess.alike[a].turn_deg, limit_deg)

@@ -1,0 +1,187 @@
+"""What a robot may use of a Behavioral Trace Map: links that it is too wide for, steps and slopes that it cannot climb.
+
+Plain Python: importing this loads no jax.
+"""
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Any, Protocol
+
+from jexplore.tracemap.record import NOWHERE, Link, Node
+
+BLOCKED, BLOCKED_FOR, FOUND_BY = "blocked", "blocked_for", "found_by"
+"""Attributes of a link that could not be passed: true; the robot for which, with its measures; its name alone."""
+_MEASURES, _MOST = ("width_m", "max_step_m", "max_slope_deg"), 1e6
+SLACK = 1e-6  # share of a limit by which a measure may lie beyond it: maps hold single precision
+
+
+class Body(Protocol):
+    """What a robot is measured by, such as a `jx.Robot`."""
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def width_m(self) -> float: ...
+    @property
+    def max_step_m(self) -> float: ...
+    @property
+    def max_slope_deg(self) -> float: ...
+
+
+@dataclasses.dataclass(frozen=True)
+class Block:
+    """That a link could not be passed, and by whom."""
+
+    words: str
+    width_m: float | None
+    """Of the robot that could not, as the other measures; all None where the map does not say."""
+    max_step_m: float | None
+    max_slope_deg: float | None
+
+    def holds_for(self, robot: Body) -> bool:
+        """Whether a robot is neither narrower nor climbs more than the one that could not pass."""
+        if self.width_m is None or self.max_step_m is None or self.max_slope_deg is None:
+            return True
+        is_narrower = robot.width_m < self.width_m * (1 - SLACK)
+        climbs = (robot.max_step_m, self.max_step_m), (robot.max_slope_deg, self.max_slope_deg)
+        return not (is_narrower or any(own > other * (1 + SLACK) for own, other in climbs))
+
+
+def blocked_for(robot: Body) -> dict[str, Any]:
+    """The attributes of a link that a robot could not pass."""
+    measures = {name: getattr(robot, name) for name in _MEASURES}
+    return {BLOCKED: True, BLOCKED_FOR: {"name": robot.name, **measures}}
+
+
+def block_of(link: Link) -> Block | None:
+    """That a link could not be passed; None if the map does not say so."""
+    if not link.attributes.get(BLOCKED):
+        return None
+    told, who = link.attributes.get(BLOCKED_FOR), link.attributes.get(FOUND_BY)
+    if isinstance(told, Mapping) and isinstance(told.get("name"), str):
+        values: list[Any] = [told.get(name) for name in _MEASURES]
+        if all(type(value) in (int, float) and 0 <= value < _MOST for value in values):
+            return Block(f"blocked for {told['name']}", *map(float, values))
+    by = f"blocked, found by {who}" if isinstance(who, str) else "blocked"
+    return Block(f"{by}: no measures of who could not pass; {BLOCKED} set to false lifts it", None, None, None)
+
+
+def step_of(link: Link, nodes: Mapping[int, Node]) -> float | None:
+    """The highest step along a link, metres: as measured, else, between two nodes of stairs, the lower of theirs."""
+    return link.max_step_m if link.max_step_m is not None else _between(link, nodes, "stairs", "step_m")
+
+
+def inclination_of(link: Link, nodes: Mapping[int, Node]) -> float | None:
+    """The robot's largest inclination along a link, degrees: as measured, else, between two nodes of a slope, the lower
+    of the ground's.
+    """
+    return link.posture_deg if link.posture_deg is not None else _between(link, nodes, "slope", "inclination_deg")
+
+
+def width_of(link: Link) -> float | None:
+    """The narrowest that is known of a link, the opening at its first node included, metres."""
+    return min((width for width in (link.min_width_m, link.opening_m) if width is not None), default=None)
+
+
+def refusals(link: Link, nodes: Mapping[int, Node], robot: Body, *, known_only: bool = False) -> tuple[str, ...]:
+    """Why a robot may not use a link: all reasons, none if it may.
+
+    A link is as good either way: the map does not say which way is up. The inclination of the body that wrote the map,
+    and its roll, are held against the steepest ground that the robot climbs. Of an un-searched link only its opening is
+    measured; the first node lies before it, so one that cannot be passed refuses it. What one robot could not pass is
+    refused to all but those that are narrower or climb more, or to all where the map does not say which robot it was.
+
+    Args:
+      link: `Link`.
+      nodes: the map's nodes by id.
+      robot: `Robot`.
+      known_only: whether a measure of a searched link that the map does not have is a reason, too.
+
+    Returns:
+      Texts such as `step 0.15 m > 0.03 m`.
+    """
+    steep, block = robot.max_slope_deg, block_of(link)
+    found = [
+        _below("width", link.min_width_m, robot.width_m),
+        _below("opening", link.opening_m, robot.width_m),
+        _above("step", step_of(link, nodes), robot.max_step_m, "m"),
+        _above("inclination", inclination_of(link, nodes), steep, "deg"),
+        _above("roll", link.max_roll_deg, steep, "deg"),
+        block.words if block and block.holds_for(robot) else None,
+    ]
+    if link.end == NOWHERE:
+        found += hindrances(nodes[link.start], robot, known_only=known_only)
+    elif known_only:
+        found += unknowns(link, nodes)
+    return tuple(dict.fromkeys(reason for reason in found if reason is not None))
+
+
+def hindrances(node: Node, robot: Body, *, known_only: bool = False) -> tuple[str, ...]:
+    """Why a robot may not pass a node, though it may come to it: all reasons, none if it may.
+
+    An obstacle node is where the ground changes: a single step, or the first of stairs or of a slope. Who goes on by
+    another link goes over it.
+    """
+    found = [
+        _above("step", node.step_m, robot.max_step_m, "m"),
+        _above("inclination", node.inclination_deg, robot.max_slope_deg, "deg"),
+    ]
+    found += unknowns_at(node) if known_only else ()
+    return tuple(reason for reason in found if reason is not None)
+
+
+def unknowns(link: Link, nodes: Mapping[int, Node]) -> tuple[str, ...]:
+    """Measures that a robot would be held against, and that the map does not have of a link: texts. That another robot
+    could not pass it is one of them for those that may.
+    """
+    block = block_of(link)
+    blocked = () if block is None or block.width_m is None else (block.words,)
+    if link.end == NOWHERE:
+        return (("opening unknown",) if link.opening_m is None else ()) + blocked
+    measures: dict[str, Any] = {
+        "width": link.min_width_m,
+        "step": step_of(link, nodes),
+        "inclination": inclination_of(link, nodes),
+        "roll": link.max_roll_deg,
+    }
+    return tuple(f"{name} unknown" for name, value in measures.items() if value is None) + blocked
+
+
+def unknowns_at(node: Node) -> tuple[str, ...]:
+    """The same of a node that is passed: stairs without a step, a slope without an inclination."""
+    if node.type != "obstacle" or node.step_m is not None or node.inclination_deg is not None:
+        return ()
+    return ({"stairs": "step unknown", "slope": "inclination unknown"}.get(node.obstacle or "", "obstacle unknown"),)
+
+
+def called(link: Link) -> str:
+    """A link in a sentence: `link 3 (nodes 4 to 5)`."""
+    if link.end == NOWHERE:
+        return f"link {link.id} (node {link.start}, un-searched)"
+    return f"link {link.id} (nodes {link.start} to {link.end})"
+
+
+def _between(link, nodes, obstacle, measure):
+    """The lower of the measures of both ends, where both are of an obstacle; a landing has that of its higher side."""
+    ends = [nodes[end] for end in (link.start, link.end) if end != NOWHERE]
+    values = [getattr(node, measure) for node in ends if node.obstacle == obstacle]
+    return min(values) if len(values) == 2 and None not in values else None
+
+
+def _above(name, value, limit, unit):
+    if value is None or value <= limit * (1 + SLACK):
+        return None
+    return f"{name} {_told(value, limit, '>', unit)}"
+
+
+def _below(name, value, limit):
+    if value is None or value >= limit * (1 - SLACK):
+        return None
+    return f"{name} {_told(value, limit, '<', 'm')}"
+
+
+def _told(value, limit, sign, unit):
+    """Both numbers with as many digits as it takes to tell them apart, three or more."""
+    pairs = ((f"{value:.{digits}g}", f"{limit:.{digits}g}") for digits in range(3, 18))
+    left, right = next(pair for pair in pairs if pair[0] != pair[1])
+    return f"{left} {unit} {sign} {right} {unit}"

@@ -1,0 +1,144 @@
+"""A finished map as another start would have it: the start's node on its link, all numbered as the robot meets them."""
+
+import dataclasses
+import heapq
+import math
+
+from jexplore.config import InputError
+from jexplore.tracemap.record import NOWHERE, BtmMap, Node, direction_deg
+
+_SQUARE = 1e-9  # cosine: a heading that is no nearer to one end of the link than to the other
+
+
+def topology_from(topology: BtmMap, pose: tuple[float, float, float]) -> BtmMap:
+    """What a robot should write that begins at a pose and goes on until nothing is left.
+
+    The start becomes a terminal node on the nearest link, which is split there: one link leads ahead, one behind. A
+    heading square to the link counts its left as ahead. Nodes and links are in the order in which the robot meets them:
+    at a node it takes the first un-searched link counter-clockwise from behind; where there is none, it goes back by
+    the shortest way to a node that has one. What cannot be reached is left out. A start that the map has already, a
+    first node of type terminal with two links, is taken out before.
+
+    Args:
+      topology: the whole map; its links run straight from node to node, as those of a course.
+      pose: x, y, metres; heading, degrees.
+
+    Returns:
+      `BtmMap`; its first node is the start, its first link leads ahead. Lengths of the two parts sum to the link's,
+      other measures of the parts are those of the whole.
+
+    Raises:
+      InputError: the map has no link, or one without an end: what lies there is not known.
+    """
+    unknown = [link.id for link in topology.links if link.end == NOWHERE or link.length_m is None]
+    if unknown or not topology.links:
+        what = f"link {unknown[0]} has no end or no length" if unknown else "it has no link"
+        raise InputError(f"expected a map whose links have both ends and lengths, got one where {what}")
+    nodes, links = _without_start(topology)
+    nearest = min(links, key=lambda link: (_distance_m(nodes, link, pose), link.id))
+    root = Node(max(nodes) + 1, float(pose[0]), float(pose[1]), "terminal")
+    free = max(link.id for link in links) + 1
+    parts = _split(nodes[nearest.start], nearest, root, free)
+    rest = [link for link in links if link is not nearest]
+    return _in_order({**nodes, root.id: root}, [*rest, *parts], root.id, _ahead(nearest, pose[2], parts))
+
+
+def _without_start(topology):
+    """Nodes by id and links, without the node where the map was begun."""
+    first, *others = topology.nodes
+    ends = [link for link in topology.links if first.id in (link.start, link.end)]
+    if first.type != "terminal" or len(ends) != 2:
+        return {node.id: node for node in topology.nodes}, list(topology.links)
+    one, two = _turned(ends[0], ends[0].end == first.id), _turned(ends[1], ends[1].start == first.id)
+    widths = [link.min_width_m for link in ends if link.min_width_m is not None]
+    joined = dataclasses.replace(
+        one,
+        end=two.end,
+        end_bearing_deg=two.end_bearing_deg,
+        length_m=round(one.length_m + two.length_m, 9),
+        min_width_m=min(widths, default=None),
+    )
+    return {node.id: node for node in others}, [*(link for link in topology.links if link not in ends), joined]
+
+
+def _turned(link, as_it_is):
+    """The link as it is, or followed the other way."""
+    if as_it_is:
+        return link
+    return dataclasses.replace(
+        link,
+        start=link.end,
+        end=link.start,
+        start_bearing_deg=link.end_bearing_deg,
+        end_bearing_deg=link.start_bearing_deg,
+    )
+
+
+def _distance_m(nodes, link, pose):
+    """From a place to the straight way between the nodes of a link."""
+    a, b = nodes[link.start], nodes[link.end]
+    dx, dy, px, py = b.x_m - a.x_m, b.y_m - a.y_m, pose[0] - a.x_m, pose[1] - a.y_m
+    share = min(max((px * dx + py * dy) / max(dx * dx + dy * dy, 1e-12), 0.0), 1.0)
+    return math.hypot(px - share * dx, py - share * dy)
+
+
+def _split(first, link, root, free):
+    """The parts of a link before and after the start."""
+    bearing = math.radians(link.start_bearing_deg)
+    along = (root.x_m - first.x_m) * math.cos(bearing) + (root.y_m - first.y_m) * math.sin(bearing)
+    along = round(min(max(along, 0.0), link.length_m), 9)
+    back = direction_deg(link.start_bearing_deg + 180.0)
+    before = dataclasses.replace(link, end=root.id, end_bearing_deg=back, length_m=along)
+    after = dataclasses.replace(link, id=free, start=root.id, length_m=round(link.length_m - along, 9))
+    return before, after
+
+
+def _ahead(link, heading_deg, parts):
+    """The part of a split link that a robot with this heading follows."""
+    turn = math.radians(link.start_bearing_deg - heading_deg)
+    onward = math.cos(turn) if abs(math.cos(turn)) > _SQUARE else math.sin(turn)
+    return parts[1] if onward > 0 else parts[0]
+
+
+def _in_order(nodes, links, root, ahead):
+    """The map that begins at a node with a link, everything numbered as the robot comes to it."""
+    around = {number: [] for number in nodes}  # (bearing, link as it is followed from there)
+    for link in links:
+        around[link.start].append((link.start_bearing_deg, link))
+        around[link.end].append((link.end_bearing_deg, _turned(link, False)))
+    number, taken, followed = {root: 0}, set(), []
+    here, back = root, ahead.start_bearing_deg if ahead.start == root else ahead.end_bearing_deg
+    while True:
+        ways = [((bearing - back) % 360.0, link.id, link) for bearing, link in around[here] if link.id not in taken]
+        if not ways:
+            here, back = _nearest_open(around, taken, here, back)
+            if here is None:
+                break
+            continue
+        *_, link = min(ways, key=lambda way: way[:2])
+        taken.add(link.id)
+        followed.append(link)
+        here, back = link.end, link.end_bearing_deg
+        number.setdefault(here, len(number))
+    made = tuple(
+        dataclasses.replace(link, id=i, start=number[link.start], end=number[link.end])
+        for i, link in enumerate(followed)
+    )
+    return BtmMap(tuple(dataclasses.replace(nodes[old], id=new) for old, new in number.items()), made)
+
+
+def _nearest_open(around, taken, here, back):
+    """The nearest node with a link that has not been taken, by those that have, and the bearing from which one comes
+    to it; `(None, back)` where there is none.
+    """
+    queue, reached = [(0.0, here, back)], set()
+    while queue:
+        length_m, node, back = heapq.heappop(queue)
+        if node in reached:
+            continue
+        reached.add(node)
+        if any(link.id not in taken for _, link in around[node]):
+            return node, back
+        for _, link in around[node]:
+            heapq.heappush(queue, (length_m + link.length_m, link.end, link.end_bearing_deg))
+    return None, back

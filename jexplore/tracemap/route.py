@@ -1,0 +1,211 @@
+"""A route over a Behavioral Trace Map as a document: links in order, and by which way to leave each node.
+
+Plain Python: importing this loads no jax.
+"""
+
+import dataclasses
+import functools
+from collections.abc import Sequence
+
+from jexplore.tracemap.passable import called, inclination_of, step_of, unknowns, unknowns_at, width_of
+from jexplore.tracemap.record import NOWHERE, BtmMap, Link, Node, direction_deg, length_of
+
+SAME_DEG = 1e-6  # bearings nearer than this are one
+UNIT_M = 0.001  # lengths are compared in whole units
+
+
+@dataclasses.dataclass(frozen=True)
+class Step:
+    """A link of a route in the direction in which it is followed. What the map does not have is None."""
+
+    link: int
+    """Id."""
+    start: int
+    """Node that it leaves."""
+    end: int
+    """Node that it leads to; `NOWHERE` (-1) for an un-searched one."""
+    bearing_deg: float
+    """Direction in which it leaves, degrees in [0, 360), counter-clockwise from the map's +x."""
+    turn_deg: float | None
+    """That direction counter-clockwise from the link by which one came, degrees in (0, 360]: 180 is straight on, less
+    is to the right; None where the route begins."""
+    way: int | None
+    """Which link it is, counted counter-clockwise from the one by which one came: 1 is the first to the right."""
+    ways: int
+    """How many links there are to count, un-searched and refused ones included."""
+    length_m: float | None
+    width_m: float | None
+    """The narrowest, the opening included."""
+    step_m: float | None
+    posture_deg: float | None
+    roll_deg: float | None
+
+
+@dataclasses.dataclass(frozen=True)
+class Route:
+    """The shortest way of a robot from node to node, or why there is none."""
+
+    robot: str
+    start: int
+    end: int | None
+    """The node asked for; with `unsearched` the one that the un-searched link leaves, None if there is none."""
+    nodes: tuple[int, ...]
+    """Ids, one more than links; empty where there is no route."""
+    links: tuple[int, ...]
+    length_m: float
+    """Infinite where there is no route."""
+    steps: tuple[Step, ...]
+    onward: Step | None
+    """The un-searched link that was asked for."""
+    refused: tuple[tuple[int, tuple[str, ...]], ...]
+    """Id of every link that the robot may not use, and all reasons; un-searched links only where one was asked for."""
+    barriers: tuple[tuple[int, tuple[str, ...]], ...]
+    """The same of nodes that it may come to, but not pass."""
+    unknown: tuple[str, ...]
+    """What the map does not say of the links and nodes of the route: sentences."""
+    trouble: str
+    """Why there is no route; empty where there is one."""
+
+    @property
+    def is_found(self) -> bool:
+        return bool(self.nodes)
+
+    def __repr__(self) -> str:
+        if not self.is_found:
+            return f"<Route of {self.robot}: none, {self.trouble}>"
+        way = " - ".join(map(str, self.nodes)) + ("" if self.onward is None else " - ?")
+        count = f"{len(self.links)} link" + "s" * (len(self.links) != 1)
+        doubt = f", {len(self.unknown)} unknown" if self.unknown else ""
+        return f"<Route of {self.robot}: {way}, {count}, {self.length_m:.2f} m{doubt}>"
+
+
+@dataclasses.dataclass(frozen=True)
+class Index:
+    """A map by ids."""
+
+    nodes: dict[int, Node]
+    links: dict[int, Link]
+    ends: dict[int, dict[tuple[int, bool], float]]
+    """Node -> its ends of links, by `(id, whether it is the link's first end)` -> bearing in which the link leaves."""
+
+    def doubts(self, link: Link) -> tuple[str, ...]:
+        """What the map does not say of a link of a route: texts."""
+        found = unknowns(link, self.nodes)
+        if link.end == NOWHERE or link.length_m is not None:
+            return found
+        return (*found, f"length unknown, {length_of(link, self.nodes):.2f} m in a straight line")
+
+
+def index_of(btm: BtmMap) -> Index:
+    """A proper map by ids."""
+    nodes, links = {node.id: node for node in btm.nodes}, {link.id: link for link in btm.links}
+    ends: dict[int, dict[tuple[int, bool], float]] = {own: {} for own in nodes}
+    for link in btm.links:
+        ends[link.start][link.id, True] = link.start_bearing_deg
+        if link.end_bearing_deg is not None:
+            ends[link.end][link.id, False] = link.end_bearing_deg
+    return Index(nodes, links, ends)
+
+
+class Sheet:
+    """What routes over one map say, each thing made once: many routes go the same ways."""
+
+    def __init__(self, index: Index) -> None:
+        self.index = index
+        self.length_m = {own: length_of(link, index.nodes) for own, link in index.links.items() if link.end != NOWHERE}
+        """Link -> its length; un-searched ones left out."""
+        self._doubts = {own: found for own, link in index.links.items() if (found := index.doubts(link))}
+        self._steps: dict[tuple[int, int, int], Step] = {}
+
+    @functools.cached_property
+    def part(self) -> dict[int, int]:
+        """Node -> a node of the part of the map that its links join, one for all of the part."""
+        return _parts(self.index)
+
+    @functools.cached_property
+    def parts_with_stubs(self) -> frozenset[int]:
+        """Parts, as of `part`, with an un-searched link."""
+        return frozenset(self.part[link.start] for link in self.index.links.values() if link.end == NOWHERE)
+
+    def steps(self, nodes: Sequence[int], links: Sequence[int]) -> tuple[Step, ...]:
+        """The steps of a way.
+
+        Args:
+          nodes: ids that links leave, in order; more of them do not count.
+          links: ids, an un-searched one only as the last.
+
+        Returns:
+          Tuple of `Step`.
+        """
+        made, before = self._steps, (NOWHERE, *links)
+        keys = list(zip(before, links, nodes))
+        for key in keys:
+            if key not in made:
+                made[key] = self._step(*key)
+        return tuple([made[key] for key in keys])
+
+    def unknown(self, links: Sequence[int], passed: Sequence[int]) -> tuple[str, ...]:
+        """What the map does not say of the links of a route, and of the nodes that it passes: sentences."""
+        doubts, blanks = self._doubts, self._blanks
+        of_links = [f"{called(self.index.links[own])}: {', '.join(doubts[own])}" for own in links if own in doubts]
+        return (*of_links, *[f"node {own}: {', '.join(blanks[own])}" for own in passed if own in blanks])
+
+    @functools.cached_property
+    def _blanks(self):
+        return {own: found for own, node in self.index.nodes.items() if (found := unknowns_at(node))}
+
+    def _step(self, before, own, start):
+        index, link = self.index, self.index.links[own]
+        forward = link.start == start
+        came = None if before == NOWHERE else (before, index.links[before].end != start)
+        way, ways, turn = _counted(index.ends[start], (own, forward), came)
+        return Step(
+            link=own,
+            start=start,
+            end=link.end if forward else link.start,
+            bearing_deg=direction_deg(index.ends[start][own, forward]),
+            turn_deg=turn,
+            way=way,
+            ways=ways,
+            length_m=self.length_m.get(own),
+            width_m=width_of(link),
+            step_m=step_of(link, index.nodes),
+            posture_deg=inclination_of(link, index.nodes),
+            roll_deg=link.max_roll_deg,
+        )
+
+
+def _parts(index):
+    around = {own: [] for own in index.nodes}
+    for link in index.links.values():
+        if link.end != NOWHERE:
+            around[link.start].append(link.end)
+            around[link.end].append(link.start)
+    part = {}
+    for first in index.nodes:
+        left = [first]
+        while left:
+            here = left.pop()
+            if here not in part:
+                part[here] = first
+                left += around[here]
+    return part
+
+
+def _counted(ends, leaves, came):
+    """Which way out of a node a link is, of how many, and its angle: `(way, ways, turn_deg)`.
+
+    Args:
+      ends: of the node, see `Index`.
+      leaves, came: keys of `ends`; `came` is None where the route begins.
+    """
+    if came is None:
+        return None, len(ends), None
+    back = ends[came]
+
+    def angle(end):
+        turned = (ends[end] - back) % 360.0
+        return 360.0 if turned <= SAME_DEG else turned
+
+    order = sorted((end for end in ends if end != came), key=lambda end: (angle(end), end[0], not end[1]))
+    return order.index(leaves) + 1, len(order), angle(leaves)

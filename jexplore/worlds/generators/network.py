@@ -1,0 +1,255 @@
+"""The plan of a course without a goal: passages that meet, in rings and in rows of equal junctions, and a way in.
+
+It is drawn with the way in from the west and the rings growing to the north and east, and turned and mirrored last.
+Lines are the lanes of passages: columns run along y, rows along x, in the order of their keys; whole keys are sides of
+rings, fractions the middles between.
+"""
+
+import dataclasses
+import itertools
+from collections.abc import Iterable
+
+import numpy as np
+
+from jexplore.worlds.generators.route import RAMP_M, Leg, Ramp, Rect, Stop, drawn_width, fifths, is_near
+
+START_M = 4.0  # from the wall behind the start: outside the circle of the dead end there
+_SEED_0_M = 6.0  # length of a passage between two junctions
+
+
+@dataclasses.dataclass(frozen=True)
+class Network:
+    """A plan that `course_map.render` makes a world of; see `route.Route`."""
+
+    areas: list[Rect]
+    stops: list[Stop]
+    legs: list[Leg]
+    ramps: list[Ramp]
+    start: Stop
+    boxes: tuple[Rect, ...] = ()
+    has_goal: bool = False
+
+
+@dataclasses.dataclass(frozen=True, order=True)
+class _Side:
+    """A straight stretch of a ring, or between two rings."""
+
+    axis: int
+    """0: it runs along x, on a row; 1: along y, on a column."""
+    line: float
+    """Key of the row or column."""
+    low: float
+    high: float
+    """Keys of the columns or rows where it ends."""
+
+
+def network(
+    rng: np.random.Generator | None, width_m: float, creases: int, loops: int, repeat: int, spurs: bool
+) -> Network:
+    """A course with so many independent ways round, or with so many equal junctions, or both.
+
+    Args:
+      rng: what is drawn from; None: nothing is, the widths are `width_m` and all lengths 6 m.
+      width_m: of the passages, metres.
+      creases: places of the obstacle that become nodes; 0: there is none.
+      loops: rings, each of which shares a side with the one before or is joined to it by a passage.
+      repeat: T junctions at equal distances, with dead ends of equal length: on the first ring, else on a straight
+        passage.
+      spurs: whether rings have dead ends.
+
+    Returns:
+      `Network`. Its first passage has the start and the obstacle.
+    """
+    draw = _Draws(rng, width_m)
+    sides = _rings(draw, loops) if loops else {_Side(0, 0.0, 1 / (repeat + 1), repeat / (repeat + 1))}
+    entry = (0.0, draw.choice((0.5, 0.0, 1.0))) if loops else (1 / (repeat + 1), 0.0)
+    equal = [(t / (repeat + 1), 0.0) for t in range(1, repeat + 1)]
+    wanted = _wanted(draw, sides, repeat) if spurs and loops else []
+    keys = [(side.line, at)[:: 1 if side.axis else -1] for side in sides for at in (side.low, side.high)]
+    keys += [entry, *equal, *(at for at, _ in wanted)]
+    columns = _lines(draw, {column for column, _ in keys}, repeat)
+    rows = _lines(draw, {row for _, row in keys}, 0)
+    made = _Made(columns, rows, sides)
+    before_m = START_M + draw.passage()
+    made.spur(entry, 2, before_m + 2 * RAMP_M + draw.passage())
+    length = draw.length(6.2, 8.0)
+    for at in equal:
+        made.spur(at, 3, length)
+    if not loops:
+        made.spur(equal[-1], 0, draw.length(6.2, 8.0))
+    for at, heading in wanted:
+        made.spur(at, heading, draw.length(5.0, 7.0), may_fail=True)
+    places, pairs = made.places_and_pairs()
+    places = _turned(places, draw.choice(range(4)), draw.choice((False, True)))
+    return _planned(places, pairs, before_m, creases, draw.angle())
+
+
+class _Draws:
+    """Numbers that are drawn, or fixed where there is nothing to draw from."""
+
+    def __init__(self, rng, width_m):
+        self.rng, self.width_m = rng, width_m
+
+    def choice(self, options):
+        return options[0] if self.rng is None else options[int(self.rng.integers(len(options)))]
+
+    def width(self):
+        return self.width_m if self.rng is None else drawn_width(self.rng, self.width_m)
+
+    def length(self, low, high):
+        return _SEED_0_M if self.rng is None else fifths(self.rng, low, high)
+
+    def passage(self):
+        return self.length(4.4, 7.0)
+
+    def angle(self):
+        return 10.0 if self.rng is None else float(self.rng.integers(6, 16))
+
+
+def _rings(draw, loops):
+    """Sides of so many rings: a staircase to the north and east, so that no further one arises."""
+    column, row, sides = 0, 0, _sides_of(0, 0)
+    for _ in range(loops - 1):
+        shares, east, upper = draw.choice((True, False)), draw.choice((True, False)), draw.choice((0, 1))
+        if not shares:
+            line, low = (row + upper, column + 1) if east else (column + upper, row + 1)
+            sides = sides | {_Side(0 if east else 1, float(line), float(low), float(low + 1))}
+        step = 1 if shares else 2
+        column, row = (column + step, row) if east else (column, row + step)
+        sides = sides | _sides_of(column, row)
+    return sides
+
+
+def _sides_of(column, row):
+    return {_Side(0, float(row + k), float(column), float(column + 1)) for k in (0, 1)} | {
+        _Side(1, float(column + k), float(row), float(row + 1)) for k in (0, 1)
+    }
+
+
+def _wanted(draw, sides, repeat):
+    """Places, keys of column and row, and headings of dead ends that rings may have; none beside equal junctions."""
+    found = []
+    if draw.rng is None:
+        return found
+    for side in sorted(sides):
+        along = draw.choice((side.low, (side.low + side.high) / 2, side.high))
+        at = (along, side.line) if side.axis == 0 else (side.line, along)
+        heading = draw.choice((1, 3) if side.axis == 0 else (0, 2))
+        if draw.choice((False, True)) and not (repeat and (at[1] == 0 or 0 < at[0] < 1)):
+            found.append((at, heading))
+    return found
+
+
+def _lines(draw, keys, repeat):
+    """Key -> the two sides of a line, metres. Those of equal junctions are alike and equally far apart."""
+    equal_width, equal_gap, at, found = draw.width(), draw.length(5.0, 8.0), 0.0, {}
+    keys = sorted(keys)
+    for key, after in zip(keys, [*keys[1:], None]):
+        is_equal = repeat and 0 < key < 1
+        width = equal_width if is_equal else draw.width()
+        found[key] = (round(at, 6), round(at + width, 6))
+        if after is not None:
+            is_whole = key % 1 == after % 1 == 0
+            gap = draw.length(5.0, 9.0) if is_whole else draw.passage()
+            at += width + (equal_gap if repeat and (is_equal or 0 < after < 1) else gap)
+    return found
+
+
+class _Made:
+    """Lines in metres, and what hangs on them."""
+
+    def __init__(self, columns, rows, sides):
+        self.columns, self.rows, self.sides = columns, rows, sorted(sides)
+        ends = [[self._at(side, key) for key in (side.low, side.high)] for side in self.sides]
+        self.keys = {at for pair in ends for at in pair}
+        self.areas = [_hull(*map(self._place, pair)) for pair in ends]
+        self.spurs: list[tuple[tuple[float, float], Rect]] = []
+
+    @staticmethod
+    def _at(side, key):
+        return (key, side.line) if side.axis == 0 else (side.line, key)
+
+    def _place(self, at):
+        (x0, x1), (y0, y1) = self.columns[at[0]], self.rows[at[1]]
+        return x0, y0, x1, y1
+
+    def spur(self, at, heading, length, may_fail=False):
+        """A passage with a dead end, so long from its mouth at a place on a line to its end.
+
+        One that may fail is left out where it would come too near to another passage.
+        """
+        base = self._place(at)
+        width = base[3] - base[1] if heading % 2 == 0 else base[2] - base[0]
+        stub = _beyond(base, heading, 0.0, length)
+        others = ((area, _hull(area, base) == area) for area in self.areas)
+        if any(_overlap(stub, area) if touches else is_near(stub, area) for area, touches in others):
+            assert may_fail, "what the plan relies on keeps clear of itself"
+            return
+        far = _beyond(base, heading, length - width, length)
+        self.keys.add(at)
+        self.areas.append(_hull(base, far))
+        self.spurs.append((at, far))
+
+    def places_and_pairs(self):
+        """Rectangles of the places where passages meet or end, and the passages as pairs of them, dead ends first."""
+        keys = sorted(self.keys)
+        places = [*map(self._place, keys), *(far for _, far in self.spurs)]
+        pairs = [(len(keys) + i, keys.index(at)) for i, (at, _) in enumerate(self.spurs)]
+        for side in self.sides:
+            on = [at for at in keys if at[1 - side.axis] == side.line and side.low <= at[side.axis] <= side.high]
+            pairs += [(keys.index(one), keys.index(two)) for one, two in itertools.pairwise(on)]
+        return places, pairs
+
+
+def _beyond(rect, heading, near_m, far_m) -> Rect:
+    """The stretch of a passage that leaves a rectangle, so far from its mouth."""
+    edge, forward = rect[(heading + 2) % 4], 1 if heading < 2 else -1
+    low, high = sorted((edge + forward * near_m, edge + forward * far_m))
+    x0, y0, x1, y1 = rect
+    return (x0, low, x1, high) if heading % 2 else (low, y0, high, y1)
+
+
+def _hull(*rects) -> Rect:
+    x0, y0, x1, y1 = zip(*rects)
+    return min(x0), min(y0), max(x1), max(y1)
+
+
+def _overlap(a, b):
+    return a[0] < b[2] - 1e-6 and b[0] < a[2] - 1e-6 and a[1] < b[3] - 1e-6 and b[1] < a[3] - 1e-6
+
+
+def _turned(rects, quarters, mirrored):
+    """Rectangles turned counter-clockwise about the origin, then mirrored in x."""
+    for _ in range(quarters):
+        rects = [(-y1, x0, -y0, x1) for x0, y0, x1, y1 in rects]
+    return [(-x1, y0, -x0, y1) for x0, y0, x1, y1 in rects] if mirrored else list(rects)
+
+
+def _planned(places: list[Rect], pairs: Iterable[tuple[int, int]], before_m, creases, angle_deg) -> Network:
+    """The `Network` of places and passages; on the first passage are the start and, so far from its end, the ramp."""
+    ways = [(a, b, _heading(places[a], places[b])) for a, b in pairs]
+    arms = [{heading for a, _, heading in ways if a == i} | {(h + 2) % 4 for _, b, h in ways if b == i}
+            for i in range(len(places))]  # fmt: skip
+    stops = [
+        Stop("divergence", min(own), (0.0, 0.0), rect=rect, arms=frozenset(own)) for rect, own in zip(places, arms)
+    ]
+    legs = [Leg(a, b, heading, _lane(places[a], heading)) for a, b, heading in ways[1:]]
+    end, base, heading = ways[0]
+    lane, forward = _lane(places[end], heading), 1 if heading < 2 else -1
+    wall = places[end][heading]
+    start = Stop("terminal", heading, lane, wall + forward * START_M)
+    ramp = Ramp(heading, lane, wall + forward * before_m, angle_deg)
+    chain = [end, *range(len(stops), len(stops) + creases), base]
+    stops += [Stop("obstacle", heading, lane, ramp=ramp, crease=crease) for crease in range(creases)]
+    legs += [Leg(a, b, heading, lane) for a, b in itertools.pairwise(chain)]
+    areas = [_hull(places[a], places[b]) for a, b, _ in ways]
+    return Network(areas, stops, legs, [ramp] if creases else [], start)
+
+
+def _heading(a, b):
+    dx, dy = b[0] + b[2] - a[0] - a[2], b[1] + b[3] - a[1] - a[3]
+    return (0 if dx > 0 else 2) if abs(dx) > abs(dy) else (1 if dy > 0 else 3)
+
+
+def _lane(rect, heading):
+    return (rect[1], rect[3]) if heading % 2 == 0 else (rect[0], rect[2])

@@ -1,0 +1,174 @@
+"""What drift does to maps: where nodes truly lie, what is summed up, what is drawn; and how many bytes maps take."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import jexplore as jx
+from jexplore.config import InputError
+from jexplore.driving.batch import Driven
+from jexplore.driving.settings import Noise
+from jexplore.report.plots import drift as plots
+from jexplore.studies.traces.drift import drift, placed_truly, summarised
+from jexplore.studies.traces.storage import packed, storage
+from jexplore.tracemap.record import BtmMap, Link, Node
+from jexplore.worlds.readers.scans import ScanLog
+from jexplore.worlds.world import World
+
+pytestmark = pytest.mark.usefixtures("whole_runs")
+
+NODES = (
+    Node(0, 1.0, 0.0, "terminal"),
+    Node(1, 4.2, 0.0, "divergence"),
+    Node(2, 4.2, 3.0, "obstacle", "stairs", step_m=0.1),
+)
+LINKS = (
+    Link(0, 0, 1, "searched", 0.0, 180.0, 3.2, 2.0),
+    Link(1, 1, -1, "un-searched", 90.0),
+    Link(2, 1, 2, "searched", 90.0, 270.0, 3.0, 2.0, attributes={"blocked": True}),
+)
+MAP = BtmMap(NODES, LINKS)
+
+
+def way_of(truth, estimate):
+    n = len(truth)
+    return Driven(np.float32(truth), np.float32(estimate), np.zeros(n, np.int32), np.zeros(n, np.float32))
+
+
+def test_where_nodes_truly_lie():
+    """The robot has turned by a quarter without noticing: what it has ahead on +x lies on +y."""
+    way = way_of([[1, 0, 0], [1, 3, math.pi / 2], [1, 3.2, math.pi / 2]], [[1, 0, 0], [4, 0, 0], [4.2, 0, 0]])
+    found = placed_truly(BtmMap(NODES[:2], LINKS[:2]), np.array([[11.0, 5.0], [11.0, 8.0]]), way, (10.0, 5.0))
+    assert (found.nodes[0].x_m, found.nodes[0].y_m) == pytest.approx((1.0, 0.0))
+    # Node 1 lies at 4.2 in the world's frame; the robot took itself to be at (14, 5) there and was at (11, 8).
+    assert (found.nodes[1].x_m, found.nodes[1].y_m) == pytest.approx((11 + 5.0, 8 - 9.8))
+    assert found.links[0].start_bearing_deg == 0.0
+    assert found.links[0].end_bearing_deg == pytest.approx(270.0)
+    assert found.links[1].start_bearing_deg == pytest.approx(180.0)
+
+
+def test_without_drift_nodes_lie_where_they_are():
+    way = way_of(*[np.random.default_rng(0).uniform(0, 9, (20, 3))] * 2)
+    found = placed_truly(MAP, way.truth[[3, 7, 11], :2].astype(float), way)
+    for one, other in zip(found.nodes, MAP.nodes):
+        assert (one.x_m, one.y_m) == pytest.approx((other.x_m, other.y_m), abs=1e-5)
+
+
+def table():
+    """Two errors: 4 runs of the study's own noise, 4 with more slip, 2 with a bias."""
+    rows = [(0.02, 0.0, True)] * 4 + [(0.3, 0.0, True)] * 3 + [(0.3, 0.0, False)] + [(0.02, 3.0, None)] * 2
+    found = pd.DataFrame(rows, columns=["noise.slip", "noise.heading_bias_deg_m", "true"])
+    found["true"] = found["true"].astype("boolean")
+    off = [0.0, 0.1, 0.2, 0.3, 1.0, 1.0, 1.0, 5.0, 2.0, np.nan]
+    return found.assign(node_error_m=off, on_wall=0.9, doubled=0.1)
+
+
+AXES = {"slip": [0.02, 0.3], "heading_bias_deg_m": [0.0, 3.0]}
+
+
+def test_what_is_summed_up():
+    found = summarised(table(), AXES, Noise())
+    assert found["error"].tolist() == ["slip"] * 2 + ["heading_bias_deg_m"] * 2
+    assert found["n"].tolist() == [4, 4, 4, 2]
+    assert found["true"].tolist()[:3] == [1.0, 0.75, 1.0]
+    assert np.isnan(found["true"][3])
+    # Wilson's interval of 3 in 4, by its formula.
+    z, n, p = 1.959964, 4, 0.75
+    half = z / (1 + z * z / n) * math.sqrt(p * (1 - p) / n + z * z / (4 * n * n))
+    middle = (p + z * z / (2 * n)) / (1 + z * z / n)
+    assert found["true_low"][1] == pytest.approx(middle - half, abs=1e-5)
+    assert found["true_high"][1] == pytest.approx(middle + half, abs=1e-5)
+    assert found["node_error_m"].tolist() == pytest.approx([0.15, 1.0, 0.15, 2.0])
+    assert found["node_error_m_high"][1] == pytest.approx(2.0)
+
+
+def test_the_figure():
+    cells = np.array([[1.0, 1.0], [1.1, 1.0]])
+    pictures = plots.Pictures("slip 0.3", np.array([[0.0, -1.0, 5.0, -1.0]]), cells, 0.1, MAP, MAP)
+    page = plots.figure(summarised(table(), AXES, Noise()), pictures)
+    page.draw_without_rendering()
+    assert len(page.axes) == 3 * 2 + 2
+    line = page.axes[2].lines[0]  # nodes off, over slip
+    np.testing.assert_allclose(line.get_xdata(), [0.02, 0.3])
+    np.testing.assert_allclose(line.get_ydata(), [0.15, 1.0])
+    np.testing.assert_allclose(page.axes[0].lines[0].get_ydata(), [100.0, 75.0])
+    squares = page.axes[6].collections[0].get_paths()
+    np.testing.assert_allclose([path.vertices[:4].mean(axis=0) for path in squares], cells)
+    assert len(plots.figure(summarised(table(), {"slip": [0.02, 0.3]}, Noise())).axes) == 3
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ({"axes": {}}, "axes must name an error or more"),
+        ({"axes": {"drift": [1.0]}}, "axes must be errors of jx.Noise, .*, got 'drift'"),
+        ({"axes": {"slip": []}}, "slip must have a value or more"),
+        ({"axes": {"slip": [0.9]}}, "noise.slip must be"),
+        ({"sweep": ["votes=1,5"]}, "sweep thresholds with jx.trace"),
+        ({"runs": 0}, "runs"),
+    ],
+)
+def test_what_cannot_be_asked(options, says):
+    with pytest.raises(InputError, match=says):
+        drift(**options)
+
+
+@pytest.mark.jit
+def test_a_study_is_runs_of_traces(tmp_path):
+    """Runs of the study's own noise are those of `trace`; more slip leaves the first steps alike and then does not."""
+    noise, options = Noise(range_m=0.01), {"max_steps": 150, "seed": 3}
+    found = drift(axes={"slip": [0.4]}, runs=2, noise=noise, **options)
+    alone = jx.trace("course", runs=2, noise=noise, **options).table
+    assert found.axes == {"slip": [0.02, 0.4]}
+    assert found.runs["noise.slip"].tolist() == [0.02, 0.02, 0.4, 0.4]
+    own = found.runs[:2]
+    for name in ("path_m", "drift_m", "code", "nodes"):
+        assert own[name].tolist() == alone[name].tolist()
+    assert (found.runs["on_wall"] > 0.9).all()
+    assert found.example is None
+    assert len(found.figure().axes) == 3
+    log = jx.trace("course", noise=noise, **options).scans()
+    assert jx.odometry_map(log, found.plan.world).on_wall > 0.9
+
+
+def test_bytes_of_a_packed_map():
+    """8 bytes a node, 16 a link."""
+    data = packed(MAP)
+    assert len(data) == 3 * 8 + 3 * 16
+    nodes, links = data[:24], data[24:]
+    assert np.frombuffer(nodes[8:12], "<i2").tolist() == [320, 0]
+    assert nodes[16 + 4 :] == bytes([3 + 4, 255, 10, 255])  # stairs, no inclination, 10 cm, no posture
+    assert np.frombuffer(links[16:20], "<i2").tolist() == [1, -1]
+    assert links[32 + 4] == 1 + 2  # searched, blocked
+    assert np.frombuffer(links[5:11], "<i2").tolist() == [0, 180, 320]
+    assert packed(BtmMap((), ())) == b""
+    far = dataclasses.replace(NODES[1], x_m=9999.0)
+    assert np.frombuffer(packed(BtmMap((NODES[0], far), ()))[8:10], "<i2").tolist() == [32767]
+
+
+def test_bytes_of_a_room():
+    """A room of 3 x 3 cells is 5 x 5 with its walls: 25 cells, 7 bytes. Ways of 3.2 and 3 m: 7 metres begun."""
+    occupied = np.ones((8, 8), bool)
+    occupied[2:5, 3:6] = False
+    found = storage(World(occupied=occupied, cell_m=0.1, name="room"), MAP)
+    assert found["grid_packed"] == 7
+    assert found["btm_packed"] == 72
+    assert found["pose_graph"] == 8 * (12 + 2 * 181) + 7 * 44
+    assert found["btm_json"] > found["btm_json_zlib"] > 100
+
+
+def test_bytes_of_a_drawn_map():
+    """A line of three cells, seen from its end: free, free, occupied; one row of the map, one byte."""
+    log = ScanLog(np.array([[0.5, 0.5, 0.0]]), np.zeros((1, 3)), np.array([[2.2]]), np.zeros(1), np.zeros(1), 8.0)
+    occupied = np.pad(np.zeros((3, 3), bool), 1, constant_values=True)
+    drawn = jx.fold_scans(log, cell_m=1.0)
+    assert storage(World(occupied=occupied, cell_m=0.1, name="room"), MAP, drawn=drawn)["grid_packed"] == 1
+
+
+def test_a_way_round_is_one_more_edge():
+    closed = BtmMap(NODES, (*LINKS, Link(3, 2, 0, "searched", 180.0, 0.0, 0.8)))
+    room = World(occupied=np.pad(np.zeros((3, 3), bool), 1, constant_values=True), cell_m=0.1, name="room")
+    assert storage(room, closed)["pose_graph"] - storage(room, MAP)["pose_graph"] == 44

@@ -1,0 +1,191 @@
+"""Robots that follow routes: what a guide takes a place for, where it says to go on, and drives in the building."""
+
+import dataclasses
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jexplore as jx
+from jexplore.config import InputError
+from jexplore.driving import guide as guides
+from jexplore.driving.sensing.openings import Openings
+from jexplore.studies.traces import following
+from jexplore.tracemap.record import NOWHERE
+from jexplore.worlds import load_world
+
+EAST, NORTH, WEST, SOUTH = (math.radians(a) for a in (0, 90, 180, 270))
+T = WEST, EAST, SOUTH  # the ways of the first place
+CROSSING = NORTH, EAST, WEST, SOUTH  # of the second
+
+
+def a_guide(out=(SOUTH, EAST), ways=(T, CROSSING), leg=((10.0, 0.0), (0.0, -6.0)), length_m=(10.0, 6.0), tail_m=5.0):
+    """From (0, 0) ten metres east, six south, then east."""
+    made = guides.guide_of(out, ways, leg, length_m, tail_m=tail_m, node_xy=(0.0, 0.0), start_m=1.0, size=4)
+    return jax.tree.map(jnp.asarray, made)
+
+
+def place(*bearings):
+    """Openings of a place that bear so, the others unused."""
+    n = len(bearings)
+    bearing = np.zeros(8, np.float32)
+    bearing[:n] = bearings
+    flat = jnp.zeros(8)
+    return Openings(jnp.asarray(bearing), jnp.zeros((8, 2)), flat, flat, jnp.arange(8) < n, jnp.int32(0))
+
+
+def met(guide, odometer_m, centre, found, when=True):
+    """The guide after a place, and the bearing of the way on, degrees in [0, 360)."""
+    after, bearing = guides.at_place(guide, jnp.float32(odometer_m), jnp.array(centre, float), found, jnp.bool_(when))
+    return after, math.degrees(float(bearing)) % 360
+
+
+def counts(guide):
+    """`(places passed, missed, extra)`."""
+    return int(guide.at), int(guide.missed), int(guide.extra)
+
+
+def test_the_next_place_turns_the_way_the_map_says():
+    after, bearing = met(a_guide(), 9.0, (10.2, 0.1), place(*T))
+    assert bearing == pytest.approx(270)
+    assert counts(after) == (1, 0, 0)
+    assert float(after.from_m) == 9.0
+    assert np.asarray(after.from_xy).tolist() == pytest.approx([10.2, 0.1])
+    assert np.degrees(np.asarray(after.seen)[0][:3]).tolist() == pytest.approx([180, 0, 270])
+    assert np.isnan(np.asarray(after.seen)[1:]).all()
+    after, bearing = met(after, 15.2, (10.3, -5.8), place(*CROSSING))
+    assert bearing == pytest.approx(0)
+    assert counts(after) == (2, 0, 0)
+
+
+@pytest.mark.parametrize(("off_m", "ways", "taken"), [(2.5, T, True), (2.5, (WEST, SOUTH), False), (4.0, T, False)])
+def test_a_place_somewhat_off_must_have_the_very_ways(off_m, ways, taken):
+    """2.5 m are within 0.2 * 10 + 1.5, and not within 0.1 * 10 + 1.0."""
+    after, bearing = met(a_guide(), 9.0, (10.0 + off_m, 0.0), place(*ways))
+    assert counts(after) == (int(taken), 0, int(not taken))
+    assert bearing == pytest.approx(270 if taken else 180)
+
+
+@pytest.mark.parametrize("ways", [(WEST, SOUTH), (WEST, EAST, SOUTH, NORTH)])
+def test_a_way_less_or_more_is_no_other_place(ways):
+    after, bearing = met(a_guide(), 9.0, (10.0, 0.5), place(*ways))
+    assert counts(after) == (1, 0, 0)
+    assert bearing == pytest.approx(270)
+
+
+def test_a_place_without_the_way_on_is_another():
+    after, _ = met(a_guide(), 9.0, (10.0, 0.5), place(WEST, EAST, NORTH))
+    assert counts(after) == (0, 0, 1)
+
+
+def test_at_a_place_that_the_map_does_not_have_the_robot_goes_towards_the_next():
+    after, bearing = met(a_guide(), 3.0, (4.0, 6.0), place(NORTH, SOUTH, EAST))
+    assert bearing == pytest.approx(315)
+    assert counts(after) == (0, 0, 1)
+    assert float(after.from_m) == -1.0
+
+
+def test_a_place_that_is_missed_is_told_by_the_next():
+    after, bearing = met(a_guide(), 15.0, (10.0, -6.0), place(*CROSSING))
+    assert bearing == pytest.approx(0)
+    assert counts(after) == (2, 1, 0)
+
+
+def test_the_heading_is_put_right_at_a_place():
+    """The odometry has turned 10 degrees to the left: so do all bearings, and the next leg."""
+    off = math.radians(10)
+    after, bearing = met(a_guide(), 9.0, (10.0, 0.0), place(*(way + off for way in T)))
+    assert math.degrees(float(after.turned)) == pytest.approx(-5)
+    assert bearing == pytest.approx(275)
+    south = 6.0 * math.cos(NORTH * 3 + off / 2), 6.0 * math.sin(NORTH * 3 + off / 2)
+    expected = np.asarray(guides._expected(after, jnp.array([1])))[0]
+    assert expected.tolist() == pytest.approx([10.0 + south[0], south[1]], abs=1e-4)
+
+
+def test_nothing_happens_where_there_is_no_place():
+    before = a_guide()
+    after, _ = met(before, 9.0, (10.0, 0.0), place(*T), when=False)
+    for one, other in zip(jax.tree.leaves(before), jax.tree.leaves(after)):
+        np.testing.assert_array_equal(one, other)
+
+
+def on_the_way(guide, odometer_m, position=(5.0, 0.0), blocked=False):
+    return guides.on_the_way(guide, jnp.float32(odometer_m), jnp.array(position), jnp.bool_(blocked))
+
+
+ONE = {"out": (SOUTH,), "ways": (T,), "leg": ((10.0, 0.0),), "length_m": (10.0,)}
+
+
+def test_a_route_ends_at_its_last_place_or_where_the_way_is_long_enough():
+    at_place, _ = met(a_guide(**ONE, tail_m=0.0), 9.0, (10.0, 0.0), place(*T))
+    assert bool(at_place.arrived)
+    near = [bool(on_the_way(a_guide(**ONE, tail_m=0.0), 8.5, (x, 0.0)).arrived) for x in (9.2, 9.4)]
+    assert near == [False, True]
+    on_link, _ = met(a_guide(**ONE, tail_m=5.0), 9.0, (10.0, 0.0), place(*T))
+    assert not bool(on_link.arrived)
+    ends = [bool(on_the_way(on_link, m).arrived) for m in (13.6, 13.8)]
+    assert ends == [False, True]
+
+
+def test_without_its_places_or_its_way_a_robot_is_lost():
+    lost = [bool(on_the_way(a_guide(), m).lost) for m in (35.4, 35.6)]  # 1.5 * (10 + 6 + 5) + 5 m, begun at -1
+    assert lost == [False, True]
+    stopped = on_the_way(a_guide(), 2.0, blocked=True)
+    assert bool(stopped.lost)
+    assert bool(stopped.blocked)
+
+
+def test_a_guide_of_a_route_has_its_divergences():
+    world = load_world("course:obstacle=none")
+    btm = world.course.topology
+    route = jx.route(btm, "wheeled", 0, 5)
+    guide = following._guides(world, btm, [route], [0.6])
+    assert guide.count.tolist() == [2]
+    assert np.isfinite(guide.ways[0, :2]).sum(axis=1).tolist() == [3, 3]
+    places = [node for node in route.nodes[1:] if btm.nodes[node].type == "divergence"][:2]
+    ends = [(btm.nodes[node].x_m, btm.nodes[node].y_m) for node in places]
+    np.testing.assert_allclose(
+        guide.leg[0, :2].sum(axis=0), np.subtract(ends[1], (btm.nodes[0].x_m, btm.nodes[0].y_m)), atol=1e-4
+    )
+    assert guide.length_m[0, :2].sum() + guide.tail_m[0] == pytest.approx(route.length_m)
+    assert guide.from_m[0] == pytest.approx(-0.6)
+
+
+@pytest.mark.jit
+def test_routes_are_driven_and_what_is_otherwise_is_written_back():
+    """The map knows nothing of the stairs that the building has, nor of one of its ways."""
+    btm = load_world("course:obstacle=none").course.topology
+    open_link = next(link for link in btm.links if link.end == NOWHERE)
+    short = dataclasses.replace(btm, links=tuple(link for link in btm.links if link.id != open_link.id))
+    found = jx.routes(short, ["wheeled"], [(1, 4), (4, 0), (3, 1)])[0]
+    driven = jx.follow("course:obstacle=stairs", short, found, "wheeled", workers=1)
+    assert driven.table["outcome"].tolist() == ["ARRIVED", "BLOCKED", "ARRIVED"]
+    assert (driven.table["off_m"].iloc[[0, 2]] < 1.0).all()
+    assert driven.table["refused"].max() <= 1
+    links = {link.id: link for link in driven.map.links}
+    first = next(link for link in btm.links if 0 in (link.start, link.end))
+    who = {"name": "wheeled", "width_m": 0.39, "max_step_m": 0.03, "max_slope_deg": 5.0}
+    assert links[first.id].attributes == {"blocked": True, "blocked_for": who, "found_by": "wheeled"}
+    (new,) = [link for link in driven.map.links if link.attributes.get("found_by") and link.end == NOWHERE]
+    assert new.start == open_link.start
+    assert abs((new.start_bearing_deg - open_link.start_bearing_deg + 180) % 360 - 180) < 20
+    assert len(driven.changes) == 2
+    assert jx.route(driven.map, "wheeled", 4, 0).refused == ((first.id, ("blocked for wheeled",)),)
+    climbs = jx.route(driven.map, "kamui", 4, 0)
+    assert first.id in climbs.links
+    assert any(line.endswith("blocked for wheeled") for line in climbs.unknown)
+
+
+def test_wrong_input_is_one_line():
+    btm = load_world("course:obstacle=none").course.topology
+    here = jx.route(btm, "wheeled", 0, 0)
+    for routes, robot, message in [
+        ([], "wheeled", "expected a route"),
+        ([here], "wheeled", "must have a link"),
+        ([jx.route(btm, "wheeled", 0, 5)], "tank", "robot must be one of"),
+        ([jx.route(btm, "wheeled", 0, 5)], jx.Robot("wide", 3, 3, 1, 5, 0.1, 1, 1, 0.5, 0, 45, 0.7), "does not fit"),
+    ]:
+        with pytest.raises(InputError, match=message):
+            jx.follow("course:obstacle=none", btm, routes, robot)

@@ -1,0 +1,703 @@
+"""Maps without a common frame become one: by hand, laws, parts of true maps, wrong input, the command."""
+
+import dataclasses
+import functools
+import itertools
+import json
+import math
+import random
+
+import pytest
+from hypothesis import Phase, given, settings
+from hypothesis import strategies as st
+from ref.parts import EXACT, common, part_of
+from ref.traces import chain, maps, node, stub, way
+
+import jexplore as jx
+from jexplore.cli.main import main
+from jexplore.config import InputError
+from jexplore.tracemap import json_form
+from jexplore.tracemap.merging.match import Merging, match
+from jexplore.tracemap.merging.merge import merge_maps
+from jexplore.tracemap.merging.rigid import Move, fit, mean_deg, mirrored, moved
+from jexplore.tracemap.merging.walk import Likeness, Limits, Pair
+from jexplore.tracemap.merging.ways import places_of
+from jexplore.tracemap.record import NOWHERE, BtmMap, check
+from jexplore.tracemap.similarity import code, differences
+from jexplore.worlds import load_world
+
+# Two robots in one building. The first comes from the west, the second starts south of the corner:
+#
+#            F4
+#            |                         The first knows T0, D1, D2, D3 and a way north of D1,
+#   T0 --4-- D1 ---9--- D2             the second T5, D2, D1, F4, D3 and a way west of D1.
+#                       |
+#                      (T5) 2.5 m below D2
+#                       |
+#                       D3- 6 m below D2
+FIRST = BtmMap(
+    (
+        node(0, "T", 0, 0),
+        node(1, "D", 4, 0),
+        node(2, "D", 13, 0, posture_deg=3.0),
+        node(3, "D", 13, -6, attributes={"victim": True}),
+    ),
+    (
+        way(0, 0, 1, 0, length_m=4.0, min_width_m=1.5),
+        way(1, 1, 2, 0, length_m=9.0, min_width_m=2.2, opening_m=2.3),
+        stub(2, 1, 90, opening_m=1.2),
+        way(3, 2, 3, 270, length_m=6.0, min_width_m=1.4, max_step_m=0.02),
+        stub(4, 3, 0),
+    ),
+    {"frame": "odom"},
+)
+SECOND = BtmMap(
+    (
+        node(0, "T", 13, -2.5),
+        node(7, "D", 13, 0, posture_deg=5.0, attributes={"radio_dbm": -61}),
+        node(8, "D", 4, 0),
+        node(9, "F", 4, 5),
+        node(10, "D", 13, -6, attributes={"victim": False}),
+    ),
+    (
+        way(0, 0, 7, 90, length_m=2.5, min_width_m=1.6),
+        way(1, 7, 8, 180, length_m=9.0, min_width_m=2.1),
+        way(2, 8, 9, 90, length_m=5.0, opening_m=1.2),
+        stub(3, 8, 180),
+        way(4, 0, 10, 270, length_m=3.5, min_width_m=1.3, posture_deg=2.0),
+        stub(5, 10, 0),
+        stub(6, 9, 90),
+    ),
+    {"frame": "odom"},
+)
+TOGETHER = BtmMap(
+    (
+        node(0, "T", 0, 0),
+        node(1, "D", 4, 0),
+        node(2, "D", 13, 0, posture_deg=5.0),
+        node(3, "D", 13, -6),
+        node(4, "T", 13, -2.5),
+        node(5, "F", 4, 5),
+    ),
+    (
+        way(0, 0, 1, 0, length_m=4.0, min_width_m=1.5),
+        way(1, 1, 2, 0, length_m=9.0, min_width_m=2.1, opening_m=2.3),
+        way(2, 1, 5, 90, length_m=5.0, opening_m=1.2),
+        way(3, 2, 4, 270, length_m=2.5, min_width_m=1.4, max_step_m=0.02),
+        way(4, 4, 3, 270, length_m=3.5, min_width_m=1.3, max_step_m=0.02, posture_deg=2.0),
+        stub(5, 3, 0),
+        stub(6, 5, 90),
+    ),
+)
+TIGHT = Limits(angle_deg=1.0, length_share=1e-6, length_m=1e-5, heading_deg=0.0, lost=0)
+QUARTER = Move(2.0, -1.0, 90.0)
+
+
+def merged_of(*given, **options):
+    found = merge_maps(given, list("abcdefgh"[: len(given)]), **options)
+    check(found.map)
+    return found
+
+
+@functools.cache
+def truth_of(seed):
+    return load_world(f"course#{seed}").course.topology
+
+
+def test_places_by_hand():
+    places = places_of(SECOND)
+    assert list(places.nodes) == [7, 8, 9, 10]  # the start is a stop on the way from 7 to 10
+    down = places.ways[7][1]
+    assert (down.end, down.back, down.length_m, down.stops, down.width_m) == (10, 1, 6.0, ((0, 2.5),), 1.3)
+    assert [forward for _, forward in down.steps] == [False, True]
+    assert places.ways[9][0].end == NOWHERE
+    assert places.ways[8][1].opening_m == 1.2
+    start = places_of(FIRST).ways[1][2]
+    assert not start.is_whole
+    assert (start.length_m, start.stops, start.opening_m) == (4.0, ((0, 4.0),), None)
+
+
+def test_moves_by_hand():
+    assert QUARTER.place(1, 0) == pytest.approx((2, 0))
+    assert QUARTER.after(Move(1, 0, 300)).place(0, 0) == pytest.approx((2, 0))
+    assert QUARTER.after(Move(1, 0, 300)).turn_deg == 30
+    assert fit([(0, 0), (1, 0)], [QUARTER.place(0, 0), QUARTER.place(1, 0)], 0.0).turn_deg == pytest.approx(90)
+    assert dataclasses.astuple(fit([(1, 1)], [(3, 1)], 180.0)) == pytest.approx((4, 2, 180))
+    assert mean_deg([350, 20]) == pytest.approx(5)
+    assert mean_deg([350, 20], [1.0, 2.0]) == pytest.approx(10)
+
+
+@pytest.mark.parametrize("move", [Move(), QUARTER, Move(-30, 4, 217)])
+def test_two_maps_by_hand(move):
+    found = merged_of(FIRST, moved(SECOND, move))
+    assert found.outcome is Merging.MERGED
+    assert found.left == ()
+    assert differences(found.map, TOGETHER, 1e-6, 1e-6) == []
+    assert found.matched == 3
+    assert found.nodes == {"a": {0: 0, 1: 1, 2: 2, 3: 3}, "b": {7: 2, 8: 1, 10: 3, 0: 4, 9: 5}}
+    x, y = found.moves["b"].place(*move.place(5, 6))
+    assert (x, y) == pytest.approx((5, 6))
+    assert found.moves["a"] == Move()
+    attributes = [item.attributes for item in found.map.nodes]
+    assert attributes[2] == {"from": {"a": 2, "b": 7}, "radio_dbm": -61}
+    told = [{"from": ["a"], "value": True}, {"from": ["b"], "value": False}]
+    assert attributes[3] == {"from": {"a": 3, "b": 10}, "conflicts": {"victim": told}}
+    assert [link.attributes["from"] for link in found.map.links] == [
+        {"a": 0, "b": 3}, {"a": 1, "b": 1}, {"a": 2, "b": 2}, {"a": 3, "b": 0}, {"a": 3, "b": 4}, {"a": 4, "b": 5},
+        {"b": 6},
+    ]  # fmt: skip
+    assert found.map.attributes == {"frame": "odom", "merged_from": ["a", "b"]}
+    assert found.notes == ("node 3: victim is True in a and False in b",)
+
+
+def test_the_other_way_round():
+    found = merged_of(SECOND, FIRST)
+    assert found.nodes["b"] == {1: 2, 2: 1, 3: 4, 0: 5}
+    assert code(found.map) == code(BtmMap((TOGETHER.nodes[4], *TOGETHER.nodes[:4], TOGETHER.nodes[5]), (
+        TOGETHER.links[3], *(link for link in TOGETHER.links if link.id != 3))))  # fmt: skip
+    assert differences(merged_of(SECOND, moved(FIRST, QUARTER)).map, found.map, 1e-6, 1e-6) == []
+
+
+def test_means_count_every_map_once():
+    def shifted(off):
+        nodes = [dataclasses.replace(one, x_m=one.x_m + off * (one.id == 2)) for one in FIRST.nodes]
+        links = [
+            dataclasses.replace(one, length_m=9.0 + off) if one.id == 1 else one for one in FIRST.links
+        ]  # fmt: skip
+        return BtmMap(tuple(nodes), tuple(links))
+
+    found = merged_of(shifted(0.0), shifted(0.0), shifted(0.3))
+    assert found.map.links[1].length_m == pytest.approx(9.1)
+    assert found.map.nodes[2].attributes["from"] == {"a": 2, "b": 2, "c": 2}
+
+
+def test_starts_on_one_way():
+    # Both begin in the middle of the way from D1 to D2, 2 and 6 m from D1, and go different ways.
+    west = BtmMap(
+        (node(0, "T", 6, 0), *FIRST.nodes[1:2], node(9, "F", 4, 5), node(5, "O", 4, 11, obstacle="stairs")),
+        (way(0, 0, 1, 180, length_m=2.0), way(1, 1, 9, 90, length_m=5.0, opening_m=1.2), stub(2, 1, 180), stub(3, 0, 0),
+         way(4, 9, 5, 90, length_m=6.0), stub(5, 5, 90)),
+    )  # fmt: skip
+    east = BtmMap(
+        (node(0, "T", 10, 0), *west.nodes[1:]),
+        (way(0, 0, 1, 180, length_m=6.0), *west.links[1:]),
+    )
+    found = merged_of(west, east)
+    assert found.outcome is Merging.MERGED
+    assert found.matched == 3
+    assert code(found.map) == "T(D(F(O:stairs(-)),-),T(-))"
+    lengths = {(link.start, link.end): link.length_m for link in found.map.links}
+    assert lengths[0, 1] == 2.0
+    assert lengths[0, 4] == 4.0  # to the start of the second
+    near = merged_of(west, dataclasses.replace(west, nodes=(node(0, "T", 6.2, 0), *west.nodes[1:])))
+    assert near.matched == 4
+    assert len(near.map.nodes) == 4
+
+
+def test_a_start_beside_a_node_of_the_other_map_lies_before_it():
+    north = (node(9, "F", 4, 5), node(5, "O", 4, 11, obstacle="stairs"))
+    links = (
+        way(1, 1, 9, 90, length_m=5.0, opening_m=1.2),
+        stub(2, 1, 180),
+        way(4, 9, 5, 90, length_m=6.0),
+        stub(5, 5, 90),
+    )
+    short = BtmMap((*FIRST.nodes[1:3], *north), (way(0, 1, 2, 0, length_m=9.0), stub(7, 2, 270), *links))
+    long = BtmMap((node(0, "T", 13.2, 0.1), FIRST.nodes[1], *north), (way(0, 1, 0, 0, length_m=9.2), *links))
+    found = merged_of(short, long)
+    assert found.outcome is Merging.MERGED
+    lengths = {(link.start, link.end): link.length_m for link in found.map.links}
+    start = found.nodes["b"][0]
+    assert lengths[found.nodes["a"][1], start] == pytest.approx(8.99)
+    assert lengths[start, found.nodes["a"][2]] == pytest.approx(0.01)
+
+
+def test_starts_are_compared_by_one_scale():
+    def scaled(btm, factor):
+        links = [dataclasses.replace(one, length_m=one.length_m and one.length_m * factor) for one in btm.links]
+        nodes = [dataclasses.replace(one, x_m=one.x_m * factor, y_m=one.y_m * factor) for one in btm.nodes]
+        return BtmMap(tuple(nodes), tuple(links))
+
+    links = [way(0, 0, 1, 0, length_m=14.0), *FIRST.links[1:]]
+    far = BtmMap((node(0, "T", -10, 0), *FIRST.nodes[1:]), tuple(links))
+    assert merged_of(far, scaled(far, 1.08)).matched == 4
+    late = dataclasses.replace(far, links=(way(0, 0, 1, 0, length_m=15.2), *far.links[1:]))
+    assert merged_of(late, scaled(far, 1.08)).matched == 3
+
+
+def test_links_that_leave_alike_by_hand():
+    places = [
+        places_of(BtmMap((node(0),), tuple(stub(i, 0, bearing) for i, bearing in enumerate(bearings))))
+        for bearings in ((0, 90, 180), (276, 0, 93), (0, 45, 90, 180), (0, 120, 240))
+    ]
+    pair = Pair(places[0], places[1], Limits())
+    likeness = pair.alike((places[0], 0, 0), (places[1], 0, 2))  # 0 and 276, the last one counter-clockwise
+    assert likeness == Likeness(pytest.approx(87.0), ((0, 2), (2, 1), (1, 0)), 0)
+    assert pair.alike((places[0], 0, 0), (places[1], 0, 0)) is None
+    extra = pair.alike((places[0], 0, 0), (places[2], 0, 0))
+    assert extra == Likeness(0.0, ((0, 0), (1, 2), (2, 3)), 1)
+    assert pair.alike((places[0], 0, 0), (places[3], 0, 0)) is None
+    assert Pair(*places[:2], Limits(lost=0)).alike((places[0], 0, 0), (places[2], 0, 0)) is None
+
+
+def test_a_link_that_one_map_lacks_costs_evidence():
+    more = dataclasses.replace(SECOND, links=(*SECOND.links, stub(9, 7, 40)))
+    assert match(FIRST, more).outcome is Merging.MERGED
+    assert match(FIRST, more).evidence < match(FIRST, SECOND).evidence - 2
+
+
+def contradicting():
+    """Both have gone north of D1: the first 9 m to F11, the second 5 m to F9. At the stairs east of D2 both were."""
+    stairs = (node(12, "O", 20, 0, obstacle="stairs"), node(11, "F", 4, 9))
+    ways = (way(13, 0, 12, 0, length_m=7.0), way(12, 1, 11, 90, length_m=9.0, opening_m=1.2))
+    first = BtmMap(
+        (*FIRST.nodes, *stairs),
+        (*(one for one in FIRST.links if one.id != 2), dataclasses.replace(ways[0], start=2), ways[1]),
+    )
+    return first, BtmMap((*SECOND.nodes, stairs[0]), (*SECOND.links, dataclasses.replace(ways[0], start=7)))
+
+
+def test_contradictions_are_told():
+    first, second = contradicting()
+    assert len(match(first, second).contradictions) == 1
+    found = merged_of(first, moved(second, QUARTER))
+    assert found.outcome is Merging.MERGED
+    assert len(found.map.bearings_deg(1)) == 4  # both ways north
+    assert found.notes[1:] == ("node 1: 1 way leads elsewhere in b than in a; the map has both",)
+    again = merged_of(second, first)
+    assert again.nodes["a"][8] == 2
+    assert again.notes[1:] == ("node 2: 1 way leads elsewhere in b than in a; the map has both",)
+    assert match(FIRST, SECOND).contradictions == ()
+    apart = merged_of(corridor(9), corridor(9), first, second)
+    assert apart.notes[-1] == "node 1: 1 way leads elsewhere in d than in c; the map has both"
+
+
+def test_what_looks_otherwise_and_lies_where_it_should():
+    # The second map has two ways more at D1, too many to be alike; but D1 lies where the rest says that it does.
+    more = (stub(20, 8, 270), stub(21, 8, 300))
+    long = (node(11, "F", 18, -6), node(12, "O", 18, -13, obstacle="slope"))
+    ways = (way(30, 10, 11, 0, length_m=5.0), way(31, 11, 12, 270, 90, length_m=7.0))
+    second = BtmMap(SECOND.nodes + long, tuple(link for link in SECOND.links if link.id != 5) + more + ways)
+    ids = {1: (13, 30), 2: (14, 31)}
+    first = BtmMap(
+        FIRST.nodes + tuple(dataclasses.replace(one, id=ids[i][0]) for i, one in enumerate(long, 1)),
+        (*FIRST.links[:4], way(30, 3, 13, 0, length_m=5.0), way(31, 13, 14, 270, 90, length_m=7.0)),
+    )
+    found = merged_of(first, moved(second, QUARTER))
+    assert found.outcome is Merging.MERGED
+    assert {found.nodes["b"][8], found.nodes["a"][1]} == {1}
+    assert len(found.map.bearings_deg(1)) == 5
+    assert match(first, second).contradictions == ()  # no more, once D1 is D1
+    bent = [dataclasses.replace(one, x_m=one.x_m + 1.8 * (one.id in (7, 8))) for one in second.nodes]
+    assert merged_of(first, dataclasses.replace(second, nodes=tuple(bent))).nodes["b"][8] == 1
+    assert merged_of(first, second, limits=Limits(lost=0)).nodes["b"][8] == 1
+
+
+def test_merged_with_itself():
+    for seed in range(6):
+        btm = truth_of(seed)
+        found = merged_of(btm, btm)
+        assert found.outcome is Merging.MERGED
+        assert found.matched == len(btm.nodes)
+        assert differences(found.map, btm, 1e-6, 1e-6) == []
+
+
+def pair_of(seed, errors=None):
+    rng, truth = random.Random(seed), truth_of(seed % 7)
+    return truth, part_of(truth, rng, errors), part_of(truth, rng, errors)
+
+
+def place_of(found, name, part):
+    """Merged node -> true node, for those that are one."""
+    return {found.nodes[name][key]: true for key, true in part.true.items()}
+
+
+def whole_of(btm, true):
+    """Ways between true nodes, in true nodes, and how long they are."""
+    places = places_of(btm)
+    return {
+        (*sorted((true[a], true[one.end])), round(one.length_m, 6))
+        for a, ways in places.ways.items()
+        for one in ways
+        if one.is_whole
+    }
+
+
+def blocks(rng):
+    """Nine crossings of six streets, and the ways between them: four cycles."""
+    x, y = ([sum(gaps[:i]) for i in range(3)] for gaps in ([rng.uniform(4, 9) for _ in range(3)] for _ in range(2)))
+    nodes = [node(3 * i + j, rng.choice("DDF"), x[j], y[i]) for i in range(3) for j in range(3)]
+    links = [(3 * i + j, 3 * i + j + 1, 0, x[j + 1] - x[j]) for i in range(3) for j in range(2)]
+    links += [(3 * i + j, 3 * i + j + 3, 90, y[i + 1] - y[i]) for i in range(2) for j in range(3)]
+    return BtmMap(tuple(nodes), tuple(way(i, *ends, length_m=length) for i, (*ends, length) in enumerate(links)))
+
+
+@settings(max_examples=40)
+@given(st.integers(0, 10**6), st.booleans())
+def test_parts_without_errors_make_their_union(seed, has_cycles):
+    rng = random.Random(seed)
+    truth = blocks(rng) if has_cycles else truth_of(seed % 7)
+    one, other = part_of(truth, rng, EXACT), part_of(truth, rng, EXACT)
+    found = merged_of(one.map, other.map, limits=TIGHT)
+    if found.outcome is not Merging.MERGED:
+        return
+    true = place_of(found, "a", one)
+    for key, at in place_of(found, "b", other).items():
+        assert true.setdefault(key, at) == at
+    assert sorted(true.values()) == sorted({*one.true.values(), *other.true.values()})
+    places = {**{found.nodes["a"][k]: p for k, p in one.place.items()},
+              **{found.nodes["b"][k]: p for k, p in other.place.items()}}  # fmt: skip
+    there = [(node.x_m, node.y_m) for node in found.map.nodes]
+    move = fit(there, [places[node.id] for node in found.map.nodes], 0.0)
+    for node_ in found.map.nodes:
+        assert math.dist(move.place(node_.x_m, node_.y_m), places[node_.id]) < 1e-6
+    for key, at in true.items():
+        assert len(found.map.bearings_deg(key)) == len(truth.bearings_deg(at))
+    both = whole_of(one.map, one.true) | whole_of(other.map, other.true)
+    assert {ends[:2] for ends in whole_of(found.map, true)} == {ends[:2] for ends in both}
+    assert {ends[2] for ends in whole_of(found.map, true)} <= {ends[2] for ends in both}
+
+
+def test_most_parts_are_merged():
+    answers = []
+    for seed in range(40):
+        _, one, other = pair_of(seed, None)
+        if len(common(one, other)) >= 3:
+            found = merged_of(one.map, other.map)
+            answers.append(found.outcome is Merging.MERGED)
+            back = {at: key for key, at in found.nodes.get("b", {}).items()}
+            pairs = [(key, back[at]) for key, at in found.nodes.get("a", {}).items() if at in back]
+            assert all(math.dist(one.place[a], other.place[b]) < 1.0 for a, b in pairs)
+    assert len(answers) > 20
+    assert sum(answers) >= 0.9 * len(answers)
+
+
+@settings(max_examples=30)
+@given(st.integers(0, 10**6), st.floats(0, 360), st.floats(-50, 50))
+def test_frames_do_not_matter(seed, turn, shift):
+    _, one, other = pair_of(seed)
+    found, again = merged_of(one.map, other.map), merged_of(one.map, moved(other.map, Move(shift, 7.0, turn)))
+    assert (again.outcome, again.nodes) == (found.outcome, found.nodes)
+    assert again.evidence == pytest.approx(found.evidence, abs=1e-6)
+    if found.outcome is Merging.MERGED:
+        assert differences(again.map, found.map, 1e-6, 1e-6) == []
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_neither_map_is_preferred(seed):
+    _, one, other = pair_of(seed)
+    pairs = match(one.map, other.map), match(other.map, one.map)
+    if pairs[0].outcome is Merging.MERGED and pairs[1].outcome is Merging.MERGED:
+        assert pairs[0].nodes == {b: a for a, b in pairs[1].nodes.items()}
+        back = pairs[0].move.after(pairs[1].move)
+        assert back.place(0, 0) == pytest.approx((0, 0), abs=1e-6)
+        found, again = merge_maps([one.map, other.map]).map, merge_maps([other.map, one.map]).map
+        shape = [sorted((n.type, len(btm.bearings_deg(n.id))) for n in btm.nodes) for btm in (found, again)]
+        assert shape[0] == shape[1]
+        lengths = [sorted(link.length_m or 0.0 for link in btm.links) for btm in (found, again)]
+        assert lengths[0] == pytest.approx(lengths[1], abs=1e-6)
+
+
+@settings(max_examples=40, phases=[Phase.explicit, Phase.reuse, Phase.generate])
+@given(maps(measures=True), maps(measures=True))
+def test_any_two_maps_have_an_outcome(one, other):
+    def tamed(item):
+        values = {field.name: getattr(item, field.name) for field in dataclasses.fields(item)}
+        tame = {name: value % 50 for name, value in values.items() if isinstance(value, float)}
+        return dataclasses.replace(item, **tame, attributes={})
+
+    one, other = (BtmMap(tuple(map(tamed, btm.nodes)), tuple(map(tamed, btm.links))) for btm in (one, other))
+    found = merged_of(one, other, min_common=1)
+    assert found.outcome in Merging
+    assert (found.matched > 0) == (found.outcome is Merging.MERGED)
+    assert check(found.map) == found.map
+
+
+def corridor(n, *, odd=()):
+    """Equal openings at equal distances; some have a way to the other side."""
+    stubs = [(i, 90.0) for i in range(n)] + [(i, -90.0) for i in odd] + [(0, 180.0), (n - 1, 0.0)]
+    return chain("D" * n, stubs)
+
+
+def test_passages_that_look_alike_are_refused():
+    found = merged_of(corridor(6), corridor(5))
+    assert found.outcome in (Merging.AMBIGUOUS, Merging.NOT_ENOUGH_IN_COMMON)
+    assert found.left == ("b",)
+    assert found.map.nodes == merged_of(corridor(6), corridor(5)).map.nodes
+    assert len(found.map.nodes) == 6
+    assert found.matched == 0
+    marked = [
+        dataclasses.replace(corridor(n, odd=odd), nodes=tuple(
+            dataclasses.replace(one, type="free_space" if one.id in odd else "divergence") for one in corridor(n).nodes
+        ))
+        for n, odd in ((12, (4, 7)), (11, (3, 6)))
+    ]  # fmt: skip
+    assert merged_of(*marked).nodes["b"][3] == 4
+
+
+def test_half_turns_of_a_symmetric_map_are_ambiguous():
+    ring = BtmMap(
+        (node(0, "D", 0, 0), node(1, "F", 7, 0), node(2, "D", 7, 4), node(3, "F", 0, 4),
+         node(4, "O", 3, 0), node(5, "O", 4, 4)),
+        (way(0, 0, 4, 0, length_m=3.0), way(1, 4, 1, 0, length_m=4.0), way(2, 1, 2, 90, length_m=4.0),
+         way(3, 2, 5, 180, length_m=3.0), way(4, 5, 3, 180, length_m=4.0), way(5, 3, 0, 270, length_m=4.0)),
+    )  # fmt: skip
+    found = merged_of(ring, ring)
+    assert found.outcome is Merging.AMBIGUOUS
+    assert found.margin == pytest.approx(0.0)
+    stubbed = dataclasses.replace(ring, links=(*ring.links, stub(6, 1, 0), stub(7, 0, 180), stub(8, 4, 270)))
+    assert merged_of(stubbed, moved(stubbed, QUARTER)).outcome is Merging.MERGED
+
+
+def passage():
+    """A passage north over a slope; at its ends a T and a corner, whose further ways lead west to what differs."""
+    return BtmMap(
+        (node(0, "D", 0, 0), node(1, "F", 0, 7), node(2, "O", 0, 12, obstacle="slope"), node(3, "D", 0, 18),
+         node(4, "F", -9, 18), node(5, "O", -15, 18, obstacle="stairs"), node(6, "F", -4, 0),
+         node(7, "O", 0, 14.5, obstacle="slope"), node(8, "F", 0, 21)),
+        (way(0, 0, 1, 90, length_m=7.0), way(1, 1, 2, 90, length_m=5.0), way(2, 2, 7, 90, length_m=2.5),
+         way(3, 3, 4, 180, length_m=9.0), way(4, 4, 5, 180, length_m=6.0), way(5, 0, 6, 180, length_m=4.0),
+         way(6, 7, 3, 90, length_m=3.5), way(7, 3, 8, 90, length_m=3.0), stub(8, 1, 0), stub(9, 1, 180)),
+    )  # fmt: skip
+
+
+def test_a_map_in_a_mirror_by_hand():
+    there = mirrored(moved(passage(), QUARTER))  # west is south now, and east of the mirror is west
+    assert (there.nodes[0].x_m, there.nodes[0].y_m) == pytest.approx((-2, -1))
+    assert (there.nodes[1].x_m, there.nodes[1].y_m) == pytest.approx((5, -1))
+    assert [link.start_bearing_deg for link in there.links[2:5]] == [0, 270, 270]
+    assert (there.links[2].end_bearing_deg, there.links[8].end_bearing_deg) == (180, None)
+    assert differences(mirrored(there), moved(passage(), QUARTER), 1e-9, 1e-9) == []
+    assert code(there) != code(passage())
+
+
+def test_a_building_in_a_mirror_is_another_one():
+    # Parts of it look the same in a mirror, once turned; beyond them ways leave otherwise.
+    other = moved(mirrored(passage()), QUARTER)
+    found = match(passage(), other)
+    assert found.outcome is Merging.AMBIGUOUS
+    assert (len(found.contradictions), found.margin) == (2, 0.0)
+    assert merged_of(passage(), other).left == ("b",)
+    assert match(passage(), moved(passage(), QUARTER)).outcome is Merging.MERGED
+    end = passage()  # without what leads west nothing contradicts: these may be one building
+    short = BtmMap((*end.nodes[:4], end.nodes[7]), tuple(end.links[i] for i in (0, 1, 2, 6, 8, 9)))
+    assert match(short, mirrored(short)).outcome is Merging.MERGED
+
+
+def test_courses_in_a_mirror_do_not_make_one_that_contradicts_itself():
+    refused = 0
+    for seed in range(12):
+        found = match(truth_of(seed), mirrored(truth_of(seed)))
+        refused += found.outcome is Merging.AMBIGUOUS
+        if found.outcome is Merging.MERGED:
+            assert found.contradictions == ()
+    assert refused >= 3
+
+
+def test_nothing_in_common_is_an_outcome():
+    other = BtmMap((node(0, "T"), node(1, "F", 3, 0), node(2, "O", 9, 0, obstacle="stairs")), (
+        way(0, 0, 1, 0, length_m=3.0), way(1, 1, 2, 0, length_m=6.0), stub(2, 2, 0)))  # fmt: skip
+    for pair in (
+        (FIRST, other),
+        (other, FIRST),
+        (FIRST, chain("T")),
+        (chain("T"), chain("T")),
+        (FIRST, BtmMap((), ())),
+    ):
+        found = merged_of(*pair)
+        assert found.outcome is Merging.NOT_ENOUGH_IN_COMMON
+        assert found.matched == 0
+        assert found.left == ("b" if len(pair[0].nodes) >= len(pair[1].nodes) else "a",)
+    assert merged_of(FIRST, SECOND, min_common=4).outcome is Merging.NOT_ENOUGH_IN_COMMON
+
+
+def test_parts_of_two_courses_are_not_merged():
+    close = 0
+    for seed in (*range(20), 1049, 1091, 1113, 1193):
+        rng = random.Random(seed)
+        one, other = (part_of(truth_of(number), rng, least=0.15).map for number in (seed, seed + 1))
+        found = match(one, other)
+        close += len(found.nodes) >= 3 and found.margin > 4.6
+        assert found.outcome is Merging.NOT_ENOUGH_IN_COMMON
+    assert close >= 2  # by chance as many nodes are alike as are asked for, and nothing rivals them
+
+
+def test_what_two_maps_have_in_common_need_not_hang_together():
+    # Two corridors, 20 m apart. The first robot went from one to the other in the west, the second in the east.
+    low = (node(0, "D", 0, 0), node(1, "F", 5, 0), node(2, "D", 11, 0))
+    high = (node(3, "D", 0, 20), node(4, "O", 7, 20, obstacle="slope"), node(5, "D", 11, 20))
+    links = (way(0, 0, 1, 0, length_m=5.0), way(1, 1, 2, 0, length_m=6.0), way(2, 3, 4, 0, length_m=7.0),
+             way(3, 4, 5, 0, length_m=4.0), stub(4, 1, 250), stub(5, 5, 20))  # fmt: skip
+    west = (way(6, 0, 3, 90, length_m=20.0), stub(7, 2, 90), stub(8, 5, 270))
+    east = (way(6, 2, 5, 90, length_m=20.0), stub(7, 0, 90), stub(8, 3, 270))
+    bent = tuple(dataclasses.replace(one, x_m=one.x_m + 3.0) for one in high)
+    found = merged_of(BtmMap((*low, *high), (*links, *west)), moved(BtmMap((*low, *bent), (*links, *east)), QUARTER))
+    assert found.outcome is Merging.MERGED
+    assert found.matched == len(found.map.nodes) == 6
+    assert len(found.map.links) == 8
+    assert not any(link.end == NOWHERE for link in found.map.links[6:])
+
+
+def third():
+    """North of F4, of which the first map knows nothing."""
+    nodes = (node(0, "D", 4, 0), node(1, "F", 4, 5), node(2, "O", 4, 13, obstacle="slope", inclination_deg=9.0))
+    links = (way(0, 0, 1, 90, length_m=5.0, opening_m=1.2), way(1, 1, 2, 90, length_m=8.0), stub(2, 0, 180),
+             way(3, 0, 3, 0, length_m=9.0), stub(4, 2, 90), stub(5, 3, 270))  # fmt: skip
+    return BtmMap((*nodes, node(3, "D", 13, 0)), links)
+
+
+def test_three_maps():
+    for order in itertools.permutations([FIRST, moved(SECOND, QUARTER), moved(third(), Move(1, 1, 33))]):
+        found = merged_of(*order)
+        assert found.outcome is Merging.MERGED
+        assert found.left == ()
+        assert len(found.map.nodes) == 7
+        assert len(found.map.links) == 8
+        assert sorted(len(one.attributes["from"]) for one in found.map.nodes) == [1, 1, 1, 2, 2, 3, 3]
+        for name, btm in zip("abc", order):
+            for one in btm.nodes:
+                at = found.map.nodes[found.nodes[name][one.id]]
+                assert found.moves[name].place(one.x_m, one.y_m) == pytest.approx((at.x_m, at.y_m), abs=1e-6)
+    found = merged_of(FIRST, corridor(9), moved(SECOND, QUARTER))
+    assert found.left == ("b",)
+    assert set(found.nodes) == {"a", "c"}
+    assert len(found.map.nodes) == 6
+    assert found.outcome is not Merging.MERGED
+
+
+def test_merged_maps_are_merged_further_and_keep_whom_they_are_of():
+    two = merge_maps([FIRST, SECOND], ["a", "b"]).map
+    found = merge_maps([json_form.from_json(json_form.to_json(two)), third()], ["two", "c"])
+    assert found.map.attributes["merged_from"] == ["a", "b", "c"]
+    assert found.map.nodes[1].attributes["from"] == {"a": 1, "b": 8, "c": 0}
+    assert found.nodes["two"][5] == 5
+    assert found.nodes["c"][1] == 5
+    assert found.notes == ("node 3: victim is True in a and False in b",)
+    with pytest.raises(InputError, match='expected maps with names of their own, got "b" twice'):
+        merge_maps([two, third()], ["two", "b"])
+
+
+def test_who_says_what():
+    marked = [FIRST.with_attributes({"victim": value}, node=3) for value in (True, True, False, 1)]
+    told = [{"from": ["a", "b"], "value": True}, {"from": ["c"], "value": False}, {"from": ["d"], "value": 1}]
+    assert merged_of(*marked).map.nodes[3].attributes["conflicts"] == {"victim": told}
+
+
+TOLD = [{"from": ["a"], "value": 1}, {"from": ["b"], "value": 2}]
+
+
+@pytest.mark.parametrize(
+    ("where", "attributes", "words"),
+    [
+        *(({}, {"merged_from": bad}, f"two: merged_from: expected a list of names of maps, got {shown}")
+          for bad, shown in ((5, "5"), (None, "None"), ("ab", "'ab'"), ([], r"\[\]"), (["a", 1], r"\['a', 1\]"))),
+        *((where, {"from": bad}, f"two: {name}: expected a from with ids by names in merged_from, got {shown}")
+          for bad, shown in ((None, "None"), (3, "3"), ({}, "{}"), ({"a": "x"}, "{'a': 'x'}"), ({"a": True}, "{'a': T"),
+                             ({"z": 3}, "{'z': 3}"))
+          for where, name in (({"node": 3}, "node 3"), ({"link": 4}, "link 4"))),
+        *((where, {"conflicts": bad}, f"two: {name}: expected conflicts with lists of .* by attribute, got ")
+          for bad in ("hello", 5, None, [], {"victim": 3}, {"victim": []}, {"victim": [3]}, {"conflicts": TOLD},
+                      {"victim": [{"from": ["a"]}]}, {"victim": [{"from": "a", "value": 1}]},
+                      {"victim": [{"from": [1], "value": 1}]})
+          for where, name in (({}, "the map"), ({"node": 3}, "node 3"), ({"link": 4}, "link 4"))),
+    ],
+)  # fmt: skip
+def test_what_merging_could_not_have_written_is_refused(where, attributes, words):
+    two = merge_maps([FIRST, SECOND], ["a", "b"]).map.with_attributes(attributes, **where)
+    with pytest.raises(InputError, match=words) as error:
+        merge_maps([two, third()], ["two", "c"])
+    assert "\n" not in str(error.value)
+
+
+def test_conflicts_of_a_map_that_was_not_merged():
+    told = FIRST.with_attributes({"conflicts": {"victim": TOLD}}, node=1)
+    assert merged_of(told, SECOND).map.nodes[1].attributes["conflicts"] == {"victim": TOLD}
+    with pytest.raises(InputError, match="0: node 1: expected conflicts"):
+        merge_maps([FIRST.with_attributes({"conflicts": {"victim": 3}}, node=1), SECOND])
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda: merge_maps([FIRST]), "expected two maps or more, got 1"),
+        (lambda: merge_maps([FIRST, SECOND], ["a"]), "expected a name for each of 2 maps"),
+        (lambda: merge_maps([FIRST, SECOND], ["a", "a"]), 'names of their own, got "a" twice'),
+        (lambda: merge_maps([FIRST, SECOND], min_common=0), "min_common must be an integer from 1"),
+        (lambda: merge_maps([FIRST, {}]), "a map must be a jx.BtmMap"),
+        (lambda: merge_maps([FIRST, BtmMap(FIRST.nodes[:1], FIRST.links)]), "which is not there"),
+        (lambda: merge_maps([FIRST.with_attributes({"from": 1}, node=0), SECOND]), 'expected no attribute "from"'),
+        (lambda: Limits(angle_deg=-1), "angle_deg must be a number at least 0"),
+        (lambda: Limits(lost=0.5), "lost must be an integer"),
+    ],
+)
+def test_wrong_input(call, words):
+    with pytest.raises(InputError, match=words) as error:
+        call()
+    assert "\n" not in str(error.value)
+
+
+def test_names_of_the_package():
+    assert jx.merge_maps is merge_maps
+    assert jx.Merging is Merging
+    assert jx.Limits is Limits
+
+
+@pytest.fixture
+def files(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for name, btm in (("a", FIRST), ("b", moved(SECOND, QUARTER)), ("c", corridor(4)), ("d", corridor(9))):
+        (tmp_path / f"{name}.json").write_text(json.dumps(json_form.to_json(btm)))
+    return tmp_path
+
+
+def test_the_command_writes_one_map(files, capsys):
+    assert main(["merge-maps", "a.json", "b.json", "--out", "global.json"]) == 0
+    assert differences(json_form.read_btm("global.json"), TOGETHER, 1e-6, 1e-6) == []
+    out, err = capsys.readouterr()
+    assert "| a        |     4 |     5 |             3 | merged |" in out
+    assert "| together |     6 |     7 |" in out
+    assert "victim is True in a and False in b" in out
+    assert out.endswith("wrote global.json\n")
+    assert err == ""
+    assert main(["merge-maps", "a.json", "b.json"]) == 0
+    assert main(["merge-maps", "a.json", "b.json", "--out", "global.json"]) == 2
+    assert "is there already" in capsys.readouterr().err
+    assert main(["merge-maps", "b.json", "a.json", "--out", "global.json", "--overwrite"]) == 0
+    assert json_form.read_btm("global.json").nodes[0].attributes["from"] == {"b": 0}
+
+
+def test_the_command_tells_contradictions(files, capsys):
+    for name, btm in zip("ef", contradicting()):
+        (files / f"{name}.json").write_text(json.dumps(json_form.to_json(btm)))
+    assert main(["merge-maps", "e.json", "f.json"]) == 0
+    assert "node 1: 1 way leads elsewhere in f than in e; the map has both\n" in capsys.readouterr().out
+
+
+def test_the_command_refuses(files, capsys):
+    assert main(["merge-maps", "a.json", "c.json", "--out", "global.json"]) == 1
+    err = capsys.readouterr().err
+    assert err.startswith("jexplore: not enough in common: c ")
+    assert err.count("\n") == 1
+    assert not (files / "global.json").exists()
+    assert main(["merge-maps", "a.json", "c.json", "--out", "global.json", "--partial"]) == 1
+    out, err = capsys.readouterr()
+    assert "wrote" not in out
+    assert err.endswith("; nothing was written\n")
+    assert not (files / "global.json").exists()
+    assert main(["merge-maps", "a.json", "c.json", "b.json", "--out", "global.json", "--partial"]) == 1
+    assert len(json_form.read_btm("global.json").nodes) == 6
+    capsys.readouterr()
+    for words, said in (
+        ([], "expected files of two maps or more, got 0"),
+        (["a.json"], "expected files of two maps or more, got 1"),
+        (["a.json", "./a.json"], "expected every map once, got ./a.json again"),
+        (["a.json", "nothing.json"], "nothing.json must be a readable JSON file"),
+        (["a.json", "b.json", "--out", "a.json", "--overwrite"], "is one of the maps"),
+        (["a.json", "b.json", "--out", "no/global.json"], "there is no folder"),
+        (["a.json", "b.json", "--out", "."], "must be a file, and is a folder"),
+        (["a.json", "b.json", "--min-common", "0"], "min_common must be an integer from 1"),
+    ):
+        assert main(["merge-maps", *words]) == 2
+        err = capsys.readouterr().err
+        assert said in err
+        assert err.count("\n") == 1

@@ -1,0 +1,586 @@
+"""Routes over a map for another robot: by pencil, beside networkx, laws, and what is refused."""
+
+import dataclasses
+import itertools
+import json
+import math
+
+import jax
+import networkx
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import jexplore as jx
+from jexplore.arrays.graphs import FAR, NONE, links_around, shortest_ways
+from jexplore.cli.main import main
+from jexplore.config import InputError
+from jexplore.driving.settings import ROBOTS
+from jexplore.report import store, trace_tables
+from jexplore.tracemap import shortest
+from jexplore.tracemap.json_form import to_json
+from jexplore.tracemap.record import NOWHERE, BtmMap, Link, Node
+
+GOOD = {"length_m": 5.0, "min_width_m": 1.0, "posture_deg": 1.0, "max_roll_deg": 1.0, "max_step_m": 0.0}
+LIFTED = "no measures of who could not pass; blocked set to false lifts it"
+KAMUI, WHEELED = ROBOTS["kamui"], ROBOTS["wheeled"]
+
+
+def way(number, start, end, start_deg, end_deg, **changed):
+    return Link(number, start, end, "searched", start_deg, end_deg, **{**GOOD, **changed})
+
+
+def stub(number, start, bearing_deg, **measures):
+    return Link(number, start, NOWHERE, "un-searched", bearing_deg, **measures)
+
+
+# A square, 0 below left, 1 right, 2 above, 3 above left, with a short cut from 0 to 2 over a step: link 4.
+#
+#   3 --2-- 2 -- (5)
+#   |     / |
+#   3   4   1
+#   | /     |
+#   0 --0-- 1
+SQUARE = BtmMap(
+    (
+        Node(0, 0.0, 0.0, "divergence"),
+        Node(1, 5.0, 0.0, "divergence"),
+        Node(2, 5.0, 5.0, "divergence"),
+        Node(3, 0.0, 5.0, "divergence"),
+    ),
+    (
+        way(0, 0, 1, 0.0, 180.0),
+        way(1, 1, 2, 90.0, 270.0),
+        way(2, 2, 3, 180.0, 0.0),
+        way(3, 3, 0, 270.0, 90.0, length_m=6.0),
+        way(4, 0, 2, 45.0, 225.0, length_m=7.0, max_step_m=0.15),
+        stub(5, 2, 0.0, opening_m=0.8),
+    ),
+)
+
+
+def changed(btm, number, **values):
+    """The map with other values of a link."""
+    links = (dataclasses.replace(link, **values) if link.id == number else link for link in btm.links)
+    return dataclasses.replace(btm, links=tuple(links))
+
+
+def line(*kinds, **measures):
+    """Nodes in a row, 5 m apart: `None` or an obstacle's name, height or inclination."""
+    nodes = []
+    for i, kind in enumerate(kinds):
+        shape, value = kind or (None, None)
+        own = {"stairs": {"step_m": value}, "slope": {"inclination_deg": value}}.get(shape, {})
+        nodes.append(Node(i, 5.0 * i, 0.0, "obstacle" if shape else "terminal", shape, **own))
+    return BtmMap(tuple(nodes), tuple(way(i, i, i + 1, 0.0, 180.0, **measures) for i in range(len(nodes) - 1)))
+
+
+# By pencil
+
+
+def test_the_crawler_takes_the_step_and_the_wheeled_robot_goes_round():
+    crawls = jx.route(SQUARE, "kamui", 0, 2)
+    assert (crawls.nodes, crawls.links, crawls.length_m) == ((0, 2), (4,), 7.0)
+    assert (crawls.refused, crawls.barriers, crawls.unknown, crawls.trouble) == ((), (), (), "")
+    rolls = jx.route(SQUARE, "wheeled", 0, 2)
+    assert (rolls.nodes, rolls.links, rolls.length_m) == ((0, 1, 2), (0, 1), 10.0)
+    assert rolls.refused == ((4, ("step 0.15 m > 0.03 m",)),)
+    assert trace_tables.refused_lines(SQUARE, rolls) == ["link 4 (nodes 0 to 2): step 0.15 m > 0.03 m"]
+    assert repr(rolls) == "<Route of wheeled: 0 - 1 - 2, 2 links, 10.00 m>"
+    assert repr(crawls) == "<Route of kamui: 0 - 2, 1 link, 7.00 m>"
+
+
+def test_ways_are_counted_counter_clockwise_from_the_way_in():
+    # at 1 there is one other way, to the left: 270 degrees counter-clockwise from behind
+    first, second = jx.route(SQUARE, "wheeled", 0, 2).steps
+    assert (first.bearing_deg, first.turn_deg, first.way, first.ways) == (0.0, None, None, 3)
+    assert (second.bearing_deg, second.turn_deg, second.way, second.ways) == (90.0, 270.0, 1, 1)
+    # from 3 the link comes into 2 at 180; behind it lie, counter-clockwise, 4 at 225, 1 at 270, 5 at 360
+    into = jx.route(SQUARE, "wheeled", 3, 1).steps[1]
+    assert (into.link, into.turn_deg, into.way, into.ways) == (1, 90.0, 2, 3)
+    onward = jx.route(SQUARE, "wheeled", 3, "unsearched").onward
+    assert (onward.link, onward.bearing_deg, onward.turn_deg, onward.way, onward.ways) == (5, 0.0, 180.0, 3, 3)
+
+
+def test_the_table_by_hand():
+    route = jx.route(SQUARE, "wheeled", 3, "unsearched")
+    rows = [line.strip("|").split("|") for line in trace_tables.route_table(route).splitlines()]
+    assert [cell.strip() for cell in rows[2]] == [*"1232", "5.00", "–", "–", "0", "1.00", "0.000", "1.0", "1.0"]
+    assert [cell.strip() for cell in rows[3]] == ["2", "5", "2", "–", "–", "3 of 3", "180", "0", "0.80", *"–––"]
+    assert rows[-1] == [
+        "wheeled, node 3 to un-searched link 5 of node 2, bearing 0 deg: 5.00 m over 1 link, narrowest 0.80 m, "
+        "highest step 0.000 m, steepest 1.0 deg, largest roll 1.0 deg"
+    ]
+    nearly = changed(SQUARE, 0, start_bearing_deg=-0.01)
+    assert " 360 " not in trace_tables.route_table(jx.route(nearly, "wheeled", 0, 1))
+    here = trace_tables.route_table(jx.route(SQUARE, "wheeled", 3, 3))
+    assert here == "wheeled, node 3 to node 3: 0.00 m over 0 links"
+
+
+@pytest.mark.parametrize(
+    ("measures", "reasons"),
+    [
+        ({"min_width_m": 0.38}, ["width 0.38 m < 0.39 m"]),
+        ({"opening_m": 0.38}, ["opening 0.38 m < 0.39 m"]),
+        ({"max_step_m": 0.0304}, ["step 0.0304 m > 0.03 m"]),
+        ({"posture_deg": 5.00002}, ["inclination 5.00002 deg > 5 deg"]),
+        ({"max_roll_deg": 10.0}, ["roll 10 deg > 5 deg"]),
+        ({"attributes": {"blocked": True}}, [f"blocked: {LIFTED}"]),
+        ({"attributes": {"blocked": True, "found_by": "scout"}}, [f"blocked, found by scout: {LIFTED}"]),
+        (
+            {"min_width_m": 0.2, "opening_m": 0.3, "max_step_m": 1.0, "posture_deg": 9.0, "max_roll_deg": 8.0},
+            [
+                *("width 0.2 m < 0.39 m", "opening 0.3 m < 0.39 m", "step 1 m > 0.03 m"),
+                *("inclination 9 deg > 5 deg", "roll 8 deg > 5 deg"),
+            ],
+        ),
+        ({"min_width_m": 0.39, "max_step_m": float(np.float32(0.03)), "posture_deg": 5.0, "max_roll_deg": 5.0}, []),
+        ({"attributes": {"blocked": False}}, []),
+    ],
+)
+def test_every_reason_of_a_link(measures, reasons):
+    route = jx.route(changed(line(None, None), 0, **measures), "wheeled", 0, 1)
+    assert route.refused == (((0, tuple(reasons)),) if reasons else ())
+    assert route.is_found == (not reasons)
+
+
+def test_what_one_robot_could_not_pass_is_left_to_those_that_are_narrower_or_climb_more():
+    who = {"name": "scout", "width_m": 0.5, "max_step_m": 0.1, "max_slope_deg": 10.0}
+    btm = changed(line(None, None), 0, attributes={"blocked": True, "blocked_for": who})
+    scout = dataclasses.replace(WHEELED, name="scout", width_m=0.5, max_step_m=0.1, max_slope_deg=10.0)
+    for worse in ({}, {"width_m": 0.8}, {"max_step_m": 0.03}, {"max_slope_deg": 5.0}):
+        robot = dataclasses.replace(scout, **worse)
+        assert jx.route(btm, robot, 0, 1).refused == ((0, ("blocked for scout",)),), worse
+    for better in ({"width_m": 0.49}, {"max_step_m": 0.11}, {"max_slope_deg": 11.0, "width_m": 0.8}):
+        robot = dataclasses.replace(scout, **better)
+        route = jx.route(btm, robot, 0, 1)
+        assert (route.links, route.refused) == ((0,), ()), better
+        assert route.unknown == ("link 0 (nodes 0 to 1): blocked for scout",)
+        assert jx.route(btm, robot, 0, 1, known_only=True).refused == ((0, ("blocked for scout",)),)
+    lifted = jx.route(btm.with_attributes({"blocked": False}, link=0), scout, 0, 1)
+    assert (lifted.links, lifted.unknown) == ((0,), ())
+    ahead = changed(SQUARE, 5, attributes={"blocked": True, "blocked_for": who})  # un-searched
+    assert jx.route(ahead, scout, 0, "unsearched").refused[-1] == (5, ("blocked for scout",))
+    assert jx.route(ahead, "kamui", 0, "unsearched").unknown == ("link 5 (node 2, un-searched): blocked for scout",)
+
+
+@pytest.mark.parametrize(
+    "who",
+    [
+        "scout",
+        {"name": 3, "width_m": 9.0, "max_step_m": 0.0, "max_slope_deg": 0.0},
+        {"name": "scout", "width_m": 9.0, "max_step_m": 0.0},
+        {"name": "scout", "width_m": "9", "max_step_m": 0.0, "max_slope_deg": 0.0},
+        {"name": "scout", "width_m": True, "max_step_m": 0.0, "max_slope_deg": 0.0},
+    ],
+)
+def test_a_block_by_nobody_that_one_can_be_held_against_is_for_all(who):
+    btm = changed(line(None, None), 0, attributes={"blocked": True, "blocked_for": who})
+    assert jx.route(btm, "kamui", 0, 1).refused == ((0, (f"blocked: {LIFTED}",)),)
+
+
+def test_a_measure_in_single_precision_at_the_limit_is_within_it():
+    limit = float(np.float32(0.2))
+    assert limit > 0.2
+    assert jx.route(line(None, None, max_step_m=limit), "kamui", 0, 1).is_found
+    assert not jx.route(line(None, None, max_step_m=0.2001), "kamui", 0, 1).is_found
+
+
+@pytest.mark.parametrize(("shape", "word", "unit"), [("stairs", "step 0.15 m > 0.03 m", 0.15),
+                                                    ("slope", "inclination 10 deg > 5 deg", 10.0)])  # fmt: skip
+def test_an_obstacle_may_be_come_to_but_not_passed(shape, word, unit):
+    btm = line(None, (shape, unit), None)
+    assert jx.route(btm, "kamui", 0, 2).links == (0, 1)
+    for start, end in ((0, 1), (2, 1), (1, 0), (1, 2)):  # it stands before the step, on the side where it goes
+        assert jx.route(btm, "wheeled", start, end).is_found
+    route = jx.route(btm, "wheeled", 0, 2)
+    assert (route.nodes, route.links, route.steps, route.length_m) == ((), (), (), math.inf)
+    assert (route.refused, route.barriers) == ((), ((1, (word,)),))
+    assert route.trouble == "wheeled cannot get from node 0 to node 2"
+    assert repr(route) == "<Route of wheeled: none, wheeled cannot get from node 0 to node 2>"
+    assert trace_tables.refused_lines(btm, route) == [f"node 1, to pass: {word}"]
+
+
+def test_a_flight_whose_link_says_nothing_has_the_lower_step_of_its_ends():
+    # two flights with a landing, 2 to 3: its nodes have the higher step on either side
+    btm = line(None, ("stairs", 0.05), ("stairs", 0.15), ("stairs", 0.15), None, max_step_m=None)
+    assert jx.route(btm, "wheeled", 1, 2).refused[0] == (1, ("step 0.05 m > 0.03 m",))
+    assert jx.route(btm, "wheeled:max_step_m=0.1", 1, 2).links == (1,)
+    assert jx.route(btm, "wheeled:max_step_m=0.1", 2, 3).refused == ((2, ("step 0.15 m > 0.1 m",)),)
+    level = changed(btm, 2, max_step_m=0.0)  # what was measured counts: a level landing
+    assert jx.route(level, "wheeled:max_step_m=0.1", 2, 3).links == (2,)
+    slope = line(("slope", 10.0), ("slope", 8.0), posture_deg=None)
+    assert jx.route(slope, "wheeled", 0, 1).refused == ((0, ("inclination 8 deg > 5 deg",)),)
+    mixed = line(("slope", 10.0), ("stairs", 0.1), posture_deg=None, max_step_m=None)
+    assert jx.route(mixed, "wheeled", 0, 1).unknown == ("link 0 (nodes 0 to 1): step unknown, inclination unknown",)
+
+
+def test_what_is_not_known_is_told_or_refused():
+    bare = dict.fromkeys(GOOD)
+    btm = line(None, ("stairs", None), None, **bare)
+    route = jx.route(btm, "wheeled", 0, 2)
+    words = "width unknown, step unknown, inclination unknown, roll unknown"
+    long = f"{words}, length unknown, 5.00 m in a straight line"
+    assert route.unknown == (f"link 0 (nodes 0 to 1): {long}", f"link 1 (nodes 1 to 2): {long}", "node 1: step unknown")
+    assert route.length_m == 10.0
+    assert repr(route) == "<Route of wheeled: 0 - 1 - 2, 2 links, 10.00 m, 3 unknown>"
+    strict = jx.route(btm, "wheeled", 0, 2, known_only=True)
+    assert strict.refused == tuple((i, tuple(words.split(", "))) for i in (0, 1))
+    assert strict.barriers == ((1, ("step unknown",)),)
+    assert jx.route(line(None, None, length_m=None), "wheeled", 0, 1, known_only=True).is_found  # no limit is on it
+    last = dataclasses.replace(
+        line(None, ("stairs", None)), links=(way(0, 0, 1, 0.0, 180.0), stub(1, 1, 0.0, opening_m=1))
+    )
+    assert jx.route(last, "wheeled", 0, 1).unknown == ()  # it stops before the stairs
+    assert jx.route(last, "wheeled", 0, "unsearched").unknown == ("node 1: step unknown",)
+    assert jx.route(SQUARE, "wheeled", 0, 2, known_only=True) == jx.route(SQUARE, "wheeled", 0, 2)
+
+
+def test_the_nearest_unsearched_link():
+    btm = dataclasses.replace(SQUARE, links=(*SQUARE.links, stub(9, 3, 180.0), stub(8, 3, 135.0)))
+    route = jx.route(btm, "wheeled", 0, "unsearched")  # 3 is 6 m away, 2 is 10 m
+    assert (route.nodes, route.links, route.length_m, route.end) == ((0, 3), (3,), 6.0, 3)
+    assert (route.onward.link, route.onward.bearing_deg) == (8, 135.0)  # the lower of two
+    assert route.unknown == ("link 8 (node 3, un-searched): opening unknown",)
+    assert repr(route) == "<Route of wheeled: 0 - 3 - ?, 1 link, 6.00 m, 1 unknown>"
+    assert jx.route(btm, "wheeled", 3, "unsearched").links == ()
+    wide = jx.route(btm, "wheeled:width_m=0.9", 1, "unsearched")  # link 5 opens 0.8 m
+    assert wide.refused == ((4, ("step 0.15 m > 0.03 m",)), (5, ("opening 0.8 m < 0.9 m",)))
+    assert (wide.end, wide.length_m) == (3, 10.0)
+    shut = btm.with_attributes({"blocked": True}, link=8).with_attributes({"blocked": True}, link=9)
+    assert jx.route(shut, "wheeled", 0, "unsearched").onward.link == 5
+
+
+def test_an_unsearched_link_beyond_a_step_is_refused_with_the_step():
+    btm = line(None, ("stairs", 0.15))
+    btm = dataclasses.replace(btm, links=(*btm.links, stub(1, 1, 0.0, opening_m=2.0)))
+    route = jx.route(btm, "wheeled", 0, "unsearched")
+    assert route.refused == ((1, ("step 0.15 m > 0.03 m",)),)
+    assert (route.end, route.onward, route.trouble) == (
+        None,
+        None,
+        "wheeled can get from node 0 to no un-searched link",
+    )
+    assert jx.route(btm, "kamui", 0, "unsearched").onward.link == 1
+    assert jx.route(btm, "wheeled", 0, 1).refused == ()  # an un-searched link is no way to a node
+
+
+def test_parts_that_nothing_joins_are_said_to_be():
+    apart = BtmMap((*line(None, None).nodes, Node(7, 0, 9, "terminal")), line(None, None).links)
+    assert jx.route(apart, "kamui", 0, 7).trouble == "nodes 0 and 7 lie in parts of the map that no link joins"
+    assert jx.route(apart, "kamui", 0, "unsearched").trouble == "the map has no un-searched link"
+    more = dataclasses.replace(apart, links=(*apart.links, stub(3, 7, 0.0)))
+    words = "node 0 and the un-searched links lie in parts of the map that no link joins"
+    assert jx.route(more, "kamui", 0, "unsearched").trouble == words
+
+
+def test_of_equal_ways_the_fewest_links_then_the_lowest_ids_count():
+    nodes = tuple(Node(i, float(i), 0.0, "divergence") for i in range(4))
+
+    def chosen(*ends, lengths):
+        links = tuple(way(i, a, b, 0.0, 180.0, length_m=m) for i, (a, b), m in zip((9, 5, 7, 3, 8), ends, lengths))
+        return jx.route(BtmMap(nodes, links), "kamui", 0, 3).links
+
+    assert chosen((0, 1), (1, 3), (0, 3), lengths=(1, 1, 2)) == (7,)
+    assert chosen((0, 1), (1, 3), (0, 3), lengths=(1, 1, 2.001)) == (9, 5)
+    assert chosen((0, 3), (0, 3), (0, 3), lengths=(2, 2, 2)) == (5,)
+    assert chosen((0, 1), (1, 3), (0, 2), (2, 3), lengths=(1, 1, 1, 1)) == (7, 3)  # 7 comes before 9
+    assert chosen((0, 1), (1, 3), (0, 1), (1, 3), lengths=(1, 1, 1, 1)) == (7, 3)
+    assert chosen((0, 1), (1, 0), (0, 3), lengths=(0, 0, 0)) == (7,)  # links without a length
+    assert chosen((0, 1), (1, 2), (2, 3), (0, 0), lengths=(0.0003, 0.0003, 0.0003, 0)) == (9, 5, 7)  # below the unit
+
+
+def test_places_may_be_given_by_coordinates():
+    assert jx.route(SQUARE, "kamui", "0.4,-0.3", (4.9, 5.2)).nodes == (0, 2)
+    assert jx.route(SQUARE, "kamui", np.int64(0), " 2").nodes == (0, 2)
+    assert jx.route(SQUARE, "kamui", (-30, 40), 3, within_m=50).nodes == (3,)
+
+
+# Beside networkx, and laws
+
+
+@st.composite
+def graphs(draw):
+    """Maps of one to seven nodes with any ids, any links, some of them refused, some nodes not to be passed."""
+    ids = draw(st.lists(st.integers(0, 99), min_size=1, max_size=7, unique=True))
+    nodes = []
+    for number in ids:
+        step_m = draw(st.sampled_from([None, None, 0.01, 0.1]))
+        kind = ("divergence",) if step_m is None else ("obstacle", "stairs")
+        nodes.append(Node(number, float(number), 0.0, *kind, step_m=step_m))
+    one, links = st.sampled_from(ids), []
+    for number in draw(st.lists(st.integers(0, 99), max_size=12, unique=True)):
+        length = draw(st.integers(0, 4))
+        step_m = draw(st.sampled_from([0.0, 0.0, 0.0, 0.1]))
+        if draw(st.integers(0, 5)) == 0:
+            links.append(stub(number, draw(one), 0.0, opening_m=draw(st.sampled_from([1.0, 0.1]))))
+        else:
+            links.append(way(number, draw(one), draw(one), 0.0, 90.0, length_m=float(length), max_step_m=step_m))
+    return BtmMap(tuple(nodes), tuple(links))
+
+
+def oracle(btm, robot, start, end):
+    """All shortest ways by networkx: the one with the fewest links and the lowest ids, as `(metres, links)`."""
+    graph = networkx.MultiGraph()
+    tall = {node.id for node in btm.nodes if node.step_m is not None and node.step_m > robot.max_step_m}
+    graph.add_nodes_from(node.id for node in btm.nodes if node.id not in tall - {start, end})
+    for link in btm.links:
+        there = link.start in graph and link.end in graph
+        if link.end != NOWHERE and there and link.max_step_m <= robot.max_step_m:
+            graph.add_edge(link.start, link.end, key=link.id, weight=link.length_m)
+    if start == end:
+        return 0.0, ()
+    if not networkx.has_path(graph, start, end):
+        return math.inf, None
+    metres = networkx.dijkstra_path_length(graph, start, end)
+    ways = ([key for *_, key in path] for path in networkx.all_simple_edge_paths(graph, start, end))
+    length = {link.id: link.length_m for link in btm.links}
+    return metres, min((len(keys), tuple(keys)) for keys in ways if sum(map(length.get, keys)) == metres)[1]
+
+
+@pytest.mark.jit
+@settings(max_examples=60)
+@given(graphs(), st.data())
+def test_routes_are_those_of_networkx(btm, data):
+    one = st.sampled_from([node.id for node in btm.nodes])
+    start, end, robot = data.draw(one), data.draw(one), data.draw(st.sampled_from([KAMUI, WHEELED]))
+    route = jx.route(btm, robot, start, end)
+    metres, links = oracle(btm, robot, start, end)
+    assert route.length_m == metres
+    assert route.links == (links or ())
+    assert route.is_found == (links is not None)
+    assert [step.end for step in route.steps] == list(route.nodes[1:])
+
+
+@pytest.mark.jit
+@settings(max_examples=40)
+@given(graphs(), st.data())
+def test_the_unsearched_link_is_the_nearest(btm, data):
+    start = data.draw(st.sampled_from([node.id for node in btm.nodes]))
+    tall = {node.id for node in btm.nodes if node.step_m is not None and node.step_m > WHEELED.max_step_m}
+    ends = {}
+    for link in btm.links:
+        if link.end == NOWHERE and link.opening_m >= WHEELED.width_m and link.start not in tall:
+            metres, links = oracle(btm, WHEELED, start, link.start)
+            if links is not None:
+                ends[link.id] = metres, len(links), links, link.id
+    route = jx.route(btm, "wheeled", start, "unsearched")
+    assert route.is_found == bool(ends)
+    if ends:
+        assert (route.length_m, len(route.links), route.links, route.onward.link) == min(ends.values())
+
+
+@pytest.mark.jit
+@settings(max_examples=25)
+@given(graphs())
+def test_a_way_back_is_as_long_and_a_better_robot_goes_no_farther(btm):
+    ids = [node.id for node in btm.nodes]
+    pairs = list(itertools.product(ids, ids))
+    kamui, wheeled = (
+        {pair: r.length_m for pair, r in zip(pairs, of)} for of in jx.routes(btm, ["kamui", "wheeled"], pairs)
+    )
+    for start, end in pairs:
+        assert wheeled[start, end] == wheeled[end, start]
+        assert kamui[start, end] <= wheeled[start, end]
+
+
+@pytest.mark.jit
+def test_many_are_what_each_is_alone():
+    robots = ["kamui", WHEELED, "wheeled:max_step_m=0.2", "kamui:width_m=1.1", "wheeled:width_m=0.9"]
+    pairs = [*itertools.product(range(4), range(4)), *((i, "unsearched") for i in range(4))]
+    many = jx.routes(SQUARE, robots, pairs)
+    assert [len(of) for of in many] == [20] * 5
+    for robot, of in zip(robots, many):
+        for pair, found in zip(pairs, of):
+            assert found == jx.route(SQUARE, robot, *pair)
+    assert not any(route.is_found for (a, b), route in zip(pairs, many[3]) if a != b and b != "unsearched")
+    assert jx.routes(SQUARE, [], pairs) == []
+    assert jx.routes(SQUARE, robots, []) == [[]] * 5
+
+
+@pytest.mark.jit
+def test_the_kernel_side_by_side_in_a_batch_and_with_jit():
+    ends = np.array([[0, 1], [1, 2], [0, 2], [2, 2]], np.int32)
+    around = links_around(ends, 4)
+    assert around.link.tolist() == [[0, 2], [0, 1], [1, 2], [NONE, NONE]]
+    assert around.node.tolist() == [[1, 2], [0, 2], [1, 0], [NONE, NONE]]
+    length, is_open = np.array([1, 1, 3, 0], np.int32), np.ones(4, bool)
+    barriers = np.array([[False] * 4, [False, True, False, False]])
+    target = np.array([[False, False], [False, False], [True, False], [False, True]])  # 2, and 3 beside it
+    free, round_ = ([np.asarray(a) for a in shortest_ways(around, length, is_open, row, target)] for row in barriers)
+    assert [a[:, 0].tolist() for a in free] == [[2, 1, 0, FAR], [2, 1, 0, FAR], [0, 1, NONE, NONE]]
+    assert [a[:, 0].tolist() for a in round_] == [[3, 1, 0, FAR], [1, 1, 0, FAR], [2, 1, NONE, NONE]]
+    for alone in (free, round_):
+        assert [a[:, 1].tolist() for a in alone] == [[FAR, FAR, FAR, 0]] * 2 + [[NONE] * 4]
+    shut = shortest_ways(around, length, is_open & (np.arange(4) != 0), barriers[0], target[:, :1])
+    assert [np.asarray(a)[:, 0].tolist() for a in shut] == [[3, 1, 0, FAR], [1, 1, 0, FAR], [2, 1, NONE, NONE]]
+    both = jax.jit(jax.vmap(shortest_ways, (None, None, None, 0, None)))(around, length, is_open, barriers, target)
+    for alone, together in zip(zip(free, round_), both):
+        np.testing.assert_array_equal(np.stack(alone), together)
+
+
+@pytest.mark.jit
+@settings(max_examples=20)
+@given(st.integers(0, 10**6), st.integers(1, 40))
+def test_many_goals_in_many_blocks_are_those_of_networkx(seed, n_nodes):
+    rng = np.random.default_rng(seed)
+    nodes = tuple(Node(3 * i, float(i), 0.0, "divergence") for i in range(n_nodes))
+    ends = 3 * rng.integers(0, n_nodes, (2 * n_nodes, 2))
+    links = tuple(
+        way(i, int(a), int(b), 0.0, 90.0, length_m=float(rng.integers(0, 9))) for i, (a, b) in enumerate(ends)
+    )
+    graph = networkx.MultiGraph()
+    graph.add_nodes_from(node.id for node in nodes)
+    graph.add_edges_from((link.start, link.end, link.id, {"weight": link.length_m}) for link in links)
+    pairs = [
+        (3 * int(a), 3 * int(b))
+        for a, b in rng.permutation(np.stack(np.indices((n_nodes, n_nodes)), -1).reshape(-1, 2))
+    ]
+    metres = dict(networkx.all_pairs_dijkstra_path_length(graph))
+    with pytest.MonkeyPatch.context() as patch:  # 40 goals: three calls, the last one not full
+        patch.setattr(shortest, "BESIDE", 4)
+        patch.setattr(shortest, "BLOCKS", 4)
+        (found,) = jx.routes(BtmMap(nodes, links), ["kamui"], pairs)
+    for (start, end), route in zip(pairs, found):
+        assert route.length_m == metres[start].get(end, math.inf)
+        assert (route.start, route.end) == (start, end)
+        if route.is_found:
+            assert (route.nodes[0], route.nodes[-1]) == (start, end)
+
+
+def test_robots_that_may_use_the_same_are_told_apart():
+    apart = BtmMap((*SQUARE.nodes, Node(9, 9.0, 9.0, "terminal")), SQUARE.links)
+    robots = ["kamui", "kamui:width_m=0.5", "wheeled", "kamui:width_m=0.6"]
+    found = jx.routes(apart, robots, [(0, 2), (9, "unsearched"), (0, 9)])
+    assert [[route.robot for route in of] for of in found] == [[name] * 3 for name in robots]
+    assert [of[0].links for of in found] == [(4,), (4,), (0, 1), (4,)]
+    assert [of[0].refused for of in found] == [(), (), ((4, ("step 0.15 m > 0.03 m",)),), ()]
+
+
+# Wrong input, and the command
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("kamui", 4, 0), r"^from: there is no node 4: the map has nodes 0 to 3$"),
+        (("kamui", 0, "-1"), r"^to: there is no node -1: the map has nodes 0 to 3$"),
+        (("kamui", "a", 0), r"^from must be a node's id or X,Y in metres, got 'a'$"),
+        (("kamui", 0, "1,2,3"), r"^to must be a node's id or X,Y in metres, or unsearched, got '1,2,3'$"),
+        (("kamui", 0, True), r"^to must be a node's id"),
+        (("kamui", 0, None), r"^to must be a node's id"),
+        (("kamui", 0, (1.0, math.nan)), r"^to must be a node's id"),
+        (("kamui", "unsearched", 0), r"^from must be a node's id or X,Y in metres, got 'unsearched'$"),
+        (("kamui", "9,0", 0), r"^from: the node nearest to 9,0 is 1, 4.00 m away, more than 2 m$"),
+        (("hover", 0, 1), r"^robot must be one of kamui, wheeled, got 'hover'$"),
+        ((3, 0, 1), r"^robot must be a jx.Robot"),
+    ],
+)
+def test_bad_requests_are_refused(arguments, message):
+    with pytest.raises(InputError, match=message):
+        jx.route(SQUARE, *arguments)
+
+
+def test_bad_maps_are_refused():
+    with pytest.raises(InputError, match=r"^the map has no node: there is nowhere to go$"):
+        jx.route(BtmMap((), ()), "kamui", 0, 0)
+    with pytest.raises(InputError, match=r"^btm must be a jx.BtmMap"):
+        jx.route("btm.json", "kamui", 0, 0)
+    with pytest.raises(InputError, match=r"link 4 starts at node 0, which is not there|starts at node 0"):
+        jx.route(dataclasses.replace(SQUARE, nodes=SQUARE.nodes[1:]), "kamui", 1, 2)
+    with pytest.raises(InputError, match=r"^links must be less than 1074 km long in all$"):
+        jx.route(changed(SQUARE, 0, length_m=1.1e6), "kamui", 1, 2)
+    with pytest.raises(InputError, match=r"^robots must be a list, got 'kamui'$"):
+        jx.routes(SQUARE, "kamui", [(0, 1)])
+    with pytest.raises(InputError, match=r"^within_m must be a number at least 0"):
+        jx.route(SQUARE, "kamui", 0, 1, within_m=-1)
+
+
+@pytest.fixture
+def saved(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    store.write_json(to_json(SQUARE), "btm.json")
+    (tmp_path / "no.json").write_text('{"a": 1}', encoding="utf-8")
+    return tmp_path
+
+
+def test_the_command_prints_a_route_and_writes_it(saved, capsys):
+    ask = ["route", "--map", "btm.json", "--robot", "wheeled", "--from", "0", "--to", "2"]
+    assert main(ask) == 0
+    said = capsys.readouterr().out
+    assert said == trace_tables.route_table(jx.route(SQUARE, "wheeled", 0, 2)) + (
+        "\nrefused: link 4 (nodes 0 to 2): step 0.15 m > 0.03 m\n"
+    )
+    assert sorted(path.name for path in saved.iterdir()) == ["btm.json", "no.json"]
+    assert main([*ask, "--out", "found"]) == 0
+    assert capsys.readouterr().out == said + "wrote route.json, run.json, route.png to found/\n"
+    page = json.loads((saved / "found" / "route.json").read_text(encoding="utf-8"))
+    assert (page["is_found"], page["nodes"], page["links"], page["length_m"]) == (True, [0, 1, 2], [0, 1], 10.0)
+    assert page["refused"] == [{"id": 4, "reasons": ["step 0.15 m > 0.03 m"]}]
+    assert (saved / "found" / "route.png").stat().st_size > 5000
+
+
+def test_without_a_route_the_command_ends_with_1_and_all_reasons(saved, capsys):
+    ask = ["route", "--map", "btm.json", "--robot", "kamui:width_m=1.1,max_step_m=0.1", "--to", "2"]
+    for more in ([], ["--out", "none"]):
+        assert main([*ask, *more]) == 1
+        lines = capsys.readouterr().out.splitlines()
+        assert lines[0] == "no route: kamui:width_m=1.1,max_step_m=0.1 cannot get from node 0 to node 2"
+        assert lines[1] == "refused: link 0 (nodes 0 to 1): width 1 m < 1.1 m"
+        assert lines[5] == "refused: link 4 (nodes 0 to 2): width 1 m < 1.1 m, step 0.15 m > 0.1 m"
+        assert lines[6:] == (["wrote route.json, run.json, route.png to none/"] if more else [])
+    page = json.loads((saved / "none" / "route.json").read_text(encoding="utf-8"))
+    assert (page["is_found"], page["length_m"], page["links"]) == (False, None, [])
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ("--map btm.json", "expected --to: jexplore route --map btm.json"),
+        ("--to 3", "expected --map: jexplore route --map btm.json"),
+        ("--map btm.json --from 9 --to 2", "from: there is no node 9: the map has nodes 0 to 3"),
+        ("--map btm.json --from -3,4 --to 2", "from: the node nearest to -3,4 is 3, 3.16 m away, more than 2 m"),
+        ("--map btm.json --to there", "to must be a node's id or X,Y in metres, or unsearched, got 'there'"),
+        ("--map btm.json --robot hover --to 2", "robot must be one of kamui, wheeled, got 'hover'"),
+        ("--map no.json --to 2", '"no.json"'),
+        ("--map gone.json --to 2", "gone.json must be a readable JSON file"),
+        ("--map btm.json --to 2 --overwrite", "--overwrite goes with --out DIR"),
+    ],
+)
+def test_bad_input_of_the_command_is_one_line(words, message, saved, capsys):
+    assert main(["route", *words.split()]) == 2
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert said.err.startswith("jexplore: error: ")
+    assert said.err.count("\n") == 1
+    assert message in said.err
+
+
+def test_what_the_map_does_not_say_is_printed(saved, capsys):
+    store.write_json(to_json(changed(SQUARE, 4, min_width_m=None)), "bare.json")
+    assert main(["route", "--map", "bare.json", "--to", "2"]) == 0
+    assert capsys.readouterr().out.endswith("unknown: link 4 (nodes 0 to 2): width unknown\n")
+    assert main(["route", "--map", "bare.json", "--to", "2", "--known-only"]) == 0
+    assert capsys.readouterr().out.endswith("refused: link 4 (nodes 0 to 2): width unknown\n")
+
+
+@pytest.mark.parametrize("robot", ["kamui", "wheeled"])
+def test_the_picture_shows_the_route_and_what_is_refused(robot):
+    from matplotlib.collections import LineCollection
+    from matplotlib.colors import to_rgb
+
+    from jexplore.report import plot_traces
+
+    btm = line(None, ("stairs", 0.15), None, max_step_m=0.1)
+    route = jx.route(btm, robot, 0, 2)
+    ax = plot_traces.figure(btm, None, np.zeros((0, 3)), None, [], [], route=route).axes[0]
+    band = [c for c in ax.collections if isinstance(c, LineCollection) and c.get_linewidth()[0] == 7]
+    red = [mark for mark in ax.lines if to_rgb(mark.get_markeredgecolor()) == to_rgb(plot_traces.REFUSED)]
+    if robot == "kamui":
+        np.testing.assert_allclose(band[0].get_segments(), [[(0, 0), (5, 0)], [(5, 0), (10, 0)]])
+        assert red == []
+    else:
+        assert band == []
+        crosses, rings = (np.transpose(mark.get_data()).tolist() for mark in red)
+        assert (crosses, rings) == ([[2.5, 0.0], [7.5, 0.0]], [[5.0, 0.0]])
