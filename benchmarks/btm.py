@@ -12,11 +12,11 @@ Everything is printed as Markdown. 1000 runs of each take some twenty minutes on
 import argparse
 import dataclasses
 import functools
-import itertools
 import os
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 
 from jexplore.driving.settings import Noise, Tuning
 from jexplore.engine.backend import start_backend, use_compilation_cache
@@ -214,22 +214,34 @@ def steps(runs):
 
 
 def loops(runs):
-    """Courses with ways round, fresh ones: true maps as the robot wrote them and as they were repaired, and how far
-    places of true maps lie off, as written and corrected, root mean squares.
+    """Ways round, equal junctions, encoders that are 5 % long: true maps as the robot wrote them and as they were
+    repaired, places that it took for others, how far places of true maps lie off, as written and corrected, root mean
+    squares. Twenty courses each.
     """
-    each = max(4, runs // 250)
-    errors = {"1 cm": {}, "and encoders 2 % long": {"length_scale": 1.02, "turn_scale": 1.02}}
-    head("world", "errors", "as written", "repaired", "taken out", "closings", "places off m", "corrected m")
-    for n, seed, name in itertools.product((1, 2, 3), range(21, 25), errors):
-        found = traced(f"course#{seed}:loops={n}", runs=each, noise=Noise(range_m=0.01, **errors[name]))
-        table = found.table
-        right = table["true"].astype(bool)
-        written = share(int((right & (table["contradicted"] == 0)).sum()), each)
-        maps = [found.maps[i] for i in np.flatnonzero(right)]
-        off = [f"{np.mean([off_m(m, found.truth) for m in some]):.2f}" if maps else "–"
-               for some in (maps, [correct_map(m) for m in maps])]  # fmt: skip
-        counts = table["contradicted"].sum(), table["closings"].sum()
-        row(f"#{seed}, {n} ways round", name, written, share(int(right.sum()), each), *counts, *off)
+    each, fresh = max(2, runs // 50), range(21, 41)
+    kinds = {
+        "encoders 5 % long, #1 to #20": ([f"course#{seed}" for seed in range(1, 21)], 1.05),
+        **{
+            f"{n} way{'s' * (n > 1)} round, #21 to #40": ([f"course#{seed}:loops={n}" for seed in fresh], 1.0)
+            for n in (1, 2, 3)
+        },
+        "2 ways round, encoders 2 % long": ([f"course#{seed}:loops=2" for seed in fresh], 1.02),
+        "4 equal junctions, #21 to #40": ([f"course#{seed}:repeat=4" for seed in fresh], 1.0),
+        "4 equal junctions, encoders 2 % long": ([f"course#{seed}:repeat=4" for seed in fresh], 1.02),
+    }
+    head("courses", "runs", "as written", "repaired", "took a place for another", "outcomes", "off m", "corrected m")
+    for kind, (worlds, scale) in kinds.items():
+        noise, tables, off = Noise(range_m=0.01, length_scale=scale, turn_scale=scale), [], []
+        for world in worlds:
+            found = traced(world, runs=each, noise=noise)
+            tables.append(found.table)
+            right = [found.maps[i] for i in np.flatnonzero(found.table["true"])]
+            off += [(off_m(m, found.truth), off_m(correct_map(m), found.truth)) for m in right]
+        table = pd.concat(tables)
+        right, n = table["true"].astype(bool), len(table)
+        counts = (right & (table["contradicted"] == 0), right, table["mistaken"] > 0)
+        outcomes = ", ".join(f"{name} {count}" for name, count in table["outcome"].value_counts().items())
+        row(kind, n, *(share(int(c.sum()), n) for c in counts), outcomes, *(f"{m:.2f}" for m in np.mean(off, axis=0)))
 
 
 def off_m(found: BtmMap, true: BtmMap):

@@ -1007,3 +1007,23 @@ def test_rows_of_a_batch_are_independent():
         jax.tree.map(
             lambda many, one, i=i: np.testing.assert_allclose(many[i], one, rtol=1e-5, atol=1e-5), batch, WRITE(*case)
         )
+
+
+# ---------------------------------------------------------------- where the robot truly is
+
+
+@pytest.mark.parametrize(("off_m", "is_elsewhere"), [(0.0, False), (2.9, False), (3.1, True)])
+def test_a_place_taken_for_a_node_that_lies_elsewhere_is_told(off_m, is_elsewhere):
+    start = mapping.begin(1, 4, 4, jnp.zeros(3), False)
+    map_, node = btm.add_node(start.map, DIVERGENCE, 5.0, 0.0, radius_m=1.0)
+    there = start.replace(map=map_, node=node, node_m=jnp.float32(5.0))
+    node_at, told = mapping.truly_at(jnp.full((4, 2), jnp.nan).at[0].set(0), start, there, jnp.array([5.0, 0.5]))
+    np.testing.assert_allclose(node_at[:2], [[0, 0], [5, 0.5]])
+    assert not told
+    on_way = there.replace(node=jnp.int32(0), node_m=jnp.float32(10.0))  # at the start again
+    again = on_way.replace(node=node, node_m=jnp.float32(15.0))
+    at = jnp.array([5.0 + off_m, 0.5])
+    kept, told = mapping.truly_at(node_at, on_way, again, at)
+    assert bool(told) == is_elsewhere
+    np.testing.assert_array_equal(kept, node_at)
+    assert not mapping.truly_at(node_at, again, again, jnp.array([50.0, 50.0]))[1]  # under way

@@ -172,7 +172,7 @@ def run_missions(
     resources = find_resources(engine=engine, lanes=lanes, workers=workers, runs=draws.size)
     # A name would make another program.
     settings = dataclasses.replace(robots, name=""), tunings, noises, np.asarray(starts, np.float32), guides
-    program = program_of(Setup(max(max_steps, MAX_STEPS), *size))
+    program = program_of(Setup(room_for(max_steps), *size))
     limit, lines = np.int32(max_steps), []
     for turn, (first, n) in enumerate([(0, len(draws))] if blocks is None else blocks):
         own = jax.tree.map(lambda a, at=slice(first, first + n): a[at], (settings, draws))
@@ -181,6 +181,11 @@ def run_missions(
     tell = None if on_block is None else (lambda i: on_block(i, lines[i].results, _driven(lines[i])))
     costs = run_all(lines, resources, on_progress, tell)
     return _together(lines, blocks or [(0, len(draws))], len(draws), costs)
+
+
+def room_for(max_steps: int) -> int:
+    """Steps that there is room for: few sizes, so that buildings share programs."""
+    return MAX_STEPS << (-(-max_steps // MAX_STEPS) - 1).bit_length() if max_steps > MAX_STEPS else MAX_STEPS
 
 
 def _together(lines, blocks, n, costs):

@@ -28,6 +28,7 @@ EVEN_DEG = 1.0  # the robot stands evenly once its lean has varied by less than 
 EVEN_LENGTHS = 0.25  # over this way, in lengths of the robot: on a long robot a gentle slope comes slowly
 MEANT_STEPS = 5  # of which the width of a passage is the mean, and the roll on it
 MEANT_M = 0.1  # as far as they are this near
+ELSEWHERE_M = 2.0  # a node met again truly lies elsewhere if that is farther than this beyond its circle, metres
 BEYOND_M = 0.05, 1.0  # a robot beyond an opening is no farther before it and behind it
 
 
@@ -352,3 +353,23 @@ def note(state: Any, senses: Senses, width_m: Array, robot: Robot) -> Writer:
     }
     way = way.replace(**{name: getattr(way, name).at[at].set(value, mode="drop") for name, value in new.items()})
     return state.writer.replace(way=way)
+
+
+def truly_at(node_at: Array, before: Writer, after: Writer, at: Array) -> tuple[Array, Array]:
+    """Keeps where the robot truly is when it makes a node, and tells when it takes a place for another one.
+
+    Args:
+      node_at: `[N, 2]` float32, metres, of the nodes so far.
+      before, after: `Writer` before and after the step.
+      at: `[2]` float32, where the robot truly is.
+
+    Returns:
+      `(node_at, is_elsewhere)`: with the nodes that are new in this step; bool, whether the node that it is at again
+        truly lies elsewhere.
+    """
+    number = jnp.arange(node_at.shape[0])
+    is_new = (number >= before.map.n_nodes) & (number < after.map.n_nodes)
+    again = (after.node_m != before.node_m) & (after.node < before.map.n_nodes)
+    off_m = jnp.hypot(*(at - node_at[after.node]))
+    is_elsewhere = again & (off_m > after.map.radius_m[after.node] + ELSEWHERE_M)
+    return jnp.where(is_new[:, None], at, node_at), is_elsewhere

@@ -105,6 +105,7 @@ class State:
     since_node: Array  # int32, of them, since the last node
     help_at: Array  # [HELPS_KEPT, 4] float32, x, y of the first of them, odometry; step; run mode
     node_at: Array  # [N, 2] float32, where the robot truly was when it made a node
+    mistaken: Array  # int32, times that it took a place for a node that truly lies elsewhere
     met: Array  # [K] bool, which of the building's marks it has been at
     truth: Array  # [T, 3] float32, true poses
     step: Array  # int32
@@ -134,6 +135,7 @@ class Result:
     interventions: Array  # int32, of the operator
     help_at: Array  # [HELPS_KEPT, 4] float32, x, y of the first of them, odometry; step; run mode; NaN: none
     node_at: Array  # [N, 2] float32, where the robot truly was when it made a node
+    mistaken: Array  # int32, times that it took a place for a node that truly lies elsewhere
     met: Array  # [K] bool, which of the building's marks it has been at
     scan_overflow: Array  # int32, ends of walls that did not fit into a scan's points
     drift_m: Array  # float32, how far the odometry was off in the end
@@ -179,6 +181,7 @@ def at_start(setup: Setup, building: Building, robot: Robot, start: Array, guide
         since_node=none,
         help_at=jnp.full((approach.HELPS_KEPT, 4), jnp.nan),
         node_at=jnp.full((setup.n_nodes, 2), jnp.nan).at[0].set(start[:2]),
+        mistaken=none,
         met=jnp.zeros(building.marks.shape[0], bool),
         truth=jnp.zeros((setup.room, 3)),
         step=none,
@@ -227,6 +230,7 @@ def step(draws: Draws, building: Building, robot: Robot, tuning: Tuning, noise: 
     mode, drive, target, getting, speed = _driven(state, drive, ahead, walls, around, ways_m, estimate, tuning, robot)
     after = _moved(draws, building, robot, noise, state, estimate, senses, speed)
     turn = after.odometry[2] - looked_from
+    node_at, is_elsewhere = mapping.truly_at(state.node_at, state.writer, writer, state.body.pose[:2])
     after = after.replace(
         manoeuvre=manoeuvre.remembered(getting, after.odometry),
         climbed_m=state.climbed_m - (after.odometer_m - state.odometer_m) * jnp.sign(speed[0]) * jnp.tan(senses.pitch),
@@ -239,7 +243,8 @@ def step(draws: Draws, building: Building, robot: Robot, tuning: Tuning, noise: 
         target=target,
         blocked=jnp.where(event.blocked, 0, ahead.blocked),
         blind=blind,
-        node_at=_placed_nodes(state, writer),
+        node_at=node_at,
+        mistaken=state.mistaken + is_elsewhere,
         step=state.step + 1,
     )
     return _end(
@@ -298,13 +303,6 @@ def _moved(draws, building, robot, noise, state, estimate, senses, speed):
         truth=state.truth.at[state.step].set(state.body.pose, mode="drop"),
         met=state.met | (off2 < building.marks[:, 2] ** 2),
     )
-
-
-def _placed_nodes(state, writer):
-    """`State.node_at` with the nodes that are new in this step."""
-    at = jnp.arange(state.node_at.shape[0])
-    is_new = (at >= state.writer.map.n_nodes) & (at < writer.map.n_nodes)
-    return jnp.where(is_new[:, None], state.body.pose[:2], state.node_at)
 
 
 def _end(state, at_end, tuning):
@@ -374,6 +372,7 @@ def finish(setup: Setup, given: Given, state: State) -> Result:
         interventions=state.helps,
         help_at=state.help_at,
         node_at=state.node_at.at[node].set(body.pose[:2], mode="drop"),
+        mistaken=state.mistaken,
         met=state.met,
         scan_overflow=state.scan_overflow,
         drift_m=jnp.hypot(*(body.pose[:2] - state.estimate[:2])),

@@ -13,6 +13,7 @@ NOTED = {
     "refused": "steps refused because of the ground",
     "interventions": "interventions of the operator",
     "contradicted": "links that led through another node, taken out",
+    "mistaken": "places taken for a node that truly lies elsewhere",
     "overflow": "warning: nodes and links that did not fit",
     "scan_overflow": "warning: ends of walls that did not fit into a scan's points",
 }

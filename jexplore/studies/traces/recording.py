@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from jexplore import btm
 from jexplore.driving import behaviour, events, mission, vehicle
-from jexplore.driving.batch import MAX_STEPS, Driven
+from jexplore.driving.batch import Driven, room_for
 from jexplore.driving.behaviour import RunMode
 from jexplore.driving.building.walls import segments
 from jexplore.driving.sensing import surround
@@ -95,7 +95,7 @@ def record(plan: tracing.TraceJob, on_progress: Callable[[int], Any] = lambda n:
 
     robot, tuning, noise = (_numbers(s) for s in plan.first_settings())
     building = jax.device_put(plan.building)
-    setup = mission.Setup(max(plan.max_steps, MAX_STEPS), *plan.size)
+    setup = mission.Setup(room_for(plan.max_steps), *plan.size)
     key = _key(plan)
     state = jax.tree.map(jnp.asarray, mission.at_start(setup, building, robot, plan.begins[0]))
     frames, steps = [], 0

@@ -303,6 +303,7 @@ def table_of(plan: TraceJob, result: Any, setting: Any, which: Any, chosen: dict
             "inclination_deg": [max(s, default=np.nan) for s in slopes],
             "step_m": [max(s, default=np.nan) for s in steps],
             "closings": [of_run.closings for of_run in found],
+            "mistaken": result.mistaken,
             "contradicted": [of_run.contradicted for of_run in found],
             "overflow": result.map.overflow,
             "scan_overflow": result.scan_overflow,
