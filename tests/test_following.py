@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+import types
 
 import jax
 import jax.numpy as jnp
@@ -12,8 +13,9 @@ import jexplore as jx
 from jexplore.config import InputError
 from jexplore.driving import guide as guides
 from jexplore.driving.sensing.openings import Openings
+from jexplore.driving.settings import ROBOTS
 from jexplore.studies.traces import following
-from jexplore.tracemap.record import NOWHERE
+from jexplore.tracemap.record import NOWHERE, BtmMap, Link, Node
 from jexplore.worlds import load_world
 
 EAST, NORTH, WEST, SOUTH = (math.radians(a) for a in (0, 90, 180, 270))
@@ -178,14 +180,60 @@ def test_routes_are_driven_and_what_is_otherwise_is_written_back():
     assert any(line.endswith("blocked for wheeled") for line in climbs.unknown)
 
 
+@pytest.mark.parametrize("off_m", [10_000.0, -30.0, 2.0])  # outside the plan, on either side; in a wall
+def test_a_map_of_another_place_is_refused(off_m):
+    btm = load_world("course:obstacle=none").course.topology
+    nodes = tuple(dataclasses.replace(node, y_m=node.y_m + off_m) for node in btm.nodes)
+    moved = dataclasses.replace(btm, nodes=nodes)
+    with pytest.raises(InputError, match="is the map of this building, in its frame"):
+        jx.follow("course:obstacle=none", moved, [jx.route(moved, "wheeled", 0, 5)], "wheeled")
+
+
+def test_where_only_the_way_back_is_open_a_wall_is_before_it():
+    """On the way ten metres east: a place with one opening that leads back, with another, and one off the way."""
+    for bearing, walled in ((WEST, True), (NORTH, False)):
+        after, _ = met(a_guide(), 5.0, (6.0, 0.0), place(bearing))
+        assert (bool(after.walled), bool(after.lost)) == (walled, walled)
+    strayed, _ = met(a_guide(), 3.0, (3.0, 4.0), place(NORTH, SOUTH, EAST))
+    after, _ = met(strayed, 5.0, (6.0, 0.0), place(WEST))
+    assert not bool(after.walled)
+    last, _ = met(a_guide(**ONE, tail_m=0.0), 9.0, (10.0, 0.0), place(WEST))
+    assert not bool(last.walled)
+
+
+@pytest.mark.parametrize(
+    ("gone_m", "link"), [(1.0, 0), (3.2, 0), (3.6, 1), (7.0, 1), (9.0, 2), (30.0, 2)]
+)  # the front is half a metre and more ahead
+def test_of_several_links_between_two_places_that_one_is_blocked_which_lies_before_the_robot(gone_m, link):
+    nodes = [Node(0, 0.0, 0.0, "divergence"), *(Node(i, 4.0 * i, 0.0, "obstacle") for i in (1, 2))]
+    nodes += [Node(3, 12.0, 0.0, "divergence"), Node(4, 16.0, 0.0, "terminal")]
+    links = [Link(i, i, i + 1, "searched", 0.0, 180.0, 4.0, 1.0) for i in range(4)]
+    btm = BtmMap(tuple(nodes), tuple(links))
+    route = jx.route(btm, "kamui", 0, 4)
+    assert route.links == (0, 1, 2, 3)
+
+    def of(at, **more):
+        guide = {"at": at, "from_m": -0.5, "strays": False, "blocked": True, "walled": False, **more}
+        result = types.SimpleNamespace(path_m=gone_m - 0.5, guide=types.SimpleNamespace(**guide))
+        found = following._blocked_link(btm, route, result, ROBOTS["kamui"])
+        return None if found is None else found.id
+
+    assert of(0) == link
+    assert of(1) == 3
+    assert of(0, strays=True) is None
+    assert of(0, blocked=False) is None
+    assert of(0, blocked=False, walled=True) == link
+
+
 def test_wrong_input_is_one_line():
     btm = load_world("course:obstacle=none").course.topology
-    here = jx.route(btm, "wheeled", 0, 0)
+    here, wide = jx.route(btm, "wheeled", 0, 0), jx.Robot("wheeled", 3, 3, 1, 5, 0.1, 1, 1, 0.5, 0, 45, 0.7)
     for routes, robot, message in [
         ([], "wheeled", "expected a route"),
         ([here], "wheeled", "must have a link"),
         ([jx.route(btm, "wheeled", 0, 5)], "tank", "robot must be one of"),
-        ([jx.route(btm, "wheeled", 0, 5)], jx.Robot("wide", 3, 3, 1, 5, 0.1, 1, 1, 0.5, 0, 45, 0.7), "does not fit"),
+        ([jx.route(btm, "wheeled", 0, 5)], wide, "not fit on link"),
+        ([jx.route(btm, "wheeled", 0, 5)], "kamui", "kamui cannot follow a route of wheeled"),
     ]:
         with pytest.raises(InputError, match=message):
             jx.follow("course:obstacle=none", btm, routes, robot)

@@ -49,9 +49,11 @@ class Guide:
     seen: Array  # [K, WAYS] float32, radians, bearings of the ways that were found; NaN: none
     missed: Array  # int32, places that were not found
     extra: Array  # int32, places that the map does not have
+    strays: Array  # bool, the last place was such a one
     arrived: Array  # bool
     lost: Array  # bool, it is where the map does not help it on
     blocked: Array  # bool, because it cannot pass what lies before it
+    walled: Array  # bool, because there is a wall
     replace: ClassVar[Callable[..., Self]]
 
 
@@ -95,9 +97,11 @@ def guide_of(
         "seen": np.full((size, WAYS), np.nan, np.float32),
         "missed": np.int32(0),
         "extra": np.int32(0),
+        "strays": none,
         "arrived": none,
         "lost": none,
         "blocked": none,
+        "walled": none,
     }
     return Guide(**values)  # type: ignore[arg-type]
 
@@ -139,6 +143,11 @@ def at_place(
     own = jnp.where(is_known, at[best], size)
     turn = jnp.where(alike[best], apart[best], 0)
     turn = HEADING_SHARE * jnp.sum(turn) / jnp.maximum(jnp.sum(alike[best]), 1)
+    ahead = expected[jnp.where(off_m[0] > TOWARD_M, 0, 1)] - centre
+    toward = jnp.arctan2(ahead[1], ahead[0])
+    # Only back: the way on is closed.
+    off = jnp.where(found.valid, jnp.abs(btm.wrapped(found.bearing - toward)), jnp.inf)
+    walled = when & ~is_known & ~guide.strays & (jnp.sum(found.valid) == 1) & (jnp.min(off) > BACK_RAD)
     moved = guide.replace(
         at=jnp.where(is_known, place[best] + 1, guide.at),
         from_xy=jnp.where(is_known, centre, guide.from_xy),
@@ -147,10 +156,12 @@ def at_place(
         seen=guide.seen.at[own].set(seen[:WAYS], mode="drop"),
         missed=guide.missed + jnp.where(is_known, best.astype(jnp.int32), 0),
         extra=guide.extra + (when & ~is_known),
+        strays=jnp.where(when, ~is_known, guide.strays),
         arrived=guide.arrived | (is_known & last[best]),
+        lost=guide.lost | walled,
+        walled=guide.walled | walled,
     )
-    ahead = expected[jnp.where(off_m[0] > TOWARD_M, 0, 1)] - centre
-    return moved, jnp.where(is_known, out[best] - moved.turned, jnp.arctan2(ahead[1], ahead[0]))
+    return moved, jnp.where(is_known, out[best] - moved.turned, toward)
 
 
 def _expected(guide, places):

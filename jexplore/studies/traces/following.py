@@ -13,13 +13,14 @@ import numpy as np
 from jexplore.config import MAX_SEED, InputError, require_kind, require_whole
 from jexplore.driving import vehicle
 from jexplore.driving.batch import MAX_STEPS, building_of, numbers_of, outcome_names, pose_in, run_missions
+from jexplore.driving.events import LOOK_M
 from jexplore.driving.guide import Guide, guide_of
 from jexplore.driving.settings import Noise, Robot, Tuning, require_noise, require_tuning
 from jexplore.studies import checks
 from jexplore.studies.traces import routes
 from jexplore.studies.traces.job import MOST_STEPS
 from jexplore.tracemap.merging.rigid import apart_deg
-from jexplore.tracemap.passable import FOUND_BY, blocked_for
+from jexplore.tracemap.passable import BLOCKED, BLOCKED_FOR, FOUND_BY, blocked_for
 from jexplore.tracemap.record import NOWHERE, STATUS, BtmMap, Link
 from jexplore.tracemap.route import Route
 from jexplore.worlds.world import World
@@ -132,6 +133,8 @@ def _checked(btm, found, robot, tuning, noise):
             raise InputError(f"a route to follow must have a link, got {route!r}")
         if not (nodes.issuperset(route.nodes) and links.issuperset(route.links)):
             raise InputError(f"a route to follow must be one of this map, got {route!r}")
+        if route.robot != body.name:
+            raise InputError(f"{body.name} cannot follow a route of {route.robot}: ask for one of its own")
     return body, tuning, noise
 
 
@@ -145,9 +148,20 @@ def _start(world, building, robot, btm, route):
         if metres <= max(step.length_m / 2, CLEAR_M[-1]):
             x_m, y_m = node.x_m + metres * math.cos(angle), node.y_m + metres * math.sin(angle)
             pose = pose_in(world, (x_m, y_m, step.bearing_deg))
-            if not bool(vehicle.touches(device, robot, jnp.asarray(pose))):
+            if _is_free(world, pose) and not bool(vehicle.touches(device, robot, jnp.asarray(pose))):
                 return pose, metres
-    raise InputError(f"{robot.name} does not fit on link {step.link} beside node {step.start}")
+    place = f"node {step.start}, ({node.x_m:.1f}, {node.y_m:.1f}) m"
+    raise InputError(
+        f"{robot.name} does not fit on link {step.link} beside {place} of {world.name or 'world'!r}: is the map of "
+        "this building, in its frame?"
+    )
+
+
+def _is_free(world, pose):
+    """Whether a pose from `pose_in` lies in a free cell."""
+    row, col = (int(v // world.cell_m) for v in (pose[1], pose[0]))
+    rows, cols = world.shape
+    return 0 <= row < rows and 0 <= col < cols and not world.occupied[row, col]
 
 
 def _guides(world, btm, found, begun):
@@ -189,7 +203,8 @@ def _table(world, btm, found, result):
     off_m = np.hypot(*(result.end[:, :2] + np.asarray(world.origin_m) - ends).T)
 
     guide: Guide = result.guide
-    names = ["BLOCKED" if blocked else name for name, blocked in zip(outcome_names(result), guide.blocked)]
+    blocked = guide.blocked | guide.walled
+    names = ["BLOCKED" if shut else name for name, shut in zip(outcome_names(result), blocked)]
     return pd.DataFrame(
         {
             "from": [route.start for route in found],
@@ -218,11 +233,11 @@ def _changed(btm, found, result, robot):
     links = {link.id: link for link in btm.links}
     told, count = [], max(links, default=-1) + 1
     for i, route in enumerate(found):
-        if result.guide.blocked[i]:
-            link = _ahead(btm, route, int(result.guide.at[i]))
-            own = {**links[link].attributes, **blocked_for(robot), FOUND_BY: robot.name}
-            links[link] = dataclasses.replace(links[link], attributes=own)
-            told.append(f"link {link} could not be passed by {robot.name}")
+        if link := _blocked_link(btm, route, jax.tree.map(lambda a, i=i: a[i], result), robot):
+            own = {name: value for name, value in links[link.id].attributes.items() if name != BLOCKED_FOR}
+            own |= {BLOCKED: True} if result.guide.walled[i] else blocked_for(robot)
+            links[link.id] = dataclasses.replace(links[link.id], attributes={**own, FOUND_BY: robot.name})
+            told.append(f"link {link.id} could not be passed by {robot.name}")
         for node, bearing in _new_ways(btm, route, result.guide.seen[i]):
             there = [_bearing(link, node) for link in links.values() if node in (link.start, link.end)]
             if all(abs(apart_deg(bearing, own)) > SAME_DEG for own in there if own is not None):
@@ -238,11 +253,20 @@ def _places(btm, route):
     return [step for step in route.steps if types[step.end] == "divergence"]
 
 
-def _ahead(btm, route, at):
-    """The link on which a robot is that has passed so many places: the first one after the last of them."""
-    passed = [step.end for step in _places(btm, route)][:at]
-    first = 1 + max((i for i, step in enumerate(route.steps) if passed and step.end == passed[-1]), default=-1)
-    return route.steps[min(first, len(route.steps) - 1)].link
+def _blocked_link(btm, route, result, robot):
+    """The link of a route that its robot has found to be blocked: what stops it lies before its front. None if there is
+    none, or nobody knows which: its last place is none of the map's.
+    """
+    guide = result.guide
+    if not (guide.blocked | guide.walled) or (guide.strays and not guide.walled):
+        return None
+    places, at = [*_places(btm, route), route.steps[-1]], int(guide.at)
+    first = route.steps.index(places[at - 1]) + 1 if at else 0
+    steps = route.steps[first : route.steps.index(places[at]) + 1] or route.steps[-1:]
+    ends_m = np.cumsum([step.length_m for step in steps])
+    gone_m = result.path_m - guide.from_m + robot.length_m / 2 + LOOK_M
+    step = steps[min(int(np.searchsorted(ends_m, gone_m)), len(steps) - 1)]
+    return next(link for link in btm.links if link.id == step.link)
 
 
 def _new_ways(btm, route, seen):
