@@ -18,8 +18,8 @@ from jexplore.bench import beliefs, engines, kernels, plans, rates, shares
 from jexplore.bench.engines import LIDAR, RULES
 from jexplore.bench.timing import one_core, speed_clock, surroundings
 from jexplore.config import InputError, require_whole
-from jexplore.engine.backend import start_backend, use_compilation_cache
-from jexplore.engine.runner import ENGINES
+from jexplore.engine.backend import use_compilation_cache
+from jexplore.engine.runner import ENGINES, find_resources
 from jexplore.exploration.site import KERNELS
 from jexplore.policies import Strategy, parse_strategy
 from jexplore.studies.checks import MAX_EPISODES, ready_starts, ready_strategies, ready_worlds, require_memory
@@ -126,7 +126,7 @@ def prepare_bench(
     strategies = ready_strategies(default["strategies"] if strategies is None else strategies)
     worlds = _worlds_of(default["worlds"] if worlds is None else worlds, CELL_M)
     sized = [world for side in sides for world in _worlds_of(*sized_name(side))]
-    start_backend(1)
+    find_resources(engine="serial", workers=1)  # starts JAX; some of it is always measured on the CPU
     on_cpu = jax.default_backend() == "cpu"
     chosen = tuple(dict.fromkeys(engine or ("serial" if on_cpu else "lockstep",)))
     large = not on_cpu and not quick

@@ -1,4 +1,6 @@
-"""Whole episodes by both engines' own programs: each compiled once, on the first device, and run many times."""
+"""Whole episodes by both engines' own programs: each compiled once and run many times, the serial engine's on the CPU,
+lockstep on the first device.
+"""
 
 import functools
 import math
@@ -12,11 +14,11 @@ import numpy as np
 
 from jexplore.bench.timing import compiled, interleaved, mean_and_se, speed_clock, spread
 from jexplore.config import Lidar, Rules
-from jexplore.engine import lanes, serial
+from jexplore.engine import serial
 from jexplore.engine.lockstep import Group
-from jexplore.engine.runner import Costs
+from jexplore.engine.runner import Costs, find_resources
 from jexplore.exploration.results import path_m
-from jexplore.exploration.site import KERNELS, Kernels, line_of, prepare_site
+from jexplore.exploration.site import KERNELS, Kernels, kernels_for, line_of, prepare_site
 from jexplore.exploration.state import Outcome, Result
 from jexplore.policies import Strategy
 from jexplore.worlds.starts import draw_starts
@@ -87,10 +89,10 @@ class Compiler:
         self.made = {}
         self.programs = []  # what every compiled program took
 
-    def _program(self, key, about, lowering, lane_bytes, options):
+    def _program(self, key, about, lowering, lane_bytes, device, options):
         """The compiled program of a key, and what it took; `lane_bytes` makes a lane's from the compiler's account."""
         if key not in self.made:
-            program, took = compiled(lowering, options)
+            program, took = compiled(lowering, options, device.platform)
             memory = _memory(program)
             lane = None if memory is None else int(lane_bytes(memory))
             about = {**about, **took, "memory": memory, "lane_bytes": lane}
@@ -102,9 +104,14 @@ class Compiler:
         """The serial engine's `Compiled` of a world and a strategy."""
         site, line = _line(world, strategy, kernels, np.zeros((1, 3), np.int32))
         n, scenes = serial.CHUNK, jax.tree.map(lambda a: a[None], line.scene)
-        shared = jax.device_put((scenes, line.shared, line.numbers))
+        device = find_resources(engine="serial", workers=1).devices[0]
+        shared = jax.device_put((scenes, line.shared, line.numbers), device)
         blank = np.zeros(n, np.int32), np.zeros((n, 3), np.int32), np.int32(0), np.uint32(SEED)
         function = functools.partial(serial.chunk, line.program)
+
+        def lower():
+            with jax.default_device(device):  # which may be a CPU beside an accelerator
+                return jax.jit(function).lower(*blank, *shared)
 
         def one_episode(memory):
             """An episode's buffers: without the room for the results of the rest of a chunk."""
@@ -114,8 +121,9 @@ class Compiler:
         call, about = self._program(
             str(("serial", line.program, jax.tree.map(np.shape, shared))),
             {**_about("serial", world, strategy, site), "lanes": None, "lane_bytes_estimate": None},
-            lambda: jax.jit(function).lower(*blank, *shared),
+            lower,
             one_episode,
+            device,
             line.program.cpu_options,
         )
 
@@ -134,8 +142,10 @@ class Compiler:
 
     def lockstep(self, world: World, strategy: Strategy, n_lanes: int, episodes: int) -> Compiled:
         """The lockstep engine's `Compiled` for so many episodes in so many lanes, or as many as the memory holds."""
-        site, line = _line(world, strategy, KERNELS["lockstep"], np.zeros((episodes, 3), np.int32))
-        group = Group([line], jax.local_devices()[:1])
+        device = jax.local_devices()[0]
+        kernels = kernels_for("lockstep", device.platform)
+        site, line = _line(world, strategy, kernels, np.zeros((episodes, 3), np.int32))
+        group = Group([line], [device])
         engine, common = group.engine, group.common
 
         def queue_of(starts):
@@ -159,6 +169,7 @@ class Compiler:
             about,
             lambda: step.lower(blank, queue, np.int32(1), common),
             lambda memory: (memory["temp"] + memory["output"] - not_lanes) / n_lanes,
+            device,
             line.program.cpu_options,
         )
 
@@ -168,7 +179,7 @@ class Compiler:
             while done < len(starts):
                 state, usage = call(state, queue, np.int32(TURNS), common)
                 done = int(state.done)
-                costs.add(usage, n_lanes, -(-n_lanes // lanes.DECIDERS))
+                costs.add(usage, n_lanes, engine.places(n_lanes))
             results, _ = jax.tree.map(np.asarray, state.results)
             return Run(results, useful=costs.useful, useful_plans=costs.useful_decisions)
 

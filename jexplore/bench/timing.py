@@ -33,18 +33,21 @@ def timed(function: Callable[[], _T]) -> tuple[_T, Seconds]:
     return out, Seconds(time.perf_counter() - wall, time.process_time() - cpu)
 
 
-def compiled(lowering: Callable[[], Any], options: Any = ()) -> tuple[Any, dict[str, float]]:
+def compiled(
+    lowering: Callable[[], Any], options: Any = (), backend: str | None = None
+) -> tuple[Any, dict[str, float]]:
     """Traces and compiles a program.
 
     Args:
       lowering: function of no arguments that returns what `jax.jit(...).lower(...)` does.
       options: pairs of name and value, options of XLA; on a CPU only.
+      backend: that it is for; None: the default one.
 
     Returns:
       The program, and what it took: a dict.
     """
     lowered, tracing = timed(lowering)
-    options = dict(options) if jax.default_backend() == "cpu" else None
+    options = dict(options) if (backend or jax.default_backend()) == "cpu" else None
     program, compiling = timed(lambda: lowered.compile(compiler_options=options))
     return program, {"trace_s": tracing.wall, "compile_s": compiling.wall, "cpu_s": tracing.cpu + compiling.cpu}
 

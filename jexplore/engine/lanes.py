@@ -186,6 +186,11 @@ class Engine:
             own += 2 * _bytes(lanes.thoughts.searches) // slots // thoughts.SEEKERS
         return own + max(groups, 2 * own // STARTERS, advancing)
 
+    def places(self, n_lanes: int) -> int:
+        """Places in one of the groups that `Usage` counts."""
+        pieces = self.program.pieces
+        return -(-n_lanes // DECIDERS) if pieces is None else thoughts.sizes(n_lanes, len(pieces.glances)).counted
+
     def _done(self, lanes):
         return (lanes.at >= 0) & jax.vmap(self.program.is_done)(lanes.state)
 
@@ -298,7 +303,7 @@ class Engine:
             counts.append(n)
         with jax.named_scope("search"):
             lanes, n = self._search(queue, common, lanes, size.newcomers)
-        return lanes, usage.replace(groups=usage.groups + 1, decided=usage.decided + [*counts, n][0])
+        return lanes, usage.replace(groups=usage.groups + 1, decided=usage.decided + (counts[0] if counts else n))
 
     def _advance(self, queue, common, lanes, under_way):
         """All lanes that are under way advance; small arrays of the others are kept, large ones are left alone."""

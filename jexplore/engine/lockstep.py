@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jexplore.engine.devices import compiled, on_devices, parted, whole
-from jexplore.engine.lanes import DECIDERS, Common, Engine, Queue, Table, split
+from jexplore.engine.lanes import Common, Engine, Queue, Table, split
 from jexplore.engine.program import Line
 
 LANES = 4096  # most lanes on a device
@@ -181,7 +181,7 @@ class Group:
                 lanes, usage = step(lanes, queue, how_many, self.common)
                 done = int(np.sum(lanes.done))
                 seconds = time.perf_counter() - called
-                costs.add(usage, n_lanes, -(-n_lanes // DECIDERS))
+                costs.add(usage, n_lanes, self.engine.places(n_lanes))
                 if collect and time.perf_counter() - collected > COLLECT_S:
                     self._collect(queue, lanes)
                     collected = time.perf_counter()

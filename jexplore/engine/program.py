@@ -45,7 +45,8 @@ class Pieces(NamedTuple):
 
     glances: tuple[Callable[[Any, Given, Any], Any], ...]  # each (setup, given, state) -> (settled, state)
     begin: Callable[[Any, Given, Any], Any]  # (setup, given, state) -> search, a pytree of arrays
-    go_on: Callable[[Any], Any]  # (search) -> search after one more piece; leaves one that is done as it is
+    # (search) -> search after one more piece; of one that is done, what `is_done` and `conclude` read stays as it is
+    go_on: Callable[[Any], Any]
     is_done: Callable[[Any], Any]  # (search) -> bool
     conclude: Callable[[Any, Given, Any, Any], Any]  # (setup, given, state, search) -> state that has decided
 

@@ -22,7 +22,7 @@ from jexplore.engine.program import Line
 
 ENGINES = ("serial", "lockstep")
 CORES_WORTH = 16  # cores that do what lockstep is estimated to do on an accelerator: `bench --target` beside `bench`
-FILLING = 1024  # runs a device, below which its lanes stay empty
+FILLING = 4096  # runs a device: for so many lanes the estimate holds, with 1,024 it comes to no more than 5 to 8 cores
 
 
 @dataclasses.dataclass
@@ -37,15 +37,15 @@ class Costs:
     interrupted: bool = False  # whether Ctrl-C ended it early; what was finished then is there
     advanced: int = 0  # lanes that advanced, over all turns
     room: int = 0  # lanes that could have
-    decided: int = 0  # lanes in deciding groups
+    decided: int = 0  # lanes in deciding groups; in pieces, in those for a first glance, or without glances in slots
     group_room: int = 0  # places in these groups
 
-    def add(self, usage: Usage, n_lanes: int, deciders: int) -> None:
-        """Adds a `lanes.Usage`."""
+    def add(self, usage: Usage, n_lanes: int, places: int) -> None:
+        """Adds a `lanes.Usage` of so many lanes; `places`: those in a group, see `lanes.Engine.places`."""
         self.advanced += int(np.sum(usage.advanced))
         self.decided += int(np.sum(usage.decided))
         self.room += int(np.sum(usage.turns)) * n_lanes
-        self.group_room += int(np.sum(usage.groups)) * deciders
+        self.group_room += int(np.sum(usage.groups)) * places
 
     def plus(self, later: "Costs") -> "Costs":
         """Those of two runs, one after the other."""
@@ -86,15 +86,24 @@ def own_cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def faster_engine(devices: Sequence[Any], cores: int, runs: int | None = None) -> str:
+def cpu_devices() -> list[Any]:
+    """The CPU as JAX devices; none where JAX is kept from it by `JAX_PLATFORMS`."""
+    try:
+        return jax.local_devices(backend="cpu")
+    except RuntimeError:
+        return []
+
+
+def faster_engine(devices: Sequence[Any], cores: int, runs: int | None = None, processes: int = 1) -> str:
     """The engine that is likely to be the faster one, by an estimate: lockstep has been measured on no accelerator.
 
     Args:
       devices: list of JAX devices.
       cores: CPU cores there are instead.
-      runs: to be made; None: many.
+      runs: to be made, by all processes together; None: many.
+      processes: that share the runs, each with as many devices and cores.
     """
-    few = runs is not None and runs < FILLING * len(devices)
+    few = runs is not None and runs < FILLING * len(devices) * processes
     return "serial" if devices[0].platform == "cpu" or few or cores >= CORES_WORTH * len(devices) else "lockstep"
 
 
@@ -104,7 +113,7 @@ def find_resources(
     """What there is to run with, and what is asked of it. Starts JAX.
 
     Args:
-      engine: one of `ENGINES`; by default `faster_engine`, and lockstep where lanes are asked for.
+      engine: one of `ENGINES`; by default `faster_engine`, and lockstep where lanes are asked for, or JAX has no CPU.
       lanes: lanes on each device in lockstep; by default as many as its memory holds, at most 4096.
       workers: threads of the serial engine on one device; by default the CPU cores that this process may use.
       runs: that are to be made; None: many.
@@ -113,7 +122,8 @@ def find_resources(
       `Resources`. The serial engine has the CPU, whatever else there is.
 
     Raises:
-      InputError: an engine that does not exist, lanes or workers below 1, lanes for the serial engine, 64-bit mode.
+      InputError: an engine that does not exist, lanes or workers below 1, lanes for the serial engine, the serial
+        engine where `JAX_PLATFORMS` leaves out the CPU, 64-bit mode.
     """
     if jax.config.values["jax_enable_x64"]:
         raise InputError("jax_enable_x64 is on, and jexplore computes in 32 bits: switch it off")
@@ -124,16 +134,20 @@ def find_resources(
             raise InputError(f"{name} must be at least 1, got {value}")
     cores = own_cores()
     start_backend(workers or cores)  # before anything else asks JAX for its devices
-    devices = jax.local_devices()
+    devices, processes = jax.local_devices(), jax.process_count()
+    on_cpu = devices[0].platform == "cpu"
     if engine is None:
-        wants_lanes = lanes is not None and devices[0].platform != "cpu"
-        engine = "lockstep" if wants_lanes else faster_engine(devices, workers or cores, runs)
+        must_have_lanes = not on_cpu and (lanes is not None or not cpu_devices())
+        engine = "lockstep" if must_have_lanes else faster_engine(devices, workers or cores, runs, processes)
     if lanes is not None and engine == "serial":
         raise InputError(f"lanes are for the engine lockstep, got {lanes} for serial")
-    if engine == "serial" and devices[0].platform != "cpu":
-        devices = jax.local_devices(backend="cpu")
+    if engine == "serial" and not on_cpu:
+        devices = cpu_devices()
+        if not devices:
+            asked = jax.config.values["jax_platforms"]
+            raise InputError(f"JAX_PLATFORMS must list cpu for the engine serial, got {asked!r}")
     workers = (workers or cores) if len(devices) == 1 else 1
-    return Resources(engine, devices, workers, lanes, jax.process_index(), jax.process_count())
+    return Resources(engine, devices, workers, lanes, jax.process_index(), processes)
 
 
 def run_all(

@@ -26,6 +26,11 @@ class Sizes(NamedTuple):
     slots: int
     newcomers: int
 
+    @property
+    def counted(self) -> int:
+        """Places of which the use is counted: those for a first glance; without glances the slots."""
+        return self.glances[0] if self.glances else self.slots
+
 
 def sizes(n_lanes: int, n_glances: int) -> Sizes:
     """`Sizes` for so many lanes and glances."""

@@ -30,10 +30,6 @@ class Traffic(NamedTuple):
     n_bytes: int  # read and written
     atomics: int  # elements that are added or set one by one, because several may meet in a cell
 
-    def plus(self, other: "Traffic") -> "Traffic":
-        """Of both."""
-        return Traffic(self.n_bytes + other.n_bytes, self.atomics + other.atomics)
-
 
 def arrays_of(shape: str) -> list[tuple[str, tuple[int, ...]]]:
     """Element types and sizes of the arrays of a shape, a tuple's all: `s32[4,2]{1,0}` is `[("s32", (4, 2))]`."""

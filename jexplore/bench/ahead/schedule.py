@@ -11,7 +11,7 @@ import numpy as np
 from jax import Array, lax
 
 from jexplore.bench.engines import LIDAR, RULES, SEED
-from jexplore.engine.lanes import DECIDERS, SPAN, STARTERS
+from jexplore.engine.lanes import SPAN, STARTERS
 from jexplore.engine.program import Given, given_of
 from jexplore.engine.thoughts import sizes
 from jexplore.exploration import environment
@@ -44,6 +44,7 @@ class Schedule(NamedTuple):
     advanced: int  # lanes that advanced, over all turns
     fills: int  # times that lanes were measured and started
     glanced: int  # lanes that were given a first glance; without glances, slots that were taken
+    places: int  # for a first glance; without glances, slots
     n_lanes: int
     episodes: int
 
@@ -54,8 +55,8 @@ class Schedule(NamedTuple):
 
     @property
     def full(self) -> float:
-        """Share of the places for a first glance that were taken; without glances, of the slots."""
-        return self.glanced / (self.turns * -(-self.n_lanes // DECIDERS))
+        """Share of the places that were taken."""
+        return self.glanced / (self.turns * self.places)
 
 
 @functools.partial(jax.jit, static_argnums=0)
@@ -212,4 +213,4 @@ def simulate(recorded: Sequence[Plans], which: np.ndarray, n_lanes: int, n_glanc
             under_way = lanes.masks()[3]
             lanes.left[under_way] -= 1
             turns, advanced = turns + 1, advanced + int(under_way.sum())
-    return Schedule(turns, advanced, fills, glanced, n_lanes, total)
+    return Schedule(turns, advanced, fills, glanced, size.counted, n_lanes, total)
