@@ -165,7 +165,7 @@ def test_what_shows_less_than_enough_is_counted(scan, enough):
 @pytest.mark.jit
 @given(st.integers(0, 2**30), st.integers(0, 12))
 @settings(max_examples=40, deadline=None)
-def testcosts_between_cells_are_those_from_each(seed, n):
+def test_costs_between_cells_are_those_from_each(seed, n):
     """More cells than maps that stand beside each other, and fewer."""
     draw = np.random.default_rng(seed)
     passable = draw.random((7, 9)) < 0.75

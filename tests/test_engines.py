@@ -16,8 +16,10 @@ from ref.jobs import LIDAR, RULES, digest, few, some_jobs
 
 from jexplore import planning
 from jexplore.arrays import loops
+from jexplore.bench import engines
 from jexplore.config import InputError, Rules
 from jexplore.engine import devices, lockstep, runner, serial
+from jexplore.exploration import batch
 from jexplore.exploration.batch import Job, run_jobs
 from jexplore.exploration.site import KERNELS, Kernels, kernels_for, line_of, prepare_site
 from jexplore.exploration.state import Outcome
@@ -309,6 +311,10 @@ def test_the_engine_that_is_likely_to_be_faster():
     assert runner.faster_engine(gpu, cores) == "serial"
     assert runner.faster_engine(gpu * 2, 2 * cores - 1, 2 * runner.FILLING) == "lockstep"
     assert runner.faster_engine(gpu * 2, 1, 2 * runner.FILLING - 1) == "serial"
+    # Each of three processes has two of the devices.
+    assert runner.faster_engine(gpu * 2, 1, 6 * runner.FILLING, processes=3) == "lockstep"
+    assert runner.faster_engine(gpu * 2, 1, 6 * runner.FILLING - 1, processes=3) == "serial"
+    assert runner.FILLING == lockstep.LANES
 
 
 def test_beside_an_accelerator_the_serial_engine_has_the_cpu(monkeypatch):
@@ -323,6 +329,63 @@ def test_beside_an_accelerator_the_serial_engine_has_the_cpu(monkeypatch):
         assert (resources.engine, resources.devices) == ("serial", found(backend="cpu"))
     with pytest.raises(InputError, match="lanes are for the engine lockstep, got 4 for serial"):
         runner.find_resources(engine="serial", lanes=4)
+
+
+def test_where_jax_has_no_cpu_the_serial_engine_is_none(monkeypatch):
+    """As with JAX_PLATFORMS=cuda."""
+
+    def devices_of(backend=None):
+        if backend:
+            raise RuntimeError(f"Unknown backend {backend}")
+        return [Accelerator()]
+
+    monkeypatch.setattr(jax, "local_devices", devices_of)
+    for how in ({"runs": 1}, {"workers": runner.CORES_WORTH}, {"engine": "lockstep"}):
+        assert runner.find_resources(**how).engine == "lockstep"
+    with pytest.raises(InputError, match=r"^JAX_PLATFORMS must list cpu for the engine serial, got "):
+        runner.find_resources(engine="serial")
+
+
+def test_one_episode_of_many_is_one_run(monkeypatch):
+    """And not as many as have a start."""
+
+    class Asked(Exception):
+        pass
+
+    def ask(*, runs, **_):
+        raise Asked(runs)
+
+    monkeypatch.setattr(batch, "find_resources", ask)
+    jobs = some_jobs()
+    for only, runs in ((None, sum(len(job.starts) for job in jobs)), (1, len(jobs))):
+        with pytest.raises(Asked, match=f"^{runs}$"):
+            run_jobs(jobs, LIDAR, RULES, only=only)
+
+
+@pytest.mark.jit
+def test_engines_are_measured_as_they_are_used(monkeypatch):
+    """Beside an accelerator too: what is serial is compiled for the CPU, and lockstep plans in pieces."""
+    world, strategy, cpu = some_jobs()[0].world, parse_strategy("closest"), jax.local_devices()[0]
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    traced, placed = [], []
+    monkeypatch.setattr(loops, "_on_cpu", lambda own=loops._on_cpu: traced.append(own()) or traced[-1])
+    monkeypatch.setattr(jax, "device_put", lambda *a, own=jax.device_put: placed.append(a[1:]) or own(*a))
+    engines.Compiler().serial(world, strategy)
+    assert set(traced) == {True}
+    assert placed == [(cpu,)]
+
+    class Prepared(Exception):
+        pass
+
+    def prepare(world, lidar, rules, kernels):
+        raise Prepared(kernels)
+
+    monkeypatch.setattr(engines, "prepare_site", prepare)
+    monkeypatch.setattr(jax, "local_devices", lambda backend=None: [cpu if backend else Accelerator()])
+    for engine in ("serial", "lockstep"):
+        with pytest.raises(Prepared) as told:
+            engines.program_of(engines.Compiler(), engine, world, strategy, 2, 2)
+        assert told.value.args == (kernels_for(engine, "gpu"),)
 
 
 @pytest.mark.jit

@@ -11,6 +11,7 @@ import pytest
 from flax import struct
 from jax import Array
 
+from jexplore.engine import thoughts
 from jexplore.engine.lanes import Engine, split
 from jexplore.engine.lockstep import Group
 from jexplore.engine.program import Line, Pieces, Program, given_of
@@ -86,8 +87,6 @@ PIECES = Pieces(
     conclude=lambda setup, given, state, search: decide(setup, given, state.replace(at=search["at"])),
 )
 
-PIECEMEAL = WALKS._replace(pieces=PIECES)
-
 
 def some_lines(program=WALKS):
     """Two scenes, two bonuses, and one line with other weights."""
@@ -145,6 +144,16 @@ def test_engines_make_the_runs_that_a_loop_makes(how):
                 np.testing.assert_array_equal(line.kept[:n], state.way[:n])
     assert len({tuple(line.results["at"].tolist()) for line in lines}) == 3
     assert (costs.useful is None) == (how["engine"] == "serial")
+
+
+@pytest.mark.parametrize("glances", [(), (glance,), (glance, second_glance)])
+def test_use_is_counted_by_the_places_that_there_are(glances, monkeypatch):
+    """Whatever the sizes of groups: by those that decide, that are given a first glance, or, with none, by slots."""
+    monkeypatch.setattr(thoughts, "GLANCERS", (4, 16))
+    monkeypatch.setattr(thoughts, "SEEKERS", 2)
+    assert Engine(WALKS, ()).places(33) == 5
+    engine = Engine(WALKS._replace(pieces=PIECES._replace(glances=glances)), ())
+    assert engine.places(33) == (9 if glances else 17)
 
 
 @pytest.mark.jit

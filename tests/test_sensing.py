@@ -114,11 +114,15 @@ def test_a_scan_is_counted_where_the_robot_believes_to_be(target, heading):
 @needs_compiler
 @pytest.mark.jit
 def test_nothing_beyond_the_map_is_touched(target):
-    """Not that a scan ever leaves it: its walls are its outermost rows and columns."""
+    """Not that a scan ever leaves it: its walls are its outermost rows and columns. Without them a beam runs on from
+    the end of a row into the next; before the first cell and after the last nothing is counted.
+    """
     table = raycast.beam_table(RIGHT_ANGLES, 1.0, 3)
     open_field = jnp.zeros((3, 3), bool)
     grid, fresh = sensing.look(target, empty_grid((3, 3)), open_field, (1, 1, 0), (1, 1, 0), table)
-    assert int(fresh) == int(np.sum(np.asarray(is_known(grid)))) <= 9
+    np.testing.assert_array_equal(grid.hits, np.zeros((3, 3)))
+    np.testing.assert_array_equal(grid.misses, [[0, 2, 1], [1, 1, 1], [1, 2, 0]])
+    assert int(fresh) == 7
 
 
 # ---------------------------------------------------------------- whole runs
@@ -134,6 +138,19 @@ def test_episodes_have_the_same_bits(target):
     ran = [run(), run(fast=True)]
     assert digest(ran[0]) == digest(ran[1])
     assert max(outcomes.result.scans.max() for outcomes in ran[0].outcomes) > 20
+
+
+@needs_compiler
+@pytest.mark.jit
+def test_a_noisy_scanner_is_told_once(target):
+    jobs = [job._replace(starts=job.starts[:1]) for job in some_jobs()[:2]]
+    noisy = [job._replace(lidar=dataclasses.replace(LIDAR, sigma_m=0.03)) for job in jobs]
+    how = {"engine": "serial", "workers": 1, "fast": True}
+    text = r"^fast: the kernels in JAX make the scans where the scanner has noise$"
+    with pytest.warns(InputWarning, match=text) as told:
+        fast = batch.run_jobs(noisy, LIDAR, RULES, **how)
+    assert len(told) == 1
+    assert digest(fast) == digest(batch.run_jobs(noisy, LIDAR, RULES, **{**how, "fast": False}))
 
 
 @needs_compiler
@@ -207,12 +224,14 @@ def test_no_compiler_is_told_and_the_run_goes_on(monkeypatch, tmp_path):
 def test_a_compiler_that_fails_is_told_in_one_line(monkeypatch, tmp_path):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     compiler = tmp_path / "fails"
-    compiler.write_text("#!/bin/sh\necho first >&2\necho 'look.cpp:1: error: no such thing' >&2\nexit 1\n")
+    # Its first line is none of UTF-8.
+    compiler.write_text("#!/bin/sh\nprintf '\\377\\n' >&2\necho 'look.cpp:1: error: no such thing' >&2\nexit 1\n")
     compiler.chmod(0o755)
     for command, why in (
         (str(compiler), f"{compiler} could not build sensing.cpp: look.cpp:1: error: no such thing"),
         ("false", "false could not build sensing.cpp: exit status 1"),
         ("no-such-compiler", "sensing.cpp could not be built by no-such-compiler or loaded: [Errno 2]"),
+        ("c++ '-O2", 'CXX must be a command, got "c++ \'-O2": no closing quotation'),
     ):
         monkeypatch.setenv("CXX", command)
         found = sensing.native_kernel()
@@ -227,6 +246,23 @@ def test_it_is_built_once(target, monkeypatch):
     native._loaded.cache_clear()
     monkeypatch.setattr(subprocess, "run", None)
     assert sensing.native_kernel().target == target
+
+
+@needs_compiler
+def test_what_does_not_load_is_built_anew(tmp_path):
+    """A library that is not whole, and one without the handler."""
+    (tmp_path / "other.cpp").write_text('extern "C" int other() { return 1; }\n')
+    subprocess.run(
+        [*native.find_compiler(), *native.FLAGS, tmp_path / "other.cpp", "-o", tmp_path / "other.so"], check=True
+    )
+    for name, content in (("empty.so", b""), ("of-another.so", (tmp_path / "other.so").read_bytes())):
+        (tmp_path / name).write_bytes(content)
+        how = sensing.SOURCE, sensing.SYMBOL, tmp_path / name, native.find_compiler()
+        assert native._handler(*how)
+        built = (tmp_path / name).read_bytes()
+        assert built != content
+        assert native._handler(*how)
+        assert (tmp_path / name).read_bytes() == built
 
 
 def test_nothing_is_built_unless_asked():

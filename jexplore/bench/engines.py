@@ -109,23 +109,20 @@ class Compiler:
         blank = np.zeros(n, np.int32), np.zeros((n, 3), np.int32), np.int32(0), np.uint32(SEED)
         function = functools.partial(serial.chunk, line.program)
 
-        def lower():
-            with jax.default_device(device):  # which may be a CPU beside an accelerator
-                return jax.jit(function).lower(*blank, *shared)
-
         def one_episode(memory):
             """An episode's buffers: without the room for the results of the rest of a chunk."""
             results = jax.eval_shape(function, *blank, *shared)[0]
             return memory["temp"] + memory["output"] - (n - 1) * size_of(results) // n
 
-        call, about = self._program(
-            str(("serial", line.program, jax.tree.map(np.shape, shared))),
-            {**_about("serial", world, strategy, site), "lanes": None, "lane_bytes_estimate": None},
-            lower,
-            one_episode,
-            device,
-            line.program.cpu_options,
-        )
+        with jax.default_device(device):  # which may be a CPU beside an accelerator
+            call, about = self._program(
+                str(("serial", line.program, jax.tree.map(np.shape, shared))),
+                {**_about("serial", world, strategy, site), "lanes": None, "lane_bytes_estimate": None},
+                lambda: jax.jit(function).lower(*blank, *shared),
+                one_episode,
+                device,
+                line.program.cpu_options,
+            )
 
         def run(starts):
             parts, last, starts = [], None, _headings(starts)

@@ -1,8 +1,10 @@
 """Kernels in C++ for programs on a CPU: built once with the compiler that is there, called through JAX's typed FFI.
 
-What is built is kept beside compiled programs, under a name that changes with the source, JAX and the compiler.
+What is built is kept beside compiled programs, under a name that changes with the source, JAX and the command of the
+compiler.
 """
 
+import contextlib
 import ctypes
 import functools
 import hashlib
@@ -48,7 +50,11 @@ def load_kernel(source: Path, symbol: str) -> Native:
     Returns:
       `Native`. There is none without a compiler, where building fails, or where nothing can be written.
     """
-    return _loaded(source, symbol, tuple(find_compiler()))
+    try:
+        compiler = tuple(find_compiler())
+    except ValueError as error:  # an open quote
+        return Native(None, f"CXX must be a command, got {os.environ['CXX']!r}: {str(error).lower()}")
+    return _loaded(source, symbol, compiler)
 
 
 @functools.lru_cache(maxsize=8)
@@ -59,10 +65,7 @@ def _loaded(source, symbol, compiler):
     made_from = [jax.__version__, version("jaxlib"), platform.machine(), *compiler, *FLAGS]
     name = f"{symbol}_{hashlib.sha256('|'.join(made_from).encode() + text).hexdigest()[:16]}"
     try:
-        library = cache_folder() / f"{name}.so"
-        if not library.is_file():
-            _build(source, library, compiler)
-        handler = getattr(ctypes.cdll.LoadLibrary(str(library)), symbol)
+        handler = _handler(source, symbol, cache_folder() / f"{name}.so", compiler)
     except subprocess.CalledProcessError as error:
         lines = [line for line in error.stderr.splitlines() if "error" in line] or [f"exit status {error.returncode}"]
         return Native(None, f"{compiler[0]} could not build {source.name}: {lines[0].strip()}")
@@ -73,10 +76,16 @@ def _loaded(source, symbol, compiler):
     return Native(name)
 
 
-def _build(source, library, compiler):
-    """Builds a library beside its place and moves it there: whoever else builds it at the same time does no harm."""
+def _handler(source, symbol, library, compiler):
+    """The handler in a library, which is built where there is none, or one that does not load."""
+    if library.is_file():
+        with contextlib.suppress(OSError, AttributeError):  # not whole, or built against other libraries
+            return getattr(ctypes.cdll.LoadLibrary(str(library)), symbol)
+    # Built and loaded beside its place, then moved there: whoever else builds it at the same time does no harm.
     with tempfile.TemporaryDirectory(dir=library.parent) as folder:
         made = Path(folder) / library.name
         command = [*compiler, *FLAGS, f"-I{jax.ffi.include_dir()}", str(source), "-o", str(made)]
-        subprocess.run(command, check=True, capture_output=True, text=True, timeout=BUILD_S)
+        subprocess.run(command, check=True, capture_output=True, text=True, errors="replace", timeout=BUILD_S)
+        handler = getattr(ctypes.cdll.LoadLibrary(str(made)), symbol)
         os.replace(made, library)
+    return handler

@@ -22,7 +22,7 @@ from jexplore.engine.program import Line
 
 ENGINES = ("serial", "lockstep")
 CORES_WORTH = 16  # cores that do what lockstep is estimated to do on an accelerator: `bench --target` beside `bench`
-FILLING = 4096  # runs a device: for so many lanes the estimate holds, with 1,024 it comes to no more than 5 to 8 cores
+FILLING = 4096  # runs a device: the estimate is for so many lanes; 1,024 that plan at once come to 5 to 8 cores
 
 
 @dataclasses.dataclass

@@ -89,15 +89,18 @@ def run_jobs(
       InputError: a start that is no cell of its world or no multiple of 45 degrees, a seed outside 0 to `MAX_SEED`; an
         engine that does not exist, lanes or workers below 1, lanes for the serial engine, `fast` for another; a
         strategy of a user's that does not return what it should; `keep` where several processes share the work.
-      InputWarning: no compiler for `fast`, or it fails.
+      InputWarning: no compiler for `fast`, or it fails; a scanner with noise, for which `fast` has no kernel.
       MemoryError: a device's memory does not suffice, not even for half the lanes.
     """
-    resources = find_resources(engine=engine, lanes=lanes, workers=workers, runs=sum(len(job.starts) for job in jobs))
+    runs = sum(len(job.starts) for job in jobs) if only is None else len(jobs)
+    resources = find_resources(engine=engine, lanes=lanes, workers=workers, runs=runs)
     if keep is not None and resources.processes > 1:
         raise InputError(f"keep={keep!r} is for one process, and {resources.processes} share the work")
     kernels = kernels or _kernels_for(resources, fast)
     jobs = [_checked(job) for job in jobs]
     lines = _lines_of(jobs, lidar, rules, resources, kernels, only, keep, alike)
+    if kernels.native is not None and any(line.program.setup.native is None for line in lines):
+        warnings.warn("fast: the kernels in JAX make the scans where the scanner has noise", InputWarning, stacklevel=3)
     tell = None if on_job is None else (lambda i: on_job(i, _outcomes(jobs[i], lines[i])))
     costs = run_all(lines, resources, on_progress, tell)
     return Finished([_outcomes(job, line) for job, line in zip(jobs, lines)], costs)

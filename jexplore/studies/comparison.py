@@ -304,7 +304,7 @@ def compare(
 
     Raises:
       InputError: a name, number, map or start that cannot be used. Raised before anything is compiled.
-      InputWarning: no compiler for `fast`, or it fails.
+      InputWarning: no compiler for `fast`, or it fails; a scanner with noise, for which `fast` has no kernel.
     """
     jobs = prepare_jobs(
         worlds, strategies, episodes=episodes, seed=seed, cell_m=cell_m, start=start, lidar=lidar, rules=rules
