@@ -70,7 +70,7 @@ def run_jobs(
       jobs: list of `Job`, each with at least one start. In every process the same.
       lidar: `Lidar`.
       rules: `Rules`.
-      engine: one of `runner.ENGINES`; by default serial on a CPU, else lockstep.
+      engine: one of `runner.ENGINES`; by default the one that is likely to be faster, `runner.faster_engine`.
       kernels: `Kernels`; by default those that suit the engine.
       lanes: lanes on each device in lockstep; by default as many as its memory holds, at most 4096.
       workers: threads of the serial engine on one device; by default the CPU cores that this process may use.
