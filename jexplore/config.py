@@ -55,7 +55,8 @@ def require_kind(name: str, given: object, kind: type) -> None:
     first = next(iter(fields))
     example = given if isinstance(given, dict) and given and given.keys() <= fields.keys() else {first: fields[first]}
     text = ", ".join(f"{key}={shown(value)}" for key, value in example.items())
-    raise InputError(f"{name} must be a jx.{kind.__name__}, such as jx.{kind.__name__}({text}), got {shown(given)}")
+    such = "" if dataclasses.MISSING in example.values() else f", such as jx.{kind.__name__}({text}),"
+    raise InputError(f"{name} must be a jx.{kind.__name__}{such} got {shown(given)}")
 
 
 def require_whole(name: str, value: Any, low: int, high: int) -> int:

@@ -172,6 +172,9 @@ def test_the_frame_is_that_of_the_map():
     raw = HALL.with_attributes({"frame": "odom"})
     assert {f["properties"].get("frame") for f in geojson(raw)["features"]} == {"odom", None}
     assert {f["properties"].get("frame") for f in geojson(raw, frame="site")["features"]} == {"site", None}
+    told = {"frame": [{"from": ["a"], "value": "map"}, {"from": ["b"], "value": "odom"}]}
+    disputed = HALL.with_attributes({"conflicts": told})
+    assert {f["properties"].get("frame") for f in geojson(disputed)["features"]} == {"odom", None}
 
 
 @settings(max_examples=60)

@@ -7,22 +7,26 @@ import json
 import math
 import random
 
+import numpy as np
 import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 from ref.parts import EXACT, common, part_of
 from ref.traces import chain, maps, node, stub, way
+from scipy.stats import lognorm, multivariate_normal
 
 import jexplore as jx
 from jexplore.cli.main import main
+from jexplore.cli.output import console
 from jexplore.config import InputError
 from jexplore.tracemap import json_form
+from jexplore.tracemap.merging import evidence
 from jexplore.tracemap.merging.match import Merging, match
 from jexplore.tracemap.merging.merge import merge_maps
 from jexplore.tracemap.merging.rigid import Move, fit, mean_deg, mirrored, moved
 from jexplore.tracemap.merging.walk import Likeness, Limits, Pair
 from jexplore.tracemap.merging.ways import places_of
-from jexplore.tracemap.record import NOWHERE, BtmMap, check
+from jexplore.tracemap.record import NOWHERE, BtmMap, Link, Node, check
 from jexplore.tracemap.similarity import code, differences
 from jexplore.worlds import load_world
 
@@ -268,7 +272,7 @@ def test_contradictions_are_told():
     assert again.nodes["a"][8] == 2
     assert again.notes[1:] == ("node 2: 1 way leads elsewhere in b than in a; the map has both",)
     assert match(FIRST, SECOND).contradictions == ()
-    apart = merged_of(corridor(9), corridor(9), first, second)
+    apart = merged_of(corridor(9), corridor(8), first, second)
     assert apart.notes[-1] == "node 1: 1 way leads elsewhere in d than in c; the map has both"
 
 
@@ -287,19 +291,218 @@ def test_what_looks_otherwise_and_lies_where_it_should():
     assert found.outcome is Merging.MERGED
     assert {found.nodes["b"][8], found.nodes["a"][1]} == {1}
     assert len(found.map.bearings_deg(1)) == 5
+    assert found.notes[-1] == "node 1: one in a and in b by place and bearings alone"
     assert match(first, second).contradictions == ()  # no more, once D1 is D1
     bent = [dataclasses.replace(one, x_m=one.x_m + 1.8 * (one.id in (7, 8))) for one in second.nodes]
     assert merged_of(first, dataclasses.replace(second, nodes=tuple(bent))).nodes["b"][8] == 1
     assert merged_of(first, second, limits=Limits(lost=0)).nodes["b"][8] == 1
 
 
+@pytest.mark.parametrize("upper", [(0, 90, 180), (270, 0, 180), (0, 180, 315)])
+def test_what_lies_behind_a_wall_is_another_place(upper):
+    # Two branches end 1.2 m apart at a wall: the first map has the lower one to its dead end, the second the upper.
+    def branches(*more):
+        nodes = (*SECOND.nodes[1:], *(one for one in more if isinstance(one, Node)))
+        links = (way(1, 7, 8, 180, length_m=9.0), way(2, 8, 9, 90, length_m=5.0), way(4, 7, 10, 270, length_m=6.0))
+        stubs = (stub(3, 8, 180), stub(5, 10, 180), stub(6, 9, 90))
+        return BtmMap(nodes, (*links, *stubs, *(one for one in more if isinstance(one, Link))))
+
+    low = branches(node(20, "F", 28, -6), node(21, "D", 28, -1.2), way(20, 10, 20, 0, length_m=15.0),
+                   way(21, 20, 21, 90, length_m=4.8), stub(22, 7, 0))  # fmt: skip
+    high = branches(node(20, "D", 28, 0), way(20, 7, 20, 0, 180, length_m=15.0), stub(22, 10, 0),
+                    *(stub(30 + i, 20, bearing) for i, bearing in enumerate(upper) if bearing != 180))  # fmt: skip
+    found = merged_of(low, high)
+    assert found.outcome is Merging.MERGED
+    assert found.matched == 4
+    assert found.nodes["a"][21] != found.nodes["b"][20]
+    assert found.notes == ()
+
+
 def test_merged_with_itself():
     for seed in range(6):
         btm = truth_of(seed)
-        found = merged_of(btm, btm)
+        shifted = moved(btm, Move(1.0))  # no copy: what both have must be found
+        found = merged_of(btm, shifted)
         assert found.outcome is Merging.MERGED
         assert found.matched == len(btm.nodes)
         assert differences(found.map, btm, 1e-6, 1e-6) == []
+
+
+def bare(btm):
+    return BtmMap(*(tuple(dataclasses.replace(one, attributes={}) for one in of) for of in (btm.nodes, btm.links)))
+
+
+def with_more(*more):
+    return BtmMap(
+        (*FIRST.nodes, *(one for one in more if isinstance(one, Node))),
+        (*FIRST.links, *(one for one in more if isinstance(one, Link))),
+    )
+
+
+@pytest.mark.parametrize(
+    "btm",
+    [
+        FIRST,
+        truth_of(2),
+        with_more(node(9, "T", 30, 0)),
+        with_more(node(9, "T", 30, 0), node(8, "T", 35, 0), way(9, 9, 8, 0, length_m=5.0), way(8, 8, 9, 90, 90)),
+        with_more(way(9, 1, 1, -30, -80, length_m=15.0), way(8, 1, 2, 0, length_m=9.0)),
+        chain("DDDD", [(1, 90), (2, 90)]),
+        BtmMap((node(3), node(7, "D", 2.0)), (way(5, 3, 7, 0, length_m=2.0),)),
+        BtmMap(
+            tuple(dataclasses.replace(one, id=one.id + k, x_m=one.x_m + k) for k in (0, 50) for one in FIRST.nodes),
+            tuple(
+                dataclasses.replace(
+                    one, id=one.id + k, start=one.start + k, end=one.end + k if one.end >= 0 else NOWHERE
+                )
+                for k in (0, 50)
+                for one in FIRST.links
+            ),
+        ),
+    ],
+    ids=["course", "true", "lone start", "ring of starts", "loop, parallel", "alike", "two nodes", "equal parts"],
+)
+def test_a_map_merged_with_a_copy_is_that_map(btm):
+    found = merged_of(btm, btm.with_attributes({"seed": 3}))
+    assert (found.outcome, found.left, found.notes) == (Merging.MERGED, (), ())
+    assert found.matched == len(btm.nodes)
+    assert found.moves == {"a": Move(), "b": Move()}
+    assert found.map.attributes["merged_from"] == ["a", "b"]
+    own = {one.id: one.id for one in btm.nodes}
+    assert found.nodes == {"a": own, "b": own}
+    assert bare(found.map) == bare(check(btm))
+
+
+def test_copies_say_what_they_say_and_go_on_being_merged():
+    found = merged_of(FIRST, FIRST.with_attributes({"victim": False}, node=3), moved(SECOND, QUARTER))
+    assert found.outcome is Merging.MERGED
+    assert found.map.nodes[3].attributes["from"] == {"a": 3, "b": 3, "c": 10}
+    assert found.notes == ("node 3: victim is True in a and False in b, c",)
+    assert merged_of(chain("T"), chain("T")).outcome is Merging.NOT_ENOUGH_IN_COMMON  # nothing was measured
+
+
+def test_what_means_something_in_one_run_only_is_left_out():
+    def written(btm, seed):
+        nodes = (
+            dataclasses.replace(one, attributes={**one.attributes, "profile_variance_m2": seed}) for one in btm.nodes
+        )
+        links = (dataclasses.replace(one, attributes={"moved": [1.0, seed, 0.0]}) for one in btm.links)
+        return BtmMap(tuple(nodes), tuple(links), {"frame": "odom", "seed": seed, "overflow": 0, "robot": f"r{seed}"})
+
+    found = merged_of(written(FIRST, 1.0), written(SECOND, 2.0))
+    assert found.notes == ("node 3: victim is True in a and False in b",)
+    told = [{"from": ["a"], "value": "r1.0"}, {"from": ["b"], "value": "r2.0"}]
+    assert found.map.attributes == {"frame": "odom", "merged_from": ["a", "b"], "conflicts": {"robot": told}}
+    assert all(one.attributes.keys() == {"from"} for one in found.map.links)
+    with pytest.raises(InputError, match="none has \\(maps that are merged have it no more: correct them before\\)"):
+        jx.correct_map(found.map)
+    older = found.map.with_attributes({"conflicts": {"moved": TOLD, "victim": TOLD}}, link=0)
+    again = merge_maps([older, third()], ["two", "c"])
+    assert list(again.map.links[0].attributes["conflicts"]) == ["victim"]
+
+
+def test_who_found_a_link_blocked_for_all_is_not_forgotten_beside_who_did_for_one():
+    who = {"name": "wheeled", "width_m": 0.6, "max_step_m": 0.03, "max_slope_deg": 5.0}
+    walled, shut = ({"blocked": True, "found_by": "kamui"}, {"blocked": True, "blocked_for": who})
+    for order in ((walled, shut), (shut, walled)):
+        maps_ = [FIRST.with_attributes(own, link=1) for own in order]
+        both = merged_of(*maps_).map
+        (last,) = jx.route(both, "kamui", 1, 2).refused
+        assert last[0] == 1
+        assert last[1][0].startswith("blocked, found by kamui: no measures")
+        assert merge_maps([both, SECOND], ["two", "c"]).map.links[1].attributes == {
+            **both.links[1].attributes, "from": {"a": 1, "b": 1, "c": 1}
+        }  # fmt: skip
+    alone = merged_of(FIRST.with_attributes(walled, link=1), FIRST).map.links[1].attributes
+    assert alone == {**walled, "from": {"a": 1, "b": 1}}
+
+
+def slow_gain(pair, guess):
+    """What a guess is worth, by plain loops over all that is not matched."""
+    darts = [(part, a, i) for part in (pair.one, pair.other) for a in part.ways for i in range(len(part.ways[a]))]
+    ways = [one for part in (pair.one, pair.other) for one in evidence.whole_ways(part)]
+    first = [(one, other) for one, other in guess.ways if one.is_whole and other.is_whole]
+    noise2, scale2 = (pair.limits.length_m / 2) ** 2 + 1e-6, pair.limits.length_share**2 * 2 / 3
+
+    def bell(off, spread):
+        return math.exp(-0.5 * min(abs(off / spread), 40.0) ** 2) / (spread * math.sqrt(2 * math.pi))
+
+    def ratio(one, other, spread, span, others):
+        if one is None or other is None:
+            return 0.0
+        known = [value for value in others if value is not None]
+        usual = (4 / span + sum(bell(other - value, spread) for value in known)) / (4 + len(known))
+        return math.log(0.9 * bell(other - one, spread) / usual + 0.1)
+
+    def without(values, *taken):
+        left = list(values)
+        for value in taken:
+            left.remove(value)
+        return left
+
+    total = -5.0 * len(guess.contradictions)
+    for a, i, b, j in guess.entries:
+        lost = pair.alike((pair.one, a, i), (pair.other, b, j)).lost
+        others = [dart for dart in darts if dart[:2] not in ((pair.one, a), (pair.other, b))]
+        found = [pair.alike((pair.one, a, i), dart) for dart in others]
+        alike = sum(one is not None and one.lost <= lost for one in found)
+        total -= math.log((0.6 + alike) / (4 + len(others))) + 2.5 * lost
+    spread = np.diag([noise2] * len(first)) + scale2 * np.outer(*2 * [[one.length_m for one, _ in first]])
+    if first:
+        off = [other.length_m - one.length_m for one, other in first]
+        total += multivariate_normal([0.0] * len(first), spread).logpdf(off)
+    for a, b in first:
+        others = [one.length_m for one in ways if not (twins(one, a) or twins(one, b))]
+        at_large = lognorm(0.7, scale=5.0).pdf(max(b.length_m, 0.1))
+        dense = 4 * at_large + sum(bell(b.length_m - one, math.sqrt(noise2 + scale2 * one**2)) for one in others)
+        total -= math.log(dense / (4 + len(others)))
+    openings, measured = [part.ways[a][i].opening_m for part, a, i in darts], []
+    for a, b in guess.places.items():
+        for m, n in guess.alike[a].ways:
+            one, other = pair.one.ways[a][m].opening_m, pair.other.ways[b][n].opening_m
+            if one is not None and other is not None:
+                measured.append(pair.one.ways[a][m].steps[0][0])
+                total += ratio(one, other, 0.1, 3.0, without(openings, one, other))
+    for a, b in first:
+        if a.steps[0][0] not in measured and a.steps[-1][0] not in measured:
+            others = [one.width_m for one in ways if not (twins(one, a) or twins(one, b))]
+            total += ratio(a.width_m, b.width_m, 0.1, 3.0, others)
+    inclined = [one.inclination_deg for part in (pair.one, pair.other) for one in part.nodes.values()]
+    for a, b in guess.places.items():
+        one, other = pair.one.nodes[a].inclination_deg, pair.other.nodes[b].inclination_deg
+        total += ratio(one, other, 1.0, 30.0, without(inclined, one, other))
+    return total
+
+
+def twins(one, other):
+    """Whether two ways are one, seen from its ends."""
+    return {id(link) for link, _ in one.steps} == {id(link) for link, _ in other.steps}
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_evidence_is_that_of_plain_loops(seed):
+    _, one, other = pair_of(seed)
+    pair = Pair(places_of(one.map), places_of(other.map), Limits())
+    fast = evidence.Evidence(pair)
+    found = sorted(((fast.gain(guess), slow_gain(pair, guess)) for guess in pair.guesses()), reverse=True)
+    assert len(found) > 2
+    for gain, slow in found:
+        assert gain == pytest.approx(slow, abs=1e-6)
+
+
+def test_no_two_ends_of_ways_are_compared_again_and_again(monkeypatch):
+    calls, alike = [], Pair.alike
+    monkeypatch.setattr(Pair, "alike", lambda self, one, other: calls.append(0) or alike(self, one, other))
+    btm = truth_of(3)
+    ends = sum(len(btm.bearings_deg(one.id)) for one in btm.nodes)
+    assert match(btm, moved(btm, QUARTER)).outcome is Merging.MERGED
+    assert len(calls) < 5 * ends**2
+
+
+def test_who_waits_is_told():
+    told = []
+    assert merged_of(FIRST, corridor(9), moved(SECOND, QUARTER), on_progress=told.append).left == ("b",)
+    assert told == [1, 2, 3, 4]
 
 
 def pair_of(seed, errors=None):
@@ -339,7 +542,8 @@ def test_parts_without_errors_make_their_union(seed, has_cycles):
     truth = blocks(rng) if has_cycles else truth_of(seed % 7)
     one, other = part_of(truth, rng, EXACT), part_of(truth, rng, EXACT)
     found = merged_of(one.map, other.map, limits=TIGHT)
-    if found.outcome is not Merging.MERGED:
+    if found.outcome is not Merging.MERGED:  # in common is too little that tells places apart
+        assert len(common(one, other)) < 7
         return
     true = place_of(found, "a", one)
     for key, at in place_of(found, "b", other).items():
@@ -387,7 +591,9 @@ def test_frames_do_not_matter(seed, turn, shift):
 def test_neither_map_is_preferred(seed):
     _, one, other = pair_of(seed)
     pairs = match(one.map, other.map), match(other.map, one.map)
-    if pairs[0].outcome is Merging.MERGED and pairs[1].outcome is Merging.MERGED:
+    assert pairs[0].outcome is pairs[1].outcome
+    assert pairs[0].outcome is Merging.MERGED or len(common(one, other)) < 4
+    if pairs[0].outcome is Merging.MERGED:
         assert pairs[0].nodes == {b: a for a, b in pairs[1].nodes.items()}
         back = pairs[0].move.after(pairs[1].move)
         assert back.place(0, 0) == pytest.approx((0, 0), abs=1e-6)
@@ -423,8 +629,7 @@ def test_passages_that_look_alike_are_refused():
     found = merged_of(corridor(6), corridor(5))
     assert found.outcome in (Merging.AMBIGUOUS, Merging.NOT_ENOUGH_IN_COMMON)
     assert found.left == ("b",)
-    assert found.map.nodes == merged_of(corridor(6), corridor(5)).map.nodes
-    assert len(found.map.nodes) == 6
+    assert differences(found.map, corridor(6), 0, 0) == []
     assert found.matched == 0
     marked = [
         dataclasses.replace(corridor(n, odd=odd), nodes=tuple(
@@ -442,7 +647,7 @@ def test_half_turns_of_a_symmetric_map_are_ambiguous():
         (way(0, 0, 4, 0, length_m=3.0), way(1, 4, 1, 0, length_m=4.0), way(2, 1, 2, 90, length_m=4.0),
          way(3, 2, 5, 180, length_m=3.0), way(4, 5, 3, 180, length_m=4.0), way(5, 3, 0, 270, length_m=4.0)),
     )  # fmt: skip
-    found = merged_of(ring, ring)
+    found = merged_of(ring, moved(ring, QUARTER))
     assert found.outcome is Merging.AMBIGUOUS
     assert found.margin == pytest.approx(0.0)
     stubbed = dataclasses.replace(ring, links=(*ring.links, stub(6, 1, 0), stub(7, 0, 180), stub(8, 4, 270)))
@@ -626,6 +831,14 @@ def test_conflicts_of_a_map_that_was_not_merged():
         (lambda: merge_maps([FIRST, {}]), "a map must be a jx.BtmMap"),
         (lambda: merge_maps([FIRST, BtmMap(FIRST.nodes[:1], FIRST.links)]), "which is not there"),
         (lambda: merge_maps([FIRST.with_attributes({"from": 1}, node=0), SECOND]), 'expected no attribute "from"'),
+        (
+            lambda: merge_maps([FIRST, with_more(node(9, x=1e300))]),
+            "1: node 9: expected places and lengths below 1000 km",
+        ),
+        (
+            lambda: merge_maps([with_more(way(9, 2, 3, 0, length_m=1e300)), SECOND]),
+            "0: link 9: expected places and len",
+        ),
         (lambda: Limits(angle_deg=-1), "angle_deg must be a number at least 0"),
         (lambda: Limits(lost=0.5), "lost must be an integer"),
     ],
@@ -640,6 +853,38 @@ def test_names_of_the_package():
     assert jx.merge_maps is merge_maps
     assert jx.Merging is Merging
     assert jx.Limits is Limits
+
+
+def saved(folder, btm):
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "btm.json").write_text(json.dumps(json_form.to_json(btm)))
+
+
+def test_a_map_has_one_name_however_its_path_is_typed(files, capsys, monkeypatch):
+    saved(files / "one", FIRST)
+    saved(files / "two", moved(SECOND, QUARTER))
+    assert main(["merge-maps", "one/btm.json", "two/btm.json", "--out", "global.json"]) == 0
+    assert json_form.read_btm("global.json").attributes["merged_from"] == ["one", "two"]
+    monkeypatch.chdir(files / "two")
+    capsys.readouterr()
+    for again in ("btm.json", "../two/btm.json", str(files / "two" / "btm.json")):
+        assert main(["merge-maps", "../global.json", again]) == 2
+        assert 'names of their own, got "two" twice' in capsys.readouterr().err
+    saved(files / "other" / "one", moved(SECOND, QUARTER))
+    both = ["../one/btm.json", "../other/one/btm.json"]
+    assert main(["merge-maps", *both]) == 2
+    said = '../one/btm.json and ../other/one/btm.json are both called "one": call them otherwise with --names'
+    assert said in capsys.readouterr().err
+    assert main(["merge-maps", *both, "--names", "a", "--out", "named.json"]) == 2
+    assert "--names: expected a name for each of 2 maps, got 1" in capsys.readouterr().err
+    assert main(["merge-maps", *both, "--names", "a", "b", "--out", "named.json"]) == 0
+    assert json_form.read_btm("named.json").attributes["merged_from"] == ["a", "b"]
+
+
+def test_the_command_shows_that_it_works(files, capsys, monkeypatch):
+    monkeypatch.setattr(console, "PATIENCE_S", 0.0)
+    assert main(["merge-maps", "a.json", "b.json", "c.json", "--partial"]) == 1
+    assert "4 of 4 pairs of maps (100 %)" in capsys.readouterr().err
 
 
 @pytest.fixture
@@ -687,10 +932,13 @@ def test_the_command_refuses(files, capsys):
     assert main(["merge-maps", "a.json", "c.json", "b.json", "--out", "global.json", "--partial"]) == 1
     assert len(json_form.read_btm("global.json").nodes) == 6
     capsys.readouterr()
+    far = BtmMap(FIRST.nodes, (dataclasses.replace(FIRST.links[0], length_m=1e300), *FIRST.links[1:]))
+    (files / "far.json").write_text(json.dumps(json_form.to_json(far)))
     for words, said in (
         ([], "expected files of two maps or more, got 0"),
         (["a.json"], "expected files of two maps or more, got 1"),
         (["a.json", "./a.json"], "expected every map once, got ./a.json again"),
+        (["a.json", "far.json"], "far: link 0: expected places and lengths below 1000 km, got 1e+300 m"),
         (["a.json", "nothing.json"], "nothing.json must be a readable JSON file"),
         (["a.json", "b.json", "--out", "a.json", "--overwrite"], "is one of the maps"),
         (["a.json", "b.json", "--out", "no/global.json"], "there is no folder"),

@@ -67,6 +67,27 @@ def test_bearings_turn_with_the_frames_of_their_nodes():
     assert found.links[2].end_bearing_deg is None
 
 
+def test_a_corrected_map_corrected_again_stays_as_it_is():
+    ways = [(0, 1, (4.0, 0.3, 8.0)), (1, 2, (0.1, 4.2, -5.0)), (3, 2, (4.1, 0.0)), (3, 0, (0.2, -3.6, 3.0)), (2, 2)]
+    once = correct_map(a_map(SQUARE, ways, [(1, -30.0)]))
+    assert max(abs(link.start_bearing_deg - was) for link, was in zip(once.links, (0, 90, 0, -90))) > 2
+    again = correct_map(once)
+    np.testing.assert_allclose(places(again), places(once), atol=1e-3)
+    for one, other in zip(again.links, once.links):
+        assert apart_deg(one.start_bearing_deg, other.start_bearing_deg) == pytest.approx(0, abs=0.02)
+        if other.end >= 0:
+            assert apart_deg(one.end_bearing_deg, other.end_bearing_deg) == pytest.approx(0, abs=0.02)
+            np.testing.assert_allclose(one.attributes["moved"], other.attributes["moved"], atol=0.02)
+            assert len(one.attributes["moved"]) == (2 if other.id == 2 else 3)
+
+
+def test_moves_turn_with_the_frames_of_their_nodes():
+    line = a_map([(0, 0), (4, 0), (8, 0)], [(0, 1, (4.0, 0.0, 90.0)), (1, 2, (4.0, 0.0, 30.0))])
+    found = correct_map(line)
+    np.testing.assert_allclose(found.links[0].attributes["moved"], [4, 0, 0], atol=1e-2)
+    np.testing.assert_allclose(found.links[1].attributes["moved"], [0, 4, 0], atol=1e-2)
+
+
 def test_a_map_that_nothing_contradicts_keeps_its_places_and_bearings():
     square = a_map(SQUARE, [(0, 1), (1, 2), (2, 3), (3, 0)], [(0, -90.0)])
     found = correct_map(square)

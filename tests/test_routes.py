@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from ref.traces import chain
 
 import jexplore as jx
 from jexplore.arrays.graphs import FAR, NONE, links_around, shortest_ways
@@ -163,6 +164,46 @@ def test_what_one_robot_could_not_pass_is_left_to_those_that_are_narrower_or_cli
     ahead = changed(SQUARE, 5, attributes={"blocked": True, "blocked_for": who})  # un-searched
     assert jx.route(ahead, scout, 0, "unsearched").refused[-1] == (5, ("blocked for scout",))
     assert jx.route(ahead, "kamui", 0, "unsearched").unknown == ("link 5 (node 2, un-searched): blocked for scout",)
+
+
+def blocked_by(**told):
+    """A line whose link maps say different things about: `name=[(map, value), ...]`."""
+    told = {name: [{"from": [own], "value": value} for own, value in many] for name, many in told.items()}
+    return changed(line(None, None), 0, attributes={"conflicts": told})
+
+
+def test_what_maps_differ_about_is_a_doubt():
+    btm = blocked_by(blocked=[("a", True), ("b", False)])
+    route = jx.route(btm, "kamui", 0, 1)
+    assert (route.links, route.refused) == ((0,), ())
+    assert route.unknown == ("link 0 (nodes 0 to 1): blocked in a, not in b",)
+    assert jx.route(btm, "kamui", 0, 1, known_only=True).refused == ((0, ("blocked in a, not in b",)),)
+    lifted = btm.with_attributes({"blocked": False}, link=0)
+    assert jx.route(lifted, "kamui", 0, 1, known_only=True).unknown == ()
+    shut = btm.with_attributes({"blocked": True}, link=0)
+    assert jx.route(shut, "kamui", 0, 1).refused == ((0, (f"blocked: {LIFTED}",)),)
+    assert not jx.route(blocked_by(blocked=[("a", True), ("b", 1)]), "kamui", 0, 1).is_found
+    assert jx.route(blocked_by(blocked=[("a", False), ("b", 0)]), "kamui", 0, 1).unknown == ()
+
+
+def test_several_robots_that_could_not_pass_are_several_blocks():
+    wide = {"name": "wide", "width_m": 0.6, "max_step_m": 0.3, "max_slope_deg": 45.0}
+    flat = {"name": "flat", "width_m": 0.3, "max_step_m": 0.1, "max_slope_deg": 10.0}
+    btm = blocked_by(blocked_for=[("a", wide), ("b", flat)]).with_attributes({"blocked": True}, link=0)
+    robot = dataclasses.replace(WHEELED, width_m=0.5, max_step_m=0.05, max_slope_deg=5.0)
+    assert jx.route(btm, robot, 0, 1).refused == ((0, ("blocked for flat",)),)
+    low = dataclasses.replace(robot, width_m=0.7)
+    assert jx.route(btm, low, 0, 1).refused == ((0, ("blocked for wide", "blocked for flat")),)
+    route = jx.route(btm, dataclasses.replace(robot, max_step_m=0.2), 0, 1)
+    assert route.unknown == ("link 0 (nodes 0 to 1): blocked for wide, blocked for flat",)
+    nobody = blocked_by(blocked_for=[("a", wide), ("b", None)]).with_attributes({"blocked": True}, link=0)
+    assert jx.route(nobody, robot, 0, 1).refused == ((0, (f"blocked: {LIFTED}",)),)
+
+
+@pytest.mark.parametrize("told", [3, None, {"blocked": 3}, {"blocked": [3]}, {"blocked": [{"value": True}]}])
+def test_conflicts_that_nobody_could_have_written_block_nothing(told):
+    btm = changed(line(None, None), 0, attributes={"conflicts": told})
+    assert jx.route(btm, "kamui", 0, 1).unknown == ()
 
 
 @pytest.mark.parametrize(
@@ -464,8 +505,8 @@ def test_robots_that_may_use_the_same_are_told_apart():
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("kamui", 4, 0), r"^from: there is no node 4: the map has nodes 0 to 3$"),
-        (("kamui", 0, "-1"), r"^to: there is no node -1: the map has nodes 0 to 3$"),
+        (("kamui", 4, 0), r"^from: there is no node 4: the map has nodes 0, 1, 2, 3$"),
+        (("kamui", 0, "-1"), r"^to: there is no node -1: the map has nodes 0, 1, 2, 3$"),
         (("kamui", "a", 0), r"^from must be a node's id or X,Y in metres, got 'a'$"),
         (("kamui", 0, "1,2,3"), r"^to must be a node's id or X,Y in metres, or unsearched, got '1,2,3'$"),
         (("kamui", 0, True), r"^to must be a node's id"),
@@ -474,12 +515,25 @@ def test_robots_that_may_use_the_same_are_told_apart():
         (("kamui", "unsearched", 0), r"^from must be a node's id or X,Y in metres, got 'unsearched'$"),
         (("kamui", "9,0", 0), r"^from: the node nearest to 9,0 is 1, 4.00 m away, more than 2 m$"),
         (("hover", 0, 1), r"^robot must be one of kamui, wheeled, got 'hover'$"),
-        ((3, 0, 1), r"^robot must be a jx.Robot"),
+        ((3, 0, 1), r"^robot must be a name such as wheeled, or a jx.Robot, got 3$"),
+        ((None, 0, 1), r"^robot must be a name such as wheeled, or a jx.Robot, got None$"),
     ],
 )
 def test_bad_requests_are_refused(arguments, message):
     with pytest.raises(InputError, match=message):
         jx.route(SQUARE, *arguments)
+
+
+def test_ids_that_are_there_are_told():
+    apart = chain("TD")
+    apart = BtmMap(
+        tuple(dataclasses.replace(one, id=897 * one.id + 3) for one in apart.nodes),
+        (dataclasses.replace(apart.links[0], start=3, end=900),),
+    )
+    with pytest.raises(InputError, match=r"^to: there is no node 5: the map has nodes 3, 900$"):
+        jx.route(apart, "kamui", 3, 5)
+    with pytest.raises(InputError, match=r"^to: there is no node 99: the map has 20 nodes, with ids from 0 to 19$"):
+        jx.route(chain("D" * 20), "kamui", 3, 99)
 
 
 def test_bad_maps_are_refused():
@@ -539,7 +593,7 @@ def test_without_a_route_the_command_ends_with_1_and_all_reasons(saved, capsys):
     [
         ("--map btm.json", "expected --to: jexplore route --map btm.json"),
         ("--to 3", "expected --map: jexplore route --map btm.json"),
-        ("--map btm.json --from 9 --to 2", "from: there is no node 9: the map has nodes 0 to 3"),
+        ("--map btm.json --from 9 --to 2", "from: there is no node 9: the map has nodes 0, 1, 2, 3"),
         ("--map btm.json --from -3,4 --to 2", "from: the node nearest to -3,4 is 3, 3.16 m away, more than 2 m"),
         ("--map btm.json --to there", "to must be a node's id or X,Y in metres, or unsearched, got 'there'"),
         ("--map btm.json --robot hover --to 2", "robot must be one of kamui, wheeled, got 'hover'"),

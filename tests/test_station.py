@@ -159,7 +159,7 @@ def test_maps_none_of_which_fits_stand_each_alone():
         (way(0, 0, 1, 0, length_m=7.0), way(1, 1, 2, 90, length_m=4.0), way(2, 2, 3, 180, length_m=7.0),
          way(3, 3, 0, 270, length_m=4.0), stub(4, 0, 180), stub(5, 2, 0)),
     )  # fmt: skip
-    panels, _ = panels_of([ring, ring])
+    panels, _ = panels_of([ring, moved(ring, Move(1.0))])
     assert {panel.note for panel in panels} == {
         "Stands apart: the maps could be laid on each other in more than one way."
     }
@@ -244,7 +244,14 @@ def block(rng, near):
     """That a link is blocked, or not, for a robot at, near or far from those that ask, or for nobody known."""
     who = {"name": "scout", "width_m": near(0.39, 0.7), "max_step_m": near(0.03, 0.2), "max_slope_deg": near(5.0, 45.0)}
     said = {"blocked_for": rng.choice([who, who, "scout"])} if rng.random() < 0.7 else {"found_by": "scout"}
-    return {"blocked": rng.choice([True, True, False, [], "yes"]), **said}
+    told = {"blocked": rng.choice([True, True, False, [], "yes"]), **said}
+    if rng.random() < 0.4:  # another map says otherwise
+        others = {"blocked": rng.choice([True, False]), "blocked_for": rng.choice([None, {**who, "name": "other"}])}
+        names = [name for name in others if name in told and rng.random() < 0.6]
+        told["conflicts"] = {
+            name: [{"from": ["a"], "value": told.pop(name)}, {"from": ["b"], "value": others[name]}] for name in names
+        }
+    return told
 
 
 def random_map(rng):
@@ -470,7 +477,8 @@ APART = """
 const wait = (ms = 60) => new Promise((done) => setTimeout(done, ms));
 (async () => {
   const seen = {captions: [...document.querySelectorAll("figcaption")].map((one) => one.textContent)};
-  await wait(); seen.first = station.state();
+  const folded = () => [...document.querySelectorAll("#tables details")].map((one) => one.textContent);
+  await wait(); seen.about = folded().filter((text) => text.startsWith("About the map")); seen.first = station.state();
   [...document.querySelectorAll("#apart button")][0].click(); await wait(); seen.second = station.state();
   seen.large = document.querySelector("#large b").textContent;
   seen.froms = document.getElementById("from").options.length;
@@ -482,12 +490,14 @@ const wait = (ms = 60) => new Promise((done) => setTimeout(done, ms));
 
 
 def test_maps_apart_are_asked_one_by_one(body):
-    page = jx.station([first(), second(), chain("TDFDT")], ["a", NASTY, "c"])
+    maps = (btm.with_attributes(own) for btm, own in ((first(), {"robot": "kamui"}), (second(), {"robot": "wheeled"})))
+    page = jx.station([*maps, chain("TDFDT").with_attributes({"seed": 3})], ["a", NASTY, "c"])
     seen = json.loads(body(page, APART)["test"])
     assert seen["captions"] == [
         f"{TOGETHER}a, {NASTY}. In the frame of a.Enlarge",
         "cStands apart: it has not enough in common with the other maps.Enlarge",
     ]
+    assert seen["about"] == [f"About the map: 1robot: kamui (a) or wheeled ({NASTY})"]
     assert (seen["first"]["map"], seen["second"]["map"], seen["large"]) == (TOGETHER, "c", "c")
     assert (seen["froms"], seen["route"]["links"]) == (6, [0, 1, 2, 3])
 
@@ -575,7 +585,7 @@ def test_the_command_refuses(files, capsys, words, said):
         ([first(), second()], ["a", "a"], "expected a name of its own for each of 2 maps"),
         (["btm.json"], None, "a map must be a jx.BtmMap"),
         ([BtmMap((node(0, x=1e300),), ())], None, "0: node 0: expected places and lengths below 1000 km, got 1e+300 m"),
-        ([dataclasses.replace(first(), attributes={"merged_from": 5})], None, "merged_from must be a list of names"),
+        ([dataclasses.replace(first(), attributes={"merged_from": 5})], None, "merged_from: expected a list of names"),
         (
             [dataclasses.replace(first(), attributes={"conflicts": {"x": [1]}})],
             None,

@@ -1,5 +1,7 @@
 """`jexplore trace`: what it writes, what it says, what it refuses."""
 
+import contextlib
+import io
 import json
 from types import SimpleNamespace
 
@@ -11,23 +13,45 @@ from PIL import Image
 from jexplore.cli import main
 from jexplore.config import InputError
 from jexplore.driving import batch
-from jexplore.report import trace_tables
+from jexplore.report import plot_traces, trace_tables
 from jexplore.studies.traces import extraction, job, tracing
-from jexplore.tracemap import json_form
-from jexplore.tracemap.record import BtmMap, Link, Node
+from jexplore.tracemap import corrected, json_form
+from jexplore.tracemap.merging.rigid import Move, moved
+from jexplore.tracemap.record import BtmMap, Link, Node, check
 from jexplore.tracemap.similarity import code
 
+AWAY_M = 100.0  # by so much the corrected map is shifted here, so that it is known again
 pytestmark = pytest.mark.usefixtures("whole_runs")
 
 
 @pytest.fixture(scope="module")
-def ran(tmp_path_factory, jit_on):
-    """The folder of a sweep of two settings with two runs of each, and its page."""
-    out = tmp_path_factory.mktemp("runs") / "new"
-    with jit_on():
-        options = ("--noise-m", "0.01", "--runs", "2", "--sweep", "votes=5,1", "--seed", "3", "--animate")
+def made(tmp_path_factory, jit_on):
+    """The folder of a sweep of two settings with two runs of each, and its page; what was printed; the maps drawn."""
+    out, drawn, figure = tmp_path_factory.mktemp("runs") / "new", [], plot_traces.figure
+    with jit_on(), pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(io.StringIO()) as said:
+        patch.setattr(corrected, "correct_map", lambda btm: moved(btm, Move(AWAY_M)))
+        patch.setattr(
+            plot_traces, "figure", lambda btm, *more, **options: drawn.append(btm) or figure(btm, *more, **options)
+        )
+        options = (
+            "--noise-m",
+            "0.01",
+            "--runs",
+            "2",
+            "--sweep",
+            "votes=5,1",
+            "--seed",
+            "3",
+            "--animate",
+            "--corrected",
+        )
         assert main.main(["trace", *options, "--out", str(out)]) == 0
-    return out
+    return out, said.getvalue(), drawn
+
+
+@pytest.fixture(scope="module")
+def ran(made):
+    return made[0]
 
 
 def test_files(ran):
@@ -56,6 +80,14 @@ def test_the_page_shows_the_run_that_was_made(ran):
     assert "kamui in course" in page
     assert "branch selection" in page
     assert len(page) > 200_000
+
+
+def test_files_text_and_picture_show_one_map(made):
+    out, said, drawn = made
+    found = json_form.read_btm(out / "btm.json")
+    assert min(node.x_m for node in found.nodes) > 0.9 * AWAY_M
+    assert trace_tables.tables(found) in said
+    assert [check(one) for one in drawn] == [found]
 
 
 def test_what_it_says(ran):
@@ -177,7 +209,9 @@ def test_the_nearest_node_in_truth_gets_an_attribute(ran, jit_on):
     found = json_form.read_btm(ran / "btm.json")
     goal = found.nodes[-1]
     with jit_on():
-        marked = tracing.trace("course", attributes=[f"victim=true@{goal.x_m},{goal.y_m}", "radio=-40@0,27"], workers=1)
+        marked = tracing.trace(
+            "course", attributes=[f"victim=true@{goal.x_m - AWAY_M},{goal.y_m}", "radio=-40@0,27"], workers=1
+        )
     assert [node.attributes.get("victim") for node in marked.first.nodes] == [None] * (len(found.nodes) - 1) + [True]
     assert marked.first.nodes[0].attributes["radio"] == -40
     assert marked.first.attributes["frame"] == "odom"

@@ -9,6 +9,7 @@ import numpy as np
 from jexplore.arrays.padding import bucket
 from jexplore.arrays.pose_graph import settle
 from jexplore.config import InputError
+from jexplore.tracemap.merging.rigid import Move
 from jexplore.tracemap.record import NOWHERE, BtmMap, Link, check, direction_deg
 
 FRAME = "map"  # of a corrected map
@@ -18,6 +19,8 @@ TURN_DEG = 2.0  # of how far the frame of one end is turned against that of the 
 
 def correct_map(btm: BtmMap) -> BtmMap:
     """The map with places and bearings that fit what the odometry said along all links as well as possible.
+
+    What it said is turned with the frames of the nodes: a corrected map corrected again stays as it is.
 
     While a robot drives, it takes a place that it has been at for where it was; what the odometry has gathered until
     then stays in the last links. Here every link takes a share. The first node stays where it is, and so do parts of
@@ -31,7 +34,8 @@ def correct_map(btm: BtmMap) -> BtmMap:
       `BtmMap`, its attribute `frame` is `map`.
 
     Raises:
-      InputError: not a proper map, there are searched links and none has the attribute, or one is none.
+      InputError: not a proper map, there are searched links and none has the attribute, as in a merged map, or one is
+        none.
     """
     btm = check(btm)
     place, _ = laid_out(btm, moves(btm))
@@ -52,7 +56,10 @@ def moves(btm: BtmMap) -> list[tuple[int, int, list[float]]]:
     found = [(link.start, link.end, _moved(link)) for link in btm.links if link.end != NOWHERE]
     found = [(start, end, moved) for start, end, moved in found if moved is not None]
     if not found and any(link.end != NOWHERE for link in btm.links):
-        raise InputError("to correct a map its links must have the attribute moved, as those of a run have; none has")
+        raise InputError(
+            "to correct a map its links must have the attribute moved, as those of a run have; none has "
+            "(maps that are merged have it no more: correct them before)"
+        )
     return found
 
 
@@ -92,12 +99,17 @@ def _moved(link):
 
 
 def _turned(link: Link, turn_deg) -> Link:
-    """A link with the bearings that it has once the frames of its nodes are turned."""
+    """A link with the bearings, and the move, that it has once the frames of its nodes are turned."""
     end_deg = None
     if link.end_bearing_deg is not None:
         end_deg = _signed(link.end_bearing_deg + turn_deg[link.end])
     start_deg = _signed(link.start_bearing_deg + turn_deg[link.start])
-    return dataclasses.replace(link, start_bearing_deg=start_deg, end_bearing_deg=end_deg)
+    attributes = dict(link.attributes)
+    if link.end != NOWHERE and (moved := _moved(link)) is not None:
+        x_m, y_m = Move(turn_deg=turn_deg[link.start]).place(*moved[:2])
+        apart_deg = turn_deg[link.start] - turn_deg[link.end]
+        attributes["moved"] = [x_m, y_m, *(_signed(turn + apart_deg) for turn in moved[2:])]
+    return dataclasses.replace(link, start_bearing_deg=start_deg, end_bearing_deg=end_deg, attributes=attributes)
 
 
 def _signed(bearing_deg):

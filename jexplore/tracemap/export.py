@@ -7,9 +7,11 @@ import json
 import math
 import re
 import xml.etree.ElementTree as ET
+from collections.abc import Mapping
 from typing import Any
 
 from jexplore.config import InputError
+from jexplore.tracemap.passable import CONFLICTS
 from jexplore.tracemap.record import NOWHERE, BtmMap, check
 
 NAV2_IDS = 65536
@@ -37,7 +39,8 @@ def geojson(btm: BtmMap, *, frame: str | None = None) -> dict[str, Any]:
 
     Args:
       btm: the map, with one searched link or more.
-      frame: the frame of the coordinates; by default the map's attribute `frame`, or `map` where it has none.
+      frame: the frame of the coordinates; by default the map's attribute `frame`, `odom` where the maps that it was
+        made of differ in that, or `map` where it has none.
 
     Returns:
       A dict, a FeatureCollection.
@@ -50,7 +53,9 @@ def geojson(btm: BtmMap, *, frame: str | None = None) -> dict[str, Any]:
       The geojson loader, distance, penalty and semantic scorers of nav2_route.
     """
     btm = check(btm)
-    frame = frame or str(btm.attributes.get("frame", "map"))
+    conflicts = btm.attributes.get(CONFLICTS)
+    is_disputed = isinstance(conflicts, Mapping) and "frame" in conflicts
+    frame = frame or str(btm.attributes.get("frame", "odom" if is_disputed else "map"))
     searched = [link for link in btm.links if link.end != NOWHERE]
     if not searched:
         raise InputError("a route graph must have an edge: the map has no searched link")

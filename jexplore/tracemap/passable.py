@@ -4,13 +4,15 @@ Plain Python: importing this loads no jax.
 """
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any, Protocol
 
 from jexplore.tracemap.record import NOWHERE, Link, Node
 
 BLOCKED, BLOCKED_FOR, FOUND_BY = "blocked", "blocked_for", "found_by"
 """Attributes of a link that could not be passed: true; the robot for which, with its measures; its name alone."""
+CONFLICTS = "conflicts"
+"""Attribute of what maps say different things about: `{attribute: [{"from": [names], "value": value}, ...]}`."""
 _MEASURES, _MOST = ("width_m", "max_step_m", "max_slope_deg"), 1e6
 SLACK = 1e-6  # share of a limit by which a measure may lie beyond it: maps hold single precision
 
@@ -53,17 +55,41 @@ def blocked_for(robot: Body) -> dict[str, Any]:
     return {BLOCKED: True, BLOCKED_FOR: {"name": robot.name, **measures}}
 
 
-def block_of(link: Link) -> Block | None:
-    """That a link could not be passed; None if the map does not say so."""
-    if not link.attributes.get(BLOCKED):
-        return None
-    told, who = link.attributes.get(BLOCKED_FOR), link.attributes.get(FOUND_BY)
+def blocks_of(link: Link) -> tuple[Block, ...]:
+    """By whom a link could not be passed; none if the map does not say so, or the maps that it is of differ."""
+    yes, no = _said(link)
+    if not yes or no:
+        return ()
+    told = [value for _, value in _told_of(link, BLOCKED_FOR)] or [None]
+    return tuple(dict.fromkeys(_block(link, value) for value in told))
+
+
+def _block(link, told):
     if isinstance(told, Mapping) and isinstance(told.get("name"), str):
         values: list[Any] = [told.get(name) for name in _MEASURES]
         if all(type(value) in (int, float) and 0 <= value < _MOST for value in values):
             return Block(f"blocked for {told['name']}", *map(float, values))
+    who = link.attributes.get(FOUND_BY)
     by = f"blocked, found by {who}" if isinstance(who, str) else "blocked"
     return Block(f"{by}: no measures of who could not pass; {BLOCKED} set to false lifts it", None, None, None)
+
+
+def _said(link):
+    """Who says that a link is blocked, and who that it is not: texts, empty if nobody does."""
+    told = list(_told_of(link, BLOCKED))
+    return tuple(", ".join(names for names, value in told if bool(value) is wanted) for wanted in (True, False))
+
+
+def _told_of(link, name) -> Iterator[tuple[str, Any]]:
+    """What an attribute of a link says, else what maps say differently: who, and the value."""
+    conflicts = link.attributes.get(CONFLICTS)
+    told = conflicts.get(name) if isinstance(conflicts, Mapping) else None
+    if name in link.attributes:
+        yield "the map", link.attributes[name]
+    elif isinstance(told, list):
+        for one in told:
+            if isinstance(one, Mapping) and isinstance(one.get("from"), list):
+                yield ", ".join(map(str, one["from"])) or "a map", one.get("value")
 
 
 def step_of(link: Link, nodes: Mapping[int, Node]) -> float | None:
@@ -89,7 +115,8 @@ def refusals(link: Link, nodes: Mapping[int, Node], robot: Body, *, known_only: 
     A link is as good either way: the map does not say which way is up. The inclination of the body that wrote the map,
     and its roll, are held against the steepest ground that the robot climbs. Of an un-searched link only its opening is
     measured; the first node lies before it, so one that cannot be passed refuses it. What one robot could not pass is
-    refused to all but those that are narrower or climb more, or to all where the map does not say which robot it was.
+    refused to all but those that are narrower or climb more, or to all where the map does not say which robot it was;
+    where maps differ about that, it is a doubt.
 
     Args:
       link: `Link`.
@@ -100,14 +127,14 @@ def refusals(link: Link, nodes: Mapping[int, Node], robot: Body, *, known_only: 
     Returns:
       Texts such as `step 0.15 m > 0.03 m`.
     """
-    steep, block = robot.max_slope_deg, block_of(link)
+    steep = robot.max_slope_deg
     found = [
         _below("width", link.min_width_m, robot.width_m),
         _below("opening", link.opening_m, robot.width_m),
         _above("step", step_of(link, nodes), robot.max_step_m, "m"),
         _above("inclination", inclination_of(link, nodes), steep, "deg"),
         _above("roll", link.max_roll_deg, steep, "deg"),
-        block.words if block and block.holds_for(robot) else None,
+        *(block.words for block in blocks_of(link) if block.holds_for(robot)),
     ]
     if link.end == NOWHERE:
         found += hindrances(nodes[link.start], robot, known_only=known_only)
@@ -132,10 +159,12 @@ def hindrances(node: Node, robot: Body, *, known_only: bool = False) -> tuple[st
 
 def unknowns(link: Link, nodes: Mapping[int, Node]) -> tuple[str, ...]:
     """Measures that a robot would be held against, and that the map does not have of a link: texts. That another robot
-    could not pass it is one of them for those that may.
+    could not pass it is one of them for those that may, and that maps differ about whether it is blocked.
     """
-    block = block_of(link)
-    blocked = () if block is None or block.width_m is None else (block.words,)
+    yes, no = _said(link)
+    blocked = tuple(block.words for block in blocks_of(link) if block.width_m is not None)
+    if yes and no:
+        blocked = (f"blocked in {yes}, not in {no}",)
     if link.end == NOWHERE:
         return (("opening unknown",) if link.opening_m is None else ()) + blocked
     measures: dict[str, Any] = {

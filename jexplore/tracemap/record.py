@@ -7,7 +7,7 @@ import dataclasses
 import math
 import numbers
 import reprlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 from jexplore.arrays.pictures import html_of, or_text
@@ -18,6 +18,7 @@ NODE_TYPES = ("terminal", "divergence", "free_space", "obstacle")
 OBSTACLES = ("slope", "stairs")
 STATUS = ("un-searched", "searched")
 NOWHERE = -1  # end of a link that has not been followed
+FAR_M = 1e6  # what a map says in metres is less, where maps are merged or drawn
 
 
 @dataclasses.dataclass(frozen=True)
@@ -79,6 +80,24 @@ def length_of(link: Link, nodes: Mapping[int, Node]) -> float:
         return link.length_m
     one, other = nodes[link.start], nodes[link.end]
     return math.dist((one.x_m, one.y_m), (other.x_m, other.y_m))
+
+
+def parts_of(nodes: Iterable[int], links: Iterable[Link]) -> dict[int, int]:
+    """The parts of a map that its links join: node -> the first node of its part."""
+    around = {own: [] for own in nodes}
+    for link in links:
+        if link.end != NOWHERE:
+            around[link.start].append(link.end)
+            around[link.end].append(link.start)
+    part = {}
+    for first in around:
+        left = [first]
+        while left:
+            here = left.pop()
+            if here not in part:
+                part[here] = first
+                left += around[here]
+    return {own: part[own] for own in around}
 
 
 def direction_deg(bearing_deg: float) -> float:
@@ -185,6 +204,20 @@ def check(btm: BtmMap, where: Callable[..., str] = lambda member, index=None: '"
         if (link.end_bearing_deg is not None) != has_end:
             raise InputError(f"{own} must have an end_bearing_deg if it has an end, and only then")
     return BtmMap(nodes, links, _attributes(btm.attributes, f"{where('attributes')}: attributes"))
+
+
+def require_near(btm: BtmMap, name: str) -> None:
+    """Refuse numbers that no drawing and no sum of lengths holds.
+
+    Raises:
+      InputError: a place, a length or a width of 1000 km or more, named with the map.
+    """
+    found = [(f"node {node.id}", value) for node in btm.nodes for value in (node.x_m, node.y_m)]
+    for link in btm.links:
+        found += [(f"link {link.id}", value or 0.0) for value in (link.length_m, link.min_width_m, link.opening_m)]
+    for what, value in found:
+        if not abs(value) < FAR_M:
+            raise InputError(f"{name}: {what}: expected places and lengths below {FAR_M / 1000:g} km, got {value:g} m")
 
 
 def called(member: str, index: int, number: object) -> str:

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 from jexplore.tracemap.merging.rigid import Move, apart_deg
-from jexplore.tracemap.record import NOWHERE, STATUS, BtmMap, Link, check
+from jexplore.tracemap.record import NOWHERE, STATUS, BtmMap, Link, check, parts_of
 
 TWINS_DEG = 30.0  # two ways of a node no farther apart leave by one opening
 CLOSE = 0.6, 0.1  # where two ways lead is one place no farther apart than this: metres, and so much of the way besides
@@ -63,24 +63,13 @@ def repaired(btm: BtmMap) -> Repaired:
         if found is None:
             break
         btm, contradicted = found, contradicted + 1
-    return Repaired(btm, _closings(btm), contradicted, sum(1 for _ in _twins(btm)))
+    return Repaired(btm, closings_of(btm), contradicted, sum(1 for _ in _twins(btm)))
 
 
-def _closings(btm):
-    part = {node.id: node.id for node in btm.nodes}
-
-    def root(node):
-        while part[node] != node:
-            node = part[node]
-        return node
-
-    closings = 0
-    for link in btm.links:
-        if link.end != NOWHERE:
-            start, end = root(link.start), root(link.end)
-            closings += start == end
-            part[end] = start
-    return closings
+def closings_of(btm: BtmMap) -> int:
+    """How many ways round a map has: searched links beyond those that it takes to reach every node."""
+    parts = set(parts_of((node.id for node in btm.nodes), btm.links).values())
+    return sum(link.end != NOWHERE for link in btm.links) - len(btm.nodes) + len(parts)
 
 
 def _ways(btm: BtmMap, node: int) -> Iterator[_Way]:

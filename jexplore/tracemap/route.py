@@ -8,7 +8,7 @@ import functools
 from collections.abc import Sequence
 
 from jexplore.tracemap.passable import called, inclination_of, step_of, unknowns, unknowns_at, width_of
-from jexplore.tracemap.record import NOWHERE, BtmMap, Link, Node, direction_deg, length_of
+from jexplore.tracemap.record import NOWHERE, BtmMap, Link, Node, direction_deg, length_of, parts_of
 
 SAME_DEG = 1e-6  # bearings nearer than this are one
 UNIT_M = 0.001  # lengths are compared in whole units
@@ -120,7 +120,7 @@ class Sheet:
     @functools.cached_property
     def part(self) -> dict[int, int]:
         """Node -> a node of the part of the map that its links join, one for all of the part."""
-        return _parts(self.index)
+        return parts_of(self.index.nodes, self.index.links.values())
 
     @functools.cached_property
     def parts_with_stubs(self) -> frozenset[int]:
@@ -173,23 +173,6 @@ class Sheet:
             posture_deg=inclination_of(link, index.nodes),
             roll_deg=link.max_roll_deg,
         )
-
-
-def _parts(index):
-    around = {own: [] for own in index.nodes}
-    for link in index.links.values():
-        if link.end != NOWHERE:
-            around[link.start].append(link.end)
-            around[link.end].append(link.start)
-    part = {}
-    for first in index.nodes:
-        left = [first]
-        while left:
-            here = left.pop()
-            if here not in part:
-                part[here] = first
-                left += around[here]
-    return part
 
 
 def _counted(ends, leaves, came):

@@ -120,7 +120,7 @@ _LETTER = {"terminal": "T", "divergence": "D", "free_space": "F", "obstacle": "O
 
 def _tree(btm):
     """Vertices in preorder; the first is an extra one above the first node of every connected part."""
-    around = links_around(btm)
+    around = ends_around(btm)
     nodes, reached, closing = {node.id: node for node in btm.nodes}, set(), {}
     tree = [_Vertex("", -1)]
     for root in btm.nodes:
@@ -148,7 +148,7 @@ def _tree(btm):
     return tree
 
 
-def links_around(btm):
+def ends_around(btm):
     """Ends of links by node, counter-clockwise: `(bearing, id, 0 at the start of the link or 1, link)`."""
     around = {node.id: [] for node in btm.nodes}
     for link in btm.links:

@@ -1,21 +1,58 @@
-"""Files of Behavioral Trace Maps on the command line: which they are, what they are called, where a result may go."""
+"""Files of Behavioral Trace Maps on the command line: which they are, what they are called, where a result may go; and
+progress of merging them.
+"""
 
+import contextlib
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Annotated
 
 import tyro
 
+from jexplore.cli.output.console import note, progress_of
 from jexplore.config import InputError
 
 Files = Annotated[tuple[str, ...], tyro.conf.arg(metavar="FILE [FILE ...]", help_behavior_hint="")]
 
 
-def names_of(paths: Sequence[str]) -> list[str]:
-    """What maps are called: their files without folder and suffix where these differ, else the paths."""
-    stems = [Path(path).stem for path in paths]
-    return stems if len(set(stems)) == len(stems) else [str(path) for path in paths]
+Names = Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME [NAME ...]", help_behavior_hint="")]
+TRACED = "btm"  # what every run calls its map
+
+
+def names_of(command: str, paths: Sequence[str], given: Sequence[str] = ()) -> list[str]:
+    """What maps are called: as is given, else each by its own file alone, however its path is typed.
+
+    That is the file without suffix, or its folder where the file is `btm.json`.
+
+    Raises:
+      InputError: not a name for every map, or one for two.
+    """
+    if given and len(given) != len(paths):
+        raise InputError(f"{command}: --names: expected a name for each of {len(paths)} maps, got {len(given)}")
+    names = list(given) or [_name(Path(path).expanduser().resolve()) for path in paths]
+    for i, name in enumerate(names):
+        if name in names[:i]:
+            both = f"{paths[names.index(name)]} and {paths[i]}"
+            raise InputError(f'{command}: {both} are both called "{name}": call them otherwise with --names')
+    return names
+
+
+def _name(path):
+    return path.parent.name if path.stem == TRACED and path.parent.name else path.stem
+
+
+@contextlib.contextmanager
+def comparing(count: int) -> Iterator[Callable[[int], None]]:
+    """Progress of merging so many maps. The block gets the function to call."""
+    with progress_of((count - 1) ** 2, "pairs of maps") as progress, note("jexplore: comparing maps") as call_off:
+        progress.update(0)
+
+        def on_progress(compared):
+            call_off()
+            progress.update(compared)
+
+        yield on_progress
 
 
 def require_once(command: str, paths: Sequence[str]) -> None:

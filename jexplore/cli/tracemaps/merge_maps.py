@@ -8,7 +8,7 @@ import tyro
 
 from jexplore.cli.output.console import say
 from jexplore.cli.output.terminal import show_table
-from jexplore.cli.tracemaps.files import Files, file_out, names_of, require_once
+from jexplore.cli.tracemaps.files import Files, Names, comparing, file_out, names_of, require_once
 from jexplore.config import InputError
 from jexplore.tracemap.merging.walk import Limits
 
@@ -25,6 +25,8 @@ class MergeMaps:
 
     maps: tyro.conf.Positional[Files] = ()
     """Files of the maps, such as btm.json. The result lies in the frame of the first."""
+    names: Names = ()
+    """Call the maps so in what is written; by default by their files, btm.json by its folder."""
     out: Annotated[str | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")] = None
     """Write the map into this file; by default it is not written."""
     overwrite: bool = False
@@ -44,10 +46,13 @@ class MergeMaps:
         if len(self.maps) < 2:
             raise InputError(f"merge-maps: expected files of two maps or more, got {len(self.maps)}")
         require_once("merge-maps", self.maps)
+        names = names_of("merge-maps", self.maps, self.names)
         out = None if self.out is None else file_out(self.out, self.maps, overwrite=self.overwrite)
         maps = [json_form.read_btm(path) for path in self.maps]
-        found = merge_maps(maps, names_of(self.maps), min_common=self.min_common, limits=self.limits)
-        show_table(*_table(found, dict(zip(names_of(self.maps), maps))))
+        with comparing(len(maps)) as on_progress:
+            how = {"min_common": self.min_common, "limits": self.limits, "on_progress": on_progress}
+            found = merge_maps(maps, names, **how)
+        show_table(*_table(found, dict(zip(names, maps))))
         for note in found.notes:
             print(note)
         if found.left and not (self.partial and len(found.nodes) > 1):

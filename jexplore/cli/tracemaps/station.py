@@ -7,7 +7,7 @@ from typing import Annotated
 import tyro
 
 from jexplore.cli.output.terminal import show_line, show_table
-from jexplore.cli.tracemaps.files import Files, file_out, names_of, require_once
+from jexplore.cli.tracemaps.files import Files, Names, comparing, file_out, names_of, require_once
 from jexplore.config import InputError
 
 
@@ -21,6 +21,8 @@ class Station:
 
     maps: tyro.conf.Positional[Files] = ()
     """Files of the maps, such as btm.json. The global map lies in the frame of the first."""
+    names: Names = ()
+    """Call the maps so; by default by their files, btm.json by its folder."""
     out: Annotated[str | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")] = None
     """Write the page into this file, such as page.html."""
     overwrite: bool = False
@@ -35,10 +37,13 @@ class Station:
         if not self.maps:
             raise InputError("station: expected files of one map or more: jexplore station btm.json --out page.html")
         require_once("station", self.maps)
+        names = names_of("station", self.maps, self.names)
         if self.out is None:
             raise InputError("expected --out: jexplore station btm.json --out page.html")
         out = file_out(self.out, self.maps, overwrite=self.overwrite)
-        panels, said = panels_of([json_form.read_btm(path) for path in self.maps], names_of(self.maps))
+        maps = [json_form.read_btm(path) for path in self.maps]
+        with comparing(len(maps)) as on_progress:
+            panels, said = panels_of(maps, names, on_progress)
         page = page_of(panels, said)
         with store.atomic(out) as part:
             part.write_text(page, encoding="ascii")

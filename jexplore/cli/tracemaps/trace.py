@@ -140,12 +140,13 @@ class Trace:
         entries = {"runs_per_s": runs_per_s, "resumed": found.resumed, "interrupted": missing}
         entries["worlds"] = [describe(plan.world)]
         record = out.record(arguments, self, **entries, **{name: getattr(costs, name) for name in names})
+        first = correct_map(found.first) if self.corrected else found.first
         files = {
-            **_exchanged(correct_map(found.first) if self.corrected else found.first),
+            **_exchanged(first),
             "runs.parquet": lambda path: store.write_parquet(found.table, path),
         }
-        text = trace_tables.tables(found.first) + "\n" + "\n".join(trace_tables.summary(found))
-        pictures = {"btm.png": functools.partial(_draw, found)}
+        text = trace_tables.tables(first) + "\n" + "\n".join(trace_tables.summary(found))
+        pictures = {"btm.png": functools.partial(_draw, found, first)}
         if self.animate and not costs.interrupted:
             pictures["btm.html"] = functools.partial(_write_view, found)
         return _finish_trace(out, record, files, text, pictures, costs.interrupted)
@@ -161,14 +162,14 @@ def _write_view(found, path):
     path.write_text(page, encoding="utf-8")
 
 
-def _draw(found, path):
-    """The picture of a `Traced`."""
+def _draw(found, first, path):
+    """The picture of a `Traced`, with the map of run 0 as it is written."""
     from jexplore.report import plot, plot_traces
     from jexplore.studies.traces import recording
 
     plan, track = found.plan, found.driven
     figure = plot_traces.figure(
-        found.first,
+        first,
         recording.wall_lines(plan),
         recording.moved(track.estimate, plan.world.origin_m),
         recording.scan_points(plan, track),

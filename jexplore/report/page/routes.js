@@ -3,8 +3,8 @@
 //
 // A map: nodes, links (in the order of their ids), and byNode, byLink: Map of id -> item. Measures that are not known are
 // null. Of a link step_m and inclination_deg are those that count, length_mm is whole, metres its length, called its name in
-// a sentence, unknown and doubts texts, block null or what could not be passed: words, and width_m, max_step_m, max_slope_deg
-// of the robot that could not, null if not known; of a node unknown. A robot: name, width_m, max_step_m, max_slope_deg.
+// a sentence, unknown and doubts texts, blocks by whom it could not be passed: words, and width_m, max_step_m, max_slope_deg of
+// the robot that could not, null if not known; of a node unknown. A robot: name, width_m, max_step_m, max_slope_deg.
 const NOWHERE = -1, SLACK = 1e-6, SAME_DEG = 1e-6;
 
 function makeMap({nodes, links}) {
@@ -41,8 +41,8 @@ const reasons = (found) => [...new Set(found.filter((reason) => reason !== null)
 function hindrances(node, robot) {
   return reasons([above("step", node.step_m, robot.max_step_m, "m"), above("inclination", node.inclination_deg, robot.max_slope_deg, "deg")]);
 }
-function isBlocked(block, robot) {  // all but those that are narrower or climb more than the one that could not pass
-  if (!block || block.width_m === null) return block !== null;
+function holdsFor(block, robot) {  // all but those that are narrower or climb more than the one that could not pass
+  if (block.width_m === null) return true;
   const climbsMore = (name) => robot[name] > block[name] * (1 + SLACK);
   return !(robot.width_m < block.width_m * (1 - SLACK) || climbsMore("max_step_m") || climbsMore("max_slope_deg"));
 }
@@ -51,7 +51,7 @@ function refusals(link, map, robot) {
   return reasons([
     below("width", link.min_width_m, robot.width_m), below("opening", link.opening_m, robot.width_m),
     above("step", link.step_m, robot.max_step_m, "m"), above("inclination", link.inclination_deg, steep, "deg"),
-    above("roll", link.max_roll_deg, steep, "deg"), isBlocked(link.block, robot) ? link.block.words : null,
+    above("roll", link.max_roll_deg, steep, "deg"), ...link.blocks.filter((block) => holdsFor(block, robot)).map((block) => block.words),
     ...(link.end === NOWHERE ? hindrances(map.byNode.get(link.start), robot) : []),
   ]);
 }

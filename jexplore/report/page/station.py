@@ -6,10 +6,11 @@ from typing import Any
 
 from jexplore.report.page.assemble import assembled, plain, script_data
 from jexplore.tracemap.merging.join import FROM
-from jexplore.tracemap.merging.notes import CONFLICTS, MERGED_FROM, sources_of
+from jexplore.tracemap.merging.notes import MERGED_FROM, sources_of
 from jexplore.tracemap.passable import (
+    CONFLICTS,
     Body,
-    block_of,
+    blocks_of,
     called,
     hindrances,
     inclination_of,
@@ -108,13 +109,13 @@ def _node(node: Node, panel: Panel) -> dict[str, Any]:
 
 def _link(link: Link, panel: Panel, index: Index) -> dict[str, Any]:
     metres, nodes = None if link.end == NOWHERE else length_of(link, index.nodes), index.nodes
-    block = block_of(link)
+    blocks = blocks_of(link)
     return {
         **_item(link, panel),
         "step_m": step_of(link, nodes),
         "inclination_deg": inclination_of(link, nodes),
-        "blocked": block is not None,
-        "block": None if block is None else vars(block),
+        "blocked": bool(blocks),
+        "blocks": [vars(block) for block in blocks],
         "called": called(link),
         "unknown": list(unknowns(link, nodes)),
         "doubts": list(index.doubts(link)),

@@ -114,6 +114,8 @@ function fillTables() {
     {kind: "node", item: node}, words(node.type), placeOf(node), String(node.bearings_deg.length), nodeNotes(node), by(node)]));
   table(foldable("All links", links.length), "All links", ["Link", "From, to", "Length", "Width", "Refused", "Notes", "By"], links.map((link) => [
     {kind: "link", item: link}, `${link.start} \u2192 ${link.end === NOWHERE ? "?" : link.end}`, number(link.length_m, 1, " m"), number(link.min_width_m ?? link.opening_m, 2, " m"), refusedOf(link).join(", "), extras(link).join(", "), by(link)]));
+  const said = [...extras(current), ...Object.entries(current.conflicts).map(([name, told]) => `${words(name)}: ${disputed(told)}`)];
+  if (said.length) lines(foldable("About the map", said.length), "", said);
   if (data.notes.length) lines(foldable("What the maps say differently", data.notes.length), "", data.notes);
   if (focused.pick || focused.writer) [...$("tables").querySelectorAll("button, input")].find((one) => focused.pick ? one.dataset.pick === focused.pick : one.dataset.writer === focused.writer)?.focus({preventScroll: true});
 }

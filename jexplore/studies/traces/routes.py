@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from jexplore.config import InputError, require_kind, require_number, shown
+from jexplore.config import InputError, require_number, shown
 from jexplore.driving.settings import Robot, require_robot
 from jexplore.studies.traces.job import robot_of
 from jexplore.tracemap.passable import hindrances, refusals
@@ -18,6 +18,7 @@ Place = int | str | tuple[float, float]
 UNSEARCHED = "unsearched"
 """The place to go to that is the nearest un-searched link."""
 WITHIN_M = 2.0
+MANY = 12  # ids of nodes that a message lists
 
 
 def route(
@@ -135,7 +136,8 @@ def _use_of(index, robot, known_only):
 def _robot(robot):
     if isinstance(robot, str):
         return robot_of(robot)
-    require_kind("robot", robot, Robot)
+    if not isinstance(robot, Robot):
+        raise InputError(f"robot must be a name such as wheeled, or a jx.Robot, got {shown(robot)}")
     require_robot(robot)
     return robot
 
@@ -153,13 +155,20 @@ def _node(index: Index, place: Place, name: str, within_m: float) -> int:
         raise InputError(f"{name} must be a node's id or X,Y in metres{also}, got {shown(place)}")
     if len(numbers) == 1:
         if numbers[0] not in ids:
-            raise InputError(f"{name}: there is no node {numbers[0]}: the map has nodes {min(ids)} to {max(ids)}")
+            raise InputError(f"{name}: there is no node {numbers[0]}: the map has {_named(sorted(ids))}")
         return int(numbers[0])
     away, nearest = min((math.dist(numbers, (node.x_m, node.y_m)), node.id) for node in ids.values())
     if away > within_m:
         at = ",".join(f"{number:g}" for number in numbers)
         raise InputError(f"{name}: the node nearest to {at} is {nearest}, {away:.2f} m away, more than {within_m:g} m")
     return nearest
+
+
+def _named(ids):
+    """Ids of nodes in a sentence."""
+    if len(ids) <= MANY:
+        return f"node{'s' * (len(ids) > 1)} {', '.join(map(str, ids))}"
+    return f"{len(ids)} nodes, with ids from {ids[0]} to {ids[-1]}"
 
 
 def _numbers(place):

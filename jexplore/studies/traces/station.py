@@ -3,7 +3,7 @@
 Plain Python: importing this loads neither jax nor numpy.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from jexplore.config import InputError, require_kind
 from jexplore.driving.settings import ROBOTS
@@ -12,9 +12,8 @@ from jexplore.tracemap.merging import notes
 from jexplore.tracemap.merging.match import Merging, match
 from jexplore.tracemap.merging.merge import Merged, merge_maps
 from jexplore.tracemap.merging.rigid import Move
-from jexplore.tracemap.record import BtmMap, check
+from jexplore.tracemap.record import BtmMap, check, require_near
 
-FAR_M = 1e6  # what a map says in metres is less
 TOGETHER = "global map"
 WHY = {
     Merging.NOT_ENOUGH_IN_COMMON: "it has not enough in common with the other maps",
@@ -54,11 +53,16 @@ def page_of(panels: Sequence[Panel], said: Sequence[str], title: str | None = No
     return station_page(title or f"Station: {', '.join(names)}", panels, list(ROBOTS.values()), said)
 
 
-def panels_of(maps: Sequence[BtmMap], names: Sequence[str] | None = None) -> tuple[list[Panel], list[str]]:
+def panels_of(
+    maps: Sequence[BtmMap],
+    names: Sequence[str] | None = None,
+    on_progress: Callable[[int], object] = lambda compared: None,
+) -> tuple[list[Panel], list[str]]:
     """Maps merged as far as they fit.
 
     Args:
       maps, names: as of `station`.
+      on_progress: called as by `merge_maps`, while all maps are compared.
 
     Returns:
       Panels, the map that most maps are in first; and what merged maps say differently, sentences: attributes, and
@@ -76,20 +80,21 @@ def panels_of(maps: Sequence[BtmMap], names: Sequence[str] | None = None) -> tup
     for name, btm in zip(names, maps):
         require_kind("a map", btm, BtmMap)
         given[name] = check(btm)
-        _require_near(given[name], name)
-        _require_sources(given[name], name)
+        require_near(given[name], name)
+        notes.require_sources(given[name], name)
     if len(given) == 1:
         return [Panel(name, btm, (name,)) for name, btm in given.items()], [
             line for btm in given.values() for line in notes.conflicts(btm)
         ]
-    return _panels(given)
+    return _panels(given, on_progress)
 
 
-def _panels(given):
+def _panels(given, on_progress):
     """The same of two maps or more, by name."""
     groups, left, outcome = [], given, Merging.MERGED
     while len(left) > 1:
-        found = merge_maps(list(left.values()), list(left))
+        once = {} if groups else {"on_progress": on_progress}
+        found = merge_maps(list(left.values()), list(left), **once)
         outcome = found.outcome
         if len(found.moves) < 2:
             break
@@ -116,20 +121,3 @@ def _outcome(main, btm):
     """Why a map is no part of another. Where it would fit alone, the maps that it is one with do not."""
     outcome = match(main, btm).outcome
     return outcome if outcome in WHY else Merging.NOT_ENOUGH_IN_COMMON
-
-
-def _require_near(btm, name):
-    """Refuse numbers that no drawing and no sum of lengths holds."""
-    found = [(f"node {node.id}", value) for node in btm.nodes for value in (node.x_m, node.y_m)]
-    found += [(f"link {link.id}", link.length_m or 0.0) for link in btm.links]
-    for what, value in found:
-        if not abs(value) < FAR_M:
-            raise InputError(f"{name}: {what}: expected places and lengths below {FAR_M / 1000:g} km, got {value:g} m")
-
-
-def _require_sources(btm, name):
-    """Refuse what merging could not have written about who says what."""
-    sources = btm.attributes.get(notes.MERGED_FROM, [])
-    if not (isinstance(sources, list) and all(isinstance(source, str) for source in sources)):
-        raise InputError(f"{name}: {notes.MERGED_FROM} must be a list of names, got {sources!r}")
-    notes.stripped(btm, name)

@@ -14,7 +14,9 @@ from jexplore.grid import is_known, is_occupied
 from jexplore.report.store import jsonable
 from jexplore.studies import checks
 from jexplore.tracemap.json_form import to_json
+from jexplore.tracemap.passable import blocks_of
 from jexplore.tracemap.record import NODE_TYPES, NOWHERE, OBSTACLES, STATUS, BtmMap
+from jexplore.tracemap.repaired import closings_of
 from jexplore.worlds.readers.scans import ScanMap
 from jexplore.worlds.world import World
 
@@ -91,7 +93,7 @@ def packed(btm: BtmMap) -> bytes:
     links = [
         (
             *(place[link.start], place[link.end]),
-            STATUS.index(link.status) + len(STATUS) * bool(link.attributes.get("blocked")),
+            STATUS.index(link.status) + len(STATUS) * bool(blocks_of(link)),
             *(_whole(link.start_bearing_deg, 1, 2), _whole(link.end_bearing_deg, 1, 2), _whole(link.length_m, 100, 2)),
             *(_whole(link.min_width_m, 10), _whole(link.opening_m, 10), _whole(link.max_step_m, 100)),
             *(_whole(link.posture_deg, 1), _whole(link.max_roll_deg, 1)),
@@ -133,19 +135,4 @@ def _pose_graph(btm):
     searched = [link for link in btm.links if link.end != NOWHERE]
     way_m = sum(link.length_m or 0.0 for link in searched)
     poses = 1 + math.ceil(way_m / POSE_EVERY_M)
-    rounds = len(searched) - len(btm.nodes) + _parts(btm, searched)
-    return poses * (POSE_BYTES + READING_BYTES * BEAMS) + (poses - 1 + rounds) * EDGE_BYTES
-
-
-def _parts(btm, searched):
-    """How many parts of a map are not connected."""
-    part = {node.id: node.id for node in btm.nodes}
-
-    def root(node):
-        while part[node] != node:
-            node = part[node]
-        return node
-
-    for link in searched:
-        part[root(link.start)] = root(link.end)
-    return len({root(node) for node in part})
+    return poses * (POSE_BYTES + READING_BYTES * BEAMS) + (poses - 1 + closings_of(btm)) * EDGE_BYTES

@@ -1,7 +1,8 @@
 """What a guess about two maps is worth: how much likelier they are as maps of one place than of two that look alike."""
 
+import collections
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable
 
 from jexplore.tracemap.merging.walk import Guess, Pair
 from jexplore.tracemap.merging.ways import Places, Way
@@ -24,18 +25,20 @@ class Evidence:
 
     def __init__(self, pair: Pair) -> None:
         self.pair = pair
-        self._darts = [
-            (part, a, i) for part in (pair.one, pair.other) for a in part.ways for i in range(len(part.ways[a]))
-        ]
-        self._ways = [way for part in (pair.one, pair.other) for way in whole_ways(part)]
-        self._openings = [part.ways[a][i].opening_m for part, a, i in self._darts]
-        self._inclined = [n.inclination_deg for part in (pair.one, pair.other) for n in part.nodes.values()]
-        self._cache = {}
+        both, limits = (pair.one, pair.other), pair.limits
+        self._noise2, self._scale2 = (limits.length_m / 2) ** 2 + 1e-6, limits.length_share**2 * 2 / 3
+        ways = [way for part in both for way in whole_ways(part)]
+        self._ends = sum(len(own) for part in both for own in part.ways.values())
+        self._long = _Usual([way.length_m for way in ways], self._as_long)
+        self._wide = _Usual([way.width_m for way in ways], _as_wide)
+        self._open = _Usual([way.opening_m for part in both for own in part.ways.values() for way in own], _as_wide)
+        self._steep = _Usual([node.inclination_deg for part in both for node in part.nodes.values()], _as_steep)
+        self._alike = {}
 
     @property
     def tries(self) -> float:
         """Logarithm of how many ways there are to lay one map on the other."""
-        first = sum(part is self.pair.one for part, _, _ in self._darts)
+        first = sum(map(len, self.pair.one.ways.values()))
         return math.log(max(first * len(self.pair.other.ways), 1))
 
     def gain(self, guess: Guess) -> float:
@@ -48,45 +51,56 @@ class Evidence:
                 way, match = self.pair.one.ways[a][m], self.pair.other.ways[b][n]
                 if way.opening_m is not None and match.opening_m is not None:
                     measured.add(id(way.steps[0][0]))
-                    others = _without(self._openings, way.opening_m, match.opening_m)
-                    total += _ratio(way.opening_m, match.opening_m, WIDTH_M, WIDE_M, others)
+                    total += _ratio(way.opening_m, match.opening_m, self._open, WIDE_M)
         for way, match in whole:
             if not {id(way.steps[0][0]), id(way.steps[-1][0])} & measured:  # a passage is as wide as its opening
-                others = [one.width_m for one in self._other_ways(way, match)]
-                total += _ratio(way.width_m, match.width_m, WIDTH_M, WIDE_M, others)
+                total += _ratio(way.width_m, match.width_m, self._wide, WIDE_M)
         for a, b in guess.places.items():
             one, other = self.pair.one.nodes[a].inclination_deg, self.pair.other.nodes[b].inclination_deg
-            total += _ratio(one, other, INCLINATION_DEG, STEEP_DEG, _without(self._inclined, one, other))
+            total += _ratio(one, other, self._steep, STEEP_DEG)
         return total - CONTRADICTION * len(guess.contradictions)
 
     def _node(self, a, i, b, j):
         """A node that looks alike, by how many others would as well."""
-        if (a, i, b, j) not in self._cache:
-            pair = self.pair
-            others = [dart for dart in self._darts if dart[:2] not in ((pair.one, a), (pair.other, b))]
-            likeness = pair.alike((pair.one, a, i), (pair.other, b, j))
-            lost = likeness.lost if likeness else 0
-            found = [pair.alike((pair.one, a, i), dart) for dart in others]
-            alike = sum(one is not None and one.lost <= lost for one in found)
-            self._cache[a, i, b, j] = -math.log((PRIOR * ALIKE + alike) / (PRIOR + len(others))) - LOST * lost
-        return self._cache[a, i, b, j]
+        pair = self.pair
+        likeness = pair.alike((pair.one, a, i), (pair.other, b, j))
+        lost = likeness.lost if likeness else 0
+        found, at = self._found(a, i)
+        alike = sum(count for other, count in found.items() if other <= lost) - sum(one <= lost for one in at[b])
+        others = self._ends - len(pair.one.ways[a]) - len(pair.other.ways[b])
+        return -math.log((PRIOR * ALIKE + alike) / (PRIOR + others)) - LOST * lost
 
-    def _other_ways(self, way, match):
-        own = {id(link) for link, _ in (*way.steps, *match.steps)}
-        return [one for one in self._ways if id(one.steps[0][0]) not in own]
+    def _found(self, a, i):
+        """What looks like a place of the first map: how often by what it lacks, and the same by place of the second."""
+        if (a, i) not in self._alike:
+            pair, found, at = self.pair, collections.Counter(), collections.defaultdict(list)
+            for part in (pair.one, pair.other):
+                for b in pair.rivals(pair.one, a, part):
+                    if part is pair.one and b == a:
+                        continue
+                    likenesses = (pair.alike((pair.one, a, i), (part, b, j)) for j in range(len(part.ways[b])))
+                    lost = [likeness.lost for likeness in likenesses if likeness]
+                    found.update(lost)
+                    if part is pair.other:
+                        at[b] = lost
+            self._alike[a, i] = found, at
+        return self._alike[a, i]
+
+    def _as_long(self, length, other):
+        return _bell(length - other, math.sqrt(self._noise2 + self._scale2 * other**2))
 
     def _lengths(self, pairs):
         """Lengths, all wrong by one factor that is not known and each a little besides."""
-        limits = self.pair.limits
-        noise2, scale2 = (limits.length_m / 2) ** 2 + 1e-6, limits.length_share**2 * 2 / 3
+        noise2, scale2 = self._noise2, self._scale2
         off = [match.length_m - way.length_m for way, match in pairs]
         square = sum(way.length_m**2 for way, _ in pairs) / noise2 * scale2
         along = sum(way.length_m * one for (way, _), one in zip(pairs, off)) / noise2
         misfit = sum(one * one for one in off) / noise2 - along**2 * scale2 / (1 + square)
         total = -0.5 * (misfit + len(pairs) * math.log(2 * math.pi * noise2) + math.log1p(square))
         for way, match in pairs:
-            others = [one.length_m for one in self._other_ways(way, match)]
-            total -= math.log(_usual(match.length_m, others, noise2, scale2))
+            about = math.log(max(match.length_m, 0.1) / LENGTH_M) / SPREAD
+            at_large = math.exp(-0.5 * about**2) / (max(match.length_m, 0.1) * SPREAD * math.sqrt(2 * math.pi))
+            total -= math.log(self._long.density(match.length_m, way.length_m, at_large))
         return total
 
 
@@ -98,29 +112,33 @@ def whole_ways(part: Places) -> list[Way]:
     return found
 
 
-def _usual(length, others, noise2, scale2):
-    """Density of lengths in buildings like these."""
-    about = math.log(max(length, 0.1) / LENGTH_M) / SPREAD
-    total = PRIOR * math.exp(-0.5 * about**2) / (max(length, 0.1) * SPREAD * math.sqrt(2 * math.pi))
-    for other in others:
-        total += _bell(length - other, math.sqrt(noise2 + scale2 * other**2))
-    return total / (PRIOR + len(others))
+class _Usual:
+    """How usual a value is among those of both maps and in buildings at large."""
+
+    def __init__(self, values: Iterable[float | None], bell: Callable[[float, float], float]) -> None:
+        self._values, self.bell, self._sums = [value for value in values if value is not None], bell, {}
+
+    def density(self, value: float, match: float, at_large: float) -> float:
+        """Of a value; it, and the one that it is matched with, are not counted."""
+        if value not in self._sums:
+            self._sums[value] = sum(self.bell(value, other) for other in self._values)
+        others = max(self._sums[value] - self.bell(value, value) - self.bell(value, match), 0.0)
+        return (PRIOR * at_large + others) / (PRIOR + len(self._values) - 2)
 
 
-def _ratio(one, other, spread, span, others: Sequence[float | None]):
+def _as_wide(value, other):
+    return _bell(value - other, WIDTH_M)
+
+
+def _as_steep(value, other):
+    return _bell(value - other, INCLINATION_DEG)
+
+
+def _ratio(one, other, usual: _Usual, span):
     """What two values are worth that should be equal; nothing where one is not known."""
     if one is None or other is None:
         return 0.0
-    known = [value for value in others if value is not None]
-    usual = (PRIOR / span + sum(_bell(other - value, spread) for value in known)) / (PRIOR + len(known))
-    return math.log((1 - STRAY) * _bell(other - one, spread) / usual + STRAY)
-
-
-def _without(values, *taken):
-    left = list(values)
-    for value in taken:
-        left.remove(value)
-    return left
+    return math.log((1 - STRAY) * usual.bell(other, one) / usual.density(other, one, 1 / span) + STRAY)
 
 
 def _bell(off, spread):

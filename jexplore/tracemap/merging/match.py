@@ -2,6 +2,7 @@
 
 import dataclasses
 import enum
+import itertools
 import math
 
 from jexplore.tracemap.merging.evidence import Evidence
@@ -37,6 +38,8 @@ class Match:
     """Ways of places that are matched, of the first map and of the second, each once."""
     contradictions: tuple[tuple[Way, Way], ...]
     """Ways of places that are matched, likewise, which leave alike and go on otherwise."""
+    beside: tuple[int, ...]
+    """Nodes of the first map that are matched because they lie where they should, see `with_neighbours`."""
     move: Move
     """Takes the second map into the frame of the first."""
     evidence: float
@@ -70,9 +73,9 @@ def match(one: BtmMap, other: BtmMap, *, limits: Limits | None = None, min_commo
     """
     pair, evidence, found = _weighed(one, other, limits or Limits())
     if not found:
-        return Match(Merging.NOT_ENOUGH_IN_COMMON, {}, (), (), Move(), -math.inf, math.inf)
+        return Match(Merging.NOT_ENOUGH_IN_COMMON, {}, (), (), (), Move(), -math.inf, math.inf)
     best, *rest = found
-    margin = best.gain - max((c.gain for c in rest if not _together(best, c, other, pair.limits)), default=-math.inf)
+    margin = best.gain - next((c.gain for c in rest if not _together(best, c, other, pair.limits)), -math.inf)
     worth = best.gain - evidence.tries
     if best.guess.contradictions:
         reflected = [candidate.gain for candidate in _weighed(one, mirrored(other), pair.limits)[2]]
@@ -83,24 +86,27 @@ def match(one: BtmMap, other: BtmMap, *, limits: Limits | None = None, min_commo
         outcome = Merging.NOT_ENOUGH_IN_COMMON
     else:
         outcome = Merging.AMBIGUOUS if margin < MARGIN else Merging.MERGED
-    move = _fit(one, other, nodes, best.move.turn_deg)
+    places = _places(one), _places(other)
+    move = _fit(*places, nodes, best.move.turn_deg)
     ways, against = ([x for part in parts for x in getattr(part.guess, name)] for name in ("ways", "contradictions"))
+    sure = set(nodes)
     if outcome is Merging.MERGED:
         turns = {a: alike.turn_deg for part in parts for a, alike in part.guess.alike.items()}
         nodes, ways = with_neighbours(pair, nodes, ways, turns, move)
-        move = _fit(one, other, nodes, move.turn_deg)
+        move = _fit(*places, nodes, move.turn_deg)
         same = [_links(*both) for both in ways]
         against = [both for both in against if not any(_links(*both) <= links for links in same)]
-    return Match(outcome, nodes, tuple(ways), tuple(against), move, worth, margin)
+    beside = tuple(a for b, a in nodes.items() if b not in sure)
+    return Match(outcome, nodes, tuple(ways), tuple(against), beside, move, worth, margin)
 
 
 def _weighed(one, other, limits):
     """The pair, its evidence, and what its guesses are worth, the best first: a list of `_Candidate`."""
     pair = Pair(places_of(one), places_of(other), limits)
-    evidence, found = Evidence(pair), []
+    evidence, found, places = Evidence(pair), [], (_places(one), _places(other))
     for guess in pair.guesses():
         nodes = {b: a for a, b in guess.places.items()} | _same_stops(guess, limits)
-        move = _move(one, other, guess, nodes, limits)
+        move = _move(*places, guess, nodes, limits)
         if move is not None:
             found.append(_Candidate(guess, evidence.gain(guess), nodes, move))
     return pair, evidence, sorted(found, key=lambda candidate: -candidate.gain)
@@ -127,10 +133,9 @@ def _same_stops(guess, limits):
     return same
 
 
-def _move(one, other, guess, nodes, limits):
+def _move(onto, points, guess, nodes, limits):
     """The transform of a guess; None if places lie farther apart than drift allows."""
-    move = _fit(one, other, nodes, mean_deg([alike.turn_deg for alike in guess.alike.values()]))
-    onto, points = _places(one), _places(other)
+    move = _fit(onto, points, nodes, mean_deg([alike.turn_deg for alike in guess.alike.values()]))
     middle = [sum(onto[a][axis] for a in nodes.values()) / len(nodes) for axis in (0, 1)]
     limit_m = limits.place(max(math.dist(onto[a], middle) for a in nodes.values()))
     is_near = all(math.dist(move.place(*points[b]), onto[a]) <= limit_m for b, a in nodes.items())
@@ -141,8 +146,7 @@ def _places(btm):
     return {node.id: (node.x_m, node.y_m) for node in btm.nodes}
 
 
-def _fit(one, other, nodes, turn_deg):
-    onto, points = _places(one), _places(other)
+def _fit(onto, points, nodes, turn_deg):
     return fit([points[b] for b in nodes], [onto[a] for a in nodes.values()], turn_deg)
 
 
@@ -168,9 +172,9 @@ def _together(best, candidate, other, limits):
 def _parts(best, rest, other, limits):
     """The best guess and what goes with it, the best first."""
     parts = [best]
-    for candidate in rest:
+    for candidate in itertools.takewhile(lambda candidate: candidate.gain > PART, rest):
         taken = {b for part in parts for b in part.nodes}
-        is_new = not taken & candidate.nodes.keys() and candidate.gain > PART and not candidate.guess.contradictions
+        is_new = not taken & candidate.nodes.keys() and not candidate.guess.contradictions
         if is_new and all(_together(part, candidate, other, limits) for part in parts):
             parts.append(candidate)
     return parts

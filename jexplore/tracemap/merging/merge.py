@@ -3,7 +3,7 @@
 import dataclasses
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from jexplore.config import InputError, require_kind, require_whole
 from jexplore.tracemap.merging import notes
@@ -11,7 +11,7 @@ from jexplore.tracemap.merging.join import FROM, join
 from jexplore.tracemap.merging.match import Match, Merging, match
 from jexplore.tracemap.merging.rigid import Move
 from jexplore.tracemap.merging.walk import Limits
-from jexplore.tracemap.record import BtmMap, check
+from jexplore.tracemap.record import BtmMap, check, require_near
 
 
 @dataclasses.dataclass(frozen=True)
@@ -31,11 +31,13 @@ class Merged:
     left: tuple[str, ...]
     """Names of the maps that are not in it."""
     evidence: float
-    """Of the weakest merge, or of the best one refused: nats beyond what chance gives; -inf where nothing is alike."""
+    """Of the weakest merge, or of the best one refused: nats beyond what chance gives; -inf where nothing is alike, inf
+    where all maps are equal."""
     margin: float
     """Likewise: nats beyond the best match that excludes it."""
     notes: tuple[str, ...]
-    """What the maps say differently, in plain sentences: attributes, and ways of one place that lead elsewhere."""
+    """What the maps say differently, in plain sentences: attributes, and ways of one place that lead elsewhere; and
+    nodes that were matched by their place alone."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -50,6 +52,7 @@ def merge_maps(
     *,
     min_common: int = 3,
     limits: Limits | None = None,
+    on_progress: Callable[[int], object] = lambda compared: None,
 ) -> Merged:
     """Maps of one building, each in a frame of its own, as one map.
 
@@ -57,21 +60,25 @@ def merge_maps(
     common, if that is no chance, and if no other way to lay them on each other explains nearly as much: maps of
     passages that all look alike are refused. A map is neither scaled nor mirrored.
 
+    Maps that are equal, node by node and link by link, are one without more ado: a map merged with itself is that map.
+
     Nodes and links of the result have an attribute `from`, their ids by name of the map. The first node is where the
-    robot of the first map started. Attributes that maps give different values are in `conflicts`, with who says so.
+    robot of the first map started. Attributes that maps give different values are in `conflicts`, with who says so;
+    those of one run in its own frame, such as `moved`, are left out.
 
     Args:
       maps: two maps or more.
       names: of the maps; by default their numbers, from "0".
       min_common: least number of nodes that two maps must have in common.
       limits: how far maps of one place may be apart.
+      on_progress: called with the number of pairs of maps that have been compared; all together (n - 1)^2 at most.
 
     Returns:
       `Merged`; that maps do not fit is an outcome.
 
     Raises:
-      InputError: fewer than two maps, names that are not as many or not different, an improper map, or one with
-        `merged_from`, `from` or `conflicts` that merging could not have written.
+      InputError: fewer than two maps, names that are not as many or not different, an improper map, places or
+        lengths of 1000 km and more, or `merged_from`, `from` or `conflicts` that merging could not have written.
     """
     names = [str(i) for i in range(len(maps))] if names is None else list(names)
     if len(maps) < 2:
@@ -85,17 +92,31 @@ def merge_maps(
     for name, btm in zip(names, maps):
         require_kind("a map", btm, BtmMap)
         originals[name] = check(btm)
-    stripped = [(name, notes.stripped(originals[name], name)) for name in names]
+        require_near(originals[name], name)
+        notes.require_sources(originals[name], name)
     sources = [source for name in names for source in notes.sources_of(originals[name], name)]
     twice = sorted({source for source in sources if sources.count(source) > 1})
     if twice:
         raise InputError(f'expected maps with names of their own, got "{twice[0]}" twice')
-    parts = [_Part(btm, {name: Move()}) for name, btm in stripped]
-    parts, joins, refused = _merged(parts, limits, min_common)
+    parts, joins, refused = _merged(_distinct(originals), limits, min_common, on_progress)
     return _result(parts, joins, refused, originals)
 
 
-def _merged(parts, limits, min_common):
+def _distinct(originals):
+    """Parts to begin with: maps that are equal are one, where they have measured something."""
+    found = []  # the map without attributes, and names
+    for name, btm in originals.items():
+        bare = BtmMap(tuple(map(_bare, btm.nodes)), tuple(map(_bare, btm.links)))
+        same = [names for other, names in found if other == bare and any(link.length_m for link in bare.links)]
+        same[0].append(name) if same else found.append((bare, [name]))
+    return [_Part(notes.stripped(bare, *names), {name: Move() for name in names}) for bare, names in found]
+
+
+def _bare(item):
+    return dataclasses.replace(item, attributes={})
+
+
+def _merged(parts, limits, min_common, on_progress):
     """Parts that cannot be merged further, the matches that were made, and those that were refused at the end."""
     joins, known = [], {}  # joins: matches, and of which parts
     while True:
@@ -103,6 +124,7 @@ def _merged(parts, limits, min_common):
             key = (tuple(one.moves), tuple(other.moves))
             if key not in known:
                 known[key] = (match(one.map, other.map, limits=limits, min_common=min_common), one, other)
+                on_progress(len(known))
         pairs = [known[tuple(one.moves), tuple(other.moves)] for one, other in itertools.combinations(parts, 2)]
         fitting = [pair for pair in pairs if pair[0].outcome is Merging.MERGED]
         if not fitting:
@@ -118,7 +140,9 @@ def _result(parts, joins, refused, originals):
     main = max(parts, key=lambda part: (len(part.moves), len(part.map.nodes)))
     own = [found for found, one, other in refused if main in (one, other)]
     told: list[Match] = own or [found for found, _, _ in joins]
-    if not own:
+    if not told:
+        outcome, worst = Merging.MERGED, Match(Merging.MERGED, {}, (), (), (), Move(), math.inf, math.inf)
+    elif not own:
         outcome, worst = Merging.MERGED, min(told, key=lambda found: found.evidence)
     else:
         outcome, worst = max(((found.outcome, found) for found in own), key=lambda pair: pair[1].evidence)
@@ -136,18 +160,22 @@ def _result(parts, joins, refused, originals):
         left=tuple(name for name in originals if name not in main.moves),
         evidence=worst.evidence,
         margin=worst.margin if worst.evidence > -math.inf else math.inf,
-        notes=(*notes.conflicts(btm), *_contradictions(joins, nodes)),
+        notes=(*notes.conflicts(btm), *_remarks(joins, nodes)),
     )
 
 
-def _contradictions(joins, nodes):
-    """Sentences about joins that left contradictions: whose, how many, and at which nodes of the whole."""
+def _remarks(joins, nodes):
+    """Sentences about joins whose nodes were matched by their place, and about those that left contradictions."""
     for found, one, other in joins:
-        if found.contradictions and one.moves.keys() <= nodes.keys():
-            ids = {node.id: node.attributes[FROM] for node in one.map.nodes}
-            told = [
-                ids[link.start if ahead else link.end]
-                for (link, ahead), *_ in (a.steps for a, _ in found.contradictions)
-            ]
-            at = sorted({nodes[name][key] for own in told for name, key in list(own.items())[:1]})
-            yield notes.contradiction(list(one.moves), list(other.moves), len(told), at)
+        if one.moves.keys() <= nodes.keys():
+            own = {node.id: next(iter(node.attributes[FROM].items())) for node in one.map.nodes}
+            whole = {key: nodes[name][at] for key, (name, at) in own.items()}
+            names, others = list(one.moves), list(other.moves)
+            if found.beside:
+                yield notes.by_place(names, others, sorted({whole[key] for key in found.beside}))
+            if found.contradictions:
+                at = [
+                    link.start if ahead else link.end
+                    for (link, ahead), *_ in (a.steps for a, _ in found.contradictions)
+                ]
+                yield notes.contradiction(names, others, len(at), sorted({whole[key] for key in at}))

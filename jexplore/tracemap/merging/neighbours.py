@@ -1,4 +1,4 @@
-"""Nodes that lie where a match says they should, though their links look otherwise."""
+"""Nodes that lie where a match says they should, though some of their links look otherwise."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -16,7 +16,8 @@ def with_neighbours(
     """A match of two maps, and what lies beside it.
 
     A place of one map is one of the other if both have one type, each is the nearest to the other, none else is nearly
-    as near, and they lie no farther apart than drift allows since the nearest place that is matched.
+    as near, they lie no farther apart than drift allows since the nearest place that is matched, and a way leaves both
+    alike. What lies behind a wall is near, too: where more ways are only one's than both have, drift excuses nothing.
 
     Args:
       pair: the maps.
@@ -57,7 +58,11 @@ def _nearest(pair, nodes, turns, move, b):
     limit = 2 * pair.limits.length_m + pair.limits.length_share * away
     if not found or found[0][0] > limit or (len(found) > 1 and found[1][0] < CLEAR * found[0][0]):
         return None
-    return found[0][1], turns[nodes[beside]]
+    (off, a), turn = found[0], turns[nodes[beside]]
+    ways, others = pair.one.ways[a], pair.other.ways[b]
+    common = len(pair.aligned(ways, others, turn)[0])
+    lost = len(ways) + len(others) - 2 * common
+    return (a, turn) if common and (lost <= common or off <= 2 * pair.limits.length_m) else None
 
 
 def _place(part, key):

@@ -6,12 +6,15 @@ from typing import Any
 
 from jexplore.config import InputError, shown
 from jexplore.tracemap.merging.join import FROM
+from jexplore.tracemap.passable import BLOCKED, BLOCKED_FOR, CONFLICTS
 from jexplore.tracemap.record import BtmMap
 
 MERGED_FROM = "merged_from"
 """Attribute of a merged map: names of the maps that it was made of."""
-CONFLICTS = "conflicts"
-"""Attribute of what maps say different things about: `{attribute: [{"from": [names], "value": value}, ...]}`."""
+OF_A_RUN = ("moved", "profile_variance_m2", "seed", "overflow")
+"""Attributes that mean nothing beyond the run that wrote them, in its own frame: a merged map has none of them."""
+OF_A_WRITER = ("robot", "frame")
+"""Attributes that tell the maps apart and are no dispute about the building."""
 
 
 def sources_of(btm: BtmMap, name: str) -> list[str]:
@@ -19,23 +22,20 @@ def sources_of(btm: BtmMap, name: str) -> list[str]:
     return list(btm.attributes.get(MERGED_FROM, [name]))
 
 
-def stripped(btm: BtmMap, name: str) -> BtmMap:
-    """The map with no attributes but `FROM`, by its name.
+def stripped(btm: BtmMap, *names: str) -> BtmMap:
+    """The map with no attributes but `FROM`, by its names."""
 
-    Raises:
-      InputError: it, or a node or link of it, says of whom it is in a way that merging could not have written.
-    """
-    _require_sources(btm, name)
-    nodes = (dataclasses.replace(node, attributes={FROM: {name: node.id}}) for node in btm.nodes)
-    links = (dataclasses.replace(link, attributes={FROM: {name: link.id}}) for link in btm.links)
-    return BtmMap(tuple(nodes), tuple(links))
+    def bare(item):
+        return dataclasses.replace(item, attributes={FROM: dict.fromkeys(names, item.id)})
+
+    return BtmMap(tuple(map(bare, btm.nodes)), tuple(map(bare, btm.links)))
 
 
 def restored(btm: BtmMap, originals: Mapping[str, BtmMap]) -> BtmMap:
     """A joined map of stripped ones with the attributes of their originals, by name.
 
-    What only some say, or all alike, stands as it was; where they differ it goes to `CONFLICTS`. Merged maps among the
-    originals hand on whom they were made of.
+    What only some say, or all alike, stands as it was; where they differ it goes to `CONFLICTS`. What is `OF_A_RUN` is
+    left out. Merged maps among the originals hand on whom they were made of.
     """
     items = {
         name: ({node.id: node for node in one.nodes}, {link.id: link for link in one.links})
@@ -64,6 +64,8 @@ def conflicts(btm: BtmMap) -> list[str]:
     found = []
     for what, item in _named(btm):
         for name, told in item.attributes.get(CONFLICTS, {}).items():
+            if name in OF_A_WRITER:
+                continue
             found.append(
                 f"{what}: {name} is " + " and ".join(f"{t['value']!r} in {', '.join(t['from'])}" for t in told)
             )
@@ -77,8 +79,18 @@ def contradiction(names: Sequence[str], others: Sequence[str], count: int, nodes
     return f"{where}: {what} elsewhere in {', '.join(others)} than in {', '.join(names)}; the map has both"
 
 
-def _require_sources(btm, name):
-    """Refuse a map whose `MERGED_FROM`, `FROM` or `CONFLICTS` are none that merging writes."""
+def by_place(names: Sequence[str], others: Sequence[str], nodes: Sequence[int]) -> str:
+    """The sentence about nodes that are one only because they lie where they should."""
+    where = f"node{'s' * (len(nodes) > 1)} {', '.join(map(str, nodes))}"
+    return f"{where}: one in {', '.join(names)} and in {', '.join(others)} by place and bearings alone"
+
+
+def require_sources(btm: BtmMap, name: str) -> None:
+    """Refuse a map that says of whom it is in a way that merging could not have written.
+
+    Raises:
+      InputError: naming the map, the item and the attribute: `MERGED_FROM`, `FROM` or `CONFLICTS`.
+    """
     sources, is_merged = btm.attributes.get(MERGED_FROM), MERGED_FROM in btm.attributes
     if is_merged and not _are_names(sources):
         raise InputError(f"{name}: {MERGED_FROM}: expected a list of names of maps, got {shown(sources)}")
@@ -119,14 +131,24 @@ def _is_told(attribute, told):
 
 
 def _joined(said: Sequence[tuple[list[str], Mapping[str, Any]]]) -> dict[str, Any]:
-    """Attributes of one thing from those who know it: `(names, attributes)`."""
+    """Attributes of one thing from those who know it: `(names, attributes)`.
+
+    Who found a link blocked without saying for whom says so for all robots: beside those who do, that is told.
+    """
     values: dict[str, list[dict[str, Any]]] = {}
+    names_robots = any(BLOCKED_FOR in {**own, **own.get(CONFLICTS, {})} for _, own in said)
     for names, attributes in said:
+        if (
+            names_robots
+            and attributes.get(BLOCKED)
+            and BLOCKED_FOR not in {**attributes, **attributes.get(CONFLICTS, {})}
+        ):
+            attributes = {**attributes, BLOCKED_FOR: None}
         for key, value in attributes.items():
-            if key not in (FROM, MERGED_FROM, CONFLICTS):
+            if key not in (FROM, MERGED_FROM, CONFLICTS, *OF_A_RUN):
                 _add(values.setdefault(key, []), names, value)
         for key, told in attributes.get(CONFLICTS, {}).items():
-            for one in told:
+            for one in told if key not in OF_A_RUN else ():
                 _add(values.setdefault(key, []), one["from"], one["value"])
     plain = {key: told[0]["value"] for key, told in values.items() if len(told) == 1}
     differing = {key: told for key, told in values.items() if len(told) > 1}

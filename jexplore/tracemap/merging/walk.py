@@ -44,7 +44,7 @@ class Limits:
         return 2 * self.length_m + (2 * self.length_share + walk) * away_m
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, slots=True)
 class Likeness:
     """Two places that look alike."""
 
@@ -56,7 +56,7 @@ class Likeness:
     """Ways that only one of them has."""
 
 
-@dataclasses.dataclass
+@dataclasses.dataclass(slots=True)
 class Guess:
     """Which places of two maps are the same."""
 
@@ -79,7 +79,19 @@ class Pair:
 
     def __init__(self, one: Places, other: Places, limits: Limits) -> None:
         self.one, self.other, self.limits = one, other, limits
-        self._alike = {}
+        self._alike, self._rivals = {}, {}
+
+    def rivals(self, part: Places, a: int, other: Places) -> list[int]:
+        """Places of a map that may look like a place: of its type and obstacle, with about as many ways."""
+        node, n = part.nodes[a], len(part.ways[a])
+        key = (id(other), node.type, node.obstacle, n)
+        if key not in self._rivals:
+            self._rivals[key] = [
+                b
+                for b, ways in other.ways.items()
+                if (other.nodes[b].type, other.nodes[b].obstacle) == key[1:3] and abs(len(ways) - n) <= self.limits.lost
+            ]
+        return self._rivals[key]
 
     def alike(self, one: tuple[Places, int, int], other: tuple[Places, int, int]) -> Likeness | None:
         """Whether two places look alike, each entered by one of its ways `(map, place, way)`; None if not.
@@ -131,8 +143,8 @@ class Pair:
         """All that can be grown, each once: from every pair of places that look alike, in every turn."""
         seen = set()
         for a, ways in self.one.ways.items():
-            for b, others in self.other.ways.items():
-                for i, j in itertools.product(range(len(ways)), range(len(others))):
+            for b in self.rivals(self.one, a, self.other):
+                for i, j in itertools.product(range(len(ways)), range(len(self.other.ways[b]))):
                     if (a, i, b, j) not in seen and self.alike((self.one, a, i), (self.other, b, j)):
                         guess = self.grown(a, i, b, j)
                         seen.update((p, m, q, n) for p, q in guess.places.items() for m, n in guess.alike[p].ways)

@@ -8,7 +8,7 @@ import dataclasses
 from collections.abc import Iterable, Mapping
 
 from jexplore.tracemap.record import NOWHERE, BtmMap, Link, Node, length_of
-from jexplore.tracemap.similarity import links_around
+from jexplore.tracemap.similarity import ends_around
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -65,7 +65,7 @@ def most(values: Iterable[float | None]) -> float | None:
 
 def places_of(btm: BtmMap) -> Places:
     """The places of a proper map. A link without a length is as long as its nodes are apart."""
-    around, nodes = links_around(btm), {node.id: node for node in btm.nodes}
+    around, nodes = ends_around(btm), {node.id: node for node in btm.nodes}
     kept = {key: node for key, node in nodes.items() if node.type != "terminal" or len(around[key]) > 2}
     index = {end[1:3]: (key, i) for key in kept for i, end in enumerate(around[key])}
     ways = {key: tuple(_way(end, nodes, around, index) for end in around[key]) for key in kept}
