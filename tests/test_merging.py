@@ -298,24 +298,29 @@ def test_what_looks_otherwise_and_lies_where_it_should():
     assert merged_of(first, second, limits=Limits(lost=0)).nodes["b"][8] == 1
 
 
-@pytest.mark.parametrize("upper", [(0, 90, 180), (270, 0, 180), (0, 180, 315)])
-def test_what_lies_behind_a_wall_is_another_place(upper):
-    # Two branches end 1.2 m apart at a wall: the first map has the lower one to its dead end, the second the upper.
+@pytest.mark.parametrize(
+    ("apart_m", "upper", "is_one"),
+    [(1.2, (0, 90, 180), False), (1.2, (270, 0, 180), False), (1.2, (0, 180, 315), False), (1.2, (270, 180), True),
+     (0.5, (0, 90, 180), False), (0.5, (270, 0, 180), True)],
+)  # fmt: skip
+def test_what_lies_behind_a_wall_is_another_place(apart_m, upper, is_one):
+    # Two branches end at a wall: the first map has the lower one to its dead end, the second the upper one. Nearer than
+    # walls are thick one way that leaves alike is enough.
     def branches(*more):
         nodes = (*SECOND.nodes[1:], *(one for one in more if isinstance(one, Node)))
         links = (way(1, 7, 8, 180, length_m=9.0), way(2, 8, 9, 90, length_m=5.0), way(4, 7, 10, 270, length_m=6.0))
         stubs = (stub(3, 8, 180), stub(5, 10, 180), stub(6, 9, 90))
         return BtmMap(nodes, (*links, *stubs, *(one for one in more if isinstance(one, Link))))
 
-    low = branches(node(20, "F", 28, -6), node(21, "D", 28, -1.2), way(20, 10, 20, 0, length_m=15.0),
-                   way(21, 20, 21, 90, length_m=4.8), stub(22, 7, 0))  # fmt: skip
+    low = branches(node(20, "F", 28, -6), node(21, "D", 28, -apart_m), way(20, 10, 20, 0, length_m=15.0),
+                   way(21, 20, 21, 90, length_m=6 - apart_m), stub(22, 7, 0))  # fmt: skip
     high = branches(node(20, "D", 28, 0), way(20, 7, 20, 0, 180, length_m=15.0), stub(22, 10, 0),
                     *(stub(30 + i, 20, bearing) for i, bearing in enumerate(upper) if bearing != 180))  # fmt: skip
     found = merged_of(low, high)
     assert found.outcome is Merging.MERGED
-    assert found.matched == 4
-    assert found.nodes["a"][21] != found.nodes["b"][20]
-    assert found.notes == ()
+    assert found.matched == 4 + is_one
+    assert (found.nodes["a"][21] == found.nodes["b"][20]) == is_one
+    assert found.notes == ("node 5: one in a and in b by place and bearings alone",) * is_one
 
 
 def test_merged_with_itself():
