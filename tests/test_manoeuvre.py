@@ -332,3 +332,17 @@ def test_it_backs_out_of_a_dead_end_and_turns_outside(start):
     assert x[1:][backed].min() < -0.2  # outside, as far as its rear end
     assert np.abs(heading[x > 0]).max() < 0.35
     assert np.hypot(x[-1] + 2, y[-1]) < 0.6
+
+
+@pytest.mark.parametrize("off", [(0.0, 0.0), (0.005, -0.005)])
+def test_it_gets_out_of_a_corner_whose_walls_are_beside_and_behind_it(off):
+    """3.5 cm from both, it wants to the other side: there is no room to turn, nor to go back the way that it came."""
+    pose = jnp.array([-0.385 + off[0], 1.27 + off[1], math.pi])
+    now = gone(*[(x, 1.27, math.pi) for x in np.arange(0.4, -0.38, -0.05)], tuple(pose.tolist()))
+    angles = np.radians(np.arange(SECTORS) - SECTORS // 2).astype(np.float32)
+    ranges_m = cast(ROOM_AND_PASSAGE, pose, angles, RANGE_M)
+    around = Surround(ranges_m * jnp.cos(angles), ranges_m * jnp.sin(angles))
+    for _ in range(300):
+        now, around, pose = _step(now, around, pose, jnp.array([-0.9, -1.0]))
+        assert not meets(ROOM_AND_PASSAGE, pose, KAMUI.length_m, KAMUI.width_m)
+    assert float(pose[1]) < 0.3

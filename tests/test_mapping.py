@@ -10,7 +10,7 @@ import pytest
 
 from jexplore import btm
 from jexplore.btm import DIVERGENCE, FREE_SPACE, NONE, OBSTACLE, SEARCHED, TERMINAL, UNSEARCHED
-from jexplore.driving import mapping, nodes
+from jexplore.driving import links, mapping, nodes
 from jexplore.driving.behaviour import Latch
 from jexplore.driving.nodes import SHIFT_SHARE, TURN_SHARE, Event
 from jexplore.driving.settings import ROBOTS, Tuning
@@ -617,7 +617,7 @@ def test_an_unsearched_link_is_given_up_after_some_tries():
     t, *_ = at_the_t()
     onto = int(t.link)
     assert int(t.tries[onto]) == 1
-    for tries, gives_up in ((nodes.TRIES - 1, False), (nodes.TRIES, True)):
+    for tries, gives_up in ((links.TRIES - 1, False), (links.TRIES, True)):
         tried = t.replace(tries=t.tries.at[onto].set(tries), link=jnp.int32(0), node=jnp.int32(0))
         after, *_ = back_at_the_t(tried, 20, (1.0, 0.0))
         assert bool(after.map.blocked[onto]) == gives_up
@@ -637,10 +637,30 @@ def test_a_searched_link_that_leads_elsewhere_is_followed_no_more():
     assert int(there.fails[south]) == 0
     # From the dead end there is no other way to what is left to be searched.
     for fails, exhausted in ((1, False), (2, True)):
-        lost = writer.replace(fails=writer.fails.at[south].set(fails))
+        lost = writer.replace(fails=writer.fails.at[south].set(fails), rounds=jnp.int32(links.ROUNDS))
         after, *_ = at_a_dead_end(lost, (4.1, -6.1), SOUTH, 20)
         assert int(after.fails[south]) == fails + 1
         assert bool(after.exhausted) == exhausted
+
+
+def test_once_nothing_else_is_left_links_that_were_given_up_get_another_chance():
+    t, *_ = at_the_t()
+    south, north = int(t.link), 3 - int(t.link)
+    writer, *_ = at_a_dead_end(t, (4.0, -6.0), SOUTH, 9.5)
+    lost = writer.replace(fails=writer.fails.at[south].set(links.FAILS - 1))
+    after, *_ = at_a_dead_end(lost, (4.1, -6.1), SOUTH, 20)
+    assert (int(after.link), bool(after.exhausted), int(after.rounds)) == (south, False, 1)
+    assert not after.fails.any()
+    vain = writer.replace(tries=writer.tries.at[north].set(links.TRIES))
+    after, *_ = at_a_dead_end(vain, (4.1, -6.1), SOUTH, 20)
+    assert (int(after.link), bool(after.exhausted), int(after.rounds)) == (south, False, 1)  # on the way there
+    assert (int(after.tries[north]), bool(after.map.blocked[north])) == (0, False)
+    after, *_ = at_a_dead_end(vain.replace(rounds=jnp.int32(links.ROUNDS)), (4.1, -6.1), SOUTH, 20)
+    assert (bool(after.exhausted), bool(after.map.blocked[north])) == (True, True)
+    # What the ground has stopped stays blocked.
+    stopped = writer.replace(map=writer.map.replace(blocked=writer.map.blocked.at[north].set(True)))
+    after, *_ = at_a_dead_end(stopped, (4.1, -6.1), SOUTH, 20)
+    assert (bool(after.exhausted), bool(after.map.blocked[north])) == (True, True)
 
 
 # ---------------------------------------------------------------- known nodes met again
@@ -665,6 +685,36 @@ def test_a_known_link_takes_no_other_away():
     before = writer.map
     writer, *_ = back_at_the_t(writer, 15.5, (3.9, 4.0))  # on the link from the south, though it came in from the north
     jax.tree.map(np.testing.assert_array_equal, writer.map, before)
+
+
+def test_a_link_that_the_robot_has_left_for_a_known_one_is_still_to_be_searched():
+    """It sets off north, and comes in at the dead end in the south by the known link from there."""
+    t, *_ = at_the_t()
+    south, north = int(t.link), 3 - int(t.link)
+    writer, *_ = at_a_dead_end(t, (4.0, -6.0), SOUTH, 9.5)
+    writer, *_ = back_at_the_t(writer, 15.5, (3.9, -4.0))
+    assert (int(writer.link), int(writer.tries[north])) == (north, 1)
+    after, *_ = at_a_dead_end(writer, (4.1, -6.1), SOUTH, 25)
+    assert (links_of(after)[south], links_of(after)[north]) == ((1, 2, SEARCHED), (1, NONE, UNSEARCHED))
+    assert (int(after.node), int(after.link), bool(after.exhausted)) == (2, south, False)
+    # By another way it is a link of its own.
+    other, *_ = at_a_dead_end(writer, (4.1, -6.1), SOUTH + math.radians(40), 25)
+    assert links_of(other)[north] == (1, 2, SEARCHED)
+
+
+@pytest.mark.parametrize(
+    ("width_m", "odometer_m", "expected"),
+    [
+        ((1.1, 2.3), (4.0, 6.0), [0, -1]),  # a door, then a wide opening before it
+        ((1.1, 2.3), (4.0, 7.5), [0, 1]),  # long before: another way
+        ((2.3, 1.1), (4.0, 6.0), [-1, 1]),  # the door came last
+        ((2.3, 2.4), (4.0, 6.0), [0, 1]),
+        ((1.1, 1.2), (4.0, 6.0), [0, 1]),
+    ],
+)
+def test_who_comes_by_a_door_has_passed_what_lies_before_it_as_well(width_m, odometer_m, expected):
+    found = nodes._by_door(jnp.array([0, 1, -1]), jnp.array([*width_m, 0.5]), jnp.array([*odometer_m, jnp.inf]))
+    assert found.tolist() == [*expected, -1]
 
 
 def test_a_node_met_again_from_its_other_end_loses_the_double_link():

@@ -14,6 +14,10 @@ from jexplore.driving.sensing.openings import Openings
 ALIKE_RAD = math.radians(40)  # a link and an opening that lie no farther apart are one
 DRIFT = 0.025, 2.5  # of the way since it was put right, metres at most: how far off a known place may seem
 WAY_DRIFT = 0.05  # of the way along a known link: how far off its other node may seem
+TRIES = 3  # an un-searched link on which the robot has set off so often in vain is given up
+FAILS = 3  # a searched link that has led elsewhere so often in a row is followed no more
+ROUNDS = 1  # so often links of both kinds get another chance, once nothing else is left
+SAME_END_RAD = math.radians(25)  # a robot that comes in nearer to a known link comes by it
 TURN_RAD = math.radians(20)  # the odometry's heading is corrected by no more, where a node is met again
 
 
@@ -137,3 +141,67 @@ def recognised(
         return first, is_alone & is_alike(map_, first, found, back, leads[first])
 
     return run_if(jnp.any(may), judged, (jnp.int32(0), jnp.bool_(False)))
+
+
+def between(map_: Btm, start: Array, node: Array, back: Array) -> tuple[Array, Array]:
+    """The searched link from another node that a node has where the robot comes in: `(link, whether there is one)`.
+
+    Args:
+      map_: `Btm`.
+      start: int32, node from which the robot comes.
+      node: int32, where it is.
+      back: float32, bearing of the way in, radians.
+    """
+    ends = (map_.start == start) & (map_.end == node), (map_.start == node) & (map_.end == start)
+    bearing = jnp.where(ends[0], map_.end_bearing, map_.start_bearing)
+    off = jnp.where((ends[0] | ends[1]) & (map_.status == btm.SEARCHED), jnp.abs(btm.wrapped(bearing - back)), jnp.inf)
+    best = jnp.argmin(off).astype(jnp.int32)
+    return best, (off[best] < SAME_END_RAD) & (start != node)
+
+
+def where_to(writer: Writer, map_: Btm, node: Array, back: Array) -> tuple[Writer, Btm, Array, Array]:
+    """The link by which the robot goes on from a place.
+
+    Un-searched links that it has set off on in vain are given up, and searched ones that lead elsewhere are followed no
+    more; once nothing else is left, all of them get another chance.
+
+    Args:
+      writer: `Writer` before the node was made.
+      map_: `Btm` with it.
+      node: int32.
+      back: float32, bearing of the way in, radians.
+
+    Returns:
+      `(writer, map, link, bearing)`: with what was given up; int32, `NONE` where nothing is left; radians.
+    """
+    fails, vain = _failed(writer, node), (writer.tries >= TRIES) & (map_.status == btm.UNSEARCHED)
+    writer, map_ = writer.replace(fails=fails), map_.replace(blocked=map_.blocked | vain)
+
+    def chosen(map_, fails):
+        open_link = btm.first_open(map_, node, back)
+        usable = map_.replace(length_m=jnp.where(fails >= FAILS, btm.FAR_M, map_.length_m))
+        hop, hop_bearing, _ = btm.next_hop(usable, node)
+        bearing = map_.start_bearing[jnp.minimum(open_link, map_.start.shape[0] - 1)]
+        return tuple(
+            jnp.where(open_link != btm.NONE, one, two) for one, two in ((open_link, hop), (bearing, hop_bearing))
+        )
+
+    def again(_):
+        tries, blocked = jnp.where(vain, 0, writer.tries), map_.blocked & ~vain
+        return blocked, tries, jnp.zeros_like(fails), *chosen(map_.replace(blocked=blocked), jnp.zeros_like(fails))
+
+    link, bearing = chosen(map_, fails)
+    more = (link == btm.NONE) & (writer.rounds < ROUNDS)
+    blocked, tries, fails, link, bearing = run_if(more, again, (map_.blocked, writer.tries, fails, link, bearing))
+    writer = writer.replace(tries=tries, fails=fails, rounds=writer.rounds + more)
+    return writer, map_.replace(blocked=blocked), link, bearing
+
+
+def _failed(writer, node):
+    """`Writer.fails` with the link that the robot has come by to a node."""
+    size = writer.map.start.shape[0]
+    link = jnp.minimum(writer.link, size - 1)
+    followed, to = leads_to(writer)
+    return writer.fails.at[jnp.where(followed, link, size)].set(
+        jnp.where(node == to, 0, writer.fails[link] + 1), mode="drop"
+    )

@@ -29,6 +29,8 @@ GLANCE_RAD = 0.2  # a turn is begun that can be gone on with for so long
 STEER, MOST_STEER_RAD = 3.0, 0.25  # it heads so far to the side for each metre that it is beside the trail
 BACK_M = 0.15  # the robot goes back so far at least
 MOST_BACK_M = 8.0
+AWAY_M = 0.4  # where it can go back no farther it goes ahead so far, and as much to the side that it wants as is free
+AWAY_RAD_S = 0.0, 0.1, 0.2, 0.5, 1.0  # turning so fast
 LEAST_BACK_M = 0.005  # a step counts so much, turns too
 AHEAD_S = 0.2  # a step is looked at so far ahead
 SLACK_M = 0.01  # between a wall and the robot's outline after a step
@@ -44,6 +46,7 @@ class Manoeuvre:
     kept: Array  # int32, poses that it holds
     backing: Array  # bool, it is going back
     backed_m: Array  # float32, how far
+    away_m: Array  # float32, so far it still goes ahead, for there is no room behind it; 0: it does not
     avoiding: Array  # bool, it goes round something
     side: Array  # float32, radians, direction in which
     replace: ClassVar[Callable[..., Self]]
@@ -57,6 +60,7 @@ def at_rest(pose: Array) -> Manoeuvre:
         kept=jnp.int32(1),
         backing=jnp.bool_(False),
         backed_m=jnp.float32(0),
+        away_m=jnp.float32(0),
         avoiding=jnp.bool_(False),
         side=jnp.float32(0),
     )
@@ -117,13 +121,17 @@ def drive(
 
     starts, enough = _backs(now, around, robot, in_place, wanted, omega, touched)
     goes = (now.backing | starts) & (now.kept > 1)
-    still = jnp.float32(0), jnp.float32(0), now.length, jnp.bool_(False)
-    back_v, back_omega, length, wedged = run_if(goes, lambda _: _back(now, around, robot, pose, speed, touched), still)
+    still = jnp.float32(0), jnp.float32(0), now.length, jnp.bool_(False), jnp.float32(0)
+    side = jnp.sign(jnp.where(turning != 0, turning, course))
+    back_v, back_omega, length, wedged, away_m = run_if(
+        goes, lambda _: _back_or_away(now, around, robot, pose, speed, touched, side), still
+    )
     # Nor does it go back farther where that leads nowhere and the way that it wants is free.
     enough |= wedged & ~in_place & (now.backed_m >= BACK_M)
     backing = goes & ~(now.backing & enough)
     after = now.replace(
         backing=backing,
+        away_m=jnp.where(backing, away_m, 0),
         backed_m=jnp.where(backing, now.backed_m + jnp.maximum(jnp.abs(back_v) * 0.1, LEAST_BACK_M), 0),
         length=jnp.where(backing, length, now.length),
         kept=jnp.where(backing, now.kept - (now.length - length), now.kept),
@@ -206,3 +214,22 @@ def _back(now, around, robot, pose, speed, touched):
     found, passes = ways[best], best > 0
     near |= passes & (jnp.hypot(offset[0], offset[1]) < BACK_M)
     return found[0], found[1], jnp.where(near, now.length - 1, now.length), ~jnp.any(free)
+
+
+def _back_or_away(now, around, robot, pose, speed, touched, side):
+    """`_back`, and how far it still goes ahead: where there is no room behind it goes away from there."""
+    back_v, back_omega, length, wedged = _back(now, around, robot, pose, speed, touched)
+    away_v, away_omega, is_free = _away(around, robot, speed, side)
+    away = is_free & ~touched & (wedged | (now.away_m > 0))
+    left_m = jnp.maximum(jnp.where(now.away_m > 0, now.away_m, AWAY_M) - away_v * 0.1, 0)
+    v, omega = jnp.where(away, away_v, back_v), jnp.where(away, away_omega, back_omega)
+    return v, omega, jnp.where(away, now.length, length), wedged, jnp.where(away, left_m, 0.0)
+
+
+def _away(around, robot, speed, side):
+    """Speed and turn rate ahead, as much to one side as is free, and whether any way is: `(v, omega, is_free)`."""
+    omega = jnp.concatenate([side * jnp.asarray(AWAY_RAD_S), -side * jnp.asarray(AWAY_RAD_S[1:])])
+    room_m = jax.vmap(lambda omega: _room_m(around, robot, speed / 2 * AHEAD_S, omega * AHEAD_S))(omega)
+    free = room_m >= SLACK_M
+    best = jnp.argmax(jnp.where(free, side * omega, -jnp.inf))
+    return speed / 2, omega[best], jnp.any(free)

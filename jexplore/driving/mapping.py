@@ -90,6 +90,7 @@ class Writer:
     passed: Array  # [4] float32, a place that was none: x, y, radius, metres; odometer there
     tries: Array  # [M] int32, how often the robot has set off on a link that was un-searched
     fails: Array  # [M] int32, how often in a row a searched link has led elsewhere
+    rounds: Array  # int32, how often links that were given up have got another chance
     exhausted: Array  # bool, nothing is left to follow
     full: Array  # bool, a node did not fit
     sure_m: Array  # float32, odometer where the odometry was last put right at a node
@@ -123,6 +124,7 @@ def begin(
         passed=jnp.array([0.0, 0.0, 0.0, -jnp.inf], jnp.float32),
         tries=jnp.zeros(n_links, jnp.int32),
         fails=jnp.zeros(n_links, jnp.int32),
+        rounds=jnp.int32(0),
         exhausted=jnp.bool_(False),
         full=jnp.bool_(False),
         sure_m=zero,

@@ -20,8 +20,7 @@ from jexplore.driving.settings import Robot, Tuning
 from jexplore.driving.vehicle import to_odometry
 
 OPENINGS = 8  # of a divergence
-TRIES = 3  # an un-searched link on which the robot has set off so often in vain is blocked
-FAILS = 3  # a searched link that has led elsewhere so often in a row is followed no more
+DOOR_BEFORE_M = 3.0  # a door that was passed so far before another opening is the way in
 CORNER = 1.3  # of a circle's diameter: with only one opening, wider than this, it lies in a corner
 IN_LINE_RAD = math.radians(45)  # two openings are in line if they are no farther from it
 SHIFT_M = 0.7  # the odometry's place is corrected by half at a node met again no farther than this away, metres
@@ -117,11 +116,20 @@ def _find_openings(writer, event, points, tuning, is_divergence):
     )
     off = jnp.where(found.valid, jnp.abs(btm.wrapped(found.bearing - came)), jnp.inf)
     passed = came_through(writer, event.centre + found.middle, found.across, found.width_m)
-    passed = jnp.where(found.valid, passed, -1)
+    passed = _by_door(jnp.where(found.valid, passed, -1), found.width_m, writer.way.odometer_m)
     entry = jnp.where(jnp.any(passed >= 0), jnp.argmax(passed), jnp.argmin(off))
     entry_seen = ((passed[entry] >= 0) | (off[entry] < math.pi / 3)) & ~_holds_start(writer, event)
     back = jnp.where(is_divergence & entry_seen, found.bearing[entry], came)
     return found, found.valid & ~((jnp.arange(OPENINGS) == entry) & entry_seen), back
+
+
+def _by_door(passed, width_m, odometer_m):
+    """Steps at which openings were passed, -1 for none: of doors alone, if the robot has just passed one. Who comes by
+    a door passes a wider opening that lies before it as well.
+    """
+    gone_m = odometer_m[jnp.max(passed)] - odometer_m[passed]
+    door = (passed >= 0) & (gone_m < DOOR_BEFORE_M) & (width_m <= openings.DOOR_M)
+    return jnp.where(jnp.any(door) & ~door, -1, passed)
 
 
 def _holds_start(writer, event):
@@ -134,8 +142,9 @@ def _end_way_here(map_, writer, event, at, back, step_m):
     """Ends the link that led here: `(map, link)`.
 
     On a known link to a known node nothing is new; a new node on it shows that the robot has left it unawares: it came
-    by a way of its own. On a new link to a known node, the node's own record of it goes. A new link that leads back to
-    its own opening is none that could be followed.
+    by a way of its own. On a new link to a known node, the node's own record of it goes; where it comes in by a known
+    link from the same node, it has left the new one unawares. A new link that leads back to its own opening is none
+    that could be followed.
     """
     size = map_.start.shape[0]
     on_known = map_.status[jnp.minimum(writer.link, size - 1)] == btm.SEARCHED
@@ -145,7 +154,10 @@ def _end_way_here(map_, writer, event, at, back, step_m):
     off = jnp.abs(btm.wrapped(back - map_.start_bearing[jnp.minimum(link, size - 1)]))
     turned_back = at.again & (at.near == writer.node) & ~on_known & (off < math.pi / 4)  # it comes back as it left
     map_ = map_.replace(blocked=map_.blocked.at[jnp.where(turned_back, link, size)].set(True, mode="drop"))
-    is_new = (~on_known | astray) & ~turned_back
+    known, comes_by_it = links.between(map_, writer.node, at.node, back)
+    comes_by_it &= at.again & ~on_known
+    link = jnp.where(comes_by_it, known, link)
+    is_new = (~on_known | astray) & ~turned_back & ~comes_by_it
     map_ = _end_link(map_, writer, event, at, back, step_m, link, is_new)
     return links.withdraw_double(map_, at.node, back, at.again & is_new), link
 
@@ -172,31 +184,31 @@ def write(
     found, others, back = _find_openings(writer, event, points, tuning, is_divergence)
     at = _arrive(writer, event, found, back, tuning, is_divergence, is_terminal)
     map_, step_m = obstacles.judged(at.map, writer, event, tuning, robot, at.posture, at.node)
-    at, turn, applied, turned = _turns(writer, event, at, found, tuning)
+    at, event, turn, applied, turned = _turns(writer, event, at, found, tuning)
     back, found = back + turn, dataclasses.replace(found, bearing=found.bearing + turn)
-    event = dataclasses.replace(event, pose=event.pose.at[2].add(turn))
     map_, link = _end_way_here(map_, writer, event, at, back, step_m)
     map_ = _add_openings(map_, event, at.node, found, others, is_divergence & ~at.again)
     goes_on = ~is_divergence & ~is_terminal & ~at.again
-    map_, onward = btm.add_link(map_, at.node, event.pose[2], when=goes_on, blocked=event.blocked)
-    onward = jnp.where(goes_on, onward, links.other_link(map_, at.node, link))
+    map_, new = btm.add_link(map_, at.node, event.pose[2], when=goes_on, blocked=event.blocked)
+    onward = jnp.where(goes_on, new, links.other_link(map_, at.node, link))
     passes, which = _is_passed(writer, event, found, others, back, at, is_divergence)
-    map_, fails, onto, bearing, through = _where_to(map_, writer, event, at, back, onward, is_divergence)
-    guided, onto, bearing = _guided(map_, writer, event, at, found, is_divergence & ~passes, onto, bearing)
-    plain = tuning.leave_m * _heading(bearing), bearing
-    ways = _either_of(is_divergence, _through(event, found, bearing, turn, tuning.leave_m), plain)
+    after, map_, onto, bearing = links.where_to(writer, map_, at.node, back)
+    through = ~is_divergence & ~event.blocked & ~event.returns
+    ways = jnp.where(through, onward, onto), bearing
+    guided, onto, bearing = _guided(map_, writer, event, at, found, is_divergence & ~passes, *ways)
+    ways = tuning.leave_m * _heading(bearing), bearing
+    ways = _either_of(is_divergence, _through(event, found, bearing, turn, tuning.leave_m), ways)
     ways = to_odometry(jnp.stack([0.0, 0.0, applied - turn]))(ways[0]), ways[1] + applied - turn
     target, out = _either_of(passes, _through(event, found, found.bearing[which], 0.0, tuning.leave_m), ways)
     taken = jnp.where(onto == btm.NONE, size, onto)
-    written = writer.replace(
+    written = after.replace(
         map=map_,
         node=at.node,
         node_m=event.odometer_m,
         link=taken,
         left_bearing=jnp.where(through, event.pose[2], bearing),
         border_m=_border_left(writer, event),
-        tries=writer.tries.at[taken].add(1, mode="drop"),
-        fails=fails,
+        tries=after.tries.at[taken].add(1, mode="drop"),
         exhausted=~is_terminal & (taken == size),
         sure_m=jnp.where(at.met | event.returns, event.odometer_m, writer.sure_m),
         origin=jnp.stack([*(event.centre + at.shift), jnp.nan_to_num(turned) - applied]),
@@ -213,15 +225,16 @@ def write(
 
 
 def _turns(writer, event, at, found, tuning):
-    """How a node's openings are turned against its links: `(at, turn, applied, turned)`: the `Arrival` with how it lies
-    from the last node; radians: where it puts the odometry right, 0 elsewhere; how much of that is done; of any node,
-    NaN where nobody knows.
+    """How a node's openings are turned against its links: `(at, event, turn, applied, turned)`: the `Arrival` with how
+    it lies from the last node; the `Event` turned; radians: where it puts the odometry right, 0 elsewhere; how much of
+    that is done; of any node, NaN where nobody knows.
     """
     turned, spread = links.turn_to(at.map, at.node, found)
     turn = jnp.where(at.met, turned, 0.0)
     share = jnp.where(spread < jnp.radians(tuning.agree_deg), tuning.agree_share, TURN_SHARE)
     turned = jnp.where(at.again, jnp.where(event.kind == btm.DIVERGENCE, turned, jnp.nan), 0.0)
-    return at._replace(moved=moved(writer, event.centre, turned)), turn, share * turn, turned
+    at = at._replace(moved=moved(writer, event.centre, turned))
+    return at, dataclasses.replace(event, pose=event.pose.at[2].add(turn)), turn, share * turn, turned
 
 
 def made(
@@ -264,8 +277,8 @@ def made(
         track = jax.tree.map(lambda none, old: jnp.where(latches, none, old), behaviour.no_track(), track)
         return whole.map, {name: getattr(whole, name) for name in rest}, drive, track, estimate
 
-    names = ("node", "node_m", "link", "left_bearing", "border_m", "passed", "tries", "fails", "exhausted", "full")
-    names = (*names, "origin", "guide")
+    names = ("node", "node_m", "link", "left_bearing", "border_m", "passed", "tries", "fails", "rounds", "exhausted")
+    names = (*names, "full", "origin", "guide")
     rest = {name: getattr(writer, name) for name in names}
     map_, rest, drive, track, estimate = run_if(
         event.kind != btm.NONE, written, (writer.map, rest, drive, track, state.estimate)
@@ -299,24 +312,6 @@ def _passing(writer, event):
     return writer.replace(passed=jnp.stack([*event.centre, event.radius, event.odometer_m]))
 
 
-def _where_to(map_, writer, event, at, back, onward, is_divergence):
-    """The link by which the robot goes on: `(map, fails, link, bearing, through)`.
-
-    `through` says that it goes straight on, by the link `onward`. Un-searched links that it has set off on in vain are
-    given up, and searched ones that lead elsewhere are followed no more.
-    """
-    fails = _failed(writer, at)
-    given_up = (writer.tries >= TRIES) & (map_.status == btm.UNSEARCHED)
-    map_ = map_.replace(blocked=map_.blocked | given_up)
-    open_link = btm.first_open(map_, at.node, back)
-    usable = map_.replace(length_m=jnp.where(fails >= FAILS, btm.FAR_M, map_.length_m))
-    hop, hop_bearing, _ = btm.next_hop(usable, at.node)
-    use_open = open_link != btm.NONE
-    bearing = jnp.where(use_open, map_.start_bearing[jnp.minimum(open_link, map_.start.shape[0] - 1)], hop_bearing)
-    through = ~is_divergence & ~event.blocked & ~event.returns
-    return map_, fails, jnp.where(through, onward, jnp.where(use_open, open_link, hop)), bearing, through
-
-
 def _guided(map_, writer, event, at, found, is_place, onto, bearing):
     """Where a robot that follows a route goes on instead: `(guide, link, bearing)`. No link leads there: it is lost."""
     if writer.guide is None:
@@ -341,16 +336,6 @@ def _is_passed(writer, event, found, others, back, at, is_divergence):
     wide = (found.width_m > CORNER * 2 * event.radius) | _is_behind(found)
     corner = (n == 1) & jnp.any(found.valid & wide) & ~at.again
     return is_divergence & (in_line | corner), jnp.where(corner, jnp.argmax(found.valid), other)
-
-
-def _failed(writer, at):
-    """`Writer.fails` with the link that the robot has come by."""
-    size = writer.map.start.shape[0]
-    link = jnp.minimum(writer.link, size - 1)
-    followed, to = links.leads_to(writer)
-    return writer.fails.at[jnp.where(followed, link, size)].set(
-        jnp.where(at.node == to, 0, writer.fails[link] + 1), mode="drop"
-    )
 
 
 def _through(event, found, bearing, turn, leave_m):
