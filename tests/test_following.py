@@ -237,3 +237,15 @@ def test_wrong_input_is_one_line():
     ]:
         with pytest.raises(InputError, match=message):
             jx.follow("course:obstacle=none", btm, routes, robot)
+
+
+@pytest.mark.parametrize("walled", [True, False])
+def test_a_link_that_is_blocked_loses_what_maps_said_about_that(walled):
+    told = {"blocked": [["a", True], ["b", False]], "blocked_for": [["a", {}]], "victim": [["a", 1], ["b", 2]]}
+    link = Link(
+        0, 0, 1, "searched", 0.0, 180.0, 4.0, 1.0, attributes={"conflicts": told, "blocked_for": 3, "note": "x"}
+    )
+    found = following._blocked(link, ROBOTS["kamui"], walled=walled).attributes
+    assert found["conflicts"] == {"victim": told["victim"]}
+    assert (found["blocked"], found["found_by"], found["note"]) == (True, "kamui", "x")
+    assert ("blocked_for" in found) == (not walled)

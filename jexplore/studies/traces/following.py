@@ -3,7 +3,7 @@
 import dataclasses
 import math
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import jax
@@ -20,7 +20,7 @@ from jexplore.studies import checks
 from jexplore.studies.traces import routes
 from jexplore.studies.traces.job import MOST_STEPS
 from jexplore.tracemap.merging.rigid import apart_deg
-from jexplore.tracemap.passable import BLOCKED, BLOCKED_FOR, FOUND_BY, blocked_for
+from jexplore.tracemap.passable import BLOCKED, BLOCKED_FOR, CONFLICTS, FOUND_BY, blocked_for
 from jexplore.tracemap.record import NOWHERE, STATUS, BtmMap, Link
 from jexplore.tracemap.route import Route
 from jexplore.worlds.world import World
@@ -234,9 +234,7 @@ def _changed(btm, found, result, robot):
     told, count = [], max(links, default=-1) + 1
     for i, route in enumerate(found):
         if link := _blocked_link(btm, route, jax.tree.map(lambda a, i=i: a[i], result), robot):
-            own = {name: value for name, value in links[link.id].attributes.items() if name != BLOCKED_FOR}
-            own |= {BLOCKED: True} if result.guide.walled[i] else blocked_for(robot)
-            links[link.id] = dataclasses.replace(links[link.id], attributes={**own, FOUND_BY: robot.name})
+            links[link.id] = _blocked(links[link.id], robot, walled=bool(result.guide.walled[i]))
             told.append(f"link {link.id} could not be passed by {robot.name}")
         for node, bearing in _new_ways(btm, route, result.guide.seen[i]):
             there = [_bearing(link, node) for link in links.values() if node in (link.start, link.end)]
@@ -267,6 +265,15 @@ def _blocked_link(btm, route, result, robot):
     gone_m = result.path_m - guide.from_m + robot.length_m / 2 + LOOK_M
     step = steps[min(int(np.searchsorted(ends_m, gone_m)), len(steps) - 1)]
     return next(link for link in btm.links if link.id == step.link)
+
+
+def _blocked(link, robot, *, walled):
+    """The link blocked, for all where there is a wall, and nothing of what maps said about that before."""
+    own = {name: value for name, value in link.attributes.items() if name != BLOCKED_FOR}
+    if isinstance(own.get(CONFLICTS), Mapping):
+        own[CONFLICTS] = {name: told for name, told in own[CONFLICTS].items() if name not in (BLOCKED, BLOCKED_FOR)}
+    own |= {BLOCKED: True} if walled else blocked_for(robot)
+    return dataclasses.replace(link, attributes={**own, FOUND_BY: robot.name})
 
 
 def _new_ways(btm, route, seen):
