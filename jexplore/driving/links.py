@@ -143,7 +143,7 @@ def recognised(
     return run_if(jnp.any(may), judged, (jnp.int32(0), jnp.bool_(False)))
 
 
-def between(map_: Btm, start: Array, node: Array, back: Array) -> tuple[Array, Array]:
+def link_from(map_: Btm, start: Array, node: Array, back: Array) -> tuple[Array, Array]:
     """The searched link from another node that a node has where the robot comes in: `(link, whether there is one)`.
 
     Args:

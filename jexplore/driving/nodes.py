@@ -154,7 +154,7 @@ def _end_way_here(map_, writer, event, at, back, step_m):
     off = jnp.abs(btm.wrapped(back - map_.start_bearing[jnp.minimum(link, size - 1)]))
     turned_back = at.again & (at.near == writer.node) & ~on_known & (off < math.pi / 4)  # it comes back as it left
     map_ = map_.replace(blocked=map_.blocked.at[jnp.where(turned_back, link, size)].set(True, mode="drop"))
-    known, comes_by_it = links.between(map_, writer.node, at.node, back)
+    known, comes_by_it = links.link_from(map_, writer.node, at.node, back)
     comes_by_it &= at.again & ~on_known
     link = jnp.where(comes_by_it, known, link)
     is_new = (~on_known | astray) & ~turned_back & ~comes_by_it
