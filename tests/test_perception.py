@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from ref.passages import CORNER, EAST, FEATURES, NORTH, WIDTHS_M, building
 
+from jexplore.arrays.delaunay import circumcircles, delaunay
 from jexplore.driving import vehicle
 from jexplore.driving.building import terrain, walls
 from jexplore.driving.events import SCAN_POINTS
@@ -464,6 +465,47 @@ def test_noise_makes_fewer_circles_that_touch_one_wall_twice():
         start = np.array([middle[0] - 3.4, middle[1], EAST], np.float32)
         shown.append(np.asarray(driven_along(walls_, start, noise_m)) > 0)
     assert np.mean(shown) < 0.25  # 0.31 with those that touch one wall twice
+
+
+def one_wall_by_angles(xy, valid, centre, corner, spacing_m, recess_m):
+    """Whether a circle touches one wall twice, a triangle at a time, by angles in double precision."""
+    xy = xy.astype(float)
+    angle = np.arctan2(*(xy - centre)[:, ::-1].T)
+    corner = sorted(corner, key=lambda k: angle[k])
+    for one, other in zip(corner, np.roll(corner, -1)):
+        chord = xy[other] - xy[one]
+        chord_m = np.hypot(*chord)
+        within = (angle - angle[one]) % (2 * np.pi) < (angle[other] - angle[one]) % (2 * np.pi)
+        within &= valid & ~np.isin(np.arange(len(xy)), corner)
+        beyond_m = (xy - xy[one]) @ [chord[1], -chord[0]] / chord_m
+        if np.all(beyond_m[within] <= recess_m) and (within.sum() + 1) * spacing_m > perception.CLOSE * chord_m:
+            return True
+    return False
+
+
+def test_circles_that_touch_one_wall_twice_are_those_of_an_oracle_by_angles():
+    rng = np.random.default_rng(6)
+
+    @jax.jit
+    def judged(xy, valid):
+        triangles = delaunay(xy, valid)
+        centre, _, _ = circumcircles(xy, triangles.corner)
+        found = perception._on_one_wall(xy, valid, centre, triangles.corner, jnp.float32(0.19), jnp.float32(0.1))
+        return triangles, centre, found
+
+    counts = np.zeros(2, int)
+    for _ in range(20):
+        ends = rng.uniform(-4, 4, (12, 2, 2))
+        walls_ = [a + (b - a) * np.linspace(0, 1, max(2, int(np.hypot(*(b - a)) / 0.19)))[:, None] for a, b in ends]
+        xy = np.concatenate(walls_)[:64].astype(np.float32)
+        xy += rng.normal(scale=0.01, size=xy.shape).astype(np.float32)
+        valid = rng.random(len(xy)) < 0.9
+        triangles, centre, found = jax.tree.map(np.asarray, judged(xy, valid))
+        for t in np.flatnonzero(triangles.valid):
+            expected = one_wall_by_angles(xy, valid, centre[t], triangles.corner[t], 0.19, 0.1)
+            assert found[t] == expected
+            counts[int(expected)] += 1
+    assert counts.min() > 100
 
 
 def test_where_points_are_few_neighbours_on_a_wall_make_no_side():

@@ -330,6 +330,20 @@ def test_looking_at_level_ground(degrees):
 
 
 @pytest.mark.jit
+def test_level_ground_is_looked_at_as_any_other_ground():
+    far_away = np.zeros((60, 60), np.float32)
+    far_away[-1, -1] = 0.2
+    grounds = terrain_of(None, 0.1), terrain_of(far_away, 0.1)
+    rng = np.random.default_rng(3)
+    direction = rng.normal(size=(50, 3))
+    direction = (direction / np.linalg.norm(direction, axis=1, keepdims=True)).astype(np.float32)
+    seen = [np.asarray(one_look_at(ground, (2.0, 2.0, 0.5), direction)) for ground in grounds]
+    assert 5 < np.isfinite(seen[0]).sum() < 45
+    np.testing.assert_allclose(*seen, atol=1e-3)
+    assert stands(grounds[0], 2.0, 2.0, 1.0) == stands(grounds[1], 2.0, 2.0, 1.0)
+
+
+@pytest.mark.jit
 def test_beyond_the_range_and_upwards_there_is_no_ground():
     direction = np.array([[0, 0, -1], [0, 0, 1], [1, 0, 0]], np.float32)
     level = terrain_of(None, 0.1)

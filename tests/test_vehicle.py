@@ -20,7 +20,7 @@ CELL_M = 0.1
 SLOPE_DEG = 10.0
 FOOT_M, TOP_M = 4.0, 8.0  # a ramp rises between them
 STILL = Noise(attitude_deg=0, odometry=0, heading_deg_sqrt_m=0, slip=0, beacon_m=0)
-NONE = jax.tree.map(jnp.zeros_like, vehicle.draw(jax.random.key(0)))
+NONE = jax.tree.map(lambda a: jnp.zeros_like(a[0]), vehicle.draw(jax.random.split(jax.random.key(0), 1), Noise()))
 LOW = dataclasses.replace(ROBOTS["kamui"], name="", scan_height_m=0.35)
 SENSE = jax.jit(vehicle.sense)
 LEVELLED = jax.jit(vehicle.levelled)
@@ -184,3 +184,14 @@ def test_a_bias_turns_the_heading_by_the_metre_and_not_in_place():
     for v, want in ((0.4, 6.0), (-0.2, 3.0), (0.0, 0.0)):
         _, estimate, _ = odometry(noise, v, 0.0)
         assert math.degrees(estimate[2]) == pytest.approx(want, abs=1e-3)
+
+
+def test_whether_beams_are_missed_is_drawn_only_where_they_may_be():
+    keys = jax.random.split(jax.random.key(2), 3)
+    never, some = (vehicle.draw(keys, dataclasses.replace(STILL, invalid=share)) for share in (0.0, 0.3))
+    assert np.all(np.asarray(never.missing) >= 1)
+    assert 0.4 < np.mean(some.missing) < 0.6
+    assert len(np.unique(np.asarray(some.missing))) > 500
+    for name in ("ranges", "down", "attitude", "encoders", "beacon"):
+        np.testing.assert_array_equal(getattr(never, name), getattr(some, name))
+        assert len(np.unique(getattr(some, name))) == np.size(getattr(some, name))

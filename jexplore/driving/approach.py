@@ -84,11 +84,12 @@ def latched(
     near = distance < tuning.arrive_m
     lost = (drive.latch == Latch.APPROACH) & (track.age == 0) & ((distance > track.radius + LOST_M) | ahead.leans)
     late = drive.since > LATCH_STEPS
-    left, right = surround.free_turn(around, robot)
-    may_look = jnp.minimum(left, right) >= math.pi - 1e-3
     shut = (state.mode == RunMode.DEAD_END) | (state.mode == RunMode.CONTACT_GUARD) | state.manoeuvre.backing
     surveys = (drive.latch == Latch.FREE) & ~begins & shut & (state.odometer_m - drive.looked_m > SURVEY_M)
-    ends = (drive.latch == Latch.LOOK) & ((drive.looked >= LOOK_RAD) | (left < LOOK_STEP_RAD))
+    looks, none = drive.latch == Latch.LOOK, (jnp.float32(0), jnp.float32(0))
+    left, right = run_if((following & near) | surveys | looks, lambda _: surround.free_turn(around, robot), none)
+    may_look = jnp.minimum(left, right) >= math.pi - 1e-3
+    ends = looks & ((drive.looked >= LOOK_RAD) | (left < LOOK_STEP_RAD))
     look = _look_ends(state, track, ends, around, ways_m, placed, tuning, robot)
     had = track.age > 0
     small = look.track.radius < jnp.hypot(robot.length_m, robot.width_m) / 2 + surround.MARGIN_M

@@ -321,9 +321,9 @@ def _end(state, at_end, tuning):
     return state.replace(outcome=outcome)
 
 
-def _draws_from(key, first):
+def _draws_from(key, first, noise):
     """The random numbers of `BLOCK` steps from one on."""
-    return jax.vmap(lambda i: draw(jax.random.fold_in(key, i)))(first + jnp.arange(BLOCK))
+    return draw(jax.vmap(lambda i: jax.random.fold_in(key, i))(first + jnp.arange(BLOCK)), noise)
 
 
 def begin(setup: Setup, given: Given) -> State:
@@ -331,14 +331,14 @@ def begin(setup: Setup, given: Given) -> State:
 
     Args:
       setup: `Setup`. Static.
-      given: `engine.program.Given`: key of the run, step i takes `draw(fold_in(key, i))`; the scenes are `Building`s;
+      given: `engine.program.Given`: key of the run, step i draws by `fold_in(key, i)`; the scenes are `Building`s;
         the number is the step after which it ends as `STEP_LIMIT`, int32; the task is `(Robot, Tuning, Noise, start,
         guide)`, whose numbers are arrays, the start from `batch.pose_in`, the guide a `Guide` or None.
 
     Returns:
       `State`.
     """
-    block = jax.eval_shape(_draws_from, given.key, 0)
+    block = jax.eval_shape(_draws_from, given.key, 0, given.task[2])
     state = at_start(setup, given.own_scene, given.task[0], *given.task[3:])
     return dataclasses.replace(state, draws=jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), block))
 
@@ -350,7 +350,7 @@ def advance(setup: Setup, given: Given, state: State) -> State:
     """
     del setup
     building, (robot, tuning, noise, *_) = given.own_scene, given.task
-    block = run_if(state.step % BLOCK == 0, lambda _: _draws_from(given.key, state.step), state.draws)
+    block = run_if(state.step % BLOCK == 0, lambda _: _draws_from(given.key, state.step, noise), state.draws)
     draws = jax.tree.map(lambda a: a[state.step % BLOCK], block)
     after = step(draws, building, robot, tuning, noise, state.replace(draws=block))
     late = (after.outcome == Outcome.RUNNING) & (after.step >= given.numbers)

@@ -84,13 +84,26 @@ class Draws:
     missing: Array  # [B] float32, uniform from 0 to 1
 
 
-def draw(key: Array) -> Draws:
-    """`Draws` of one step; the key is consumed."""
-    key, missing_key = jax.random.split(key)
+def draw(keys: Array, noise: Noise) -> Draws:
+    """Random numbers of steps.
+
+    Args:
+      keys: `[n]`, one a step; they are consumed.
+      noise: `Noise`; where no beam is ever without a number, that is not drawn.
+
+    Returns:
+      `Draws` with a leading axis of n.
+    """
+    keys, missing_keys = jnp.moveaxis(jax.vmap(jax.random.split)(keys), 1, 0)
     ends = np.cumsum([BEAMS, DOWN_BEAMS, 2, 3])
-    ranges, down, attitude, encoders, beacon = jnp.split(jax.random.normal(key, (ends[-1] + 1,)), ends)
-    missing = jax.random.uniform(missing_key, (BEAMS,))
-    return Draws(ranges=ranges, down=down, attitude=attitude, encoders=encoders, missing=missing, beacon=beacon[0])
+    drawn = jax.vmap(lambda key: jax.random.normal(key, (ends[-1] + 1,)))(keys)
+    ranges, down, attitude, encoders, beacon = jnp.split(drawn, ends, axis=1)
+    missing = run_if(
+        noise.invalid > 0,
+        lambda _: jax.vmap(lambda key: jax.random.uniform(key, (BEAMS,)))(missing_keys),
+        jnp.ones((keys.shape[0], BEAMS)),
+    )
+    return Draws(ranges=ranges, down=down, attitude=attitude, encoders=encoders, missing=missing, beacon=beacon[:, 0])
 
 
 def down_directions(robot: Robot) -> Array:

@@ -40,6 +40,11 @@ def terrain_of(elevation: np.ndarray | None, cell_m: float) -> Terrain:
     return Terrain(height_m=fine, spacing_m=np.float32(cell_m / FINER), peak_m=fine.max())  # type: ignore[arg-type]
 
 
+def is_level(terrain: Terrain) -> bool:
+    """Whether the ground is level everywhere, known before compiling: what lies on it then costs nothing."""
+    return terrain.height_m.shape[-2:] == (2, 2)
+
+
 def _finer(height):
     """Interpolates along columns; a difference that neither neighbour continues is a step, which stays at the edge."""
     rows, cols = height.shape
@@ -97,6 +102,8 @@ def attitude(
         (REP 103); height of the middle; the largest difference of height between neighbouring points of the tracks'
         leading halves.
     """
+    if is_level(terrain):
+        return (jnp.float32(0),) * 4
     x, y, heading = pose
     cos, sin = jnp.cos(heading), jnp.sin(heading)
     u = ((jnp.arange(CONTACTS) + 0.5) / CONTACTS - 0.5) * length_m
@@ -133,6 +140,9 @@ def look_at(
     Returns:
       `[D]` float32, metres; inf beyond the range.
     """
+    if is_level(terrain):
+        range_m = origin[2] / jnp.maximum(-direction[:, 2], 1e-6)
+        return jnp.where((direction[:, 2] < 0) & (range_m < most_m), range_m, jnp.inf)
 
     def above(distance):  # [..., D]
         x, y, z = (origin[i] + distance * direction[:, i] for i in range(3))

@@ -3,7 +3,6 @@
 Scans are in the robot's frame: x forward, y left, metres. A beam without a reading is no point; NaN counts as none.
 """
 
-import math
 from collections.abc import Callable
 from typing import ClassVar, Self
 
@@ -13,6 +12,7 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from jexplore.arrays.delaunay import circumcircles, delaunay
+from jexplore.arrays.loops import stored
 
 NEIGHBOURS = 6  # beams on either side that a point is smoothed with
 MISSED = 3  # beams without a reading that are bridged
@@ -277,24 +277,40 @@ def _on_one_wall(xy, valid, centre, corner, spacing_m, recess_m):
     """Which circles touch one wall twice: between two corners points follow each other that lie hardly beyond the
     chord. `[T]` bool.
     """
-    offset = xy - centre[:, None]  # [T, n, 2]
-    angle = jnp.where(valid, jnp.arctan2(offset[..., 1], offset[..., 0]), 0)
-    corner = jnp.minimum(corner, xy.shape[0] - 1)
-    at = jnp.take_along_axis(angle, corner, axis=1)
-    order = jnp.argsort(at, axis=1)  # counter-clockwise
-    corner, at = (jnp.take_along_axis(a, order, axis=1) for a in (corner, at))
-    place, to, turn = xy[corner], jnp.roll(at, -1, axis=1), 2 * math.pi
+    n = xy.shape[0]
+    corner = jnp.minimum(corner, n - 1)
+
+    def corners():  # counter-clockwise
+        (ax, ay), (bx, by), (cx, cy) = (xy[corner[:, i]].T for i in range(3))
+        is_left = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax) >= 0
+        second, third = (jnp.where(is_left, bx, cx), jnp.where(is_left, by, cy)), jnp.where(is_left, cx, bx)
+        return ((ax, ay), second, (third, jnp.where(is_left, cy, by))), (centre[:, 0], centre[:, 1])
+
+    # Stored, so that no corner is looked up anew for every point.
+    place, (mid_x, mid_y) = stored(spacing_m > 0, corners)
+    place = [(x - mid_x, y - mid_y) for x, y in place]
+    # [n, T], so that sums over the points run along rows, which a CPU does many at a time.
+    x, y = xy[:, 0, None] - mid_x, xy[:, 1, None] - mid_y
+    number = jnp.arange(n)[:, None]
+    is_other = valid[:, None] & (number != corner[:, 0]) & (number != corner[:, 1]) & (number != corner[:, 2])
     one_wall = jnp.zeros(centre.shape[0], bool)
     for side in range(3):
-        chord = place[:, (side + 1) % 3] - place[:, side]
-        chord_m = jnp.maximum(jnp.hypot(*chord.T), 1e-9)
-        outward = jnp.stack([chord[:, 1], -chord[:, 0]], axis=1) / chord_m[:, None]
-        beyond_m = jnp.einsum("tnd,td->tn", xy - place[:, side, None], outward)
-        along = (angle - at[:, side, None]) % turn
-        between = valid & (along > 0) & (along < ((to[:, side] - at[:, side]) % turn)[:, None])
-        flat = ~jnp.any(between & (beyond_m > recess_m), axis=1)
-        one_wall |= flat & ((jnp.sum(between, axis=1) + 1) * spacing_m > CLOSE * chord_m)
+        (from_x, from_y), (to_x, to_y) = place[side], place[(side + 1) % 3]
+        chord_x, chord_y = to_x - from_x, to_y - from_y
+        chord_m = jnp.maximum(jnp.hypot(chord_x, chord_y), 1e-9)
+        is_beyond = (x - from_x) * chord_y - (y - from_y) * chord_x > recess_m * chord_m
+        between = is_other & (_turned_left(from_x, from_y, x, y) < _turned_left(from_x, from_y, to_x, to_y))
+        # Points between, and whether one of them lies beyond, in one sum.
+        total = jnp.sum(jnp.where(between, jnp.where(is_beyond, n + 1, 1), 0), axis=0)
+        one_wall |= (total <= n) & ((total + 1) * spacing_m > CLOSE * chord_m)
     return one_wall
+
+
+def _turned_left(x, y, to_x, to_y):
+    """How far one direction lies counter-clockwise from another: from 0 to 4, growing as the angle does."""
+    dot, cross = x * to_x + y * to_y, x * to_y - y * to_x
+    share = cross / jnp.maximum(jnp.abs(dot) + jnp.abs(cross), 1e-30)
+    return jnp.where(dot < 0, 2 - share, jnp.where(cross < 0, 4 + share, share))
 
 
 def nearest(found: Divergence, place: Array) -> tuple[Array, Array]:
