@@ -12,6 +12,7 @@ from jexplore import btm
 from jexplore.btm import DIVERGENCE, FREE_SPACE, NONE, OBSTACLE, SEARCHED, TERMINAL, UNSEARCHED
 from jexplore.driving import links, mapping, nodes
 from jexplore.driving.behaviour import Latch
+from jexplore.driving.building.walls import cast, walls_of
 from jexplore.driving.nodes import SHIFT_SHARE, TURN_SHARE, Event
 from jexplore.driving.settings import ROBOTS, Tuning
 from jexplore.tracemap import record
@@ -554,10 +555,10 @@ def bend(by_deg):
     return np.concatenate([*west, *[turned(part, turn) for part in east]]) - centre, radius
 
 
-def at_a_place(around, radius=1.0):
+def at_a_place(around, radius=1.0, stands=(0.0, 0.0)):
     """`(writer, latch, target, out)` before and after arrival at the origin, from the west."""
     writer = begun((-4.0, 0.0, 0.0)).replace(entry=jnp.asarray([-2.0, 0.0]))
-    due = event(DIVERGENCE, 4, (0.0, 0.0, 0.0), (0.0, 0.0), radius=radius)
+    due = event(DIVERGENCE, 4, (*stands, 0.0), (0.0, 0.0), radius=radius)
     after, latch, target, out, correction = WRITE(*jax.device_get((writer, due)), seen(around))
     assert correction.tolist() == [0, 0, 0]
     return writer, after, int(latch), target.tolist(), float(out)
@@ -578,6 +579,27 @@ def test_a_place_with_two_openings_in_line_is_passed(by_deg, passes):
     else:
         assert after.passed.tolist() == writer.passed.tolist()
         assert links_of(after) == [(0, 1, SEARCHED), (1, NONE, UNSEARCHED)]
+
+
+def test_a_place_before_a_t_that_is_none_is_left_straight_on():
+    """A desk in the stem makes a circle that touches it; from there one branch of the T is seen and not the other.
+
+    The branch is no way out of that place: it would lead past the T.
+    """
+    occupied = np.ones((160, 90), bool)  # the stem along the columns, the T's passage along the rows
+    occupied[60:82, 10:80] = False
+    occupied[10:150, 62:80] = False
+    occupied[78:82, 38:44] = True
+    centre, robot = np.array([5.13, 7.1]), np.array([4.85, 7.0])
+    angles = np.radians(np.arange(360)).astype(np.float32)
+    ranges = np.asarray(cast(walls_of(occupied, 0.1), (*robot, 0.0), angles, 4.5))
+    there = np.isfinite(ranges)
+    around = robot + ranges[there, None] * np.stack([np.cos(angles), np.sin(angles)], axis=1)[there] - centre
+    writer, after, latch, target, out = at_a_place(around, 1.1, robot - centre)
+    assert int(after.map.n_nodes) == 1
+    assert latch == Latch.LEAVE
+    assert (target[0], target[1], out) == pytest.approx((1.1 + TUNING.leave_m, 0, 0), abs=0.1)
+    jax.tree.map(np.testing.assert_array_equal, after.replace(passed=writer.passed), writer)
 
 
 def test_a_place_that_was_none_is_known_for_a_while():

@@ -199,7 +199,7 @@ def write(
     ways = tuning.leave_m * _heading(bearing), bearing
     ways = _either_of(is_divergence, _through(event, found, bearing, turn, tuning.leave_m), ways)
     ways = to_odometry(jnp.stack([0.0, 0.0, applied - turn]))(ways[0]), ways[1] + applied - turn
-    target, out = _either_of(passes, _through(event, found, found.bearing[which], 0.0, tuning.leave_m), ways)
+    target, out = _either_of(passes, _past(event, found, which, others, back, tuning), ways)
     taken = jnp.where(onto == btm.NONE, size, onto)
     written = after.replace(
         map=map_,
@@ -349,6 +349,16 @@ def _through(event, found, bearing, turn, leave_m):
     plain = (event.radius + leave_m) * _heading(bearing)
     near = (off[which] < math.pi / 4) & ~_is_behind(found)[which]
     return jnp.where(near, middle + leave_m * _heading(across), plain), jnp.where(near, across, bearing)
+
+
+def _past(event, found, which, others, back, tuning):
+    """From the centre of a place that is none to a point beyond it: `[2]`; and a direction there, radians.
+
+    Where the way out is a door of what lies beyond the place's circle, that may be a place itself: straight on then.
+    """
+    is_beyond = jnp.any(others) & (jnp.hypot(*found.middle[which]) > tuning.circle * event.radius)
+    straight = (event.radius + tuning.leave_m) * _heading(back + math.pi), back + math.pi
+    return _either_of(is_beyond, straight, _through(event, found, found.bearing[which], 0.0, tuning.leave_m))
 
 
 def _either_of(condition, yes, no):
