@@ -17,7 +17,7 @@ from jexplore.distance import within_packed
 from jexplore.engine.program import Given
 from jexplore.exploration import trail
 from jexplore.exploration.motion import motion_step, turn_between
-from jexplore.exploration.sensing import sense, square, stacked
+from jexplore.exploration.sensing import blank_tally, sense, stacked
 from jexplore.exploration.state import Outcome, Setup, State, Stream, no_counts
 from jexplore.frontier import disc
 from jexplore.grid import empty_grid, is_known
@@ -29,9 +29,14 @@ LOOK_AROUND = 4  # looks, at least, with which a robot looks all round on arriva
 
 
 def _mark(mask, rows, cols, when: Array | bool = True):
-    """The mask with some cells set where `when`; a scatter, because it updates the mask in place."""
-    outside = mask.shape[0]  # a row that is not there: dropped
-    return mask.at[jnp.where(when, rows, outside), cols].set(True, mode="drop")
+    """The mask with some cells set where `when`, none of them twice; a scatter, because it updates the mask in place.
+
+    What is left out goes to rows beyond the last, each to its own: an accelerator writes what may meet in a cell one
+    after the other.
+    """
+    rows, cols = jnp.atleast_1d(rows), jnp.atleast_1d(cols)
+    outside = mask.shape[0] + lax.iota(jnp.int32, rows.shape[0])
+    return mask.at[jnp.where(when, rows, outside), cols].set(True, mode="drop", unique_indices=True)
 
 
 def _n_looks(setup):
@@ -122,12 +127,12 @@ def advance(setup: Setup, given: Given, state: State) -> State:
       `State`.
     """
     belief, walking, numbers = state.belief, state.walking, given.numbers
-    # Both cells beside a diagonal step belong to the way driven; for a straight step they are its ends.
-    beside = (
-        jnp.stack([belief.row, belief.row, state.came_from[0]]),
-        jnp.stack([belief.col, state.came_from[1], belief.col]),
-    )
-    state = state.replace(belief=belief.replace(driven=_mark(belief.driven, *beside, walking)))
+    # Both cells beside a diagonal step belong to the way driven.
+    (row, col), (row_before, col_before) = (belief.row, belief.col), state.came_from
+    diagonal = (row != row_before) & (col != col_before)
+    beside = jnp.stack([row, row, row_before]), jnp.stack([col, col_before, col])
+    marked = walking & jnp.stack([jnp.bool_(True), diagonal, diagonal])
+    state = state.replace(belief=belief.replace(driven=_mark(belief.driven, *beside, marked)))
     row, col = state.target[0] - belief.row, state.target[1] - belief.col
     here, near = (row == 0) & (col == 0), row * row + col * col <= numbers.arrival_d2
     due = walking & (here | (state.bumped >= 0) | (state.unscanned >= numbers.scan_every))
@@ -273,7 +278,7 @@ def begin(setup: Setup, given: Given) -> State:
         walking=jnp.bool_(False),
         bumped=jnp.int32(NO_MOTION),
         came_from=jnp.stack([row, col]),
-        corner=square(row, col, shape, setup.window)[0],
+        tally=blank_tally(setup, given.shared, row, col, shape),
         room=room,
         outcome=jnp.where(stuck, Outcome.STUCK, Outcome.RUNNING).astype(jnp.int32),
         room_entries=(room >= 0).astype(jnp.int32),
