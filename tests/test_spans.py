@@ -48,13 +48,15 @@ def both(occupied, pose, lidar, when, ends):
 
 
 def test_cells_reached_by_hand():
-    occupied = jnp.asarray(maps.walls("""
+    occupied = jnp.asarray(
+        maps.walls("""
         #######
         #.....#
         #..#..#
         #.....#
         #######
-    """))
+    """)
+    )
     found, known = both(occupied, (1, 2, 0), Lidar(n_beams=4, fov_deg=360, range_m=3), True, jnp.full(4, 1000))
     want = ["..#....", "..#....", "..#....", "######.", "..#...."]
     assert ["".join(".#"[int(cell)] for cell in row) for row in np.asarray(found)[::-1]] == want
@@ -68,7 +70,7 @@ def test_cells_reached_are_those_that_come_to_be_known(seed, lidar, shape, when,
     draw = np.random.default_rng(seed)
     occupied = np.ones(shape, bool)
     occupied[1:-1, 1:-1] = draw.random((shape[0] - 2, shape[1] - 2)) < draw.choice([0, 0.03, 0.3])
-    pose = tuple(int(draw.integers(1, n - 1)) for n in shape) + (int(draw.integers(8)),)
+    pose = (*(int(draw.integers(1, n - 1)) for n in shape), int(draw.integers(8)))
     ends = draw.integers(0, 1001, lidar.n_beams) if noisy else np.full(lidar.n_beams, 1000)
     by_spans, known = both(jnp.asarray(occupied), pose, lidar, when, jnp.asarray(ends))
     np.testing.assert_array_equal(by_spans, known)

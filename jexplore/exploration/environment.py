@@ -44,16 +44,15 @@ def _n_looks(setup):
     return jnp.maximum(setup.first_scans, LOOK_AROUND)
 
 
-def _move(setup, given, state):
+def _move(setup, given, state, motion):
     """The next motion of a plan under way, before its scan: a step along the route, or a turn in place.
 
     A step into a cell that is not free is refused: the robot only turns towards it. A plan whose next step would be one
-    too many ends the episode. Does nothing once the plan is done.
+    too many ends the episode. Does nothing once the plan is done. `motion` is the route's in the robot's cell.
     """
     belief = state.belief
     looking = state.walking & (state.looking > 0)
     at_limit = state.walking & ~looking & (state.steps >= given.numbers.max_steps)
-    motion = state.route[belief.row, belief.col]
     drow, dcol, heading = motion_step(motion)
     occupied, base = stacked(given, given.scenes.occupied)
     wall = occupied[base + state.row + drow, state.col + dcol]
@@ -94,16 +93,22 @@ def _move(setup, given, state):
 def _arrive(setup, state, arrived, live, numbers):
     """What follows on arrival: a look around if the target is live and the rules say so; else the plan is done.
 
-    A target that is live after that is exhausted.
+    Returns:
+      `(state, spent)`: `spent`, bool, whether the target is live after that, and so is to be marked as exhausted.
     """
     looks = arrived & live & numbers.look_around & (state.looked < _n_looks(setup) - 1)
     spent = arrived & live & ~looks
-    return state.replace(
-        belief=state.belief.replace(exhausted=_mark(state.belief.exhausted, state.target[0], state.target[1], spent)),
+    state = state.replace(
         looking=jnp.where(looks, _n_looks(setup) - 1, state.looking),
         exhausted=state.exhausted + spent,
         walking=jnp.where(arrived, looks, state.walking),
     )
+    return state, spent
+
+
+def _mark_exhausted(state, spent):
+    exhausted = _mark(state.belief.exhausted, state.target[0], state.target[1], spent)
+    return state.replace(belief=state.belief.replace(exhausted=exhausted))
 
 
 def _limit_plans(numbers, state):
@@ -149,8 +154,10 @@ def advance(setup: Setup, given: Given, state: State) -> State:
     bumped = state.bumped >= 0
     given_up = bumped | ((numbers.recheck | near) & ~live & ~here)
     state = state.replace(walking=walking & ~given_up)
-    state = _arrive(setup, state, walking & here & ~bumped & (state.looking == 0), live, numbers)
-    return _limit_plans(numbers, _move(setup, given, state))
+    state, spent = _arrive(setup, state, walking & here & ~bumped & (state.looking == 0), live, numbers)
+    state = _mark_exhausted(state, spent)
+    motion = state.route[state.belief.row, state.belief.col]
+    return _limit_plans(numbers, _move(setup, given, state, motion))
 
 
 def decide(setup: Setup, given: Given, state: State) -> tuple[Any, Choice, Array]:
@@ -180,11 +187,29 @@ def commit(setup: Setup, given: Given, state: State, choice: Choice, route: Arra
     Returns:
       `State`.
     """
+    plan = state.plans
+    state, spent, entry = settle(setup, given, state, choice, route[state.belief.row, state.belief.col], live)
+    return _mark_exhausted(state, spent).replace(route=route, choices=state.choices.at[plan].set(entry, mode="drop"))
+
+
+def settle(
+    setup: Setup, given: Given, state: State, choice: Choice, motion: Array, live: Array | bool = True
+) -> tuple[State, Array, Array]:
+    """`commit`, but for what is written into large arrays.
+
+    Args:
+      setup, given, state, choice, live: as for `commit`.
+      motion: int32, the first of the route.
+
+    Returns:
+      `(state, spent, entry)`: without the route; bool, whether the target is to be marked as exhausted; `[2]` int32,
+        the plan's entry in the record.
+    """
     none = choice.row < 0
     bad = ~none & (choice.cost >= FAR)
     bad_targets = jnp.where(bad, state.bad_targets + 1, 0)
-    state = trail.note_choice(state, choice, bad).replace(
-        route=route,
+    entry = trail.choice_of(state, choice, bad)
+    state = state.replace(
         target=jnp.stack([choice.row, choice.col]),
         is_view=jnp.asarray(choice.is_view),
         overflow=state.overflow + choice.overflow,
@@ -199,7 +224,8 @@ def commit(setup: Setup, given: Given, state: State, choice: Choice, route: Arra
     )
     # A path of length 0 is an arrival.
     here = (state.belief.row == choice.row) & (state.belief.col == choice.col) & ~bad
-    return _limit_plans(given.numbers, _move(setup, given, _arrive(setup, state, here, live, given.numbers)))
+    state, spent = _arrive(setup, state, here, live, given.numbers)
+    return _limit_plans(given.numbers, _move(setup, given, state, motion)), spent, entry
 
 
 def _find_goal(given, row, col):
@@ -216,7 +242,7 @@ def _find_goal(given, row, col):
         row >= 0, lambda: [bits.pack(m) for m in (~occupied, occupied, disc(shape, row, col, model.near_d2))]
     )
     clear = free & ~within_packed(walls, model.clearance_d2)
-    goal = clear & flood(clear | (free & near), row, col)
+    goal = clear & flood(clear | (free & near), row, col, method=model.reach)
     rows, cols = (lax.broadcasted_iota(jnp.int32, shape, axis) for axis in (0, 1))
     return goal, occupied[row, col] | ~jnp.any(goal & bits.pack((rows != row) | (cols != col)))
 
