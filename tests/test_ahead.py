@@ -441,8 +441,8 @@ def test_counts_of_the_program_compiled_for_an_h100(tmp_path):
     assert set(row["launches_per_iteration"]) == {"turn", "fill", "fill/flood"}
     assert row["host_loops"] == 3
     assert 0 < row["host_syncs_per_turn"] <= 2
-    assert 0 < row["launches_per_turn"] <= 360
+    assert 0 < row["launches_per_turn"] <= 260
     assert len(row["single_block_kernels"]) <= 1
-    assert len(row["cas_loops"]) <= 1
+    assert row["cas_loops"] == []
     assert row["lane_bytes_estimate"] == pytest.approx(row["lane_bytes"], rel=0.2)
     assert row["episodes_per_s"] > 0
