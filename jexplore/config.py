@@ -189,6 +189,8 @@ class Assumptions:
     """Memory is read and written at this rate, in TB/s (default: 84 % of the data sheet's)."""
     atomics_g_s: float = 60.0
     """So many elements are added or set one by one in a second, in thousand millions."""
+    instructions_t_s: float = 20.0
+    """So many instructions of threads are executed in a second, in million millions."""
 
     def __post_init__(self) -> None:
         for name in ("sync_us", "launch_us", "graph_us", "node_us"):
@@ -196,3 +198,4 @@ class Assumptions:
         if self.bandwidth_tb_s is not None:
             require_number("assume.bandwidth_tb_s", self.bandwidth_tb_s, low_open=True, high=1e6)
         require_number("assume.atomics_g_s", self.atomics_g_s, low_open=True, high=1e6)
+        require_number("assume.instructions_t_s", self.instructions_t_s, low_open=True, high=1e6)

@@ -6,7 +6,8 @@ host, in float64; `scan` finds where beams end in a true map, `fold` counts the 
 
 import functools
 import math
-from typing import Any
+from collections.abc import Callable
+from typing import Any, ClassVar, Self
 
 import jax
 import jax.numpy as jnp
@@ -38,6 +39,8 @@ class Beams:
     length: Array  # [K, B] int32, cells entered at a distance below the range
     reach: Array  # float32, the range, cells
     around: int = struct.field(pytree_node=False, default=1)  # scans, evenly turned, that see all round
+    spans: Any = None  # `spans.Spans` of these beams, where cells that come to be known are counted by them
+    replace: ClassVar[Callable[..., Self]]
 
 
 @struct.dataclass

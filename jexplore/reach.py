@@ -34,26 +34,26 @@ def motions_into(words):
     return [words] * 4 + diagonal
 
 
-def _floors(motions):
-    """For each motion 0 where a robot can make it into the cell and FAR where it cannot: list of 8 `[32 K, W]` int32.
-
-    As a floor under the cost after the motion (a maximum), never as a summand: two FARs would overflow.
-    """
-    straight, *diagonal = (jnp.where(bits.unpack(m), 0, FAR) for m in motions[3:])
-    return [straight] * 4 + diagonal
+def _ways_in(motions):
+    """`motions_into` as bits of one byte a cell, from the lowest: a straight motion, and each diagonal one."""
+    return sum(bits.unpack(words).astype(jnp.uint8) << i for i, words in enumerate(motions[3:]))
 
 
-def _relax(b, floors, steps):
-    """The cheapest cost of every cell after at most one more motion: `[H, W]` int32, from `[H + 2, W + 2]` with a
-    border of FAR.
-    """
+def _relax(cost, ways_in, steps, far=FAR):
+    """The cheapest cost of every cell after at most one more motion, like `cost`; `ways_in` from `_ways_in`."""
+    # Of which nobody can tell that it is the same in every round: an accelerator would else take the bits apart once,
+    # and store and read a byte for each of them.
+    ways_in = ways_in ^ (cost >> (8 * cost.dtype.itemsize - 1)).astype(jnp.uint8)
+    # What cannot be entered has a floor of `far`, and it is no summand: two of them would overflow.
+    floors = [jnp.where(ways_in >> i & 1 != 0, cost.dtype.type(0), cost.dtype.type(far)) for i in range(5)]
+    b = bordered(cost, far)
     straight = jnp.minimum(
         jnp.minimum(beside(b, 0, -1), beside(b, 0, 1)), jnp.minimum(beside(b, -1, 0), beside(b, 1, 0))
     )
     best = jnp.maximum(straight + steps[0], floors[0])
-    for (drow, dcol), floor in zip(MOTIONS[4:], floors[4:]):
+    for (drow, dcol), floor in zip(MOTIONS[4:], floors[1:]):
         best = jnp.minimum(best, jnp.maximum(beside(b, -drow, -dcol) + steps[1], floor))
-    return jnp.minimum(beside(b, 0, 0), best)
+    return jnp.minimum(cost, best)
 
 
 def source(shape, row, col):
@@ -128,7 +128,6 @@ def reach_packed(
     goals: Array | None = None,
     *,
     limit: Array | int = FAR,
-    within: int | None = None,
     method: str = "sweeps",
 ) -> Array:
     """`reach` with packed traversable cells.
@@ -138,7 +137,6 @@ def reach_packed(
       row, col: int32, start.
       goals: `[32 K, W]` bool, or None.
       limit: int32, costs above it may not be final either.
-      within: straight steps, if the limit is never more: a wave is then so long and no longer. Static.
       method: one of `METHODS`. Static.
 
     Returns:
@@ -146,8 +144,7 @@ def reach_packed(
     """
     if method not in METHODS:
         raise ValueError(f"expected method: one of {', '.join(METHODS)}, got {method!r}")
-    more = {"within": within} if method == "wave" else {}
-    return METHODS[method](words, None, (row, col), goals, jnp.int32(limit), STEPS, **more)
+    return METHODS[method](words, None, (row, col), goals, jnp.int32(limit), STEPS)
 
 
 def nearest_source(words: Array, sources: Array, n: int, *, method: str = "sweeps") -> Array:
@@ -178,13 +175,29 @@ def _horizon(cost, goals, limit):
     return limit if goals is None else jnp.minimum(limit, lowest(jnp.where(goals, cost, FAR)))
 
 
-def _relaxed(cost, motions, steps, rounds):
-    """Costs after at least so many rounds, in a loop whose length is known; costs after t are final up to t motions."""
+def relaxed(cost: Array, motions: list[Array], steps: tuple[int, int], rounds: int, *, far: int = FAR) -> Array:
+    """Costs after at least so many rounds of a wave, in a loop whose length is known.
+
+    Args:
+      cost: `[32 K, W]` of any whole numbers, before; no less than of the cheapest path.
+      motions: from `motions_into`.
+      steps: what a straight and a diagonal step cost. Static.
+      rounds: int. Static.
+      far: what stands where no path is known; with a step added it still fits. Static.
+
+    Returns:
+      costs like those given. Where all up to c were final before, all up to c and so many straight steps are.
+    """
+
+    return _relaxed(cost, _ways_in(motions), steps, rounds, far)
+
+
+def _relaxed(cost, ways_in, steps, rounds, far=FAR):
+    """`relaxed`, by `_ways_in`."""
 
     def some(_, cost):
-        floors = _floors(motions)
         for _ in range(ROUNDS):  # unrolled: a kernel each on an accelerator, which a loop would copy between
-            cost = _relax(bordered(cost, FAR), floors, steps)
+            cost = _relax(cost, ways_in, steps, far)
         return cost
 
     return lax.fori_loop(0, -(-rounds // ROUNDS), some, cost)
@@ -205,30 +218,29 @@ def spread(
       motions: from `motions_into`.
       wave: `(settled, cost)`: int32, costs up to it are final, FAR once the wave has ended; `[32 K, W]` int32.
       goals, limit, steps: as for `reach_packed`, and what a straight and a diagonal step cost (static).
-      rounds: a multiple of `ROUNDS`; after t of them every path of t motions is in, so every cost up to t. Static.
+      rounds: a multiple of `ROUNDS`; by t of them costs are final up to t straight steps more, at least. Static.
 
     Returns:
       the wave after that. One that has ended may run on: costs only ever get closer to what is final.
     """
-    (settled, cost), floors = wave, _floors(motions)
-    new = before = cost if rounds == ROUNDS else _relaxed(cost, motions, steps, rounds - ROUNDS)
+    (settled, cost), ways_in = wave, lax.optimization_barrier(_ways_in(motions))
+    new = before = cost if rounds == ROUNDS else _relaxed(cost, ways_in, steps, rounds - ROUNDS)
     for _ in range(ROUNDS):
-        before, new = new, _relax(bordered(new, FAR), floors, steps)
-    # Whether the last round changed anything, and the cheapest goal, in as few passes over the map as can be.
-    values = [jnp.where(new != before, 0, FAR)] + ([] if goals is None else [jnp.where(goals, new, FAR)])
+        before, new = new, _relax(new, ways_in, steps)
+    # The cheapest that the last round changed, and the cheapest goal, in as few passes over the map as can be.
+    values = [jnp.where(new != before, new, FAR)] + ([] if goals is None else [jnp.where(goals, new, FAR)])
     low = jnp.min(lax.optimization_barrier(jnp.stack([jnp.min(a, axis=0) for a in values])), axis=1)
     horizon = limit if goals is None else jnp.minimum(limit, low[1])
-    settled = jnp.minimum(settled + rounds * steps[0], FAR)
-    return jnp.where((low[0] == 0) & (settled <= horizon), settled, FAR), new
+    # What changes later follows from what has changed last, and so costs a step more than that.
+    settled = jnp.minimum(jnp.maximum(settled + rounds * steps[0], low[0] + steps[0] - 1), FAR)
+    return jnp.where((low[0] < FAR) & (settled <= horizon), settled, FAR), new
 
 
-def _wave(words, start, at, goals, limit, steps, within=None):
+def _wave(words, start, at, goals, limit, steps):
     """`_sweeps`, all cells at once."""
     motions = stored(words[0, 0] >= 0, lambda: motions_into(words))
     cost = source((bits.WORD * words.shape[0], words.shape[1]), *at) if start is None else start
     with jax.named_scope("wave"):
-        if within is not None:
-            return _relaxed(cost, motions, steps, within)
         settled = jnp.where(_horizon(cost, goals, limit) >= 0, 0, FAR)
         return repeat(
             lambda wave: wave[0] < FAR, lambda wave: spread(motions, wave, goals, limit, steps=steps), (settled, cost)
@@ -300,12 +312,14 @@ def _sweeps_as_one(words, start, at, goals, limit, steps):
 METHODS: dict[str, Callable[..., Array]] = {"sweeps": _sweeps_as_one, "wave": _wave}
 
 
-def flood(words: Array, row: Array | int, col: Array | int) -> Array:
+def flood(words: Array, row: Array | int, col: Array | int, *, method: str = "sweeps") -> Array:
     """The cells to which a path leads, however long.
 
     Args:
       words: `[K, W]` uint32, packed traversable cells; the start need not be one.
       row, col: int32, start.
+      method: one of `METHODS`; "sweeps" makes one motion after the other, which takes fewer steps, "wave" all at once,
+        which is less for an accelerator to start. Static.
 
     Returns:
       `[K, W]` uint32, packed; the start is among them.
@@ -316,12 +330,19 @@ def flood(words: Array, row: Array | int, col: Array | int) -> Array:
     start = jnp.where(here, jnp.uint32(1) << jnp.uint32(row % bits.WORD), jnp.uint32(0))
 
     def step(_, reached):
+        before = reached
         for (drow, dcol), possible in zip(MOTIONS, motions):
-            reached = reached | (possible & bits.shifted(reached, -drow, -dcol))
+            origin = before if method == "wave" else reached
+            reached = reached | (possible & bits.shifted(origin, -drow, -dcol))
         return reached
 
+    def some(reached):
+        if method == "wave":  # unrolled, as in `relaxed`
+            return functools.reduce(lambda reached, _: step(_, reached), range(2 * ROUNDS), reached)
+        return lax.fori_loop(0, 2 * ROUNDS, step, reached)
+
     with jax.named_scope("flood"):
-        return settled(lambda reached: lax.fori_loop(0, 2 * ROUNDS, step, reached), start)
+        return settled(some, start)
 
 
 def _extent(words):

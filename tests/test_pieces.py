@@ -14,21 +14,24 @@ from test_planning import IN_MAP, S, drawn, large_belief, no_route
 from jexplore.arrays import bits
 from jexplore.engine import thoughts
 from jexplore.exploration import pieces
-from jexplore.planning import bound_of, nearest_in_window
-from jexplore.planning.readout import last_motions, lay_route, lay_some
-from jexplore.reach import FAR, motions_into, reach_packed, source, spread
+from jexplore.planning import bound_of
+from jexplore.planning.glances import MOST, UNITS, UNREACHED, costs_of, glance
+from jexplore.planning.readout import laid, last_motions, lay_route, way_by_doubling, way_by_steps
+from jexplore.reach import DIAGONAL, FAR, STEPS, STRAIGHT, motions_into, reach_packed, relaxed, source, spread
 
 # ---------------------------------------------------------------- who, by hand
 
 
 def some_thoughts():
     """Four lanes, of which lane 2 has the second of three slots; lanes 1 and 3 were glanced at in vain."""
-    return thoughts.Thoughts(jnp.array([0, 1, 1, 1]), jnp.array([4, 2, 4]), {"left": jnp.array([0, 0, 7])})
+    seen = (jnp.array([7, 8, 9, 10]),)
+    return thoughts.Thoughts(jnp.array([0, 1, 1, 1]), jnp.array([4, 2, 4]), {"left": jnp.array([0, 0, 7])}, seen)
 
 
 def test_sizes_by_hand():
-    assert thoughts.sizes(64, 2) == ((8, 4), 8, 2)
-    assert thoughts.sizes(65, 1) == ((9,), 9, 3)
+    assert thoughts.sizes(64, 2) == ((16, 4), 4, 2)
+    assert thoughts.sizes(65, 1) == ((17,), 6, 3)
+    assert thoughts.sizes(64, 3) == ((16, 4, 4), 4, 2)
     assert thoughts.sizes(64, 0) == ((), 8, 8)
     assert thoughts.sizes(1, 1) == ((1,), 1, 1)
 
@@ -49,40 +52,51 @@ def test_what_is_found_is_given_back():
 
 
 def test_glances_move_on_or_settle():
-    after = thoughts.glanced(some_thoughts(), jnp.array([0, 3, 4]), jnp.array([False, True, False]))
+    which, seen = jnp.array([0, 3, 4]), jnp.array([1, 2, 3])
+    after = thoughts.glanced(some_thoughts(), 0, which, jnp.array([False, True, False]), seen)
     assert after.stage.tolist() == [1, 1, 1, 0]
+    assert after.seen[0].tolist() == [1, 8, 9, 2]
+    assert thoughts.seen_before(after, 1, jnp.array([3, 1])).tolist() == [2, 8]
+    assert thoughts.seen_before(after, 0, which) == ()
 
 
 # ---------------------------------------------------------------- waves and ways of known length
 
 
 def test_a_wave_goes_on_by_hand():
-    """Eight free cells in a row; 4 rounds settle 4 steps, 8 all, after which nothing changes."""
+    """Eight free cells in a row; 4 rounds settle what costs less than 5 steps, 8 all; then nothing changes."""
     words, goals = bits.pack(jnp.ones((1, 9), bool)), jnp.zeros((32, 9), bool).at[0, 6].set(True)
     wave = jnp.int32(0), source((32, 9), 0, 0)
     once = spread(motions_into(words), wave, goals)
-    assert (int(once[0]), once[1][0].tolist()) == (4 * S, [i * S for i in range(5)] + [FAR] * 4)
+    assert (int(once[0]), once[1][0].tolist()) == (5 * S - 1, [i * S for i in range(5)] + [FAR] * 4)
     for rounds in (4, 8):  # four more, or eight at once: the goal at 6 steps is settled
         ended = spread(motions_into(words), once if rounds == 4 else wave, goals, rounds=rounds)
         assert (int(ended[0]), ended[1][0].tolist()) == (FAR, [i * S for i in range(9)])
-    assert int(spread(motions_into(words), wave, None, rounds=8)[0]) == 8 * S
+    assert int(spread(motions_into(words), wave, None, rounds=8)[0]) == 9 * S - 1
     assert int(spread(motions_into(words), wave, None, rounds=12)[0]) == FAR
 
 
 @jax.jit
 def ways(passable, row, col, draw):
-    """Costs by sweeps and by a wave that is 6 long, and the way to a reached cell, laid in three forms."""
+    """Costs by sweeps, by a wave that is 6 long, by one in `UNITS`; the way to a reached cell, in four forms."""
     words = bits.pack(passable)
-    cost = reach_packed(words, row, col)
-    short = reach_packed(words, row, col, limit=6 * S, within=6, method="wave")
+    cost, first = reach_packed(words, row, col), source((32, 9), row, col)
+    short = relaxed(first, motions_into(words), STEPS, 6)
+    units = relaxed(
+        jnp.where(first < FAR, 0, UNREACHED).astype(jnp.int16), motions_into(words), UNITS, 6, far=UNREACHED
+    )
     reached = jnp.ravel(cost < FAR)
     end = jnp.argsort(~reached)[draw % jnp.sum(reached)]
     target, blank, cost = (end // 9, end % 9), jnp.full((7, 9), -1, jnp.int8), cost[:7]
     lay = functools.partial(lay_route, blank, cost, passable, (row, col), target, (0, 0))
     motions, at, route = last_motions(cost, passable), target, blank
     for _ in range(10):
-        at, route = lay_some(route, motions, (row, col), at, (0, 0), n=4)
-    return cost, short[:7], jnp.stack([lay(), lay(stride=2, within=40), lay(stride=4), route]), jnp.stack(at)
+        at, way = way_by_steps(motions, at, (0, 0), 7, n=4)
+        route = laid(route, way)
+    way = way_by_doubling(motions, target, (0, 0), 7, n=37)
+    first = way.first(row, col) == jnp.maximum(route[row, col], 0)
+    routes = jnp.stack([lay(), lay(stride=4), route, laid(blank, way)])
+    return cost, short[:7], costs_of(units[:7]), routes, jnp.stack(at), first
 
 
 @pytest.mark.jit
@@ -93,31 +107,58 @@ def test_waves_and_ways_of_known_length_are_those_of_any(seed):
     passable = draw.random((7, 9)) < 0.8
     row, col = (int(draw.integers(n)) for n in passable.shape)
     passable[row, col] = True
-    cost, short, routes, at = map(np.asarray, ways(passable, row, col, int(draw.integers(10**6))))
+    cost, short, by_units, routes, at, first = map(np.asarray, ways(passable, row, col, int(draw.integers(10**6))))
+    np.testing.assert_array_equal(by_units, short)
+    assert first
     np.testing.assert_array_equal(short[cost <= 6 * S], cost[cost <= 6 * S])
     assert (short >= cost).all()
     assert (routes == routes[0]).all()
     assert at.tolist() == [row, col]
 
 
+def test_units_of_a_window_order_ways_as_costs_do():
+    """All ways of as many motions as a window's wave has rounds, each beside each."""
+    straight, diagonal = (a.reshape(-1) for a in np.indices((MOST + 1, MOST + 1)))
+    few = straight + diagonal <= MOST
+    straight, diagonal = straight[few].astype(np.int64), diagonal[few].astype(np.int64)
+    units, cost = UNITS[0] * straight + UNITS[1] * diagonal, STRAIGHT * straight + DIAGONAL * diagonal
+    assert units.max() + UNITS[1] < UNREACHED
+    order = np.argsort(cost, kind="stable")
+    np.testing.assert_array_equal(np.sign(np.diff(units[order])), np.sign(np.diff(cost[order])))
+    np.testing.assert_array_equal(costs_of(units.astype(np.int16)), cost)
+    assert int(costs_of(np.int16(UNREACHED))) == FAR
+
+
 # ---------------------------------------------------------------- searches and glances
 
-PARTS = pieces.pieces_of((32,))
-BEGIN = jax.jit(lambda belief, route: PARTS.begin(None, None, SimpleNamespace(belief=belief, route=route)))
-GO_ON, FIXED = jax.jit(PARTS.go_on), jax.jit(functools.partial(nearest_in_window, side=32, fixed=True))
+PARTS = pieces.pieces_of(())
+BEGIN = jax.jit(lambda belief: PARTS.begin(None, None, SimpleNamespace(belief=belief), ()))
+GO_ON = jax.jit(PARTS.go_on)
 
 
-def searched(belief):
+@jax.jit
+def glances(belief):
+    """Two glances, the second of which goes on from the first; the second one alone; and a search after it."""
+    small = glance(belief, 20)
+    large = glance(belief, 32, small.cost, 20)
+    search = pieces.pieces_of((20, 32)).begin(None, None, SimpleNamespace(belief=belief), large.cost)
+    return small, large, glance(belief, 32), search
+
+
+def searched(belief, search=None):
     """What a search finds: `(row, col, route, pieces)`."""
     route, taken = no_route(belief), 0
-    search = BEGIN(belief, route)
+    search = BEGIN(belief) if search is None else search
     while not PARTS.is_done(search):
-        search, taken = GO_ON(search), taken + 1
+        search, notes = GO_ON(search)
+        route, taken = laid(route, notes.way), taken + 1
         assert taken <= 2 * route.size // pieces.PIECE + 2
-    again = GO_ON(search)
-    for name in ("target", "route", "at"):  # what is done stays as it is
+    again, notes = GO_ON(search)
+    for name in ("target", "motion", "at"):  # what is done stays as it is
         np.testing.assert_array_equal(getattr(search, name), getattr(again, name))
-    return *(int(i) for i in search.target), search.route, taken
+    assert (notes.way.rows >= search.cost.shape[0]).all()
+    assert int(search.motion) == max(int(route[belief.row, belief.col]), 0)
+    return *(int(i) for i in search.target), route, taken
 
 
 @pytest.mark.jit
@@ -131,7 +172,7 @@ def test_a_search_by_hand():
 @pytest.mark.jit
 @pytest.mark.parametrize("clearance_d2", [9])
 def test_pieces_end_where_one_go_does(clearance_d2):
-    """The whole map's answer, searched for in pieces; and a glance's, where it has one."""
+    """The whole map's answer, searched for in pieces, from the start or after glances; theirs, where they have one."""
     settled = []
     for seed in range(16):
         belief = large_belief(seed, (70, 61), clearance_d2, [1, 3, 9, 12, 20, 40, 400])
@@ -140,10 +181,19 @@ def test_pieces_end_where_one_go_does(clearance_d2):
         row, col, route, _ = searched(belief)
         assert (row, col) == (int(want.row), int(want.col))
         np.testing.assert_array_equal(route, whole_route)
-        undecided, choice, route = FIXED(belief, no_route(belief))
-        assert bool(undecided) == (int(want.cost) > bound_of(32, clearance_d2))
-        settled.append(not undecided)
-        if settled[-1]:
-            assert [int(getattr(choice, n)) for n in ("row", "col", "cost")] == [row, col, int(want.cost)]
-            np.testing.assert_array_equal(route, whole_route)
+        *found, search = glances(belief)
+        again_row, again_col, route, _ = searched(belief, search)
+        assert (again_row, again_col) == (row, col)
+        np.testing.assert_array_equal(route, whole_route)
+        for seen, side in zip(found, (20, 32, 32)):
+            bound = bound_of(side, clearance_d2)
+            assert bool(seen.settled) == (int(want.cost) <= bound)
+            if seen.settled:
+                assert [int(getattr(seen.choice, n)) for n in ("row", "col", "cost")] == [row, col, int(want.cost)]
+                np.testing.assert_array_equal(laid(no_route(belief), seen.way), whole_route)
+                assert int(seen.way.first(belief.row, belief.col)) == max(int(whole_route[belief.row, belief.col]), 0)
+            else:
+                assert (seen.way.rows >= 70).all()
+        settled.append(bool(found[1].settled))
+        assert (costs_of(found[1].cost) == costs_of(found[2].cost))[costs_of(found[2].cost) <= bound].all()
     assert 0 < sum(settled) < len(settled)

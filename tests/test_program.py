@@ -12,9 +12,9 @@ from flax import struct
 from jax import Array
 
 from jexplore.engine import thoughts
-from jexplore.engine.lanes import Engine, split
+from jexplore.engine.lanes import Engine
 from jexplore.engine.lockstep import Group
-from jexplore.engine.program import Line, Pieces, Program, given_of
+from jexplore.engine.program import Line, Pieces, Program, given_of, split
 from jexplore.engine.runner import find_resources, run_all
 
 ROOM = 2000  # a large array: more than the engine restores
@@ -68,24 +68,39 @@ def finish(setup, given, state):
 WALKS = Program(Setup(2), begin, advance, is_done, finish, lambda state: state.way, decide, must_decide)
 
 
-def glance(setup, given, state):
+def noted(setup, given, state):
+    """`decide`, and how many decisions there have been, to be written behind the way."""
+    new = decide(setup, given, state)
+    return new, new.decisions
+
+
+def write(states, lane, notes):
+    """What is noted, if it is no search's, which notes nothing."""
+    if notes is None:
+        return states
+    return states.replace(way=states.way.at[lane, ROOM - 1].set(notes, mode="drop", unique_indices=True))
+
+
+def glance(setup, given, state, seen):
     """Settles it in every second place."""
-    return state.at % 2 == 0, decide(setup, given, state)
+    return state.at % 2 == 0, *noted(setup, given, state), state.at
 
 
-def second_glance(setup, given, state):
-    """Settles it at every second step."""
-    return state.n % 2 == 0, decide(setup, given, state)
+def second_glance(setup, given, state, seen):
+    """Settles it at every second step, if what the first one has seen is this run's."""
+    return (state.n % 2 == 0) & (seen == state.at), *noted(setup, given, state), 2 * state.at
 
 
 # A search takes one to three pieces; what it has seen tells that it comes back to its own run.
 PIECES = Pieces(
     glances=(glance, second_glance),
-    begin=lambda setup, given, state: {"left": 1 + state.n % 3, "at": state.at},
-    go_on=lambda search: {**search, "left": jnp.maximum(search["left"] - 1, 0)},
+    begin=lambda setup, given, state, seen: {"left": 1 + state.n % 3, "at": seen // 2},
+    go_on=lambda search: ({**search, "left": jnp.maximum(search["left"] - 1, 0)}, None),
     is_done=lambda search: search["left"] == 0,
-    conclude=lambda setup, given, state, search: decide(setup, given, state.replace(at=search["at"])),
+    conclude=lambda setup, given, state, search: noted(setup, given, state.replace(at=search["at"])),
+    write=write,
 )
+AT_ONCE = PIECES._replace(glances=(), begin=lambda setup, given, state, seen: {"left": 1 + state.n % 3, "at": state.at})
 
 
 def some_lines(program=WALKS):
@@ -125,9 +140,9 @@ def by_hand(line, number):
         {
             "engine": "lockstep",
             "lanes": 16,
-            "program": WALKS._replace(pieces=PIECES._replace(glances=(glance, glance))),
+            "program": WALKS._replace(pieces=AT_ONCE._replace(glances=(glance, glance))),
         },
-        {"engine": "lockstep", "lanes": 7, "program": WALKS._replace(pieces=PIECES._replace(glances=()))},
+        {"engine": "lockstep", "lanes": 7, "program": WALKS._replace(pieces=AT_ONCE)},
     ],
 )
 def test_engines_make_the_runs_that_a_loop_makes(how):
@@ -142,6 +157,8 @@ def test_engines_make_the_runs_that_a_loop_makes(how):
             if number == 0:
                 n = int(state.n)
                 np.testing.assert_array_equal(line.kept[:n], state.way[:n])
+                in_pieces = how.get("program", WALKS).pieces is not None
+                assert line.kept[-1] == (state.decisions if in_pieces else 0)
     assert len({tuple(line.results["at"].tolist()) for line in lines}) == 3
     assert (costs.useful is None) == (how["engine"] == "serial")
 
@@ -150,7 +167,7 @@ def test_engines_make_the_runs_that_a_loop_makes(how):
 def test_use_is_counted_by_the_places_that_there_are(glances, monkeypatch):
     """Whatever the sizes of groups: by those that decide, that are given a first glance, or, with none, by slots."""
     monkeypatch.setattr(thoughts, "GLANCERS", (4, 16))
-    monkeypatch.setattr(thoughts, "SEEKERS", 2)
+    monkeypatch.setattr(thoughts, "SEEKERS", (2, 3))
     assert Engine(WALKS, ()).places(33) == 5
     engine = Engine(WALKS._replace(pieces=PIECES._replace(glances=glances)), ())
     assert engine.places(33) == (9 if glances else 17)
@@ -180,7 +197,7 @@ def test_what_lanes_share_is_not_gathered_and_what_deciding_hands_on_is_not_copi
         text = str(jax.make_jaxpr(lambda n: engine._decide(queue, group.common, n, 2))(blank))
     assert not re.search(r"i32\[[28],4\]", text)  # the weights of some lanes, or of all
     assert not re.search(rf"i32\[8,{ROOM}\] = scatter", text)
-    assert re.search(r"i32\[8\] = scatter", text)
+    assert re.search(r"i32\[8,2\] = scatter", text)  # both numbers that change, together
 
 
 def test_scalars_and_arrays_are_told_apart():

@@ -310,7 +310,17 @@ def limited(passable, goals, row, col, limit, method):
     return np.asarray(_limited(jnp.asarray(passable), jnp.asarray(goals), row, col, limit, method))
 
 
-FLOOD = jax.jit(lambda passable, row, col: bits.unpack(flood(bits.pack(passable), row, col), passable.shape[0]))
+@jax.jit
+def both_floods(passable, row, col):
+    words = bits.pack(passable)
+    return [bits.unpack(flood(words, row, col, method=method), passable.shape[0]) for method in METHODS]
+
+
+def flooded(passable, row, col):
+    """What a flood reaches, after a check that both methods agree."""
+    by_sweeps, by_wave = both_floods(passable, row, col)
+    np.testing.assert_array_equal(by_sweeps, by_wave)
+    return by_sweeps
 
 
 @pytest.mark.jit
@@ -375,7 +385,7 @@ def test_a_goal_behind_a_wall_is_found_however_far_the_way_round_is(method, turn
 def test_a_flood_reaches_what_has_a_cost(place):
     passable, row, col = place
     np.testing.assert_array_equal(
-        FLOOD(jnp.asarray(passable), row, col), np.asarray(reach(jnp.asarray(passable), row, col)) < FAR
+        flooded(jnp.asarray(passable), row, col), np.asarray(reach(jnp.asarray(passable), row, col)) < FAR
     )
 
 
@@ -384,8 +394,8 @@ def test_a_flood_has_no_limit_of_cost_and_keeps_its_start():
     winding = np.ones((183, 183), bool)  # one corridor that turns back and forth
     winding[1::4, :-1], winding[3::4, 1:] = False, False
     assert winding.sum() > FAR // STRAIGHT  # longer than any cost
-    np.testing.assert_array_equal(FLOOD(jnp.asarray(winding), 0, 0), winding)
-    assert np.argwhere(FLOOD(jnp.zeros((3, 3), bool), 1, 2)).tolist() == [[1, 2]]
+    np.testing.assert_array_equal(flooded(jnp.asarray(winding), 0, 0), winding)
+    assert np.argwhere(flooded(jnp.zeros((3, 3), bool), 1, 2)).tolist() == [[1, 2]]
 
 
 # ---------------------------------------------------------------- nearest source

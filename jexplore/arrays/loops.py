@@ -8,17 +8,20 @@ with a copy of its state, they are written by hand: `run_if` works on the lanes 
 time; `repeat` lets finished lanes run on idly.
 """
 
+import math
 from collections.abc import Callable
 from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array, lax
 from jax.custom_batching import custom_vmap
 from jax.experimental.xla_metadata import set_xla_metadata
 from jax.extend.core import jaxpr_as_fun
 
 SHARE = 8  # a condition under vmap is worked off by groups of one lane in so many
+LITTLE = 4  # elements of a lane's array, up to which many are written as one
 MANY = 64  # lanes, more of which only an accelerator has: there of one in half as many
 
 
@@ -63,6 +66,25 @@ def put(tree: Any, at: Array, values: Any) -> Any:
     n = own[0].shape[0] if own else 0
     at = jnp.where(at < n, at, n + lax.iota(jnp.int32, at.shape[0]))  # what is dropped comes only once as well
     return jax.tree.map(lambda a, new: a.at[at].set(new, mode="drop", unique_indices=True), tree, values)
+
+
+def put_together(arrays: list[Array], at: Array, values: list[Array]) -> list[Array]:
+    """`put` of a list, with little arrays of one kind side by side: fewer kernels."""
+    kinds, out = {}, list(arrays)
+    for i, array in enumerate(arrays):
+        if math.prod(array.shape[1:]) <= LITTLE:
+            kinds.setdefault(array.dtype, []).append(i)
+        else:
+            out[i] = put(array, at, values[i])
+    for own in kinds.values():
+        sizes = [math.prod(arrays[i].shape[1:]) for i in own]
+        before, new = (
+            jnp.concatenate([a[i].reshape(-1, size) for i, size in zip(own, sizes)], axis=1) for a in (arrays, values)
+        )
+        together = put(before, at, new)
+        for i, part in zip(own, jnp.split(together, np.cumsum(sizes)[:-1], axis=1)):
+            out[i] = part.reshape(arrays[i].shape)
+    return out
 
 
 def first_lanes(mask: Array, m: int) -> Array:

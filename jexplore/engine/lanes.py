@@ -14,9 +14,9 @@ import jax.numpy as jnp
 from flax import struct
 from jax import Array, lax
 
-from jexplore.arrays.loops import first_lanes, put, take
+from jexplore.arrays.loops import first_lanes, put, put_together, take
 from jexplore.engine import thoughts
-from jexplore.engine.program import Given, Program
+from jexplore.engine.program import Given, Program, split
 
 DECIDERS = 8  # one lane in so many decides at a time, and at most so large a share of the runs under way waits
 STARTERS = 16  # one lane in so many is measured and started at a time
@@ -94,18 +94,6 @@ def enough(alive: Any) -> Any:
     return -(-alive // DECIDERS)
 
 
-def split(numbers: Any) -> tuple[list[Any], list[Any], Callable[[Iterable[Any], Iterable[Any]], Any]]:
-    """The scalars and the arrays of a pytree, two lists, and what joins such lists: `(scalars, arrays, join)`."""
-    leaves, tree = jax.tree.flatten(numbers)
-    is_scalar = [jnp.ndim(leaf) == 0 for leaf in leaves]
-
-    def join(scalars, arrays):
-        scalars, arrays = iter(scalars), iter(arrays)
-        return jax.tree.unflatten(tree, [next(scalars) if own else next(arrays) for own in is_scalar])
-
-    return [a for a, own in zip(leaves, is_scalar) if own], [a for a, own in zip(leaves, is_scalar) if not own], join
-
-
 class Engine:
     """The turns of the lanes of one program, all of it pure functions of arrays."""
 
@@ -148,14 +136,18 @@ class Engine:
         def one():
             task = jax.tree.map(lambda a: a[0], queue.task)
             given = self._given(common, queue, zero, [a[0] for a in common.table.scalars], task)
-            state = self._begin(given)
-            search = () if pieces is None else pieces.begin(self.program.setup, given, state)
-            return state, *self._finish(given, state), search
+            state, seen = self._begin(given), [()]
+            if pieces is None:
+                return state, *self._finish(given, state), (), ()
+            for glance in pieces.glances:
+                seen.append(glance(self.program.setup, given, state, seen[-1])[3])
+            search = pieces.begin(self.program.setup, given, state, seen[-1])
+            return state, *self._finish(given, state), search, tuple(seen[1:])
 
         def blank(tree, n):
             return jax.tree.map(lambda x: jnp.zeros((n, *x.shape), x.dtype), tree)
 
-        state, result, kept, search = jax.eval_shape(one)
+        state, result, kept, search, seen = jax.eval_shape(one)
         n = queue.line.shape[0]
         return Lanes(
             at=jnp.full((n_lanes,), -1, jnp.int32),
@@ -165,7 +157,7 @@ class Engine:
             ended=jnp.zeros(n, bool),
             results=blank(result, n),
             kept=blank(kept, common.table.slots.shape[0]),
-            thoughts=() if pieces is None else thoughts.blank(pieces, search, n_lanes),
+            thoughts=() if pieces is None else thoughts.blank(pieces, search, seen, n_lanes),
         )
 
     def lane_bytes(self, lanes: Lanes, shared: Any) -> int:
@@ -182,8 +174,7 @@ class Engine:
         deciding, advancing = self.program.scratch(shared, one)
         groups = (own + deciding) // DECIDERS if self.program.decide is not None else 0
         if self.program.pieces is not None:  # searches, and once more what one piece makes of them
-            slots = lanes.thoughts.lane.shape[0]
-            own += 2 * _bytes(lanes.thoughts.searches) // slots // thoughts.SEEKERS
+            own += 2 * _bytes(lanes.thoughts.searches) // n_lanes + _bytes(lanes.thoughts.seen) // n_lanes
         return own + max(groups, 2 * own // STARTERS, advancing)
 
     def places(self, n_lanes: int) -> int:
@@ -245,35 +236,44 @@ class Engine:
         return self._changed(queue, common, lanes, which, decide)[0], _count(which < lanes.at.shape[0])
 
     def _changed(self, queue, common, lanes, which, function, *own):
-        """`(lanes, settled)`: some lanes as `function(given, state, *own)`, which returns `(settled, state)`, makes
-        them where it is settled. Arrays that it hands on are left where they are.
+        """`(lanes, settled, more)`: some lanes as `function(given, state, *own)` makes them, which returns
+        `(settled, state, *more)`, where it is settled. Arrays that it hands on are left where they are.
         """
         leaves, tree = jax.tree.flatten(lanes.state)
         changed, n = [], len(leaves)
 
         def change(given, *both):
             state, own = both[:n], both[n:]
-            settled, new = function(given, jax.tree.unflatten(tree, state), *own)
+            settled, new, *more = function(given, jax.tree.unflatten(tree, state), *own)
             new = jax.tree.leaves(new)
             changed[:] = [i for i, (a, b) in enumerate(zip(state, new)) if a is not b]
-            return jnp.asarray(settled), [new[i] for i in changed]
+            return jnp.asarray(settled), [new[i] for i in changed], more
 
         at = jnp.maximum(take(lanes.at, which), 0)
-        settled, new = self._on_lanes(common, queue, at, change, *take(leaves, which), *own)
+        settled, new, more = self._on_lanes(common, queue, at, change, *take(leaves, which), *own)
         where = jnp.where(settled, which, lanes.at.shape[0])
-        for i, values in zip(changed, new):
-            leaves[i] = put(leaves[i], where, values)
-        return lanes.replace(state=jax.tree.unflatten(tree, leaves)), settled
+        for i, leaf in zip(changed, put_together([leaves[i] for i in changed], where, new)):
+            leaves[i] = leaf
+        return lanes.replace(state=jax.tree.unflatten(tree, leaves)), settled, more
+
+    def _written(self, lanes, which, notes):
+        """With what some lanes have noted; what is beyond the last lane is nobody's, and no lane comes twice."""
+        n = lanes.at.shape[0]
+        which = jnp.where(which < n, which, n + lax.iota(jnp.int32, which.shape[0]))
+        return lanes.replace(state=self.program.pieces.write(lanes.state, which, notes))
 
     def _glance(self, queue, common, lanes, i, m):
         """Up to m lanes are given glance i: `(lanes, how many)`."""
         which = first_lanes(self._must_decide(lanes) & (lanes.thoughts.stage == i), m)
 
-        def glance(given, state):
-            return self.program.pieces.glances[i](self.program.setup, given, state)
+        def glance(given, state, seen):
+            return self.program.pieces.glances[i](self.program.setup, given, state, seen)
 
-        lanes, settled = self._changed(queue, common, lanes, which, glance)
-        return lanes.replace(thoughts=thoughts.glanced(lanes.thoughts, which, settled)), _count(which < lanes.at.size)
+        before = thoughts.seen_before(lanes.thoughts, i, which)
+        lanes, settled, (notes, seen) = self._changed(queue, common, lanes, which, glance, before)
+        lanes = self._written(lanes, jnp.where(settled, which, lanes.at.size), notes)
+        own = thoughts.glanced(lanes.thoughts, i, which, settled, seen)
+        return lanes.replace(thoughts=own), _count(which < lanes.at.size)
 
     def _search(self, queue, common, lanes, m):
         """Up to m lanes get a slot, all searches go on, and up to m of them end: `(lanes, how many were taken)`."""
@@ -281,17 +281,20 @@ class Engine:
         slot, lane = thoughts.taken(own, self._must_decide(lanes) & (own.stage == len(pieces.glances)), m)
         at = jnp.maximum(take(lanes.at, lane), 0)
         with jax.named_scope("begin"):
+            seen = thoughts.seen_before(own, len(pieces.glances), lane)
             new = self._on_lanes(
-                common, queue, at, lambda given, state: pieces.begin(setup, given, state), take(lanes.state, lane)
+                common, queue, at, lambda given, *own: pieces.begin(setup, given, *own), take(lanes.state, lane), seen
             )
         own = own.replace(lane=put(own.lane, slot, lane), searches=put(own.searches, slot, new))
-        n, own = _count(own.lane < lanes.at.size), own.replace(searches=jax.vmap(pieces.go_on)(own.searches))
+        n, (searches, notes) = _count(own.lane < lanes.at.size), jax.vmap(pieces.go_on)(own.searches)
+        lanes, own = self._written(lanes, own.lane, notes), own.replace(searches=searches)
         slot, lane = thoughts.found(pieces, own, m)
 
         def conclude(given, state, search):
-            return True, pieces.conclude(setup, given, state, search)
+            return True, *pieces.conclude(setup, given, state, search)
 
-        lanes, _ = self._changed(queue, common, lanes, lane, conclude, take(own.searches, slot))
+        lanes, _, (notes,) = self._changed(queue, common, lanes, lane, conclude, take(own.searches, slot))
+        lanes = self._written(lanes, lane, notes)
         return lanes.replace(thoughts=thoughts.given_back(own, slot, lane)), n
 
     def _think(self, queue, common, lanes, usage):

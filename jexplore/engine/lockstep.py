@@ -12,8 +12,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from jexplore.engine.devices import compiled, on_devices, parted, whole
-from jexplore.engine.lanes import Common, Engine, Queue, Table, split
-from jexplore.engine.program import Line
+from jexplore.engine.lanes import Common, Engine, Queue, Table
+from jexplore.engine.program import Line, split
 
 LANES = 4096  # most lanes on a device
 CPU_LANES = 64  # on a CPU, which lockstep is not made for

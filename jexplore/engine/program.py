@@ -7,10 +7,11 @@ results that are equal but for rounding.
 
 import dataclasses
 import threading
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Iterable
 from typing import Any, ClassVar, NamedTuple, Self
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from flax import struct
 from jax import Array
@@ -40,15 +41,22 @@ class Pieces(NamedTuple):
     """Deciding as work of a fixed size in every turn: in lockstep on an accelerator nothing then waits for the host.
 
     A run that must decide is given a first glance, and if that does not settle it the next: in every turn a group of
-    lanes each. What no glance settles is searched for in a slot, a piece in every turn, while the others go on.
+    lanes each. What no glance settles is searched for in a slot, a piece in every turn, while the others go on. What a
+    glance has seen is kept for what comes after it. What is to be written into large arrays is noted, and written
+    afterwards: these are neither gathered nor copied.
     """
 
-    glances: tuple[Callable[[Any, Given, Any], Any], ...]  # each (setup, given, state) -> (settled, state)
-    begin: Callable[[Any, Given, Any], Any]  # (setup, given, state) -> search, a pytree of arrays
-    # (search) -> search after one more piece; of one that is done, what `is_done` and `conclude` read stays as it is
+    # each (setup, given, state, seen by the one before) -> (settled, state, notes, seen): state and notes where it is
+    # settled; what the first one is given is ()
+    glances: tuple[Callable[[Any, Given, Any, Any], Any], ...]
+    begin: Callable[[Any, Given, Any, Any], Any]  # (setup, given, state, seen by the last) -> search, a pytree
+    # (search) -> (search, notes) after one more piece; of one that is done, what `is_done` and `conclude` read stays as
+    # it is, and nothing is noted
     go_on: Callable[[Any], Any]
     is_done: Callable[[Any], Any]  # (search) -> bool
-    conclude: Callable[[Any, Given, Any, Any], Any]  # (setup, given, state, search) -> state that has decided
+    conclude: Callable[[Any, Given, Any, Any], Any]  # (setup, given, state, search) -> (state that has decided, notes)
+    # (states, lane, notes) -> states: of L lanes, with notes of m (`[m]` int32, none twice, beyond the last: dropped)
+    write: Callable[[Any, Any, Any], Any]
 
 
 class Program(NamedTuple):
@@ -165,3 +173,15 @@ def given_of(line: Line, number: int = 0) -> Given:
         numbers=line.numbers,
         task=jax.tree.map(lambda a: a[number], line.tasks),
     )
+
+
+def split(numbers: Any) -> tuple[list[Any], list[Any], Callable[[Iterable[Any], Iterable[Any]], Any]]:
+    """The scalars and the arrays of a pytree, two lists, and what joins such lists: `(scalars, arrays, join)`."""
+    leaves, tree = jax.tree.flatten(numbers)
+    is_scalar = [jnp.ndim(leaf) == 0 for leaf in leaves]
+
+    def join(scalars, arrays):
+        scalars, arrays = iter(scalars), iter(arrays)
+        return jax.tree.unflatten(tree, [next(scalars) if own else next(arrays) for own in is_scalar])
+
+    return [a for a, own in zip(leaves, is_scalar) if own], [a for a, own in zip(leaves, is_scalar) if not own], join

@@ -14,9 +14,10 @@ from jax import Array
 from jexplore.arrays.loops import first_lanes, put, take
 from jexplore.engine.program import Pieces
 
-GLANCERS = (8, 16)  # one lane in so many is given a first glance in a turn, and one in so many each later one
-SEEKERS = 8  # there is a slot for one lane in so many
-NEWCOMERS = 4  # in a turn one slot in so many is taken, and as many are given back; all where there are no glances
+# Of runs simulated and estimated (`jexplore bench --target h100`): more keep more lanes busy, fewer are less work.
+GLANCERS = (4, 16)  # one lane in so many is given a first glance in a turn, and one in so many each later one
+SEEKERS = (8, 11, 21)  # there is a slot for one lane in so many: without glances, after one, after more
+NEWCOMERS = 2  # in a turn one slot in so many is taken, and as many are given back; all where there are no glances
 
 
 class Sizes(NamedTuple):
@@ -34,7 +35,7 @@ class Sizes(NamedTuple):
 
 def sizes(n_lanes: int, n_glances: int) -> Sizes:
     """`Sizes` for so many lanes and glances."""
-    slots = -(-n_lanes // SEEKERS)
+    slots = -(-n_lanes // SEEKERS[min(n_glances, len(SEEKERS) - 1)])
     glances = tuple(-(-n_lanes // GLANCERS[min(i, 1)]) for i in range(n_glances))
     return Sizes(glances, slots, -(-slots // NEWCOMERS) if glances else slots)
 
@@ -46,15 +47,16 @@ class Thoughts:
     stage: Array  # [L] int32, glances that have settled nothing
     lane: Array  # [P] int32, the lane of each slot; L: none
     searches: Any  # [P, ...]
+    seen: tuple[Any, ...]  # of each glance `[L, ...]`, what it has seen
     replace: ClassVar[Callable[..., Self]]
 
 
-def blank(pieces: Pieces, search: Any, n_lanes: int) -> Thoughts:
+def blank(pieces: Pieces, search: Any, seen: tuple[Any, ...], n_lanes: int) -> Thoughts:
     """No thoughts.
 
     Args:
       pieces: `Pieces`.
-      search: shapes of one search.
+      search, seen: shapes of one search, and of what each glance sees.
       n_lanes: L.
     """
     slots = sizes(n_lanes, len(pieces.glances)).slots
@@ -62,13 +64,21 @@ def blank(pieces: Pieces, search: Any, n_lanes: int) -> Thoughts:
         stage=jnp.zeros(n_lanes, jnp.int32),
         lane=jnp.full(slots, n_lanes, jnp.int32),
         searches=jax.tree.map(lambda a: jnp.zeros((slots, *a.shape), a.dtype), search),
+        seen=jax.tree.map(lambda a: jnp.zeros((n_lanes, *a.shape), a.dtype), seen),
     )
 
 
-def glanced(thoughts: Thoughts, which: Array, settled: Array) -> Thoughts:
-    """After a glance at lanes `which` (`[m]` int32) that settled some of them (`[m]` bool)."""
+def seen_before(thoughts: Thoughts, i: int, which: Array) -> Any:
+    """What lanes `which` (`[m]` int32) have seen at the glance before glance i; () before the first."""
+    return take(thoughts.seen[i - 1], which) if i else ()
+
+
+def glanced(thoughts: Thoughts, i: int, which: Array, settled: Array, seen: Any) -> Thoughts:
+    """After glance i at lanes `which` (`[m]` int32) that settled some of them (`[m]` bool), and what it has seen."""
     stage = jnp.where(settled, 0, take(thoughts.stage, which) + 1)
-    return thoughts.replace(stage=put(thoughts.stage, which, stage))
+    all_ = list(thoughts.seen)
+    all_[i] = put(all_[i], which, seen)
+    return thoughts.replace(stage=put(thoughts.stage, which, stage), seen=tuple(all_))
 
 
 def is_seeking(thoughts: Thoughts) -> Array:

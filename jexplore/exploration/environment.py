@@ -17,7 +17,7 @@ from jexplore.distance import within_packed
 from jexplore.engine.program import Given
 from jexplore.exploration import trail
 from jexplore.exploration.motion import motion_step, turn_between
-from jexplore.exploration.sensing import sense, square, stacked
+from jexplore.exploration.sensing import blank_tally, sense, stacked
 from jexplore.exploration.state import Outcome, Setup, State, Stream, no_counts
 from jexplore.frontier import disc
 from jexplore.grid import empty_grid, is_known
@@ -29,9 +29,14 @@ LOOK_AROUND = 4  # looks, at least, with which a robot looks all round on arriva
 
 
 def _mark(mask, rows, cols, when: Array | bool = True):
-    """The mask with some cells set where `when`; a scatter, because it updates the mask in place."""
-    outside = mask.shape[0]  # a row that is not there: dropped
-    return mask.at[jnp.where(when, rows, outside), cols].set(True, mode="drop")
+    """The mask with some cells set where `when`, none of them twice; a scatter, because it updates the mask in place.
+
+    What is left out goes to rows beyond the last, each to its own: an accelerator writes what may meet in a cell one
+    after the other.
+    """
+    rows, cols = jnp.atleast_1d(rows), jnp.atleast_1d(cols)
+    outside = mask.shape[0] + lax.iota(jnp.int32, rows.shape[0])
+    return mask.at[jnp.where(when, rows, outside), cols].set(True, mode="drop", unique_indices=True)
 
 
 def _n_looks(setup):
@@ -39,16 +44,15 @@ def _n_looks(setup):
     return jnp.maximum(setup.first_scans, LOOK_AROUND)
 
 
-def _move(setup, given, state):
+def _move(setup, given, state, motion):
     """The next motion of a plan under way, before its scan: a step along the route, or a turn in place.
 
     A step into a cell that is not free is refused: the robot only turns towards it. A plan whose next step would be one
-    too many ends the episode. Does nothing once the plan is done.
+    too many ends the episode. Does nothing once the plan is done. `motion` is the route's in the robot's cell.
     """
     belief = state.belief
     looking = state.walking & (state.looking > 0)
     at_limit = state.walking & ~looking & (state.steps >= given.numbers.max_steps)
-    motion = state.route[belief.row, belief.col]
     drow, dcol, heading = motion_step(motion)
     occupied, base = stacked(given, given.scenes.occupied)
     wall = occupied[base + state.row + drow, state.col + dcol]
@@ -89,16 +93,22 @@ def _move(setup, given, state):
 def _arrive(setup, state, arrived, live, numbers):
     """What follows on arrival: a look around if the target is live and the rules say so; else the plan is done.
 
-    A target that is live after that is exhausted.
+    Returns:
+      `(state, spent)`: `spent`, bool, whether the target is live after that, and so is to be marked as exhausted.
     """
     looks = arrived & live & numbers.look_around & (state.looked < _n_looks(setup) - 1)
     spent = arrived & live & ~looks
-    return state.replace(
-        belief=state.belief.replace(exhausted=_mark(state.belief.exhausted, state.target[0], state.target[1], spent)),
+    state = state.replace(
         looking=jnp.where(looks, _n_looks(setup) - 1, state.looking),
         exhausted=state.exhausted + spent,
         walking=jnp.where(arrived, looks, state.walking),
     )
+    return state, spent
+
+
+def _mark_exhausted(state, spent):
+    exhausted = _mark(state.belief.exhausted, state.target[0], state.target[1], spent)
+    return state.replace(belief=state.belief.replace(exhausted=exhausted))
 
 
 def _limit_plans(numbers, state):
@@ -122,12 +132,12 @@ def advance(setup: Setup, given: Given, state: State) -> State:
       `State`.
     """
     belief, walking, numbers = state.belief, state.walking, given.numbers
-    # Both cells beside a diagonal step belong to the way driven; for a straight step they are its ends.
-    beside = (
-        jnp.stack([belief.row, belief.row, state.came_from[0]]),
-        jnp.stack([belief.col, state.came_from[1], belief.col]),
-    )
-    state = state.replace(belief=belief.replace(driven=_mark(belief.driven, *beside, walking)))
+    # Both cells beside a diagonal step belong to the way driven.
+    (row, col), (row_before, col_before) = (belief.row, belief.col), state.came_from
+    diagonal = (row != row_before) & (col != col_before)
+    beside = jnp.stack([row, row, row_before]), jnp.stack([col, col_before, col])
+    marked = walking & jnp.stack([jnp.bool_(True), diagonal, diagonal])
+    state = state.replace(belief=belief.replace(driven=_mark(belief.driven, *beside, marked)))
     row, col = state.target[0] - belief.row, state.target[1] - belief.col
     here, near = (row == 0) & (col == 0), row * row + col * col <= numbers.arrival_d2
     due = walking & (here | (state.bumped >= 0) | (state.unscanned >= numbers.scan_every))
@@ -144,8 +154,10 @@ def advance(setup: Setup, given: Given, state: State) -> State:
     bumped = state.bumped >= 0
     given_up = bumped | ((numbers.recheck | near) & ~live & ~here)
     state = state.replace(walking=walking & ~given_up)
-    state = _arrive(setup, state, walking & here & ~bumped & (state.looking == 0), live, numbers)
-    return _limit_plans(numbers, _move(setup, given, state))
+    state, spent = _arrive(setup, state, walking & here & ~bumped & (state.looking == 0), live, numbers)
+    state = _mark_exhausted(state, spent)
+    motion = state.route[state.belief.row, state.belief.col]
+    return _limit_plans(numbers, _move(setup, given, state, motion))
 
 
 def decide(setup: Setup, given: Given, state: State) -> tuple[Any, Choice, Array]:
@@ -175,11 +187,29 @@ def commit(setup: Setup, given: Given, state: State, choice: Choice, route: Arra
     Returns:
       `State`.
     """
+    plan = state.plans
+    state, spent, entry = settle(setup, given, state, choice, route[state.belief.row, state.belief.col], live)
+    return _mark_exhausted(state, spent).replace(route=route, choices=state.choices.at[plan].set(entry, mode="drop"))
+
+
+def settle(
+    setup: Setup, given: Given, state: State, choice: Choice, motion: Array, live: Array | bool = True
+) -> tuple[State, Array, Array]:
+    """`commit`, but for what is written into large arrays.
+
+    Args:
+      setup, given, state, choice, live: as for `commit`.
+      motion: int32, the first of the route.
+
+    Returns:
+      `(state, spent, entry)`: without the route; bool, whether the target is to be marked as exhausted; `[2]` int32,
+        the plan's entry in the record.
+    """
     none = choice.row < 0
     bad = ~none & (choice.cost >= FAR)
     bad_targets = jnp.where(bad, state.bad_targets + 1, 0)
-    state = trail.note_choice(state, choice, bad).replace(
-        route=route,
+    entry = trail.choice_of(state, choice, bad)
+    state = state.replace(
         target=jnp.stack([choice.row, choice.col]),
         is_view=jnp.asarray(choice.is_view),
         overflow=state.overflow + choice.overflow,
@@ -194,7 +224,8 @@ def commit(setup: Setup, given: Given, state: State, choice: Choice, route: Arra
     )
     # A path of length 0 is an arrival.
     here = (state.belief.row == choice.row) & (state.belief.col == choice.col) & ~bad
-    return _limit_plans(given.numbers, _move(setup, given, _arrive(setup, state, here, live, given.numbers)))
+    state, spent = _arrive(setup, state, here, live, given.numbers)
+    return _limit_plans(given.numbers, _move(setup, given, state, motion)), spent, entry
 
 
 def _find_goal(given, row, col):
@@ -211,7 +242,7 @@ def _find_goal(given, row, col):
         row >= 0, lambda: [bits.pack(m) for m in (~occupied, occupied, disc(shape, row, col, model.near_d2))]
     )
     clear = free & ~within_packed(walls, model.clearance_d2)
-    goal = clear & flood(clear | (free & near), row, col)
+    goal = clear & flood(clear | (free & near), row, col, method=model.reach)
     rows, cols = (lax.broadcasted_iota(jnp.int32, shape, axis) for axis in (0, 1))
     return goal, occupied[row, col] | ~jnp.any(goal & bits.pack((rows != row) | (cols != col)))
 
@@ -273,7 +304,7 @@ def begin(setup: Setup, given: Given) -> State:
         walking=jnp.bool_(False),
         bumped=jnp.int32(NO_MOTION),
         came_from=jnp.stack([row, col]),
-        corner=square(row, col, shape, setup.window)[0],
+        tally=blank_tally(setup, given.shared, row, col, shape),
         room=room,
         outcome=jnp.where(stuck, Outcome.STUCK, Outcome.RUNNING).astype(jnp.int32),
         room_entries=(room >= 0).astype(jnp.int32),

@@ -5,18 +5,20 @@ enter, for one robot on a CPU whose scanner is without noise; every bit is the s
 """
 
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax import Array, lax
 
+from jexplore.arrays import bits
 from jexplore.arrays.loops import run_if
 from jexplore.engine.native import Native, load_kernel
 from jexplore.engine.program import Given
 from jexplore.exploration.state import Setup, State, Stream
 from jexplore.grid import Grid, count
 from jexplore.raycast import Beams, disturb, fold, scan
+from jexplore.spans import reached
 
 SOURCE, SYMBOL = Path(__file__).with_suffix(".cpp"), "jexplore_look"
 STRIDE = 16  # cells by which the square moves in which known cells are counted
@@ -40,6 +42,22 @@ def square(row: Any, col: Any, shape: tuple[int, ...], window: int) -> tuple[Arr
     size = tuple(min(n, 2 * window + STRIDE) for n in shape)
     corner = [jnp.clip((at - window) // STRIDE * STRIDE, 0, n - m) for at, n, m in zip((row, col), shape, size)]
     return jnp.stack(corner), size
+
+
+class Square(NamedTuple):
+    """A square round the robot: known cells outside it need not be counted for every scan."""
+
+    corner: Array  # [2] int32, row and col
+    outside: Array  # int32, known cells outside
+
+
+def blank_tally(setup: Setup, beams: Beams, row: Any, col: Any, shape: tuple[int, ...]) -> Square | Array:
+    """By what known cells are counted, of a map of which nothing is known: a `Square`; or, by the beams' `Spans`, the
+    known cells, `[ceil(H / 32), W]` uint32, packed.
+    """
+    if beams.spans is None:
+        return Square(square(row, col, shape, setup.window)[0], jnp.int32(0))
+    return jnp.zeros((-(-shape[0] // bits.WORD), shape[1]), jnp.uint32)
 
 
 def _known_in(grid, corner, size):
@@ -74,6 +92,32 @@ def look(
     return Grid(hits=hits, misses=misses), fresh
 
 
+def _told(setup, state, seen, beams, when):
+    """A scan counted into the map: `(grid, tally, known)`."""
+    belief = state.belief
+    pose, method = (belief.row, belief.col, belief.heading), belief.model.scan
+    if beams.spans is not None:
+        words, at = reached(seen, when, pose, beams.spans, state.shape)
+        before = lax.dynamic_slice(state.tally, at, words.shape)
+        fresh = jnp.sum(lax.population_count(words & ~before), axis=0, dtype=jnp.int32)
+        tally = lax.dynamic_update_slice(state.tally, before | words, at)
+        known = state.known + jnp.sum(lax.optimization_barrier(fresh), dtype=jnp.int32)
+        return fold(belief.grid, *pose, seen, beams, when=when, method=method), tally, known
+    corner, size = square(belief.row, belief.col, state.shape, setup.window)
+    # Known cells outside the square, counted before the update. The number is added where it changes nothing (it is
+    # never negative), so that it is made first, and the update can then be made in place.
+    moved = jnp.any(corner != state.tally.corner)
+
+    def recounted(_):
+        return state.known - _known_in(belief.grid, corner, size)
+
+    with jax.named_scope("recount"):
+        outside = run_if(moved, recounted, state.tally.outside)
+    pose = belief.row + jnp.minimum(outside, 0), belief.col, belief.heading
+    grid = fold(belief.grid, *pose, seen, beams, when=when, method=method)
+    return grid, Square(corner, outside), outside + _known_in(grid, corner, size)
+
+
 def sense(setup: Setup, given: Given, state: State, when: Array) -> State:
     """One scan where the robot stands, counted into its map where it believes to be, or nothing.
 
@@ -97,21 +141,6 @@ def sense(setup: Setup, given: Given, state: State, when: Array) -> State:
         key = jax.random.fold_in(jax.random.fold_in(given.key, Stream.SENSOR), state.scans)
         noise = {"sigma_cells": given.numbers.sigma_cells, "dropout": given.numbers.dropout}
         seen = disturb(key, seen, state.row, state.col, state.heading, beams, belief.extent, **noise)
-    corner, size = square(belief.row, belief.col, state.shape, setup.window)
-    # Known cells outside the square, counted before the update. The number is added where it changes nothing (it is
-    # never negative), so that it is made first, and the update can then be made in place.
-    moved = jnp.any(corner != state.corner)
-
-    def recounted(_):
-        return state.known - _known_in(belief.grid, corner, size)
-
-    if setup.windows is None:
-        with jax.named_scope("recount"):
-            outside = run_if(moved, recounted, state.outside)
-    else:  # for all, as cheap as to ask for whom
-        outside = jnp.where(moved, recounted(None), state.outside)
-    row = belief.row + jnp.minimum(outside, 0)
-    grid = fold(belief.grid, row, belief.col, belief.heading, seen, beams, when=when, method=belief.model.scan)
-    known = outside + _known_in(grid, corner, size)
-    state = state.replace(corner=corner, outside=outside, scans=state.scans + when, known=known)
+    grid, tally, known = _told(setup, state, seen, beams, when)
+    state = state.replace(tally=tally, scans=state.scans + when, known=known)
     return state.replace(belief=belief.replace(grid=grid))

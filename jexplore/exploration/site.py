@@ -23,6 +23,7 @@ from jexplore.planning import MapModel, windows
 from jexplore.policies.catalogue import adapt
 from jexplore.policies.policy import Strategy
 from jexplore.raycast import Beams, beam_table, scans_all_round
+from jexplore.spans import spans_of
 from jexplore.worlds.world import World
 
 LEAST_LIMIT = 20_000  # default bound of steps and plans on small maps
@@ -151,10 +152,10 @@ def prepare_site(
         dropout=np.float32(lidar.dropout),  # type: ignore[arg-type]
         params=(),
     )
-    longest_m = max(one.range_m for one, _ in everyone)
-    beams = _beams(lidar.n_beams, lidar.fov_deg, lidar.range_m, world.cell_m, shape[1], longest_m)
     glances = tuple(windows(shape, model.clearance_d2)) if kernels.in_pieces else None
-    return Site(truth, beams, _setup(everyone, world.cell_m, shape, limit, kernels.native, glances), numbers)
+    setup = _setup(everyone, world.cell_m, shape, limit, kernels.native, glances)
+    beams = _beams(everyone, world.cell_m, shape[1], setup.window if kernels.in_pieces else None)
+    return Site(truth, beams, setup, numbers)
 
 
 def cost_of(length_m: float, cell_m: float) -> int:
@@ -186,10 +187,17 @@ def _setup(everyone, cell_m, shape, limit, native, glances):
     )
 
 
-@functools.lru_cache(maxsize=8)
-def _beams(n_beams, fov_deg, range_m, cell_m, width, longest_m):
+def _beams(everyone, *more):
     """The same table for all rules and noise: megabytes."""
-    return beam_table(Lidar(n_beams, fov_deg, range_m), cell_m, width, longest_m)
+    lidar, _ = everyone[0]
+    return _table((lidar.n_beams, lidar.fov_deg, lidar.range_m), max(one.range_m for one, _ in everyone), *more)
+
+
+@functools.lru_cache(maxsize=8)
+def _table(scanner, longest_m, cell_m, width, window):
+    """Beams with their `Spans`, unless `window`, the radius of these, is None."""
+    beams = beam_table(Lidar(*scanner), cell_m, width, longest_m)
+    return beams if window is None else beams.replace(spans=spans_of(beams, window))
 
 
 def tasks_of(starts: ArrayLike) -> np.ndarray:

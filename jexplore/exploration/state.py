@@ -128,8 +128,7 @@ class State:
     came_from: Array  # [2] int32, row and col of the belief before the last motion
     unscanned: Array  # int32, cost of the way driven since the last scan
     known: Array  # int32, known cells
-    corner: Array  # [2] int32, row and col of the square in which known cells are counted, see `environment`
-    outside: Array  # int32, known cells outside it
+    tally: Any  # by which known cells are counted, see `sensing.blank_tally`
     room: Array  # int32, the last room stood in; -1 for none yet
     straight: Array  # int32, and so on as in `Result`
     diagonal: Array
@@ -164,5 +163,5 @@ class State:
 def no_counts() -> Any:
     """The counts of a `State` in which nothing has been done: dict."""
     names = "straight diagonal turns scans plans exhausted saturated refused overflow bad_targets"
-    names += " known looking looked outside unscanned"
+    names += " known looking looked unscanned"
     return dict.fromkeys(names.split(), jnp.int32(0))

@@ -49,11 +49,10 @@ def note_step(state: State, when: Array | bool = True) -> State:
     return state.replace(trail=state.trail.at[step].set(entry, mode="drop"))
 
 
-def note_choice(state: State, choice: Choice, bad: Array) -> State:
-    """A `State` with a choice on record, `bad` if it was refused; what there is no room for is left out."""
+def choice_of(state: State, choice: Choice, bad: Array) -> Array:
+    """The entry of a choice in the record of plans, `bad` if it was refused: `[2]` int32."""
     cell = 2 * (choice.row * state.shape[1] + choice.col) + choice.is_view
-    entry = jnp.stack([jnp.where(choice.row < 0, -1, jnp.where(bad, -2, cell)), 16 * state.steps + state.bumped + 1])
-    return state.replace(choices=state.choices.at[state.plans].set(entry, mode="drop"))
+    return jnp.stack([jnp.where(choice.row < 0, -1, jnp.where(bad, -2, cell)), 16 * state.steps + state.bumped + 1])
 
 
 class Plan(NamedTuple):

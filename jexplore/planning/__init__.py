@@ -227,7 +227,28 @@ def bound_of(side: int, clearance_d2: int) -> int:
     return (side // 2 - math.isqrt(clearance_d2) - 2) * STRAIGHT
 
 
-def nearest_in_window(belief: Belief, route: Array, side: int, *, fixed: bool = False) -> tuple[Array, Choice, Array]:
+def corner_of(belief: Belief, side: int) -> tuple[tuple[Array, Array], tuple[int, int]]:
+    """Where the window of a side round the robot begins in the map, `(row, col)` int32, and its shape."""
+    full = belief.driven.shape
+    height, width = (min(n, side) for n in full)
+    row = jnp.clip(belief.row - side // 2, 0, full[0] - height)
+    return (row, jnp.clip(belief.col - side // 2, 0, full[1] - width)), (height, width)
+
+
+def cut_out(belief: Belief, origin: tuple[Array, ...], shape: tuple[int, ...]) -> Belief:
+    """A belief with its maps cut down to a window; the robot's cell stays as it is in the whole map."""
+
+    def cut(array):
+        return lax.dynamic_slice(array, origin, shape)
+
+    return belief.replace(
+        grid=Grid(cut(belief.grid.hits), cut(belief.grid.misses)),
+        driven=cut(belief.driven),
+        exhausted=cut(belief.exhausted),
+    )
+
+
+def nearest_in_window(belief: Belief, route: Array, side: int) -> tuple[Array, Choice, Array]:
     """The nearest frontier if a window settles it: `(undecided, choice, route)`.
 
     Windows are as wide as a power of two, because flat indices are then cheap to take apart.
@@ -235,39 +256,25 @@ def nearest_in_window(belief: Belief, route: Array, side: int, *, fixed: bool = 
     Args:
       belief, route: as for `nearest_frontier`.
       side: of the window, one of `windows`. Static.
-      fixed: whether the work is to be the same whatever the belief, for the wave. Static.
     """
     bound = bound_of(side, belief.model.clearance_d2)
     radius = bound // STRAIGHT
-    within = radius if fixed else None
-    shape = tuple(min(n, side) for n in belief.driven.shape)
-    origin = tuple(
-        jnp.clip(at - side // 2, 0, full - n)
-        for at, full, n in zip((belief.row, belief.col), belief.driven.shape, shape)
-    )
-
-    def cut(array):
-        return lax.dynamic_slice(array, origin, shape)
-
-    window = belief.replace(
-        grid=Grid(cut(belief.grid.hits), cut(belief.grid.misses)),
-        driven=cut(belief.driven),
-        exhausted=cut(belief.exhausted),
-    )
+    origin, shape = corner_of(belief, side)
+    window = cut_out(belief, origin, shape)
     row, col = belief.row - origin[0], belief.col - origin[1]
     rows, cols = (jnp.abs(lax.broadcasted_iota(jnp.int32, shape, axis) - at) for axis, at in ((0, row), (1, col)))
     masks = masks_of(window, origin)
     central = stored(row >= 0, lambda: bits.pack((rows <= radius) & (cols <= radius)))
     words, frontier = masks.traversable & central, bits.unpack(masks.frontier & central)
     limit = jnp.where(count((masks.frontier & central) != 0) > 0, bound, -1)  # nothing to look for: not at all
-    cost = reach_packed(words, row, col, frontier, limit=limit, within=within, method=belief.model.reach)
+    cost = reach_packed(words, row, col, frontier, limit=limit, method=belief.model.reach)
     best = lowest(jnp.where(frontier, cost, FAR))
     decided = best <= bound
     at_row, at_col = first_at(frontier & (cost == best))
     target = (jnp.where(decided, at_row + origin[0], belief.row), jnp.where(decided, at_col + origin[1], belief.col))
     start = (belief.row, belief.col)
     stride = STRIDES[belief.model.reach]
-    route = lay_route(route, cost, bits.unpack(words), start, target, origin, stride=stride, within=within)
+    route = lay_route(route, cost, bits.unpack(words), start, target, origin, stride=stride)
     return ~decided, Choice(target[0], target[1], best, jnp.int32(0)), route
 
 

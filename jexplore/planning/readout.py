@@ -2,22 +2,24 @@
 
 import jax
 import jax.numpy as jnp
+from flax import struct
 from jax import Array, lax
 
 from jexplore.arrays.loops import one_kernel, repeat
 from jexplore.grid import beside, bordered
-from jexplore.reach import DIAGONAL, FAR, MOTIONS, NO_MOTION, STRAIGHT
+from jexplore.reach import FAR, MOTIONS, NO_MOTION, STEPS
 
 # For `lay_route` beside each method of `reach`: in lockstep a look costs more than a motion.
 STRIDES = {"sweeps": 1, "wave": 8}
 
 
-def _last_motion(cost, traversable):
+def _last_motion(cost, traversable, steps=STEPS, far=FAR):
     """The pinned predecessor rule, for cells given with their 3 x 3 neighbourhoods.
 
     Args:
-      cost: `[3][3]` of `[...]` int32, of the cell (in the middle) and its neighbours; FAR outside the map.
+      cost: `[3][3]` of `[...]`, of the cell (in the middle) and its neighbours; `far` outside the map.
       traversable: `[3][3]` of `[...]` bool; False outside the map.
+      steps, far: as for `reach.relaxed`.
 
     Returns:
       `[...]` int8: the first of `MOTIONS` by which the cell's cost arises; -1 where there is none.
@@ -25,17 +27,23 @@ def _last_motion(cost, traversable):
     motion = jnp.full_like(cost[1][1], NO_MOTION, jnp.int8)
     for i, (drow, dcol) in reversed(list(enumerate(MOTIONS))):
         before = cost[1 - drow][1 - dcol]
-        step = DIAGONAL if drow and dcol else STRAIGHT
+        step = steps[1] if drow and dcol else steps[0]
         beside = traversable[1 - drow][1] & traversable[1][1 - dcol] if drow and dcol else True
-        matches = (before < FAR) & (before + step == cost[1][1]) & traversable[1][1] & beside
+        matches = (before < far) & (before + step == cost[1][1]) & traversable[1][1] & beside
         motion = jnp.where(matches, jnp.int8(i), motion)
     return motion
 
 
-def last_motions(cost: Array, traversable: Array) -> Array:
-    """The last motion of the path to every cell, `[H, W]` int8, for `lay_some`; costs and cells as for `lay_route`."""
-    pairs = (bordered(cost, FAR), bordered(traversable, False))
-    return _last_motion(*([[beside(a, i, j) for j in (-1, 0, 1)] for i in (-1, 0, 1)] for a in pairs))
+def last_motions(cost: Array, traversable: Array, steps: tuple[int, int] = STEPS, far: int = FAR) -> Array:
+    """The last motion of the path to every cell, `[H, W]` int8, NO_MOTION where there is none.
+
+    Costs and cells as for `lay_route`, or costs of other `steps`, and `far` where no path leads (both static).
+    """
+    near, can = (
+        [[beside(a, i, j) for j in (-1, 0, 1)] for i in (-1, 0, 1)]
+        for a in (bordered(cost, far), bordered(traversable, False))
+    )
+    return _last_motion(near, can, steps, far)
 
 
 def lay_route(
@@ -47,7 +55,6 @@ def lay_route(
     origin: tuple[Array | int, ...],
     *,
     stride: int = 1,
-    within: int | None = None,
 ) -> Array:
     """Writes the way from the start to a target into a map of motions: the path read-out.
 
@@ -59,7 +66,6 @@ def lay_route(
       start, target: `(row, col)` int32, in the map; both inside the window, `target` with a final cost.
       origin: `(row, col)` int32 of the window's cell (0, 0) in the map.
       stride: motions between two looks at whether the start is reached. Static.
-      within: motions, at most, of any way, if that is known: a loop of known length. Static; not for stride 1.
 
     Returns:
       `route`: `[H, W]` int8. Following it from the start ends at the target, after at most h * w motions.
@@ -75,47 +81,94 @@ def lay_route(
 
     def lay_more(state):
         n, at, route = state
-        return n + stride, *lay_some(route, motions, start, at, origin, n=stride)
+        at, way = way_by_steps(motions, at, origin, route.shape[0], n=stride)
+        return n + stride, at, laid(route, way)
 
     def under_way(state):
         n, at, _ = state
         return ((at[0] != start[0]) | (at[1] != start[1])) & (n < cost.size)
 
     with jax.named_scope("route"):
-        state = jnp.int32(0), target, route
-        if within is not None:
-            return lax.fori_loop(0, -(-within // stride), lambda _, state: lay_more(state), state)[2]
-        return repeat(under_way, lay_more, state)[2]
+        return repeat(under_way, lay_more, (jnp.int32(0), target, route))[2]
 
 
-def lay_some(
-    route: Array,
-    motions: Array,
-    start: tuple[Array | int, ...],
-    at: tuple[Array, ...],
-    origin: tuple[Array | int, ...],
-    *,
-    n: int,
-) -> tuple[tuple[Array, Array], Array]:
-    """The last motions of the way from the start to a cell, for `lay_route`.
+@struct.dataclass
+class Way:
+    """Motions of a way, the last one first, and the cells in which they are made."""
+
+    rows: Array  # [n] int32; each its own beyond the last row of the map where there is no motion
+    cols: Array  # [n] int32
+    motions: Array  # [n] int8, index into `MOTIONS`
+
+    def first(self, row: Array | int, col: Array | int) -> Array:
+        """The motion in a cell, which the way leaves once: int32; 0 where it does not come there."""
+        return jnp.sum(jnp.where((self.rows == row) & (self.cols == col), self.motions, 0), dtype=jnp.int32)
+
+
+def laid(route: Array, way: Way) -> Array:
+    """A map of motions with a `Way` written into it."""
+    return route.at[way.rows, way.cols].set(way.motions, mode="drop", unique_indices=True)
+
+
+def _back(width):
+    """By how much each motion back changes a flat index; that of NO_MOTION, the last, by nothing: `[9]` int32."""
+    return jnp.asarray([-drow * width - dcol for drow, dcol in MOTIONS] + [0], jnp.int32)
+
+
+def _before(motions):
+    """The flat cell from which each cell is entered, its own where no motion leads there: `[h * w]` int16 or int32."""
+    height, width = motions.shape
+    dtype = jnp.int16 if motions.size < 2**15 else jnp.int32
+    return (lax.iota(jnp.int32, height * width) + _back(width)[motions.reshape(-1)]).astype(dtype)
+
+
+def _way(cells, motions, origin, height):
+    """The `Way` that enters some cells, `[n + 1]` flat, one after the other, as far as there are motions."""
+    made = motions.reshape(-1).at[cells[:-1]].get(mode="promise_in_bounds")
+    beyond = height + lax.iota(jnp.int32, made.shape[0])
+    rows, cols = cells[1:] // motions.shape[1] + origin[0], cells[1:] % motions.shape[1] + origin[1]
+    return Way(jnp.where(made == NO_MOTION, beyond, rows), cols, made)
+
+
+def way_by_doubling(
+    motions: Array, target: tuple[Array, Array], origin: tuple[Array | int, ...], height: int, *, n: int
+) -> Way:
+    """The last n motions of the way to a cell, in few steps: after each twice as many.
 
     Args:
-      route, start, origin: as for `lay_route`.
-      motions: `[h, w]` int8, from `last_motions`.
-      at: `(row, col)` int32, the cell.
-      n: motions, at most. Static.
+      motions: `[h, w]` int8, from `last_motions`, of a window.
+      target: `(row, col)` int32, in the window.
+      origin: `(row, col)` int32, of the window in the map.
+      height: rows of the map. Static.
+      n: static.
+    """
+    before = _before(motions)
+    cells = jnp.asarray(target[0] * motions.shape[1] + target[1], jnp.int32)[None]
+    while cells.shape[0] <= n:
+        cells = jnp.concatenate([cells, before.at[cells].get(mode="promise_in_bounds").astype(jnp.int32)])
+        if cells.shape[0] <= n:
+            before = before.at[before].get(mode="promise_in_bounds")
+    return _way(cells[: n + 1], motions, origin, height)
+
+
+def way_by_steps(
+    motions: Array, at: tuple[Array, Array], origin: tuple[Array | int, ...], height: int, *, n: int
+) -> tuple[tuple[Array, Array], Way]:
+    """The last n motions of the way to a cell, one by one.
+
+    Args:
+      motions, origin, height, n: as for `way_by_doubling`.
+      at: `(row, col)` int32, the cell, in the map.
 
     Returns:
-      `(at, route)`: where these motions begin, and the map with them, written together: fewer kernels.
+      `(at, Way)`: where these motions begin.
     """
-    moves, (row, col), made = jnp.asarray(MOTIONS, jnp.int32), at, []
-    for k in range(n):
-        going = (row != start[0]) | (col != start[1])
-        motion = motions[row - origin[0], col - origin[1]]
-        row, col = (jnp.where(going, at - moves[motion, axis], at) for axis, at in enumerate((row, col)))
-        made.append((jnp.where(going, row, route.shape[0] + k), col, motion))  # beyond the last row: dropped
-    rows, cols, values = map(jnp.stack, zip(*made))
-    return (row, col), route.at[rows, cols].set(values, mode="drop", unique_indices=True)
+    width, flat = motions.shape[1], motions.reshape(-1)
+    back, cells = _back(width), [(at[0] - origin[0]) * width + at[1] - origin[1]]
+    for _ in range(n):
+        cells.append(cells[-1] + back[flat.at[cells[-1]].get(mode="promise_in_bounds")])
+    way = _way(jnp.stack(cells), motions, origin, height)
+    return (cells[-1] // width + origin[0], cells[-1] % width + origin[1]), way
 
 
 def _walk_back(route, cost, traversable, start, target, origin):
@@ -130,7 +183,8 @@ def _walk_back(route, cost, traversable, start, target, origin):
         n, row, col, route = state
         going = under_way(state)
         corner = row - origin[0], col - origin[1]
-        motion = _last_motion(*(lax.dynamic_slice(a, corner, (3, 3)) for a in (cost, traversable)))
+        near, can = (lax.dynamic_slice(a, corner, (3, 3)) for a in (cost, traversable))
+        motion = _last_motion(near, can)
         motion = jnp.where(going, motion, route[row, col])
         row, col = (jnp.where(going, at - motions[motion, axis], at) for axis, at in enumerate((row, col)))
         return n + going, row, col, lax.dynamic_update_slice(route, motion[None, None], (row, col))

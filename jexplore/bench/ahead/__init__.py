@@ -137,7 +137,7 @@ def _row(plan, world, made, recorded, order):
     turns = loop_turns(recorded, order)
     # Beams that have ended, and lanes that do not scan, count nothing.
     writes = order.busy * float(np.mean([plans.writes for plans in recorded]))
-    estimator = Estimator(made.module, targets.TARGETS[plan.target], plan.assume, turns, writes)
+    estimator = Estimator(made.module, targets.TARGETS[plan.target], plan.assume, turns, writes, made.kernels)
     seconds = estimator.run(made.steps)
     loops = launches.loops(made.steps)
     turn = next(loop for loop in loops if not loop.scope)
@@ -153,7 +153,8 @@ def _row(plan, world, made, recorded, order):
         "lane_bytes": made.lane_bytes, "lane_temporary_bytes": made.temporary_bytes,
         "lane_bytes_estimate": made.estimate_bytes, "compile_s": made.compile_s,
         "ms_per_turn": {
-            name: each * getattr(seconds, name) for name in ("total", "syncs", "launches", "memory", "atomics")
+            name: each * getattr(seconds, name)
+            for name in ("total", "syncs", "launches", "memory", "atomics", "instructions")
         },
         "ms_per_turn_by_loop": {name or "turn": each * one.total for name, one in estimator.by_scope.items()},
         "iterations_per_turn": {name or "turn": one.iterations / order.turns for name, one in turns.items()},
@@ -183,9 +184,11 @@ def tables(report: Mapping[str, Any]) -> str:
          for row in report["schedules"]],
     )  # fmt: skip
     speeds = markdown(
-        ["world", "lanes", "ms a turn", "syncs", "launches", "memory", "atomics", "writes made", "episodes/s"],
+        ["world", "lanes", "ms a turn", "syncs", "launches", "memory", "atomics", "instructions", "writes made",
+         "episodes/s"],
         [[row["world"], row["lanes"], *(row["ms_per_turn"][name] for name in
-          ("total", "syncs", "launches", "memory", "atomics")), percent(row["writes"]), row["episodes_per_s"]]
+          ("total", "syncs", "launches", "memory", "atomics", "instructions")), percent(row["writes"]),
+          row["episodes_per_s"]]
          for row in programs],
     )  # fmt: skip
     given = ", ".join(f"{name} {value:g}" for name, value in assume.items() if value is not None)

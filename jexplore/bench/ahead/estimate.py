@@ -6,6 +6,7 @@ from typing import NamedTuple, Self
 
 import numpy as np
 
+from jexplore.bench.ahead import launches
 from jexplore.bench.ahead.hlo import Module
 from jexplore.bench.ahead.launches import Graph, Launch, Loop, Step
 from jexplore.bench.ahead.schedule import Plans, Schedule
@@ -31,6 +32,7 @@ class Seconds:
     memory: float = 0.0
     atomics: float = 0.0
     n_syncs: float = 0.0  # how often the host waited
+    instructions: float = 0.0  # what kernels take beyond moving bytes, as they execute more than that hides
 
     def plus(self, other: "Seconds", times: float = 1.0) -> Self:
         """With so many times another, added in place."""
@@ -42,7 +44,7 @@ class Seconds:
     @property
     def total(self) -> float:
         """All together."""
-        return self.syncs + self.launches + self.memory + self.atomics
+        return self.syncs + self.launches + self.memory + self.atomics + self.instructions
 
 
 def loop_turns(recorded: Sequence[Plans], schedule: Schedule) -> dict[str, Turns]:
@@ -65,12 +67,19 @@ class Estimator:
     """What the steps of a program cost."""
 
     def __init__(
-        self, module: Module, target: Target, assume: Assumptions, turns: Mapping[str, Turns], writes: float = 1.0
+        self,
+        module: Module,
+        target: Target,
+        assume: Assumptions,
+        turns: Mapping[str, Turns],
+        writes: float = 1.0,
+        kernels: Mapping[str, str] | None = None,
     ) -> None:
         """`turns`: how often its loops go round, from `loop_turns`; `writes`: share of the writes of scatters that are
-        made, the others lie outside their array.
+        made, the others lie outside their array; `kernels`: name -> PTX.
         """
         self.writes = writes
+        self.instructions = {name: launches.instructions_of(text) for name, text in (kernels or {}).items()}
         rate = assume.bandwidth_tb_s
         self.module, self.target, self.assume, self.turns = module, target, assume, turns
         self.rate = target.bandwidth * REACHED if rate is None else 1e12 * rate
@@ -109,8 +118,11 @@ class Estimator:
     def _launch(self, step: Launch, in_graph):
         moved = self.module.traffic(step.name)
         share = min(1.0, step.blocks / self.target.cores) if step.blocks else 1.0
+        memory = moved.n_bytes / (self.rate * share)
+        executed = step.threads * self.instructions.get(step.kernel, 0)
         return Seconds(
             launches=1e-6 * (self.assume.node_us if in_graph else self.assume.launch_us),
-            memory=moved.n_bytes / (self.rate * share),
+            memory=memory,
             atomics=self.writes * moved.atomics / (1e9 * self.assume.atomics_g_s * share),
+            instructions=max(0.0, executed / (1e12 * self.assume.instructions_t_s * share) - memory),
         )

@@ -1,5 +1,6 @@
 """What a compiled program launches on a device, read from the texts that XLA writes: kernels, copies, loops, graphs."""
 
+import math
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from typing import NamedTuple
@@ -20,6 +21,7 @@ class Launch(NamedTuple):
     name: str  # of the instruction of the program
     kernel: str  # of the code, which several instructions may share; "" for a copy
     blocks: int  # 0 for a copy, which the device's own engine makes
+    threads: int = 0  # of all blocks
 
 
 class Graph(NamedTuple):
@@ -82,8 +84,9 @@ def _block(lines, at, indent, names, module):
             steps += [Graph(inner)] if kind == "kCommandBuffer" else inner
         else:
             grid = _GRID.match(rest)
-            blocks = int(grid[2]) * int(grid[3]) * int(grid[4]) if grid else 0
-            steps.append(Launch(name, grid[1] if grid else "", blocks))
+            sizes = [int(n) for n in grid.groups()[1:]] if grid else [0] * 6
+            blocks, threads = math.prod(sizes[:3]), math.prod(sizes)
+            steps.append(Launch(name, grid[1] if grid else "", blocks, threads))
     return steps, at
 
 
@@ -156,6 +159,12 @@ def cas_loops(kernels: Mapping[str, str], steps: Iterable[Step]) -> list[str]:
     """
     slow = {name for name, text in kernels.items() if re.search(r"\batom\S*\.cas\b", text)}
     return sorted({step.name for step in walk(steps) if isinstance(step, Launch) and step.kernel in slow})
+
+
+def instructions_of(ptx: str) -> int:
+    """Instructions of a kernel, loops gone round once: those that a thread executes, where it has none."""
+    lines = (line.strip() for line in ptx[ptx.find("{") + 1 :].splitlines())
+    return sum(line.endswith(";") and not line.startswith((".", "//")) for line in lines)
 
 
 def kernel_of(ptx: str) -> str:

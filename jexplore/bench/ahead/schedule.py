@@ -71,8 +71,11 @@ def _recorded(setup: Setup, given: Given) -> tuple[Array, Array, Array]:
 
     def search(state):
         """How many pieces a search has."""
-        start = jnp.int32(0), pieces.begin(setup, given, state)
-        return lax.while_loop(lambda s: ~pieces.is_done(s[1]), lambda s: (s[0] + 1, pieces.go_on(s[1])), start)[0]
+        seen = ()
+        for glance in pieces.glances:
+            seen = glance(setup, given, state, seen)[3]
+        start = jnp.int32(0), pieces.begin(setup, given, state, seen)
+        return lax.while_loop(lambda s: ~pieces.is_done(s[1]), lambda s: (s[0] + 1, pieces.go_on(s[1])[0]), start)[0]
 
     def plan(carry):
         n, state, rows = carry

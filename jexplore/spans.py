@@ -1,0 +1,149 @@
+"""Which beams of a scan enter a cell: a run of neighbours, so that whether one of them reaches it is two looks into a
+table of maxima, for every cell round the robot at once. For many maps in lockstep.
+"""
+
+import functools
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from flax import struct
+from jax import Array, lax
+
+from jexplore.arrays import bits
+from jexplore.raycast import Beams, Scan
+
+ROOM = 2**16  # places in a table of maxima: two bytes hold one
+
+
+@struct.dataclass
+class Spans:
+    """The run of beams that enter each cell round a robot, for each of K headings.
+
+    A run of n beams is covered by two runs of 2**k of them, which begin where it begins and end where it ends.
+    """
+
+    first: Array  # [K, 2 R + 1, 2 R + 1] uint16, where in the table of maxima the run stands that begins with it
+    last: Array  # [K, 2 R + 1, 2 R + 1] uint16, and the one that ends with it
+    rounds: bool = struct.field(pytree_node=False)  # whether a run may go on from the last beam to the first
+
+    @property
+    def radius(self) -> int:
+        """R, cells: the farthest row and column that a beam can come to."""
+        return self.first.shape[-1] // 2
+
+
+def spans_of(beams: Beams, radius: int) -> Spans | None:
+    """`Spans` of a table of beams.
+
+    Args:
+      beams: `Beams` of numpy arrays. Host.
+      radius: R, at least as many rows and columns as any beam crosses.
+
+    Returns:
+      `Spans` of numpy arrays; None where the beams that enter a cell are no run of neighbours, or are too many.
+
+    Source:
+      Bender and Farach-Colton 2000, range maxima by a sparse table.
+    """
+    n_headings, n_beams = beams.length.shape
+    side = 2 * radius + 1
+    rows = [_runs(beams, heading, radius) for heading in range(n_headings)]
+    if any(row is None for row in rows):
+        return None
+    first, size = (np.stack(a) for a in zip(*rows))
+    rounds = bool((first + size > n_beams).any())
+    width, level = (1 + rounds) * n_beams, np.frexp(np.maximum(size, 1))[1] - 1
+    never = _levels(n_beams) * width  # and after it the robot's own cell
+    if never + 2 > ROOM:
+        return None
+    places = np.where(size > 0, level * width + first + np.stack([0 * size, size - 2**level]), never)
+    places[..., radius * side + radius] = never + 1
+    begins, ends = places.astype(np.uint16).reshape(2, n_headings, side, side)
+    # Ignored types: numpy on the host, where the record says what it is on the device.
+    return Spans(begins, ends, rounds)  # type: ignore[arg-type]
+
+
+def _levels(n_beams):
+    """Levels of the table of maxima: those of 1, 2, 4, ... beams, at most all."""
+    return n_beams.bit_length()
+
+
+def _runs(beams, heading, radius):
+    """First beam and number of beams that enter each cell, `[(2 R + 1)**2]` each; None where they are no run."""
+    length = np.asarray(beams.length[heading])
+    drow, dcol = (np.asarray(a[heading]) for a in (beams.drow, beams.dcol))
+    step, beam = np.nonzero(np.arange(drow.shape[0])[:, None] < length)
+    drow, dcol, side = drow[step, beam], dcol[step, beam], 2 * radius + 1
+    if (np.abs(drow) + np.abs(dcol) != step + 1).any() or max(np.abs(drow).max(), np.abs(dcol).max()) > radius:
+        return None
+    cell = (drow + radius) * side + dcol + radius
+    size, first, last = (np.bincount(cell, minlength=side**2), np.full(side**2, len(length)), np.full(side**2, -1))
+    np.minimum.at(first, cell, beam)
+    np.maximum.at(last, cell, beam)
+    for odd in np.flatnonzero((size > 0) & (last - first + 1 != size)):  # those that go on at the first beam
+        own = np.sort(beam[cell == odd])
+        gaps = np.diff(own, append=own[0] + len(length))
+        first[odd] = own[(gaps.argmax() + 1) % len(own)]
+        if np.count_nonzero(gaps > 1) > 1:
+            return None
+    return np.where(size > 0, first, 0), size
+
+
+def reached(
+    seen: Scan, when: Array | bool, pose: tuple[Any, Any, Any], spans: Spans, shape: tuple[int, ...]
+) -> tuple[Array, tuple[Array, Array]]:
+    """The cells of a map of which a scan tells something: those that beams pass, those that stop one, the robot's own.
+
+    Args:
+      seen: `Scan`, `[B]`, which stays inside the map.
+      when: bool scalar; if False, there are none.
+      pose: `(row, col, heading)` int32, where the scan was made.
+      spans: `Spans`.
+      shape: `(H, W)` of the map. Static.
+
+    Returns:
+      `(words, at)`: `[k, w]` uint32, packed, of that part of the map that a scan can change, and where in the packed
+        map it begins, `(word, col)` int32.
+    """
+    (row, col, heading), radius, n_beams = pose, spans.radius, seen.end.shape[0]
+    n_words = min(-(-shape[0] // bits.WORD), -(-(2 * radius + bits.WORD) // bits.WORD))
+    width = min(shape[1], 2 * radius + 1)
+    at = (
+        jnp.clip((row - radius) // bits.WORD, 0, -(-shape[0] // bits.WORD) - n_words),
+        jnp.clip(col - radius, 0, shape[1] - width),
+    )
+    side, of_words = 2 * radius + 1, (n_words, width)
+    drow_of_word = lax.broadcasted_iota(jnp.int32, of_words, 0) * bits.WORD + (at[0] * bits.WORD - row)
+    dcol = lax.broadcasted_iota(jnp.int32, of_words, 1) + (at[1] - col)
+    across = jnp.clip(dcol + radius, 0, side - 1)
+    tops = _tops(jnp.where(when, seen.end + seen.hit, 0), n_beams, spans.rounds, when)
+
+    def bit(i):
+        """Row i of every word, at its place."""
+        drow = drow_of_word + i
+        cell = (heading * side + jnp.clip(drow + radius, 0, side - 1)) * side + across
+        # Of flat numbers, and of two tables, each gather is of the one before only: one kernel, and nothing is stored.
+        top = jnp.maximum(*(_at(tops, _at(places, cell)) for places in (spans.first, spans.last)))
+        # A beam enters a cell with that step by which it has crossed as many rows and columns as lie between.
+        told = (jnp.abs(drow) <= radius) & (jnp.abs(dcol) <= radius) & (top >= jnp.abs(drow) + jnp.abs(dcol))
+        return jnp.where(told, jnp.uint32(1 << i), jnp.uint32(0))
+
+    # Row by row, and not packed by a sum over rows: on an accelerator a fraction of the instructions.
+    return functools.reduce(jnp.bitwise_or, map(bit, range(bits.WORD))), at
+
+
+def _at(table, places):
+    return jnp.ravel(table).at[places].get(mode="promise_in_bounds")
+
+
+def _tops(told, n_beams, rounds, when):
+    """The table of maxima: for 1, 2, 4, ... neighbours from each beam on, the most cells that one of them tells of."""
+    top = jnp.concatenate([told, told]) if rounds else told
+    levels = [top]
+    for k in range(_levels(n_beams) - 1):
+        top = jnp.maximum(top, jnp.pad(top[2**k :], (0, 2**k), constant_values=-1))
+        # Else each level would be made anew from the scan itself, twice as much work for each.
+        top = lax.optimization_barrier(top) if k % 3 == 2 else top
+        levels.append(top)
+    return jnp.concatenate([*levels, jnp.stack([jnp.int32(-1), jnp.where(when, 0, -1)])])
