@@ -300,28 +300,63 @@ def _sweeps_as_one(words, start, at, goals, limit, steps):
 METHODS: dict[str, Callable[..., Array]] = {"sweeps": _sweeps_as_one, "wave": _wave}
 
 
-def flood(words: Array, row: Array | int, col: Array | int) -> Array:
+def flood(words: Array, row: Array | int, col: Array | int, *, method: str = "sweeps") -> Array:
     """The cells to which a path leads, however long.
 
     Args:
       words: `[K, W]` uint32, packed traversable cells; the start need not be one.
       row, col: int32, start.
+      method: one of `METHODS`; the cells are the same. Static.
 
     Returns:
       `[K, W]` uint32, packed; the start is among them.
     """
-    motions = stored(words[0, 0] >= 0, lambda: motions_into(words))
     at = jnp.stack([lax.broadcasted_iota(jnp.int32, words.shape, axis) for axis in (0, 1)])
     here = (at[0] == row // bits.WORD) & (at[1] == col)
     start = jnp.where(here, jnp.uint32(1) << jnp.uint32(row % bits.WORD), jnp.uint32(0))
+    # Straight motions do: a diagonal one needs both cells beside it.
+    if method == "sweeps":
+        return one_kernel(_flood_by_rows, words | start, start)
 
     def step(_, reached):
-        for (drow, dcol), possible in zip(MOTIONS, motions):
-            reached = reached | (possible & bits.shifted(reached, -drow, -dcol))
+        for drow, dcol in MOTIONS[:4]:
+            reached = reached | (words & bits.shifted(reached, -drow, -dcol))
         return reached
 
     with jax.named_scope("flood"):
         return settled(lambda reached: lax.fori_loop(0, 2 * ROUNDS, step, reached), start)
+
+
+def _flood_by_rows(words, start):
+    """`flood` by sweeps, in which a row fills whole runs of its cells, 32 columns a word, at once.
+
+    Args:
+      words, start: `[K, W]` uint32, packed traversable cells, and of them those to begin with.
+    """
+    possible, start = (bits.transposed(a).T for a in (words, start))
+    n_rows, n_words = possible.shape
+
+    def fill(i, reached, before):
+        """A row, from the one before it and from the words beside: `i + before` is that row in a border."""
+        open_ = lax.dynamic_slice(possible, (i, 0), (1, n_words))
+        own = lax.dynamic_slice(reached, (i + 1, 0), (1, n_words + 2))
+        came = lax.dynamic_slice(reached, (i + before, 1), (1, n_words))
+        came = came | own[:, 1:-1] | own[:, :-2] >> (bits.WORD - 1) | own[:, 2:] << (bits.WORD - 1)
+        came = open_ & came
+        # Added to a run of ones, a one in it carries to the run's end: what differs has been passed.
+        came, run = open_ & (came | ((open_ + came) ^ open_)), open_
+        for n in (1, 2, 4, 8, 16):
+            came, run = came | run & came >> n, run & run >> n
+        return lax.dynamic_update_slice(reached, came, (i + 1, 1))
+
+    def turn(state):
+        reached, _ = state
+        new = lax.fori_loop(0, n_rows, lambda i, reached: fill(i, reached, 0), reached)
+        new = lax.fori_loop(0, n_rows, lambda i, reached: fill(n_rows - 1 - i, reached, 2), new)
+        return new, jnp.any(new != reached)
+
+    reached = lax.while_loop(lambda state: state[1], turn, (jnp.pad(start, 1), words[0, 0] >= 0))[0]
+    return bits.transposed(reached[1:-1, 1:-1].T)[:, : words.shape[1]]
 
 
 def _extent(words):

@@ -211,7 +211,7 @@ def _find_goal(given, row, col):
         row >= 0, lambda: [bits.pack(m) for m in (~occupied, occupied, disc(shape, row, col, model.near_d2))]
     )
     clear = free & ~within_packed(walls, model.clearance_d2)
-    goal = clear & flood(clear | (free & near), row, col)
+    goal = clear & flood(clear | (free & near), row, col, method=model.reach)
     rows, cols = (lax.broadcasted_iota(jnp.int32, shape, axis) for axis in (0, 1))
     return goal, occupied[row, col] | ~jnp.any(goal & bits.pack((rows != row) | (cols != col)))
 
