@@ -89,6 +89,35 @@ def _sweep(cost, possible, rows, steps, reverse):
     return lax.fori_loop(rows[0], rows[1] + 1, row, cost)
 
 
+def _lowest_change(cost, motions, goals, rows, steps):
+    """The cheapest cost that one more motion would make lower, and the cheapest goal, FAR for none: `(int32, int32)`.
+
+    Row by row, of motions only those that a sweep to lower rows has not made. `cost`, `steps` as for `_sweep`, `motions`
+    from `motions_into`; `goals` `[H, W]` bool, or None; `rows` `(first, last)` int32, that are looked at.
+    """
+    width = cost.shape[1] - 2
+
+    def row(i, lows):
+        before, own = (lax.dynamic_slice(cost, (i + k, 0), (1, width + 2)) for k in (0, 1))
+        straight, ne, nw = (
+            lax.dynamic_slice(motions[k], (i // bits.WORD, 0), (1, width)) >> jnp.uint32(i % bits.WORD) & 1 != 0
+            for k in (0, 4, 5)
+        )
+        beside_it = jnp.minimum(jnp.minimum(own[:, :-2], own[:, 2:]), before[:, 1:-1]) + steps[0]
+        after = jnp.where(straight, beside_it, FAR)
+        after = jnp.minimum(after, jnp.where(ne, before[:, :-2] + steps[1], FAR))
+        after = jnp.minimum(after, jnp.where(nw, before[:, 2:] + steps[1], FAR))
+        here = own[:, 1:-1]
+        found = [jnp.where(after < here, after, FAR)]
+        if goals is not None:
+            found.append(jnp.where(lax.dynamic_slice(goals, (i, 0), (1, width)), here, FAR))
+        return [jnp.minimum(low, new) for low, new in zip(lows, found)]
+
+    none = [jnp.full((1, width), FAR, jnp.int32)] * (1 if goals is None else 2)
+    lows = [jnp.min(low) for low in lax.fori_loop(rows[0], rows[1] + 1, row, none)]
+    return lows[0], jnp.int32(FAR) if goals is None else lows[1]
+
+
 @functools.partial(jax.jit, static_argnames=("method",))
 def reach(
     traversable: Array, row: Array | int, col: Array | int, goals: Array | None = None, *, method: str = "sweeps"
@@ -173,11 +202,6 @@ def nearest_source(words: Array, sources: Array, n: int, *, method: str = "sweep
     return jnp.where(cost < FAR, cost % scale, -1)
 
 
-def _horizon(cost, goals, limit):
-    """What costs must be final: those up to that of the cheapest goal, and up to the limit."""
-    return limit if goals is None else jnp.minimum(limit, lowest(jnp.where(goals, cost, FAR)))
-
-
 def _relaxed(cost, motions, steps, rounds):
     """Costs after at least so many rounds, in a loop whose length is known; costs after t are final up to t motions."""
 
@@ -229,7 +253,8 @@ def _wave(words, start, at, goals, limit, steps, within=None):
     with jax.named_scope("wave"):
         if within is not None:
             return _relaxed(cost, motions, steps, within)
-        settled = jnp.where(_horizon(cost, goals, limit) >= 0, 0, FAR)
+        horizon = limit if goals is None else jnp.minimum(limit, lowest(jnp.where(goals, cost, FAR)))
+        settled = jnp.where(horizon >= 0, 0, FAR)
         return repeat(
             lambda wave: wave[0] < FAR, lambda wave: spread(motions, wave, goals, limit, steps=steps), (settled, cost)
         )[1]
@@ -268,16 +293,12 @@ def _sweeps(words, start, at, goals, limit, steps):
         cost, far, _, n = state
         cost = up_and_down(cost.T, across, cols, at[1], far).T
         cost = up_and_down(cost, motions, rows, at[0], far)
-        inner = cost[1:-1, 1:-1]
         # Costs depend on cheaper costs only: once one more motion makes no cost lower up to the horizon, all costs up
-        # to there are final. The last sweep has made all motions to lower rows up to the horizon, which never grows.
-        after = FAR
-        for (drow, dcol), possible in zip(MOTIONS, motions):
-            if drow >= 0:
-                step = steps[1] if drow and dcol else steps[0]
-                after = jnp.minimum(after, jnp.where(bits.unpack(possible), beside(cost, -drow, -dcol) + step, FAR))
-        change = lowest(jnp.where(after < inner, after, FAR))
-        horizon = _horizon(inner, goals, limit)
+        # to there are final. Rows further away hold none of these, for the horizon never grows.
+        first, last = jnp.maximum(rows[0], at[0] - far), jnp.minimum(rows[1], at[0] + far)
+        seen = jnp.minimum(first, at[0]), jnp.maximum(last, at[0])
+        change, best = _lowest_change(cost, motions, goals, seen, steps)
+        horizon = jnp.minimum(limit, best)
         # How far the horizon lies is known from a single start only.
         far = horizon // steps[0] if start is None else far
         return cost, far, (change <= horizon) & (change < FAR), n + 1
@@ -328,11 +349,7 @@ def flood(words: Array, row: Array | int, col: Array | int, *, method: str = "sw
 
 
 def _flood_by_rows(words, start):
-    """`flood` by sweeps, in which a row fills whole runs of its cells, 32 columns a word, at once.
-
-    Args:
-      words, start: `[K, W]` uint32, packed traversable cells, and of them those to begin with.
-    """
+    """`flood` by sweeps: a row fills whole runs of its cells at once, 32 columns a word. The start is among `words`."""
     possible, start = (bits.transposed(a).T for a in (words, start))
     n_rows, n_words = possible.shape
 
