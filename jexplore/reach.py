@@ -92,8 +92,8 @@ def _sweep(cost, possible, rows, steps, reverse):
 def _lowest_change(cost, motions, goals, rows, steps):
     """The cheapest cost that one more motion would make lower, and the cheapest goal, FAR for none: `(int32, int32)`.
 
-    Row by row, of motions only those that a sweep to lower rows has not made. `cost`, `steps` as for `_sweep`, `motions`
-    from `motions_into`; `goals` `[H, W]` bool, or None; `rows` `(first, last)` int32, that are looked at.
+    Row by row, of motions only those that a sweep to lower rows has not made. `cost`, `steps` as for `_sweep`;
+    `motions` from `motions_into`; `goals` `[H, W]` bool, or None; `rows` `(first, last)` int32, that are looked at.
     """
     width = cost.shape[1] - 2
 
