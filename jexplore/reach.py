@@ -89,6 +89,35 @@ def _sweep(cost, possible, rows, steps, reverse):
     return lax.fori_loop(rows[0], rows[1] + 1, row, cost)
 
 
+def _lowest_change(cost, motions, goals, rows, steps):
+    """The cheapest cost that one more motion would make lower, and the cheapest goal, FAR for none: `(int32, int32)`.
+
+    Row by row, of motions only those that a sweep to lower rows has not made. `cost`, `steps` as for `_sweep`;
+    `motions` from `motions_into`; `goals` `[H, W]` bool, or None; `rows` `(first, last)` int32, that are looked at.
+    """
+    width = cost.shape[1] - 2
+
+    def row(i, lows):
+        before, own = (lax.dynamic_slice(cost, (i + k, 0), (1, width + 2)) for k in (0, 1))
+        straight, ne, nw = (
+            lax.dynamic_slice(motions[k], (i // bits.WORD, 0), (1, width)) >> jnp.uint32(i % bits.WORD) & 1 != 0
+            for k in (0, 4, 5)
+        )
+        beside_it = jnp.minimum(jnp.minimum(own[:, :-2], own[:, 2:]), before[:, 1:-1]) + steps[0]
+        after = jnp.where(straight, beside_it, FAR)
+        after = jnp.minimum(after, jnp.where(ne, before[:, :-2] + steps[1], FAR))
+        after = jnp.minimum(after, jnp.where(nw, before[:, 2:] + steps[1], FAR))
+        here = own[:, 1:-1]
+        found = [jnp.where(after < here, after, FAR)]
+        if goals is not None:
+            found.append(jnp.where(lax.dynamic_slice(goals, (i, 0), (1, width)), here, FAR))
+        return [jnp.minimum(low, new) for low, new in zip(lows, found)]
+
+    none = [jnp.full((1, width), FAR, jnp.int32)] * (1 if goals is None else 2)
+    lows = [jnp.min(low) for low in lax.fori_loop(rows[0], rows[1] + 1, row, none)]
+    return lows[0], jnp.int32(FAR) if goals is None else lows[1]
+
+
 @functools.partial(jax.jit, static_argnames=("method",))
 def reach(
     traversable: Array, row: Array | int, col: Array | int, goals: Array | None = None, *, method: str = "sweeps"
@@ -170,11 +199,6 @@ def nearest_source(words: Array, sources: Array, n: int, *, method: str = "sweep
     return jnp.where(cost < FAR, cost % scale, -1)
 
 
-def _horizon(cost, goals, limit):
-    """What costs must be final: those up to that of the cheapest goal, and up to the limit."""
-    return limit if goals is None else jnp.minimum(limit, lowest(jnp.where(goals, cost, FAR)))
-
-
 def relaxed(cost: Array, motions: list[Array], steps: tuple[int, int], rounds: int, *, far: int = FAR) -> Array:
     """Costs after at least so many rounds of a wave, in a loop whose length is known.
 
@@ -241,7 +265,8 @@ def _wave(words, start, at, goals, limit, steps):
     motions = stored(words[0, 0] >= 0, lambda: motions_into(words))
     cost = source((bits.WORD * words.shape[0], words.shape[1]), *at) if start is None else start
     with jax.named_scope("wave"):
-        settled = jnp.where(_horizon(cost, goals, limit) >= 0, 0, FAR)
+        horizon = limit if goals is None else jnp.minimum(limit, lowest(jnp.where(goals, cost, FAR)))
+        settled = jnp.where(horizon >= 0, 0, FAR)
         return repeat(
             lambda wave: wave[0] < FAR, lambda wave: spread(motions, wave, goals, limit, steps=steps), (settled, cost)
         )[1]
@@ -280,16 +305,12 @@ def _sweeps(words, start, at, goals, limit, steps):
         cost, far, _, n = state
         cost = up_and_down(cost.T, across, cols, at[1], far).T
         cost = up_and_down(cost, motions, rows, at[0], far)
-        inner = cost[1:-1, 1:-1]
         # Costs depend on cheaper costs only: once one more motion makes no cost lower up to the horizon, all costs up
-        # to there are final. The last sweep has made all motions to lower rows up to the horizon, which never grows.
-        after = FAR
-        for (drow, dcol), possible in zip(MOTIONS, motions):
-            if drow >= 0:
-                step = steps[1] if drow and dcol else steps[0]
-                after = jnp.minimum(after, jnp.where(bits.unpack(possible), beside(cost, -drow, -dcol) + step, FAR))
-        change = lowest(jnp.where(after < inner, after, FAR))
-        horizon = _horizon(inner, goals, limit)
+        # to there are final. Rows further away hold none of these, for the horizon never grows.
+        first, last = jnp.maximum(rows[0], at[0] - far), jnp.minimum(rows[1], at[0] + far)
+        seen = jnp.minimum(first, at[0]), jnp.maximum(last, at[0])
+        change, best = _lowest_change(cost, motions, goals, seen, steps)
+        horizon = jnp.minimum(limit, best)
         # How far the horizon lies is known from a single start only.
         far = horizon // steps[0] if start is None else far
         return cost, far, (change <= horizon) & (change < FAR), n + 1
@@ -318,28 +339,27 @@ def flood(words: Array, row: Array | int, col: Array | int, *, method: str = "sw
     Args:
       words: `[K, W]` uint32, packed traversable cells; the start need not be one.
       row, col: int32, start.
-      method: one of `METHODS`; "sweeps" makes one motion after the other, which takes fewer steps, "wave" all at once,
-        which is less for an accelerator to start. Static.
+      method: one of `METHODS`; the cells are the same: "sweeps" fills row by row, "wave" all cells at once, which is
+        less for an accelerator to start. Static.
 
     Returns:
       `[K, W]` uint32, packed; the start is among them.
     """
-    motions = stored(words[0, 0] >= 0, lambda: motions_into(words))
     at = jnp.stack([lax.broadcasted_iota(jnp.int32, words.shape, axis) for axis in (0, 1)])
     here = (at[0] == row // bits.WORD) & (at[1] == col)
     start = jnp.where(here, jnp.uint32(1) << jnp.uint32(row % bits.WORD), jnp.uint32(0))
+    # Straight motions do: a diagonal one needs both cells beside it.
+    if method == "sweeps":
+        return one_kernel(bits.filled, words | start, start)
 
-    def step(_, reached):
-        before = reached
-        for (drow, dcol), possible in zip(MOTIONS, motions):
-            origin = before if method == "wave" else reached
-            reached = reached | (possible & bits.shifted(origin, -drow, -dcol))
+    def step(before):
+        reached = before
+        for drow, dcol in MOTIONS[:4]:
+            reached = reached | (words & bits.shifted(before, -drow, -dcol))
         return reached
 
-    def some(reached):
-        if method == "wave":  # unrolled, as in `relaxed`
-            return functools.reduce(lambda reached, _: step(_, reached), range(2 * ROUNDS), reached)
-        return lax.fori_loop(0, 2 * ROUNDS, step, reached)
+    def some(reached):  # unrolled, as in `relaxed`
+        return functools.reduce(lambda reached, _: step(reached), range(2 * ROUNDS), reached)
 
     with jax.named_scope("flood"):
         return settled(some, start)

@@ -246,7 +246,7 @@ def test_all_work_is_done_in_whatever_order(n_glances):
 @pytest.mark.parametrize(("n_lanes", "windows"), [(3, (32,)), (16, ())])
 def test_the_simulation_is_the_engine(n_lanes, windows, monkeypatch):
     """Turns, lanes that advanced, glances: those that the engine counts."""
-    monkeypatch.setattr(planning, "WINDOWS", windows)
+    monkeypatch.setattr(planning, "WINDOWS", {0: windows})
     world, strategy, n = ready_worlds([SMALL], 0.1)[0], parse_strategy("closest+recheck"), 24
     site = prepare_site(world, LIDAR, RULES, kernels_for("lockstep", "gpu"))
     assert site.setup.windows == windows

@@ -82,7 +82,7 @@ def test_kernels_give_the_same_in_either_engine(want, engine, kernels):
 @pytest.mark.jit
 @pytest.mark.parametrize(("n_lanes", "windows"), [(7, (16, 32)), (64, ())])
 def test_planning_in_pieces_gives_the_same(want, n_lanes, windows, monkeypatch):
-    monkeypatch.setattr(planning, "WINDOWS", windows)
+    monkeypatch.setattr(planning, "WINDOWS", {0: windows})
     kernels = kernels_for("lockstep", "gpu")
     assert kernels == dataclasses.replace(KERNELS["lockstep"], in_pieces=True)
     report = run_jobs(some_jobs(), LIDAR, RULES, engine="lockstep", lanes=n_lanes, kernels=kernels)

@@ -10,7 +10,7 @@ from ref import maps, plans
 
 from jexplore import planning
 from jexplore.grid import Grid
-from jexplore.planning import Belief, MapModel, choose, field, nearest_frontier
+from jexplore.planning import Belief, MapModel, choose, field, nearest_frontier, windows
 from jexplore.reach import DIAGONAL, FAR, MOTIONS, STRAIGHT
 
 S, D = STRAIGHT, DIAGONAL
@@ -217,6 +217,31 @@ def test_windows_never_change_the_answer(clearance_d2):
     distances = [1, 3, 9, 20, 24, 26, 27, 28, 29, 30, 31, 32, 40, 50, 57, 58, 59, 60, 61, 62, 63, 64, 80, 120, 400]
     costs = [int(both(large_belief(seed, (SIDE, SIDE - 9), clearance_d2, distances)).cost) for seed in range(60)]
     for low, high in ((0, 20), (32, 56), (66, 10_000)):  # of every kind there were some
+        assert any(low * S <= cost <= high * S for cost in costs)
+    assert FAR in costs
+
+
+def test_larger_maps_have_larger_windows():
+    sides = {longest: windows((64, longest), 9) for longest in (100, 160, 512, 1000, 1024, 1536, 2048, 4096)}
+    small, large = [64, 128], [64, 256, 512]
+    assert sides == {
+        100: [],
+        160: [64],
+        512: small,
+        1000: small,
+        1024: [64, 256],
+        1536: [64, 256],
+        2048: large,
+        4096: large,
+    }
+
+
+@pytest.mark.jit
+@pytest.mark.parametrize("shape", [(1024, 40), (40, 2048)])
+def test_windows_of_large_maps_never_change_the_answer(shape):
+    distances = [1, 26, 29, 60, 120, 121, 122, 123, 124, 125, 180, 249, 250, 251, 252, 253, 300, 4000]
+    costs = [int(both(large_belief(seed, shape, 9, distances)).cost) for seed in range(40)]
+    for low, high in ((0, 26), (28, 120), (124, 10_000)):
         assert any(low * S <= cost <= high * S for cost in costs)
     assert FAR in costs
 

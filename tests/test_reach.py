@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from ref import maps, plans, rooms
 from ref.definitions import predecessors
+from scipy import ndimage
 
 from jexplore.arrays import bits
 from jexplore.planning.readout import lay_route
@@ -247,7 +248,7 @@ def test_rows_of_a_batch_are_independent_and_jit_changes_nothing():
             saturated(cost, passable),
             predecessors(cost, passable),
             reach(passable, row, col, goals, method="wave"),
-            bits.unpack(flood(bits.pack(passable), row, col), 7),
+            [bits.unpack(flood(bits.pack(passable), row, col, method=method), 7) for method in METHODS],
         )
 
     batch = jax.vmap(one)(passable, goals, rows, cols)
@@ -310,17 +311,9 @@ def limited(passable, goals, row, col, limit, method):
     return np.asarray(_limited(jnp.asarray(passable), jnp.asarray(goals), row, col, limit, method))
 
 
-@jax.jit
-def both_floods(passable, row, col):
-    words = bits.pack(passable)
-    return [bits.unpack(flood(words, row, col, method=method), passable.shape[0]) for method in METHODS]
-
-
-def flooded(passable, row, col):
-    """What a flood reaches, after a check that both methods agree."""
-    by_sweeps, by_wave = both_floods(passable, row, col)
-    np.testing.assert_array_equal(by_sweeps, by_wave)
-    return by_sweeps
+@functools.partial(jax.jit, static_argnames="method")
+def flooded(passable, row, col, method="sweeps"):
+    return bits.unpack(flood(bits.pack(passable), row, col, method=method), passable.shape[0])
 
 
 @pytest.mark.jit
@@ -380,22 +373,49 @@ def test_a_goal_behind_a_wall_is_found_however_far_the_way_round_is(method, turn
 
 
 @pytest.mark.jit
-@given(places())
+@pytest.mark.parametrize("method", METHODS)
+@given(place=places(), stands=st.booleans())
 @settings(max_examples=100, deadline=None)
-def test_a_flood_reaches_what_has_a_cost(place):
+def test_a_flood_reaches_what_has_a_cost(method, place, stands):
     passable, row, col = place
-    np.testing.assert_array_equal(
-        flooded(jnp.asarray(passable), row, col), np.asarray(reach(jnp.asarray(passable), row, col)) < FAR
-    )
+    passable[row, col] = stands  # a start that is none of the cells
+    want = np.asarray(reach(jnp.asarray(passable), row, col)) < FAR
+    np.testing.assert_array_equal(flooded(jnp.asarray(passable), row, col, method), want)
 
 
 @pytest.mark.jit
-def test_a_flood_has_no_limit_of_cost_and_keeps_its_start():
+@pytest.mark.parametrize("method", METHODS)
+@given(
+    seed=st.integers(0, 2**30),
+    share=st.sampled_from((0.55, 0.6, 0.65, 0.8)),
+    shape=st.sampled_from(((40, 70), (70, 33))),
+)
+@settings(max_examples=100, deadline=None)
+def test_a_flood_over_several_words_is_scipys_group(method, seed, share, shape):
+    rng = np.random.default_rng(seed)
+    passable, (row, col) = rng.random(shape) < share, rng.integers(0, shape)
+    passable[row, col] = True
+    groups, _ = ndimage.label(passable)
+    np.testing.assert_array_equal(flooded(jnp.asarray(passable), row, col, method), groups == groups[row, col])
+
+
+def test_a_flood_by_hand():
+    """Past a corner that no robot squeezes through, from one word into the next."""
+    passable = np.zeros((2, 40), bool)
+    passable[0, 30:35] = passable[1, 35:] = passable[1, 2] = True
+    for method in METHODS:
+        found = bits.unpack(flood(bits.pack(jnp.asarray(passable)), 0, 33, method=method), 2)
+        assert np.argwhere(found).tolist() == [[0, 30], [0, 31], [0, 32], [0, 33], [0, 34]]
+
+
+@pytest.mark.jit
+@pytest.mark.parametrize("method", METHODS)
+def test_a_flood_has_no_limit_of_cost_and_keeps_its_start(method):
     winding = np.ones((183, 183), bool)  # one corridor that turns back and forth
     winding[1::4, :-1], winding[3::4, 1:] = False, False
     assert winding.sum() > FAR // STRAIGHT  # longer than any cost
-    np.testing.assert_array_equal(flooded(jnp.asarray(winding), 0, 0), winding)
-    assert np.argwhere(flooded(jnp.zeros((3, 3), bool), 1, 2)).tolist() == [[1, 2]]
+    np.testing.assert_array_equal(flooded(jnp.asarray(winding), 0, 0, method), winding)
+    assert np.argwhere(flooded(jnp.zeros((3, 3), bool), 1, 2, method)).tolist() == [[1, 2]]
 
 
 # ---------------------------------------------------------------- nearest source

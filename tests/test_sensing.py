@@ -270,3 +270,34 @@ def test_nothing_is_built_unless_asked():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert batch._kernels_for(batch.find_resources(engine="serial"), False).native is None
+
+
+# ---------------------------------------------------------------- known cells
+
+
+def test_known_cells_of_a_square_by_hand():
+    hits, misses = np.zeros((2, 5, 6), np.int32)
+    hits[1, 1] = misses[1, 1] = misses[2, 3] = hits[4, 5] = 1  # one twice, the last one outside
+    for method in raycast.METHODS:
+        corner = jnp.asarray([1, 1])
+        assert int(sensing.known_in(Grid(jnp.asarray(hits), jnp.asarray(misses)), corner, (3, 4), method=method)) == 2
+        assert (
+            int(sensing.known_in(Grid(jnp.asarray(hits), jnp.asarray(misses)), corner * 0, (5, 6), method=method)) == 3
+        )
+
+
+@pytest.mark.jit
+@pytest.mark.parametrize("method", raycast.METHODS)
+@given(seed=st.integers(0, 2**30), shape=st.sampled_from(((1, 1), (5, 9), (40, 70))))
+@settings(max_examples=50, deadline=None)
+def test_known_cells_are_numpys(method, seed, shape):
+    rng = np.random.default_rng(seed)
+    hits, misses = rng.integers(0, 3, (2, *shape)) * (rng.random((2, *shape)) < 0.3)
+    size = tuple((n + 1) // 2 for n in shape)
+    corner = [int(rng.integers(0, n - m + 1)) for n, m in zip(shape, size)]
+    square = (hits + misses)[corner[0] : corner[0] + size[0], corner[1] : corner[1] + size[1]]
+    grid = Grid(jnp.asarray(hits, jnp.int32), jnp.asarray(misses, jnp.int32))
+    known = jax.jit(sensing.known_in, static_argnames=("size", "method"))(
+        grid, jnp.asarray(corner), size, method=method
+    )
+    assert int(known) == np.count_nonzero(square)

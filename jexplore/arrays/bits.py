@@ -122,3 +122,41 @@ def nth_cells(words: Array, n: Array) -> Array:
 def first_cells(words: Array, size: int) -> Array:
     """The first True cells of a mask in (row, col) order: `nth_cells` of 0 to `size` - 1 (static)."""
     return nth_cells(words, lax.iota(jnp.int32, size))
+
+
+def filled(words: Array, start: Array) -> Array:
+    """The cells of a packed mask to which straight steps over its cells lead, by sweeps up and down.
+
+    A row fills whole runs of its cells at once, 32 columns a word.
+
+    Args:
+      words: `[K, W]` uint32.
+      start: `[K, W]` uint32, cells to begin with, all of them in the mask.
+
+    Returns:
+      `[K, W]` uint32.
+    """
+    possible, start = (transposed(a).T for a in (words, start))
+    n_rows, n_words = possible.shape
+
+    def fill(i, reached, before):
+        """A row, from the one before it and from the words beside: `i + before` is that row in a border."""
+        open_ = lax.dynamic_slice(possible, (i, 0), (1, n_words))
+        own = lax.dynamic_slice(reached, (i + 1, 0), (1, n_words + 2))
+        came = lax.dynamic_slice(reached, (i + before, 1), (1, n_words))
+        came = came | own[:, 1:-1] | own[:, :-2] >> (WORD - 1) | own[:, 2:] << (WORD - 1)
+        came = open_ & came
+        # Added to a run of ones, a one in it carries to the run's end: what differs has been passed.
+        came, run = open_ & (came | ((open_ + came) ^ open_)), open_
+        for n in (1, 2, 4, 8, 16):
+            came, run = came | run & came >> n, run & run >> n
+        return lax.dynamic_update_slice(reached, came, (i + 1, 1))
+
+    def turn(state):
+        reached, _ = state
+        new = lax.fori_loop(0, n_rows, lambda i, reached: fill(i, reached, 0), reached)
+        new = lax.fori_loop(0, n_rows, lambda i, reached: fill(n_rows - 1 - i, reached, 2), new)
+        return new, jnp.any(new != reached)
+
+    reached = lax.while_loop(lambda state: state[1], turn, (jnp.pad(start, 1), words[0, 0] >= 0))[0]
+    return transposed(reached[1:-1, 1:-1].T)[:, : words.shape[1]]

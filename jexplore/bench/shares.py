@@ -1,7 +1,6 @@
 """Where an episode's time goes, on one core: every part in a loop of its own, on what the episode met."""
 
 import functools
-import math
 import statistics
 from collections.abc import Iterable
 from typing import Any, NamedTuple
@@ -20,7 +19,7 @@ from jexplore.bench.timing import interleaved, speed_clock
 from jexplore.exploration.site import KERNELS
 from jexplore.frontier import plan_masks
 from jexplore.grid import Grid, empty_grid
-from jexplore.planning import WINDOWS, Belief
+from jexplore.planning import Belief, bound_of, windows
 from jexplore.policies import Strategy
 from jexplore.raycast import Scan, fold, scan
 from jexplore.reach import FAR, STRAIGHT, reach_packed
@@ -90,7 +89,7 @@ def _look(belief, side, nearest_only):
     words, goals = np.asarray(found.traversable), np.asarray(bits.unpack(found.frontier))
     limit, decided = FAR, True
     if side is not None:
-        radius = side // 2 - math.isqrt(belief.model.clearance_d2) - 2
+        radius = bound_of(side, belief.model.clearance_d2) // STRAIGHT
         rows, cols = np.ogrid[: shape[0], : shape[1]]
         central = (abs(rows - row) <= radius) & (abs(cols - col) <= radius)
         words = words & np.asarray(bits.pack(jnp.asarray(central)))
@@ -104,11 +103,10 @@ def _look(belief, side, nearest_only):
 def looks(belief: Belief, nearest_only: bool) -> list[Look]:
     """What a plan from a belief works on: list of `Look`; windows first where only the nearest frontier is wanted."""
     found, shape = [], belief.driven.shape
-    for side in WINDOWS if nearest_only else ():
-        if side > 4 * math.isqrt(belief.model.clearance_d2) and 2 * side <= max(shape):
-            found.append(_look(belief, side, True))
-            if found[-1].decided:
-                return found
+    for side in windows(shape, belief.model.clearance_d2) if nearest_only else ():
+        found.append(_look(belief, side, True))
+        if found[-1].decided:
+            return found
     return [*found, _look(belief, None, nearest_only)]
 
 

@@ -152,7 +152,7 @@ def prepare_site(
         dropout=np.float32(lidar.dropout),  # type: ignore[arg-type]
         params=(),
     )
-    glances = tuple(windows(shape, model.clearance_d2)) if kernels.in_pieces else None
+    glances = tuple(windows(shape, model.clearance_d2, glances=True)) if kernels.in_pieces else None
     setup = _setup(everyone, world.cell_m, shape, limit, kernels.native, glances)
     beams = _beams(everyone, world.cell_m, shape[1], setup.window if kernels.in_pieces else None)
     return Site(truth, beams, setup, numbers)

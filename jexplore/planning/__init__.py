@@ -23,7 +23,9 @@ from jexplore.grid import Grid, count, lowest
 from jexplore.planning.readout import STRIDES, lay_route
 from jexplore.reach import DIAGONAL, FAR, STRAIGHT, reach_packed, saturated
 
-WINDOWS = (64, 128)  # sides of the windows that are searched first, cells
+# Longest side of a map, at least -> sides of the windows that are searched first, cells. In the largest they must hold
+# what a scanner sees of a long corridor, at whose end the next frontier lies.
+WINDOWS = {0: (64, 128), 1024: (64, 256), 2048: (64, 256, 512)}
 
 
 @struct.dataclass
@@ -211,12 +213,14 @@ def _nearest_in_map(belief, route):
     return choose(belief, route, known, *nearest_of(known))
 
 
-def windows(shape: Sequence[int], clearance_d2: int) -> list[int]:
+def windows(shape: Sequence[int], clearance_d2: int, *, glances: bool = False) -> list[int]:
     """Sides of the windows that are searched first, in maps of a shape `(H, W)`.
 
-    A window must be larger than the clearance, and pays only where the whole map is much more work.
+    A window must be larger than the clearance, and pays only where the whole map is much more work. Those that are
+    glanced at (`planning.glances`) are small in maps of any size.
     """
-    return [side for side in WINDOWS if side > 4 * math.isqrt(clearance_d2) and 2 * side <= max(shape)]
+    sides = WINDOWS[0 if glances else max(least for least in WINDOWS if least <= max(shape))]
+    return [side for side in sides if side > 4 * math.isqrt(clearance_d2) and 2 * side <= max(shape)]
 
 
 def bound_of(side: int, clearance_d2: int) -> int:

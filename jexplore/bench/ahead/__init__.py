@@ -124,7 +124,7 @@ def _schedules(world, recorded, n_lanes):
     rows, last = [], None
     for a_lane in A_LANE:
         queue = np.random.default_rng(SEED).integers(0, len(recorded), a_lane * n_lanes)
-        last = schedule.simulate(recorded, queue, n_lanes, len(windows(shape, clearance_d2)))
+        last = schedule.simulate(recorded, queue, n_lanes, len(windows(shape, clearance_d2, glances=True)))
         rows.append({
             "world": world.name, "lanes": n_lanes, "episodes": len(queue), "turns": last.turns, "busy": last.busy,
             "full": last.full, "fills": last.fills,
