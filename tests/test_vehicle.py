@@ -20,7 +20,7 @@ CELL_M = 0.1
 SLOPE_DEG = 10.0
 FOOT_M, TOP_M = 4.0, 8.0  # a ramp rises between them
 STILL = Noise(attitude_deg=0, odometry=0, heading_deg_sqrt_m=0, slip=0, beacon_m=0)
-NONE = jax.tree.map(lambda a: jnp.zeros_like(a[0]), vehicle.draw(jax.random.split(jax.random.key(0), 1), Noise()))
+NONE = jax.tree.map(jnp.zeros_like, vehicle.draw_one(jax.random.key(0), Noise()))
 LOW = dataclasses.replace(ROBOTS["kamui"], name="", scan_height_m=0.35)
 SENSE = jax.jit(vehicle.sense)
 LEVELLED = jax.jit(vehicle.levelled)

@@ -106,6 +106,11 @@ def draw(keys: Array, noise: Noise) -> Draws:
     return Draws(ranges=ranges, down=down, attitude=attitude, encoders=encoders, missing=missing, beacon=beacon[:, 0])
 
 
+def draw_one(key: Array, noise: Noise) -> Draws:
+    """`draw` of one step: `Draws` without a leading axis."""
+    return jax.tree.map(lambda a: a[0], draw(key[None], noise))
+
+
 def down_directions(robot: Robot) -> Array:
     """Unit vectors of the downward scanner's beams in the robot's frame: `[D, 3]` float32."""
     tilt = jnp.radians(robot.scanner_angle_deg)

@@ -56,7 +56,7 @@ def wall_lines(plan: tracing.TraceJob) -> np.ndarray:
 @jax.jit
 def _frame(key, building, robot, tuning, noise, state):
     """One step, and what was seen in it."""
-    draws = vehicle.draw(key)
+    draws = vehicle.draw_one(key, noise)
     senses = vehicle.sense(draws, building, robot, noise, state.body)
     after = mission.step(draws, building, robot, tuning, noise, state)
     walls = events.walls_of_scan(mission.steadied(senses, robot)[0].ranges_m, tuning, robot)

@@ -72,7 +72,7 @@ def _measured(key, building, robot, noise, steps_and_poses):
     def one(of):
         step, pose = of
         body = vehicle.at_rest(building, robot, pose)
-        senses = vehicle.sense(vehicle.draw(jax.random.fold_in(key, step)), building, robot, noise, body)
+        senses = vehicle.sense(vehicle.draw_one(jax.random.fold_in(key, step), noise), building, robot, noise, body)
         return vehicle.levelled(senses, robot)[0].ranges_m
 
     return jax.lax.map(one, jax.tree.map(jnp.asarray, steps_and_poses))
