@@ -376,3 +376,38 @@ def test_a_type_that_differs_contradicts_all():
     nodes = tuple(dataclasses.replace(n, type="terminal") if n.id == 4 else n for n in chain.nodes)
     chain = dataclasses.replace(chain, nodes=nodes)
     assert repaired(chain).map == chain
+
+
+# Ways that are longer than the passage, and two nodes each of which knows the next but one
+
+
+def test_a_known_link_on_which_the_robot_went_up_and_down_explains_one():
+    """From 1 to 2 it once took 12 m for 8; what leads from 0 to 2 ends by the opening of that link."""
+    row = a_map([*ROW, (14, 9)], [(0, 1), (1, 2), (0, 2), (2, 3)])
+    longer = dataclasses.replace(row.links[1], length_m=12.0)
+    row = dataclasses.replace(row, links=(row.links[0], longer, *row.links[2:]))
+    assert ends(repaired(row).map) == [(0, 1), (1, 2), (2, 3)]
+    aside = dataclasses.replace(row.links[2], end_bearing_deg=-90.0)
+    row = dataclasses.replace(row, links=(*row.links[:2], aside, row.links[3]))
+    assert repaired(row).contradicted == 0
+
+
+def test_two_links_that_lead_past_each_others_ends_are_three():
+    """0 to 2 leads past 1, 1 to 3 past 2: what lies between 1 and 2 has no link."""
+    row = a_map([(0, 0), (6, 0), (16, 0), (24, 0)], [(0, 1), (0, 2), (1, 3), (2, 3)])
+    found = repaired(row)
+    assert sorted(map(sorted, ends(found.map))) == [[0, 1], [1, 2], [2, 3]]
+    assert (found.contradicted, found.left) == (1, 0)
+    between = next(link for link in found.map.links if {link.start, link.end} == {1, 2})
+    assert between.length_m == pytest.approx(10)
+    assert between.attributes["moved"][:2] == pytest.approx([10, 0])
+
+
+@pytest.mark.parametrize(("length_m", "mended"), [(15.0, True), (10.5, False), (19.0, False)])
+def test_a_link_on_which_the_robot_turned_back_and_strayed_has_not_been_searched(length_m, mended):
+    """It left 0 northwards, turned back, went by 0 unseen and came to 1; later it came from 2 in the north past 0."""
+    line = a_map([(0, 0), (10, 0), (0, 8)], [(0, 1)])
+    strayed = a_link(1, 0, 1, 90.0, 180.0, length_m, 10.0, 0.3, 0.0)
+    past = a_link(2, 2, 1, -90.0, 178.0, 18.0, 10.0, -8.0, 0.0)
+    found = repaired(dataclasses.replace(line, links=(*line.links, strayed, past)))
+    assert (sorted(map(sorted, ends(found.map))) == [[0, 1], [0, 2]]) == mended

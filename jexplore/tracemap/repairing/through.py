@@ -13,9 +13,7 @@ from jexplore.tracemap.merging.rigid import Move, apart_deg
 from jexplore.tracemap.passable import BLOCKED, BLOCKED_FOR
 from jexplore.tracemap.record import NOWHERE, STATUS, BtmMap
 from jexplore.tracemap.repairing.ways import (
-    CLOSE,
     OPENING_DEG,
-    STRAIGHT,
     TWINS_DEG,
     Way,
     are_close,
@@ -138,7 +136,7 @@ def _reached(btm, node, goal, most_m):
             yield gone_m, last._replace(move=move)
         for way in ways_of(btm, here):
             length_m = way.link.length_m or 0.0
-            further_m = least_m + min(length_m, STRAIGHT * math.hypot(way.move.x_m, way.move.y_m) + CLOSE[0])
+            further_m = least_m + min(length_m, math.hypot(way.move.x_m, way.move.y_m))
             if way.link.id not in used and further_m <= most_m:
                 moved = move.after(way.move)
                 pending.append((way.to, gone_m + length_m, further_m, way, moved, used | {way.link.id}))
