@@ -350,13 +350,23 @@ def a_chain(shift, *, last=(20, 1), link=True):
     row = [(6, 0), (12, 0), (18, 0)]
     again = [(x + shift[0], y + shift[1]) for x, y in row[:2]] + [last]
     ways = [(0, 1), (1, 2), (2, 3), (3, 7), (7, 8), (8, 6), (6, 5), (5, 4)]
-    return a_map([(0, 0), *row, *again, (18, 9), (30, 3)], ways[: 8 if link else 7])
+    stubs = [(3, 10.0), (6, 90.0), (4, 180.0)]
+    return a_map([(0, 0), *row, *again, (18, 9), (30, 3)], ways[: 8 if link else 7], stubs)
 
 
 def test_three_nodes_that_are_there_twice_are_three():
     found = repaired(a_chain((2.0, 1.0)))
     assert [node.id for node in found.map.nodes] == [0, 1, 2, 3, 7, 8]
     assert sorted(map(sorted, ends(found.map))) == [[0, 1], [1, 2], [2, 3], [3, 7], [3, 8], [7, 8]]
+
+
+def test_a_row_of_equal_places_beside_another_is_one_of_its_own():
+    """As before, but a passage of 4 m leads from one row to the other: they lie as far apart as it is long."""
+    row = [(6, 0), (12, 0), (18, 0), (6, 3), (12, 3), (18, 3)]
+    rows = a_map(row, [(0, 1), (1, 2), (3, 4), (4, 5), (2, 5)])
+    assert repaired(rows).map == rows
+    whole = a_map(row, [(0, 1), (1, 2), (3, 4), (4, 5), (0, 3), (2, 5), (1, 4)])
+    assert repaired(whole).map == whole
 
 
 @pytest.mark.parametrize(

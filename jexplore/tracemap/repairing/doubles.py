@@ -1,6 +1,7 @@
 """What is in a map twice: a way that was followed from both of its ends, a place to which the robot turned back."""
 
 import dataclasses
+import heapq
 import math
 from collections.abc import Iterator
 
@@ -21,7 +22,7 @@ from jexplore.tracemap.repairing.ways import (
 )
 
 TINY_M = 3.0  # a link that leads back to its node is a way round if it is longer
-NEAR_M = 4.0  # nodes that are one lie no farther apart
+NEAR_M = 4.0  # nodes that are one lie no farther apart, and no farther than is `CLOSE` for the way between them
 TURNED_M = 1.0, 8.0  # who turns back before the next node goes so much more
 FEWEST = 3  # pairs of nodes that are one, each linked with the next alike
 
@@ -102,8 +103,9 @@ def _is_straight(way):
 
 
 def doubled(btm: BtmMap) -> Iterator[BtmMap]:
-    """The map where some nodes are others: a set of pairs of one type, each linked with the next by links that leave
-    alike, are as long and lead to one place; nothing in it contradicts the rest.
+    """The map where some nodes are others: a set of pairs of one type and with equal openings, each linked with the
+    next by links that leave alike, are as long and lead to one place; nothing in it contradicts the rest. Both of a
+    pair lie no farther apart than the odometry can be off on the shortest known way from one to the other.
 
     Source:
       Choset and Nagatani 2001, Topological simultaneous localization and mapping, for hypotheses that the next nodes
@@ -113,15 +115,42 @@ def doubled(btm: BtmMap) -> Iterator[BtmMap]:
     for i, first in enumerate(nodes):
         for second in nodes[i + 1 :]:
             alike = (first.type, first.obstacle) == (second.type, second.obstacle)
-            if alike and math.hypot(first.x_m - second.x_m, first.y_m - second.y_m) < NEAR_M:
+            if alike and _apart_m(first, second) < NEAR_M:
                 pairs = _pairs_from(btm, first.id, second.id)
-                if len(pairs) >= FEWEST:
+                if len(pairs) >= FEWEST and all(_may_be_one(btm, *pair, turn) for pair, turn in pairs.items()):
                     found = btm
                     for (one, other), turn_deg in pairs.items():
                         kept, gone = sorted((one, other))
                         found = found and joined(found, kept, gone, turn_deg if kept == one else -turn_deg)
                     if found is not None:
                         yield found
+
+
+def _apart_m(one, other):
+    return math.hypot(one.x_m - other.x_m, one.y_m - other.y_m)
+
+
+def _may_be_one(btm, one, other, turn_deg):
+    """Whether two nodes have equal openings, and lie no farther apart than the way between them tells."""
+    nodes = {node.id: node for node in btm.nodes}
+    ends = btm.bearings_deg(one), [bearing_deg + turn_deg for bearing_deg in btm.bearings_deg(other)]
+    alike = all(any(are_near(a, b) for b in there) for here, there in (ends, ends[::-1]) for a in here)
+    limit_m = CLOSE[0] + CLOSE[1] * _way_m(btm, one, other)
+    return alike and _apart_m(nodes[one], nodes[other]) < limit_m
+
+
+def _way_m(btm, start, goal):
+    """Length of the shortest way along known links from a node to another; inf where there is none."""
+    queue, reached = [(0.0, start)], set()
+    while queue:
+        gone_m, here = heapq.heappop(queue)
+        if here == goal:
+            return gone_m
+        if here not in reached:
+            reached.add(here)
+            for way in ways_of(btm, here):
+                heapq.heappush(queue, (gone_m + (way.link.length_m or 0.0), way.to))
+    return math.inf
 
 
 def _pairs_from(btm, first, second):
