@@ -95,16 +95,6 @@ def test_a_place_that_is_missed_is_told_by_the_next():
     assert counts(after) == (2, 1, 0)
 
 
-def test_a_place_farther_on_is_none_where_another_is_near():
-    """Thirty metres east, then 3 m and 3 m: at the first the way on is not seen; the last looks like what is seen."""
-    equal = WEST, EAST, SOUTH
-    guide = a_guide(
-        (NORTH, EAST, EAST), ((WEST, NORTH), equal, equal), ((30.0, 0.0), (3.0, 0.0), (3.0, 0.0)), (30.0, 3.0, 3.0)
-    )
-    assert counts(met(guide, 29.0, (30.0, 0.2), place(*equal))[0]) == (0, 0, 1)
-    assert counts(met(guide, 29.0, (32.0, 0.2), place(*equal))[0]) == (2, 1, 0)
-
-
 def test_the_heading_is_put_right_at_a_place():
     """The odometry has turned 10 degrees to the left: so do all bearings, and the next leg."""
     off = math.radians(10)

@@ -23,7 +23,6 @@ WAYS = 8  # most of a place
 AHEAD = 4  # so many of the next places may be the one at which the robot is
 SURE = 0.1, 1.0  # a place lies where the map has it within this share of the way, and so many metres
 NEAR = 0.2, 1.5  # and within these where it has the very ways that the map has
-FARTHER_M = 1.5  # it is none that lies so much farther off than another one of the next
 THERE_M = 0.7  # one that is so near is it, if only the way on is there; at the last, the robot has arrived
 ALIKE_RAD = math.radians(40)  # ways that lie no farther apart are one
 BACK_RAD = math.radians(120)  # a way on that bears farther from where it should is none
@@ -138,8 +137,6 @@ def at_place(
     leads_on = last | jnp.any(jnp.abs(btm.wrapped(out[:, None] - seen)) < ALIKE_RAD, axis=1)
     fits = (off_m <= SURE[0] * length_m + SURE[1]) & (missing <= 1) & (more <= 2)
     fits |= (off_m <= NEAR[0] * length_m + NEAR[1]) & (missing == 0) & (more == 0)
-    nearest_m = jnp.min(jnp.where(place < guide.count, off_m, jnp.inf))
-    fits &= off_m < nearest_m + FARTHER_M
     fits = (fits | (off_m < THERE_M)) & leads_on & (place < guide.count)
     best = jnp.argmin(jnp.where(fits, off_m, jnp.inf))
     is_known = when & fits[best]
