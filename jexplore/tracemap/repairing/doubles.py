@@ -117,7 +117,7 @@ def doubled(btm: BtmMap) -> Iterator[BtmMap]:
             alike = (first.type, first.obstacle) == (second.type, second.obstacle)
             if alike and _apart_m(first, second) < NEAR_M:
                 pairs = _pairs_from(btm, first.id, second.id)
-                if len(pairs) >= FEWEST and all(_may_be_one(btm, *pair, turn) for pair, turn in pairs.items()):
+                if len(pairs) >= FEWEST and all(_may_be_one(btm, pair, turn_deg) for pair, turn_deg in pairs.items()):
                     found = btm
                     for (one, other), turn_deg in pairs.items():
                         kept, gone = sorted((one, other))
@@ -130,9 +130,9 @@ def _apart_m(one, other):
     return math.hypot(one.x_m - other.x_m, one.y_m - other.y_m)
 
 
-def _may_be_one(btm, one, other, turn_deg):
+def _may_be_one(btm, pair, turn_deg):
     """Whether two nodes have equal openings, and lie no farther apart than the way between them tells."""
-    nodes = {node.id: node for node in btm.nodes}
+    (one, other), nodes = pair, {node.id: node for node in btm.nodes}
     ends = btm.bearings_deg(one), [bearing_deg + turn_deg for bearing_deg in btm.bearings_deg(other)]
     alike = all(any(are_near(a, b) for b in there) for here, there in (ends, ends[::-1]) for a in here)
     limit_m = CLOSE[0] + CLOSE[1] * _way_m(btm, one, other)
