@@ -32,6 +32,7 @@ WORLDS = {"courses #0 to #9": [f"course#{i}:obstacle=none" for i in range(10)], 
 NEAR_M = 1.5
 NOISE = Noise(range_m=0.01)
 WORKERS = os.cpu_count() or 1
+SUMS = "places", "missed", "extra", "refused_links", "refused", "interventions"
 SIDE, NODES, ROBOTS, PAIRS = 32, 1000, 16, 625
 
 
@@ -100,12 +101,12 @@ def drives(n_routes: int, seed: int) -> str:
         there = sum(int(((t["outcome"] == "ARRIVED") & (t["off_m"] < NEAR_M)).sum()) for t in tables)
         n, says = each * len(worlds), sum(int((t["outcome"] == "ARRIVED").sum()) for t in tables)
         outcomes = {o: sum(int((t["outcome"] == o).sum()) for t in tables) for t in tables for o in set(t["outcome"])}
-        sums = [sum(int(t[c].sum()) for t in tables) for c in ("places", "missed", "extra", "refused", "interventions")]
+        sums = [sum(int(t[c].sum()) for t in tables) for c in SUMS]
         metres = sum(t["path_m"].sum() for t in tables) / n
         told = ", ".join(f"{o} {k}" for o, k in sorted(outcomes.items()))
         rows.append([name, n, share(there, n), share(says, n), told, f"{metres:.1f}", *sums])
     columns = ["building", "routes", "arrived", "says so", "outcomes", "m a route"]
-    return markdown([*columns, "places", "missed", "extra", "steps refused", "helps"], rows)
+    return markdown([*columns, "places", "missed", "extra", "refused links driven", "steps refused", "helps"], rows)
 
 
 def main():

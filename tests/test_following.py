@@ -157,15 +157,19 @@ def test_a_guide_of_a_route_has_its_divergences():
 
 @pytest.mark.jit
 def test_routes_are_driven_and_what_is_otherwise_is_written_back():
-    """The map knows nothing of the stairs that the building has, nor of one of its ways."""
+    """The map knows nothing of the stairs that the building has, nor of one of its ways; one it has twice."""
     btm = load_world("course:obstacle=none").course.topology
     open_link = next(link for link in btm.links if link.end == NOWHERE)
-    short = dataclasses.replace(btm, links=tuple(link for link in btm.links if link.id != open_link.id))
+    same = next(link for link in btm.links if (link.start, link.end) == (3, 4))
+    narrow = dataclasses.replace(same, id=99, min_width_m=0.1)
+    kept = (link for link in btm.links if link.id != open_link.id)
+    short = dataclasses.replace(btm, links=(*kept, narrow))
     found = jx.routes(short, ["wheeled"], [(1, 4), (4, 0), (3, 1)])[0]
     driven = jx.follow("course:obstacle=stairs", short, found, "wheeled", workers=1)
     assert driven.table["outcome"].tolist() == ["ARRIVED", "BLOCKED", "ARRIVED"]
     assert (driven.table["off_m"].iloc[[0, 2]] < 1.0).all()
     assert driven.table["refused"].max() <= 1
+    assert driven.table["refused_links"].tolist() == [1, 1, 0]
     links = {link.id: link for link in driven.map.links}
     first = next(link for link in btm.links if 0 in (link.start, link.end))
     who = {"name": "wheeled", "width_m": 0.39, "max_step_m": 0.03, "max_slope_deg": 5.0}
@@ -174,7 +178,8 @@ def test_routes_are_driven_and_what_is_otherwise_is_written_back():
     assert new.start == open_link.start
     assert abs((new.start_bearing_deg - open_link.start_bearing_deg + 180) % 360 - 180) < 20
     assert len(driven.changes) == 2
-    assert jx.route(driven.map, "wheeled", 4, 0).refused == ((first.id, ("blocked for wheeled",)),)
+    too_narrow = (99, ("width 0.1 m < 0.39 m",))
+    assert jx.route(driven.map, "wheeled", 4, 0).refused == ((first.id, ("blocked for wheeled",)), too_narrow)
     climbs = jx.route(driven.map, "kamui", 4, 0)
     assert first.id in climbs.links
     assert any(line.endswith("blocked for wheeled") for line in climbs.unknown)

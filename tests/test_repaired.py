@@ -10,7 +10,7 @@ from jexplore.config import InputError
 from jexplore.tracemap.corrected import correct_map
 from jexplore.tracemap.merging.rigid import apart_deg
 from jexplore.tracemap.record import BtmMap, Link, Node
-from jexplore.tracemap.repaired import repaired
+from jexplore.tracemap.repairing.repaired import repaired
 from jexplore.tracemap.similarity import code
 
 SQUARE = ((0, 0), (4, 0), (4, 4), (0, 4))
@@ -215,3 +215,209 @@ def test_repairing_twice_is_repairing_once():
     once = repaired(a_map(ROW, [(0, 1), (1, 2), (0, 2)])).map
     assert repaired(once).map == once
     assert code(once) == code(a_map(ROW, [(0, 1), (1, 2)]))
+
+
+# What is there twice
+
+
+def a_link(number, start, end, bearing, back, length_m, *moved):
+    return Link(number, start, end, "searched", bearing, back, length_m=length_m, attributes={"moved": list(moved)})
+
+
+def test_a_link_on_which_the_robot_turned_back_goes():
+    """It has left node 1 northwards and come back by the same opening; none of it where another link leaves by that."""
+    line = a_map(ROW, [(0, 1), (1, 2)])
+    back = a_link(5, 1, 1, 90.0, 95.0, 6.0, 0.4, -0.3, 2.0)
+    found = repaired(dataclasses.replace(line, links=(*line.links, back)))
+    assert (ends(found.map), found.contradicted) == ([(0, 1), (1, 2), (1, -1)], 1)
+    assert found.map.links[2].start_bearing_deg == 90
+    east = dataclasses.replace(back, start_bearing_deg=-5.0, end_bearing_deg=8.0)
+    assert repaired(dataclasses.replace(line, links=(*line.links, east))).map == line
+
+
+@pytest.mark.parametrize(
+    ("change", "goes"),
+    [
+        ({"end_bearing_deg": 130.0}, False),  # a way round, 6 m
+        ({"end_bearing_deg": 130.0, "length_m": 2.5}, True),
+        ({"end_bearing_deg": 170.0}, True),  # it ends by the opening of another link
+        ({"end_bearing_deg": 170.0, "attributes": {"moved": [3.0, 0.0, 0.0]}}, False),
+    ],
+)
+def test_which_links_lead_back_to_their_node(change, goes):
+    line = a_map(ROW, [(0, 1), (1, 2)])
+    back = dataclasses.replace(a_link(5, 1, 1, 90.0, 95.0, 6.0, 0.4, -0.3, 2.0), **change)
+    ring = dataclasses.replace(line, links=(*line.links, back))
+    assert ((1, 1) not in ends(repaired(ring).map)) == goes
+
+
+def test_a_node_to_which_the_robot_turned_back_is_the_one_that_it_left():
+    """Node 3 is node 1, its frame turned by 20 degrees: what leads north there bears 70."""
+    line = a_map([*ROW, (6.4, 0.3), (6, 9)], [(0, 1), (1, 2)])
+    back, north = a_link(5, 1, 3, 90.0, 75.0, 6.0, 0.4, 0.3, 20.0), a_link(6, 3, 4, 70.0, -90.0, 9.0, 3.1, 8.5, -20.0)
+    east = Link(7, 3, -1, "un-searched", -15.0)
+    found = repaired(dataclasses.replace(line, links=(*line.links, back, north, east)))
+    assert ends(found.map) == [(0, 1), (1, 2), (1, 4)]
+    assert found.map.links[2].start_bearing_deg == pytest.approx(90)
+    np.testing.assert_allclose(found.map.links[2].attributes["moved"], [0, 9, 0], atol=0.1)
+    assert [node.id for node in found.map.nodes] == [0, 1, 2, 4]
+
+
+def test_a_way_that_was_followed_from_both_ends_is_one():
+    """Each link begins by the opening that it was seen to leave, and ends by one that it does not."""
+    links = a_link(0, 0, 1, 0.0, -90.0, 6.2, 6.0, 0.0, 0.0), a_link(1, 1, 0, 180.0, 90.0, 6.0, -6.2, 0.3, 0.0)
+    found = repaired(dataclasses.replace(a_map(ROW[:2], []), links=links))
+    assert ends(found.map) == [(0, 1)]
+    assert (found.map.links[0].start_bearing_deg, found.map.links[0].end_bearing_deg) == (0, 180)
+    assert found[1:] == (0, 1, 0)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"start": 0, "end": 1, "attributes": {"moved": [6.0, 0.0, 0.0]}},  # both lead the same way about
+        {"length_m": 8.0},
+        {"attributes": {"moved": [-6.0, 1.5, 0.0]}},
+    ],
+)
+def test_two_ways_between_two_nodes_are_two(change):
+    first = a_link(0, 0, 1, 60.0, 120.0, 6.2, 6.0, 0.0, 0.0)
+    second = dataclasses.replace(a_link(1, 1, 0, -120.0, -60.0, 6.0, -6.0, 0.0, 0.0), **change)
+    ring = dataclasses.replace(a_map(ROW[:2], []), links=(first, second))
+    assert repaired(ring).map == ring
+
+
+def test_two_halves_of_a_ring_are_two_ways():
+    """As long as each other, but not straight: 9.4 m for 6."""
+    links = a_link(0, 0, 1, 90.0, 90.0, 9.4, 6.0, 0.0, 0.0), a_link(1, 1, 0, -90.0, -90.0, 9.4, -6.0, 0.0, 0.0)
+    ring = dataclasses.replace(a_map(ROW[:2], []), links=links)
+    assert repaired(ring).map == ring
+
+
+WEST_OF = ((14, 0), (6, 0), (6, -9), (0, 0), (0, -9))
+"""Node 1 was made from node 0; the robot comes to it from node 3 in the west."""
+
+
+def coming(back_deg, *stubs, length_m=6.0):
+    line = a_map(WEST_OF, [(0, 1), (1, 2), (2, 4), (4, 3), (3, 1)], stubs)
+    wrong = dataclasses.replace(line.links[4], end_bearing_deg=back_deg, length_m=length_m)
+    return dataclasses.replace(line, links=(*line.links[:4], wrong, *line.links[5:]))
+
+
+@pytest.mark.parametrize(
+    ("back_deg", "stub_deg", "length_m", "mended"),
+    [
+        (-80.0, 170.0, 6.0, True),  # it says that it came by the opening of the link south, one in the west waits
+        (-80.0, 170.0, 9.0, True),
+        (60.0, 170.0, 6.0, True),  # by none that there was
+        (60.0, 170.0, 9.0, False),  # and round a corner: there may be one
+        (-80.0, 100.0, 6.0, False),  # what waits lies elsewhere
+        (-140.0, 170.0, 6.0, False),  # it came by one that lies toward where it came from
+    ],
+)
+def test_a_link_ends_by_the_opening_toward_which_it_came(back_deg, stub_deg, length_m, mended):
+    before = coming(back_deg, (1, stub_deg), length_m=length_m)
+    found = repaired(before)
+    assert found.contradicted == mended
+    assert (found.map.links[4].end_bearing_deg == stub_deg) == mended
+    assert ((1, -1) in ends(found.map)) != mended
+
+
+def test_the_way_by_which_a_node_was_made_ends_where_it_did():
+    line = a_map(ROW, [(0, 1), (1, 2)], [(1, 170.0)])
+    line = dataclasses.replace(line, links=(dataclasses.replace(line.links[0], end_bearing_deg=60.0), *line.links[1:]))
+    assert repaired(line).map == line
+
+
+def test_a_link_past_a_node_begins_where_the_next_one_comes_in_once_that_has_the_right_end():
+    """2 to 3 leads through 1; 0 to 1 ends by a wrong opening, or that would have been seen."""
+    places_ = ((0, 9), (0, 0), (6, 0), (0, -8))
+    ways = [(0, 2), (2, 1), (1, 3), (0, 1), (0, 3)]
+    line = a_map(places_, ways)
+    own = {i: dataclasses.replace(line.links[i], id=i) for i in range(5)}
+    own[3] = dataclasses.replace(own[3], end_bearing_deg=150.0)
+    own[4] = dataclasses.replace(own[4], start=3, end=0, start_bearing_deg=90.0, end_bearing_deg=-45.0)
+    own[4] = dataclasses.replace(own[4], attributes={"moved": [0.0, 17.0, 0.0]})
+    found = repaired(dataclasses.replace(line, links=tuple(own.values())))
+    assert sorted(map(sorted, ends(found.map))) == [[0, 1], [0, 2], [1, 2], [1, 3]]
+
+
+# Hypotheses that the next nodes decide: three pairs or more that are one
+
+
+def a_chain(shift, *, last=(20, 1), link=True):
+    """Nodes 1 to 3 in a row behind 0, and nodes 4 to 6, `shift` from them, to which the robot came back by 7 and 8."""
+    row = [(6, 0), (12, 0), (18, 0)]
+    again = [(x + shift[0], y + shift[1]) for x, y in row[:2]] + [last]
+    ways = [(0, 1), (1, 2), (2, 3), (3, 7), (7, 8), (8, 6), (6, 5), (5, 4)]
+    stubs = [(3, 10.0), (6, 90.0), (4, 180.0)]
+    return a_map([(0, 0), *row, *again, (18, 9), (30, 3)], ways[: 8 if link else 7], stubs)
+
+
+def test_three_nodes_that_are_there_twice_are_three():
+    found = repaired(a_chain((2.0, 1.0)))
+    assert [node.id for node in found.map.nodes] == [0, 1, 2, 3, 7, 8]
+    assert sorted(map(sorted, ends(found.map))) == [[0, 1], [1, 2], [2, 3], [3, 7], [3, 8], [7, 8]]
+
+
+def test_a_row_of_equal_places_beside_another_is_one_of_its_own():
+    """As before, but a passage of 4 m leads from one row to the other: they lie as far apart as it is long."""
+    row = [(6, 0), (12, 0), (18, 0), (6, 3), (12, 3), (18, 3)]
+    rows = a_map(row, [(0, 1), (1, 2), (3, 4), (4, 5), (2, 5)])
+    assert repaired(rows).map == rows
+    whole = a_map(row, [(0, 1), (1, 2), (3, 4), (4, 5), (0, 3), (2, 5), (1, 4)])
+    assert repaired(whole).map == whole
+
+
+@pytest.mark.parametrize(
+    "chain",
+    [
+        a_chain((2.0, 1.0), link=False),  # two pairs only
+        a_chain((2.0, 4.0), last=(20, 4)),  # 4.5 m off
+        a_chain((2.0, 1.0), last=(23, 1)),  # one is 9 m from the next, not 6
+    ],
+)
+def test_nodes_that_are_not_three_alike_stay(chain):
+    assert repaired(chain).map == chain
+
+
+def test_a_type_that_differs_contradicts_all():
+    chain = a_chain((2.0, 1.0))
+    nodes = tuple(dataclasses.replace(n, type="terminal") if n.id == 4 else n for n in chain.nodes)
+    chain = dataclasses.replace(chain, nodes=nodes)
+    assert repaired(chain).map == chain
+
+
+# Ways that are longer than the passage, and two nodes each of which knows the next but one
+
+
+def test_a_known_link_on_which_the_robot_went_up_and_down_explains_one():
+    """From 1 to 2 it once took 12 m for 8; what leads from 0 to 2 ends by the opening of that link."""
+    row = a_map([*ROW, (14, 9)], [(0, 1), (1, 2), (0, 2), (2, 3)])
+    longer = dataclasses.replace(row.links[1], length_m=12.0)
+    row = dataclasses.replace(row, links=(row.links[0], longer, *row.links[2:]))
+    assert ends(repaired(row).map) == [(0, 1), (1, 2), (2, 3)]
+    aside = dataclasses.replace(row.links[2], end_bearing_deg=-90.0)
+    row = dataclasses.replace(row, links=(*row.links[:2], aside, row.links[3]))
+    assert repaired(row).contradicted == 0
+
+
+def test_two_links_that_lead_past_each_others_ends_are_three():
+    """0 to 2 leads past 1, 1 to 3 past 2: what lies between 1 and 2 has no link."""
+    row = a_map([(0, 0), (6, 0), (16, 0), (24, 0)], [(0, 1), (0, 2), (1, 3), (2, 3)])
+    found = repaired(row)
+    assert sorted(map(sorted, ends(found.map))) == [[0, 1], [1, 2], [2, 3]]
+    assert (found.contradicted, found.left) == (1, 0)
+    between = next(link for link in found.map.links if {link.start, link.end} == {1, 2})
+    assert between.length_m == pytest.approx(10)
+    assert between.attributes["moved"][:2] == pytest.approx([10, 0])
+
+
+@pytest.mark.parametrize(("length_m", "mended"), [(15.0, True), (10.5, False), (19.0, False)])
+def test_a_link_on_which_the_robot_turned_back_and_strayed_has_not_been_searched(length_m, mended):
+    """It left 0 northwards, turned back, went by 0 unseen and came to 1; later it came from 2 in the north past 0."""
+    line = a_map([(0, 0), (10, 0), (0, 8)], [(0, 1)])
+    strayed = a_link(1, 0, 1, 90.0, 180.0, length_m, 10.0, 0.3, 0.0)
+    past = a_link(2, 2, 1, -90.0, 178.0, 18.0, 10.0, -8.0, 0.0)
+    found = repaired(dataclasses.replace(line, links=(*line.links, strayed, past)))
+    assert (sorted(map(sorted, ends(found.map))) == [[0, 1], [0, 2]]) == mended

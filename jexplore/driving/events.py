@@ -11,7 +11,7 @@ from jax import Array, lax
 
 from jexplore import btm
 from jexplore.arrays.loops import run_if
-from jexplore.driving import behaviour, mapping
+from jexplore.driving import behaviour, links, mapping
 from jexplore.driving.behaviour import FreeSpace, Latch, Track
 from jexplore.driving.mapping import Writer
 from jexplore.driving.nodes import SAME_NODE_M, Event
@@ -247,17 +247,19 @@ def _passes_start(state):
     A start in the circle of a divergence is on no link.
     """
     map_ = state.writer.map
-    place = to_robot(state.estimate)(jnp.stack([map_.x_m[0], map_.y_m[0]]))
+    followed, to, there = links.led_to(state.writer)
+    is_led, gone_m = followed & (to == 0), state.odometer_m - state.writer.node_m
+    place = to_robot(state.estimate)(jnp.where(is_led, there, jnp.stack([map_.x_m[0], map_.y_m[0]])))
+    within_m = SAME_NODE_M + jnp.where(is_led, links.WAY_DRIFT * gone_m, 0.0)
     along = jnp.abs(jnp.cos(state.estimate[2] - map_.start_bearing[0])) > ALONG
     within = jnp.hypot(map_.x_m - map_.x_m[0], map_.y_m - map_.y_m[0]) < map_.radius_m
     on_link = ~jnp.any(within & (map_.kind == btm.DIVERGENCE)) & (state.drive.latch != Latch.LOOK)
-    gone_m = state.odometer_m - state.writer.node_m
     return (
         on_link
         & along
         & (state.writer.node != 0)
         & (place[0] <= 0)
-        & (jnp.hypot(*place) < SAME_NODE_M)
+        & (jnp.hypot(*place) < within_m)
         & (gone_m > SAME_NODE_M)
     )
 

@@ -1,7 +1,9 @@
 """The links of a node in a map that is being written, and which known node a place is by its ways."""
 
+import dataclasses
 import math
 
+import jax
 import jax.numpy as jnp
 from jax import Array
 
@@ -10,10 +12,13 @@ from jexplore.arrays.loops import run_if
 from jexplore.btm import Btm
 from jexplore.driving.mapping import Writer
 from jexplore.driving.sensing.openings import Openings
+from jexplore.driving.vehicle import to_odometry
 
 ALIKE_RAD = math.radians(40)  # a link and an opening that lie no farther apart are one
-DRIFT = 0.025, 2.5  # of the way since it was put right, metres at most: how far off a known place may seem
+DRIFT = 0.025, 2.5  # of the way, metres at most: how far off a known place may seem
 WAY_DRIFT = 0.05  # of the way along a known link: how far off its other node may seem
+DOUBT = 0.05, 4.0  # of the way, metres at most: how far off a node may seem that a new place perhaps is
+SAME_WAY = 0.6, 0.05  # a way that is as long as a known one, this near in metres and of its length, is that one
 TRIES = 3  # an un-searched link on which the robot has set off so often in vain is given up
 FAILS = 3  # a searched link that has led elsewhere so often in a row is followed no more
 ROUNDS = 1  # so often links of both kinds get another chance, once nothing else is left
@@ -26,7 +31,7 @@ def turn_to(map_: Btm, node: Array, found: Openings) -> tuple[Array, Array]:
 
     Returns:
       `(turn, spread)`: radians, to be added; the farthest that a link lies from its opening once that is done, radians,
-        inf where there are fewer than two of them, or one has no partner within `TURN_RAD`.
+        inf where an opening has no link, or a link no opening, within `TURN_RAD`.
     """
     own, bearing = ends_at(map_, node)
     off = btm.wrapped(bearing[:, None] - found.bearing)  # [2M, K]
@@ -36,7 +41,8 @@ def turn_to(map_: Btm, node: Array, found: Openings) -> tuple[Array, Array]:
     counts = jnp.abs(least) < TURN_RAD
     n = jnp.sum(counts)
     turn = jnp.sum(jnp.where(counts, least, 0)) / jnp.maximum(n, 1)
-    whole = (n >= 2) & (n == jnp.sum(own)) & (n == jnp.sum(found.valid))
+    has_opening = jnp.any(jnp.abs(off) < TURN_RAD, axis=1)
+    whole = (n >= 1) & jnp.all(counts == found.valid) & jnp.all(has_opening == own)
     return turn, jnp.where(whole, jnp.max(jnp.where(counts, jnp.abs(least - turn), 0)), jnp.inf)
 
 
@@ -108,13 +114,43 @@ def leads_to(writer: Writer) -> tuple[Array, Array]:
     return (writer.link < size) & (map_.status[link] == btm.SEARCHED), to
 
 
+def way_along(map_: Btm, link: Array, forward: Array) -> Array:
+    """How the odometry has moved along a searched link, in the frame of the node where that begins: `[2]`, metres."""
+    there = jnp.stack([map_.moved_x_m[link], map_.moved_y_m[link]])
+    turned = jnp.nan_to_num(map_.turned[link])
+    return jnp.where(forward, there, to_odometry(jnp.stack([0.0, 0.0, -turned]))(-there))
+
+
+def led_to(writer: Writer) -> tuple[Array, Array, Array]:
+    """Where the link that the robot follows has ended, laid out from the last node as the odometry has that.
+
+    Returns:
+      `(followed, to, place)`: whether it follows one that is known; int32, node at its other end; `[2]` float32.
+    """
+    followed, to = leads_to(writer)
+    link = jnp.minimum(writer.link, writer.map.start.shape[0] - 1)
+    way = way_along(writer.map, link, writer.map.start[link] == writer.node)
+    return followed, to, writer.origin[:2] + to_odometry(jnp.stack([0.0, 0.0, -writer.origin[2]]))(way)
+
+
+def is_led_to(writer: Writer, centre: Array, odometer_m: Array, reach: Array | float) -> tuple[Array, Array]:
+    """Whether a place is where the link leads that the robot follows, as far as the way can tell: `(node, whether)`.
+
+    The node must be no farther from it than `reach`, metres, and a share of the way along the link.
+    """
+    followed, to, place = led_to(writer)
+    limit_m = reach + WAY_DRIFT * (odometer_m - writer.node_m)
+    return to, followed & (jnp.hypot(*(place - centre)) < limit_m)
+
+
 def recognised(
     writer: Writer, place: tuple[Array, Array], found: Openings, back: Array, reach: Array, when: Array
 ) -> tuple[Array, Array]:
     """A known divergence that seems to lie elsewhere, for the odometry is off: `(node, whether there is one)`.
 
     It has the very ways that are seen, and the one by which the robot has come waits to be searched; or it is
-    where the link leads that the robot follows. The nearest counts, where no other is nearly as near.
+    where the link leads that the robot follows, as the last node has it. The nearest counts, where no other is nearly
+    as near.
 
     Args:
       writer: `Writer`.
@@ -126,11 +162,12 @@ def recognised(
     """
     map_, (centre, odometer_m) = writer.map, place
     n = map_.kind.shape[0]
-    off_m = jnp.hypot(map_.x_m - centre[0], map_.y_m - centre[1])
-    drift_m = jnp.minimum(DRIFT[0] * (odometer_m - writer.sure_m), DRIFT[1])
-    followed, to = leads_to(writer)
-    gone_m = odometer_m - writer.node_m
+    followed, to, expected = led_to(writer)
     leads = followed & (jnp.arange(n) == to)
+    seen = jnp.where(followed, jnp.stack([map_.x_m[to], map_.y_m[to]]) + centre - expected, centre)
+    off_m = jnp.hypot(map_.x_m - seen[0], map_.y_m - seen[1])
+    drift_m = jnp.minimum(DRIFT[0] * odometer_m, DRIFT[1])
+    gone_m = odometer_m - writer.node_m
     limit_m = reach + jnp.where(leads, WAY_DRIFT * gone_m, jnp.where(followed, 0.0, drift_m))
     may = when & (map_.kind == btm.DIVERGENCE) & (off_m < limit_m) & (jnp.arange(n) != writer.node)
 
@@ -141,6 +178,122 @@ def recognised(
         return first, is_alone & is_alike(map_, first, found, back, leads[first])
 
     return run_if(jnp.any(may), judged, (jnp.int32(0), jnp.bool_(False)))
+
+
+def doubts_of(writer: Writer, centre: Array, odometer_m: Array, found: Openings, when: Array) -> Array:
+    """Which known divergences a place may be that is written as a new one: hypotheses, until one more node decides.
+
+    Args:
+      writer: `Writer` before the place was written.
+      centre: `[2]` float32, of the place, odometry.
+      odometer_m: float32, there.
+      found: `Openings` of it.
+      when: bool, whether to look at all.
+
+    Returns:
+      `[N]` float32: by how much its frame is turned if it is that node, radians; NaN: it is not.
+    """
+    map_, n = writer.map, writer.map.kind.shape[0]
+    off_m = jnp.hypot(map_.x_m - centre[0], map_.y_m - centre[1])
+    may = (map_.kind == btm.DIVERGENCE) & (off_m < jnp.minimum(DOUBT[0] * odometer_m, DOUBT[1]))
+    may &= when & (jnp.arange(n) != writer.node)
+
+    def turns(none):
+        turn, spread = jax.vmap(lambda node: turn_to(map_, node, found))(jnp.arange(n))
+        return jnp.where(may & jnp.isfinite(spread), turn, none)
+
+    return run_if(jnp.any(may), turns, jnp.full(n, jnp.nan))
+
+
+def decided(writer: Writer, kind: Array, centre: Array, odometer_m: Array, found: Openings) -> Writer:
+    """Takes the last node for a known one if the way from there on, and the place to which it has led, say so.
+
+    A hypothesis holds if a known link leaves that node in the direction in which the robot has left this one, gets on
+    as far, and leads to a node of the kind, and with the ways, of the place where the robot is now. If just one holds,
+    the last node is that one, and the robot has followed the known link: what it has written since goes. All others are
+    dropped and counted.
+
+    Source:
+      Choset and Nagatani 2001, Topological simultaneous localization and mapping.
+
+    Args:
+      writer: `Writer` with `doubts` of its last node.
+      kind, centre, odometer_m: of the place where the robot is now: int32; `[2]` float32, odometry; float32.
+      found: `Openings` of it, if it is a divergence.
+
+    Returns:
+      `Writer`, without doubts.
+    """
+    n, there = writer.map.kind.shape[0], jnp.isfinite(writer.doubts)
+    none = jnp.full(n, jnp.nan)
+
+    def judged(carry):
+        map_, _, _, origin, dropped, _ = carry
+        holds, onto = jax.vmap(lambda node, turn: _holds(writer, node, turn, kind, centre, odometer_m, found))(
+            jnp.arange(n), jnp.nan_to_num(writer.doubts)
+        )
+        holds &= there
+        node, is_it = jnp.argmax(holds).astype(jnp.int32), jnp.sum(holds) == 1
+        joined = _joined(map_, writer.node, node, writer.doubts[node])
+        map_ = jax.tree.map(lambda yes, no: jnp.where(is_it, yes, no), joined, map_)
+        origin = jnp.where(is_it, origin.at[2].set(writer.doubts[node]), origin)
+        dropped += jnp.sum(there) - is_it
+        return (
+            map_,
+            jnp.where(is_it, node, writer.node),
+            jnp.where(is_it, onto[node], writer.link),
+            origin,
+            dropped,
+            none,
+        )
+
+    names = "map", "node", "link", "origin", "dropped", "doubts"
+    before = tuple(getattr(writer, name) for name in names)
+    return writer.replace(**dict(zip(names, run_if(jnp.any(there), judged, before))))
+
+
+def _holds(writer, node, turn, kind, centre, odometer_m, found):
+    """Whether the last node may be another one, and the robot has followed a known link of that: `(holds, link)`."""
+    map_, size = writer.map, writer.map.start.shape[0]
+    ends, bearings = ends_at(map_, node)
+    off = jnp.where(ends, jnp.abs(btm.wrapped(bearings - writer.left_bearing - turn)), jnp.inf)
+    best = jnp.argmin(off)
+    link, forward = (best % size).astype(jnp.int32), best < size
+    to = jnp.where(forward, map_.end[link], map_.start[link])
+    way = to_odometry(jnp.stack([0.0, 0.0, turn]))(centre - writer.origin[:2])
+    apart_m = jnp.hypot(*(way - way_along(map_, link, forward)))
+    within_m = SAME_WAY[0] + SAME_WAY[1] * (odometer_m - writer.node_m)
+    _, spread = turn_to(map_, to, dataclasses.replace(found, bearing=found.bearing + turn))
+    holds = (off[best] < ALIKE_RAD) & (map_.status[link] == btm.SEARCHED) & (apart_m < within_m)
+    holds &= (map_.kind[to] == kind) & ((kind != btm.DIVERGENCE) | jnp.isfinite(spread))
+    return holds, link
+
+
+def _joined(map_, last, node, turn):
+    """The map without its last node, which is another one: the link that led there leads to that, whose frame is turned
+    so far, radians.
+    """
+    size = map_.start.shape[0]
+    comes = (map_.end == last) & (map_.status == btm.SEARCHED)
+    link = jnp.where(jnp.any(comes), jnp.argmax(comes), size)
+    at = jnp.minimum(link, size - 1)
+    back = btm.wrapped(map_.end_bearing[at] + turn)
+    known, is_known = link_from(map_, map_.start[at], node, back)
+    goes = (map_.start == last) | (is_known & (jnp.arange(size) == link) & (known != link))
+    none = jnp.int32(btm.NONE)
+    map_ = map_.replace(
+        start=jnp.where(goes, none, map_.start),
+        end=jnp.where(goes, none, map_.end).at[link].set(jnp.where(goes[at], none, node), mode="drop"),
+        status=jnp.where(goes, none, map_.status),
+        end_bearing=map_.end_bearing.at[link].set(back, mode="drop"),
+        turned=map_.turned.at[link].set(btm.wrapped(map_.turned[at] - turn), mode="drop"),
+        kind=map_.kind.at[last].set(none),
+        x_m=map_.x_m.at[last].set(jnp.nan),
+        y_m=map_.y_m.at[last].set(jnp.nan),
+        intervention=map_.intervention.at[node].add(map_.intervention[last]).at[last].set(0),
+        n_nodes=map_.n_nodes - 1,
+    )
+    return withdraw_double(map_, node, back, (link < size) & ~goes[at])
 
 
 def link_from(map_: Btm, start: Array, node: Array, back: Array) -> tuple[Array, Array]:

@@ -93,7 +93,8 @@ class Writer:
     rounds: Array  # int32, how often links that were given up have got another chance
     exhausted: Array  # bool, nothing is left to follow
     full: Array  # bool, a node did not fit
-    sure_m: Array  # float32, odometer where the odometry was last put right at a node
+    doubts: Array  # [N] float32, known nodes that the last one may be: turn of its frame then, radians; NaN: it is not
+    dropped: Array  # int32, such hypotheses that did not hold
     origin: Array  # [3] float32, the last node as the odometry has it: x, y, metres; turn of its frame, radians
     guide: Guide | None = None  # of a robot that follows a route
     replace: ClassVar[Callable[..., Self]]
@@ -127,7 +128,8 @@ def begin(
         rounds=jnp.int32(0),
         exhausted=jnp.bool_(False),
         full=jnp.bool_(False),
-        sure_m=zero,
+        doubts=jnp.full(n_nodes, jnp.nan),
+        dropped=jnp.int32(0),
         origin=jnp.zeros(3).at[:2].set(pose[:2]),
         guide=guide,
     )

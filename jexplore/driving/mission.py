@@ -136,6 +136,7 @@ class Result:
     help_at: Array  # [HELPS_KEPT, 4] float32, x, y of the first of them, odometry; step; run mode; NaN: none
     node_at: Array  # [N, 2] float32, where the robot truly was when it made a node
     mistaken: Array  # int32, times that it took a place for a node that truly lies elsewhere
+    dropped: Array  # int32, hypotheses which known node a place was that did not hold
     met: Array  # [K] bool, which of the building's marks it has been at
     scan_overflow: Array  # int32, ends of walls that did not fit into a scan's points
     drift_m: Array  # float32, how far the odometry was off in the end
@@ -321,8 +322,7 @@ def _end(state, at_end, tuning):
     return state.replace(outcome=outcome)
 
 
-def _draws_from(key, first, noise):
-    """The random numbers of `BLOCK` steps from one on."""
+def _draws_from(key, first, noise):  # of `BLOCK` steps
     return draw(jax.vmap(lambda i: jax.random.fold_in(key, i))(first + jnp.arange(BLOCK)), noise)
 
 
@@ -373,6 +373,7 @@ def finish(setup: Setup, given: Given, state: State) -> Result:
         help_at=state.help_at,
         node_at=state.node_at.at[node].set(body.pose[:2], mode="drop"),
         mistaken=state.mistaken,
+        dropped=state.writer.dropped,
         met=state.met,
         scan_overflow=state.scan_overflow,
         drift_m=jnp.hypot(*(body.pose[:2] - state.estimate[:2])),

@@ -25,6 +25,7 @@ CORNER = 1.3  # of a circle's diameter: with only one opening, wider than this, 
 IN_LINE_RAD = math.radians(45)  # two openings are in line if they are no farther from it
 SHIFT_M = 0.7  # the odometry's place is corrected by half at a node met again no farther than this away, metres
 SAME_NODE_M = 1.0  # free space and obstacles nearer than this to one that is known are that one
+LED_M = 1.5  # and so near to where a known link leads to one
 TURN_SHARE, SHIFT_SHARE = 0.2, 0.5  # of what is found there: it is less sure than what scans have said on the way
 
 
@@ -70,8 +71,10 @@ def _arrive(writer, event, found, back, tuning, is_divergence, is_terminal):
     alike, is_alike = links.recognised(
         writer, (event.centre, event.odometer_m), found, back, reach, is_divergence & ~again
     )
-    near = jnp.where(event.returns, 0, jnp.where(is_alike, alike, near))
-    again = again | is_alike | event.returns
+    to, is_led = links.is_led_to(writer, event.centre, event.odometer_m, LED_M)
+    is_led &= ~is_divergence & ~is_terminal & (writer.map.kind[to] == event.kind)
+    near = jnp.where(event.returns, 0, jnp.where(is_alike, alike, jnp.where(is_led, to, near)))
+    again = again | is_alike | is_led | event.returns
     width, posture, roll = along(writer.way, writer.node_m, event.odometer_m)
     added, new = btm.add_node(
         writer.map,
@@ -170,8 +173,7 @@ def write(
     A place with two openings in line is none: it is passed.
 
     Args:
-      writer: `Writer`.
-      event: `Event`, of any kind but `NONE`.
+      writer, event: `Writer`; `Event`, of any kind but `NONE`.
       points: what lies round the robot: `[P, 2]` float32, odometry; `[P]` bool, whether there is one.
       tuning, robot: `Tuning`, `Robot`.
 
@@ -182,6 +184,7 @@ def write(
     is_divergence, size = event.kind == btm.DIVERGENCE, writer.map.start.shape[0]
     is_terminal = (event.kind == btm.TERMINAL) & ~event.returns
     found, others, back = _find_openings(writer, event, points, tuning, is_divergence)
+    before, writer = writer, links.decided(writer, event.kind, event.centre, event.odometer_m, found)
     at = _arrive(writer, event, found, back, tuning, is_divergence, is_terminal)
     map_, step_m = obstacles.judged(at.map, writer, event, tuning, robot, at.posture, at.node)
     at, event, turn, applied, turned = _turns(writer, event, at, found, tuning)
@@ -210,13 +213,13 @@ def write(
         border_m=_border_left(writer, event),
         tries=after.tries.at[taken].add(1, mode="drop"),
         exhausted=~is_terminal & (taken == size),
-        sure_m=jnp.where(at.met | event.returns, event.odometer_m, writer.sure_m),
+        doubts=links.doubts_of(writer, event.centre, event.odometer_m, found, is_divergence & ~at.again & at.fits),
         origin=jnp.stack([*(event.centre + at.shift), jnp.nan_to_num(turned) - applied]),
         guide=guided,
     )
     correction = jnp.where(passes, 0.0, jnp.stack([*at.shift, applied]))
     return (
-        _either_of(passes, _passing(writer, event), _either_of(at.fits, written, _full(writer))),
+        _either_of(passes, _passing(before, event), _either_of(at.fits, written, _full(writer))),
         jnp.where((~through & (taken < size)) | passes, Latch.LEAVE, Latch.FREE).astype(jnp.int32),
         event.centre + correction[:2] + target,
         out,
@@ -231,7 +234,8 @@ def _turns(writer, event, at, found, tuning):
     """
     turned, spread = links.turn_to(at.map, at.node, found)
     turn = jnp.where(at.met, turned, 0.0)
-    share = jnp.where(spread < jnp.radians(tuning.agree_deg), tuning.agree_share, TURN_SHARE)
+    agree = (spread < jnp.radians(tuning.agree_deg)) & (jnp.sum(found.valid) > 1)
+    share = jnp.where(agree, tuning.agree_share, TURN_SHARE)
     turned = jnp.where(at.again, jnp.where(event.kind == btm.DIVERGENCE, turned, jnp.nan), 0.0)
     at = at._replace(moved=moved(writer, event.centre, turned))
     return at, dataclasses.replace(event, pose=event.pose.at[2].add(turn)), turn, share * turn, turned
@@ -278,7 +282,7 @@ def made(
         return whole.map, {name: getattr(whole, name) for name in rest}, drive, track, estimate
 
     names = ("node", "node_m", "link", "left_bearing", "border_m", "passed", "tries", "fails", "rounds", "exhausted")
-    names = (*names, "full", "origin", "guide")
+    names = (*names, "full", "origin", "doubts", "dropped", "guide")
     rest = {name: getattr(writer, name) for name in names}
     map_, rest, drive, track, estimate = run_if(
         event.kind != btm.NONE, written, (writer.map, rest, drive, track, state.estimate)

@@ -135,12 +135,16 @@ class _Graph:
             links.append(by)
             count += goes
         is_found = (count > 0) | is_target[block, start, column]
-        own_nodes = self._node_ids[np.stack(nodes, 1)].tolist()
-        own_links = self._link_ids[np.stack(links, 1)].tolist() if links else [[]] * len(start)
-        return [
-            Walk(tuple(ids[: n + 1]), tuple(ways[:n])) if there else None
-            for ids, ways, n, there in zip(own_nodes, own_links, count.tolist(), is_found.tolist())
-        ]
+        own_nodes = _rows(self._node_ids[np.stack(nodes, 1)], count + 1)
+        own_links = _rows(self._link_ids[np.stack(links, 1)], count) if links else [()] * len(start)
+        return [Walk(ids, ways) if there else None for ids, ways, there in zip(own_nodes, own_links, is_found.tolist())]
+
+
+def _rows(table, count):
+    """The first `count` [P] entries of every row of a table, `[P, L]`, L of them at most: a list of tuples."""
+    flat = tuple(table[np.arange(table.shape[1]) < count[:, None]].tolist())
+    ends = np.cumsum(count).tolist()
+    return [flat[first:end] for first, end in zip([0, *ends], ends)]
 
 
 def _solved(graph, calls, goals, shape):

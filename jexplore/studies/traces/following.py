@@ -21,7 +21,7 @@ from jexplore.studies.traces import routes
 from jexplore.studies.traces.job import MOST_STEPS
 from jexplore.tracemap.merging.rigid import apart_deg
 from jexplore.tracemap.passable import BLOCKED, BLOCKED_FOR, CONFLICTS, FOUND_BY, blocked_for
-from jexplore.tracemap.record import NOWHERE, STATUS, BtmMap, Link
+from jexplore.tracemap.record import NOWHERE, STATUS, BtmMap, Link, length_of
 from jexplore.tracemap.route import Route
 from jexplore.worlds.world import World
 
@@ -31,6 +31,8 @@ CLEAR_M = 1.5, 1.0, 2.0, 0.6, 3.0, 0.3  # a robot starts so far along its link: 
 SAME_DEG = 40.0  # ways that lie no farther apart are one
 ONE_DEG = 20.0  # links of a node that leave it no farther apart are one way: two nodes of a passage
 STEPS_M = 60  # steps that a robot has for each metre of its route
+STRAIGHT = 0.8  # of its length lie the ends of a link apart at least, if its middle is known
+ON_IT_M = 1.0  # a robot so near to the middle of a link is on it
 
 
 @dataclasses.dataclass(frozen=True)
@@ -39,8 +41,8 @@ class Followed:
 
     table: Any
     """pandas DataFrame, a row a route: from, to, outcome (ARRIVED, LOST, BLOCKED, ...), length_m by the map, path_m,
-    off_m from where the map has its end, places on it, missed and extra ones, steps, contacts, refused steps, help by
-    the operator."""
+    off_m from where the map has its end, places on it, missed and extra ones, refused_links: on how many straight links
+    that the map refuses to the robot it has been, steps, contacts, refused steps, help by the operator."""
     map: BtmMap
     """The map with what was found otherwise: ways that it did not have, as un-searched links; links that could not be
     passed, with the attributes `blocked` and `blocked_for`; each with `found_by`."""
@@ -96,7 +98,7 @@ def follow(
 
 def _driven(world, btm, found, robot, settings, seed, how):
     """The `mission.Result` of all routes."""
-    building = building_of(world)
+    building = building_of(world, marks_m=_refused_places(btm, found))
     begun = [_start(world, building, robot, btm, route) for route in found]
     guides = _guides(world, btm, found, [metres for _, metres in begun])
     n, longest = len(found), max(route.length_m for route in found)
@@ -113,6 +115,18 @@ def _driven(world, btm, found, robot, settings, seed, how):
         size=SIZE,
         **how,
     ).result
+
+
+def _refused_places(btm, found):
+    """Middles of straight links that the map refuses to the robot of some routes: `[K, 3]`, as for `building_of`."""
+    nodes, refused = {node.id: node for node in btm.nodes}, {own for route in found for own, _ in route.refused}
+    places = []
+    for link in btm.links:
+        if link.id in refused and link.end != NOWHERE:
+            a, b = nodes[link.start], nodes[link.end]
+            if math.hypot(b.x_m - a.x_m, b.y_m - a.y_m) > STRAIGHT * length_of(link, nodes):
+                places.append(((a.x_m + b.x_m) / 2, (a.y_m + b.y_m) / 2, ON_IT_M))
+    return np.reshape(places, (-1, 3))
 
 
 def _checked(btm, found, robot, tuning, noise):
@@ -216,6 +230,7 @@ def _table(world, btm, found, result):
             "places": guide.count,
             "missed": guide.missed,
             "extra": guide.extra,
+            "refused_links": result.met[:, : len(_refused_places(btm, found))].sum(axis=1),
             "steps": result.steps,
             "contacts": result.contacts,
             "refused": result.refused,

@@ -16,7 +16,7 @@ from jexplore.studies import checks
 from jexplore.tracemap.json_form import to_json
 from jexplore.tracemap.passable import blocks_of
 from jexplore.tracemap.record import NODE_TYPES, NOWHERE, OBSTACLES, STATUS, BtmMap
-from jexplore.tracemap.repaired import closings_of
+from jexplore.tracemap.repairing.repaired import closings_of
 from jexplore.worlds.readers.scans import ScanMap
 from jexplore.worlds.world import World
 

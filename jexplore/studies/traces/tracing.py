@@ -25,7 +25,7 @@ from jexplore.studies.traces.truth import false_divergences
 from jexplore.tracemap import json_form
 from jexplore.tracemap.passable import BLOCKED, blocked_for
 from jexplore.tracemap.record import BtmMap
-from jexplore.tracemap.repaired import repaired
+from jexplore.tracemap.repairing.repaired import repaired
 from jexplore.tracemap.similarity import code
 from jexplore.version import __version__
 from jexplore.worlds.readers.scans import ScanLog
@@ -304,6 +304,7 @@ def table_of(plan: TraceJob, result: Any, setting: Any, which: Any, chosen: dict
             "step_m": [max(s, default=np.nan) for s in steps],
             "closings": [of_run.closings for of_run in found],
             "mistaken": result.mistaken,
+            "dropped": result.dropped,
             "contradicted": [of_run.contradicted for of_run in found],
             "overflow": result.map.overflow,
             "scan_overflow": result.scan_overflow,

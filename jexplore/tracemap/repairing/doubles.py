@@ -1,0 +1,244 @@
+"""What is in a map twice: a way that was followed from both of its ends, a place to which the robot turned back."""
+
+import dataclasses
+import heapq
+import math
+from collections.abc import Iterator
+
+from jexplore.tracemap.merging.rigid import Move, apart_deg
+from jexplore.tracemap.record import NOWHERE, STATUS, BtmMap, Link
+from jexplore.tracemap.repairing.through import explained
+from jexplore.tracemap.repairing.ways import (
+    CLOSE,
+    OPENING_DEG,
+    STRAIGHT,
+    Way,
+    are_close,
+    are_near,
+    joined,
+    ways_of,
+    within_m,
+    without,
+)
+
+TINY_M = 3.0  # a link that leads back to its node is a way round if it is longer
+NEAR_M = 4.0  # nodes that are one lie no farther apart, and no farther than is `CLOSE` for the way between them
+TURNED_M = 1.0, 8.0  # who turns back before the next node goes so much more
+FEWEST = 3  # pairs of nodes that are one, each linked with the next alike
+
+
+def turned_back(btm: BtmMap) -> Iterator[BtmMap]:
+    """The map without a link on which the robot has turned back to where it left, by the opening by which it left; what
+    it took there for another node of that type is the one that it left. Nor does a link lead back to its node that is
+    tiny, or whose ends lie in one place and that leaves or ends by another one's opening. If nothing else leaves by the
+    opening by which it has left, that is un-searched.
+    """
+    for link in btm.links:
+        for way in ways_of(btm, link.start):
+            if way.link is link and way.to == link.end and _returns(btm, way):
+                kept, gone = sorted((link.start, link.end))
+                turn_deg = way.move.turn_deg if kept == link.start else -way.move.turn_deg
+                rest = _opened(btm, way)
+                found = rest if kept == gone else joined(rest, kept, gone, turn_deg)
+                if found is not None:
+                    yield found
+                break
+
+
+def _returns(btm: BtmMap, way: Way) -> bool:
+    is_own, is_tiny = way.to == way.link.start == way.link.end, (way.link.length_m or 0.0) < TINY_M
+    if not are_close(way.move, Move(), within_m(way.link)):
+        return is_own and is_tiny
+    others = _others(btm, way)
+    is_shared = _is_shared(others, way.bearing_deg) or _is_shared(others, way.back_deg)
+    return are_near(way.bearing_deg, way.back_deg + way.move.turn_deg) or (is_own and (is_tiny or is_shared))
+
+
+def _others(btm: BtmMap, way: Way) -> list[Way]:
+    """The other ways of the node where a link begins."""
+    return [one for one in ways_of(btm, way.link.start) if one.link.id != way.link.id]
+
+
+def _is_shared(others, bearing_deg):
+    """Whether one of some ways of a node leaves by an opening."""
+    return any(are_near(one.bearing_deg, bearing_deg) for one in others)
+
+
+def _opened(btm: BtmMap, way: Way) -> BtmMap:
+    """The map where a link has not been searched; without it where another one leaves by its opening."""
+    link = way.link
+    if _is_shared(_others(btm, way), way.bearing_deg):
+        return without(btm, link)
+    stub = Link(link.id, link.start, NOWHERE, STATUS[0], link.start_bearing_deg, opening_m=link.opening_m)
+    return dataclasses.replace(btm, links=tuple(stub if one is link else one for one in btm.links))
+
+
+def both_ways(btm: BtmMap) -> Iterator[BtmMap]:
+    """The map without the second of two links between two nodes that are one way, straight and as long: one was
+    followed there and one back. Each says by which opening it begins.
+    """
+    links = [link for link in btm.links if link.end not in (NOWHERE, link.start)]
+    for i, first in enumerate(links):
+        for second in links[i + 1 :]:
+            if (first.start, first.end) == (second.end, second.start) and _are_one(btm, first, second):
+                one = dataclasses.replace(first, end_bearing_deg=second.start_bearing_deg)
+                rest = without(btm, second)
+                yield dataclasses.replace(rest, links=tuple(one if link is first else link for link in rest.links))
+
+
+def _are_one(btm, first, second):
+    there, back = (
+        next((way for way in ways_of(btm, first.start) if way.link is link and way.to == first.end), None)
+        for link in (first, second)
+    )
+    if there is None or back is None:
+        return False
+    apart_m = abs((first.length_m or 0.0) - (second.length_m or 0.0))
+    is_one = apart_m < within_m(first) and are_close(there.move, back.move, within_m(first))
+    return is_one and _is_straight(there) and _is_straight(back)
+
+
+def _is_straight(way):
+    return (way.link.length_m or 0.0) < STRAIGHT * math.hypot(way.move.x_m, way.move.y_m) + CLOSE[0]
+
+
+def doubled(btm: BtmMap) -> Iterator[BtmMap]:
+    """The map where some nodes are others: a set of pairs of one type and with equal openings, each linked with the
+    next by links that leave alike, are as long and lead to one place; nothing in it contradicts the rest. Both of a
+    pair lie no farther apart than the odometry can be off on the shortest known way from one to the other.
+
+    Source:
+      Choset and Nagatani 2001, Topological simultaneous localization and mapping, for hypotheses that the next nodes
+      decide; pairs are held against each other as in pairwise consistent sets (Mangelson et al. 2018).
+    """
+    nodes = btm.nodes
+    for i, first in enumerate(nodes):
+        for second in nodes[i + 1 :]:
+            alike = (first.type, first.obstacle) == (second.type, second.obstacle)
+            if alike and _apart_m(first, second) < NEAR_M:
+                pairs = _pairs_from(btm, first.id, second.id)
+                if len(pairs) >= FEWEST and all(_may_be_one(btm, pair, turn_deg) for pair, turn_deg in pairs.items()):
+                    found = btm
+                    for (one, other), turn_deg in pairs.items():
+                        kept, gone = sorted((one, other))
+                        found = found and joined(found, kept, gone, turn_deg if kept == one else -turn_deg)
+                    if found is not None:
+                        yield found
+
+
+def _apart_m(one, other):
+    return math.hypot(one.x_m - other.x_m, one.y_m - other.y_m)
+
+
+def _may_be_one(btm, pair, turn_deg):
+    """Whether two nodes have equal openings, and lie no farther apart than the way between them tells."""
+    (one, other), nodes = pair, {node.id: node for node in btm.nodes}
+    ends = btm.bearings_deg(one), [bearing_deg + turn_deg for bearing_deg in btm.bearings_deg(other)]
+    alike = all(any(are_near(a, b) for b in there) for here, there in (ends, ends[::-1]) for a in here)
+    limit_m = CLOSE[0] + CLOSE[1] * _way_m(btm, one, other)
+    return alike and _apart_m(nodes[one], nodes[other]) < limit_m
+
+
+def _way_m(btm, start, goal):
+    """Length of the shortest way along known links from a node to another; inf where there is none."""
+    queue, reached = [(0.0, start)], set()
+    while queue:
+        gone_m, here = heapq.heappop(queue)
+        if here == goal:
+            return gone_m
+        if here not in reached:
+            reached.add(here)
+            for way in ways_of(btm, here):
+                heapq.heappush(queue, (gone_m + (way.link.length_m or 0.0), way.to))
+    return math.inf
+
+
+def _pairs_from(btm, first, second):
+    """Pairs of nodes that are one if two are, and how far the frame of the second is turned against that of the first;
+    none where they contradict each other.
+    """
+    types = {node.id: (node.type, node.obstacle) for node in btm.nodes}
+    pairs, pending = {(first, second): 0.0}, [(first, second)]
+    while pending:
+        pair = pending.pop()
+        turn_deg = pairs[pair]
+        for one in ways_of(btm, pair[0]):
+            for other in ways_of(btm, pair[1]):
+                move = Move(turn_deg=turn_deg).after(other.move)
+                is_one = are_near(one.bearing_deg, other.bearing_deg + turn_deg) and one.link.id != other.link.id
+                if not is_one or one.to == other.to or not are_close(one.move, move, within_m(one.link)):
+                    continue
+                if types[one.to] != types[other.to]:
+                    return {}
+                if (one.to, other.to) not in pairs:
+                    pairs[one.to, other.to] = apart_deg(move.turn_deg, one.move.turn_deg)
+                    pending.append((one.to, other.to))
+    apart = {node for pair in pairs for node in pair}
+    return pairs if len(apart) == 2 * len(pairs) else {}
+
+
+def strayed(btm: BtmMap) -> Iterator[BtmMap]:
+    """The map where a link has not been searched on which the robot turned back, went by its node unseen and took
+    another way from there: it leads where a shorter one does, and ends by the same opening.
+    """
+    for link in btm.links:
+        for long in ways_of(btm, link.start):
+            if long.link is link and long.to == link.end != link.start and _is_other_way(btm, long):
+                yield _opened(btm, long)
+
+
+def _is_other_way(btm, long):
+    length_m = long.link.length_m or 0.0
+    others = _others(btm, long)
+    if _is_shared(others, long.bearing_deg):
+        return False
+    return any(
+        way.to == long.to
+        and are_near(way.back_deg, long.back_deg)
+        and TURNED_M[0] < length_m - (way.link.length_m or 0.0) < TURNED_M[1]
+        and are_close(way.move, long.move, within_m(way.link))
+        for way in others
+    )
+
+
+def misled(btm: BtmMap) -> Iterator[BtmMap]:
+    """The map where a link that has led to a known node ends at the opening that lies toward where it comes from,
+    instead of at one by which another link leaves, or at none that was known if it is straight. That opening is
+    un-searched; or a known link leaves by it that then can be explained.
+    """
+    for node in btm.nodes:
+        ways = list(ways_of(btm, node.id))
+        stubs = [link for link in btm.links if link.start == node.id and link.end == NOWHERE]
+        made_from = min((way.to for way in ways if way.link.end == node.id), default=node.id)
+        for way in ways:
+            toward_deg = math.degrees(math.atan2(way.move.y_m, way.move.x_m))
+            is_aside = abs(apart_deg(way.bearing_deg, toward_deg)) > OPENING_DEG
+            if way.link.end != node.id or way.to == made_from or not is_aside:
+                continue
+            others = [other for other in ways if other.link.id != way.link.id]
+            if _is_straight(way) or _is_shared(others, way.bearing_deg):
+                for stub in stubs:
+                    if abs(apart_deg(stub.start_bearing_deg, toward_deg)) < OPENING_DEG:
+                        yield _leaving(without(btm, stub), way, node.id, stub.start_bearing_deg)
+            if _is_straight(way):
+                for other in others:
+                    if abs(apart_deg(other.bearing_deg, toward_deg)) < OPENING_DEG:
+                        yield from _explained_at(btm, way, node.id, other)
+
+
+def _explained_at(btm, way, node, other):
+    """The map where a way leaves a node by another one's opening and the longer of both is explained, if it can be."""
+    changed = _leaving(btm, way, node, other.bearing_deg)
+    pair = [one for one in ways_of(changed, node) if one.link.id in (way.link.id, other.link.id)]
+    if len(pair) == 2:
+        short, long = sorted(pair, key=lambda one: one.link.length_m or 0.0)
+        found = explained(changed, short, long)
+        if found is not None:
+            yield found
+
+
+def _leaving(btm: BtmMap, way: Way, node: int, bearing_deg: float) -> BtmMap:
+    """The map where a link leaves a node by another opening."""
+    end = "start_bearing_deg" if way.link.start == node else "end_bearing_deg"
+    changed = dataclasses.replace(way.link, **{end: bearing_deg})
+    return dataclasses.replace(btm, links=tuple(changed if link is way.link else link for link in btm.links))

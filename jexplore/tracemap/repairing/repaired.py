@@ -1,0 +1,66 @@
+"""What contradicts itself in a finished map, as far as it can be explained."""
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+from jexplore.tracemap.record import NOWHERE, BtmMap, check, parts_of
+from jexplore.tracemap.repairing.doubles import both_ways, doubled, misled, strayed, turned_back
+from jexplore.tracemap.repairing.through import explained, twins
+
+
+class Repaired(NamedTuple):
+    """A map without contradictions that could be explained."""
+
+    map: BtmMap
+    closings: int  # ways round: searched links beyond those that it takes to reach every node
+    contradicted: int  # what was there twice, led through a node or ended by a wrong opening
+    left: int  # pairs of ways by one opening for which there was no explanation
+
+
+def repaired(btm: BtmMap) -> Repaired:
+    """The map without links that lead through a node unseen, and without nodes and links that are there twice.
+
+    In this order: links on which the robot has turned back; ways that were followed from both ends; links that end by
+    an opening that is another's; pairs of ways by one opening, see `through.explained`; sets of nodes that are there
+    twice; links that end where the robot strayed to. What nothing explains is left as it is, and counted.
+
+    Args:
+      btm: a map of a run, whose links have the attribute `moved`; those without are left alone.
+
+    Returns:
+      `Repaired`.
+
+    Raises:
+      InputError: not a proper map.
+    """
+    btm, contradicted = check(btm), 0
+    for _ in btm.links:  # each time one link less is doubtful
+        found = next(_mended(btm), None)
+        if found is None:
+            break
+        btm, contradicted = found, contradicted + 1
+    return Repaired(btm, closings_of(btm), contradicted, sum(1 for _ in twins(btm)))
+
+
+def _mended(btm: BtmMap) -> Iterator[BtmMap]:
+    """The map with one thing less that contradicts itself."""
+    yield from turned_back(btm)
+    yield from both_ways(btm)
+    yield from misled(btm)
+    yield from _explanations(btm)
+    yield from doubled(btm)
+    for other in strayed(btm):  # only where another link is known then to lead there
+        waiting = {link.id for link in other.links if link.end == NOWHERE}
+        for found in _explanations(other):
+            if len(waiting & {link.id for link in found.links if link.end == NOWHERE}) < len(waiting):
+                yield found
+
+
+def _explanations(btm):
+    return filter(None, (explained(btm, *pair) for pair in twins(btm)))
+
+
+def closings_of(btm: BtmMap) -> int:
+    """How many ways round a map has: searched links beyond those that it takes to reach every node."""
+    parts = set(parts_of((node.id for node in btm.nodes), btm.links).values())
+    return sum(link.end != NOWHERE for link in btm.links) - len(btm.nodes) + len(parts)
