@@ -581,6 +581,17 @@ def test_a_place_with_two_openings_in_line_is_passed(by_deg, passes):
         assert links_of(after) == [(0, 1, SEARCHED), (1, NONE, UNSEARCHED)]
 
 
+@pytest.mark.parametrize(("end_m", "passes"), [(2.2, True), (1.6, True), (1.4, False)])
+def test_a_place_whose_only_opening_leads_straight_on_is_passed_unless_it_lies_in_a_dead_end(end_m, passes):
+    """A robot that starts near the end of a passage has come from there, though no opening leads back."""
+    around = np.concatenate([wall((-end_m, 3), (1, 1)), wall((-end_m, 3), (-1, -1)), wall((-end_m, -end_m), (-1, 1))])
+    _, after, latch, target, out = at_a_place(around)
+    assert int(after.map.n_nodes) == 1 + (not passes)
+    assert latch == Latch.LEAVE
+    assert target[0] > 1 + TUNING.leave_m - 0.5
+    assert (target[1], out) == pytest.approx((0, 0), abs=0.1)
+
+
 def test_a_place_before_a_t_that_is_none_is_left_straight_on():
     """A desk in the stem makes a circle that touches it; from there one branch of the T is seen and not the other.
 

@@ -576,13 +576,16 @@ def test_every_triangle_keeps_to_its_bounds():
         (3.9, 1.0, 9.0, True),  # 4.9 m between the walls; a circle of nine tenths of 2.5 m fits
         (3.2, 1.0, 9.0, False),  # its middle lies 1.5 m to the left, 1.7 m from the wall there
         (INF, 1.0, 5.6, True),  # from 0.5 m ahead on it ends at 5.5 m
-        (INF, 1.0, 5.3, True),  # and a tenth less does
-        (INF, 1.0, 5.1, False),
-        (INF, INF, 5.1, False),
+        (INF, 1.0, 4.1, True),  # from 1.0 m behind on at 4.0 m
+        (INF, 1.0, 3.8, True),  # and a tenth less does
+        (INF, 1.0, 3.6, False),
+        (INF, INF, 3.6, False),
     ],
 )
 def test_whether_a_circle_fits_beside_the_nearer_wall(left_m, right_m, far_m, roomy):
-    """Of 2.5 m, from 0.5 m before the robot on, touching the nearer wall, or straight ahead where none is near."""
+    """Of 2.5 m, from 0.5 m before the robot on or nearer by up to 0.6 radii, touching the nearer wall, or straight ahead
+    where none is near.
+    """
     sides_m = [min(v, 20.0) for v in (left_m, right_m)]
     lines = [(-20, sides_m[0], 20, sides_m[0]), (-20, -sides_m[1], 20, -sides_m[1]), (far_m, -20, far_m, 20)]
     xy, valid = points(scan_of(lines, range_m=30), ANGLES_RAD)

@@ -17,7 +17,7 @@ from jexplore.driving.behaviour import Drive, Latch, Track
 from jexplore.driving.mapping import Writer, along, came_from, came_through, has_left, moved
 from jexplore.driving.sensing import obstacles, openings
 from jexplore.driving.settings import Robot, Tuning
-from jexplore.driving.vehicle import to_odometry
+from jexplore.driving.vehicle import to_odometry, to_robot
 
 OPENINGS = 8  # of a divergence
 DOOR_BEFORE_M = 3.0  # a door that was passed so far before another opening is the way in
@@ -194,7 +194,7 @@ def write(
     goes_on = ~is_divergence & ~is_terminal & ~at.again
     map_, new = btm.add_link(map_, at.node, event.pose[2], when=goes_on, blocked=event.blocked)
     onward = jnp.where(goes_on, new, links.other_link(map_, at.node, link))
-    passes, which = _is_passed(writer, event, found, others, back, at, is_divergence)
+    passes, which = _is_passed(writer, event, found, others, back, at, is_divergence, points, tuning)
     after, map_, onto, bearing = links.where_to(writer, map_, at.node, back)
     through = ~is_divergence & ~event.blocked & ~event.returns
     ways = jnp.where(through, onward, onto), bearing
@@ -327,19 +327,27 @@ def _guided(map_, writer, event, at, found, is_place, onto, bearing):
     return guided, jnp.where(is_place, link, onto), jnp.where(is_place, out, bearing)
 
 
-def _is_passed(writer, event, found, others, back, at, is_divergence):
+def _is_passed(writer, event, found, others, back, at, is_divergence, points, tuning):
     """Whether a place is none, and which of its openings the robot takes: `(passes, which)`.
 
-    One with two openings in line is a stretch of a passage, unless the link leads to a node there; one with a single
-    opening much wider than its circle lies in the corner of a room.
+    One with two openings in line is a stretch of a passage, unless the link leads to a node there; so is one whose only
+    opening lies in line with where the robot has come from, if what closes the passage there is beyond its circle. One
+    with a single opening much wider than its circle lies in the corner of a room.
     """
     n, other = jnp.sum(found.valid), jnp.argmax(others)
     straight = jnp.abs(btm.wrapped(found.bearing[other] - back)) > math.pi - IN_LINE_RAD
     followed, to = links.leads_to(writer)
-    in_line = (n == 2) & (jnp.sum(others) == 1) & straight & ~(at.again & followed & (at.near == to))
+    in_line = (jnp.sum(others) == 1) & straight & ~(at.again & followed & (at.near == to))
+    in_line &= (n == 2) | ((n == 1) & (_reach_m(points, event, back) > tuning.circle * event.radius))
     wide = (found.width_m > CORNER * 2 * event.radius) | _is_behind(found)
     corner = (n == 1) & jnp.any(found.valid & wide) & ~at.again
     return is_divergence & (in_line | corner), jnp.where(corner, jnp.argmax(found.valid), other)
+
+
+def _reach_m(points, event, bearing):
+    """How far a strip as wide as a place's circle is free from its centre in a direction: metres; inf: all the way."""
+    x, y = to_robot(jnp.append(event.centre, bearing))(points[0]).T
+    return jnp.min(jnp.where(points[1] & (jnp.abs(y) < event.radius / 2) & (x > 0), x, jnp.inf))
 
 
 def _through(event, found, bearing, turn, leave_m):

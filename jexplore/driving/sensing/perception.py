@@ -22,6 +22,7 @@ MEANT_M = 0.15  # where they are nearer than this
 GUARD_M = 0.1  # a wall this near to the robot's sides is in its way
 SPACING = 0.49  # of points along a wall, in least openings: two neighbours of one point are nearer than such an opening
 ROOMY = 0.9  # of the radius of the circle that free space has room for
+ROOMY_BACK = 0.0, 0.2, 0.4, 0.6  # radii by which that may begin nearer
 RECESS = 0.25  # in least openings: what lies no farther beyond the chord of two corners of a triangle is one wall
 CLOSE = 0.6  # if its points fill so much of the way between them
 JUMP = 1 / SPACING  # distance between the points of neighbouring beams beyond which a wall ends, in spacings
@@ -110,19 +111,21 @@ def sides(xy: Array, valid: Array, from_m: Array | float, to_m: Array | float) -
 def is_roomy(
     xy: Array, valid: Array, from_m: Array | float, left_m: Array, right_m: Array, open_m: Array | float
 ) -> Array:
-    """Whether a circle as large as free space fits beside the nearer wall ahead: bool.
+    """Whether a circle as large as free space fits beside the nearer wall somewhere ahead: bool.
 
     Args:
       xy, valid: from `points`.
-      from_m: where the circle begins, metres before the robot.
+      from_m: where the circle begins, metres before the robot, or nearer by up to `ROOMY_BACK` of its radius: what
+        stands beside the robot may have kept it from looking earlier.
       left_m, right_m: from `sides`.
       open_m: its radius [C1], metres; a tenth less does.
     """
     at_left = left_m > right_m
     wall = jnp.minimum(jnp.minimum(left_m, right_m), open_m)
     aside = jnp.where(at_left, 1, -1) * (open_m - wall)
-    off2 = (xy[:, 0] - from_m - open_m) ** 2 + (xy[:, 1] - aside) ** 2
-    return ~jnp.any(valid & (off2 < (ROOMY * open_m) ** 2))
+    ahead = from_m + open_m * (1 - jnp.asarray(ROOMY_BACK))  # [K]
+    off2 = (xy[:, 0] - ahead[:, None]) ** 2 + (xy[:, 1] - aside) ** 2
+    return jnp.any(~jnp.any(valid & (off2 < (ROOMY * open_m) ** 2), axis=1))
 
 
 def clearances(xy: Array, valid: Array, to_m: Array | float) -> tuple[Array, Array]:
