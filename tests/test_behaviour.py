@@ -493,3 +493,18 @@ def test_no_faster_than_the_robot_can():
     assert steered((1, 0), fast)[0] == pytest.approx(KAMUI.max_speed_m_s)
     assert steered((1, 0.5), fast)[1] == KAMUI.max_turn_rad_s
     assert steered((1, -0.5), fast)[1] == -KAMUI.max_turn_rad_s
+
+
+def test_a_free_space_that_begins_anew_before_its_end_is_reached_has_not_ended():
+    def seen(border_m, since_m, *, enters=False, leaves=False):
+        after_m, missed = behaviour.border_ahead(
+            jnp.float32(border_m), jnp.float32(since_m), jnp.bool_(enters), jnp.bool_(leaves), (0.5, 2.9)
+        )
+        return pytest.approx(float(after_m), abs=1e-5), bool(missed)
+
+    assert seen(math.inf, 4.0) == (math.inf, False)
+    assert seen(math.inf, 4.0, enters=True) == (4.5, False)
+    assert seen(4.5, 4.2) == (4.5, False)
+    assert seen(math.inf, 7.0, leaves=True) == (9.9, False)
+    assert seen(9.9, 8.0, enters=True) == (math.inf, False)  # the robot is at some 8.1 m
+    assert seen(4.5, 4.3, leaves=True) == (7.2, True)  # its beginning is made a node at once

@@ -118,6 +118,14 @@ def test_noise_changes_no_count(seed):
     assert not changes(noise, RIDE)[0].size
 
 
+def test_a_robot_that_stands_evenly_half_way_over_an_edge_still_comes_from_the_slope():
+    pitch = pitch_deg(RIDE, BUMP, [0, -6, 6, 0], KAMUI.length_m)
+    half_way = (pitch > 2) & (pitch < 4) & (RIDE > BUMP[-1] - 0.5)
+    pitch = np.interp(RIDE, np.append(0, np.cumsum(np.where(half_way[1:], 0.14, STEP_M))), pitch)
+    assert np.sum(np.abs(pitch[RIDE > BUMP[-1] - 0.5] - 3) < 1) * STEP_M > KAMUI.length_m / 4 + 0.1
+    assert changes(pitch, RIDE)[0].size == 3
+
+
 def test_ground_that_hardly_changes_is_level():
     assert not changes(np.zeros(RIDE.size), RIDE)[0].size
     assert not changes(pitch_deg(RIDE, [3.0], [0, 4.5], KAMUI.length_m), RIDE)[0].size

@@ -583,9 +583,7 @@ def test_every_triangle_keeps_to_its_bounds():
     ],
 )
 def test_whether_a_circle_fits_beside_the_nearer_wall(left_m, right_m, far_m, roomy):
-    """Of 2.5 m, from 0.5 m before the robot on or nearer by up to 0.6 radii, touching the nearer wall, or straight ahead
-    where none is near.
-    """
+    """Of 2.5 m, from 0.5 m ahead on or nearer by up to 0.6 radii, touching the nearer wall, or straight ahead."""
     sides_m = [min(v, 20.0) for v in (left_m, right_m)]
     lines = [(-20, sides_m[0], 20, sides_m[0]), (-20, -sides_m[1], 20, -sides_m[1]), (far_m, -20, far_m, 20)]
     xy, valid = points(scan_of(lines, range_m=30), ANGLES_RAD)

@@ -178,6 +178,28 @@ def watch_free_space(
     return after, turns & ~space.inside, turns & space.inside
 
 
+def border_ahead(
+    border_m: Array, since_m: Array, enters: Array, leaves: Array, region: tuple[Any, Any]
+) -> tuple[Array, Array]:
+    """Where the robot comes to the border of a free space that it sees ahead.
+
+    A free space that is seen to begin anew before the robot has come to where it ended has not ended: a stretch of
+    walls shorter than the region that is watched divides none.
+
+    Args:
+      border_m: float32, odometer at the border seen before, inf where there is none ahead.
+      since_m: float32, odometer since which the walls have said otherwise, `FreeSpace.since_m`.
+      enters, leaves: bools, from `watch_free_space`.
+      region: where the region that is watched begins and ends, metres ahead.
+
+    Returns:
+      `(border_m, missed)`: likewise; bool, where it begins has not been reached before it ends.
+    """
+    waits = jnp.isfinite(border_m)
+    after_m = jnp.where(enters, jnp.where(waits, jnp.inf, since_m + region[0]), border_m)
+    return jnp.where(leaves, since_m + region[1], after_m), waits & leaves
+
+
 @struct.dataclass
 class Drive:
     """What driving remembers from step to step."""

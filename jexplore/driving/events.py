@@ -74,7 +74,7 @@ class Ahead(NamedTuple):
     scan_overflow: Array  # int32, ends of walls that did not fit into the scan's points
     space: FreeSpace
     border_m: Array  # float32, odometer at which the free space will have been entered or left; inf: none
-    missed: Array  # bool, the last border was not reached before the next
+    missed: Array  # bool, where the free space begins was not reached before it ends
     level: mapping.Level
     changed: Array  # bool, whether the robot stands on ground of another inclination now
     crease_m: Array  # float32, odometer where it changed
@@ -120,8 +120,7 @@ def look_ahead(
     space, enters, leaves = behaviour.watch_free_space(
         state.space, left_m, right_m, state.odometer_m, tuning.open_m, is_free & ~is_blind, walls.roomy
     )
-    border_m = jnp.where(enters, space.since_m + walls.region[0], writer.border_m)
-    border_m = jnp.where(leaves, space.since_m + walls.region[1], border_m)
+    border_m, missed = behaviour.border_ahead(writer.border_m, space.since_m, enters, leaves, walls.region)
     even_m = mapping.EVEN_LENGTHS * robot.length_m
     level, changed, crease_m, steepest = mapping.watch_level(
         writer.level, lean, lean_m, jnp.radians(tuning.inclination_deg), even_m
@@ -137,7 +136,7 @@ def look_ahead(
         scan_overflow=overflow,
         space=space,
         border_m=border_m,
-        missed=jnp.isfinite(writer.border_m) & (enters | leaves),
+        missed=missed,
         level=level,
         changed=changed,
         crease_m=crease_m,

@@ -191,8 +191,11 @@ def watch_level(
     crease = (level.left_m + anchor_m) / 2
     steepest = jnp.maximum(jnp.hypot(*anchor), jnp.hypot(*level.even))
     same = jnp.hypot(*(lean - level.even)) <= math.radians(EVEN_DEG)
+    # A robot that tips over an edge may stand evenly half way, for less than its length: it still comes from before.
+    stays = changed | (jnp.hypot(*(anchor - level.even)) <= math.radians(EVEN_DEG))
+    stays |= odometer_m - anchor_m >= even_m / EVEN_LENGTHS
     after = Level(
-        even=jnp.where(even, anchor, level.even),
+        even=jnp.where(even & stays, anchor, level.even),
         anchor=anchor,
         anchor_m=anchor_m,
         left_m=jnp.where(same | even, odometer_m, level.left_m),
