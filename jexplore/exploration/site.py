@@ -154,7 +154,8 @@ def prepare_site(
     )
     glances = tuple(windows(shape, model.clearance_d2, glances=True)) if kernels.in_pieces else None
     setup = _setup(everyone, world.cell_m, shape, limit, kernels.native, glances)
-    beams = _beams(everyone, world.cell_m, shape[1], setup.window if kernels.in_pieces else None)
+    farthest = min(setup.window, max(shape)) if kernels.in_pieces else None
+    beams = _beams(everyone, world.cell_m, shape[1], farthest)
     return Site(truth, beams, setup, numbers)
 
 
@@ -194,10 +195,10 @@ def _beams(everyone, *more):
 
 
 @functools.lru_cache(maxsize=8)
-def _table(scanner, longest_m, cell_m, width, window):
-    """Beams with their `Spans`, unless `window`, the radius of these, is None."""
+def _table(scanner, longest_m, cell_m, width, radius):
+    """Beams with their `Spans`, unless the radius of these is None."""
     beams = beam_table(Lidar(*scanner), cell_m, width, longest_m)
-    return beams if window is None else beams.replace(spans=spans_of(beams, window))
+    return beams if radius is None else beams.replace(spans=spans_of(beams, radius))
 
 
 def tasks_of(starts: ArrayLike) -> np.ndarray:
