@@ -154,8 +154,7 @@ def prepare_site(
     )
     glances = tuple(windows(shape, model.clearance_d2, glances=True)) if kernels.in_pieces else None
     setup = _setup(everyone, world.cell_m, shape, limit, kernels.native, glances)
-    farthest = min(setup.window, max(shape)) if kernels.in_pieces else None
-    beams = _beams(everyone, world.cell_m, shape[1], farthest)
+    beams = _beams(everyone, world.cell_m, shape, setup.window if kernels.in_pieces else None)
     return Site(truth, beams, setup, numbers)
 
 
@@ -188,10 +187,11 @@ def _setup(everyone, cell_m, shape, limit, native, glances):
     )
 
 
-def _beams(everyone, *more):
-    """The same table for all rules and noise: megabytes."""
+def _beams(everyone, cell_m, shape, window):
+    """The same table for all rules and noise: megabytes. `window`: how far beams come, for `Spans`; None: without."""
     lidar, _ = everyone[0]
-    return _table((lidar.n_beams, lidar.fov_deg, lidar.range_m), max(one.range_m for one, _ in everyone), *more)
+    scanner, longest_m = (lidar.n_beams, lidar.fov_deg, lidar.range_m), max(one.range_m for one, _ in everyone)
+    return _table(scanner, longest_m, cell_m, shape[1], None if window is None else min(window, max(shape)))
 
 
 @functools.lru_cache(maxsize=8)
