@@ -14,6 +14,7 @@ from jexplore.arrays import bits
 from jexplore.raycast import Beams, Scan
 
 ROOM = 2**16  # places in a table of maxima: two bytes hold one
+FARTHEST = 512  # cells: the two tables of such a radius take 34 MB, for eight headings; making them, 250 MB
 
 
 @struct.dataclass
@@ -29,7 +30,7 @@ class Spans:
 
     @property
     def radius(self) -> int:
-        """R, cells: the farthest row and column that a beam can come to."""
+        """R, cells: the farthest row and column of which they tell."""
         return self.first.shape[-1] // 2
 
 
@@ -38,14 +39,18 @@ def spans_of(beams: Beams, radius: int) -> Spans | None:
 
     Args:
       beams: `Beams` of numpy arrays. Host.
-      radius: R, at least as many rows and columns as any beam crosses.
+      radius: R. Cells that lie farther off are left out: at least as many rows and columns as any beam crosses, or as
+        the map has.
 
     Returns:
-      `Spans` of numpy arrays; None where the beams that enter a cell are no run of neighbours, or are too many.
+      `Spans` of numpy arrays; None where the beams that enter a cell are no run of neighbours, or are too many, and for
+      a radius beyond `FARTHEST`.
 
     Source:
       Bender and Farach-Colton 2000, range maxima by a sparse table.
     """
+    if radius > FARTHEST:
+        return None
     n_headings, n_beams = beams.length.shape
     side = 2 * radius + 1
     rows = [_runs(beams, heading, radius) for heading in range(n_headings)]
@@ -75,10 +80,13 @@ def _runs(beams, heading, radius):
     drow, dcol = (np.asarray(a[heading]) for a in (beams.drow, beams.dcol))
     step, beam = np.nonzero(np.arange(drow.shape[0])[:, None] < length)
     drow, dcol, side = drow[step, beam], dcol[step, beam], 2 * radius + 1
-    if (np.abs(drow) + np.abs(dcol) != step + 1).any() or max(np.abs(drow).max(), np.abs(dcol).max()) > radius:
+    if (np.abs(drow) + np.abs(dcol) != step + 1).any():
         return None
+    near = np.maximum(np.abs(drow), np.abs(dcol)) <= radius
+    drow, dcol, beam = drow[near], dcol[near], beam[near]
     cell = (drow + radius) * side + dcol + radius
-    size, first, last = (np.bincount(cell, minlength=side**2), np.full(side**2, len(length)), np.full(side**2, -1))
+    size = np.bincount(cell, minlength=side**2).astype(np.int32)
+    first, last = np.full(side**2, len(length), np.int32), np.full(side**2, -1, np.int32)
     np.minimum.at(first, cell, beam)
     np.maximum.at(last, cell, beam)
     for odd in np.flatnonzero((size > 0) & (last - first + 1 != size)):  # those that go on at the first beam
@@ -98,8 +106,8 @@ def reached(
     Args:
       seen: `Scan`, `[B]`, which stays inside the map.
       when: bool scalar; if False, there are none.
-      pose: `(row, col, heading)` int32, where the scan was made.
-      spans: `Spans`.
+      pose: `(row, col, heading)` int32, where the scan was made. In a wall at the map's edge the answer is undefined.
+      spans: `Spans`, of a radius within which every cell of the map lies that a beam comes to.
       shape: `(H, W)` of the map. Static.
 
     Returns:

@@ -1,6 +1,7 @@
 """One result, whichever way episodes run: engines, batch sizes, kernels, devices, processes; runs that end early."""
 
 import dataclasses
+import functools
 import json
 import os
 import socket
@@ -24,6 +25,7 @@ from jexplore.exploration.batch import Job, run_jobs
 from jexplore.exploration.site import KERNELS, Kernels, kernels_for, line_of, prepare_site
 from jexplore.exploration.state import Outcome
 from jexplore.policies import parse_strategy
+from jexplore.studies.checks import ready_worlds
 from jexplore.worlds.starts import draw_starts
 from jexplore.worlds.world import World
 
@@ -298,6 +300,24 @@ def test_lanes_fit_the_memory(monkeypatch):
     assert few & (few - 1) == 0
     line.which = line.which[:20]
     assert fitting(2**40) == 20
+
+
+@pytest.mark.jit
+@pytest.mark.parametrize(("side_m", "glances"), [(6.4, 0), (16, 1), (51.2, 2)])
+def test_a_lane_is_estimated_with_its_share_of_a_slot(side_m, glances):
+    """Asked for one lane, which has a slot of its own, the estimate is that for thousands."""
+    world = ready_worlds([f"cave:width_m={side_m},height_m={side_m}"], 0.1)[0]
+    site = prepare_site(world, LIDAR, RULES, kernels_for("lockstep", "gpu"))
+    line = line_of(site, site.with_strategy(parse_strategy("closest")), np.zeros((9999, 3)), 0, np.arange(9999))
+    group = lockstep.Group([line], jax.local_devices()[:1])
+    queue = jax.tree.map(lambda a: a[0], group.queue())
+
+    def estimate(n_lanes):
+        lanes = jax.eval_shape(functools.partial(group.engine.empty, n_lanes=n_lanes), queue, group.common)
+        return group.engine.lane_bytes(lanes, line.shared)
+
+    assert len(line.program.pieces.glances) == glances
+    assert estimate(1) == pytest.approx(estimate(4096), rel=0.01)
 
 
 class Accelerator:

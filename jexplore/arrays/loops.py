@@ -69,10 +69,11 @@ def put(tree: Any, at: Array, values: Any) -> Any:
 
 
 def put_together(arrays: list[Array], at: Array, values: list[Array]) -> list[Array]:
-    """`put` of a list, with little arrays of one kind side by side: fewer kernels."""
+    """`put` of a list, with little arrays of one kind side by side: fewer kernels. Values are cast to their array's."""
+    values = [new if new.dtype == a.dtype else new.astype(a.dtype) for a, new in zip(arrays, values)]
     kinds, out = {}, list(arrays)
     for i, array in enumerate(arrays):
-        if math.prod(array.shape[1:]) <= LITTLE:
+        if 0 < math.prod(array.shape[1:]) <= LITTLE:
             kinds.setdefault(array.dtype, []).append(i)
         else:
             out[i] = put(array, at, values[i])

@@ -174,7 +174,9 @@ class Engine:
         deciding, advancing = self.program.scratch(shared, one)
         groups = (own + deciding) // DECIDERS if self.program.decide is not None else 0
         if self.program.pieces is not None:  # searches, and once more what one piece makes of them
-            own += 2 * _bytes(lanes.thoughts.searches) // n_lanes + _bytes(lanes.thoughts.seen) // n_lanes
+            search = _bytes(lanes.thoughts.searches) // lanes.thoughts.lane.shape[0]  # a lane has a share of a slot
+            own += 2 * search // thoughts.seekers(len(self.program.pieces.glances))
+            own += _bytes(lanes.thoughts.seen) // n_lanes
         return own + max(groups, 2 * own // STARTERS, advancing)
 
     def places(self, n_lanes: int) -> int:

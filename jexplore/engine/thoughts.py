@@ -33,9 +33,14 @@ class Sizes(NamedTuple):
         return self.glances[0] if self.glances else self.slots
 
 
+def seekers(n_glances: int) -> int:
+    """There is a slot for one lane in so many."""
+    return SEEKERS[min(n_glances, len(SEEKERS) - 1)]
+
+
 def sizes(n_lanes: int, n_glances: int) -> Sizes:
     """`Sizes` for so many lanes and glances."""
-    slots = -(-n_lanes // SEEKERS[min(n_glances, len(SEEKERS) - 1)])
+    slots = -(-n_lanes // seekers(n_glances))
     glances = tuple(-(-n_lanes // GLANCERS[min(i, 1)]) for i in range(n_glances))
     return Sizes(glances, slots, -(-slots // NEWCOMERS) if glances else slots)
 

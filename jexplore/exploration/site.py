@@ -154,7 +154,7 @@ def prepare_site(
     )
     glances = tuple(windows(shape, model.clearance_d2, glances=True)) if kernels.in_pieces else None
     setup = _setup(everyone, world.cell_m, shape, limit, kernels.native, glances)
-    beams = _beams(everyone, world.cell_m, shape[1], setup.window if kernels.in_pieces else None)
+    beams = _beams(everyone, world.cell_m, shape, setup.window if kernels.in_pieces else None)
     return Site(truth, beams, setup, numbers)
 
 
@@ -187,17 +187,18 @@ def _setup(everyone, cell_m, shape, limit, native, glances):
     )
 
 
-def _beams(everyone, *more):
-    """The same table for all rules and noise: megabytes."""
+def _beams(everyone, cell_m, shape, window):
+    """The same table for all rules and noise: megabytes. `window`: how far beams come, for `Spans`; None: without."""
     lidar, _ = everyone[0]
-    return _table((lidar.n_beams, lidar.fov_deg, lidar.range_m), max(one.range_m for one, _ in everyone), *more)
+    scanner, longest_m = (lidar.n_beams, lidar.fov_deg, lidar.range_m), max(one.range_m for one, _ in everyone)
+    return _table(scanner, longest_m, cell_m, shape[1], None if window is None else min(window, max(shape)))
 
 
 @functools.lru_cache(maxsize=8)
-def _table(scanner, longest_m, cell_m, width, window):
-    """Beams with their `Spans`, unless `window`, the radius of these, is None."""
+def _table(scanner, longest_m, cell_m, width, radius):
+    """Beams with their `Spans`, unless the radius of these is None."""
     beams = beam_table(Lidar(*scanner), cell_m, width, longest_m)
-    return beams if window is None else beams.replace(spans=spans_of(beams, window))
+    return beams if radius is None else beams.replace(spans=spans_of(beams, radius))
 
 
 def tasks_of(starts: ArrayLike) -> np.ndarray:
