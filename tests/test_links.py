@@ -2,13 +2,15 @@
 
 import math
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from jexplore import btm
-from jexplore.driving import links, mapping
+from jexplore.driving import links, mapping, nodes
 from jexplore.driving.sensing.openings import Openings
+from jexplore.driving.settings import ROBOTS, Tuning
 
 EAST, NORTH, WEST, SOUTH = (math.radians(a) for a in (0, 90, 180, 270))
 
@@ -202,6 +204,7 @@ def test_one_more_node_makes_a_place_a_known_one():
     assert (int(after.node), int(after.dropped), int(after.map.n_nodes)) == (1, 0, 3)
     assert np.isnan(after.doubts).all()
     assert float(after.origin[2]) == pytest.approx(TURN)
+    assert float(after.left_bearing) == pytest.approx(NORTH)  # as that node has it
     followed, to, _ = links.led_to(after)
     assert (bool(followed), int(to)) == (True, 2)
     map_ = after.map
@@ -220,13 +223,44 @@ def test_one_more_node_makes_a_place_a_known_one():
         {"length_m": 12.0},  # the way is longer
         {"place_deg": (270, 0, 90)},  # a way more than node 2 has
         {"kind": btm.OBSTACLE},
+        {"kind": btm.NONE},
     ],
 )
 def test_what_the_next_node_contradicts_is_dropped_and_counted(other):
     after = decided(**other)
     assert (int(after.node), int(after.dropped), int(after.map.n_nodes)) == (3, 1, 4)
     np.testing.assert_array_equal(after.map.status, in_doubt().map.status)
+    assert float(after.left_bearing) == pytest.approx(NORTH - TURN)
     assert np.isnan(after.doubts).all()
+
+
+def test_a_node_that_gets_the_number_of_one_that_was_none_is_new():
+    after = decided()
+    map_, node = btm.add_node(after.map, btm.OBSTACLE, 3.0, 12.0)
+    there = after.replace(map=map_, node=node, node_m=jnp.float32(110.0))
+    known = jnp.zeros((8, 2)).at[3].set(jnp.array(OFF))
+    node_at, is_elsewhere = mapping.truly_at(known, in_doubt(), there, jnp.array([3.5, 11.0]))
+    assert (int(node), int(there.map.n_nodes)) == (3, int(in_doubt().map.n_nodes))
+    np.testing.assert_allclose(node_at, known.at[3].set(jnp.array([3.5, 11.0])))
+    assert not is_elsewhere
+
+
+@pytest.mark.jit
+def test_a_goal_makes_no_place_a_known_one():
+    """Node 2 is where the robot has started; as far north of node 3 it is at its goal, which is a new node."""
+    writer = in_doubt().replace(doubts=jnp.full(8, jnp.nan).at[1].set(TURN))
+    map_ = writer.map.replace(kind=writer.map.kind.at[2].set(btm.TERMINAL))
+    heading, zero, no = NORTH - TURN, jnp.float32(0), jnp.bool_(False)
+    x, y = np.add(OFF, 10 * np.array([math.cos(heading), math.sin(heading)]))
+    measures = {"radius": zero, "posture": zero, "steepest": zero, "step_m": zero, "blocked": no, "returns": no}
+    here = jnp.array([x, y, heading])
+    due = nodes.Event(jnp.int32(btm.TERMINAL), jnp.float32(110), here, here[:2], **measures)
+    points = jnp.zeros((512, 2)), jnp.zeros(512, bool)
+    write = jax.jit(lambda writer, due: nodes.write(writer, due, points, Tuning(), ROBOTS["kamui"]))
+    after = write(writer.replace(map=map_), due)[0]
+    assert (int(after.node), int(after.map.n_nodes), int(after.dropped)) == (4, 5, 1)
+    links_ = zip(after.map.start, after.map.end, after.map.status)
+    assert [(int(a), int(b)) for a, b, s in links_ if s == btm.SEARCHED] == [(1, 2), (2, 3), (3, 4)]
 
 
 def test_of_two_nodes_that_it_may_be_it_is_neither():

@@ -218,7 +218,8 @@ def decided(writer: Writer, kind: Array, centre: Array, odometer_m: Array, found
 
     Args:
       writer: `Writer` with `doubts` of its last node.
-      kind, centre, odometer_m: of the place where the robot is now: int32; `[2]` float32, odometry; float32.
+      kind, centre, odometer_m: of the place where the robot is now: int32, `NONE` where it can be none that is known;
+        `[2]` float32, odometry; float32.
       found: `Openings` of it, if it is a divergence.
 
     Returns:
@@ -228,7 +229,7 @@ def decided(writer: Writer, kind: Array, centre: Array, odometer_m: Array, found
     none = jnp.full(n, jnp.nan)
 
     def judged(carry):
-        map_, _, _, origin, dropped, _ = carry
+        map_, _, _, origin, left, dropped, _ = carry
         holds, onto = jax.vmap(lambda node, turn: _holds(writer, node, turn, kind, centre, odometer_m, found))(
             jnp.arange(n), jnp.nan_to_num(writer.doubts)
         )
@@ -237,17 +238,19 @@ def decided(writer: Writer, kind: Array, centre: Array, odometer_m: Array, found
         joined = _joined(map_, writer.node, node, writer.doubts[node])
         map_ = jax.tree.map(lambda yes, no: jnp.where(is_it, yes, no), joined, map_)
         origin = jnp.where(is_it, origin.at[2].set(writer.doubts[node]), origin)
+        left = jnp.where(is_it, btm.wrapped(left + writer.doubts[node]), left)
         dropped += jnp.sum(there) - is_it
         return (
             map_,
             jnp.where(is_it, node, writer.node),
             jnp.where(is_it, onto[node], writer.link),
             origin,
+            left,
             dropped,
             none,
         )
 
-    names = "map", "node", "link", "origin", "dropped", "doubts"
+    names = "map", "node", "link", "origin", "left_bearing", "dropped", "doubts"
     before = tuple(getattr(writer, name) for name in names)
     return writer.replace(**dict(zip(names, run_if(jnp.any(there), judged, before))))
 

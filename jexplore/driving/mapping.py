@@ -374,9 +374,9 @@ def truly_at(node_at: Array, before: Writer, after: Writer, at: Array) -> tuple[
       `(node_at, is_elsewhere)`: with the nodes that are new in this step; bool, whether the node that it is at again
         truly lies elsewhere.
     """
-    number = jnp.arange(node_at.shape[0])
-    is_new = (number >= before.map.n_nodes) & (number < after.map.n_nodes)
-    again = (after.node_m != before.node_m) & (after.node < before.map.n_nodes)
+    here, was = (jnp.stack([writer.map.x_m, writer.map.y_m]) for writer in (after, before))
+    is_new = jnp.any(here != was, axis=0) & (jnp.arange(node_at.shape[0]) < after.map.n_nodes)  # its number may be old
+    again = (after.node_m != before.node_m) & ~is_new[after.node]
     off_m = jnp.hypot(*(at - node_at[after.node]))
     is_elsewhere = again & (off_m > after.map.radius_m[after.node] + ELSEWHERE_M)
     return jnp.where(is_new[:, None], at, node_at), is_elsewhere

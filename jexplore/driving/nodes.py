@@ -92,8 +92,7 @@ def _arrive(writer, event, found, back, tuning, is_divergence, is_terminal):
     met = again & is_divergence & ((distance < SHIFT_M) | is_alike)
     share = jnp.where(is_alike, 1.0, SHIFT_SHARE)
     shift = jnp.where(met, share * (jnp.stack([map_.x_m[near], map_.y_m[near]]) - event.centre), 0.0)
-    node, none = jnp.where(again, near, new), jnp.zeros(3)
-    return Arrival(map_, node, again, near, met, fits, shift, width, posture, roll, none)
+    return Arrival(map_, jnp.where(again, near, new), again, near, met, fits, shift, width, posture, roll, jnp.zeros(3))
 
 
 def _find_openings(writer, event, points, tuning, is_divergence):
@@ -181,10 +180,10 @@ def write(
       `(writer, latch, target, out, correction)`: `Latch` and target point of branch selection, direction of the link
         there, radians; `[3]`, correction of the odometry at a node met again: metres, and radians about the node.
     """
-    is_divergence, size = event.kind == btm.DIVERGENCE, writer.map.start.shape[0]
-    is_terminal = (event.kind == btm.TERMINAL) & ~event.returns
+    is_divergence, is_terminal = event.kind == btm.DIVERGENCE, (event.kind == btm.TERMINAL) & ~event.returns
+    kind, size = jnp.where(is_terminal, btm.NONE, event.kind), writer.map.start.shape[0]  # a goal is no known node
     found, others, back = _find_openings(writer, event, points, tuning, is_divergence)
-    before, writer = writer, links.decided(writer, event.kind, event.centre, event.odometer_m, found)
+    before, writer = writer, links.decided(writer, kind, event.centre, event.odometer_m, found)
     at = _arrive(writer, event, found, back, tuning, is_divergence, is_terminal)
     map_, step_m = obstacles.judged(at.map, writer, event, tuning, robot, at.posture, at.node)
     at, event, turn, applied, turned = _turns(writer, event, at, found, tuning)

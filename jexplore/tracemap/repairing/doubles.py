@@ -12,6 +12,7 @@ from jexplore.tracemap.repairing.ways import (
     CLOSE,
     OPENING_DEG,
     STRAIGHT,
+    UNBENT,
     Way,
     are_close,
     are_near,
@@ -24,22 +25,24 @@ from jexplore.tracemap.repairing.ways import (
 TINY_M = 3.0  # a link that leads back to its node is a way round if it is longer
 NEAR_M = 4.0  # nodes that are one lie no farther apart, and no farther than is `CLOSE` for the way between them
 TURNED_M = 1.0, 8.0  # who turns back before the next node goes so much more
-FEWEST = 3  # pairs of nodes that are one, each linked with the next alike
+BACK_M = 2.0  # who has turned back seems no farther from where it left, however long the link
+FEWEST, OPENINGS = 3, 3  # pairs of junctions that are one, each linked with the next alike; openings of a junction
 
 
 def turned_back(btm: BtmMap) -> Iterator[BtmMap]:
     """The map without a link on which the robot has turned back to where it left, by the opening by which it left; what
-    it took there for another node of that type is the one that it left. Nor does a link lead back to its node that is
-    tiny, or whose ends lie in one place and that leaves or ends by another one's opening. If nothing else leaves by the
-    opening by which it has left, that is un-searched.
+    it took there for another node of that type is the one that it left, if it lies no farther off than the odometry can
+    be on the shortest known way between both. Nor does a link lead back to its node that is tiny, or whose ends lie in
+    one place and that leaves or ends by another one's opening. If nothing else leaves by the opening by which it has
+    left, that is un-searched.
     """
     for link in btm.links:
         for way in ways_of(btm, link.start):
             if way.link is link and way.to == link.end and _returns(btm, way):
                 kept, gone = sorted((link.start, link.end))
                 turn_deg = way.move.turn_deg if kept == link.start else -way.move.turn_deg
-                rest = _opened(btm, way)
-                found = rest if kept == gone else joined(rest, kept, gone, turn_deg)
+                rest, may = _opened(btm, way), kept == gone or _is_in_reach(btm, kept, gone)
+                found = rest if kept == gone else joined(rest, kept, gone, turn_deg) if may else None
                 if found is not None:
                     yield found
                 break
@@ -47,7 +50,7 @@ def turned_back(btm: BtmMap) -> Iterator[BtmMap]:
 
 def _returns(btm: BtmMap, way: Way) -> bool:
     is_own, is_tiny = way.to == way.link.start == way.link.end, (way.link.length_m or 0.0) < TINY_M
-    if not are_close(way.move, Move(), within_m(way.link)):
+    if not are_close(way.move, Move(), min(within_m(way.link), BACK_M)):
         return is_own and is_tiny
     others = _others(btm, way)
     is_shared = _is_shared(others, way.bearing_deg) or _is_shared(others, way.back_deg)
@@ -75,7 +78,7 @@ def _opened(btm: BtmMap, way: Way) -> BtmMap:
 
 def both_ways(btm: BtmMap) -> Iterator[BtmMap]:
     """The map without the second of two links between two nodes that are one way, straight and as long: one was
-    followed there and one back. Each says by which opening it begins.
+    followed there and one back. Each says by which opening it begins, and that lies toward the other node.
     """
     links = [link for link in btm.links if link.end not in (NOWHERE, link.start)]
     for i, first in enumerate(links):
@@ -95,17 +98,24 @@ def _are_one(btm, first, second):
         return False
     apart_m = abs((first.length_m or 0.0) - (second.length_m or 0.0))
     is_one = apart_m < within_m(first) and are_close(there.move, back.move, within_m(first))
-    return is_one and _is_straight(there) and _is_straight(back)
+    begun = there, next(way for way in ways_of(btm, second.start) if way.link is second)
+    return is_one and all(_is_straight(way) and are_near(way.bearing_deg, _toward_deg(way)) for way in begun)
 
 
-def _is_straight(way):
-    return (way.link.length_m or 0.0) < STRAIGHT * math.hypot(way.move.x_m, way.move.y_m) + CLOSE[0]
+def _is_straight(way, straight=STRAIGHT):
+    return (way.link.length_m or 0.0) < straight[0] * math.hypot(way.move.x_m, way.move.y_m) + straight[1]
+
+
+def _toward_deg(way):
+    """Direction in which the other node of a way lies."""
+    return math.degrees(math.atan2(way.move.y_m, way.move.x_m))
 
 
 def doubled(btm: BtmMap) -> Iterator[BtmMap]:
     """The map where some nodes are others: a set of pairs of one type and with equal openings, each linked with the
-    next by links that leave alike, are as long and lead to one place; nothing in it contradicts the rest. Both of a
-    pair lie no farther apart than the odometry can be off on the shortest known way from one to the other.
+    next by links that leave alike, are as long and lead to one place; nothing in it contradicts the rest. `FEWEST` at
+    least are junctions: slopes may lie alike in two passages side by side. Both of a pair lie no farther apart than the
+    odometry can be off on the shortest known way from one to the other.
 
     Source:
       Choset and Nagatani 2001, Topological simultaneous localization and mapping, for hypotheses that the next nodes
@@ -117,7 +127,9 @@ def doubled(btm: BtmMap) -> Iterator[BtmMap]:
             alike = (first.type, first.obstacle) == (second.type, second.obstacle)
             if alike and _apart_m(first, second) < NEAR_M:
                 pairs = _pairs_from(btm, first.id, second.id)
-                if len(pairs) >= FEWEST and all(_may_be_one(btm, pair, turn_deg) for pair, turn_deg in pairs.items()):
+                if _junctions(btm, pairs) >= FEWEST and all(
+                    _may_be_one(btm, pair, turn_deg) for pair, turn_deg in pairs.items()
+                ):
                     found = btm
                     for (one, other), turn_deg in pairs.items():
                         kept, gone = sorted((one, other))
@@ -126,17 +138,28 @@ def doubled(btm: BtmMap) -> Iterator[BtmMap]:
                         yield found
 
 
+def _junctions(btm, pairs):
+    """How many of some pairs of nodes are divergences that have openings enough to tell one from another."""
+    types = {node.id: node.type for node in btm.nodes}
+    return sum(types[one] == "divergence" and len(btm.bearings_deg(one)) >= OPENINGS for one, _ in pairs)
+
+
 def _apart_m(one, other):
     return math.hypot(one.x_m - other.x_m, one.y_m - other.y_m)
 
 
 def _may_be_one(btm, pair, turn_deg):
     """Whether two nodes have equal openings, and lie no farther apart than the way between them tells."""
-    (one, other), nodes = pair, {node.id: node for node in btm.nodes}
+    one, other = pair
     ends = btm.bearings_deg(one), [bearing_deg + turn_deg for bearing_deg in btm.bearings_deg(other)]
     alike = all(any(are_near(a, b) for b in there) for here, there in (ends, ends[::-1]) for a in here)
-    limit_m = CLOSE[0] + CLOSE[1] * _way_m(btm, one, other)
-    return alike and _apart_m(nodes[one], nodes[other]) < limit_m
+    return alike and _is_in_reach(btm, one, other)
+
+
+def _is_in_reach(btm, one, other):
+    """Whether two nodes lie no farther apart than the odometry can be off on the shortest known way between them."""
+    nodes = {node.id: node for node in btm.nodes}
+    return _apart_m(nodes[one], nodes[other]) < CLOSE[0] + CLOSE[1] * _way_m(btm, one, other)
 
 
 def _way_m(btm, start, goal):
@@ -211,16 +234,16 @@ def misled(btm: BtmMap) -> Iterator[BtmMap]:
         stubs = [link for link in btm.links if link.start == node.id and link.end == NOWHERE]
         made_from = min((way.to for way in ways if way.link.end == node.id), default=node.id)
         for way in ways:
-            toward_deg = math.degrees(math.atan2(way.move.y_m, way.move.x_m))
+            toward_deg = _toward_deg(way)
             is_aside = abs(apart_deg(way.bearing_deg, toward_deg)) > OPENING_DEG
             if way.link.end != node.id or way.to == made_from or not is_aside:
                 continue
             others = [other for other in ways if other.link.id != way.link.id]
-            if _is_straight(way) or _is_shared(others, way.bearing_deg):
+            if _is_straight(way, UNBENT) or _is_shared(others, way.bearing_deg):
                 for stub in stubs:
                     if abs(apart_deg(stub.start_bearing_deg, toward_deg)) < OPENING_DEG:
                         yield _leaving(without(btm, stub), way, node.id, stub.start_bearing_deg)
-            if _is_straight(way):
+            if _is_straight(way, UNBENT):
                 for other in others:
                     if abs(apart_deg(other.bearing_deg, toward_deg)) < OPENING_DEG:
                         yield from _explained_at(btm, way, node.id, other)
