@@ -328,6 +328,7 @@ def a_bent_map(places_, *ways, stubs=()):
         (30, 0, 3),  # a ring 30 m long and 6 m wide, a junction in the middle of either short side: 36 m for 30
         (16, 0, 1.5),
         (10, 1, 1),  # an eye: both arms leave at 45 degrees
+        (20, 1, 1),  # each is 20.8 m long: as good as straight
     ],
 )
 def test_two_arms_that_are_long_and_narrow_are_two_ways(length_m, out, aside_m):
@@ -335,6 +336,12 @@ def test_two_arms_that_are_long_and_narrow_are_two_ways(length_m, out, aside_m):
     north, south = [(out, aside_m), (length_m - out, aside_m)], [(length_m - out, -aside_m), (out, -aside_m)]
     row = [a, b, (-5, 0), (length_m + 5, 0)]
     ring = a_bent_map(row, (2, 0), (0, 1, *north), (1, 0, *south), (1, 3))
+    assert repaired(ring).map == ring
+
+
+def test_two_ways_round_the_corners_of_a_block_are_two():
+    """Each leaves along a long side, toward the other junction, and comes in by a short one: 17 m for 14.3."""
+    ring = a_bent_map([(-5, 0), (0, 0), (14, 3), (19, 3)], (0, 1), (1, 2, (14, 0)), (2, 1, (0, 3)), (2, 3))
     assert repaired(ring).map == ring
 
 

@@ -12,7 +12,6 @@ from jexplore.tracemap.repairing.ways import (
     CLOSE,
     OPENING_DEG,
     STRAIGHT,
-    UNBENT,
     Way,
     are_close,
     are_near,
@@ -102,8 +101,8 @@ def _are_one(btm, first, second):
     return is_one and all(_is_straight(way) and are_near(way.bearing_deg, _toward_deg(way)) for way in begun)
 
 
-def _is_straight(way, straight=STRAIGHT):
-    return (way.link.length_m or 0.0) < straight[0] * math.hypot(way.move.x_m, way.move.y_m) + straight[1]
+def _is_straight(way):
+    return (way.link.length_m or 0.0) < STRAIGHT[0] * math.hypot(way.move.x_m, way.move.y_m) + STRAIGHT[1]
 
 
 def _toward_deg(way):
@@ -239,11 +238,11 @@ def misled(btm: BtmMap) -> Iterator[BtmMap]:
             if way.link.end != node.id or way.to == made_from or not is_aside:
                 continue
             others = [other for other in ways if other.link.id != way.link.id]
-            if _is_straight(way, UNBENT) or _is_shared(others, way.bearing_deg):
+            if _is_straight(way) or _is_shared(others, way.bearing_deg):
                 for stub in stubs:
                     if abs(apart_deg(stub.start_bearing_deg, toward_deg)) < OPENING_DEG:
                         yield _leaving(without(btm, stub), way, node.id, stub.start_bearing_deg)
-            if _is_straight(way, UNBENT):
+            if _is_straight(way):
                 for other in others:
                     if abs(apart_deg(other.bearing_deg, toward_deg)) < OPENING_DEG:
                         yield from _explained_at(btm, way, node.id, other)

@@ -11,8 +11,7 @@ from jexplore.tracemap.record import NOWHERE, BtmMap, Link
 TWINS_DEG = 30.0  # two ways of a node no farther apart leave by one opening
 CLOSE = 0.6, 0.1  # where two ways lead is one place no farther apart than this: metres, and so much of the way besides
 OPENING_DEG = 50.0  # a way beyond it leaves by an un-searched opening that lies no farther from where it leads
-STRAIGHT = 1.2, 0.6  # a way no longer than so many times what it gets on, and so many metres, is straight
-UNBENT = 1.05, 0.3  # and so it goes round no corner either
+STRAIGHT = 1.05, 0.3  # a way no longer than so many times what it gets on, and so many metres, goes round no corner
 
 
 class Way(NamedTuple):
