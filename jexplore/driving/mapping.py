@@ -71,6 +71,7 @@ class Level:
     anchor: Array  # [2] float32, radians, since which it has varied little
     anchor_m: Array  # float32, odometer there
     left_m: Array  # float32, odometer where it last was the even one
+    since_m: Array  # float32, odometer where it came to be
 
 
 @struct.dataclass
@@ -119,7 +120,7 @@ def begin(
         link=link,
         left_bearing=jnp.float32(1) * pose[2],
         entry=jnp.zeros(2),
-        level=Level(even=jnp.zeros(2), anchor=jnp.zeros(2), anchor_m=zero, left_m=zero),
+        level=Level(even=jnp.zeros(2), anchor=jnp.zeros(2), anchor_m=zero, left_m=zero, since_m=zero),
         lone_step=lone_steps.none(),
         border_m=jnp.float32(jnp.inf),
         passed=jnp.array([0.0, 0.0, 0.0, -jnp.inf], jnp.float32),
@@ -191,14 +192,18 @@ def watch_level(
     crease = (level.left_m + anchor_m) / 2
     steepest = jnp.maximum(jnp.hypot(*anchor), jnp.hypot(*level.even))
     same = jnp.hypot(*(lean - level.even)) <= math.radians(EVEN_DEG)
-    # A robot that tips over an edge may stand evenly half way, for less than its length: it still comes from before.
-    stays = changed | (jnp.hypot(*(anchor - level.even)) <= math.radians(EVEN_DEG))
-    stays |= odometer_m - anchor_m >= even_m / EVEN_LENGTHS
+    # Over the edge of ground on which it has stood for its length, a robot may stand evenly half way for less than that:
+    # it still comes from there.
+    length_m = even_m / EVEN_LENGTHS
+    near = jnp.hypot(*(anchor - level.even)) <= math.radians(EVEN_DEG)
+    tips = (level.left_m - level.since_m >= length_m) & (odometer_m - anchor_m < length_m)
+    stays = even & (changed | near | ~tips)
     after = Level(
-        even=jnp.where(even & stays, anchor, level.even),
+        even=jnp.where(stays, anchor, level.even),
         anchor=anchor,
         anchor_m=anchor_m,
         left_m=jnp.where(same | even, odometer_m, level.left_m),
+        since_m=jnp.where(stays & ~near, anchor_m, level.since_m),
     )
     return after, changed, crease, steepest
 
