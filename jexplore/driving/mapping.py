@@ -192,8 +192,8 @@ def watch_level(
     crease = (level.left_m + anchor_m) / 2
     steepest = jnp.maximum(jnp.hypot(*anchor), jnp.hypot(*level.even))
     same = jnp.hypot(*(lean - level.even)) <= math.radians(EVEN_DEG)
-    # Over the edge of ground on which it has stood for its length, a robot may stand evenly half way for less than that:
-    # it still comes from there.
+    # Over the edge of ground on which it has stood for its length, a robot may stand evenly half way for less than
+    # that: it still comes from there.
     length_m = even_m / EVEN_LENGTHS
     near = jnp.hypot(*(anchor - level.even)) <= math.radians(EVEN_DEG)
     tips = (level.left_m - level.since_m >= length_m) & (odometer_m - anchor_m < length_m)

@@ -201,7 +201,7 @@ def write(
     ways = tuning.leave_m * _heading(bearing), bearing
     ways = _either_of(is_divergence, _through(event, found, bearing, turn, tuning.leave_m), ways)
     ways = to_odometry(jnp.stack([0.0, 0.0, applied - turn]))(ways[0]), ways[1] + applied - turn
-    target, out = _either_of(passes, _past(event, found, which, others, back, tuning), ways)
+    target, out = _either_of(passes, _past(event, found, which, others, back, points, tuning), ways)
     taken = jnp.where(onto == btm.NONE, size, onto)
     written = after.replace(
         map=map_,
@@ -362,14 +362,15 @@ def _through(event, found, bearing, turn, leave_m):
     return jnp.where(near, middle + leave_m * _heading(across), plain), jnp.where(near, across, bearing)
 
 
-def _past(event, found, which, others, back, tuning):
+def _past(event, found, which, others, back, points, tuning):
     """From the centre of a place that is none to a point beyond it: `[2]`; and a direction there, radians.
 
-    Where the way out is a door of what lies beyond the place's circle, that may be a place itself: straight on then.
+    Where the way out is a door of what lies beyond its circle, perhaps a place itself: straight on, if that is free.
     """
-    is_beyond = jnp.any(others) & (jnp.hypot(*found.middle[which]) > tuning.circle * event.radius)
-    straight = (event.radius + tuning.leave_m) * _heading(back + math.pi), back + math.pi
-    return _either_of(is_beyond, straight, _through(event, found, found.bearing[which], 0.0, tuning.leave_m))
+    leave_m, on_m, ahead = tuning.leave_m, event.radius + tuning.leave_m, back + math.pi
+    far = jnp.any(others) & (jnp.hypot(*found.middle[which]) > tuning.circle * event.radius)
+    far &= _reach_m(points, event, ahead) > on_m + leave_m
+    return _either_of(far, (on_m * _heading(ahead), ahead), _through(event, found, found.bearing[which], 0.0, leave_m))
 
 
 def _either_of(condition, yes, no):
