@@ -306,7 +306,7 @@ def test_a_robot_that_drives_up_and_down_is_helped(course):
     plan = course.plan
     building = jax.tree.map(jnp.asarray, plan.building)
     state = mission.at_start(mission.Setup(700), building, KAMUI, plan.begins[0])
-    senses = mission.sense(vehicle.draw(jax.random.key(0)), building, KAMUI, STILL, state.body)
+    senses = mission.sense(vehicle.draw_one(jax.random.key(0), STILL), building, KAMUI, STILL, state.body)
     late = state.replace(step=jnp.int32(approach.STRAY_STEPS), moved_step=jnp.int32(approach.STRAY_STEPS - 1))
     helped = approach.helped(late, senses, jnp.bool_(False), building, KAMUI)
     assert (int(helped.helps), int(helped.stray_step)) == (1, approach.STRAY_STEPS)
@@ -410,13 +410,13 @@ def test_a_step_without_jit_is_the_step_with_and_uses_no_key_twice(noisy, jit_on
     with jit_on(), jax.debug_key_reuse(True):
         setup = mission.Setup(200)
         states = [jax.tree.map(jnp.asarray, mission.at_start(setup, building, robot, plan.begins[0]))]
-        one = jax.jit(lambda key, *rest: mission.step(vehicle.draw(key), *rest))
+        one = jax.jit(lambda key, *rest: mission.step(vehicle.draw_one(key, noise), *rest))
         for i in range(2 * mission.BLOCK + 2):
             states.append(one(jax.random.fold_in(key, i), building, robot, tuning, noise, states[-1]))
     for ours, theirs in ((states[-1].truth, noisy.driven.truth), (states[-1].writer.way.pose, noisy.driven.estimate)):
         np.testing.assert_allclose(ours[: len(states) - 1], theirs[: len(states) - 1], atol=1e-4)
     assert np.abs(noisy.driven.estimate[: len(states)] - noisy.driven.truth[: len(states)]).max() > 1e-3
-    slow = mission.step(vehicle.draw(jax.random.fold_in(key, 1)), building, robot, tuning, noise, states[1])
+    slow = mission.step(vehicle.draw_one(jax.random.fold_in(key, 1), noise), building, robot, tuning, noise, states[1])
     for ours, theirs in zip(jax.tree.leaves(slow), jax.tree.leaves(states[2])):
         np.testing.assert_allclose(np.asarray(ours), np.asarray(theirs), atol=2e-4)
 

@@ -34,14 +34,14 @@ def aligned_table(head: Sequence[str], lines: Iterable[Sequence[str]], *, left: 
 
     Args:
       head: `[K]` texts, the names of the columns.
-      lines: lists of `[K]` texts. Bars in them are escaped.
+      lines: lists of `[K]` texts. Bars in texts are escaped.
       left: names of the columns that are aligned to the left; the others are to the right.
 
     Returns:
       Text that ends with a newline.
     """
-    lines = [[" ".join(cell.split()).replace("|", "\\|") for cell in line] for line in lines]
     is_left = [name in left for name in head]
+    head, *lines = ([" ".join(cell.split()).replace("|", "\\|") for cell in line] for line in [head, *lines])
     widths = [max(3, *(len(line[i]) for line in [head, *lines])) for i in range(len(head))]
     rule = ["-" * width if to_left else "-" * (width - 1) + ":" for width, to_left in zip(widths, is_left)]
     text = [
