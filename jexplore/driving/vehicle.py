@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from flax import struct
-from jax import Array
+from jax import Array, lax
 from jax.tree_util import register_dataclass
 
 from jexplore.arrays.loops import run_if
@@ -94,14 +94,19 @@ def draw(keys: Array, noise: Noise) -> Draws:
     Returns:
       `Draws` with a leading axis of n.
     """
-    keys, missing_keys = jnp.moveaxis(jax.vmap(jax.random.split)(keys), 1, 0)
     ends = np.cumsum([BEAMS, DOWN_BEAMS, 2, 3])
-    drawn = jax.vmap(lambda key: jax.random.normal(key, (ends[-1] + 1,)))(keys)
+
+    def one(key):
+        key, missing_key = jax.random.split(key)
+        return jax.random.normal(key, (ends[-1] + 1,)), missing_key
+
+    drawn, missing_keys = jax.vmap(one)(keys)
     ranges, down, attitude, encoders, beacon = jnp.split(drawn, ends, axis=1)
-    missing = run_if(
+    missing = lax.cond(
         noise.invalid > 0,
-        lambda _: jax.vmap(lambda key: jax.random.uniform(key, (BEAMS,)))(missing_keys),
-        jnp.ones((keys.shape[0], BEAMS)),
+        jax.vmap(lambda key: jax.random.uniform(key, (BEAMS,))),
+        lambda keys: jnp.ones((keys.shape[0], BEAMS)),
+        missing_keys,
     )
     return Draws(ranges=ranges, down=down, attitude=attitude, encoders=encoders, missing=missing, beacon=beacon[:, 0])
 
