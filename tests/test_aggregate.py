@@ -397,3 +397,16 @@ def test_table_of_sizes():
     one = sizes.sample_sizes(episodes({key: value for key, value in paths.items() if key[0] == "cave#0"}))
     assert one["unit"].tolist() == ["episodes"] * 2
     assert len(sizes.sample_sizes(episodes(paths).iloc[:0])) == 0
+
+
+def test_sizes_of_one_that_never_set_out():
+    """It has a ratio of zero, which no interval is a share of."""
+    rng = np.random.default_rng(3)
+    paths = {}
+    for i in range(2):
+        values, reference = pairs(8, rng)
+        paths |= {(f"cave#{i}", "a"): reference, (f"cave#{i}", "b"): values if i else 0 * values}
+    table = sizes.sample_sizes(episodes(paths), within=0.05)
+    assert np.isnan(table["within"][0])
+    assert table["needed"].isna().tolist()[:2] == [True, False]
+    assert "nan" not in sizes.sizes_table(table).lower()

@@ -121,6 +121,17 @@ def test_the_plainest_strategy_is_closest_to_the_bit():
 
 
 @pytest.mark.jit
+def test_a_score_is_rounded_once():
+    """Computed a second time to be compared with its maximum, it might not equal it, and nothing would be chosen."""
+
+    def pockets(view, weight=1.0):
+        around = jax.lax.reduce_window(view.frontier.astype(jnp.float32), 0.0, jax.lax.add, (3, 3), (1, 1), "same")
+        return -(view.path_m + weight * around * view.belief.model.cell_m)
+
+    assert (compare([strategy(pockets)])["outcome"] == "COMPLETE").all()
+
+
+@pytest.mark.jit
 def test_ones_own_in_both_engines_modified_too(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "engines_mine.py").write_text(MODULE)

@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array, lax
 
+from jexplore.arrays.loops import stored
 from jexplore.config import InputError
 from jexplore.planning import Belief, Choice, choose, field, first_at, is_open, nearest_of, view_of
 from jexplore.policies.catalogue import fingerprint
@@ -106,6 +107,8 @@ class Score(_Theirs):
             score = jnp.asarray(found)
             if score.shape != known.cost.shape or not _is_number(score.dtype):
                 raise TypeError
+        # Kept: XLA might compute it anew to compare it with its maximum, round it differently, and nothing equals that.
+        score = stored(belief.row >= 0, lambda: lax.optimization_barrier(score))
         row, col = _highest(score, known)
         return carry, *choose(belief, route, known, row, col)
 

@@ -168,7 +168,7 @@ def sample_sizes(
     }
     for row in now[(now["strategy"] != first) & now["ratio"].notna()].itertuples(index=False):
         both = tables[row.world][[row.strategy, first]].dropna().to_numpy()
-        half = row.ratio_high / row.ratio - 1
+        half = row.ratio_high / row.ratio - 1 if row.ratio else math.nan  # zero: one that never set out
         rows.append((row.world, row.strategy, "episodes", len(both), half, _or_none(sample_size, *both.T, **how)))
     ratios: Any = paths_by_world(episodes) if len(tables) > 1 else now[:0]
     for name, own in ratios[ratios["strategy"] != first].groupby("strategy", sort=False):
