@@ -103,10 +103,14 @@ def latched(
     aligned = jnp.abs(btm.wrapped(drive.out - state.estimate[2])) < OUT_RAD
     has_left = (drive.latch == Latch.LEAVE) & ((near & aligned) | late)
     latch = jnp.where(has_left | lost | too_late, Latch.FREE, latch)
-    onward = track.centre + tuning.leave_m * jnp.stack([jnp.cos(drive.out), jnp.sin(drive.out)])
+    # A robot that has turned towards what is none would go back the way it came.
+    turned = lost & ~aligned
+    latch = jnp.where(turned, Latch.LEAVE, latch)
+    from_ = jnp.where(turned, state.estimate[:2], track.centre)
+    onward = from_ + tuning.leave_m * jnp.stack([jnp.cos(drive.out), jnp.sin(drive.out)])
     after = drive.replace(
         latch=latch.astype(jnp.int32),
-        target=jnp.where(ends & look.goes_on, look.track.centre, jnp.where(none, onward, target)),
+        target=jnp.where(ends & look.goes_on, look.track.centre, jnp.where(none | turned, onward, target)),
         out=jnp.where(begins, state.estimate[2], drive.out),
         known=jnp.where(ends, look.back, drive.known & ~begins),
         since=jnp.where((latch == drive.latch) & (latch != Latch.FREE), drive.since + 1, 0),

@@ -111,7 +111,7 @@ def look_ahead(
     xy, known = surround.points(around)
     lean, lean_m = mapping.lean_of(writer.way, state.step)
     ground = _recent_ground(writer.way, state)
-    rise, stops, beyond = _ground_ahead(*ground, robot, state)
+    rise, stops, beyond = _ground_ahead(*ground[:2], robot, state)
     # What is seen from ground of another inclination, or where the ground rises, may be ground.
     tips = jnp.hypot(*(lean - writer.level.even)) > jnp.radians(tuning.inclination_deg)
     leans = tips | (rise > RISES_M)
@@ -153,9 +153,11 @@ def _lone_step(state, writer, ground, tips, level, changed, crease_m, blocked, r
     looks = is_level & ~tips & ~is_on & (state.drive.latch != Latch.LOOK) & ~state.manoeuvre.backing
     near = jnp.isfinite(ground[0]) & (ground[0] > state.odometer_m)
     span_m = jnp.max(jnp.where(near, ground[1], -jnp.inf)) - jnp.min(jnp.where(near, ground[1], jnp.inf))
+    # What it saw as it tipped over the last one is off.
+    x = jnp.where(ground[2] < LEVEL_RAD, ground[0], jnp.inf)
     now = run_if(
         looks & (span_m > ground_profile.STEP_M),
-        lambda _: lone_steps.watched(writer.lone_step, ground[0], ground[1]),
+        lambda _: lone_steps.watched(writer.lone_step, x, ground[1]),
         writer.lone_step,
     )
     passed = lone_steps.is_passed(now, state.odometer_m, robot.length_m) & ~tips & is_level
@@ -197,17 +199,21 @@ def _watch(state, writer, xy, valid, wall_m, leans, placed, tuning):
         found = dataclasses.replace(found, valid=found.valid & ~known & (found.centre[:, 0] > BESIDE_M))
         return behaviour.follow(carry[0], found, placed, tuning.same_m, ~approaches), found.overflow
 
-    forgets = state.space.inside | leans  # there are no divergences in free space
+    # There are no divergences in free space; where the robot turns on a slope, it leans otherwise for a moment.
+    forgets = (state.space.inside | leans) & ~turns
     track = jax.tree.map(lambda none, old: jnp.where(forgets, none, old), behaviour.no_track(), state.track)
     looks = (state.step % EVERY == 0) & ~is_in & ~turns & ~forgets
     return run_if(looks, looked, (track, jnp.int32(0)))
 
 
 def _recent_ground(way, state):
-    """The last points of the profile: `(x_m, z_m)`, `[RECENT]` each, x inf where there is none."""
+    """The last points of the profile and how the robot leant there: `(x_m, z_m, posture)`, `[RECENT]` each, metres and
+    radians, x inf where there is none.
+    """
     first = jnp.clip(state.step + 1 - RECENT, 0, way.ground_x_m.shape[0] - RECENT)
-    x, z = (lax.dynamic_slice(array, (first,), (RECENT,)) for array in (way.ground_x_m, way.ground_z_m))
-    return jnp.where(first + jnp.arange(RECENT) <= state.step, x, jnp.inf), z
+    arrays = way.ground_x_m, way.ground_z_m, way.posture
+    x, *others = (lax.dynamic_slice(array, (first,), (RECENT,)) for array in arrays)
+    return jnp.where(first + jnp.arange(RECENT) <= state.step, x, jnp.inf), *others
 
 
 def _ground_ahead(x, z, robot, state):
@@ -227,7 +233,8 @@ def _ground_ahead(x, z, robot, state):
 
     def judged(_):
         near, beyond = ground_profile.profile(x, z, ahead | behind), ground_profile.profile(x, z, ahead)
-        step_m = near.step_m
+        # On a slope flanks that are longer rise more, between treads noise makes flanks rise more.
+        step_m = jnp.minimum(near.step_m, near.riser_m)
         is_step = ((step_m > robot.max_step_m + STEP_SLACK_M) | state.halts) & (step_m > ground_profile.STEP_M)
         # Two steps that it climbs one by one rise more than a slope that it climbs.
         sudden = ground_profile.sudden(x, z, ahead | behind) > ground_profile.STEP_M
