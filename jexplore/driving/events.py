@@ -110,8 +110,8 @@ def look_ahead(
     is_free = state.drive.latch == Latch.FREE
     xy, known = surround.points(around)
     lean, lean_m = mapping.lean_of(writer.way, state.step)
-    ground = _recent_ground(writer.way, state)
-    rise, stops, beyond = _ground_ahead(*ground[:2], robot, state)
+    ground_x, ground_z, posture = _recent_ground(writer.way, state)
+    rise, stops, beyond = _ground_ahead(ground_x, ground_z, robot, state)
     # What is seen from ground of another inclination, or where the ground rises, may be ground.
     tips = jnp.hypot(*(lean - writer.level.even)) > jnp.radians(tuning.inclination_deg)
     leans = tips | (rise > RISES_M)
@@ -126,6 +126,8 @@ def look_ahead(
         writer.level, lean, lean_m, jnp.radians(tuning.inclination_deg), even_m
     )
     blocked = jnp.where(stops & (is_free | state.halts), state.blocked + 1, 0)
+    # What it saw as it tipped over the last step is off.
+    ground = jnp.where(posture < LEVEL_RAD, ground_x, jnp.inf), ground_z
     lone_step, is_lone, after = _lone_step(state, writer, ground, tips, level, changed, crease_m, blocked, robot)
     return Ahead(
         leans=leans,
@@ -153,11 +155,9 @@ def _lone_step(state, writer, ground, tips, level, changed, crease_m, blocked, r
     looks = is_level & ~tips & ~is_on & (state.drive.latch != Latch.LOOK) & ~state.manoeuvre.backing
     near = jnp.isfinite(ground[0]) & (ground[0] > state.odometer_m)
     span_m = jnp.max(jnp.where(near, ground[1], -jnp.inf)) - jnp.min(jnp.where(near, ground[1], jnp.inf))
-    # What it saw as it tipped over the last one is off.
-    x = jnp.where(ground[2] < LEVEL_RAD, ground[0], jnp.inf)
     now = run_if(
         looks & (span_m > ground_profile.STEP_M),
-        lambda _: lone_steps.watched(writer.lone_step, x, ground[1]),
+        lambda _: lone_steps.watched(writer.lone_step, *ground),
         writer.lone_step,
     )
     passed = lone_steps.is_passed(now, state.odometer_m, robot.length_m) & ~tips & is_level
