@@ -276,8 +276,11 @@ def test_lanes_in_lockstep_give_the_same_maps_and_are_filled_again(noisy):
     assert done[-1] == 5
 
 
+AS_ON_COURSES = {"nodes": 32, "links": 64}
+
+
 def box(height_m=1.6, width_m=1.6):
-    """A closed room, on ground and with arrays like those of the course."""
+    """A closed room, on ground and with arrays like those of the course, with whose map it shares a program."""
     world = load_world("course")
     occupied = np.ones(world.shape, bool)
     occupied[2 : 2 + round(10 * height_m), 2 : 2 + round(10 * width_m)] = False
@@ -409,14 +412,14 @@ def test_room_for_the_maps_of_buildings():
 
 @pytest.mark.jit
 def test_a_room_without_a_passage():
-    found = ran(job.prepare_trace(box(), start=(1.0, 1.0, 0), noise=STILL))
+    found = ran(job.prepare_trace(box(), start=(1.0, 1.0, 0), noise=STILL, **AS_ON_COURSES))
     assert found.table["outcome"].tolist()[0] in ("STUCK", "EXHAUSTED")
     assert found.table["steps"][0] < 1000
 
 
 @pytest.mark.jit
 def test_without_a_goal_what_lies_behind_the_start_is_searched_as_well():
-    found = ran(job.prepare_trace(box(2.0, 14.0), start=(6.0, 1.2, 0), noise=STILL))
+    found = ran(job.prepare_trace(box(2.0, 14.0), start=(6.0, 1.2, 0), noise=STILL, **AS_ON_COURSES))
     assert kinds(found.first) == "TDD"
     assert found.table["outcome"].tolist() == ["EXHAUSTED"]
     links = [(link.start, link.end, link.status) for link in found.first.links]
