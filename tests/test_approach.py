@@ -12,6 +12,7 @@ from jexplore.driving import approach, behaviour, mapping
 from jexplore.driving.behaviour import Latch, RunMode, Track
 from jexplore.driving.building.walls import Walls, cast
 from jexplore.driving.sensing import surround
+from jexplore.driving.sensing.perception import Divergence
 from jexplore.driving.sensing.surround import SECTORS, Surround
 from jexplore.driving.settings import ROBOTS, Tuning
 from jexplore.driving.vehicle import RANGE_M, to_odometry
@@ -62,6 +63,24 @@ def test_the_robot_goes_to_where_it_sees_that_circle():
     found = looked_round((0.9, Y_M), RADIUS_M, robot_x_m=0.42)
     assert (bool(found.arrives), bool(found.drive.known), int(found.drive.latch)) == (False, True, Latch.APPROACH)
     assert found.drive.target.tolist() == pytest.approx([0, Y_M], abs=0.1)  # beams are a degree apart
+
+
+@pytest.mark.parametrize(
+    ("place", "radius_m", "middle"),
+    [
+        ((0.5, 0.1), 1.0, (0.8, 0.0)),  # of three circles as large the nearest to where the map has the place
+        ((0.3, 0.1), 1.0, (0.0, 0.0)),
+        ((0.5, 0.1), 2.0, (0.5, 0.6)),
+        ((0.5, 0.1), 1.3, (0.5, 0.1)),  # none is as large
+        ((0.0, 1.1), 1.0, (0.0, 1.1)),  # nor as near
+    ],
+)
+def test_of_circles_as_large_the_nearest_to_where_the_map_has_the_place(place, radius_m, middle):
+    centres = jnp.array([(0.0, 0.0), (0.8, 0.0), (-0.8, 0.0), (0.5, 0.6), (0.5, 0.1)])
+    radii, valid = jnp.array([1.0, 1.05, 1.0, 1.95, 1.0]), jnp.arange(5) < 4  # the last is unused
+    seen = Divergence(jnp.zeros((5, 3, 2)), centres, radii, valid, jnp.int32(0))
+    found = approach._middle((jnp.array(place), jnp.float32(radius_m)), centres, seen)
+    assert found.tolist() == pytest.approx(middle)
 
 
 @pytest.mark.parametrize("radius_m", [RADIUS_M / 1.3, RADIUS_M * 1.3])

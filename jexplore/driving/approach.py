@@ -164,20 +164,22 @@ def _surveyed(track, in_map, around, ways_m, placed, tuning, robot):
     off = jnp.hypot(*(placed(found.centre) - track.centre).T)
     there_is = jnp.any(found.valid & (off < jnp.maximum(SAME_PLACE_M, SAME_PLACE * track.radius)))
     seen = Track(centre=centre, radius=found.radius[best], seen=one, age=jnp.int32(1))
-    return seen, better, there_is, _middle(track, in_map, placed(found.centre), found)
+    return seen, better, there_is, _middle(in_map, placed(found.centre), found)
 
 
-def _middle(track, in_map, centres, found):
+def _middle(in_map, centres, found):
     """Where the robot sees the middle of a node in whose circle it is: `[2]` float32, odometry.
 
     The odometry is off: the node is where a circle as large as its own is seen, no farther than that from where the map
-    has it, and of several the nearest to the place where the robot is. Where none is seen, it is where the map has it.
+    has it, and of several, as at doors along a passage, the nearest to that. Where none is seen, it is where the map
+    has it.
     """
     place, radius_m = in_map
+    off_m = jnp.hypot(*(centres - place).T)
     alike = found.valid & (jnp.abs(found.radius - radius_m) < AS_LARGE * radius_m)
-    alike &= jnp.hypot(*(centres - place).T) < jnp.maximum(radius_m, SAME_PLACE_M)
-    off_m = jnp.where(alike, jnp.hypot(*(centres - track.centre).T), jnp.inf)
-    return jnp.where(jnp.any(alike), centres[jnp.argmin(off_m)], place)
+    off_m = jnp.where(alike & (off_m < jnp.maximum(radius_m, SAME_PLACE_M)), off_m, jnp.inf)
+    at = jnp.argmin(off_m)
+    return jnp.where(off_m[at] < jnp.inf, centres[at], place)
 
 
 def helped(state: Any, senses: Senses, makes_node: Array, building: Building, robot: Robot) -> Any:
