@@ -103,10 +103,8 @@ def latched(
     latch = jnp.where(ends, jnp.where(look.goes_on, Latch.APPROACH, jnp.where(none, Latch.LEAVE, Latch.FREE)), latch)
     aligned = jnp.abs(btm.wrapped(drive.out - state.estimate[2])) < OUT_RAD
     has_left = (drive.latch == Latch.LEAVE) & ((near & aligned) | late)
-    latch = jnp.where(has_left | lost | too_late, Latch.FREE, latch)
-    # A robot that has turned towards what is none would go back the way it came.
-    turned = lost & ~aligned
-    latch = jnp.where(turned, Latch.LEAVE, latch)
+    turned = lost & ~aligned  # towards what is none: it would go back the way it came
+    latch = jnp.where(turned, Latch.LEAVE, jnp.where(has_left | lost | too_late, Latch.FREE, latch))
     from_ = jnp.where(turned, state.estimate[:2], track.centre)
     onward = from_ + tuning.leave_m * jnp.stack([jnp.cos(drive.out), jnp.sin(drive.out)])
     after = drive.replace(
