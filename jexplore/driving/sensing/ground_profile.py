@@ -177,9 +177,8 @@ def _riser(step, rise, count, total):
       count, total: as for `_rises`.
     """
     n, cell, (short, *_, long) = CELLS, jnp.arange(CELLS), np.round(TREADS_M / CELL_M).astype(int)
-    step &= ~functools.reduce(
-        jnp.logical_or, [jnp.pad(step, (k, 0))[:n] for k in range(1, short // 2)]
-    )  # of equal ones
+    earlier = [jnp.pad(step, (k, 0))[:n] for k in range(1, short // 2)]
+    step &= ~functools.reduce(jnp.logical_or, earlier)  # of cells that rise alike the first
     number = jnp.cumsum(step)
     last = lax.cummax(jnp.where(step, cell, -n))
     next_ = lax.cummin(jnp.where(step, cell, 2 * n), reverse=True)
@@ -187,9 +186,8 @@ def _riser(step, rise, count, total):
     tread = 2 * number + ((next_ - last > long) & (next_ - cell < cell - last))
     off = jnp.minimum(cell - last, next_ - cell)
     near = (off > round(FACE_M / CELL_M)) & (off <= short)
-    points, sums = (
-        jnp.zeros(2 * n + 2, jnp.float32).at[jnp.where(near, tread, 2 * n + 1)].add(a) for a in (count, total)
-    )
+    at = jnp.where(near, tread, 2 * n + 1)
+    points, sums = (jnp.zeros(2 * n + 2, jnp.float32).at[at].add(a) for a in (count, total))
     mean = sums / jnp.maximum(points, 1)
     before, after = jnp.pad(tread, (1, 0))[:n], tread
     seen = (points[before] > 0) & (points[after] > 0)
