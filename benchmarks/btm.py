@@ -2,6 +2,7 @@
 
     python benchmarks/btm.py [--runs 1000] [--parts repeat ablation place robots]
     python benchmarks/btm.py [--runs 1000] [--parts buildings furniture sensors steps speed] [--seed 0]
+    python benchmarks/btm.py [--runs 1000] --parts buildings --worlds WORLD... [--seed 0]
     python benchmarks/btm.py [--runs 1000] --parts loops [--first 21]
     python benchmarks/btm.py --parts read-off --maps FOLDER
 
@@ -157,15 +158,23 @@ def robots(runs):
                 row(world, sigma, width, share(right, runs), share(same, runs))
 
 
-def buildings(runs, seed=0):
-    """Ordinary buildings, each from a twenty-fifth of so many starts, beside what the true map holds.
+def buildings(runs, seed=0, worlds=BUILDINGS):
+    """Buildings, each from a twenty-fifth of so many starts, beside what the true map holds.
 
     Truth: `extract` of the true map, as far as the robot gets; doors are those of the generator.
     """
     n = max(8, runs // 25)
     columns = ["building", "starts", "EXHAUSTED", "with at most one help", "outcomes", "junctions", "doors"]
-    head(*columns, "false divergences", "contacts a run", "steps refused", "steps a run", "drift m")
-    for world in BUILDINGS:
+    more = [
+        "false divergences",
+        "took a place for another",
+        "contacts a run",
+        "steps refused",
+        "steps a run",
+        "drift m",
+    ]
+    head(*columns, *more)
+    for world in worlds:
         table = traced(world, starts=n, seed=seed, noise=Noise(range_m=0.01)).table
         done = table["outcome"] == "EXHAUSTED"
         outcomes = ", ".join(f"{name} {count}" for name, count in table["outcome"].value_counts().items())
@@ -174,7 +183,10 @@ def buildings(runs, seed=0):
         cells = [share(int(done.sum()), n), share(int(alone.sum()), n), outcomes, *near]
         contacts, steps, drift = (table[name].mean() for name in ("contacts", "steps", "drift_m"))
         false = part(table, "false_divergences", "divergences")
-        row(world, n, *cells, false, f"{contacts:.1f}", table["refused"].sum(), f"{steps:.0f}", f"{drift:.2f}")
+        mistaken = share(int((table["mistaken"] > 0).sum()), n)
+        row(
+            world, n, *cells, false, mistaken, f"{contacts:.1f}", table["refused"].sum(), f"{steps:.0f}", f"{drift:.2f}"
+        )
 
 
 def part(table, some, all_):
@@ -300,13 +312,14 @@ def main():
     parser.add_argument("--runs", type=int, default=1000)
     parser.add_argument("--parts", nargs="*", default=PARTS, choices=(*PARTS, "read-off"))
     parser.add_argument("--seed", type=int, default=0, help="of the starts in buildings and their noise")
+    parser.add_argument("--worlds", nargs="+", default=BUILDINGS, help="of buildings")
     parser.add_argument("--first", type=int, default=21, help="course of loops and equal junctions, of twenty")
     parser.add_argument("--maps", help="folder with the plans of read-off")
     options = parser.parse_args()
     start_backend(WORKERS)
     use_compilation_cache()
     given = {
-        "buildings": functools.partial(buildings, options.runs, options.seed),
+        "buildings": functools.partial(buildings, options.runs, options.seed, options.worlds),
         "loops": functools.partial(loops, options.runs, options.first),
         "read-off": functools.partial(read_off, options.maps),
     }

@@ -233,8 +233,7 @@ def _ground_ahead(x, z, robot, state):
 
     def judged(_):
         near, beyond = ground_profile.profile(x, z, ahead | behind), ground_profile.profile(x, z, ahead)
-        # On a slope flanks that are longer rise more, between treads noise makes flanks rise more.
-        step_m = jnp.minimum(near.step_m, near.riser_m)
+        step_m = near.step_m
         is_step = ((step_m > robot.max_step_m + STEP_SLACK_M) | state.halts) & (step_m > ground_profile.STEP_M)
         # Two steps that it climbs one by one rise more than a slope that it climbs.
         sudden = ground_profile.sudden(x, z, ahead | behind) > ground_profile.STEP_M

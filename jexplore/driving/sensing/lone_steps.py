@@ -7,10 +7,9 @@ from flax import struct
 from jax import Array
 
 from jexplore.driving.sensing import steadying
-from jexplore.driving.sensing.ground_profile import STEP_M, SURE
+from jexplore.driving.sensing.ground_profile import FACE_M, STEP_M, SURE
 
-FLANK = 3  # points on either side of a step, whose height is the difference of their medians
-FACE_M = 0.04  # between them, where points may lie on its face; more, and one of a flank may
+FLANK = 3  # points on either side of a step, whose height is that between their medians: one may lie on its face
 TOGETHER_M = 1.2  # steps no farther apart are one, as high as those seen before the robot is on the first
 PASSED_M = 0.30  # the robot's end is so far beyond it: until then its own tipping shows in the profile
 MEANT = 5  # steps over which its attitude is averaged for that
