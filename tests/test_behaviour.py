@@ -1,5 +1,6 @@
 """Run modes, what lies ahead, free space and the target point: every rule by hand."""
 
+import dataclasses
 import itertools
 import math
 
@@ -13,9 +14,9 @@ from jexplore.driving.events import Walls
 from jexplore.driving.sensing import surround
 from jexplore.driving.sensing.perception import Divergence
 from jexplore.driving.sensing.surround import DIRECTION, DIRECTIONS
-from jexplore.driving.settings import ROBOTS, Tuning
+from jexplore.driving.settings import ROBOTS, Tuning, for_world
 
-TUNING, KAMUI = Tuning(), ROBOTS["kamui"]
+TUNING, KAMUI = for_world(Tuning(), is_course=True), ROBOTS["kamui"]
 INF = math.inf
 
 
@@ -484,12 +485,12 @@ def test_speed_and_turn_rate_by_hand():
     for side in (1, -1):
         at = 2 * math.cos(angle), 2 * side * math.sin(angle)
         assert steered(at, TUNING) == pytest.approx((0.4 * math.cos(angle), 1.5 * side * angle))
-    slow = Tuning(speed_m_s=0.1, turn_gain=0.5)
+    slow = dataclasses.replace(TUNING, speed_m_s=0.1, turn_gain=0.5)
     assert steered((3, 3), slow) == pytest.approx((0.1 * math.sqrt(0.5), 0.5 * math.pi / 4))
 
 
 def test_no_faster_than_the_robot_can():
-    fast = Tuning(speed_m_s=50.0, turn_gain=100.0)
+    fast = dataclasses.replace(TUNING, speed_m_s=50.0, turn_gain=100.0)
     assert steered((1, 0), fast)[0] == pytest.approx(KAMUI.max_speed_m_s)
     assert steered((1, 0.5), fast)[1] == KAMUI.max_turn_rad_s
     assert steered((1, -0.5), fast)[1] == -KAMUI.max_turn_rad_s

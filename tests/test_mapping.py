@@ -14,12 +14,12 @@ from jexplore.driving import links, mapping, nodes
 from jexplore.driving.behaviour import Latch
 from jexplore.driving.building.walls import cast, walls_of
 from jexplore.driving.nodes import SHIFT_SHARE, TURN_SHARE, Event
-from jexplore.driving.settings import ROBOTS, Tuning
+from jexplore.driving.settings import ROBOTS, Tuning, for_world
 from jexplore.tracemap import record
 from jexplore.tracemap.similarity import code
 
 pytestmark = pytest.mark.jit
-TUNING, KAMUI = Tuning(), ROBOTS["kamui"]
+TUNING, KAMUI = for_world(Tuning(), is_course=True), ROBOTS["kamui"]
 EAST, NORTH, WEST, SOUTH = (math.radians(angle) for angle in (0, 90, 180, -90))
 
 

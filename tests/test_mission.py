@@ -17,7 +17,7 @@ from jexplore.driving.behaviour import RunMode
 from jexplore.driving.building.terrain import FINER
 from jexplore.driving.mission import Outcome
 from jexplore.driving.sensing import surround
-from jexplore.driving.settings import ROBOTS, Noise, Tuning
+from jexplore.driving.settings import ROBOTS, Noise, Tuning, for_world
 from jexplore.driving.vehicle import DT_S
 from jexplore.extraction.extract import extract
 from jexplore.studies.traces import job, tracing
@@ -29,7 +29,7 @@ from jexplore.worlds.world import World
 pytestmark = pytest.mark.usefixtures("whole_runs")
 
 STILL = Noise(attitude_deg=0, odometry=0, heading_deg_sqrt_m=0, slip=0, beacon_m=0)
-KAMUI, TUNING = ROBOTS["kamui"], Tuning()
+KAMUI, TUNING = ROBOTS["kamui"], for_world(Tuning(), is_course=True)
 
 
 def ran(plan):
@@ -214,12 +214,12 @@ def test_ends_by_name(course):
         (state, True, Outcome.GOAL),
         (full, False, Outcome.MAP_FULL),
         (done, False, Outcome.EXHAUSTED),
-        (state.replace(helps=Tuning().helps), False, Outcome.RUNNING),
-        (state.replace(since_node=Tuning().helps), False, Outcome.STUCK),
+        (state.replace(helps=TUNING.helps), False, Outcome.RUNNING),
+        (state.replace(since_node=TUNING.helps), False, Outcome.STUCK),
         (state.replace(blind=mission.BLIND_STEPS), False, Outcome.BLIND),
         (done, True, Outcome.GOAL),
     ]:
-        assert int(mission._end(at, at_end, Tuning()).outcome) == outcome
+        assert int(mission._end(at, at_end, TUNING).outcome) == outcome
 
 
 @pytest.mark.jit

@@ -136,7 +136,7 @@ def _look_ends(state, track, ends, around, ways_m, placed, tuning, robot):
     # A place in the circle of a node is that node, if it is not the one just left: it is looked at from its middle.
     back = ends & ~better & had & there_is & ~drive.known & may_go
     back &= (node != state.writer.node) | has_left(state.writer, state.odometer_m, tuning.leave_m)
-    back &= (jnp.hypot(*(middle - track.centre)) > tuning.arrive_m) & (off_m < jnp.maximum(track.radius, 0.5))
+    back &= (jnp.hypot(*(middle - track.centre)) > tuning.arrive_m) & (off_m < jnp.maximum(jnp.minimum(track.radius, in_map[1]), 0.5))
     kept = track.replace(centre=jnp.where(back, middle, track.centre))
     chosen = jax.tree.map(lambda new, old: jnp.where(ends & better, new, old), other, kept)
     return _Look(ends, chosen, better | back, back, had & (there_is | drive.known))

@@ -65,7 +65,9 @@ def _arrive(writer, event, found, back, tuning, is_divergence, is_terminal):
     """The node that is due: one that is known, or a new one."""
     is_obstacle = event.kind == btm.OBSTACLE
     near, distance = btm.nearest_node(writer.map, event.centre[0], event.centre[1], event.kind)
-    reach = jnp.where(is_divergence, jnp.maximum(0.5, event.radius), SAME_NODE_M)
+    # A place is in the circle of a node, and the node in that of the place.
+    smaller = jnp.minimum(event.radius, writer.map.radius_m[jnp.maximum(near, 0)])
+    reach = jnp.where(is_divergence, jnp.maximum(0.5, smaller), SAME_NODE_M)
     may_be_last = is_divergence & has_left(writer, event.odometer_m, tuning.leave_m)
     again = (distance < reach) & ((near != writer.node) | may_be_last) & ~is_terminal
     alike, is_alike = links.recognised(
