@@ -282,7 +282,7 @@ def look_round(walls_, poses, noise_m):
         around, before = carry
         pose, noise_m = at
         ahead, aside = vehicle.to_robot(before)(pose[:2])
-        around = surround.moved(around, ahead, aside, pose[2] - before[2])
+        around = surround.moved(around, ahead, aside, pose[2] - before[2], 4.5)
         around = surround.seen(around, walls.cast(walls_, pose, ANGLES_RAD, RANGE_M) + noise_m)
         return (around, pose), 0
 
