@@ -451,7 +451,7 @@ def driven_along(walls_, start, noise_m):
         around = surround.seen(around, walls.cast(walls_, pose, ANGLES_RAD, RANGE_M) + noise)
         found = look(*surround.points(around), jnp.float32(1), TUNING)
         n = jnp.sum(found.valid & (found.centre[:, 0] > -0.2))
-        return (surround.moved(around, 0.04, 0.0, 0.0, 4.5), pose.at[0].add(0.04)), n
+        return (surround.moved(around, 0.04, 0.0, 0.0, far_m=4.0), pose.at[0].add(0.04)), n
 
     return jax.lax.scan(step, (surround.unknown(), start), noise_m)[1]
 

@@ -212,7 +212,7 @@ def step(draws: Draws, building: Building, robot: Robot, tuning: Tuning, noise: 
     walls = walls_of_scan(senses.ranges_m, tuning, robot)
     lean = mapping.lean(senses.pitch, senses.roll, state.odometry[2])
     key, odometry, estimate = matching.put_right(state.key, state.odometry, state.estimate, senses.ranges_m, lean)
-    around = surround.moved(state.around, *matching.between(state.scanned, odometry), tuning.far_m + surround.MEMORY_M)
+    around = surround.moved(state.around, *matching.between(state.scanned, odometry), far_m=tuning.far_m)
     around = surround.seen(around, jnp.where(is_ground, jnp.inf, senses.ranges_m))
     ways_m = surround.ways(around, robot)
     state = state.replace(key=key, odometry=odometry, estimate=estimate, around=around, scanned=odometry)

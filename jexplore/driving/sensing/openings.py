@@ -252,8 +252,8 @@ def ways_out(xy: Array, valid: Array, centre: Array, radius_m: Array | float, wi
 
     def with_doors(_):
         offset = xy - centre
-        doors = _wall_doors(*_polar(offset, jnp.hypot(*offset.T), valid, FAR_M)[::2], width_m, circle * radius_m, size)
-        return _joined(together, doors)
+        place, _, here = _polar(offset, jnp.hypot(*offset.T), valid, FAR_M)
+        return _joined(together, _wall_doors(place, here, width_m, circle * radius_m, size))
 
     none = [jnp.concatenate([a, jnp.zeros_like(a[: 2 * size])]) for a in together]
     return _in_order(run_if(radius_m > WIDE_M, with_doors, none), found.overflow, size)
