@@ -125,7 +125,8 @@ def look_ahead(
     level, changed, crease_m, steepest = mapping.watch_level(
         writer.level, lean, lean_m, jnp.radians(tuning.inclination_deg), even_m
     )
-    blocked = jnp.where(stops & (is_free | state.halts), state.blocked + 1, 0)
+    heeds = is_free if writer.guide is None else is_free | writer.guide.steers
+    blocked = jnp.where(stops & (heeds | state.halts), state.blocked + 1, 0)
     lone_step, is_lone, after = _lone_step(state, writer, ground, tips, level, changed, crease_m, blocked, robot)
     return Ahead(
         leans=leans,
