@@ -1,7 +1,9 @@
 """What is claimed of Behavioral Trace Maps, measured: repeatability, ablations, accuracy, buildings, sensors, speed.
 
     python benchmarks/btm.py [--runs 1000] [--parts repeat ablation place robots]
-    python benchmarks/btm.py [--runs 1000] [--parts buildings furniture sensors steps loops speed] [--seed 0]
+    python benchmarks/btm.py [--runs 1000] [--parts buildings furniture sensors steps speed] [--seed 0]
+    python benchmarks/btm.py [--runs 1000] --parts buildings --worlds WORLD... [--seed 0]
+    python benchmarks/btm.py [--runs 1000] --parts loops [--first 21]
     python benchmarks/btm.py --parts read-off --maps FOLDER
 
 FOLDER has plans of buildings as NAME.png and, furnished, as NAME_furnitures.png, 0.05 m a pixel (Bormann et al. 2016).
@@ -156,15 +158,23 @@ def robots(runs):
                 row(world, sigma, width, share(right, runs), share(same, runs))
 
 
-def buildings(runs, seed=0):
-    """Ordinary buildings, each from a twenty-fifth of so many starts, beside what the true map holds.
+def buildings(runs, seed=0, worlds=BUILDINGS):
+    """Buildings, each from a twenty-fifth of so many starts, beside what the true map holds.
 
     Truth: `extract` of the true map, as far as the robot gets; doors are those of the generator.
     """
     n = max(8, runs // 25)
     columns = ["building", "starts", "EXHAUSTED", "with at most one help", "outcomes", "junctions", "doors"]
-    head(*columns, "false divergences", "contacts a run", "steps refused", "steps a run", "drift m")
-    for world in BUILDINGS:
+    more = [
+        "false divergences",
+        "took a place for another",
+        "contacts a run",
+        "steps refused",
+        "steps a run",
+        "drift m",
+    ]
+    head(*columns, *more)
+    for world in worlds:
         table = traced(world, starts=n, seed=seed, noise=Noise(range_m=0.01)).table
         done = table["outcome"] == "EXHAUSTED"
         outcomes = ", ".join(f"{name} {count}" for name, count in table["outcome"].value_counts().items())
@@ -173,7 +183,10 @@ def buildings(runs, seed=0):
         cells = [share(int(done.sum()), n), share(int(alone.sum()), n), outcomes, *near]
         contacts, steps, drift = (table[name].mean() for name in ("contacts", "steps", "drift_m"))
         false = part(table, "false_divergences", "divergences")
-        row(world, n, *cells, false, f"{contacts:.1f}", table["refused"].sum(), f"{steps:.0f}", f"{drift:.2f}")
+        mistaken = share(int((table["mistaken"] > 0).sum()), n)
+        row(
+            world, n, *cells, false, mistaken, f"{contacts:.1f}", table["refused"].sum(), f"{steps:.0f}", f"{drift:.2f}"
+        )
 
 
 def part(table, some, all_):
@@ -213,20 +226,21 @@ def steps(runs):
             row(obstacle, sigma, each, typed, right, span, found.table["refused"].sum())
 
 
-def loops(runs):
+def loops(runs, first=21):
     """Ways round, equal junctions, encoders that are 5 % long: true maps as the robot wrote them and as they were
     repaired, places that it took for others, how far places of true maps lie off, as written and corrected, root mean
     squares. Twenty courses each.
     """
-    each, fresh = max(2, runs // 50), range(21, 41)
+    each, fresh = max(2, runs // 50), range(first, first + 20)
+    which = f"#{fresh[0]} to #{fresh[-1]}"
     kinds = {
         "encoders 5 % long, #1 to #20": ([f"course#{seed}" for seed in range(1, 21)], 1.05),
         **{
-            f"{n} way{'s' * (n > 1)} round, #21 to #40": ([f"course#{seed}:loops={n}" for seed in fresh], 1.0)
+            f"{n} way{'s' * (n > 1)} round, {which}": ([f"course#{seed}:loops={n}" for seed in fresh], 1.0)
             for n in (1, 2, 3)
         },
         "2 ways round, encoders 2 % long": ([f"course#{seed}:loops=2" for seed in fresh], 1.02),
-        "4 equal junctions, #21 to #40": ([f"course#{seed}:repeat=4" for seed in fresh], 1.0),
+        f"4 equal junctions, {which}": ([f"course#{seed}:repeat=4" for seed in fresh], 1.0),
         "4 equal junctions, encoders 2 % long": ([f"course#{seed}:repeat=4" for seed in fresh], 1.02),
     }
     head("courses", "runs", "as written", "repaired", "took a place for another", "outcomes", "off m", "corrected m")
@@ -298,12 +312,15 @@ def main():
     parser.add_argument("--runs", type=int, default=1000)
     parser.add_argument("--parts", nargs="*", default=PARTS, choices=(*PARTS, "read-off"))
     parser.add_argument("--seed", type=int, default=0, help="of the starts in buildings and their noise")
+    parser.add_argument("--worlds", nargs="+", default=BUILDINGS, help="of buildings")
+    parser.add_argument("--first", type=int, default=21, help="course of loops and equal junctions, of twenty")
     parser.add_argument("--maps", help="folder with the plans of read-off")
     options = parser.parse_args()
     start_backend(WORKERS)
     use_compilation_cache()
     given = {
-        "buildings": functools.partial(buildings, options.runs, options.seed),
+        "buildings": functools.partial(buildings, options.runs, options.seed, options.worlds),
+        "loops": functools.partial(loops, options.runs, options.first),
         "read-off": functools.partial(read_off, options.maps),
     }
     if "read-off" in options.parts and options.maps is None:

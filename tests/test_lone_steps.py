@@ -66,6 +66,18 @@ def test_the_ground_hidden_behind_an_edge_does_not_matter():
     assert 3.7 < float(now.from_m) <= float(now.to_m) < 3.93
 
 
+@pytest.mark.parametrize("face", [0.05, 0.08, 0.11])
+def test_a_point_on_its_face_far_from_both_flanks_does_not_count(face):
+    """Half way down, where the robot looks as it tips."""
+    now = lone_steps.none()
+    x = np.array([3.6, 3.64, 3.68, 3.72, 3.76, 3.84, 4.0, 4.04, 4.08], np.float32)
+    z = np.array([0.15] * 5 + [face] + [0] * 3, np.float32)
+    for n in range(1, len(x) + 1):
+        pad = RECENT - n
+        now = WATCHED(now, np.pad(x[:n], (pad, 0), constant_values=np.inf), np.pad(z[:n], (pad, 0)))
+    assert float(now.height_m) == pytest.approx(0.15, abs=1e-6)
+
+
 def test_low_ones_slopes_and_noise_are_none():
     for ground in (up(4.01, 0.03), lambda x: 0.05 * x):
         assert not np.isfinite(driven(ground)[-1][1].from_m)

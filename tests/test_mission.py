@@ -11,11 +11,12 @@ import pytest
 import jexplore as jx
 from jexplore import btm
 from jexplore.config import InputError
-from jexplore.driving import approach, batch, mission, vehicle
+from jexplore.driving import approach, batch, behaviour, events, mapping, mission, vehicle
 from jexplore.driving.batch import building_of, numbers_of, pose_in
 from jexplore.driving.behaviour import RunMode
 from jexplore.driving.building.terrain import FINER
 from jexplore.driving.mission import Outcome
+from jexplore.driving.sensing import surround
 from jexplore.driving.settings import ROBOTS, Noise, Tuning
 from jexplore.driving.vehicle import DT_S
 from jexplore.extraction.extract import extract
@@ -28,7 +29,7 @@ from jexplore.worlds.world import World
 pytestmark = pytest.mark.usefixtures("whole_runs")
 
 STILL = Noise(attitude_deg=0, odometry=0, heading_deg_sqrt_m=0, slip=0, beacon_m=0)
-KAMUI = ROBOTS["kamui"]
+KAMUI, TUNING = ROBOTS["kamui"], Tuning()
 
 
 def ran(plan):
@@ -275,8 +276,11 @@ def test_lanes_in_lockstep_give_the_same_maps_and_are_filled_again(noisy):
     assert done[-1] == 5
 
 
+AS_ON_COURSES = {"nodes": 32, "links": 64}
+
+
 def box(height_m=1.6, width_m=1.6):
-    """A closed room, on ground and with arrays like those of the course."""
+    """A closed room, on ground and with arrays like those of the course, with whose map it shares a program."""
     world = load_world("course")
     occupied = np.ones(world.shape, bool)
     occupied[2 : 2 + round(10 * height_m), 2 : 2 + round(10 * width_m)] = False
@@ -318,6 +322,72 @@ def test_a_robot_that_drives_up_and_down_is_helped(course):
     assert gone.stray_from.tolist() == off.estimate[:2].tolist()
 
 
+def seen_at(state, building):
+    """What a robot sees where a state has it: `(writer, walls, around, ways_m, placed)`."""
+    senses = mission.sense(vehicle.draw_one(jax.random.key(0), STILL), building, KAMUI, STILL, state.body)
+    senses, _ = mission.steadied(senses, KAMUI)
+    walls = events.walls_of_scan(senses.ranges_m, TUNING, KAMUI)
+    around = surround.seen(surround.unknown(), senses.ranges_m)
+    writer = mapping.note(state, senses, walls.beside.sum(), KAMUI)
+    return writer, walls, around, surround.ways(around, KAMUI), vehicle.to_odometry(state.estimate)
+
+
+@pytest.mark.jit
+def test_a_robot_that_has_turned_towards_what_is_none_goes_on_as_it_came(course):
+    """What it took for a divergence lay behind it, and is no longer seen: it would drive back the way it came."""
+    building = jax.tree.map(jnp.asarray, course.plan.building)
+    state = mission.at_start(mission.Setup(700), building, KAMUI, course.plan.begins[0])
+    x, y, heading = (float(v) for v in state.estimate)
+    writer, walls, around, ways_m, placed = seen_at(state, building)
+    ahead = events.look_ahead(state, writer, walls, around, placed, TUNING, KAMUI, False)
+    assert int(ahead.track.age) == 0
+    for out, latch in ((heading + math.pi, behaviour.Latch.LEAVE), (heading, behaviour.Latch.FREE)):
+        drive = {"latch": jnp.int32(behaviour.Latch.APPROACH), "out": jnp.float32(out)}
+        turned = state.replace(drive=state.drive.replace(**drive, target=jnp.array([x - 3, y])))
+        after = approach.latched(turned, ahead, around, ways_m, placed, TUNING, KAMUI).drive
+        assert int(after.latch) == latch
+        onward = x + TUNING.leave_m * math.cos(out), y + TUNING.leave_m * math.sin(out)
+        assert latch == behaviour.Latch.FREE or after.target.tolist() == pytest.approx(onward, abs=1e-4)
+
+
+@pytest.mark.jit
+def test_what_a_robot_turns_round_in_is_not_forgotten_where_it_leans(course):
+    building = jax.tree.map(jnp.asarray, course.plan.building)
+    state = mission.at_start(mission.Setup(700), building, KAMUI, course.plan.begins[0])
+    track = behaviour.no_track().replace(centre=state.estimate[:2], radius=1.0, seen=jnp.uint32(31), age=jnp.int32(9))
+    writer, *seen, _, placed = seen_at(state, building)
+    writer = writer.replace(level=dataclasses.replace(writer.level, even=jnp.array([0.2, 0.0])))  # it stood on a slope
+    for latch, kept in ((behaviour.Latch.LOOK, True), (behaviour.Latch.FREE, False)):
+        now = state.replace(track=track, drive=state.drive.replace(latch=jnp.int32(latch)), step=jnp.int32(1))
+        ahead = events.look_ahead(now, writer, *seen, placed, TUNING, KAMUI, False)
+        assert bool(ahead.leans)
+        assert (int(ahead.track.age) > 0) == kept
+
+
+@pytest.mark.jit
+@pytest.mark.parametrize("tipped_deg", [10.0, 0.0])
+def test_what_a_robot_saw_as_it_tipped_is_no_step(course, tipped_deg):
+    """Over a sill its heights are off until it stands level: then the ground before it seems to rise."""
+    building = jax.tree.map(jnp.asarray, course.plan.building)
+    state = mission.at_start(mission.Setup(700), building, KAMUI, course.plan.begins[0])
+    step, odometer = 60, 0.04 * jnp.arange(700)
+    way = mapping.no_way(700)
+    off = (jnp.arange(700) >= 45) & (jnp.arange(700) < 58)
+    way = way.replace(
+        odometer_m=odometer,
+        ground_x_m=odometer + 0.7,
+        ground_z_m=jnp.where(off, -0.06, 0.0),
+        posture=jnp.where(off, math.radians(tipped_deg), 0.0),
+    )
+    state = state.replace(step=jnp.int32(step), odometer_m=odometer[step])
+    writer, *seen, _, placed = seen_at(state, building)
+    for past in range(step, step + 6):
+        now = state.replace(step=jnp.int32(past), odometer_m=odometer[past])
+        ahead = events.look_ahead(now, writer.replace(way=way), *seen, placed, TUNING, KAMUI, False)
+        writer = writer.replace(lone_step=ahead.lone_step_after)
+    assert bool(jnp.isfinite(writer.lone_step.from_m)) == (tipped_deg == 0)
+
+
 @pytest.mark.jit
 def test_a_map_has_as_much_room_as_is_asked_for():
     plan = job.prepare_trace("course", noise=STILL, nodes=4, links=6)
@@ -342,14 +412,14 @@ def test_room_for_the_maps_of_buildings():
 
 @pytest.mark.jit
 def test_a_room_without_a_passage():
-    found = ran(job.prepare_trace(box(), start=(1.0, 1.0, 0), noise=STILL))
+    found = ran(job.prepare_trace(box(), start=(1.0, 1.0, 0), noise=STILL, **AS_ON_COURSES))
     assert found.table["outcome"].tolist()[0] in ("STUCK", "EXHAUSTED")
     assert found.table["steps"][0] < 1000
 
 
 @pytest.mark.jit
 def test_without_a_goal_what_lies_behind_the_start_is_searched_as_well():
-    found = ran(job.prepare_trace(box(2.0, 14.0), start=(6.0, 1.2, 0), noise=STILL))
+    found = ran(job.prepare_trace(box(2.0, 14.0), start=(6.0, 1.2, 0), noise=STILL, **AS_ON_COURSES))
     assert kinds(found.first) == "TDD"
     assert found.table["outcome"].tolist() == ["EXHAUSTED"]
     links = [(link.start, link.end, link.status) for link in found.first.links]

@@ -810,6 +810,25 @@ def test_noise_shows_as_its_square_and_hardly_moves_the_step():
         assert np.mean(stairs) == pytest.approx(0.15, abs=0.01 + sigma)
 
 
+@pytest.mark.parametrize("riser_m", [0.06, 0.12, 0.2])
+@pytest.mark.parametrize("tread_m", [0.24, 0.3])
+def test_noise_does_not_make_a_riser_higher(riser_m, tread_m):
+    """Where its flanks differ most is where noise makes them so; treads differ by its height."""
+    rng = np.random.default_rng(8)
+    stairs = [staircase(WAY, tread_m, riser_m) + rng.normal(scale=0.01, size=len(WAY)) for _ in range(60)]
+    found = [profile_of(WAY, sign * z) for z in stairs for sign in (1, -1)]
+    assert np.mean([float(p.riser_m) for p in found]) == pytest.approx(riser_m, abs=0.002)
+    assert np.std([float(p.riser_m) for p in found]) < 0.004
+    assert np.mean([float(p.step_m) for p in found]) > riser_m + 0.003
+
+
+def test_a_riser_between_treads_of_any_length():
+    for steps in ([0.4, 0.7, 1.0], [0.4, 1.4, 2.4], [1.5]):
+        z = 0.1 * np.searchsorted(steps, WAY) + 0.02 * (WAY > 0.8) * (len(steps) == 3 and steps[1] > 1)
+        assert float(profile_of(WAY, z).riser_m) == pytest.approx(0.1, abs=1e-4)
+    assert float(profile_of(WAY, 0 * WAY).riser_m) == 0
+
+
 @pytest.mark.parametrize("sigma", [0.01, 0.02])
 def test_noise_alone_makes_hardly_any_stairs_of_a_slope_and_hides_none_of_ten_centimetres(sigma):
     """Of the mean height of a scan's beams: as with 3 cm and more, and with an attitude that is a degree off."""
@@ -842,6 +861,7 @@ def test_a_riser_that_leans_by_two_gaps_is_still_one_step():
     for sign in (1, -1):
         found = profile_of(x, sign * np.interp(x, [0.504, 0.538], [0, 0.1]))
         assert float(found.step_m) == pytest.approx(0.1, abs=1e-4)
+        assert float(found.riser_m) == pytest.approx(0.1, abs=1e-4)
 
 
 def test_the_step_is_the_median_of_all_and_small_ones_do_not_count():

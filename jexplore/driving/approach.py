@@ -30,6 +30,7 @@ SURVEY_M = 1.0  # a place so near may be the one that is meant; and way between 
 SURVEYS = 2  # so often a robot that has looked round goes to a better place than the one where it is
 SAME_PLACE_M, SAME_PLACE = 0.4, 0.4  # a place is the one that was meant within this, or so many radii
 LARGER = 1.15  # a place is better if its circle is larger by this
+AS_LARGE = 0.1  # of a node's radius: a circle that differs from it by less is as large
 OUT_RAD = math.radians(60)  # a link has been taken when the robot's heading is so near to its direction
 LATCH_STEPS = 200  # a target that is not reached in so many steps is given up
 STUCK_STEPS = 150  # without going on or finding a node: the operator helps
@@ -102,11 +103,13 @@ def latched(
     latch = jnp.where(ends, jnp.where(look.goes_on, Latch.APPROACH, jnp.where(none, Latch.LEAVE, Latch.FREE)), latch)
     aligned = jnp.abs(btm.wrapped(drive.out - state.estimate[2])) < OUT_RAD
     has_left = (drive.latch == Latch.LEAVE) & ((near & aligned) | late)
-    latch = jnp.where(has_left | lost | too_late, Latch.FREE, latch)
-    onward = track.centre + tuning.leave_m * jnp.stack([jnp.cos(drive.out), jnp.sin(drive.out)])
+    turned = lost & ~aligned  # towards what is none: it would go back the way it came
+    latch = jnp.where(turned, Latch.LEAVE, jnp.where(has_left | lost | too_late, Latch.FREE, latch))
+    from_ = jnp.where(turned, state.estimate[:2], track.centre)
+    onward = from_ + tuning.leave_m * jnp.stack([jnp.cos(drive.out), jnp.sin(drive.out)])
     after = drive.replace(
         latch=latch.astype(jnp.int32),
-        target=jnp.where(ends & look.goes_on, look.track.centre, jnp.where(none, onward, target)),
+        target=jnp.where(ends & look.goes_on, look.track.centre, jnp.where(none | turned, onward, target)),
         out=jnp.where(begins, state.estimate[2], drive.out),
         known=jnp.where(ends, look.back, drive.known & ~begins),
         since=jnp.where((latch == drive.latch) & (latch != Latch.FREE), drive.since + 1, 0),
@@ -121,30 +124,30 @@ def latched(
 def _look_ends(state, track, ends, around, ways_m, placed, tuning, robot):
     """What the robot finds where it has looked round, a `_Look`; elsewhere nothing of it counts but the track."""
     drive, map_, had = state.drive, state.writer.map, track.age > 0
-    other, better, there_is = run_if(
+    node, off_m = btm.nearest_node(map_, track.centre[0], track.centre[1], btm.DIVERGENCE)
+    in_map = jnp.stack([map_.x_m[node], map_.y_m[node]]), map_.radius_m[node]
+    other, better, there_is, middle = run_if(
         ends,
-        lambda _: _surveyed(track, around, ways_m, placed, tuning, robot),
-        (track, jnp.bool_(False), jnp.bool_(False)),
+        lambda _: _surveyed(track, in_map, around, ways_m, placed, tuning, robot),
+        (track, jnp.bool_(False), jnp.bool_(False), track.centre),
     )
     may_go = drive.surveys < SURVEYS
     better &= ~had | may_go
     # A place in the circle of a node is that node, if it is not the one just left: it is looked at from its middle.
-    node, off_m = btm.nearest_node(map_, track.centre[0], track.centre[1], btm.DIVERGENCE)
     back = ends & ~better & had & there_is & ~drive.known & may_go
     back &= (node != state.writer.node) | has_left(state.writer, state.odometer_m, tuning.leave_m)
-    back &= (off_m > tuning.arrive_m) & (off_m < jnp.maximum(track.radius, 0.5))
-    middle = jnp.where(back, jnp.stack([map_.x_m[node], map_.y_m[node]]), track.centre)
-    kept = track.replace(centre=middle)
+    back &= (jnp.hypot(*(middle - track.centre)) > tuning.arrive_m) & (off_m < jnp.maximum(track.radius, 0.5))
+    kept = track.replace(centre=jnp.where(back, middle, track.centre))
     chosen = jax.tree.map(lambda new, old: jnp.where(ends & better, new, old), other, kept)
     return _Look(ends, chosen, better | back, back, had & (there_is | drive.known))
 
 
-def _surveyed(track, around, ways_m, placed, tuning, robot):
+def _surveyed(track, in_map, around, ways_m, placed, tuning, robot):
     """The largest place that the robot sees round itself when it has looked.
 
     Returns:
-      `(track, better, there_is)`: whether it is another than the one where the robot is, or the first; whether there is
-        any where the robot is.
+      `(track, better, there_is, middle)`: whether it is another than the one where the robot is, or the first; whether
+        there is any where the robot is; `[2]`, see `_middle`, of the node that lies there in the map.
     """
     xy, known = surround.points(around)
     found = triangles(xy, known, tuning.far_m, tuning)
@@ -162,7 +165,23 @@ def _surveyed(track, around, ways_m, placed, tuning, robot):
     one = jnp.uint32(1)
     off = jnp.hypot(*(placed(found.centre) - track.centre).T)
     there_is = jnp.any(found.valid & (off < jnp.maximum(SAME_PLACE_M, SAME_PLACE * track.radius)))
-    return Track(centre=centre, radius=found.radius[best], seen=one, age=jnp.int32(1)), better, there_is
+    seen = Track(centre=centre, radius=found.radius[best], seen=one, age=jnp.int32(1))
+    return seen, better, there_is, _middle(in_map, placed(found.centre), found)
+
+
+def _middle(in_map, centres, found):
+    """Where the robot sees the middle of a node in whose circle it is: `[2]` float32, odometry.
+
+    The odometry is off: the node is where a circle as large as its own is seen, no farther than that from where the map
+    has it, and of several, as at doors along a passage, the nearest to that. Where none is seen, it is where the map
+    has it.
+    """
+    place, radius_m = in_map
+    off_m = jnp.hypot(*(centres - place).T)
+    alike = found.valid & (jnp.abs(found.radius - radius_m) < AS_LARGE * radius_m)
+    off_m = jnp.where(alike & (off_m < jnp.maximum(radius_m, SAME_PLACE_M)), off_m, jnp.inf)
+    at = jnp.argmin(off_m)
+    return jnp.where(off_m[at] < jnp.inf, centres[at], place)
 
 
 def helped(state: Any, senses: Senses, makes_node: Array, building: Building, robot: Robot) -> Any:

@@ -67,12 +67,13 @@ def building_of(world: World, goal_m: tuple[float, float] | None = None, marks_m
     x_m, y_m = world.origin_m
     goal = (np.nan, np.nan) if goal_m is None else (goal_m[0] - x_m, goal_m[1] - y_m)
     marks = np.zeros((0, 3)) if marks_m is None else np.asarray(marks_m) - [x_m, y_m, 0]
+    n_marks = MARKS * max(1, -(-len(marks) // MARKS))
     # Ignored types: numpy on the host, where the record says what it is on the device.
     return Building(
         walls=walls_of(world.occupied, world.cell_m),
         terrain=terrain_of(elevation, world.cell_m),
         goal=np.array(goal, np.float32),  # type: ignore[arg-type]
-        marks=np.pad(marks, [(0, -len(marks) % MARKS), (0, 0)], constant_values=-1e6).astype(np.float32),  # type: ignore[arg-type]
+        marks=np.pad(marks, [(0, n_marks - len(marks)), (0, 0)], constant_values=-1e6).astype(np.float32),  # type: ignore[arg-type]
     )
 
 

@@ -110,8 +110,8 @@ def look_ahead(
     is_free = state.drive.latch == Latch.FREE
     xy, known = surround.points(around)
     lean, lean_m = mapping.lean_of(writer.way, state.step)
-    ground = _recent_ground(writer.way, state)
-    rise, stops, beyond = _ground_ahead(*ground, robot, state)
+    ground_x, ground_z, posture = _recent_ground(writer.way, state)
+    rise, stops, beyond = _ground_ahead(ground_x, ground_z, robot, state)
     # What is seen from ground of another inclination, or where the ground rises, may be ground.
     tips = jnp.hypot(*(lean - writer.level.even)) > jnp.radians(tuning.inclination_deg)
     leans = tips | (rise > RISES_M)
@@ -127,6 +127,8 @@ def look_ahead(
     )
     heeds = is_free if writer.guide is None else is_free | writer.guide.steers
     blocked = jnp.where(stops & (heeds | state.halts), state.blocked + 1, 0)
+    # What it saw as it tipped over the last step is off.
+    ground = jnp.where(posture < LEVEL_RAD, ground_x, jnp.inf), ground_z
     lone_step, is_lone, after = _lone_step(state, writer, ground, tips, level, changed, crease_m, blocked, robot)
     return Ahead(
         leans=leans,
@@ -156,7 +158,7 @@ def _lone_step(state, writer, ground, tips, level, changed, crease_m, blocked, r
     span_m = jnp.max(jnp.where(near, ground[1], -jnp.inf)) - jnp.min(jnp.where(near, ground[1], jnp.inf))
     now = run_if(
         looks & (span_m > ground_profile.STEP_M),
-        lambda _: lone_steps.watched(writer.lone_step, ground[0], ground[1]),
+        lambda _: lone_steps.watched(writer.lone_step, *ground),
         writer.lone_step,
     )
     passed = lone_steps.is_passed(now, state.odometer_m, robot.length_m) & ~tips & is_level
@@ -198,17 +200,21 @@ def _watch(state, writer, xy, valid, wall_m, leans, placed, tuning):
         found = dataclasses.replace(found, valid=found.valid & ~known & (found.centre[:, 0] > BESIDE_M))
         return behaviour.follow(carry[0], found, placed, tuning.same_m, ~approaches), found.overflow
 
-    forgets = state.space.inside | leans  # there are no divergences in free space
+    # There are no divergences in free space; where the robot turns on a slope, it leans otherwise for a moment.
+    forgets = (state.space.inside | leans) & ~turns
     track = jax.tree.map(lambda none, old: jnp.where(forgets, none, old), behaviour.no_track(), state.track)
     looks = (state.step % EVERY == 0) & ~is_in & ~turns & ~forgets
     return run_if(looks, looked, (track, jnp.int32(0)))
 
 
 def _recent_ground(way, state):
-    """The last points of the profile: `(x_m, z_m)`, `[RECENT]` each, x inf where there is none."""
+    """The last points of the profile and how the robot leant there: `(x_m, z_m, posture)`, `[RECENT]` each, metres and
+    radians, x inf where there is none.
+    """
     first = jnp.clip(state.step + 1 - RECENT, 0, way.ground_x_m.shape[0] - RECENT)
-    x, z = (lax.dynamic_slice(array, (first,), (RECENT,)) for array in (way.ground_x_m, way.ground_z_m))
-    return jnp.where(first + jnp.arange(RECENT) <= state.step, x, jnp.inf), z
+    arrays = way.ground_x_m, way.ground_z_m, way.posture
+    x, *others = (lax.dynamic_slice(array, (first,), (RECENT,)) for array in arrays)
+    return jnp.where(first + jnp.arange(RECENT) <= state.step, x, jnp.inf), *others
 
 
 def _ground_ahead(x, z, robot, state):

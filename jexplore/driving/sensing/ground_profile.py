@@ -6,7 +6,7 @@ import math
 import jax.numpy as jnp
 import numpy as np
 from flax import struct
-from jax import Array
+from jax import Array, lax
 
 from jexplore.driving.sensing import steadying
 from jexplore.driving.sensing.perception import running_sum
@@ -14,6 +14,7 @@ from jexplore.driving.sensing.perception import running_sum
 CELLS, CELL_M = 1024, 0.02  # of a profile: what lies beyond is left out
 STEP_M = 0.04  # a rise of the profile by more than this from point to point is a step
 FLANK_M = 0.10  # a step is the difference of the mean heights so far before and behind a place, but for a cell
+FACE_M = 0.04  # so far beside a step, points may lie on its face
 RISE_M = FLANK_M + CELL_M  # between the middles of both flanks
 LEAST_M = 0.015  # no lower step is told of
 SURE = 4.5  # standard deviations of a point; a lower one may be noise
@@ -65,6 +66,7 @@ class Profile:
     tread_wave_m2: Array  # float32, part of it that is a sine of the period of a tread, of the best one
     slope: Array  # float32, of that line, signed
     step_m: Array  # float32, height of a step, the median of all
+    riser_m: Array  # float32, height of a step of stairs, likewise, between level treads
     highest_m: Array  # float32, of the highest one, beyond what the slope rises; 0 where none stands out of the noise
     count: Array  # int32, points
 
@@ -90,14 +92,18 @@ def profile(x_m: Array, z_m: Array, valid: Array) -> Profile:
     slope = jnp.sum(x * z) / jnp.maximum(jnp.sum(x * x), 1e-9)
     residual = jnp.where(valid, z - slope * x, 0)
     enough = n >= 3
-    rises = _rises(x, z, valid)
+    cells = _cell_of(x, valid)
+    heights = [jnp.zeros(CELLS, jnp.float32).at[cells].add(a, mode="drop") for a in (1.0, z)]
+    rises = _rises(*heights)
+    steps = _steps(rises)
     highest, noise = jnp.max(rises) - jnp.abs(slope) * RISE_M, steadying.deviation(steadying.jumps_of(z, valid))
     variance = jnp.where(enough, jnp.sum(residual**2) / jnp.maximum(n - 2, 1), 0)
     return Profile(
         variance_m2=variance,
         tread_wave_m2=jnp.where(enough, _tread_wave(x, residual, valid), 0),
         slope=jnp.where(enough, slope, 0),
-        step_m=jnp.where(enough, _step_height(rises), 0),
+        step_m=jnp.where(enough, _median(rises, steps), 0),
+        riser_m=jnp.where(enough, _riser(steps, rises, *heights), 0),
         highest_m=jnp.where(enough & (highest > LEAST_M) & (highest > SURE * noise), highest, 0),
         count=n.astype(jnp.int32),
     )
@@ -125,12 +131,12 @@ def sudden(x_m: Array, z_m: Array, valid: Array) -> Array:
     return jnp.max(jnp.where(both, jnp.diff(z) - jnp.abs(jnp.diff(x)), 0))
 
 
-def _rises(x, z, valid):
-    """By how much the mean height differs between both flanks of every cell: `[CELLS]`, metres."""
+def _rises(count, total):
+    """By how much the mean height differs between both flanks of every cell: `[CELLS]`, metres. Arguments: points in
+    each cell, and the sum of their heights.
+    """
     # Points come in the order of time, about in that of x: flanks are sums over sorted cells of the way.
-    n, at, wide = CELLS, _cell_of(x, valid), round(FLANK_M / CELL_M)
-    count = jnp.zeros(n, jnp.float32).at[at].add(1, mode="drop")
-    total = jnp.zeros(n, jnp.float32).at[at].add(z, mode="drop")
+    n, wide = CELLS, round(FLANK_M / CELL_M)
     run_n, run_z = (jnp.pad(running_sum(a), (1, 0)) for a in (count, total))
 
     def window(run, low, high):  # sums of cells [i + low, i + high)
@@ -145,12 +151,44 @@ def _rises(x, z, valid):
     return jnp.where(both, rise, 0)
 
 
-def _step_height(rise):
-    """The height of a step: the median of those of all."""
-    n, wide = CELLS, round(FLANK_M / CELL_M)
-    around = [jnp.pad(rise, wide)[k : k + n] for k in range(2 * wide + 1)]
+def _steps(rise):
+    """Which cells are steps: `[CELLS]` bool. A step is a place steeper than those near it; where the robot's body tips,
+    its heights are off for a moment.
+    """
+    wide = round(FLANK_M / CELL_M)
+    around = [jnp.pad(rise, wide)[k : k + CELLS] for k in range(2 * wide + 1)]
     top = functools.reduce(jnp.maximum, around)
-    # A step is a place steeper than those near it; where the robot's body tips, its heights are off for a moment.
-    steps = jnp.where((rise == top) & (rise > top.max() / 2), rise, jnp.inf)
-    number = jnp.sum(jnp.isfinite(steps))
-    return jnp.where(number > 0, jnp.sort(steps)[jnp.maximum(number - 1, 0) // 2], 0)
+    return (rise == top) & (rise > top.max() / 2)
+
+
+def _median(values, valid):
+    """Of two in the middle the lower; 0 where there is none."""
+    number = jnp.sum(valid)
+    return jnp.where(number > 0, jnp.sort(jnp.where(valid, values, jnp.inf))[jnp.maximum(number - 1, 0) // 2], 0)
+
+
+def _riser(step, rise, count, total):
+    """The height of a riser: the median of those of all, each between the mean heights of the treads beside it.
+
+    Where a flank's rise is the largest, noise has made it so: it tells where a step is, and too much of its height.
+
+    Args:
+      step, rise: from `_steps`, `_rises`.
+      count, total: as for `_rises`.
+    """
+    n, cell, (short, *_, long) = CELLS, jnp.arange(CELLS), np.round(TREADS_M / CELL_M).astype(int)
+    earlier = [jnp.pad(step, (k, 0))[:n] for k in range(1, short // 2)]
+    step &= ~functools.reduce(jnp.logical_or, earlier)  # of cells that rise alike the first
+    number = jnp.cumsum(step)
+    last = lax.cummax(jnp.where(step, cell, -n))
+    next_ = lax.cummin(jnp.where(step, cell, 2 * n), reverse=True)
+    # What lies between steps too far apart for a tread belongs to either of them.
+    tread = 2 * number + ((next_ - last > long) & (next_ - cell < cell - last))
+    off = jnp.minimum(cell - last, next_ - cell)
+    near = (off > round(FACE_M / CELL_M)) & (off <= short)
+    at = jnp.where(near, tread, 2 * n + 1)
+    points, sums = (jnp.zeros(2 * n + 2, jnp.float32).at[at].add(a) for a in (count, total))
+    mean = sums / jnp.maximum(points, 1)
+    before, after = jnp.pad(tread, (1, 0))[:n], tread
+    seen = (points[before] > 0) & (points[after] > 0)
+    return _median(jnp.where(seen, jnp.abs(mean[after] - mean[before]), rise), step)

@@ -7,10 +7,9 @@ from flax import struct
 from jax import Array
 
 from jexplore.driving.sensing import steadying
-from jexplore.driving.sensing.ground_profile import STEP_M, SURE
+from jexplore.driving.sensing.ground_profile import FACE_M, STEP_M, SURE
 
-FLANK = 3  # points on either side of a step, whose height is the difference of their means
-FACE_M = 0.04  # between them, where points may lie on its face
+FLANK = 3  # points on either side of a step, whose height is that between their medians: one may lie on its face
 TOGETHER_M = 1.2  # steps no farther apart are one, as high as those seen before the robot is on the first
 PASSED_M = 0.30  # the robot's end is so far beyond it: until then its own tipping shows in the profile
 MEANT = 5  # steps over which its attitude is averaged for that
@@ -44,7 +43,7 @@ def watched(step: LoneStep, x_m: Array, z_m: Array) -> LoneStep:
     begins = jnp.min(jnp.where(there[after], x_m[after], -jnp.inf))
     earlier = there & (x_m < begins - FACE_M)
     before = jnp.argsort(earlier)[-FLANK:]
-    rise = jnp.abs(z_m[after].mean() - z_m[before].mean())
+    rise = jnp.abs(jnp.sort(z_m[after])[FLANK // 2] - jnp.sort(z_m[before])[FLANK // 2])
     place = (begins + x_m[before[-1]]) / 2
     noise = steadying.deviation(steadying.jumps_of(z_m, there))
     is_one = earlier[before[0]] & (rise > jnp.maximum(STEP_M, SURE * noise))

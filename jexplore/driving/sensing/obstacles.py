@@ -61,7 +61,7 @@ def judged(
     obstacle, step, variance = map_.obstacle, map_.step_m, map_.variance_m2
     for at, is_one in ((before, stairs), (here, stairs & (event.kind == btm.OBSTACLE))):
         obstacle = mark(obstacle, at, btm.STAIRS, is_one)
-        step = mark(step, at, jnp.fmax(found.step_m, step[at]), is_one)
+        step = mark(step, at, jnp.fmax(found.riser_m, step[at]), is_one)
     for at, is_one in ((before, is_judged), (here, is_judged & (event.kind == btm.OBSTACLE))):
         variance = mark(variance, at, jnp.fmax(found.variance_m2, variance[at]), is_one)
     known = map_.posture_deg[before]
@@ -75,7 +75,7 @@ def judged(
     for at, is_one in ((before, over), (here, over & (event.kind == btm.OBSTACLE))):
         inclination = mark(inclination, at, jnp.fmax(inclination[at], even), is_one)
     risers = found.highest_m + jnp.abs(found.slope) * ground_profile.RISE_M
-    step_here = jnp.where(stairs, jnp.maximum(found.step_m, risers), found.highest_m)
+    step_here = jnp.where(stairs, jnp.maximum(found.riser_m, risers), found.highest_m)
     map_ = map_.replace(
         obstacle=obstacle,
         step_m=step,

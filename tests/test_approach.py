@@ -1,0 +1,96 @@
+"""How a robot that has looked round finds the middle of a place that it knows, at a junction to check with a pencil."""
+
+import math
+from types import SimpleNamespace
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jexplore import btm
+from jexplore.driving import approach, behaviour, mapping
+from jexplore.driving.behaviour import Latch, RunMode, Track
+from jexplore.driving.building.walls import Walls, cast
+from jexplore.driving.sensing import surround
+from jexplore.driving.sensing.perception import Divergence
+from jexplore.driving.sensing.surround import SECTORS, Surround
+from jexplore.driving.settings import ROBOTS, Tuning
+from jexplore.driving.vehicle import RANGE_M, to_odometry
+
+KAMUI = ROBOTS["kamui"]
+# A passage along x, two metres wide, and one that leads north from it. The largest circle touches the wall in the south
+# and both corners: 0.8 ** 2 + (1 - y) ** 2 = (1 + y) ** 2.
+T = Walls(
+    x=jnp.array([[-0.8, 1, 8], [0.8, 1, 8]]),
+    y=jnp.array([[-1, -8, 8], [1, -8, -0.8], [1, 0.8, 8]]),
+)
+Y_M, RADIUS_M = 0.16, 1.16
+
+
+def looked_round(node, radius_m, robot_x_m=0.0):
+    """What a robot finds that has looked round at `(robot_x_m, Y_M)`, where it has seen a circle of `RADIUS_M`, and
+    whose map has a divergence at a place, with a circle so large: `Latched`.
+    """
+    pose = jnp.array([robot_x_m, Y_M, 0.0])
+    angles = np.radians(np.arange(SECTORS) - SECTORS // 2).astype(np.float32)
+    ranges = cast(T, pose, angles, RANGE_M)
+    around = Surround(ranges * np.cos(angles), ranges * np.sin(angles))
+    writer = mapping.begin(mapping.LEAN_STEPS, 8, 16, jnp.array([-50.0, 0.0, 0.0]), False)
+    map_, _ = btm.add_node(writer.map, btm.DIVERGENCE, *node, radius_m=radius_m)
+    drive = behaviour.at_rest().replace(latch=jnp.int32(Latch.LOOK), looked=jnp.float32(math.pi))
+    state = SimpleNamespace(
+        drive=drive.replace(target=pose[:2]),
+        writer=writer.replace(map=map_),
+        estimate=pose,
+        mode=jnp.int32(RunMode.BRANCH_SELECTION),
+        manoeuvre=SimpleNamespace(backing=jnp.bool_(False)),
+        odometer_m=jnp.float32(100),
+    )
+    track = Track(centre=pose[:2], radius=jnp.float32(RADIUS_M), seen=jnp.uint32(511), age=jnp.int32(20))
+    ahead = SimpleNamespace(track=track, space=behaviour.no_free_space(), leans=jnp.bool_(False))
+    ways_m = surround.ways(around, KAMUI)
+    return approach.latched(state, ahead, around, ways_m, to_odometry(pose), Tuning(), KAMUI)
+
+
+@pytest.mark.parametrize("node", [(0.0, Y_M), (0.2, Y_M), (0.7, -0.3), (-0.5, 0.9)])
+def test_a_known_place_is_where_a_circle_as_large_is_seen(node):
+    found = looked_round(node, RADIUS_M - 0.05)
+    assert bool(found.arrives)
+    assert found.track.centre.tolist() == pytest.approx([0, Y_M])
+
+
+def test_the_robot_goes_to_where_it_sees_that_circle():
+    found = looked_round((0.9, Y_M), RADIUS_M, robot_x_m=0.42)
+    assert (bool(found.arrives), bool(found.drive.known), int(found.drive.latch)) == (False, True, Latch.APPROACH)
+    assert found.drive.target.tolist() == pytest.approx([0, Y_M], abs=0.1)  # beams are a degree apart
+
+
+@pytest.mark.parametrize(
+    ("place", "radius_m", "middle"),
+    [
+        ((0.5, 0.1), 1.0, (0.8, 0.0)),  # of three circles as large the nearest to where the map has the place
+        ((0.3, 0.1), 1.0, (0.0, 0.0)),
+        ((0.5, 0.1), 2.0, (0.5, 0.6)),
+        ((0.5, 0.1), 1.3, (0.5, 0.1)),  # none is as large
+        ((0.0, 1.1), 1.0, (0.0, 1.1)),  # nor as near
+    ],
+)
+def test_of_circles_as_large_the_nearest_to_where_the_map_has_the_place(place, radius_m, middle):
+    centres = jnp.array([(0.0, 0.0), (0.8, 0.0), (-0.8, 0.0), (0.5, 0.6), (0.5, 0.1)])
+    radii, valid = jnp.array([1.0, 1.05, 1.0, 1.95, 1.0]), jnp.arange(5) < 4  # the last is unused
+    seen = Divergence(jnp.zeros((5, 3, 2)), centres, radii, valid, jnp.int32(0))
+    found = approach._middle((jnp.array(place), jnp.float32(radius_m)), centres, seen)
+    assert found.tolist() == pytest.approx(middle)
+
+
+@pytest.mark.parametrize("radius_m", [RADIUS_M / 1.3, RADIUS_M * 1.3])
+def test_where_no_circle_as_large_is_seen_it_goes_to_where_the_map_has_the_place(radius_m):
+    found = looked_round((0.7, -0.3), radius_m)
+    assert (bool(found.arrives), bool(found.drive.known), int(found.drive.latch)) == (False, True, Latch.APPROACH)
+    assert found.drive.target.tolist() == pytest.approx([0.7, -0.3])
+
+
+def test_a_place_beyond_the_circle_is_another_one():
+    found = looked_round((1.2, Y_M), RADIUS_M)
+    assert bool(found.arrives)
+    assert found.track.centre.tolist() == pytest.approx([0, Y_M])
