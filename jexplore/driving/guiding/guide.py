@@ -36,6 +36,7 @@ ANCHOR = 0.3  # of what a place says of where the map lies: it may be another, a
 OTHER = 0.5  # a place is none of the route if another of the map lies nearer than this share
 OPEN_M = 2.0  # a way is there, though it is no opening, if a strip from the place's middle is free so far
 STRIP_M = 0.6  # so wide
+STRAIGHT, FAR_M = 1.15, 2.0  # a way so much longer than its ends are apart, if those are so far, is straight
 ASIDE_M = 0.0, -0.2, 0.2, -0.4, 0.4  # or so far beside the middle
 
 
@@ -157,7 +158,7 @@ def at_place(
     size = guide.out.shape[0]
     seen = jnp.where(found.valid, found.bearing + guide.turned, jnp.nan)
     near = _next_ones(guide, centre, found, seen, reach_m)
-    place, expected, off_m, fits, last, off_ways, begins, is_free, misfit = near
+    place, expected, off_m, fits, last, off_ways, begins, is_free, misfit, way = near
     best = jnp.argmin(jnp.where(fits, off_m + MISFIT_M * misfit, jnp.inf))
     is_known, at = when & fits[best], jnp.minimum(place[best], size - 1)
     turn = HEADING_SHARE * jnp.clip(jnp.nan_to_num(jnp.nanmedian(off_ways[best])), -MOST_RAD, MOST_RAD)
@@ -179,7 +180,7 @@ def at_place(
         walled=guide.walled | walled,
     )
     goes_on = is_known & ~last[best]
-    bearing = jnp.where(goes_on, guide.out[at] - moved.turned, toward)
+    bearing = jnp.where(goes_on, way[best] - moved.turned, toward)
     middle = jnp.where(goes_on & is_free[best], begins[best], centre)
     by_strip = jnp.where(goes_on, is_free[best], ~is_known & (reach_m(centre, toward) > OPEN_M))
     return moved, Onward(bearing, middle, by_strip)
@@ -197,6 +198,7 @@ class _NextOnes(NamedTuple):
     begins: Array  # [AHEAD, 2] float32, odometry, from where the way on is free
     is_free: Array  # [AHEAD] bool, the way on is no opening, but free
     misfit: Array  # [AHEAD] int32, ways that are missing, or too many
+    way: Array  # [AHEAD] float32, radians, bearing of the way on, the map's
 
 
 def _next_ones(guide, centre, found, seen, reach_m):
@@ -205,15 +207,14 @@ def _next_ones(guide, centre, found, seen, reach_m):
     at = jnp.minimum(place, size - 1)
     length_m, expected = jnp.cumsum(guide.length_m[at]), _expected(guide, at)
     off_m = jnp.hypot(*(expected - centre).T)
-    ways, out = guide.ways[at], guide.out[at]  # [AHEAD, WAYS], [AHEAD]
+    ways, out, after_m, leads = guide.ways[at], guide.out[at], *_leads_on(guide, at, expected, centre)
     apart = btm.wrapped(ways[:, :, None] - seen)  # [AHEAD, WAYS, V]
     alike = jnp.abs(apart) < ALIKE_RAD
     missing = jnp.sum(jnp.isfinite(ways), axis=1) - jnp.sum(jnp.any(alike, axis=2), axis=1)
     more = jnp.sum(found.valid) - jnp.sum(jnp.any(alike, axis=1), axis=1)
     last = (place == guide.count - 1) & (guide.tail_m == 0)
-    is_seen = last | jnp.any(jnp.abs(btm.wrapped(out[:, None] - seen)) < ALIKE_RAD, axis=1)
-    after_m = jnp.hypot(*guide.leg[jnp.minimum(place + 1, size - 1)].T)
-    after_m = jnp.where(place + 1 < guide.count, after_m, jnp.hypot(*guide.end_leg))
+    by_leg, by_map = (jnp.any(jnp.abs(btm.wrapped(way[:, None] - seen)) < ALIKE_RAD, axis=1) for way in (leads, out))
+    is_seen = last | by_leg | by_map
     begins, free_m = _strip(reach_m, expected, out - guide.turned)
     is_free = ~is_seen & (off_m < THERE_M) & (free_m > jnp.minimum(OPEN_M, after_m))
     others = expected[:, None] + _turned(guide)(guide.others[at])
@@ -223,7 +224,21 @@ def _next_ones(guide, centre, found, seen, reach_m):
     fits &= jnp.min(other_m, axis=1) > OTHER * off_m
     fits = (fits | (off_m < THERE_M)) & (is_seen | is_free) & (place < guide.count)
     off_ways = jnp.where(alike, apart, jnp.nan)
-    return _NextOnes(place, expected, off_m, fits, last, off_ways, begins, is_free, missing + more)
+    way = jnp.where(by_leg, leads, out)
+    return _NextOnes(place, expected, off_m, fits, last, off_ways, begins, is_free, missing + more, way)
+
+
+def _leads_on(guide, places, expected, centre):
+    """How far the one after each of some places lies, metres, and how it bears from where the robot is, the map's, if
+    the way there is straight; NaN: it is not.
+    """
+    n, after = guide.out.shape[0], places + 1
+    is_place = after < guide.count
+    leg = jnp.where(is_place[:, None], guide.leg[jnp.minimum(after, n - 1)], guide.end_leg)
+    length_m = jnp.where(is_place, guide.length_m[jnp.minimum(after, n - 1)], guide.tail_m)
+    off = expected + _turned(guide)(leg) - centre
+    leg_m, bearing = jnp.hypot(*leg.T), jnp.arctan2(off[:, 1], off[:, 0]) + guide.turned
+    return leg_m, jnp.where((leg_m > FAR_M) & (length_m < STRAIGHT * leg_m), bearing, jnp.nan)
 
 
 def _strip(reach_m, places, bearings):

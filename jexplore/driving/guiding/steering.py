@@ -114,7 +114,8 @@ def _steered(state, guide, drive, track, estimate, ways_m, places, tuning, robot
     place, leg_m, length_m, is_end = next_of(guide)
     off_m, bearing, sees = _sight(place, estimate, ways_m, robot)
     gone_m, leaves = state.odometer_m - guide.from_m, drive.latch == Latch.LEAVE
-    is_free = (drive.latch == Latch.FREE) | (leaves & (guide.steers | (is_end & sees)))
+    is_near = sees & (off_m < SIGHT_M)
+    is_free = (drive.latch == Latch.FREE) | (leaves & (guide.steers | is_near | (is_end & sees)))
     # A place where it has been before is no help, unless it is the one that it looks for.
     is_old = jnp.any(jnp.hypot(*(places[0] - track.centre).T) < THERE_M) & guide.strays
     is_old &= jnp.hypot(*(track.centre - place)) > THERE_M
@@ -131,7 +132,7 @@ def _steered(state, guide, drive, track, estimate, ways_m, places, tuning, robot
     turns = jnp.abs(btm.wrapped(surround.DIRECTION - before))
     cost = jnp.where(is_open & (off < ASIDE_RAD), off + KEEPS * turns, jnp.inf)
     best = jnp.where(sees, bearing, jnp.asarray(surround.DIRECTION)[jnp.argmin(cost)]) + estimate[2]
-    wants = guide.strays | (guide.at == 0) | is_end | (sees & (off_m < SIGHT_M))
+    wants = guide.strays | (guide.at == 0) | is_end | is_near
     wants |= ((state.mode != RunMode.CENTRAL) & (state.mode != RunMode.BRANCH_SELECTION)) | guide.steers
     steers = may & ~looks & wants & (sees | jnp.any(jnp.isfinite(cost)))
     steers &= (is_end | ~has_looked) & ~meets
