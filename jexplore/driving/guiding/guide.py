@@ -26,6 +26,7 @@ AHEAD = 4  # so many of the next places may be the one at which the robot is
 SURE = 0.1, 1.0  # a place lies where the map has it within this share of the way, and so many metres
 NEAR = 0.2, 1.5  # and within these where it has the very ways that the map has
 THERE_M = 0.7  # one that is so near is it, if only the way on is there
+HERE_M = 0.4  # and one that is as near as this is it, whatever is seen there: the robot steers on
 ALIKE_RAD = math.radians(40)  # ways that lie no farther apart are one
 MISFIT_M = 0.3  # a way less or more makes a place seem so much farther from where the map has it
 BACK_RAD = math.radians(120)  # a way on that bears farther from where it should is none
@@ -222,7 +223,8 @@ def _next_ones(guide, centre, found, seen, reach_m):
     fits = (off_m <= SURE[0] * length_m + SURE[1]) & (missing <= 1) & (more <= 2)
     fits |= (off_m <= NEAR[0] * length_m + NEAR[1]) & (missing == 0) & (more == 0)
     fits &= jnp.min(other_m, axis=1) > OTHER * off_m
-    fits = (fits | (off_m < THERE_M)) & (is_seen | is_free) & (place < guide.count)
+    fits = ((fits | (off_m < THERE_M)) & (is_seen | is_free)) | (off_m < HERE_M)
+    fits &= place < guide.count
     off_ways = jnp.where(alike, apart, jnp.nan)
     way = jnp.where(by_leg, leads, out)
     return _NextOnes(place, expected, off_m, fits, last, off_ways, begins, is_free, missing + more, way)
@@ -256,11 +258,6 @@ def _strip(reach_m, places, bearings):
 def is_next(guide: Guide, centre: Array) -> Array:
     """Whether the map has the next place of the route at a point, `[2]`, odometry: bool."""
     return (guide.at < guide.count) & (jnp.hypot(*(next_of(guide)[0] - centre)) < THERE_M)
-
-
-def ends(guide: Guide) -> Array:
-    """Whether the route ends at the place where the robot is: bool."""
-    return (guide.at >= guide.count) & (guide.tail_m == 0)
 
 
 def _expected(guide, places):

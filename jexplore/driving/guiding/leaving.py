@@ -9,7 +9,7 @@ from jax import Array
 from jexplore import btm
 from jexplore.btm import Btm
 from jexplore.driving import links
-from jexplore.driving.guiding.guide import BACK_RAD, STRIP_M, Guide, Onward, at_place, ends, is_next
+from jexplore.driving.guiding.guide import BACK_RAD, STRIP_M, Guide, Onward, at_place, is_next
 from jexplore.driving.mapping import Writer
 from jexplore.driving.sensing.openings import Openings
 
@@ -43,7 +43,7 @@ def left_by(
     """Where a robot that follows a route goes on instead.
 
     Where no link leads there, there is a new one if the way is open or free; else, if none leads that way at all, the
-    robot is lost.
+    robot steers for what comes next.
 
     Args:
       map_: `Btm` with the node.
@@ -66,7 +66,6 @@ def left_by(
     is_new = is_place & (off > links.ALIKE_RAD) & (way.is_free | is_open)
     map_, new = btm.add_link(map_, node, way.bearing, when=is_new)
     link, out = jnp.where(is_new, new, link), jnp.where(is_new, way.bearing, out)
-    is_lost = is_place & (off > BACK_RAD) & ~is_new & ~ends(ahead)
-    ahead = ahead.replace(lost=ahead.lost | is_lost)
+    ahead = ahead.replace(steers=ahead.steers | (is_place & (off > BACK_RAD) & ~is_new))
     way = way._replace(is_free=is_new & way.is_free)
     return Left(ahead, map_, jnp.where(is_place, link, onto), jnp.where(is_place, out, bearing), way)

@@ -16,7 +16,7 @@ from jexplore.driving.sensing import surround
 from jexplore.driving.settings import Robot, Tuning
 
 LOST = 1.5, 5.0  # none of the next places within so many times the way and so many metres more: the robot is lost
-END_M = 0.4, 0.2, 1.0  # the end is there within so much, more for each metre that the way is longer, and at most
+END_M = 0.4, 0.2, 0.8  # the end is there within so much, more for each metre that the way is longer, and at most
 STRAIGHT = 1.25, 1.0  # a link is straight if its length is no more than this share of its ends' distance and so much
 STEERS = 1.5, 3.0  # so many times the way and so many metres more the robot steers for the next place
 SIGHT_M = 2.5  # a place that is so near, with a free way to it, is steered for anywhere

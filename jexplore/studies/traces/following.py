@@ -28,6 +28,7 @@ from jexplore.worlds.world import World
 SIZE = 32, 64  # most nodes and links of the map that a robot writes on its way
 PLACES = 8  # a guide has room for places in multiples of this
 CLEAR_M = 1.5, 1.0, 2.0, 0.6, 3.0, 0.3  # a robot starts so far along its link: the first where it can turn, or is free
+ASIDE_M = 0.0, 0.3, -0.3, 0.6, -0.6  # or so far beside it, where it fits nowhere on the link
 ROOM_M = 0.05  # beside a robot that turns where it starts
 SAME_DEG = 40.0  # ways that lie no farther apart are one
 ONE_DEG = 20.0  # links of a node that leave it no farther apart are one way: two nodes of a passage
@@ -101,14 +102,14 @@ def _driven(world, btm, found, robot, settings, seed, how):
     """The `mission.Result` of all routes."""
     building = building_of(world, marks_m=_refused_places(btm, found))
     begun = [_start(world, building, robot, btm, route) for route in found]
-    guides = _guides(world, btm, found, [metres for _, metres in begun])
+    guides = _guides(world, btm, found, [start[1:] for start in begun])
     n, longest = len(found), max(route.length_m for route in found)
     return run_missions(
         building,
         numbers_of(robot, n),
         numbers_of(settings[0], n),
         numbers_of(settings[1], n),
-        np.stack([pose for pose, _ in begun]),
+        np.stack([pose for pose, *_ in begun]),
         seed,
         np.arange(n),
         guides,
@@ -154,22 +155,23 @@ def _checked(btm, found, robot, tuning, noise):
 
 
 def _start(world, building, robot, btm, route):
-    """Where a robot that follows a route begins, `[3]` from `pose_in`, and how far from the node, metres."""
+    """Where a robot that follows a route begins: `[3]` from `pose_in`; how far from the node, metres; and how far
+    beside the link, `(x, y)`, metres: a map is off by as much as the odometry of who wrote it.
+    """
     step = route.steps[0]
     node = next(node for node in btm.nodes if node.id == step.start)
     angle = math.radians(step.bearing_deg)
     device, fits = jax.tree.map(jnp.asarray, building), []
-    for metres in CLEAR_M:
-        if metres <= max(step.length_m / 2, CLEAR_M[-1]):
+    for aside in ASIDE_M:
+        beside = -aside * math.sin(angle), aside * math.cos(angle)
+        for metres in (m for m in CLEAR_M if m <= max(step.length_m / 2, CLEAR_M[-1])):
             x_m, y_m = node.x_m + metres * math.cos(angle), node.y_m + metres * math.sin(angle)
-            pose = pose_in(world, (x_m, y_m, step.bearing_deg))
+            pose = pose_in(world, (x_m + beside[0], y_m + beside[1], step.bearing_deg))
             if _is_free(world, pose) and not bool(vehicle.touches(device, robot, jnp.asarray(pose))):
-                fits.append((pose, metres))
-    for pose, metres in fits:
-        if not bool(vehicle.touches(device, _turning(robot), jnp.asarray(pose))):
-            return pose, metres
-    if fits:
-        return fits[0]
+                fits.append((pose, metres, beside))
+        if fits:
+            turns = (fit for fit in fits if not bool(vehicle.touches(device, _turning(robot), jnp.asarray(fit[0]))))
+            return next(turns, fits[0])
     place = f"node {step.start}, ({node.x_m:.1f}, {node.y_m:.1f}) m"
     raise InputError(
         f"{robot.name} does not fit on link {step.link} beside {place} of {world.name or 'world'!r}: is the map of "
@@ -191,12 +193,12 @@ def _is_free(world, pose):
 
 
 def _guides(world, btm, found, begun):
-    """`Guide` of arrays, one a route; `begun` is how far robots start from the node."""
+    """`Guide` of arrays, one a route; `begun` is how far robots start from the node, and beside it, see `_start`."""
     nodes = {node.id: node for node in btm.nodes}
     made = []
-    for route, start_m in zip(found, begun):
+    for route, (start_m, beside) in zip(found, begun):
         at = nodes[route.nodes[0]]
-        node_xy = at.x_m - world.origin_m[0], at.y_m - world.origin_m[1]
+        node_xy = at.x_m + beside[0] - world.origin_m[0], at.y_m + beside[1] - world.origin_m[1]
         out, ways, leg, length_m, others, gone = [], [], [], [], [], 0.0
         elsewhere = [node for node in btm.nodes if node.type == "divergence" and node.id not in route.nodes]
         for step, on in zip(route.steps, [*route.steps[1:], None]):
