@@ -125,7 +125,7 @@ def test_of_two_places_as_near_that_one_is_met_which_has_its_ways(ways, at):
 
 
 def a_door(length_m):
-    """The map's place is seen 0.9 m east of where this robot sees it; the door north of both bears 150 degrees there."""
+    """The map has the place 0.9 m east of where this robot sees it; a door north of both bears 150 degrees there."""
     return a_guide(
         out=(math.radians(150),), ways=((math.radians(150), EAST, SOUTH),), leg=((10.0, 0.0),), length_m=(10.0,)
     ).replace(tail_m=jnp.float32(length_m), end_leg=jnp.array([-0.8, 7.3]))
@@ -250,7 +250,7 @@ def test_a_guide_of_a_route_has_its_divergences():
     assert guide.length_m[0, :2].sum() + guide.tail_m[0] == pytest.approx(route.length_m)
     assert guide.from_m[0] == pytest.approx(-0.6)
     node = np.subtract((btm.nodes[0].x_m, btm.nodes[0].y_m), world.origin_m)
-    np.testing.assert_allclose(guide.from_xy[0], node + (0.0, 0.3), atol=1e-5)
+    np.testing.assert_allclose(guide.from_xy[0], node + np.array([0.0, 0.3]), atol=1e-5)
 
 
 @pytest.mark.jit

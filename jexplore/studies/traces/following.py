@@ -28,7 +28,7 @@ from jexplore.worlds.world import World
 SIZE = 32, 64  # most nodes and links of the map that a robot writes on its way
 PLACES = 8  # a guide has room for places in multiples of this
 CLEAR_M = 1.5, 1.0, 2.0, 0.6, 3.0, 0.3  # a robot starts so far along its link: the first where it can turn, or is free
-ASIDE_M = 0.0, 0.3, -0.3, 0.6, -0.6  # or so far beside it, where it fits nowhere on the link
+ASIDE_M = 0.0, 0.3, -0.3, 0.6, -0.6  # or so far beside it, where it cannot turn anywhere on the link
 ROOM_M = 0.05  # beside a robot that turns where it starts
 SAME_DEG = 40.0  # ways that lie no farther apart are one
 ONE_DEG = 20.0  # links of a node that leave it no farther apart are one way: two nodes of a passage
@@ -169,9 +169,10 @@ def _start(world, building, robot, btm, route):
             pose = pose_in(world, (x_m + beside[0], y_m + beside[1], step.bearing_deg))
             if _is_free(world, pose) and not bool(vehicle.touches(device, robot, jnp.asarray(pose))):
                 fits.append((pose, metres, beside))
-        if fits:
-            turns = (fit for fit in fits if not bool(vehicle.touches(device, _turning(robot), jnp.asarray(fit[0]))))
-            return next(turns, fits[0])
+                if not bool(vehicle.touches(device, _turning(robot), jnp.asarray(pose))):
+                    return fits[-1]
+    if fits:
+        return fits[0]
     place = f"node {step.start}, ({node.x_m:.1f}, {node.y_m:.1f}) m"
     raise InputError(
         f"{robot.name} does not fit on link {step.link} beside {place} of {world.name or 'world'!r}: is the map of "
