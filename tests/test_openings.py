@@ -12,12 +12,12 @@ from ref.passages import FEATURES, WIDTHS_M, building
 from jexplore.driving import vehicle
 from jexplore.driving.building import walls
 from jexplore.driving.sensing import openings, surround
-from jexplore.driving.settings import Tuning
+from jexplore.driving.settings import Tuning, for_world
 from jexplore.driving.vehicle import ANGLES_RAD, RANGE_M
 
 pytestmark = pytest.mark.jit
 
-TUNING = Tuning()
+TUNING = for_world(Tuning(), is_course=True)
 
 
 K = 8

@@ -66,7 +66,9 @@ def _arrive(writer, event, found, back, tuning, is_divergence, is_terminal):
     """The node that is due: one that is known, or a new one."""
     is_obstacle = event.kind == btm.OBSTACLE
     near, distance = btm.nearest_node(writer.map, event.centre[0], event.centre[1], event.kind)
-    reach = jnp.where(is_divergence, jnp.maximum(0.5, event.radius), SAME_NODE_M)
+    # A place is in the circle of a node, and the node in that of the place.
+    smaller = jnp.minimum(event.radius, writer.map.radius_m[jnp.maximum(near, 0)])
+    reach = jnp.where(is_divergence, jnp.maximum(0.5, smaller), SAME_NODE_M)
     may_be_last = is_divergence & has_left(writer, event.odometer_m, tuning.leave_m)
     again = (distance < reach) & ((near != writer.node) | may_be_last) & ~is_terminal
     alike, is_alike = links.recognised(
@@ -193,12 +195,11 @@ def write(
     map_ = _add_openings(map_, event, at.node, found, others, is_divergence & ~at.again)
     goes_on = ~is_divergence & ~is_terminal & ~at.again
     map_, new = btm.add_link(map_, at.node, event.pose[2], when=goes_on, blocked=event.blocked)
-    onward = jnp.where(goes_on, new, links.other_link(map_, at.node, link))
     passes, which = _is_passed(writer, event, found, others, back, at, is_divergence, points, tuning)
     after, map_, onto, bearing = links.where_to(writer, map_, at.node, back)
     through = ~is_divergence & ~event.blocked & ~event.returns
-    ways = jnp.where(through, onward, onto), bearing
-    left = leaving.left_by(map_, writer, event, at.node, found, is_divergence & ~passes, points, *ways)
+    onto = jnp.where(through, jnp.where(goes_on, new, links.other_link(map_, at.node, link)), onto)
+    left = leaving.left_by(map_, writer, event, at.node, found, is_divergence & ~passes, points, onto, bearing)
     ways = _way_out(event, found, left, turn, tuning.leave_m, is_divergence)
     ways = to_odometry(jnp.stack([0.0, 0.0, applied - turn]))(ways[0]), ways[1] + applied - turn
     target, out = _either_of(passes, _past(event, found, which, others, back, points, tuning), ways)
@@ -217,8 +218,9 @@ def write(
         guide=left.guide,
     )
     correction = jnp.where(passes, 0.0, jnp.stack([*at.shift, applied]))
+    passing = before.replace(passed=jnp.stack([*event.centre, event.radius, event.odometer_m]))
     return (
-        _either_of(passes, _passing(before, event), _either_of(at.fits, written, _full(writer))),
+        _either_of(passes, passing, _either_of(at.fits, written, _full(writer))),
         jnp.where((~through & (taken < size)) | passes, Latch.LEAVE, Latch.FREE).astype(jnp.int32),
         event.centre + correction[:2] + target,
         out,
@@ -283,10 +285,11 @@ def made(
         drive = drive.replace(
             latch=jnp.where(latches, latch, drive.latch),
             target=jnp.where(latches, target, drive.target),
-            since=jnp.where(latches, 0, drive.since),
+            since=jnp.where(latches, behaviour.begun(jnp.hypot(*(target - estimate[:2])), tuning), drive.since),
             surveys=jnp.int32(0),
             known=jnp.bool_(False),
             out=jnp.where(latches, out, drive.out),
+            aside=jnp.where(latches, behaviour.is_aside(target - event.centre, out, event.radius), drive.aside),
         )
         track = jax.tree.map(lambda none, old: jnp.where(latches, none, old), behaviour.no_track(), track)
         return whole.map, {name: getattr(whole, name) for name in rest}, drive, track, estimate
@@ -320,10 +323,6 @@ def _full(writer):
 def _is_behind(found):
     """Openings whose narrowest place lies on the other side of the centre: there is one wall only, before it: `[K]`."""
     return found.middle[:, 0] * jnp.cos(found.across) + found.middle[:, 1] * jnp.sin(found.across) < 0
-
-
-def _passing(writer, event):
-    return writer.replace(passed=jnp.stack([*event.centre, event.radius, event.odometer_m]))
 
 
 def _is_passed(writer, event, found, others, back, at, is_divergence, points, tuning):

@@ -148,6 +148,7 @@ def _steered(state, guide, drive, track, estimate, ways_m, places, tuning, robot
         target=jnp.where(steers, hop, jnp.where(looks, place, jnp.where(meets, beyond, drive.target))),
         since=jnp.where(looks | frees | meets | (steers & ~guide.steers), 0, drive.since),
         out=jnp.where(steers, best, jnp.where(looks, estimate[2], jnp.where(meets, out, drive.out))),
+        aside=drive.aside & ~steers & ~meets,
         known=drive.known | looks,
     )
     track = jax.tree.map(lambda new, old: jnp.where(looks, new, old), there, track)

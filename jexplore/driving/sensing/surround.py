@@ -18,7 +18,7 @@ from jexplore.driving.vehicle import ANGLES_RAD, to_robot
 SECTORS = 360  # directions, a degree each, from -180 degrees
 NONE = 2**31 - 1
 BEHIND = 88  # degrees from straight ahead from which on the last scan is not all there is
-MEMORY_M = 4.5  # farther points are forgotten
+MEMORY_M = 9.0  # farther points are forgotten
 DIRECTIONS = 72  # in which the way is looked at
 TURN_STEPS = 36  # of half a turn each way
 OPPOSITE = 0.26  # cosine: what lies at least 75 degrees from the nearest point is on the other side

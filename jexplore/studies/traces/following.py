@@ -15,7 +15,7 @@ from jexplore.driving import vehicle
 from jexplore.driving.batch import MAX_STEPS, building_of, numbers_of, outcome_names, pose_in, run_missions
 from jexplore.driving.events import LOOK_M
 from jexplore.driving.guiding.guide import OTHERS, Guide, guide_of
-from jexplore.driving.settings import Noise, Robot, Tuning, require_noise, require_tuning
+from jexplore.driving.settings import Noise, Robot, Tuning, for_world, require_noise, require_tuning
 from jexplore.studies import checks
 from jexplore.studies.traces import routes
 from jexplore.studies.traces.job import MOST_STEPS
@@ -90,7 +90,7 @@ def follow(
       InputError: no route, one without a link or of another map, or a start where the robot does not fit.
     """
     (world,) = checks.ready_worlds([world], cell_m)
-    body, tuning, noise = _checked(btm, found, robot, tuning, noise)
+    body, tuning, noise = _checked(world, btm, found, robot, tuning, noise)
     seed = require_whole("seed", seed, 0, MAX_SEED)
     how = {"workers": workers, "on_progress": on_progress}
     result = _driven(world, btm, found, body, (tuning, noise), seed, how)
@@ -131,11 +131,12 @@ def _refused_places(btm, found):
     return np.reshape(places, (-1, 3))
 
 
-def _checked(btm, found, robot, tuning, noise):
+def _checked(world, btm, found, robot, tuning, noise):
     """`(Robot, Tuning, Noise)`, or a refusal."""
     btm = routes.checked(btm)
     body = routes.robot_of(robot) if isinstance(robot, str) else robot
-    tuning, noise = tuning or Tuning(), noise or Noise()
+    tuning = for_world(tuning or Tuning(), is_course=world.course is not None)
+    noise = noise or Noise()
     require_kind("robot", body, Robot)
     require_tuning(tuning)
     require_noise(noise)
