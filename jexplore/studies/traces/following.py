@@ -101,7 +101,7 @@ def follow(
 def _driven(world, btm, found, robot, settings, seed, how):
     """The `mission.Result` of all routes."""
     building = building_of(world, marks_m=_refused_places(btm, found))
-    begun = [_start(world, building, robot, btm, route) for route in found]
+    begun = [start_of(world, building, robot, btm, route) for route in found]
     guides = _guides(world, btm, found, [start[1:] for start in begun])
     n, longest = len(found), max(route.length_m for route in found)
     return run_missions(
@@ -155,9 +155,22 @@ def _checked(world, btm, found, robot, tuning, noise):
     return body, tuning, noise
 
 
-def _start(world, building, robot, btm, route):
-    """Where a robot that follows a route begins: `[3]` from `pose_in`; how far from the node, metres; and how far
-    beside the link, `(x, y)`, metres: a map is off by as much as the odometry of who wrote it.
+def start_of(
+    world: World, building: vehicle.Building, robot: Robot, btm: BtmMap, route: Route
+) -> tuple[np.ndarray, float, tuple[float, float]]:
+    """Where a robot that follows a route begins: on its first link, or a little beside it, for a map is off by as much
+    as the odometry of who wrote it; where it can turn, if there is such a place.
+
+    Args:
+      world, building: `World` and the `Building` of it.
+      robot: `Robot`.
+      btm, route: the map, and a route on it.
+
+    Returns:
+      `(start, from_m, beside_m)`: `[3]` float32, from `pose_in`; how far from the node; x, y, how far beside the link.
+
+    Raises:
+      InputError: the robot fits nowhere there.
     """
     step = route.steps[0]
     node = next(node for node in btm.nodes if node.id == step.start)
@@ -165,7 +178,7 @@ def _start(world, building, robot, btm, route):
     device, fits = jax.tree.map(jnp.asarray, building), []
     for aside in ASIDE_M:
         beside = -aside * math.sin(angle), aside * math.cos(angle)
-        for metres in (m for m in CLEAR_M if m <= max(step.length_m / 2, CLEAR_M[-1])):
+        for metres in (m for m in CLEAR_M if m <= max((step.length_m or 0) / 2, CLEAR_M[-1])):
             x_m, y_m = node.x_m + metres * math.cos(angle), node.y_m + metres * math.sin(angle)
             pose = pose_in(world, (x_m + beside[0], y_m + beside[1], step.bearing_deg))
             if _is_free(world, pose) and not bool(vehicle.touches(device, robot, jnp.asarray(pose))):
