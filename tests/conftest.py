@@ -15,7 +15,6 @@ import hypothesis
 import jax
 import pytest
 
-from jexplore.driving import batch, mission
 from jexplore.engine import devices, plugins
 
 hypothesis.settings.register_profile("jexplore", deadline=None, print_blob=True)
@@ -67,15 +66,6 @@ def _garbage():
     jax.clear_caches()
     gc.collect()
     _trim(0)
-
-
-@pytest.fixture(scope="module")
-def whole_runs():
-    """For modules whose robots drive whole buildings: their steps take longer than compiling, and are optimised."""
-    with pytest.MonkeyPatch.context() as patch:
-        options = (("xla_backend_optimization_level", "1"), ("xla_cpu_use_fusion_emitters", True))
-        patch.setattr(batch, "program_of", lambda room: mission.program_of(room)._replace(cpu_options=options))
-        yield
 
 
 @pytest.fixture(scope="session")

@@ -18,8 +18,6 @@ from jexplore.tracemap.record import BtmMap, Link, Node
 from jexplore.worlds.readers.scans import ScanLog
 from jexplore.worlds.world import World
 
-pytestmark = pytest.mark.usefixtures("whole_runs")
-
 NODES = (
     Node(0, 1.0, 0.0, "terminal"),
     Node(1, 4.2, 0.0, "divergence"),

@@ -26,8 +26,6 @@ from jexplore.tracemap.similarity import code
 from jexplore.worlds import load_world
 from jexplore.worlds.world import World
 
-pytestmark = pytest.mark.usefixtures("whole_runs")
-
 STILL = Noise(attitude_deg=0, odometry=0, heading_deg_sqrt_m=0, slip=0, beacon_m=0)
 KAMUI, TUNING = ROBOTS["kamui"], for_world(Tuning(), is_course=True)
 
@@ -37,14 +35,14 @@ def ran(plan):
 
 
 @pytest.fixture(scope="module")
-def course(jit_on, whole_runs):
+def course(jit_on):
     """`kamui` on `course` without noise."""
     with jit_on():
         return ran(job.prepare_trace("course", noise=STILL))
 
 
 @pytest.fixture(scope="module")
-def noisy(jit_on, whole_runs):
+def noisy(jit_on):
     """Eight runs at 1 cm, of two settings."""
     with jit_on():
         return ran(job.prepare_trace("course", noise=Noise(range_m=0.01), runs=4, sweep=["votes=5,3"], seed=5))

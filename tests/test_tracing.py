@@ -21,7 +21,6 @@ from jexplore.tracemap.record import BtmMap, Link, Node, check
 from jexplore.tracemap.similarity import code
 
 AWAY_M = 100.0  # by so much the corrected map is shifted here, so that it is known again
-pytestmark = pytest.mark.usefixtures("whole_runs")
 
 
 @pytest.fixture(scope="module")
