@@ -510,7 +510,7 @@ def test_a_robot_starts_where_it_can_turn():
     for post in (False, True):
         occupied[20, 28] = post
         world = World(occupied=occupied.copy(), cell_m=0.1)
-        begun.append(following._start(world, building_of(world), ROBOTS["wheeled"], btm, route)[1])
+        begun.append(following.start_of(world, building_of(world), ROBOTS["wheeled"], btm, route)[1])
     assert begun == [1.5, 1.0]
 
 
@@ -520,7 +520,7 @@ def test_a_robot_starts_beside_a_link_that_the_map_has_in_a_wall():
     nodes = Node(0, 1.0, 1.1, "divergence"), Node(1, 7.0, 1.1, "divergence")
     btm = BtmMap(nodes, (Link(0, 0, 1, "searched", 0.0, 180.0, 6.0, 1.0),))
     world = World(occupied=occupied, cell_m=0.1)
-    pose, metres, beside = following._start(
+    pose, metres, beside = following.start_of(
         world, building_of(world), ROBOTS["wheeled"], btm, jx.route(btm, "wheeled", 0, 1)
     )
     assert beside == pytest.approx((0.0, 0.3))
