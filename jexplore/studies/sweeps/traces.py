@@ -13,7 +13,7 @@ import numpy as np
 from jexplore.config import InputError
 from jexplore.driving import batch
 from jexplore.driving.batch import MAX_STEPS, numbers_of
-from jexplore.driving.settings import Noise, Tuning, require_noise, require_tuning
+from jexplore.driving.settings import for_world, require_noise, require_tuning
 from jexplore.engine.backend import use_compilation_cache
 from jexplore.engine.runner import Costs
 from jexplore.report.tables import aligned_table, number_text, spread_text
@@ -121,7 +121,7 @@ def prepare_traces(spec: Sweep) -> TracePlan:
     require_different("robots", list(spec.robots))
     settings, records = spec.expanded(), spec.records("tuning", "noise")
     for *_, tuning, noise in records:
-        require_tuning(tuning)
+        require_tuning(for_world(tuning, is_course=False))
         require_noise(noise)
     total = spec.episodes * len(settings) * len(spec.worlds) * len(spec.robots)
     if total > MAX_TOTAL:
@@ -147,10 +147,13 @@ def prepare_traces(spec: Sweep) -> TracePlan:
 def _with_settings(job, spec, records, own):
     """A job whose thresholds and noise are those of some settings."""
     swept = {}
-    for part, kind, place in (("", Tuning, 2), (NOISE, Noise, 3)):
-        for field in dataclasses.fields(kind):
-            values = np.array([getattr(records[i][place], field.name) for i in own])
-            if len(set(values.tolist())) > 1 or values[0] != field.default:
+    tunings = [for_world(records[i][2], is_course=job.world.course is not None) for i in own]
+    for tuning in tunings:
+        require_tuning(tuning)
+    for part, settings, default in (("", tunings, job.tuning), (NOISE, [records[i][3] for i in own], job.noise)):
+        for field in dataclasses.fields(default):
+            values = np.array([getattr(one, field.name) for one in settings])
+            if len(set(values.tolist())) > 1 or values[0] != getattr(default, field.name):
                 swept[f"{part}{field.name}"] = values
     return dataclasses.replace(job, runs=spec.episodes, swept=swept, settings=len(own), max_steps=MAX_STEPS)
 
