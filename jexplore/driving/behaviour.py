@@ -13,7 +13,7 @@ from flax import struct
 from jax import Array, lax
 
 from jexplore.driving import manoeuvre
-from jexplore.driving.sensing import perception, surround
+from jexplore.driving.sensing import openings, perception, surround
 from jexplore.driving.settings import Robot, Tuning
 from jexplore.driving.vehicle import DT_S
 
@@ -24,11 +24,11 @@ HYSTERESIS_M = 0.3  # a free space ends where both sides have a wall this much n
 GUARD_M = 0.1  # a wall this near to the robot's front stops it, if there is no way past it
 ROOM_M = 0.1  # a wall is followed at so much more than it takes to turn in place
 GETS_PAST = 1.75, manoeuvre.GO_M  # bearing, radians, within which a way so long, metres, leads past it
+GETS_ON = 1.0, 0.8  # likewise past what seems to close a passage
 LATCH_STEPS = 200  # a target that is not reached in so many steps is given up
 SLOWER = 1.5  # or in so many times those that it takes at full speed, if these are more
-WIDE_M = 2.0  # radius of a place from which on it is left by way of a point before the opening
-BEFORE_M, BESIDE_M = 0.6, 0.25  # so far before it, unless the robot is no farther beside the opening's axis
-GETS_ON = 1.0, 0.8  # likewise past what seems to close a passage
+BEFORE_M = 0.6  # a wide place is left by way of a point so far before the opening
+BESIDE_M = 0.25  # unless the robot is no farther beside its axis
 
 
 class RunMode(enum.IntEnum):
@@ -327,7 +327,7 @@ def is_aside(target: Array, out: Array, radius_m: Array) -> Array:
       radius_m: float32, of the place.
     """
     beside_m = target[1] * jnp.cos(out) - target[0] * jnp.sin(out)
-    return (radius_m > WIDE_M) & (jnp.abs(beside_m) > BESIDE_M)
+    return (radius_m > openings.WIDE_M) & (jnp.abs(beside_m) > BESIDE_M)
 
 
 def _selected(drive, to_robot, tuning):

@@ -30,7 +30,7 @@ AHEAD = 0.6  # radii from the centre from which on they are
 WIDER = 1.5  # search circles, in which doors that lie partly outside one are looked for
 OTHER_M = 0.5  # from the middle of every other opening
 ALIKE_M = 0.02  # connections of the walls beside a gap that are longer by this count for less
-WIDE_M = 2.0  # radius of a place from which on doors are looked for wall by wall
+WIDE_M = 2.0  # a place is wide from this radius on: doors are looked for wall by wall
 JAMB = 60  # directions in which a door's other jamb is looked for
 MOST_DOOR_M = 1.5  # such a door is no wider
 BEHIND_RAD = math.radians(12)  # what bears no farther from a door, and lies beyond it, is behind it
@@ -263,7 +263,7 @@ def _joined(openings, doors):
     """Openings and doors, `(valid, middle, across, width)` of as many each. A door behind another is none of the place,
     nor is an opening that is seen where a door is.
     """
-    away_m, bearing = (jnp.hypot(*doors[1].T), jnp.arctan2(doors[1][:, 1], doors[1][:, 0]))
+    away_m, bearing = jnp.hypot(*doors[1].T), jnp.arctan2(doors[1][:, 1], doors[1][:, 0])
     off = jnp.abs(wrapped(bearing[:, None] - bearing))
     order = jnp.arange(len(bearing))
     nearer = (away_m < away_m[:, None]) | ((away_m == away_m[:, None]) & (order < order[:, None]))
@@ -294,7 +294,7 @@ def _wall_doors(place, here, width_m, reach_m, size):
 
 
 def _from_ends(place, here, width_m, reach_m, size):
-    """`_wall_doors` on the far side of whose left jamb a wall ends."""
+    """`_wall_doors` of one sense of rotation: from where a wall ends to the nearest point that comes later."""
     order, ends = jnp.arange(BEARINGS), _gaps(place, place, here, width_m)[2]
     later = (order[:, None] + 1 + jnp.arange(JAMB)) % BEARINGS
     there = here[later]
