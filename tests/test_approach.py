@@ -14,10 +14,10 @@ from jexplore.driving.building.walls import Walls, cast
 from jexplore.driving.sensing import surround
 from jexplore.driving.sensing.perception import Divergence
 from jexplore.driving.sensing.surround import SECTORS, Surround
-from jexplore.driving.settings import ROBOTS, Tuning
+from jexplore.driving.settings import ROBOTS, Tuning, for_world
 from jexplore.driving.vehicle import RANGE_M, to_odometry
 
-KAMUI = ROBOTS["kamui"]
+KAMUI, TUNING = ROBOTS["kamui"], for_world(Tuning(), is_course=True)
 # A passage along x, two metres wide, and one that leads north from it. The largest circle touches the wall in the south
 # and both corners: 0.8 ** 2 + (1 - y) ** 2 = (1 + y) ** 2.
 T = Walls(
@@ -49,7 +49,7 @@ def looked_round(node, radius_m, robot_x_m=0.0):
     track = Track(centre=pose[:2], radius=jnp.float32(RADIUS_M), seen=jnp.uint32(511), age=jnp.int32(20))
     ahead = SimpleNamespace(track=track, space=behaviour.no_free_space(), leans=jnp.bool_(False))
     ways_m = surround.ways(around, KAMUI)
-    return approach.latched(state, ahead, around, ways_m, to_odometry(pose), Tuning(), KAMUI)
+    return approach.latched(state, ahead, around, ways_m, to_odometry(pose), TUNING, KAMUI)
 
 
 @pytest.mark.parametrize("node", [(0.0, Y_M), (0.2, Y_M), (0.7, -0.3), (-0.5, 0.9)])

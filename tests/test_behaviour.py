@@ -1,5 +1,6 @@
 """Run modes, what lies ahead, free space and the target point: every rule by hand."""
 
+import dataclasses
 import itertools
 import math
 
@@ -13,9 +14,9 @@ from jexplore.driving.events import Walls
 from jexplore.driving.sensing import surround
 from jexplore.driving.sensing.perception import Divergence
 from jexplore.driving.sensing.surround import DIRECTION, DIRECTIONS
-from jexplore.driving.settings import ROBOTS, Tuning
+from jexplore.driving.settings import ROBOTS, Tuning, for_world
 
-TUNING, KAMUI = Tuning(), ROBOTS["kamui"]
+TUNING, KAMUI = for_world(Tuning(), is_course=True), ROBOTS["kamui"]
 INF = math.inf
 
 
@@ -466,6 +467,43 @@ def test_the_target_of_a_latch_in_the_robots_frame():
     assert target(RunMode.CONTACT_GUARD, 1.0, 1.0, drive) == [1, 0]
 
 
+@pytest.mark.parametrize(
+    ("aside", "latch", "robot", "expected"),
+    [
+        (True, Latch.LEAVE, (1.0, 2.0), [3.0, 3.9]),
+        (False, Latch.LEAVE, (1.0, 2.0), [3.0, 5.0]),
+        (True, Latch.APPROACH, (1.0, 2.0), [3.0, 5.0]),
+        (True, Latch.LEAVE, (3.8, 3.0), [0.2, 4.0]),  # on the opening's axis
+        (True, Latch.LEAVE, (3.0, 6.0), [1.0, 1.0]),  # past the point before it
+    ],
+)
+def test_an_opening_seen_from_the_side_is_gone_through_along_its_axis(aside, latch, robot, expected):
+    """To (4, 7), where the way leads north; half a metre and 0.6 m before that lies (4, 5.9)."""
+    drive = driving(latch=latch, target=(4.0, 7.0)).replace(aside=jnp.bool_(aside), out=jnp.float32(math.pi / 2))
+    found = behaviour.target_of(
+        jnp.int32(RunMode.BRANCH_SELECTION), drive, 1.0, 1.0, AHEAD, lambda xy: xy - jnp.asarray(robot), TUNING
+    )
+    assert found.tolist() == pytest.approx(expected, abs=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("target", "out", "radius_m", "is_aside"),
+    [
+        ((3.0, 3.0), math.pi / 2, 3.0, True),
+        ((3.0, 3.0), math.pi / 2, 1.9, False),  # in a passage
+        ((0.2, 3.0), math.pi / 2, 3.0, False),
+        ((-3.0, 0.0), math.pi, 3.0, False),
+    ],
+)
+def test_which_openings_are_seen_from_the_side(target, out, radius_m, is_aside):
+    assert bool(behaviour.is_aside(jnp.array(target), out, radius_m)) == is_aside
+
+
+def test_a_target_far_away_is_given_more_time():
+    for away_m, begins in ((0.0, 0), (5.3, 0), (8.0, -100)):
+        assert int(behaviour.begun(away_m, TUNING)) == begins
+
+
 # ---------------------------------------------------------------- speeds: what of them is a matter of settings
 
 
@@ -484,12 +522,12 @@ def test_speed_and_turn_rate_by_hand():
     for side in (1, -1):
         at = 2 * math.cos(angle), 2 * side * math.sin(angle)
         assert steered(at, TUNING) == pytest.approx((0.4 * math.cos(angle), 1.5 * side * angle))
-    slow = Tuning(speed_m_s=0.1, turn_gain=0.5)
+    slow = dataclasses.replace(TUNING, speed_m_s=0.1, turn_gain=0.5)
     assert steered((3, 3), slow) == pytest.approx((0.1 * math.sqrt(0.5), 0.5 * math.pi / 4))
 
 
 def test_no_faster_than_the_robot_can():
-    fast = Tuning(speed_m_s=50.0, turn_gain=100.0)
+    fast = dataclasses.replace(TUNING, speed_m_s=50.0, turn_gain=100.0)
     assert steered((1, 0), fast)[0] == pytest.approx(KAMUI.max_speed_m_s)
     assert steered((1, 0.5), fast)[1] == KAMUI.max_turn_rad_s
     assert steered((1, -0.5), fast)[1] == -KAMUI.max_turn_rad_s

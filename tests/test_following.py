@@ -10,23 +10,35 @@ import numpy as np
 import pytest
 
 import jexplore as jx
+from jexplore import btm as maps
 from jexplore.config import InputError
-from jexplore.driving import guide as guides
+from jexplore.driving import behaviour
+from jexplore.driving.batch import building_of
+from jexplore.driving.behaviour import Latch, RunMode
+from jexplore.driving.guiding import guide as guides
+from jexplore.driving.guiding import leaving, steering
+from jexplore.driving.links import reach_m
+from jexplore.driving.sensing import surround
 from jexplore.driving.sensing.openings import Openings
-from jexplore.driving.settings import ROBOTS
+from jexplore.driving.settings import ROBOTS, Tuning
 from jexplore.studies.traces import following
 from jexplore.tracemap.record import NOWHERE, BtmMap, Link, Node
 from jexplore.worlds import load_world
+from jexplore.worlds.world import World
 
 EAST, NORTH, WEST, SOUTH = (math.radians(a) for a in (0, 90, 180, 270))
 T = WEST, EAST, SOUTH  # the ways of the first place
 CROSSING = NORTH, EAST, WEST, SOUTH  # of the second
 
 
-def a_guide(out=(SOUTH, EAST), ways=(T, CROSSING), leg=((10.0, 0.0), (0.0, -6.0)), length_m=(10.0, 6.0), tail_m=5.0):
+LEGS = (10.0, 0.0), (0.0, -6.0)
+
+
+def a_guide(out=(SOUTH, EAST), ways=(T, CROSSING), leg=LEGS, length_m=(10.0, 6.0), tail_m=5.0, **more):
     """From (0, 0) ten metres east, six south, then east."""
-    made = guides.guide_of(out, ways, leg, length_m, tail_m=tail_m, node_xy=(0.0, 0.0), start_m=1.0, size=4)
-    return jax.tree.map(jnp.asarray, made)
+    end_leg = tail_m * math.cos(out[-1]), tail_m * math.sin(out[-1])
+    more = {"end_leg": end_leg, "node_xy": (0.0, 0.0), "start_m": 1.0, "size": 4, **more}
+    return jax.tree.map(jnp.asarray, guides.guide_of(out, ways, leg, length_m, tail_m=tail_m, **more))
 
 
 def place(*bearings):
@@ -38,10 +50,12 @@ def place(*bearings):
     return Openings(jnp.asarray(bearing), jnp.zeros((8, 2)), flat, flat, jnp.arange(8) < n, jnp.int32(0))
 
 
-def met(guide, odometer_m, centre, found, when=True):
+def met(guide, odometer_m, centre, found, when=True, free_m=0.0):
     """The guide after a place, and the bearing of the way on, degrees in [0, 360)."""
-    after, bearing = guides.at_place(guide, jnp.float32(odometer_m), jnp.array(centre, float), found, jnp.bool_(when))
-    return after, math.degrees(float(bearing)) % 360
+    free = lambda place, bearing: jnp.float32(free_m)  # noqa: E731
+    where = jnp.float32(odometer_m), jnp.array(centre, float)
+    after, onward = guides.at_place(guide, *where, found, jnp.bool_(when), free)
+    return after, math.degrees(float(onward.bearing)) % 360
 
 
 def counts(guide):
@@ -51,14 +65,14 @@ def counts(guide):
 
 def test_the_next_place_turns_the_way_the_map_says():
     after, bearing = met(a_guide(), 9.0, (10.2, 0.1), place(*T))
-    assert bearing == pytest.approx(270)
+    assert bearing == pytest.approx(268.1, abs=0.1)  # the next one lies 6.1 m south and 0.2 m west
     assert counts(after) == (1, 0, 0)
     assert float(after.from_m) == 9.0
-    assert np.asarray(after.from_xy).tolist() == pytest.approx([10.2, 0.1])
+    assert np.asarray(after.from_xy).tolist() == pytest.approx([10.06, 0.03])  # three tenths of how far it was off
     assert np.degrees(np.asarray(after.seen)[0][:3]).tolist() == pytest.approx([180, 0, 270])
     assert np.isnan(np.asarray(after.seen)[1:]).all()
     after, bearing = met(after, 15.2, (10.3, -5.8), place(*CROSSING))
-    assert bearing == pytest.approx(0)
+    assert bearing == pytest.approx(358, abs=0.1)
     assert counts(after) == (2, 0, 0)
 
 
@@ -67,7 +81,7 @@ def test_a_place_somewhat_off_must_have_the_very_ways(off_m, ways, taken):
     """2.5 m are within 0.2 * 10 + 1.5, and not within 0.1 * 10 + 1.0."""
     after, bearing = met(a_guide(), 9.0, (10.0 + off_m, 0.0), place(*ways))
     assert counts(after) == (int(taken), 0, int(not taken))
-    assert bearing == pytest.approx(270 if taken else 180)
+    assert bearing == pytest.approx(180 + math.degrees(math.atan(6 / off_m)) if taken else 180)
 
 
 @pytest.mark.parametrize("ways", [(WEST, SOUTH), (WEST, EAST, SOUTH, NORTH)])
@@ -80,6 +94,59 @@ def test_a_way_less_or_more_is_no_other_place(ways):
 def test_a_place_without_the_way_on_is_another():
     after, _ = met(a_guide(), 9.0, (10.0, 0.5), place(WEST, EAST, NORTH))
     assert counts(after) == (0, 0, 1)
+
+
+@pytest.mark.parametrize(("free_m", "taken"), [(1.9, False), (2.1, True)])
+def test_a_place_whose_way_on_is_free_but_no_opening_is_the_one(free_m, taken):
+    after, bearing = met(a_guide(), 9.0, (10.0, 0.5), place(WEST, EAST, NORTH), free_m=free_m)
+    assert counts(after) == (int(taken), 0, int(not taken))
+    if taken:
+        assert bearing == pytest.approx(270)
+
+
+def test_a_way_on_need_be_free_no_farther_than_what_it_leads_to():
+    guide = a_guide(leg=((10.0, 0.0), (0.0, -1.0)), length_m=(10.0, 1.0))
+    taken = [counts(met(guide, 9.0, (10.0, 0.5), place(WEST, EAST), free_m=m)[0])[0] for m in (0.9, 1.1)]
+    assert taken == [0, 1]
+
+
+def test_a_place_nearer_to_another_of_the_map_is_none_of_the_route():
+    """Seen 0.9 m beyond; another one is there, 1.0 m beyond."""
+    for others, taken in (((), True), ([[(0.0, 9.0), (1.0, 0.0)], []], False), ([[(5.0, 0.0)], []], True)):
+        after, _ = met(a_guide(others=others), 9.0, (10.9, 0.0), place(*T))
+        assert counts(after) == (int(taken), 0, int(not taken))
+
+
+@pytest.mark.parametrize(("ways", "at"), [(T, 1), (CROSSING, 2)])
+def test_of_two_places_as_near_that_one_is_met_which_has_its_ways(ways, at):
+    """One at ten metres, the next at eleven, seen between."""
+    guide = a_guide(out=(SOUTH, SOUTH), leg=((10.0, 0.0), (1.0, 0.0)), length_m=(10.0, 1.0))
+    assert counts(met(guide, 9.5, (10.55 if at == 1 else 10.45, 0.0), place(*ways))[0])[0] == at
+
+
+def a_door(length_m):
+    """The map has the place 0.9 m east of where this robot sees it; a door north of both bears 150 degrees there."""
+    return a_guide(
+        out=(math.radians(150),), ways=((math.radians(150), EAST, SOUTH),), leg=((10.0, 0.0),), length_m=(10.0,)
+    ).replace(tail_m=jnp.float32(length_m), end_leg=jnp.array([-0.8, 7.3]))
+
+
+@pytest.mark.parametrize(("length_m", "bearing_deg"), [(7.7, 89), (9.0, 150)])
+def test_a_straight_way_on_bears_to_where_it_leads(length_m, bearing_deg):
+    """One that is much longer than its ends are apart bears as the map says: it may turn behind the door."""
+    after, bearing = met(a_door(length_m), 9.0, (9.1, 0.3), place(NORTH, WEST, SOUTH, EAST))
+    assert int(after.at) == 1
+    assert bearing == pytest.approx(bearing_deg, abs=1)
+
+
+def test_a_straight_way_on_that_is_no_opening_bears_as_the_map_says():
+    _, bearing = met(a_door(7.7), 9.0, (9.1, 0.3), place(math.radians(140), SOUTH, EAST))
+    assert bearing == pytest.approx(150)
+
+
+@pytest.mark.parametrize(("off_m", "at"), [(0.3, 1), (0.5, 0)])
+def test_a_place_where_the_map_has_it_is_met_whatever_is_seen_there(off_m, at):
+    assert counts(met(a_guide(), 9.0, (10.0, off_m), place(WEST, EAST))[0])[0] == at
 
 
 def test_at_a_place_that_the_map_does_not_have_the_robot_goes_towards_the_next():
@@ -106,6 +173,13 @@ def test_the_heading_is_put_right_at_a_place():
     assert expected.tolist() == pytest.approx([10.0 + south[0], south[1]], abs=1e-4)
 
 
+def test_one_way_that_is_seen_elsewhere_does_not_turn_the_heading():
+    after, _ = met(a_guide(), 9.0, (10.0, 0.0), place(WEST, EAST, SOUTH + math.radians(38)))
+    assert math.degrees(float(after.turned)) == pytest.approx(0, abs=1e-4)
+    after, _ = met(a_guide(), 9.0, (10.0, 0.0), place(*(way + math.radians(30) for way in T)))
+    assert math.degrees(float(after.turned)) == pytest.approx(-5)
+
+
 def test_nothing_happens_where_there_is_no_place():
     before = a_guide()
     after, _ = met(before, 9.0, (10.0, 0.0), place(*T), when=False)
@@ -113,22 +187,44 @@ def test_nothing_happens_where_there_is_no_place():
         np.testing.assert_array_equal(one, other)
 
 
-def on_the_way(guide, odometer_m, position=(5.0, 0.0), blocked=False):
-    return guides.on_the_way(guide, jnp.float32(odometer_m), jnp.array(position), jnp.bool_(blocked))
+FAR = np.full(surround.DIRECTIONS, 5.0)  # the way is free all round
+
+
+def on_the_way(guide, odometer_m, position=(5.0, 0.0), blocked=False, ways_m=FAR):
+    estimate = jnp.array([*position, 0.0])
+    robot = ROBOTS["wheeled"]
+    return steering.on_the_way(guide, jnp.float32(odometer_m), estimate, jnp.asarray(ways_m), jnp.bool_(blocked), robot)
 
 
 ONE = {"out": (SOUTH,), "ways": (T,), "leg": ((10.0, 0.0),), "length_m": (10.0,)}
 
 
-def test_a_route_ends_at_its_last_place_or_where_the_way_is_long_enough():
-    at_place, _ = met(a_guide(**ONE, tail_m=0.0), 9.0, (10.0, 0.0), place(*T))
-    assert bool(at_place.arrived)
-    near = [bool(on_the_way(a_guide(**ONE, tail_m=0.0), 8.5, (x, 0.0)).arrived) for x in (9.2, 9.4)]
-    assert near == [False, True]
-    on_link, _ = met(a_guide(**ONE, tail_m=5.0), 9.0, (10.0, 0.0), place(*T))
-    assert not bool(on_link.arrived)
-    ends = [bool(on_the_way(on_link, m).arrived) for m in (13.6, 13.8)]
-    assert ends == [False, True]
+@pytest.mark.parametrize("tail_m", [0.0, 5.0])
+def test_a_route_ends_where_the_map_has_its_end(tail_m):
+    """At the last place, or five metres south of it; the farther the robot has gone, the less near it need be."""
+    guide, y = a_guide(**ONE, tail_m=tail_m), -tail_m
+    if tail_m:
+        guide, _ = met(guide, 9.0, (10.0, 0.0), place(*T))
+        assert not bool(on_the_way(guide, 9.0, (10.0, 0.0)).arrived)
+    else:
+        guide = guide.replace(from_m=jnp.float32(-1.0))
+    gone_m = 9.0 + tail_m
+    assert [bool(on_the_way(guide, gone_m, (10.0 + x, y)).arrived) for x in (-0.5, -0.3)] == [False, True]
+    assert [bool(on_the_way(guide, gone_m + 2, (10.0 + x, y)).arrived) for x in (-0.9, -0.7)] == [False, True]
+    assert [bool(on_the_way(guide, gone_m + 9, (10.0 + x, y)).arrived) for x in (-0.9, -0.7)] == [False, True]
+
+
+def test_a_way_as_long_as_the_maps_that_has_led_elsewhere_is_no_end():
+    guide, _ = met(a_guide(**ONE, tail_m=5.0), 9.0, (10.0, 0.0), place(*T))
+    assert not bool(on_the_way(guide, 14.0, (13.0, -2.0)).arrived)
+
+
+def test_an_end_behind_a_wall_is_not_reached():
+    ways_m = np.where(np.abs(surround.DIRECTION) < 0.1, -0.2, 5.0)
+    found = [
+        bool(on_the_way(a_guide(**ONE, tail_m=0.0), 12.0, (9.4, 0.0), ways_m=ways).arrived) for ways in (FAR, ways_m)
+    ]
+    assert found == [True, False]
 
 
 def test_without_its_places_or_its_way_a_robot_is_lost():
@@ -143,7 +239,7 @@ def test_a_guide_of_a_route_has_its_divergences():
     world = load_world("course:obstacle=none")
     btm = world.course.topology
     route = jx.route(btm, "wheeled", 0, 5)
-    guide = following._guides(world, btm, [route], [0.6])
+    guide = following._guides(world, btm, [route], [(0.6, (0.0, 0.3))])
     assert guide.count.tolist() == [2]
     assert np.isfinite(guide.ways[0, :2]).sum(axis=1).tolist() == [3, 3]
     places = [node for node in route.nodes[1:] if btm.nodes[node].type == "divergence"][:2]
@@ -153,6 +249,8 @@ def test_a_guide_of_a_route_has_its_divergences():
     )
     assert guide.length_m[0, :2].sum() + guide.tail_m[0] == pytest.approx(route.length_m)
     assert guide.from_m[0] == pytest.approx(-0.6)
+    node = np.subtract((btm.nodes[0].x_m, btm.nodes[0].y_m), world.origin_m)
+    np.testing.assert_allclose(guide.from_xy[0], node + np.array([0.0, 0.3]), atol=1e-5)
 
 
 @pytest.mark.jit
@@ -254,3 +352,176 @@ def test_a_link_that_is_blocked_loses_what_maps_said_about_that(walled):
     assert found["conflicts"] == {"victim": told["victim"]}
     assert (found["blocked"], found["found_by"], found["note"]) == (True, "kamui", "x")
     assert ("blocked_for" in found) == (not walled)
+
+
+# Where it steers
+
+
+def steered(guide, at, *, ways_m=FAR, mode=RunMode.CENTRAL, latch=Latch.FREE, track=None, odometer_m=1.0, **more):
+    """What the robot does at x, y, heading in degrees: the guide, the `Drive`, the `Track`."""
+    x, y, heading = at
+    space = behaviour.no_free_space().replace(inside=jnp.bool_(more.get("inside", False)))
+    state = types.SimpleNamespace(odometer_m=jnp.float32(odometer_m), mode=jnp.int32(mode), space=space)
+    drive = behaviour.at_rest().replace(latch=jnp.int32(latch), out=jnp.float32(more.get("out", 0.0)))
+    nodes, looked = (jnp.array(more.get(name, [(99.0, 99.0)])) for name in ("nodes", "looked"))
+    pose = jnp.array([x, y, math.radians(heading)])
+    track = track or behaviour.no_track()
+    given = guide, drive, track, pose, jnp.asarray(ways_m), (nodes, looked)
+    return steering._steered(state, *given, Tuning(), ROBOTS["wheeled"])
+
+
+def bears(drive):
+    """The direction in which a robot steers, degrees."""
+    return math.degrees(float(drive.out)) % 360
+
+
+STRAY = {"strays": jnp.bool_(True), "at": jnp.int32(1), "from_xy": jnp.array([10.0, 0.0])}  # the next lies 6 m south
+
+
+def test_a_robot_astray_steers_for_the_next_place_by_the_free_way_nearest_to_it():
+    guide = a_guide().replace(**STRAY)
+    after, drive, _ = steered(guide, (8.0, -6.0, 90))  # two metres west of it, which it sees
+    assert (int(drive.latch), bool(after.steers)) == (Latch.LEAVE, True)
+    assert bears(drive) == pytest.approx(0, abs=1e-3)
+    np.testing.assert_allclose(drive.target, (9.0, -6.0), atol=1e-5)
+    shut = np.where(np.abs(surround.DIRECTION + math.pi / 2) < 0.4, 0.2, 5.0)  # to the right, where the place lies
+    _, drive, _ = steered(guide, (8.0, -6.0, 90), ways_m=shut)
+    assert bears(drive) == pytest.approx(25)  # the free one that is less of a turn
+
+
+def test_it_goes_on_steering_as_before_where_two_ways_are_as_good():
+    guide = a_guide().replace(**STRAY, steers=jnp.bool_(True))
+    shut = np.where(np.abs(surround.DIRECTION) < 1.0, 0.2, 5.0)
+    for out in (1.1, -1.1):
+        _, drive, _ = steered(guide, (8.0, -6.0, 0), ways_m=shut, latch=Latch.LEAVE, out=out)
+        assert math.copysign(1, math.sin(float(drive.out))) == math.copysign(1, out)
+
+
+def test_in_a_passage_that_leads_to_the_next_place_it_does_not_steer():
+    guide = a_guide().replace(**STRAY).replace(strays=jnp.bool_(False))
+    steers = [
+        bool(steered(guide, (10.0, y, 270), mode=mode)[0].steers)
+        for mode in (RunMode.CENTRAL, RunMode.WALL_FOLLOWING)
+        for y in (-1.0, -3.6)
+    ]
+    assert steers == [False, True, True, True]  # far in a passage; within sight; in a room
+
+
+def test_it_steers_no_farther_than_the_way_is_worth():
+    guide = a_guide().replace(**STRAY, from_m=jnp.float32(0.0))
+    assert [bool(steered(guide, (8.0, -6.0, 0), odometer_m=m)[0].steers) for m in (11.9, 12.1)] == [True, False]
+
+
+def believed(x, y):
+    return behaviour.Track(jnp.array([x, y]), jnp.float32(1), jnp.uint32(511), jnp.int32(9))
+
+
+def test_a_place_that_it_sees_comes_first_but_not_one_where_it_has_been():
+    guide = a_guide().replace(**STRAY)
+    for nodes, steers in (((99.0, 99.0), False), ((8.0, -4.0), True)):
+        after, *_ = steered(guide, (8.0, -6.0, 90), track=believed(8.0, -4.2), nodes=[nodes])
+        assert bool(after.steers) == steers
+
+
+def test_it_leaves_for_where_it_was_told_unless_it_sees_the_next_place_near():
+    guide = a_guide().replace(**STRAY).replace(strays=jnp.bool_(False))
+    steers = [bool(steered(guide, (10.0, y, 270), latch=Latch.LEAVE)[0].steers) for y in (-3.4, -3.6)]
+    assert steers == [False, True]
+
+
+@pytest.mark.parametrize(("inside", "latch"), [(False, Latch.APPROACH), (True, Latch.LEAVE)])
+def test_near_a_place_that_it_has_not_seen_it_goes_there_and_looks_round(inside, latch):
+    guide = a_guide().replace(**STRAY)
+    after, drive, track = steered(guide, (10.0, -5.7, 270), inside=inside)
+    assert int(drive.latch) == latch
+    # In free space, where no place is seen, it has been there.
+    assert int(after.at) == (2 if inside else 1)
+    if inside:
+        np.testing.assert_allclose(drive.target, (11.0, -6.0), atol=1e-5)
+        assert not bool(after.strays)
+    else:
+        np.testing.assert_allclose(track.centre, (10.0, -6.0), atol=1e-5)
+        assert bool(drive.known)
+        again, drive, _ = steered(guide, (10.0, -5.7, 270), looked=[(10.1, -6.1)])
+        assert int(drive.latch) == Latch.FREE
+        assert not bool(again.steers)
+
+
+# How it leaves a place
+
+
+def left(guide, found, points, ways=(WEST, EAST)):
+    """The link, its bearing in degrees, whether it is new, and the guide, at (10, 0.5)."""
+    map_, node = maps.add_node(maps.empty(4, 8), maps.DIVERGENCE, 10.0, 0.5)
+    for bearing in ways:
+        map_, _ = maps.add_link(map_, node, bearing)
+    event = types.SimpleNamespace(odometer_m=jnp.float32(9.0), centre=jnp.array([10.0, 0.5]))
+    given = map_, types.SimpleNamespace(guide=guide), event, node, found, jnp.bool_(True), points
+    after, written, link, bearing, onward = leaving.left_by(*given, jnp.int32(0), jnp.float32(0))
+    return int(link), math.degrees(float(bearing)) % 360, int(written.n_links) > len(ways), after, onward
+
+
+def walls(*points):
+    return jnp.array(points, float), jnp.ones(len(points), bool)
+
+
+def test_a_way_on_that_is_no_link_but_free_is_taken_from_where_it_is_free():
+    """South of the place a post stands in the middle; 0.4 m to the west of that the way is free."""
+    link, bearing, is_new, after, onward = left(a_guide(), place(WEST, EAST), walls((10.0, -1.0), (10.2, -1.0)))
+    assert (link, is_new, int(after.at), bool(onward.is_free)) == (2, True, 1, True)
+    assert bearing == pytest.approx(270)
+    np.testing.assert_allclose(onward.middle, (9.6, 0.0), atol=1e-5)
+    shut = walls(*((x, -1.0) for x in np.arange(9.0, 11.0, 0.2)))
+    link, _, is_new, after, onward = left(a_guide(), place(WEST, EAST), shut)
+    assert (is_new, int(after.at), bool(onward.is_free)) == (False, 0, False)
+    assert not bool(after.steers)
+
+
+def test_a_robot_that_only_finds_the_way_back_steers_for_what_comes_next():
+    """At its middle, ten metres east and half a metre north of the next place's; that lies behind the robot."""
+    shut = walls(*((x, -1.0) for x in np.arange(9.0, 11.0, 0.2)))
+    guide = a_guide(out=(NORTH, EAST), leg=((10.0, 0.5), (0.0, 1.0)), length_m=(10.0, 6.0))
+    walled = walls(*((x, 1.0) for x in np.arange(9.0, 11.0, 0.2)), *map(tuple, np.asarray(shut[0])))
+    for way, steers in ((WEST, False), (SOUTH, True)):
+        _, _, _, after, _ = left(guide, place(way), walled, ways=(way,))
+        assert (int(after.at), bool(after.steers), bool(after.lost)) == (1, steers, False)
+
+
+def test_a_strip_is_free_as_far_as_the_nearest_point_in_it():
+    points = walls((3.0, 0.2), (2.0, 0.4), (-1.0, 0.0))
+    found = [float(reach_m(points, jnp.zeros(2), jnp.float32(0), width)) for width in (0.3, 0.5, 1.0)]
+    assert found == [math.inf, 3.0, 2.0]
+
+
+def test_a_place_that_looks_like_none_is_not_passed_where_the_route_has_one():
+    for guide, centre, passes in ((None, 10.0, True), (a_guide(), 10.5, False), (a_guide(), 9.0, True)):
+        writer = types.SimpleNamespace(guide=guide)
+        assert bool(leaving.passes_by(writer, jnp.array([centre, 0.0]), jnp.bool_(True))) == passes
+
+
+def test_a_robot_starts_where_it_can_turn():
+    """A post is before it where it would start, 1.5 m along; one metre along it is free."""
+    occupied = np.ones((40, 80), bool)
+    occupied[1:-1, 1:-1] = False
+    nodes = Node(0, 1.0, 2.0, "divergence"), Node(1, 7.0, 2.0, "divergence")
+    btm = BtmMap(nodes, (Link(0, 0, 1, "searched", 0.0, 180.0, 6.0, 1.0),))
+    route = jx.route(btm, "wheeled", 0, 1)
+    begun = []
+    for post in (False, True):
+        occupied[20, 28] = post
+        world = World(occupied=occupied.copy(), cell_m=0.1)
+        begun.append(following.start_of(world, building_of(world), ROBOTS["wheeled"], btm, route)[1])
+    assert begun == [1.5, 1.0]
+
+
+def test_a_robot_starts_beside_a_link_that_the_map_has_in_a_wall():
+    occupied = np.ones((40, 80), bool)
+    occupied[10:30, 1:-1] = False
+    nodes = Node(0, 1.0, 1.1, "divergence"), Node(1, 7.0, 1.1, "divergence")
+    btm = BtmMap(nodes, (Link(0, 0, 1, "searched", 0.0, 180.0, 6.0, 1.0),))
+    world = World(occupied=occupied, cell_m=0.1)
+    pose, metres, beside = following.start_of(
+        world, building_of(world), ROBOTS["wheeled"], btm, jx.route(btm, "wheeled", 0, 1)
+    )
+    assert beside == pytest.approx((0.0, 0.3))
+    np.testing.assert_allclose(pose, (1.0 + metres, 1.4, 0.0), atol=1e-5)

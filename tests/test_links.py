@@ -10,9 +10,10 @@ import pytest
 from jexplore import btm
 from jexplore.driving import links, mapping, nodes
 from jexplore.driving.sensing.openings import Openings
-from jexplore.driving.settings import ROBOTS, Tuning
+from jexplore.driving.settings import ROBOTS, Tuning, for_world
 
 EAST, NORTH, WEST, SOUTH = (math.radians(a) for a in (0, 90, 180, 270))
+TUNING = for_world(Tuning(), is_course=True)
 
 
 def place(*bearings):
@@ -256,7 +257,7 @@ def test_a_goal_makes_no_place_a_known_one():
     here = jnp.array([x, y, heading])
     due = nodes.Event(jnp.int32(btm.TERMINAL), jnp.float32(110), here, here[:2], **measures)
     points = jnp.zeros((512, 2)), jnp.zeros(512, bool)
-    write = jax.jit(lambda writer, due: nodes.write(writer, due, points, Tuning(), ROBOTS["kamui"]))
+    write = jax.jit(lambda writer, due: nodes.write(writer, due, points, TUNING, ROBOTS["kamui"]))
     after = write(writer.replace(map=map_), due)[0]
     assert (int(after.node), int(after.map.n_nodes), int(after.dropped)) == (4, 5, 1)
     links_ = zip(after.map.start, after.map.end, after.map.status)

@@ -12,12 +12,12 @@ from jexplore.driving.building.walls import Walls, cast, meets
 from jexplore.driving.manoeuvre import BACK_M, GO_M, STOP_M, TRAIL, TRAIL_M
 from jexplore.driving.sensing import surround
 from jexplore.driving.sensing.surround import DIRECTION, DIRECTIONS, SECTORS, Surround
-from jexplore.driving.settings import ROBOTS, Tuning
+from jexplore.driving.settings import ROBOTS, Tuning, for_world
 from jexplore.driving.vehicle import ANGLES_RAD, DT_S, RANGE_M
 
 pytestmark = pytest.mark.jit
 
-TUNING, KAMUI = Tuning(), ROBOTS["kamui"]
+TUNING, KAMUI = for_world(Tuning(), is_course=True), ROBOTS["kamui"]
 INF = math.inf
 FREE = np.full(DIRECTIONS, INF)
 HERE = (0.0, 0.0, 0.0)

@@ -14,12 +14,12 @@ from jexplore.driving import links, mapping, nodes
 from jexplore.driving.behaviour import Latch
 from jexplore.driving.building.walls import cast, walls_of
 from jexplore.driving.nodes import SHIFT_SHARE, TURN_SHARE, Event
-from jexplore.driving.settings import ROBOTS, Tuning
+from jexplore.driving.settings import ROBOTS, Tuning, for_world
 from jexplore.tracemap import record
 from jexplore.tracemap.similarity import code
 
 pytestmark = pytest.mark.jit
-TUNING, KAMUI = Tuning(), ROBOTS["kamui"]
+TUNING, KAMUI = for_world(Tuning(), is_course=True), ROBOTS["kamui"]
 EAST, NORTH, WEST, SOUTH = (math.radians(angle) for angle in (0, 90, 180, -90))
 
 
@@ -838,7 +838,8 @@ def test_how_near_a_known_node_is_met_again():
     writer, *_ = write_node(t, event(FREE_SPACE, 9.5, (4.0, -6.0, 0.0)))
     for away, kind, radius, again in (
         (1.2, DIVERGENCE, 1.25, True), (1.3, DIVERGENCE, 1.25, False), (0.45, DIVERGENCE, 0.3, True),
-        (0.55, DIVERGENCE, 0.3, False), (0.1, FREE_SPACE, 0.0, False), (0.1, OBSTACLE, 0.0, False),
+        (0.55, DIVERGENCE, 0.3, False), (1.2, DIVERGENCE, 3.0, True), (2.0, DIVERGENCE, 3.0, False),
+        (0.1, FREE_SPACE, 0.0, False), (0.1, OBSTACLE, 0.0, False),
     ):  # fmt: skip
         after, _, _, shift = write_node(writer, event(kind, 16, (4.5, 0.0, 0.0), (3.75 + away, 0.0), radius=radius))
         assert int(after.map.n_nodes) == 3 + (not again)

@@ -17,7 +17,7 @@ from jexplore.driving.behaviour import RunMode
 from jexplore.driving.building.terrain import FINER
 from jexplore.driving.mission import Outcome
 from jexplore.driving.sensing import surround
-from jexplore.driving.settings import ROBOTS, Noise, Tuning
+from jexplore.driving.settings import ROBOTS, Noise, Tuning, for_world
 from jexplore.driving.vehicle import DT_S
 from jexplore.extraction.extract import extract
 from jexplore.studies.traces import job, tracing
@@ -27,7 +27,7 @@ from jexplore.worlds import load_world
 from jexplore.worlds.world import World
 
 STILL = Noise(attitude_deg=0, odometry=0, heading_deg_sqrt_m=0, slip=0, beacon_m=0)
-KAMUI, TUNING = ROBOTS["kamui"], Tuning()
+KAMUI, TUNING = ROBOTS["kamui"], for_world(Tuning(), is_course=True)
 
 
 def ran(plan):
@@ -212,12 +212,12 @@ def test_ends_by_name(course):
         (state, True, Outcome.GOAL),
         (full, False, Outcome.MAP_FULL),
         (done, False, Outcome.EXHAUSTED),
-        (state.replace(helps=Tuning().helps), False, Outcome.RUNNING),
-        (state.replace(since_node=Tuning().helps), False, Outcome.STUCK),
+        (state.replace(helps=TUNING.helps), False, Outcome.RUNNING),
+        (state.replace(since_node=TUNING.helps), False, Outcome.STUCK),
         (state.replace(blind=mission.BLIND_STEPS), False, Outcome.BLIND),
         (done, True, Outcome.GOAL),
     ]:
-        assert int(mission._end(at, at_end, Tuning()).outcome) == outcome
+        assert int(mission._end(at, at_end, TUNING).outcome) == outcome
 
 
 @pytest.mark.jit
@@ -413,6 +413,25 @@ def test_a_room_without_a_passage():
     found = ran(job.prepare_trace(box(), start=(1.0, 1.0, 0), noise=STILL, **AS_ON_COURSES))
     assert found.table["outcome"].tolist()[0] in ("STUCK", "EXHAUSTED")
     assert found.table["steps"][0] < 1000
+
+
+@pytest.mark.jit
+def test_a_room_with_four_gateways_is_a_place_with_four_links():
+    """8 m x 7 m, doors of 1 m off the middle of every wall, and a passage behind each: none is missed."""
+    world = box()
+    occupied = np.ones(world.shape, bool)
+    occupied[60:130, 60:140] = False
+    for rows, cols in (((20, 60), (80, 90)), ((130, 170), (105, 115)), ((80, 90), (20, 60)), ((100, 110), (140, 180))):
+        occupied[slice(*rows), slice(*cols)] = False
+    world = world.replace(occupied=occupied)
+    found = ran(job.prepare_trace(world, start=(8.5, 4.4, 90), noise=STILL, max_steps=6000, **AS_ON_COURSES))
+    assert found.table["outcome"].tolist() == ["EXHAUSTED"]
+    room = max(found.first.nodes, key=lambda node: len(found.first.bearings_deg(node.id)))
+    assert len(found.first.bearings_deg(room.id)) == 4
+    assert (room.type, room.x_m, room.y_m) == ("divergence", pytest.approx(10, abs=0.6), pytest.approx(9.5, abs=0.6))
+    assert found.table["junctions_reached"][0] == found.table["junctions"][0]
+    paper = job.prepare_trace(world, start=(8.5, 4.4, 90), tuning=Tuning(open_m=2.5, far_m=4.0))
+    assert "free_space" in {node.type for node in paper.truth.map.nodes}
 
 
 @pytest.mark.jit

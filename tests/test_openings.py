@@ -1,5 +1,6 @@
 """The ways out of a place: rings of points by hand, every kind of divergence, rooms with corners and doors."""
 
+import functools
 import itertools
 import math
 
@@ -12,17 +13,18 @@ from ref.passages import FEATURES, WIDTHS_M, building
 from jexplore.driving import vehicle
 from jexplore.driving.building import walls
 from jexplore.driving.sensing import openings, surround
-from jexplore.driving.settings import Tuning
+from jexplore.driving.settings import Tuning, for_world
 from jexplore.driving.vehicle import ANGLES_RAD, RANGE_M
 
 pytestmark = pytest.mark.jit
 
-TUNING = Tuning()
+TUNING = for_world(Tuning(), is_course=True)
 
 
 K = 8
 P = 1000
 find_openings = jax.jit(openings.openings, static_argnames="size")
+find_ways_out = jax.jit(openings.ways_out, static_argnames="size")
 
 
 def openings_of(xy, centre=(0, 0), radius_m=1.0, width_m=TUNING.width_m, size=K, circle=1.5):
@@ -274,15 +276,15 @@ def test_of_more_doors_than_fit_the_rest_is_counted():
 # ---------------------------------------------------------------- every divergence
 
 
-@jax.jit
-def look_round(walls_, poses, noise_m):
+@functools.partial(jax.jit, static_argnames="far_m")
+def look_round(walls_, poses, noise_m, far_m=4.0):
     """What lies round a robot at the last of some poses, in the world: `(points, which there are)`."""
 
     def looked(carry, at):
         around, before = carry
         pose, noise_m = at
         ahead, aside = vehicle.to_robot(before)(pose[:2])
-        around = surround.moved(around, ahead, aside, pose[2] - before[2])
+        around = surround.moved(around, ahead, aside, pose[2] - before[2], far_m=far_m)
         around = surround.seen(around, walls.cast(walls_, pose, ANGLES_RAD, RANGE_M) + noise_m)
         return (around, pose), 0
 
@@ -427,3 +429,54 @@ def test_the_only_wall_leaves_its_way_out():
             jnp.array([[1.0, 0.0]]), jnp.ones(1, bool), jnp.zeros(2), 1.0, 0.4, circle=1.5, size=8, seen_from=seen_from
         )
         assert int(found.valid.sum()) == 1
+
+
+# ---------------------------------------------------------------- wide rooms
+
+
+def drawn_room(rng):
+    """A room 4 to 9.6 m wide in a grid of decimetres, with doors 0.8 to 1.2 m wide to passages or corridors: the grid,
+    and the middles of the doors, metres, from that of the room.
+    """
+    w, wall = int(rng.integers(40, 97)), int(rng.integers(1, 5))
+    h = int(np.clip(w * rng.uniform(0.77, 1.3), 40, 96))
+    middles, doors = [], []
+    for side in rng.choice(4, size=rng.integers(1, 5), replace=False):
+        length, depth = (w, h) if side % 2 == 0 else (h, w)
+        door = int(rng.integers(8, 13))
+        at, is_corridor = int(rng.integers(3, length - door - 3)), bool(rng.integers(2))
+        doors.append((side, slice(at, at + door), is_corridor))
+        along, out = (at + door / 2 - length / 2) / 10, depth / 20
+        middles.append([(along, -out), (out, along), (along, out), (-out, along)][side])
+    occupied = np.ones((220, 220), bool)
+    occupied[60 : 60 + h, 60 : 60 + w] = False
+    for side, at, is_corridor in doors:
+        length, depth = (w, h) if side % 2 == 0 else (h, w)
+        view = occupied if side % 2 == 0 else occupied.T
+        door = slice(60 + at.start, 60 + at.stop)
+        beyond = slice(40, 80 + length) if is_corridor else door
+        far = 60 + depth if side in (1, 2) else 60
+        step = 1 if side in (1, 2) else -1
+        for rows, cols in ((range(wall), door), (range(wall, wall + (20 if is_corridor else 35)), beyond)):
+            for k in rows:
+                view[far + step * k - (step < 0), cols] = False
+    return occupied, np.array(middles), np.array([60 + w / 2, 60 + h / 2]) / 10
+
+
+def test_wide_rooms_have_the_openings_that_are_their_doors():
+    """Of sixty rooms, at 1 cm of range noise; where doors are not looked for wall by wall, 42, and 23 are missed."""
+    rng, right, missed = np.random.default_rng(21), 0, 0
+    for _ in range(60):
+        occupied, doors, middle = drawn_room(rng)
+        turn, noise_m = rng.uniform(-math.pi, math.pi), rng.normal(scale=0.01, size=(2, len(ANGLES_RAD)))
+        poses = np.array([(*middle, turn), (*middle, turn + math.pi)], np.float32)
+        room_walls = jax.tree.map(jnp.asarray, walls.walls_of(occupied, 0.1))
+        xy, known = look_round(room_walls, poses, noise_m.astype(np.float32), far_m=8.0)
+        radius_m = 0.05 + np.min(np.hypot(*(np.asarray(xy)[np.asarray(known)] - middle).T))
+        found = find_ways_out(xy, known, middle.astype(np.float32), np.float32(radius_m), 0.39, circle=1.5, size=K)
+        at = np.asarray(found.middle)[np.asarray(found.valid)]
+        near = np.hypot(*(at[:, None] - doors).transpose(2, 0, 1)) < 0.8 if len(at) else np.zeros((0, len(doors)), bool)
+        right += near.any(0).all() and near.any(1).all()
+        missed += int((~near.any(0)).sum())
+    assert right >= 50
+    assert missed <= 8

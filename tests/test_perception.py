@@ -1,5 +1,6 @@
 """What a robot makes of a scan: pencil scans, maps drawn by hand for every kind of divergence, height profiles."""
 
+import dataclasses
 import itertools
 import math
 
@@ -16,12 +17,12 @@ from jexplore.driving.events import SCAN_POINTS
 from jexplore.driving.events import triangles as look
 from jexplore.driving.sensing import ground_profile, obstacles, perception, surround
 from jexplore.driving.sensing.ground_profile import RISE_M
-from jexplore.driving.settings import ROBOTS, Tuning
+from jexplore.driving.settings import ROBOTS, Tuning, for_world
 from jexplore.driving.vehicle import ANGLES_RAD, BEAM_SPACING_RAD, BEAMS, RANGE_M
 
 pytestmark = pytest.mark.jit
 
-TUNING = Tuning()
+TUNING = for_world(Tuning(), is_course=True)
 KAMUI = ROBOTS["kamui"]
 TEN = math.radians(10)
 INF = math.inf
@@ -426,7 +427,7 @@ def test_a_hall_shows_nothing_but_a_larger_bound_of_free_space_does():
     place = building("w", 6.0)
     for x in (-5, -2, 0, 1):
         assert len(seen_from(place, x, 0.3)[0]) == 0
-    larger = Tuning(open_m=3.5)
+    larger = dataclasses.replace(TUNING, open_m=3.5)
     centres, radii = seen_from(place, -0.6, 0.0, tuning=larger)
     assert len(centres) >= 1
     np.testing.assert_allclose(centres[0], [0, 0], atol=0.15)
@@ -437,8 +438,8 @@ def test_circles_as_large_as_free_space_are_left_out():
     """A T 2 m wide has a circle of 1.25 m, and all its corners are within 1.1 m of the axis."""
     place = building("wns", 2.0)
     assert len(seen_from(place, -1.8, 0)[0]) >= 1
-    assert len(seen_from(place, -1.8, 0, tuning=Tuning(open_m=1.4))[0]) >= 1
-    assert len(seen_from(place, -1.8, 0, tuning=Tuning(open_m=1.1))[0]) == 0
+    assert len(seen_from(place, -1.8, 0, tuning=dataclasses.replace(TUNING, open_m=1.4))[0]) >= 1
+    assert len(seen_from(place, -1.8, 0, tuning=dataclasses.replace(TUNING, open_m=1.1))[0]) == 0
 
 
 @jax.jit
@@ -450,7 +451,7 @@ def driven_along(walls_, start, noise_m):
         around = surround.seen(around, walls.cast(walls_, pose, ANGLES_RAD, RANGE_M) + noise)
         found = look(*surround.points(around), jnp.float32(1), TUNING)
         n = jnp.sum(found.valid & (found.centre[:, 0] > -0.2))
-        return (surround.moved(around, 0.04, 0.0, 0.0), pose.at[0].add(0.04)), n
+        return (surround.moved(around, 0.04, 0.0, 0.0, far_m=4.0), pose.at[0].add(0.04)), n
 
     return jax.lax.scan(step, (surround.unknown(), start), noise_m)[1]
 
@@ -520,7 +521,9 @@ def test_dead_ends_show_from_1_41_reference_widths_on():
     place = building("w", 1.2)
     for wider, shows in ((0.85 * 1.41, False), (1.3 * 1.41, True)):
         for back in (0.9, 1.1, 1.3):
-            assert (len(seen_from(place, -back, 0, tuning=Tuning(width_m=1.2 / wider))[0]) > 0) == shows
+            assert (
+                len(seen_from(place, -back, 0, tuning=dataclasses.replace(TUNING, width_m=1.2 / wider))[0]) > 0
+            ) == shows
 
 
 def test_a_dead_end_needs_the_tolerance_of_obtuse_triangles():
@@ -532,7 +535,7 @@ def test_a_dead_end_needs_the_tolerance_of_obtuse_triangles():
         for back in rng.uniform(0.8, 2.2, 20):
             noise_m = rng.normal(scale=0.01, size=BEAMS).astype(np.float32)
             for tolerance, seen in shown.items():
-                tuning = Tuning(obtuse_tol_deg=tolerance)
+                tuning = dataclasses.replace(TUNING, obtuse_tol_deg=tolerance)
                 seen.append(len(seen_from(place, -back, 0, tuning=tuning, noise_m=noise_m)[0]) > 0)
     assert np.mean(shown[10.0]) >= 0.95
     assert 0.2 < np.mean(shown[0.0]) < 0.75

@@ -8,13 +8,13 @@ import sys
 import pytest
 
 from jexplore.config import InputError
-from jexplore.driving.settings import ROBOTS, Noise, Tuning, require_noise, require_robot, require_tuning
+from jexplore.driving.settings import ROBOTS, Noise, Tuning, for_world, require_noise, require_robot, require_tuning
 
 KAMUI = ROBOTS["kamui"]
 
 
 def of_tuning(**values):
-    require_tuning(dataclasses.replace(Tuning(), **values))
+    require_tuning(dataclasses.replace(for_world(Tuning(), is_course=True), **values))
 
 
 def of_noise(**values):
@@ -98,6 +98,17 @@ def test_bounds(name):
         assert "\n" not in message
 
 
+def test_what_0_stands_for_depends_on_the_world():
+    course, building = (for_world(Tuning(), is_course=is_course) for is_course in (True, False))
+    assert (course.open_m, course.far_m) == (2.5, 4.0)
+    assert (building.open_m, building.far_m) == (5.0, 8.0)
+    assert dataclasses.replace(course, open_m=0.0, far_m=0.0) == Tuning()
+    own = Tuning(open_m=3.0, votes=3)
+    for is_course in (True, False):
+        found = for_world(own, is_course=is_course)
+        assert (found.open_m, found.votes) == (3.0, 3)
+
+
 def test_messages_by_hand():
     for refuse, message in (
         (lambda: of_tuning(votes=10), "tuning.votes must be an integer from 1 to 9, got 10"),
@@ -125,7 +136,8 @@ def test_thresholds_that_contradict_each_other(low, high, more):
 
 
 def test_what_comes_with_the_package_passes():
-    require_tuning(Tuning())
+    for is_course in (True, False):
+        require_tuning(for_world(Tuning(), is_course=is_course))
     require_noise(Noise())
     for name, robot in ROBOTS.items():
         require_robot(robot)

@@ -14,7 +14,6 @@ from jexplore.driving.sensing.surround import (
     DIRECTION,
     DIRECTIONS,
     MARGIN_M,
-    MEMORY_M,
     SECTORS,
     Surround,
 )
@@ -97,7 +96,7 @@ def test_the_way_is_that_of_the_old_frame():
 
 @pytest.mark.parametrize(("ahead_m", "is_kept"), [(-0.49, True), (-0.51, False)])
 def test_a_point_is_forgotten_beyond_the_memory(ahead_m, is_kept):
-    assert len(known_of(surround.moved(of((MEMORY_M - 0.5, 0)), ahead_m, 0.0, 0.3))) == is_kept
+    assert len(known_of(surround.moved(of((4.0, 0)), ahead_m, 0.0, 0.3, far_m=4.0))) == is_kept
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -106,8 +105,8 @@ def test_a_motion_is_rigid(seed):
     xy = drawn(rng, 0.2, 6.0)
     ahead, aside, turn = rng.uniform(-1, 1, 3) * (0.5, 0.5, math.pi)
     z = (xy @ (1, 1j) - (ahead + 1j * aside)) * np.exp(-1j * turn)
-    z = z[np.abs(z) < MEMORY_M]
-    found = known_of(surround.moved(of(*xy), ahead, aside, turn)) @ (1, 1j)
+    z = z[np.abs(z) < 4.5]
+    found = known_of(surround.moved(of(*xy), ahead, aside, turn, far_m=4.0)) @ (1, 1j)
     assert len(found) == len(z) < len(xy)
     np.testing.assert_allclose(found, z, atol=1e-5)
 

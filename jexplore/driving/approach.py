@@ -32,7 +32,6 @@ SAME_PLACE_M, SAME_PLACE = 0.4, 0.4  # a place is the one that was meant within 
 LARGER = 1.15  # a place is better if its circle is larger by this
 AS_LARGE = 0.1  # of a node's radius: a circle that differs from it by less is as large
 OUT_RAD = math.radians(60)  # a link has been taken when the robot's heading is so near to its direction
-LATCH_STEPS = 200  # a target that is not reached in so many steps is given up
 STUCK_STEPS = 150  # without going on or finding a node: the operator helps
 STUCK_M = 0.3
 STRAY_STEPS, STRAY_M = 600, 3.0  # likewise where it has driven up and down for so long within so far of one place
@@ -81,10 +80,10 @@ def latched(
     begins = behaviour.is_believed(track, tuning.votes) & (drive.latch == Latch.FREE) & ~ahead.space.inside
     following = (drive.latch == Latch.APPROACH) | begins
     target = jnp.where(following, track.centre, drive.target)
-    distance = jnp.hypot(*(target - state.estimate[:2]))
+    distance = _away_m(state, target)
     near = distance < tuning.arrive_m
     lost = (drive.latch == Latch.APPROACH) & (track.age == 0) & ((distance > track.radius + LOST_M) | ahead.leans)
-    late = drive.since > LATCH_STEPS
+    late = (drive.latch != Latch.FREE) & (drive.since > behaviour.LATCH_STEPS)
     shut = (state.mode == RunMode.DEAD_END) | (state.mode == RunMode.CONTACT_GUARD) | state.manoeuvre.backing
     surveys = (drive.latch == Latch.FREE) & ~begins & shut & (state.odometer_m - drive.looked_m > SURVEY_M)
     looks, none = drive.latch == Latch.LOOK, (jnp.float32(0), jnp.float32(0))
@@ -107,18 +106,23 @@ def latched(
     latch = jnp.where(turned, Latch.LEAVE, jnp.where(has_left | lost | too_late, Latch.FREE, latch))
     from_ = jnp.where(turned, state.estimate[:2], track.centre)
     onward = from_ + tuning.leave_m * jnp.stack([jnp.cos(drive.out), jnp.sin(drive.out)])
+    target = jnp.where(ends & look.goes_on, look.track.centre, jnp.where(none | turned, onward, target))
     after = drive.replace(
         latch=latch.astype(jnp.int32),
-        target=jnp.where(ends & look.goes_on, look.track.centre, jnp.where(none | turned, onward, target)),
+        target=target,
         out=jnp.where(begins, state.estimate[2], drive.out),
         known=jnp.where(ends, look.back, drive.known & ~begins),
-        since=jnp.where((latch == drive.latch) & (latch != Latch.FREE), drive.since + 1, 0),
+        since=jnp.where(latch == drive.latch, drive.since + 1, behaviour.begun(_away_m(state, target), tuning)),
         surveys=drive.surveys + (ends & look.goes_on),
         looked_m=jnp.where(ends, state.odometer_m, drive.looked_m),
     )
     gives_up = too_late | none
     left = jax.tree.map(lambda fresh, old: jnp.where(gives_up, fresh, old), behaviour.no_track(), look.track)
     return Latched(after, left, begins, arrives, gives_up)
+
+
+def _away_m(state, place):
+    return jnp.hypot(*(place - state.estimate[:2]))
 
 
 def _look_ends(state, track, ends, around, ways_m, placed, tuning, robot):
@@ -136,7 +140,9 @@ def _look_ends(state, track, ends, around, ways_m, placed, tuning, robot):
     # A place in the circle of a node is that node, if it is not the one just left: it is looked at from its middle.
     back = ends & ~better & had & there_is & ~drive.known & may_go
     back &= (node != state.writer.node) | has_left(state.writer, state.odometer_m, tuning.leave_m)
-    back &= (jnp.hypot(*(middle - track.centre)) > tuning.arrive_m) & (off_m < jnp.maximum(track.radius, 0.5))
+    back &= (jnp.hypot(*(middle - track.centre)) > tuning.arrive_m) & (
+        off_m < jnp.maximum(jnp.minimum(track.radius, in_map[1]), 0.5)
+    )
     kept = track.replace(centre=jnp.where(back, middle, track.centre))
     chosen = jax.tree.map(lambda new, old: jnp.where(ends & better, new, old), other, kept)
     return _Look(ends, chosen, better | back, back, had & (there_is | drive.known))

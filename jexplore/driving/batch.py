@@ -17,7 +17,7 @@ from jexplore.config import InputError
 from jexplore.driving import vehicle
 from jexplore.driving.building.terrain import terrain_of
 from jexplore.driving.building.walls import walls_of
-from jexplore.driving.guide import Guide
+from jexplore.driving.guiding.guide import Guide
 from jexplore.driving.mission import SIZE, Outcome, Result, Setup, program_of
 from jexplore.driving.settings import Noise, Robot, Tuning
 from jexplore.driving.vehicle import Building

@@ -15,6 +15,7 @@ from jax import Array, lax
 from jexplore.driving import manoeuvre
 from jexplore.driving.sensing import perception, surround
 from jexplore.driving.settings import Robot, Tuning
+from jexplore.driving.vehicle import DT_S
 
 WINDOW = 9  # scans that vote
 DOUBT = 2  # votes up to which another triangle takes the place of one that a scan does not show
@@ -23,6 +24,10 @@ HYSTERESIS_M = 0.3  # a free space ends where both sides have a wall this much n
 GUARD_M = 0.1  # a wall this near to the robot's front stops it, if there is no way past it
 ROOM_M = 0.1  # a wall is followed at so much more than it takes to turn in place
 GETS_PAST = 1.75, manoeuvre.GO_M  # bearing, radians, within which a way so long, metres, leads past it
+LATCH_STEPS = 200  # a target that is not reached in so many steps is given up
+SLOWER = 1.5  # or in so many times those that it takes at full speed, if these are more
+WIDE_M = 2.0  # radius of a place from which on it is left by way of a point before the opening
+BEFORE_M, BESIDE_M = 0.6, 0.25  # so far before it, unless the robot is no farther beside the opening's axis
 GETS_ON = 1.0, 0.8  # likewise past what seems to close a passage
 
 
@@ -206,10 +211,11 @@ class Drive:
 
     latch: Array  # int32, `Latch`
     target: Array  # [2] float32, of the latch, metres, in the odometry's frame
-    since: Array  # int32, steps of the latch
+    since: Array  # int32, steps of the latch; begins below 0 where the target is far away
     out: Array  # float32, radians, direction of the link that is taken
     looked: Array  # float32, radians turned while looking round
     looked_m: Array  # float32, odometer when the robot last did
+    aside: Array  # bool, a wide place is left by an opening that is seen from the side
     known: Array  # bool, the place that is approached is a node, met again
     surveys: Array  # int32, places that it has gone to since the last node, each better than the one before
     turning: Array  # int32, side to which a dead end turns the robot: 1 left, -1 right, 0 none
@@ -227,6 +233,7 @@ def at_rest() -> Drive:
         out=jnp.float32(0),
         looked=jnp.float32(0),
         looked_m=jnp.float32(-jnp.inf),
+        aside=jnp.bool_(False),
         known=jnp.bool_(False),
         surveys=jnp.int32(0),
         turning=jnp.int32(0),
@@ -302,4 +309,34 @@ def target_of(
     cos, sin = jnp.cos(along), jnp.sin(along)
     middle = jnp.stack([tuning.ahead_m * cos + off_m * sin, tuning.ahead_m * sin - off_m * cos])
     ahead = jnp.where((mode == RunMode.WALL_FOLLOWING) | (open_left ^ open_right), wall, middle)
-    return jnp.where(mode == RunMode.BRANCH_SELECTION, to_robot(drive.target), ahead)
+    return jnp.where(mode == RunMode.BRANCH_SELECTION, _selected(drive, to_robot, tuning), ahead)
+
+
+def begun(away_m: Array, tuning: Tuning) -> Array:
+    """What `Drive.since` begins with for a target so far away, metres: int32."""
+    steps = SLOWER * away_m / (tuning.speed_m_s * DT_S)
+    return jnp.minimum(LATCH_STEPS - steps, 0).astype(jnp.int32)
+
+
+def is_aside(target: Array, out: Array, radius_m: Array) -> Array:
+    """Whether a target beyond an opening of a place is seen from the side from its middle, and the place is wide: bool.
+
+    Args:
+      target: `[2]` float32, from the middle, metres.
+      out: float32, radians, direction of the passage there.
+      radius_m: float32, of the place.
+    """
+    beside_m = target[1] * jnp.cos(out) - target[0] * jnp.sin(out)
+    return (radius_m > WIDE_M) & (jnp.abs(beside_m) > BESIDE_M)
+
+
+def _selected(drive, to_robot, tuning):
+    """Target point of branch selection, robot's frame: on the way to one beyond an opening that it sees from the side,
+    the robot comes before it first, so that it does not meet the jamb.
+    """
+    target = to_robot(drive.target)
+    axis = to_robot(drive.target + jnp.stack([jnp.cos(drive.out), jnp.sin(drive.out)])) - target
+    before_m, beside_m = target @ axis, target[1] * axis[0] - target[0] * axis[1]
+    via_m = tuning.leave_m + BEFORE_M
+    first = drive.aside & (drive.latch == Latch.LEAVE) & (jnp.abs(beside_m) > BESIDE_M) & (before_m > via_m)
+    return jnp.where(first, target - via_m * axis, target)

@@ -121,11 +121,11 @@ def look_ahead(
         state.space, left_m, right_m, state.odometer_m, tuning.open_m, is_free & ~is_blind, walls.roomy
     )
     border_m, missed = behaviour.border_ahead(writer.border_m, space.since_m, enters, leaves, walls.region)
-    even_m = mapping.EVEN_LENGTHS * robot.length_m
     level, changed, crease_m, steepest = mapping.watch_level(
-        writer.level, lean, lean_m, jnp.radians(tuning.inclination_deg), even_m
+        writer.level, lean, lean_m, jnp.radians(tuning.inclination_deg), mapping.EVEN_LENGTHS * robot.length_m
     )
-    blocked = jnp.where(stops & (is_free | state.halts), state.blocked + 1, 0)
+    heeds = is_free if writer.guide is None else is_free | writer.guide.steers
+    blocked = jnp.where(stops & (heeds | state.halts), state.blocked + 1, 0)
     # What it saw as it tipped over the last step is off.
     ground = jnp.where(posture < LEVEL_RAD, ground_x, jnp.inf), ground_z
     lone_step, is_lone, after = _lone_step(state, writer, ground, tips, level, changed, crease_m, blocked, robot)

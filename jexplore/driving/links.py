@@ -12,7 +12,7 @@ from jexplore.arrays.loops import run_if
 from jexplore.btm import Btm
 from jexplore.driving.mapping import Writer
 from jexplore.driving.sensing.openings import Openings
-from jexplore.driving.vehicle import to_odometry
+from jexplore.driving.vehicle import to_odometry, to_robot
 
 ALIKE_RAD = math.radians(40)  # a link and an opening that lie no farther apart are one
 DRIFT = 0.025, 2.5  # of the way, metres at most: how far off a known place may seem
@@ -74,6 +74,18 @@ def toward(map_: Btm, node: Array, bearing: Array) -> tuple[Array, Array, Array]
     off = jnp.where(ends, jnp.abs(btm.wrapped(bearings - bearing)), jnp.inf)
     best = jnp.argmin(off)
     return (best % n).astype(jnp.int32), bearings[best], off[best]
+
+
+def reach_m(points: tuple[Array, Array], place: Array, bearing: Array, width_m: Array | float) -> Array:
+    """How far a strip is free from a place in a direction: metres; inf: all the way.
+
+    Args:
+      points: `[P, 2]` float32, odometry; `[P]` bool, whether there is one.
+      place, bearing: `[2]` float32, odometry; radians.
+      width_m: of the strip.
+    """
+    x, y = to_robot(jnp.append(place, bearing))(points[0]).T
+    return jnp.min(jnp.where(points[1] & (jnp.abs(y) < width_m / 2) & (x > 0), x, jnp.inf))
 
 
 def ends_at(map_: Btm, node: Array) -> tuple[Array, Array]:

@@ -17,7 +17,7 @@ from jexplore import btm
 from jexplore.arrays.loops import run_if
 from jexplore.btm import Btm
 from jexplore.driving.behaviour import Latch, RunMode
-from jexplore.driving.guide import Guide
+from jexplore.driving.guiding.guide import Guide
 from jexplore.driving.sensing import ground_profile, lone_steps, steadying
 from jexplore.driving.sensing.lone_steps import LoneStep
 from jexplore.driving.settings import Robot

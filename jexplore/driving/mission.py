@@ -20,7 +20,8 @@ from jexplore.btm import Btm
 from jexplore.driving import approach, behaviour, manoeuvre, mapping, nodes
 from jexplore.driving.behaviour import Drive, FreeSpace, Latch, Track
 from jexplore.driving.events import GOAL_M, due, look_ahead, walls_of_scan
-from jexplore.driving.guide import Guide, on_the_way
+from jexplore.driving.guiding.guide import Guide
+from jexplore.driving.guiding.steering import guided
 from jexplore.driving.manoeuvre import Manoeuvre
 from jexplore.driving.mapping import Writer
 from jexplore.driving.sensing import matching, steadying, surround
@@ -212,7 +213,7 @@ def step(draws: Draws, building: Building, robot: Robot, tuning: Tuning, noise: 
     walls = walls_of_scan(senses.ranges_m, tuning, robot)
     lean = mapping.lean(senses.pitch, senses.roll, state.odometry[2])
     key, odometry, estimate = matching.put_right(state.key, state.odometry, state.estimate, senses.ranges_m, lean)
-    around = surround.moved(state.around, *matching.between(state.scanned, odometry))
+    around = surround.moved(state.around, *matching.between(state.scanned, odometry), far_m=tuning.far_m)
     around = surround.seen(around, jnp.where(is_ground, jnp.inf, senses.ranges_m))
     ways_m = surround.ways(around, robot)
     state = state.replace(key=key, odometry=odometry, estimate=estimate, around=around, scanned=odometry)
@@ -227,7 +228,7 @@ def step(draws: Draws, building: Building, robot: Robot, tuning: Tuning, noise: 
     points = placed(xy), known
     writer, drive, track, estimate = nodes.made(state, writer, drive, ahead.track, event, points, tuning, robot)
     if writer.guide is not None:
-        writer = writer.replace(guide=on_the_way(writer.guide, state.odometer_m, estimate[:2], event.blocked))
+        writer, drive, track = guided(state, writer, drive, track, estimate, ways_m, event.blocked, tuning, robot)
     mode, drive, target, getting, speed = _driven(state, drive, ahead, walls, around, ways_m, estimate, tuning, robot)
     after = _moved(draws, building, robot, noise, state, estimate, senses, speed)
     turn = after.odometry[2] - looked_from
@@ -293,7 +294,6 @@ def _moved(draws, building, robot, noise, state, estimate, senses, speed):
     """The state once the robot has moved: its body and its odometry."""
     body, gone_to, gone_m = move(draws, building, robot, noise, state.body, estimate, senses, speed[0], speed[1])
     step_m, turn = to_robot(estimate)(gone_to[:2]), gone_to[2] - estimate[2]
-    off2 = jnp.sum((building.marks[:, :2] - body.pose[:2]) ** 2, axis=1)
     return state.replace(
         odometry=jnp.append(to_odometry(state.odometry)(step_m), state.odometry[2] + turn),
         touched=body.contacts > state.body.contacts,
@@ -302,7 +302,7 @@ def _moved(draws, building, robot, noise, state, estimate, senses, speed):
         odometer_m=state.odometer_m + gone_m,
         halts=body.refused > state.body.refused,
         truth=state.truth.at[state.step].set(state.body.pose, mode="drop"),
-        met=state.met | (off2 < building.marks[:, 2] ** 2),
+        met=state.met | (jnp.sum((building.marks[:, :2] - body.pose[:2]) ** 2, axis=1) < building.marks[:, 2] ** 2),
     )
 
 

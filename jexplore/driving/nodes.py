@@ -12,12 +12,13 @@ from jax import Array
 from jexplore import btm
 from jexplore.arrays.loops import run_if
 from jexplore.btm import Btm
-from jexplore.driving import behaviour, guide, links
+from jexplore.driving import behaviour, links
 from jexplore.driving.behaviour import Drive, Latch, Track
+from jexplore.driving.guiding import leaving
 from jexplore.driving.mapping import Writer, along, came_from, came_through, has_left, moved
 from jexplore.driving.sensing import obstacles, openings
 from jexplore.driving.settings import Robot, Tuning
-from jexplore.driving.vehicle import to_odometry, to_robot
+from jexplore.driving.vehicle import to_odometry
 
 OPENINGS = 8  # of a divergence
 DOOR_BEFORE_M = 3.0  # a door that was passed so far before another opening is the way in
@@ -65,7 +66,9 @@ def _arrive(writer, event, found, back, tuning, is_divergence, is_terminal):
     """The node that is due: one that is known, or a new one."""
     is_obstacle = event.kind == btm.OBSTACLE
     near, distance = btm.nearest_node(writer.map, event.centre[0], event.centre[1], event.kind)
-    reach = jnp.where(is_divergence, jnp.maximum(0.5, event.radius), SAME_NODE_M)
+    # A place is in the circle of a node, and the node in that of the place.
+    smaller = jnp.minimum(event.radius, writer.map.radius_m[jnp.maximum(near, 0)])
+    reach = jnp.where(is_divergence, jnp.maximum(0.5, smaller), SAME_NODE_M)
     may_be_last = is_divergence & has_left(writer, event.odometer_m, tuning.leave_m)
     again = (distance < reach) & ((near != writer.node) | may_be_last) & ~is_terminal
     alike, is_alike = links.recognised(
@@ -192,38 +195,48 @@ def write(
     map_ = _add_openings(map_, event, at.node, found, others, is_divergence & ~at.again)
     goes_on = ~is_divergence & ~is_terminal & ~at.again
     map_, new = btm.add_link(map_, at.node, event.pose[2], when=goes_on, blocked=event.blocked)
-    onward = jnp.where(goes_on, new, links.other_link(map_, at.node, link))
     passes, which = _is_passed(writer, event, found, others, back, at, is_divergence, points, tuning)
     after, map_, onto, bearing = links.where_to(writer, map_, at.node, back)
     through = ~is_divergence & ~event.blocked & ~event.returns
-    ways = jnp.where(through, onward, onto), bearing
-    guided, onto, bearing = _guided(map_, writer, event, at, found, is_divergence & ~passes, *ways)
-    ways = tuning.leave_m * _heading(bearing), bearing
-    ways = _either_of(is_divergence, _through(event, found, bearing, turn, tuning.leave_m), ways)
+    onto = jnp.where(through, jnp.where(goes_on, new, links.other_link(map_, at.node, link)), onto)
+    left = leaving.left_by(map_, writer, event, at.node, found, is_divergence & ~passes, points, onto, bearing)
+    ways = _way_out(event, found, left, turn, tuning.leave_m, is_divergence)
     ways = to_odometry(jnp.stack([0.0, 0.0, applied - turn]))(ways[0]), ways[1] + applied - turn
     target, out = _either_of(passes, _past(event, found, which, others, back, points, tuning), ways)
-    taken = jnp.where(onto == btm.NONE, size, onto)
+    taken = jnp.where(left.link == btm.NONE, size, left.link)
     written = after.replace(
-        map=map_,
+        map=left.map,
         node=at.node,
         node_m=event.odometer_m,
         link=taken,
-        left_bearing=jnp.where(through, event.pose[2], bearing),
+        left_bearing=jnp.where(through, event.pose[2], left.bearing),
         border_m=_border_left(writer, event),
         tries=after.tries.at[taken].add(1, mode="drop"),
         exhausted=~is_terminal & (taken == size),
         doubts=links.doubts_of(writer, event.centre, event.odometer_m, found, is_divergence & ~at.again & at.fits),
         origin=jnp.stack([*(event.centre + at.shift), jnp.nan_to_num(turned) - applied]),
-        guide=guided,
+        guide=left.guide,
     )
     correction = jnp.where(passes, 0.0, jnp.stack([*at.shift, applied]))
+    passing = before.replace(passed=jnp.stack([*event.centre, event.radius, event.odometer_m]))
     return (
-        _either_of(passes, _passing(before, event), _either_of(at.fits, written, _full(writer))),
+        _either_of(passes, passing, _either_of(at.fits, written, _full(writer))),
         jnp.where((~through & (taken < size)) | passes, Latch.LEAVE, Latch.FREE).astype(jnp.int32),
         event.centre + correction[:2] + target,
         out,
         correction,
     )
+
+
+def _way_out(event, found, left, turn, leave_m, is_divergence):
+    """From the centre to a point on the link that is taken: `[2]`; and its direction there, radians."""
+    bearing = left.bearing
+    ways = leave_m * _heading(bearing), bearing
+    ways = _either_of(is_divergence, _through(event, found, bearing, turn, leave_m), ways)
+    if left.onward is None:
+        return ways
+    beyond = left.onward.middle - event.centre + (event.radius + leave_m) * _heading(bearing)
+    return _either_of(left.onward.is_free, (beyond, bearing), ways)
 
 
 def _turns(writer, event, at, found, tuning):
@@ -272,10 +285,11 @@ def made(
         drive = drive.replace(
             latch=jnp.where(latches, latch, drive.latch),
             target=jnp.where(latches, target, drive.target),
-            since=jnp.where(latches, 0, drive.since),
+            since=jnp.where(latches, behaviour.begun(jnp.hypot(*(target - estimate[:2])), tuning), drive.since),
             surveys=jnp.int32(0),
             known=jnp.bool_(False),
             out=jnp.where(latches, out, drive.out),
+            aside=jnp.where(latches, behaviour.is_aside(target - event.centre, out, event.radius), drive.aside),
         )
         track = jax.tree.map(lambda none, old: jnp.where(latches, none, old), behaviour.no_track(), track)
         return whole.map, {name: getattr(whole, name) for name in rest}, drive, track, estimate
@@ -311,21 +325,6 @@ def _is_behind(found):
     return found.middle[:, 0] * jnp.cos(found.across) + found.middle[:, 1] * jnp.sin(found.across) < 0
 
 
-def _passing(writer, event):
-    return writer.replace(passed=jnp.stack([*event.centre, event.radius, event.odometer_m]))
-
-
-def _guided(map_, writer, event, at, found, is_place, onto, bearing):
-    """Where a robot that follows a route goes on instead: `(guide, link, bearing)`. No link leads there: it is lost."""
-    if writer.guide is None:
-        return None, onto, bearing
-    guided, wanted = guide.at_place(writer.guide, event.odometer_m, event.centre, found, is_place)
-    link, out, off = links.toward(map_, at.node, wanted)
-    is_lost = is_place & (off > guide.BACK_RAD) & ~guided.arrived
-    guided = guided.replace(lost=guided.lost | is_lost)
-    return guided, jnp.where(is_place, link, onto), jnp.where(is_place, out, bearing)
-
-
 def _is_passed(writer, event, found, others, back, at, is_divergence, points, tuning):
     """Whether a place is none, and which of its openings the robot takes: `(passes, which)`.
 
@@ -337,16 +336,12 @@ def _is_passed(writer, event, found, others, back, at, is_divergence, points, tu
     straight = jnp.abs(btm.wrapped(found.bearing[other] - back)) > math.pi - IN_LINE_RAD
     followed, to = links.leads_to(writer)
     in_line = (jnp.sum(others) == 1) & straight & ~(at.again & followed & (at.near == to))
-    in_line &= (n == 2) | ((n == 1) & (_reach_m(points, event, back) > tuning.circle * event.radius))
+    free_m = links.reach_m(points, event.centre, back, event.radius)
+    in_line &= (n == 2) | ((n == 1) & (free_m > tuning.circle * event.radius))
     wide = (found.width_m > CORNER * 2 * event.radius) | _is_behind(found)
     corner = (n == 1) & jnp.any(found.valid & wide) & ~at.again
-    return is_divergence & (in_line | corner), jnp.where(corner, jnp.argmax(found.valid), other)
-
-
-def _reach_m(points, event, bearing):
-    """How far a strip as wide as a place's circle is free from its centre in a direction: metres; inf: all the way."""
-    x, y = to_robot(jnp.append(event.centre, bearing))(points[0]).T
-    return jnp.min(jnp.where(points[1] & (jnp.abs(y) < event.radius / 2) & (x > 0), x, jnp.inf))
+    passes = leaving.passes_by(writer, event.centre, is_divergence & (in_line | corner))
+    return passes, jnp.where(corner, jnp.argmax(found.valid), other)
 
 
 def _through(event, found, bearing, turn, leave_m):
@@ -369,7 +364,7 @@ def _past(event, found, which, others, back, points, tuning):
     """
     leave_m, on_m, ahead = tuning.leave_m, event.radius + tuning.leave_m, back + math.pi
     far = jnp.any(others) & (jnp.hypot(*found.middle[which]) > tuning.circle * event.radius)
-    far &= _reach_m(points, event, ahead) > on_m + leave_m
+    far &= links.reach_m(points, event.centre, ahead, event.radius) > on_m + leave_m
     return _either_of(far, (on_m * _heading(ahead), ahead), _through(event, found, found.bearing[which], 0.0, leave_m))
 
 

@@ -77,16 +77,17 @@ class Tuning:
     width_m: float = 0.39
     """What is narrower than this reference width [W], in metres, is no opening, and no side of a triangle. The default
     is that of the narrowest robot, so that every robot makes the same map."""
-    far_m: float = 4.0
+    far_m: float = 0.0
     """Points farther away than this [D2], in metres, are left out of the triangles; less where the beams are too far
-    apart on the walls."""
+    apart on the walls. 0: 4 on courses, 8 in other worlds."""
     ahead_m: float = 1.0
     """The target point and the middle of the region that is watched lie this far ahead [L], in metres."""
     region_m: float = 2.4
     """The region that is watched for walls (the gray one) is this long, in metres: more than the widest side
     passage."""
-    open_m: float = 2.5
-    """A side without a wall within this [C1], in metres, is free space."""
+    open_m: float = 0.0
+    """A side without a wall within this [C1], in metres, is free space. 0: 2.5 on courses, whose hall is free space, 5
+    in other worlds, whose rooms are places where ways part."""
     dead_end_m: float = 0.39
     """The way ahead is closed if both walls together are no farther than this [C2], in metres."""
     arrive_m: float = 0.3
@@ -119,10 +120,25 @@ class Tuning:
     """The robot turns at this rate for each radian of bearing of the target point [kw], in 1/s."""
 
 
+BY_WORLD = {"open_m": (2.5, 5.0), "far_m": (4.0, 8.0)}
+"""Thresholds whose 0 stands for another number -> that on courses, and in other worlds."""
 SEES_M = 4.0
 """The scanner that looks ahead must see level ground no nearer than this, metres."""
 WHOLE = {"votes": 9, "helps": 100}
 """Thresholds that are whole numbers -> their largest value."""
+
+
+def for_world(tuning: Tuning, *, is_course: bool) -> Tuning:
+    """Thresholds with the numbers for which 0 stands.
+
+    Args:
+      tuning: `Tuning` of numbers; anything else is returned as it is.
+      is_course: whether the world is a course, with the paper's hall; else a building with rooms.
+    """
+    if not isinstance(tuning, Tuning):
+        return tuning
+    own = {name: found[0 if is_course else 1] for name, found in BY_WORLD.items() if getattr(tuning, name) == 0}
+    return dataclasses.replace(tuning, **own)
 
 
 def require_tuning(tuning: Tuning) -> None:

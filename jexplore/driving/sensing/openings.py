@@ -7,6 +7,7 @@ import jax.numpy as jnp
 from flax import struct
 from jax import Array
 
+from jexplore.arrays.loops import run_if
 from jexplore.btm import wrapped
 from jexplore.driving.sensing.perception import running_sum
 
@@ -28,6 +29,10 @@ AHEAD = 0.6  # radii from the centre from which on they are
 WIDER = 1.5  # search circles, in which doors that lie partly outside one are looked for
 OTHER_M = 0.5  # from the middle of every other opening
 ALIKE_M = 0.02  # connections of the walls beside a gap that are longer by this count for less
+WIDE_M = 2.0  # radius of a place from which on doors are looked for wall by wall
+JAMB = 60  # directions in which a door's other jamb is looked for
+MOST_DOOR_M = 1.5  # such a door is no wider
+BEHIND_RAD = math.radians(12)  # what bears no farther from a door, and lies beyond it, is behind it
 PASSAGE_RAD = math.radians(30)  # a link bears as its passage does if that differs no more from where it is seen
 APART_RAD = math.radians(40)  # and no other opening bears so nearly alike
 
@@ -242,7 +247,70 @@ def ways_out(xy: Array, valid: Array, centre: Array, radius_m: Array | float, wi
     alike = found.valid & (jnp.abs(wrapped(more.across[:, None] - found.across)) < APART_RAD)
     extra = more.valid & inside & (more.width_m <= DOOR_M) & (jnp.min(off, axis=1) > OTHER_M) & ~jnp.any(alike, axis=1)
     parts = [(a.valid if a is found else extra, a.middle, a.across, a.width_m) for a in (found, more)]
-    return _in_order([jnp.concatenate(pair) for pair in zip(*parts)], found.overflow, size)
+    together = [jnp.concatenate(pair) for pair in zip(*parts)]
+
+    def with_doors(_):
+        offset = xy - centre
+        place, _, here = _polar(offset, jnp.hypot(*offset.T), valid, FAR_M)
+        return _joined(together, _wall_doors(place, here, width_m, circle * radius_m, size))
+
+    none = [jnp.concatenate([a, jnp.zeros_like(a[: 2 * size])]) for a in together]
+    return _in_order(run_if(radius_m > WIDE_M, with_doors, none), found.overflow, size)
+
+
+def _joined(openings, doors):
+    """Openings and doors, `(valid, middle, across, width)` of as many each. A door behind another is none of the place,
+    nor is an opening that is seen where a door is.
+    """
+    away_m, bearing = (jnp.hypot(*doors[1].T), jnp.arctan2(doors[1][:, 1], doors[1][:, 0]))
+    off = jnp.abs(wrapped(bearing[:, None] - bearing))
+    order = jnp.arange(len(bearing))
+    nearer = (away_m < away_m[:, None]) | ((away_m == away_m[:, None]) & (order < order[:, None]))
+    first = doors[0] & ~jnp.any(doors[0] & nearer & (off < BEHIND_RAD), axis=1)
+    off = jnp.abs(wrapped(jnp.arctan2(openings[1][:, 1], openings[1][:, 0])[:, None] - bearing))
+    alone = openings[0] & ~jnp.any(first & (off < APART_RAD / 2), axis=1)
+    return [jnp.concatenate(pair) for pair in zip((alone, *openings[1:]), (first, *doors[1:]))]
+
+
+def _wall_doors(place, here, width_m, reach_m, size):
+    """Doors in the walls of a wide place: narrow gaps from where a wall ends to the nearest point of the next that the
+    place leads on through.
+
+    Args:
+      place, here: `[BEARINGS, 2]`, `[BEARINGS]`, the nearest points in every direction, from `_polar`.
+      width_m: least width of an opening.
+      reach_m: their middles are no farther away.
+      size: K.
+
+    Returns:
+      `(valid, middle, across, width)` of 2 K.
+    """
+    mirrored = jnp.array([1.0, -1.0])
+    one = _from_ends(place, here, width_m, reach_m, size)
+    other = _from_ends(place[::-1] * mirrored, here[::-1], width_m, reach_m, size)
+    other = other[0], other[1] * mirrored, -other[2], other[3]
+    return [jnp.concatenate(pair) for pair in zip(one, other)]
+
+
+def _from_ends(place, here, width_m, reach_m, size):
+    """`_wall_doors` on the far side of whose left jamb a wall ends."""
+    order, ends = jnp.arange(BEARINGS), _gaps(place, place, here, width_m)[2]
+    later = (order[:, None] + 1 + jnp.arange(JAMB)) % BEARINGS
+    there = here[later]
+    way = place[later] - place[:, None]  # [BEARINGS, JAMB, 2]
+    chord = jnp.where(there, jnp.hypot(way[..., 0], way[..., 1]), jnp.inf)
+    at = jnp.argmin(chord, axis=1)
+    wide, along = chord[order, at], way[order, at]
+    out = jnp.stack([along[:, 1], -along[:, 0]], axis=1) / jnp.maximum(wide, 1e-6)[:, None]
+    between = jnp.arange(JAMB) < at[:, None]
+    deep_m = jnp.where(there, jnp.einsum("bjd,bd->bj", way, out), jnp.inf)
+    leads_on = jnp.any(between & (deep_m > LEADS_M), axis=1)
+    middle = place + along / 2
+    door = ends & leads_on & (wide > width_m) & (wide <= MOST_DOOR_M) & (jnp.hypot(*middle.T) <= reach_m)
+    number = running_sum(door.astype(jnp.float32)).astype(jnp.int32) - 1
+    chosen = door & (number == jnp.arange(size)[:, None])
+    first = jnp.argmax(chosen, axis=1)
+    return jnp.any(chosen, axis=1), middle[first], jnp.arctan2(out[first, 1], out[first, 0]), wide[first]
 
 
 def _doors(place, door, door_end, size):

@@ -18,7 +18,7 @@ from jexplore.driving.vehicle import ANGLES_RAD, to_robot
 SECTORS = 360  # directions, a degree each, from -180 degrees
 NONE = 2**31 - 1
 BEHIND = 88  # degrees from straight ahead from which on the last scan is not all there is
-MEMORY_M = 4.5  # farther points are forgotten
+MEMORY_M = 0.5  # points so much farther than what triangles are made of are forgotten
 DIRECTIONS = 72  # in which the way is looked at
 TURN_STEPS = 36  # of half a turn each way
 OPPOSITE = 0.26  # cosine: what lies at least 75 degrees from the nearest point is on the other side
@@ -49,17 +49,20 @@ def points(around: Surround) -> tuple[Array, Array]:
     return jnp.where(known[:, None], jnp.stack([around.x_m, around.y_m], axis=1), 0), known
 
 
-def moved(around: Surround, ahead_m: Array, aside_m: Array, turn: Array) -> Surround:
+def moved(
+    around: Surround, ahead_m: Array, aside_m: Array, turn: Array, *, far_m: Array | float = math.inf
+) -> Surround:
     """The same points after the robot has moved.
 
     Args:
       around: `Surround`.
       ahead_m, aside_m: how far, in its old frame.
       turn: counter-clockwise, radians.
+      far_m: points farther away by `MEMORY_M` are forgotten, metres.
     """
     xy, known = points(around)
     x, y = to_robot(jnp.stack([ahead_m, aside_m, turn]))(xy).T
-    known &= x * x + y * y < MEMORY_M**2
+    known &= x * x + y * y < (far_m + MEMORY_M) ** 2
     return Surround(jnp.where(known, x, jnp.inf), jnp.where(known, y, jnp.inf))
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from jexplore.config import require_number
 from jexplore.driving.building.walls import segments, walls_of
-from jexplore.driving.settings import Tuning, require_tuning
+from jexplore.driving.settings import Tuning, for_world, require_tuning
 from jexplore.extraction.extract import extract
 from jexplore.grid import centre_of
 from jexplore.report import plot_traces
@@ -76,11 +76,12 @@ def extracted(
     Raises:
       InputError: as `explore.explore`, or thresholds that contradict each other.
     """
-    tuning = tuning or Tuning()
+    own = isinstance(world, str) and world.partition("#")[0].partition(":")[0] == "course"
+    is_course = own or getattr(world, "course", None) is not None
+    tuning = for_world(tuning or Tuning(), is_course=is_course)
     require_tuning(tuning)
     require_number("clutter_m", clutter_m)
-    own = isinstance(world, str) and world.partition("#")[0].partition(":")[0] == "course"
-    start = "world" if own or getattr(world, "course", None) is not None else "random"
+    start = "world" if is_course else "random"
     episode = explore.explore(world, strategy, seed=seed, cell_m=cell_m, start=start)
     final = episode.final
     n = final.hits + final.misses

@@ -14,8 +14,8 @@ from jexplore.config import MAX_SEED, InputError, require_kind, require_whole
 from jexplore.driving import vehicle
 from jexplore.driving.batch import MAX_STEPS, building_of, numbers_of, outcome_names, pose_in, run_missions
 from jexplore.driving.events import LOOK_M
-from jexplore.driving.guide import Guide, guide_of
-from jexplore.driving.settings import Noise, Robot, Tuning, require_noise, require_tuning
+from jexplore.driving.guiding.guide import OTHERS, Guide, guide_of
+from jexplore.driving.settings import Noise, Robot, Tuning, for_world, require_noise, require_tuning
 from jexplore.studies import checks
 from jexplore.studies.traces import routes
 from jexplore.studies.traces.job import MOST_STEPS
@@ -27,7 +27,9 @@ from jexplore.worlds.world import World
 
 SIZE = 32, 64  # most nodes and links of the map that a robot writes on its way
 PLACES = 8  # a guide has room for places in multiples of this
-CLEAR_M = 1.5, 1.0, 2.0, 0.6, 3.0, 0.3  # a robot starts so far along its link: the first that is free
+CLEAR_M = 1.5, 1.0, 2.0, 0.6, 3.0, 0.3  # a robot starts so far along its link: the first where it can turn, or is free
+ASIDE_M = 0.0, 0.3, -0.3, 0.6, -0.6  # or so far beside it, where it cannot turn anywhere on the link
+ROOM_M = 0.05  # beside a robot that turns where it starts
 SAME_DEG = 40.0  # ways that lie no farther apart are one
 ONE_DEG = 20.0  # links of a node that leave it no farther apart are one way: two nodes of a passage
 STEPS_M = 60  # steps that a robot has for each metre of its route
@@ -66,9 +68,9 @@ def follow(
     """Lets a robot follow routes in the true building.
 
     It starts on the first link of a route, a little beyond the node, and from there on knows of the map only how the
-    next divergences lie from the last one that it has recognised, how their ways bear and which one to take. It drives
-    as one that explores does. A route ends at its last node, or where the way is as long as the map says if that is no
-    divergence.
+    next divergences lie from the last one that it has recognised, how their ways bear, which one to take, and which
+    others are near. It drives as one that explores does; where no passage leads it, it steers for the next place. A
+    route ends where the map has its last node, seen from the last divergence before it.
 
     Args:
       world: name or `World`: the building of the map, in whose frame this must be.
@@ -88,7 +90,7 @@ def follow(
       InputError: no route, one without a link or of another map, or a start where the robot does not fit.
     """
     (world,) = checks.ready_worlds([world], cell_m)
-    body, tuning, noise = _checked(btm, found, robot, tuning, noise)
+    body, tuning, noise = _checked(world, btm, found, robot, tuning, noise)
     seed = require_whole("seed", seed, 0, MAX_SEED)
     how = {"workers": workers, "on_progress": on_progress}
     result = _driven(world, btm, found, body, (tuning, noise), seed, how)
@@ -99,15 +101,15 @@ def follow(
 def _driven(world, btm, found, robot, settings, seed, how):
     """The `mission.Result` of all routes."""
     building = building_of(world, marks_m=_refused_places(btm, found))
-    begun = [_start(world, building, robot, btm, route) for route in found]
-    guides = _guides(world, btm, found, [metres for _, metres in begun])
+    begun = [start_of(world, building, robot, btm, route) for route in found]
+    guides = _guides(world, btm, found, [start[1:] for start in begun])
     n, longest = len(found), max(route.length_m for route in found)
     return run_missions(
         building,
         numbers_of(robot, n),
         numbers_of(settings[0], n),
         numbers_of(settings[1], n),
-        np.stack([pose for pose, _ in begun]),
+        np.stack([pose for pose, *_ in begun]),
         seed,
         np.arange(n),
         guides,
@@ -129,11 +131,12 @@ def _refused_places(btm, found):
     return np.reshape(places, (-1, 3))
 
 
-def _checked(btm, found, robot, tuning, noise):
+def _checked(world, btm, found, robot, tuning, noise):
     """`(Robot, Tuning, Noise)`, or a refusal."""
     btm = routes.checked(btm)
     body = routes.robot_of(robot) if isinstance(robot, str) else robot
-    tuning, noise = tuning or Tuning(), noise or Noise()
+    tuning = for_world(tuning or Tuning(), is_course=world.course is not None)
+    noise = noise or Noise()
     require_kind("robot", body, Robot)
     require_tuning(tuning)
     require_noise(noise)
@@ -152,23 +155,49 @@ def _checked(btm, found, robot, tuning, noise):
     return body, tuning, noise
 
 
-def _start(world, building, robot, btm, route):
-    """Where a robot that follows a route begins, `[3]` from `pose_in`, and how far from the node, metres."""
+def start_of(
+    world: World, building: vehicle.Building, robot: Robot, btm: BtmMap, route: Route
+) -> tuple[np.ndarray, float, tuple[float, float]]:
+    """Where a robot that follows a route begins: on its first link, or a little beside it, for a map is off by as much
+    as the odometry of who wrote it; where it can turn, if there is such a place.
+
+    Args:
+      world, building: `World` and the `Building` of it.
+      robot: `Robot`.
+      btm, route: the map, and a route on it.
+
+    Returns:
+      `(start, from_m, beside_m)`: `[3]` float32, from `pose_in`; how far from the node; x, y, how far beside the link.
+
+    Raises:
+      InputError: the robot fits nowhere there.
+    """
     step = route.steps[0]
     node = next(node for node in btm.nodes if node.id == step.start)
     angle = math.radians(step.bearing_deg)
-    device = jax.tree.map(jnp.asarray, building)
-    for metres in CLEAR_M:
-        if metres <= max(step.length_m / 2, CLEAR_M[-1]):
+    device, fits = jax.tree.map(jnp.asarray, building), []
+    for aside in ASIDE_M:
+        beside = -aside * math.sin(angle), aside * math.cos(angle)
+        for metres in (m for m in CLEAR_M if m <= max((step.length_m or 0) / 2, CLEAR_M[-1])):
             x_m, y_m = node.x_m + metres * math.cos(angle), node.y_m + metres * math.sin(angle)
-            pose = pose_in(world, (x_m, y_m, step.bearing_deg))
+            pose = pose_in(world, (x_m + beside[0], y_m + beside[1], step.bearing_deg))
             if _is_free(world, pose) and not bool(vehicle.touches(device, robot, jnp.asarray(pose))):
-                return pose, metres
+                fits.append((pose, metres, beside))
+                if not bool(vehicle.touches(device, _turning(robot), jnp.asarray(pose))):
+                    return fits[-1]
+    if fits:
+        return fits[0]
     place = f"node {step.start}, ({node.x_m:.1f}, {node.y_m:.1f}) m"
     raise InputError(
         f"{robot.name} does not fit on link {step.link} beside {place} of {world.name or 'world'!r}: is the map of "
         "this building, in its frame?"
     )
+
+
+def _turning(robot):
+    """A square in which a robot can turn, with some room."""
+    side_m = math.hypot(robot.length_m, robot.width_m) + 2 * ROOM_M
+    return dataclasses.replace(robot, length_m=side_m, width_m=side_m)
 
 
 def _is_free(world, pose):
@@ -179,13 +208,14 @@ def _is_free(world, pose):
 
 
 def _guides(world, btm, found, begun):
-    """`Guide` of arrays, one a route; `begun` is how far robots start from the node."""
+    """`Guide` of arrays, one a route; `begun` is how far robots start from the node, and beside it, see `_start`."""
     nodes = {node.id: node for node in btm.nodes}
     made = []
-    for route, start_m in zip(found, begun):
+    for route, (start_m, beside) in zip(found, begun):
         at = nodes[route.nodes[0]]
-        node_xy = at.x_m - world.origin_m[0], at.y_m - world.origin_m[1]
-        out, ways, leg, length_m, gone = [], [], [], [], 0.0
+        node_xy = at.x_m + beside[0] - world.origin_m[0], at.y_m + beside[1] - world.origin_m[1]
+        out, ways, leg, length_m, others, gone = [], [], [], [], [], 0.0
+        elsewhere = [node for node in btm.nodes if node.type == "divergence" and node.id not in route.nodes]
         for step, on in zip(route.steps, [*route.steps[1:], None]):
             gone += step.length_m
             node = nodes[step.end]
@@ -194,10 +224,19 @@ def _guides(world, btm, found, begun):
                 ways.append(_ways(btm, step.end))
                 leg.append((node.x_m - at.x_m, node.y_m - at.y_m))
                 length_m.append(gone)
+                others.append(_nearest(node, elsewhere))
                 at, gone = node, 0.0
-        made.append((out, ways, leg, length_m, {"tail_m": gone, "node_xy": node_xy, "start_m": start_m}))
+        end = nodes[route.nodes[-1]]
+        ends = {"tail_m": gone, "end_leg": (end.x_m - at.x_m, end.y_m - at.y_m), "others": others}
+        made.append((out, ways, leg, length_m, {**ends, "node_xy": node_xy, "start_m": start_m}))
     size = max(-(-max(len(out) for out, *_ in made) // PLACES), 1) * PLACES
     return jax.tree.map(lambda *a: np.stack(a), *(guide_of(*of, **more, size=size) for *of, more in made))
+
+
+def _nearest(node, others):
+    """How the nearest of other nodes lie from one: pairs of metres."""
+    legs = ((other.x_m - node.x_m, other.y_m - node.y_m) for other in others)
+    return sorted(legs, key=lambda leg: math.hypot(*leg))[:OTHERS]
 
 
 def _ways(btm, node):

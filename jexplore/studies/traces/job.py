@@ -16,7 +16,17 @@ from jexplore.config import MAX_SEED, InputError, require_number, require_whole
 from jexplore.driving import vehicle
 from jexplore.driving.batch import MAX_STEPS, building_of, pose_in, require_start
 from jexplore.driving.mission import SIZE
-from jexplore.driving.settings import ROBOTS, WHOLE, Noise, Robot, Tuning, require_noise, require_robot, require_tuning
+from jexplore.driving.settings import (
+    ROBOTS,
+    WHOLE,
+    Noise,
+    Robot,
+    Tuning,
+    for_world,
+    require_noise,
+    require_robot,
+    require_tuning,
+)
 from jexplore.engine.lanes import SMALL
 from jexplore.studies import checks
 from jexplore.studies.traces.truth import Truth, maps_from, truth_of
@@ -247,7 +257,7 @@ def prepare_trace(
     seed = require_whole("seed", seed, 0, MAX_SEED)
     settings = require_whole("settings", settings, 1, MAX_RUNS)
     max_steps = require_whole("max_steps", _enough(world) if max_steps is None else max_steps, 100, MOST_STEPS)
-    robot, tuning, noise = _sound(robot, tuning, noise)
+    robot, tuning, noise = _sound(world, robot, tuning, noise)
     swept = swept_values(sweep, settings, seed)
     count = len(next(iter(swept.values()))) if swept else 1
     if count * runs > MAX_RUNS:
@@ -275,10 +285,10 @@ def room_for(world: World, truth: Truth, nodes: int | None = None, links: int | 
     return room, require_whole("links", 2 * room if links is None else links, 2, 2 * MOST_NODES)
 
 
-def _sound(robot, tuning, noise):
+def _sound(world, robot, tuning, noise):
     """Robot, thresholds and noise, those that are not given by default."""
     robot = robot_of(robot) if isinstance(robot, str) else robot
-    tuning, noise = tuning or Tuning(), noise or Noise()
+    tuning, noise = for_world(tuning or Tuning(), is_course=world.course is not None), noise or Noise()
     _require(robot, tuning, noise)
     return robot, tuning, noise
 

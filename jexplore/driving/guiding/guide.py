@@ -1,0 +1,281 @@
+"""A route from another robot's map: which way to take at every place, told by the places next to it, never by where the
+whole map has it.
+
+A place is a divergence on the route. The robot finds places as one that explores does, and takes one for the next of
+its route by where it lies from the last one and by the directions of its ways, which are held against its own heading;
+this is put right at every place.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from typing import ClassVar, NamedTuple, Self
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from flax import struct
+from jax import Array
+
+from jexplore import btm
+from jexplore.driving.sensing.openings import Openings
+from jexplore.driving.vehicle import to_odometry
+
+WAYS = 8  # most of a place
+OTHERS = 4  # places that are not on the route: so many of the nearest to every one that is
+AHEAD = 4  # so many of the next places may be the one at which the robot is
+SURE = 0.1, 1.0  # a place lies where the map has it within this share of the way, and so many metres
+NEAR = 0.2, 1.5  # and within these where it has the very ways that the map has
+THERE_M = 0.7  # one that is so near is it, if only the way on is there
+HERE_M = 0.4  # and one that is as near as this is it, whatever is seen there: the robot steers on
+ALIKE_RAD = math.radians(40)  # ways that lie no farther apart are one
+MISFIT_M = 0.3  # a way less or more makes a place seem so much farther from where the map has it
+BACK_RAD = math.radians(120)  # a way on that bears farther from where it should is none
+TOWARD_M = 1.5  # at a place that the map does not have, the robot turns to the next if that is farther than this
+HEADING_SHARE = 0.5  # of what the ways of a place say of the heading, by their median
+MOST_RAD = math.radians(10)  # and no more than this: the middle of one seen elsewhere turns its ways
+ANCHOR = 0.3  # of what a place says of where the map lies: it may be another, and its middle is seen differently
+OTHER = 0.5  # a place is none of the route if another of the map lies nearer than this share
+OPEN_M = 2.0  # a way is there, though it is no opening, if a strip from the place's middle is free so far
+STRIP_M = 0.6  # so wide
+STRAIGHT, FAR_M = 1.15, 2.0  # a way so much longer than its ends are apart, if those are so far, is straight
+ASIDE_M = 0.0, -0.2, 0.2, -0.4, 0.4  # or so far beside the middle
+
+
+class Onward(NamedTuple):
+    """The way on from a place."""
+
+    bearing: Array  # float32, radians, odometry
+    middle: Array  # [2] float32, odometry, from where it leaves
+    is_free: Array  # bool, it is no opening, but free
+
+
+@struct.dataclass
+class Guide:
+    """A route of at most K places, and how far the robot has come on it. Bearings are the map's."""
+
+    out: Array  # [K] float32, radians, bearing of the way on
+    ways: Array  # [K, WAYS] float32, radians, of all ways of the place; NaN: none
+    leg: Array  # [K, 2] float32, metres, from the place before
+    length_m: Array  # [K] float32, of the way from the place before
+    count: Array  # int32, places
+    others: Array  # [K, OTHERS, 2] float32, metres, from the place to places that are not on the route; NaN: none
+    tail_m: Array  # float32, way from the last place to the end; 0: the route ends there
+    end_leg: Array  # [2] float32, metres, from the last place to the end
+    at: Array  # int32, the place ahead
+    from_xy: Array  # [2] float32, odometry, of the place before
+    from_m: Array  # float32, odometer there
+    turned: Array  # float32, radians, the map's bearings less those of the odometry
+    seen: Array  # [K, WAYS] float32, radians, bearings of the ways that were found; NaN: none
+    missed: Array  # int32, places that were not found
+    extra: Array  # int32, places that the map does not have
+    strays: Array  # bool, the last place was such a one
+    arrived: Array  # bool
+    lost: Array  # bool, it is where the map does not help it on
+    blocked: Array  # bool, because it cannot pass what lies before it
+    walled: Array  # bool, because there is a wall
+    steers: Array  # bool, it steers for the next place or the end
+    replace: ClassVar[Callable[..., Self]]
+
+
+def guide_of(
+    out: Sequence[float],
+    ways: Sequence[Sequence[float]],
+    leg: Sequence[tuple[float, float]],
+    length_m: Sequence[float],
+    *,
+    tail_m: float,
+    end_leg: tuple[float, float],
+    others: Sequence[Sequence[tuple[float, float]]] = (),
+    node_xy: tuple[float, float],
+    start_m: float,
+    size: int,
+) -> Guide:
+    """A `Guide` of numpy arrays for a robot before its first step.
+
+    Args:
+      out, ways, leg, length_m: of every place, see `Guide`.
+      tail_m, end_leg, others: see `Guide`.
+      node_xy: where the route begins, odometry, metres; the odometry's axes are those of the map.
+      start_m: how far the robot stands from there.
+      size: K, as many places or more.
+    """
+    n, none = len(out), np.bool_(False)
+    angles, legs = np.full((size, WAYS), np.nan, np.float32), np.zeros((size, 2), np.float32)
+    for place, of_place in zip(angles, ways):
+        place[: len(of_place)] = of_place[:WAYS]
+    legs[:n] = np.reshape(leg, (n, 2))
+    elsewhere = np.full((size, OTHERS, 2), np.nan, np.float32)
+    for place, of_place in zip(elsewhere, others):
+        place[: len(of_place)] = np.reshape(of_place, (-1, 2))[:OTHERS]
+    # Ignored types: numpy on the host, where the record says what it is on the device.
+    values = {
+        "out": np.pad(np.asarray(out, np.float32), (0, size - n)),
+        "ways": angles,
+        "leg": legs,
+        "length_m": np.pad(np.asarray(length_m, np.float32), (0, size - n)),
+        "count": np.int32(n),
+        "others": elsewhere,
+        "tail_m": np.float32(tail_m),
+        "end_leg": np.asarray(end_leg, np.float32),
+        "at": np.int32(0),
+        "from_xy": np.asarray(node_xy, np.float32),
+        "from_m": np.float32(-start_m),
+        "turned": np.float32(0),
+        "seen": np.full((size, WAYS), np.nan, np.float32),
+        "missed": np.int32(0),
+        "extra": np.int32(0),
+        "strays": none,
+        "arrived": none,
+        "lost": none,
+        "blocked": none,
+        "walled": none,
+        "steers": none,
+    }
+    return Guide(**values)  # type: ignore[arg-type]
+
+
+def at_place(
+    guide: Guide,
+    odometer_m: Array,
+    centre: Array,
+    found: Openings,
+    when: Array | bool,
+    reach_m: Callable[[Array, Array], Array],
+) -> tuple[Guide, Onward]:
+    """Takes a place for one of the next of the route, or for one that the map does not have.
+
+    Args:
+      guide: `Guide`.
+      odometer_m: float32, at the place.
+      centre: `[2]` float32, of the place, odometry.
+      found: `Openings` of it.
+      when: bool, whether the robot is at a place at all.
+      reach_m: how far a strip `STRIP_M` wide is free from a point in a direction, odometry, radians: metres.
+
+    Returns:
+      `(guide, onward)`: `Onward`: the map's; at a place that the map does not have, towards the next one that it has;
+        where the route ends, towards its end.
+    """
+    size = guide.out.shape[0]
+    seen = jnp.where(found.valid, found.bearing + guide.turned, jnp.nan)
+    near = _next_ones(guide, centre, found, seen, reach_m)
+    place, expected, off_m, fits, last, off_ways, begins, is_free, misfit, way = near
+    best = jnp.argmin(jnp.where(fits, off_m + MISFIT_M * misfit, jnp.inf))
+    is_known, at = when & fits[best], jnp.minimum(place[best], size - 1)
+    turn = HEADING_SHARE * jnp.clip(jnp.nan_to_num(jnp.nanmedian(off_ways[best])), -MOST_RAD, MOST_RAD)
+    ahead = expected[jnp.where(off_m[0] > TOWARD_M, 0, 1)] - centre
+    toward = jnp.arctan2(ahead[1], ahead[0])
+    # Only back: the way on is closed.
+    off = jnp.where(found.valid, jnp.abs(btm.wrapped(found.bearing - toward)), jnp.inf)
+    walled = when & ~is_known & ~guide.strays & (jnp.sum(found.valid) == 1) & (jnp.min(off) > BACK_RAD)
+    moved = guide.replace(
+        at=jnp.where(is_known, place[best] + 1, guide.at),
+        from_xy=jnp.where(is_known, expected[best] + ANCHOR * (centre - expected[best]), guide.from_xy),
+        from_m=jnp.where(is_known, odometer_m, guide.from_m),
+        turned=guide.turned + jnp.where(is_known, turn, 0),
+        seen=guide.seen.at[jnp.where(is_known, at, size)].set(seen[:WAYS], mode="drop"),
+        missed=guide.missed + jnp.where(is_known, best.astype(jnp.int32), 0),
+        extra=guide.extra + (when & ~is_known),
+        strays=jnp.where(when, ~is_known, guide.strays),
+        lost=guide.lost | walled,
+        walled=guide.walled | walled,
+    )
+    goes_on = is_known & ~last[best]
+    bearing = jnp.where(goes_on, way[best] - moved.turned, toward)
+    middle = jnp.where(goes_on & is_free[best], begins[best], centre)
+    by_strip = jnp.where(goes_on, is_free[best], ~is_known & (reach_m(centre, toward) > OPEN_M))
+    return moved, Onward(bearing, middle, by_strip)
+
+
+class _NextOnes(NamedTuple):
+    """How a place is like the next ones of the route."""
+
+    place: Array  # [AHEAD] int32
+    expected: Array  # [AHEAD, 2] float32, odometry
+    off_m: Array  # [AHEAD] float32
+    fits: Array  # [AHEAD] bool, it may be that one
+    last: Array  # [AHEAD] bool, the route ends there
+    off_ways: Array  # [AHEAD, WAYS, V] float32, radians, how ways lie off openings; NaN: another one
+    begins: Array  # [AHEAD, 2] float32, odometry, from where the way on is free
+    is_free: Array  # [AHEAD] bool, the way on is no opening, but free
+    misfit: Array  # [AHEAD] int32, ways that are missing, or too many
+    way: Array  # [AHEAD] float32, radians, bearing of the way on, the map's
+
+
+def _next_ones(guide, centre, found, seen, reach_m):
+    """`_NextOnes`; `seen` are bearings of the openings, the map's."""
+    place, size = guide.at + jnp.arange(AHEAD), guide.out.shape[0]
+    at = jnp.minimum(place, size - 1)
+    length_m, expected = jnp.cumsum(guide.length_m[at]), _expected(guide, at)
+    off_m = jnp.hypot(*(expected - centre).T)
+    ways, out, after_m, leads = guide.ways[at], guide.out[at], *_leads_on(guide, at, expected, centre)
+    apart = btm.wrapped(ways[:, :, None] - seen)  # [AHEAD, WAYS, V]
+    alike = jnp.abs(apart) < ALIKE_RAD
+    missing = jnp.sum(jnp.isfinite(ways), axis=1) - jnp.sum(jnp.any(alike, axis=2), axis=1)
+    more = jnp.sum(found.valid) - jnp.sum(jnp.any(alike, axis=1), axis=1)
+    last = (place == guide.count - 1) & (guide.tail_m == 0)
+    by_leg, by_map = (jnp.any(jnp.abs(btm.wrapped(way[:, None] - seen)) < ALIKE_RAD, axis=1) for way in (leads, out))
+    is_seen = last | by_leg | by_map
+    begins, free_m = _strip(reach_m, expected, out - guide.turned)
+    is_free = ~is_seen & (off_m < THERE_M) & (free_m > jnp.minimum(OPEN_M, after_m))
+    others = expected[:, None] + _turned(guide)(guide.others[at])
+    other_m = jnp.nan_to_num(jnp.hypot(others[..., 0] - centre[0], others[..., 1] - centre[1]), nan=jnp.inf)
+    fits = (off_m <= SURE[0] * length_m + SURE[1]) & (missing <= 1) & (more <= 2)
+    fits |= (off_m <= NEAR[0] * length_m + NEAR[1]) & (missing == 0) & (more == 0)
+    fits &= jnp.min(other_m, axis=1) > OTHER * off_m
+    fits = ((fits | (off_m < THERE_M)) & (is_seen | is_free)) | (off_m < HERE_M)
+    fits &= place < guide.count
+    off_ways = jnp.where(alike, apart, jnp.nan)
+    way = jnp.where(by_leg, leads, out)
+    return _NextOnes(place, expected, off_m, fits, last, off_ways, begins, is_free, missing + more, way)
+
+
+def _leads_on(guide, places, expected, centre):
+    """How far the one after each of some places lies, metres, and how it bears from where the robot is, the map's, if
+    the way there is straight; NaN: it is not.
+    """
+    n, after = guide.out.shape[0], places + 1
+    is_place = after < guide.count
+    leg = jnp.where(is_place[:, None], guide.leg[jnp.minimum(after, n - 1)], guide.end_leg)
+    length_m = jnp.where(is_place, guide.length_m[jnp.minimum(after, n - 1)], guide.tail_m)
+    off = expected + _turned(guide)(leg) - centre
+    leg_m, bearing = jnp.hypot(*leg.T), jnp.arctan2(off[:, 1], off[:, 0]) + guide.turned
+    return leg_m, jnp.where((leg_m > FAR_M) & (length_m < STRAIGHT * leg_m), bearing, jnp.nan)
+
+
+def _strip(reach_m, places, bearings):
+    """The longest strip in a direction from each of some places or from beside them: `(where it begins, how long)`:
+    `[A, 2]`, `[A]`, metres.
+    """
+    across = jnp.stack([-jnp.sin(bearings), jnp.cos(bearings)], axis=1)
+    begins = places[:, None] + jnp.asarray(ASIDE_M)[:, None] * across[:, None]  # [A, S, 2]
+    free_m = jax.vmap(jax.vmap(reach_m, (0, None)))(begins, bearings)
+    best = jnp.argmax(jnp.minimum(free_m, OPEN_M + 0.1), axis=1)
+    pick = jnp.arange(len(places)), best
+    return begins[pick], free_m[pick]
+
+
+def is_next(guide: Guide, centre: Array) -> Array:
+    """Whether the map has the next place of the route at a point, `[2]`, odometry: bool."""
+    return (guide.at < guide.count) & (jnp.hypot(*(next_of(guide)[0] - centre)) < THERE_M)
+
+
+def _expected(guide, places):
+    """Where the next places lie, odometry: `[A, 2]`."""
+    return guide.from_xy + _turned(guide)(jnp.cumsum(guide.leg[places], axis=0))
+
+
+def _turned(guide):
+    """The function that turns a way on the map as the odometry has it."""
+    return to_odometry(jnp.stack([0.0, 0.0, -guide.turned]))
+
+
+def next_of(guide: Guide) -> tuple[Array, Array, Array, Array]:
+    """What lies ahead: `(place, leg_m, length_m, is_end)`: `[2]` float32, odometry, of the next place or the end;
+    float32, metres, to there in a straight line, and by the map; whether it is the end.
+    """
+    left, at = guide.count - guide.at, jnp.minimum(guide.at, guide.out.shape[0] - 1)
+    leg = jnp.where(left > 0, guide.leg[at], guide.end_leg)
+    length_m = jnp.where(left > 0, guide.length_m[at], guide.tail_m)
+    is_end = (left <= 0) | ((left == 1) & (guide.tail_m == 0))
+    return guide.from_xy + _turned(guide)(leg), jnp.hypot(*leg), length_m, is_end

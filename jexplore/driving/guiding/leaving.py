@@ -1,0 +1,71 @@
+"""By which link a robot that follows a route leaves a place."""
+
+import functools
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+from jax import Array
+
+from jexplore import btm
+from jexplore.btm import Btm
+from jexplore.driving import links
+from jexplore.driving.guiding.guide import BACK_RAD, STRIP_M, Guide, Onward, at_place, is_next
+from jexplore.driving.mapping import Writer
+from jexplore.driving.sensing.openings import Openings
+
+
+class Left(NamedTuple):
+    """How a robot leaves a place."""
+
+    guide: Guide | None
+    map: Btm
+    link: Array  # int32
+    bearing: Array  # float32, radians, of the link there
+    onward: Onward | None  # what the route says; `is_free` where that is no opening
+
+
+def passes_by(writer: Writer, centre: Array, passes: Array) -> Array:
+    """Whether a robot passes a place, `[2]`, odometry, that looks like none: not where its route has the next one."""
+    return passes if writer.guide is None else passes & ~is_next(writer.guide, centre)
+
+
+def left_by(
+    map_: Btm,
+    writer: Writer,
+    event: Any,
+    node: Array,
+    found: Openings,
+    is_place: Array,
+    points: tuple[Array, Array],
+    onto: Array,
+    bearing: Array,
+) -> Left:
+    """Where a robot that follows a route goes on instead.
+
+    Where no link leads there, there is a new one if the way is open or free; else, if none leads that way at all, the
+    robot steers for what comes next.
+
+    Args:
+      map_: `Btm` with the node.
+      writer, event: `Writer` before it; `nodes.Event`.
+      node: int32.
+      found: `Openings` of it.
+      is_place: bool, whether it is a divergence.
+      points: see `links.reach_m`.
+      onto, bearing: the link by which it would go on, and how that bears.
+
+    Returns:
+      `Left`; of a robot that follows no route what was given.
+    """
+    if writer.guide is None:
+        return Left(None, map_, onto, bearing, None)
+    free_m = functools.partial(links.reach_m, points, width_m=STRIP_M)
+    ahead, way = at_place(writer.guide, event.odometer_m, event.centre, found, is_place, free_m)
+    link, out, off = links.toward(map_, node, way.bearing)
+    is_open = jnp.any(found.valid & (jnp.abs(btm.wrapped(found.bearing - way.bearing)) < links.ALIKE_RAD))
+    is_new = is_place & (off > links.ALIKE_RAD) & (way.is_free | is_open)
+    map_, new = btm.add_link(map_, node, way.bearing, when=is_new)
+    link, out = jnp.where(is_new, new, link), jnp.where(is_new, way.bearing, out)
+    ahead = ahead.replace(steers=ahead.steers | (is_place & (off > BACK_RAD) & ~is_new))
+    way = way._replace(is_free=is_new & way.is_free)
+    return Left(ahead, map_, jnp.where(is_place, link, onto), jnp.where(is_place, out, bearing), way)
