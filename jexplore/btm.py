@@ -82,8 +82,11 @@ def empty(n_nodes: int, n_links: int) -> Btm:
 
 
 def _put(array, at, value):
-    """`array` with one entry replaced; beyond the last nothing is."""
-    return array.at[at].set(value, mode="drop", wrap_negative_indices=False)
+    """`array` with one entry replaced; beyond the last nothing is.
+
+    Of so few entries all are looked at: a scatter each, a hundred of them, takes long to compile.
+    """
+    return jnp.where(jnp.arange(array.shape[0]) == at, jnp.asarray(value).astype(array.dtype), array)
 
 
 def add_node(btm: Btm, kind: Array | int, x_m: Array | float, y_m: Array | float, **fields: Any) -> tuple[Btm, Array]:

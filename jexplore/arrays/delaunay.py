@@ -67,6 +67,7 @@ def delaunay(points: Array, valid: Array) -> Triangles:
     rows = -(-keep.shape[0] // ROW)
     mask = jnp.pad(keep, (0, rows * ROW - keep.shape[0])).reshape(rows, ROW)
     which = bits.first_cells(bits.pack(mask), 2 * n)
+    which = lax.optimization_barrier(which)  # else every use of a corner looks for its triangle anew
     found = which < keep.shape[0]
     which = jnp.where(found, which, 0)
     pair = which % len(first)

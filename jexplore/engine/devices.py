@@ -88,16 +88,27 @@ def compiled(
       arguments: pytrees of arrays, or of their shapes.
       devices: list of JAX devices.
       donate: numbers of the arguments whose memory may be used again.
-      cpu_options: pairs of name and value, options of XLA on a CPU.
+      cpu_options: pairs of name and value, options of XLA on a CPU; one that this version does not have is left out.
 
     Returns:
       `(call, shapes)`.
     """
     leaves, tree = jax.tree.flatten(arguments)
     leaves = tuple(jax.ShapeDtypeStruct(np.shape(a), a.dtype, sharding=getattr(a, "sharding", None)) for a in leaves)
-    options = cpu_options if devices[0].platform == "cpu" else ()
+    options = tuple(filter(_is_option, cpu_options)) if devices[0].platform == "cpu" else ()
     configuration = tuple(str(jax.config.values[option]) for option in CONFIGURATION)
     return _compiled(_Function(function, name), tree, leaves, tuple(devices), donate, options, configuration)
+
+
+@functools.cache
+def _is_option(option):
+    """Whether this version of XLA has an option, a pair of name and value: they come and go."""
+    try:
+        with jax.default_device(jax.local_devices(backend="cpu")[0]):
+            jax.jit(lambda: 0).lower().compile(compiler_options=dict([option]))
+    except jax.errors.JaxRuntimeError:
+        return False
+    return True
 
 
 @functools.lru_cache(maxsize=PROGRAMS)

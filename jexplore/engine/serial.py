@@ -53,17 +53,23 @@ def chunk(
 
     def one(i):
         key = jax.random.fold_in(jax.random.key(seed), draws[i])
-        given = Given(key, shared, scenes, jnp.int32(0), numbers, jax.tree.map(lambda a: a[i], tasks))
+        task = jax.tree.map(lambda a: lax.dynamic_index_in_dim(a, i, 0, False, allow_negative_indices=False), tasks)
+        given = Given(key, shared, scenes, jnp.int32(0), numbers, task)
         state = run_one(program, given)
         return program.measure(given, state), program.keep(state)
 
     def put(i, found):
         result, last = one(i)
-        return jax.tree.map(lambda all_, new: all_.at[i].set(new), found[0], result), last
+        return jax.tree.map(lambda all_, new: _with(all_, i, new), found[0], result), last
 
     result, last = jax.eval_shape(one, 0)
     room = jax.tree.map(lambda a: jnp.zeros((draws.shape[0], *a.shape), a.dtype), result)
     return lax.fori_loop(0, count, put, (room, jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), last)))
+
+
+def _with(all_, i, new):
+    """An array with entry i replaced. As a scatter, one for every part of a result, it would take longer to compile."""
+    return lax.dynamic_update_index_in_dim(all_, jnp.asarray(new, all_.dtype), i, 0, allow_negative_indices=False)
 
 
 def compile_chunk(line: Line, devices: Sequence[Any]) -> tuple[Callable[..., Any], Any]:

@@ -40,13 +40,15 @@ def _lines(ranges_m):
     wide = [jnp.pad(a, NEIGHBOURS) for a in (x, y)]
     known = jnp.pad(valid, NEIGHBOURS)
     n = ranges_m.shape[0]
-    moments = [jnp.zeros(n)] * 6
-    for k in range(2 * NEIGHBOURS + 1):
-        dx, dy = wide[0][k : k + n] - x, wide[1][k : k + n] - y
-        weight = (known[k : k + n] & valid & (dx * dx + dy * dy < REACH_M**2)).astype(jnp.float32)
+
+    def added(k, moments):
+        there, other_x, other_y = (lax.dynamic_slice(a, (k,), (n,)) for a in (known, *wide))
+        dx, dy = other_x - x, other_y - y
+        weight = (there & valid & (dx * dx + dy * dy < REACH_M**2)).astype(jnp.float32)
         terms = weight, weight * dx, weight * dy, weight * dx * dx, weight * dx * dy, weight * dy * dy
-        moments = [total + term for total, term in zip(moments, terms)]
-    count, sx, sy, sxx, sxy, syy = moments
+        return [total + term for total, term in zip(moments, terms)]
+
+    count, sx, sy, sxx, sxy, syy = lax.fori_loop(0, 2 * NEIGHBOURS + 1, added, [jnp.zeros(n)] * 6)
     per = 1 / jnp.maximum(count, 1)
     mx, my = sx * per, sy * per
     cxx, cxy, cyy = sxx * per - mx * mx, sxy * per - mx * my, syy * per - my * my

@@ -1,6 +1,5 @@
 """The ways out of a place: gaps between the walls round it, and doors in the walls of pockets beside it."""
 
-import functools
 import math
 
 import jax
@@ -73,8 +72,8 @@ def _gaps(point, last, here, width_m):
     """
     following = _next(here)
     after, last_after = point[following], last[following]
-    pairs = (point, after), (last, after), (point, last_after), (last, last_after)
-    width = functools.reduce(jnp.minimum, [jnp.hypot(*(b - a).T) for a, b in pairs])
+    apart = jnp.stack([after, last_after])[:, None] - jnp.stack([point, last])
+    width = jnp.min(jnp.hypot(apart[..., 0], apart[..., 1]), axis=(0, 1))
     return after, width, here & ((width > width_m) | (jnp.sum(here) == 1))
 
 

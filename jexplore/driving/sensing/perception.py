@@ -8,7 +8,7 @@ from typing import ClassVar, Self
 
 import jax.numpy as jnp
 from flax import struct
-from jax import Array
+from jax import Array, lax
 from jax.typing import ArrayLike
 
 from jexplore.arrays.delaunay import circumcircles, delaunay
@@ -78,12 +78,14 @@ def smoothed(xy: Array, valid: Array, reach_m: Array | float) -> Array:
     x, y = (jnp.pad(xy[:, i], NEIGHBOURS) for i in range(2))
     there = jnp.pad(valid, NEIGHBOURS)
     here = xy[:, 0], xy[:, 1]
-    sums = [jnp.zeros(n)] * 3
-    for k in range(2 * NEIGHBOURS + 1):
-        other = x[k : k + n], y[k : k + n]
+
+    def added(k, sums):
+        *other, known = (lax.dynamic_slice(a, (k,), (n,)) for a in (x, y, there))
         near = (other[0] - here[0]) ** 2 + (other[1] - here[1]) ** 2 <= reach_m**2
-        weight = (near & there[k : k + n]).astype(jnp.float32)
-        sums = [total + weight * value for total, value in zip(sums, (*other, 1.0))]
+        weight = (near & known).astype(jnp.float32)
+        return [total + weight * value for total, value in zip(sums, (*other, 1.0))]
+
+    sums = lax.fori_loop(0, 2 * NEIGHBOURS + 1, added, [jnp.zeros(n)] * 3)
     count = jnp.maximum(sums[2], 1)
     return jnp.where(valid[:, None], jnp.stack([sums[0] / count, sums[1] / count], axis=1), xy)
 
@@ -143,11 +145,13 @@ def clearances(xy: Array, valid: Array, to_m: Array | float) -> tuple[Array, Arr
     within = valid & (xy[:, 0] >= 0) & (xy[:, 0] <= jnp.minimum(to_m, jnp.abs(xy[:, 1])))
     n, y = xy.shape[0], jnp.where(within, xy[:, 1], jnp.inf)
     padded = jnp.pad(y, MEANT, constant_values=jnp.inf)
-    total = count = jnp.zeros(n)
-    for k in range(2 * MEANT + 1):
-        other = padded[k : k + n]
+
+    def added(k, sums):
+        other = lax.dynamic_slice(padded, (k,), (n,))
         near = (jnp.abs(other - y) < MEANT_M) & (other * y > 0)
-        total, count = total + jnp.where(near, other, 0), count + near
+        return sums[0] + jnp.where(near, other, 0), sums[1] + near
+
+    total, count = lax.fori_loop(0, 2 * MEANT + 1, added, (jnp.zeros(n), jnp.zeros(n)))
     mean = jnp.where(within, total / jnp.maximum(count, 1), jnp.inf)
     left = jnp.min(jnp.where(y >= 0, mean, jnp.inf))
     right = jnp.min(jnp.where(y <= 0, -mean, jnp.inf))
@@ -210,11 +214,12 @@ def resampled(
 
 def running_sum(values: Array) -> Array:
     """Sums of the first 1, 2, ... values, by doubling."""
-    n, step = values.shape[0], 1
-    while step < n:
-        values = values + jnp.pad(values, (step, 0))[:n]
-        step *= 2
-    return values
+    n = values.shape[0]
+
+    def doubled(i, sums):
+        return sums + lax.dynamic_slice(jnp.pad(sums, (n, 0)), (n - (1 << i),), (n,))
+
+    return lax.fori_loop(0, (n - 1).bit_length(), doubled, values)
 
 
 def far_bound(

@@ -6,7 +6,7 @@ The noise is told by the readings themselves: what is measured changes gradually
 import math
 
 import jax.numpy as jnp
-from jax import Array
+from jax import Array, lax
 
 from jexplore.arrays.loops import run_if
 
@@ -85,14 +85,17 @@ def scan(ranges_m: Array) -> Array:
         pairs = jnp.clip(jnp.round(((sd / STEADY_M) ** 2 - 1) / 2), 0, MOST_PAIRS)
         limit = AGREE * sd / jnp.where(returns, ranges_m, 1) ** 2
         wide = jnp.pad(near, MOST_PAIRS, constant_values=jnp.nan)
-        n, total, count, goes_on = len(ranges_m), near, jnp.ones_like(near), returns
-        for k in range(1, MOST_PAIRS + 1):
-            before, after = (wide[MOST_PAIRS + j : MOST_PAIRS + j + n] for j in (-k, k))
+
+        def added(k, carry):
+            total, count, goes_on = carry
+            before, after = (lax.dynamic_slice(wide, (MOST_PAIRS + j,), near.shape) for j in (-k, k))
             middle = (before + after) / 2
             missing = jnp.isnan(middle)
             goes_on &= (k <= pairs) & (missing | (jnp.abs(middle - near) < limit))
             counts = goes_on & ~missing
-            total, count = total + jnp.where(counts, 2 * middle, 0), count + 2 * counts
+            return total + jnp.where(counts, 2 * middle, 0), count + 2 * counts, goes_on
+
+        total, count, _ = lax.fori_loop(1, MOST_PAIRS + 1, added, (near, jnp.ones_like(near), returns))
         return jnp.where(returns, count / total, ranges_m)
 
     return run_if(_deviates_more(jumps, STEADY_M * math.sqrt(2)), mean, ranges_m)
