@@ -18,10 +18,10 @@ from jexplore.driving import behaviour
 from jexplore.driving.behaviour import Drive, Latch, RunMode, Track
 from jexplore.driving.events import Ahead, triangles
 from jexplore.driving.mapping import has_left
-from jexplore.driving.sensing import surround
+from jexplore.driving.sensing import gateways, surround
 from jexplore.driving.sensing.surround import Surround
 from jexplore.driving.settings import Robot, Tuning
-from jexplore.driving.vehicle import ANGLES_RAD, RANGE_M, Building, Senses, touches
+from jexplore.driving.vehicle import ANGLES_RAD, RANGE_M, Building, Senses, to_robot, touches
 
 LOOK_RAD = math.pi - 0.05  # the robot looks round by turning so far: the scanner sees half of what there is
 LOOK_STEP_RAD = 0.2  # it stops where it cannot turn so far on
@@ -77,7 +77,9 @@ def latched(
       tuning, robot: `Tuning`, `Robot`.
     """
     drive, track = state.drive, ahead.track
-    begins = behaviour.is_believed(track, tuning.votes) & (drive.latch == Latch.FREE) & ~ahead.space.inside
+    is_gateway = jnp.isfinite(track.out)
+    begins = behaviour.is_believed(track, tuning.votes) & (drive.latch == Latch.FREE)
+    begins &= ~ahead.space.inside | is_gateway
     following = (drive.latch == Latch.APPROACH) | begins
     target = jnp.where(following, track.centre, drive.target)
     distance = _away_m(state, target)
@@ -145,7 +147,24 @@ def _look_ends(state, track, ends, around, ways_m, placed, tuning, robot):
     )
     kept = track.replace(centre=jnp.where(back, middle, track.centre))
     chosen = jax.tree.map(lambda new, old: jnp.where(ends & better, new, old), other, kept)
-    return _Look(ends, chosen, better | back, back, had & (there_is | drive.known))
+    is_gateway = jnp.isfinite(track.out)
+    gateway, there = run_if(
+        ends & is_gateway, lambda _: _gateway(state, track, around, placed, tuning), (track, jnp.bool_(False))
+    )
+    chosen = jax.tree.map(lambda new, old: jnp.where(ends & is_gateway, new, old), gateway, chosen)
+    better, back = better & ~is_gateway, back & ~is_gateway
+    return _Look(ends, chosen, better | back, back, had & jnp.where(is_gateway, there, there_is | drive.known))
+
+
+def _gateway(state, track, around, placed, tuning):
+    """The gateway before which the robot is, once it has looked round: `(track, whether there is one)`."""
+    heading = state.estimate[2]
+    out = track.out - heading
+    middle = to_robot(state.estimate)(track.centre) + tuning.coast_m * jnp.stack([jnp.cos(out), jnp.sin(out)])
+    xy, known = surround.points(around)
+    there, middle, across, width_m = gateways.gateway(xy, known, middle, out, tuning.width_m)
+    found = behaviour.before_gateway(placed(middle), heading + across, width_m, tuning.coast_m)
+    return jax.tree.map(lambda new, old: jnp.where(there, new, old), found, track), there
 
 
 def _surveyed(track, in_map, around, ways_m, placed, tuning, robot):
@@ -171,7 +190,7 @@ def _surveyed(track, in_map, around, ways_m, placed, tuning, robot):
     one = jnp.uint32(1)
     off = jnp.hypot(*(placed(found.centre) - track.centre).T)
     there_is = jnp.any(found.valid & (off < jnp.maximum(SAME_PLACE_M, SAME_PLACE * track.radius)))
-    seen = Track(centre=centre, radius=found.radius[best], seen=one, age=jnp.int32(1))
+    seen = Track(centre, found.radius[best], one, jnp.int32(1), jnp.float32(jnp.nan))
     return seen, better, there_is, _middle(in_map, placed(found.centre), found)
 
 

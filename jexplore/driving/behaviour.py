@@ -8,6 +8,7 @@ import enum
 from collections.abc import Callable
 from typing import Any, ClassVar, Self
 
+import jax
 import jax.numpy as jnp
 from flax import struct
 from jax import Array, lax
@@ -28,6 +29,7 @@ GETS_ON = 1.0, 0.8  # likewise past what seems to close a passage
 LATCH_STEPS = 200  # a target that is not reached in so many steps is given up
 SLOWER = 1.5  # or in so many times those that it takes at full speed, if these are more
 BEFORE_M = 0.6  # a wide place is left by way of a point so far before the opening
+GATEWAY_COS = 0.7  # of the angle between a way and a gateway's axis from which on it leads out
 BESIDE_M = 0.25  # unless the robot is no farther beside its axis
 
 
@@ -58,12 +60,27 @@ class Track:
     radius: Array  # float32, metres
     seen: Array  # uint32, a bit a scan, the last one lowest: whether it showed the triangle
     age: Array  # int32, scans since it was first seen; 0: there is none
+    out: Array  # float32, radians, odometry: of a place before a gateway of a hall, where that leads; NaN: of no other
     replace: ClassVar[Callable[..., Self]]
 
 
 def no_track() -> Track:
     """Nothing ahead."""
-    return Track(centre=jnp.zeros(2), radius=jnp.float32(0), seen=jnp.uint32(0), age=jnp.int32(0))
+    return Track(jnp.zeros(2), jnp.float32(0), jnp.uint32(0), jnp.int32(0), jnp.float32(jnp.nan))
+
+
+def before_gateway(middle: Array, out: Array, width_m: Array, coast_m: Array | float) -> Track:
+    """The place before a gateway of a hall, which is believed.
+
+    Args:
+      middle: `[2]` float32, of the gateway, metres, odometry.
+      out: float32, radians, where it leads.
+      width_m: float32.
+      coast_m: how far before it the place lies.
+    """
+    centre = middle - coast_m * jnp.stack([jnp.cos(out), jnp.sin(out)])
+    radius = jnp.hypot(coast_m, width_m / 2)
+    return Track(centre, radius, jnp.uint32(2**WINDOW - 1), jnp.int32(1), jnp.float32(1) * out)
 
 
 def votes(track: Track) -> Array:
@@ -122,6 +139,7 @@ def follow(
         radius=blended(track.radius, found.radius[which]),
         seen=jnp.where(going, seen, 0),
         age=jnp.where(going, jnp.where(followed, track.age + 1, 1), 0),
+        out=jnp.float32(jnp.nan),
     )
 
 
@@ -132,6 +150,7 @@ class FreeSpace:
     inside: Array  # bool
     streak: Array  # int32, steps in a row that say otherwise
     since_m: Array  # float32, odometer at the first of them
+    replace: ClassVar[Callable[..., Self]]
 
 
 def no_free_space() -> FreeSpace:
@@ -159,6 +178,7 @@ def watch_free_space(
     open_m: Array | float,
     looking: Array | bool,
     roomy: Array | bool = True,
+    coast_m: Array | float = 0.0,
 ) -> tuple[FreeSpace, Array, Array]:
     """Takes one more look at the walls on both sides.
 
@@ -169,11 +189,12 @@ def watch_free_space(
       open_m: a side without a wall within this is free [C1].
       looking: bool scalar; False: nothing changes.
       roomy: from `perception.is_roomy`; where it is False, no free space is entered.
+      coast_m: at which its walls are followed; above 0 it is left only where both walls are as near as that.
 
     Returns:
       `(space, enters, leaves)`: bools, true in the step in which it is believed.
     """
-    limit = jnp.where(space.inside, open_m - HYSTERESIS_M, open_m)
+    limit = jnp.where(space.inside, jnp.where(coast_m > 0, coast_m, open_m - HYSTERESIS_M), open_m)
     free = is_free(left_m, right_m, limit) & (roomy | space.inside)
     other = looking & (free != space.inside)
     since = jnp.where(other & (space.streak > 0), space.since_m, odometer_m)
@@ -181,6 +202,22 @@ def watch_free_space(
     turns = streak >= DEBOUNCE
     after = FreeSpace(inside=space.inside ^ turns, streak=jnp.where(turns, 0, streak), since_m=since)
     return after, turns & ~space.inside, turns & space.inside
+
+
+def at_gateway(space: FreeSpace, drive: "Drive", out: Array) -> tuple[FreeSpace, "Drive"]:
+    """Whether the robot goes on in the hall, and which wall it follows, once it has been written that it is before a
+    gateway: `(space, drive)`.
+
+    Args:
+      space, drive: `FreeSpace`, `Drive`.
+      out: float32, radians, where the gateway leads; NaN: the robot is before none.
+    """
+    is_before, left = jnp.isfinite(out), jnp.sin(drive.out - out)  # to the left of the gateway's axis
+    stays = jnp.cos(drive.out - out) < GATEWAY_COS
+    after = no_free_space().replace(inside=stays)
+    space = jax.tree.map(lambda new, old: jnp.where(is_before, new, old), after, space)
+    side = jnp.where(stays, jnp.where(left > 0, -1, 1), 0)
+    return space, drive.replace(side=jnp.where(is_before, side, drive.side).astype(jnp.int32))
 
 
 def border_ahead(
@@ -218,6 +255,7 @@ class Drive:
     aside: Array  # bool, a wide place is left by an opening that is seen from the side
     known: Array  # bool, the place that is approached is a node, met again
     surveys: Array  # int32, places that it has gone to since the last node, each better than the one before
+    side: Array  # int32, where the wall is that is followed: 1 left, -1 right, 0 none
     turning: Array  # int32, side to which a dead end turns the robot: 1 left, -1 right, 0 none
     left_m: Array  # float32, last distance of a wall on the left within C1, or of one beside which it can turn
     right_m: Array  # float32, likewise on the right
@@ -236,6 +274,7 @@ def at_rest() -> Drive:
         aside=jnp.bool_(False),
         known=jnp.bool_(False),
         surveys=jnp.int32(0),
+        side=jnp.int32(0),
         turning=jnp.int32(0),
         left_m=jnp.float32(1),
         right_m=jnp.float32(1),
@@ -275,7 +314,9 @@ def choose_mode(
     turning = jnp.where(turns, jnp.where(drive.turning == 0, larger, drive.turning), 0)
     walls = ~free & ~closed & ~latched
     least_m = jnp.hypot(robot.length_m, robot.width_m) / 2 + surround.MARGIN_M + ROOM_M
+    side = jnp.where(drive.side == 0, jnp.where(left_m < right_m, 1, -1), drive.side)
     return mode, drive.replace(
+        side=jnp.where(free, side, 0).astype(jnp.int32),
         turning=turning.astype(jnp.int32),
         left_m=jnp.where(walls & (left_m < tuning.open_m), jnp.maximum(left_m, least_m), drive.left_m),
         right_m=jnp.where(walls & (right_m < tuning.open_m), jnp.maximum(right_m, least_m), drive.right_m),
@@ -288,13 +329,15 @@ def target_of(
     left_m: Array,
     right_m: Array,
     edge: tuple[Array, Array],
+    coast: Array,
     to_robot: Callable[[Array], Array],
     tuning: Tuning,
 ) -> Array:
     """The target point in the robot's frame: `[2]` float32, metres.
 
-    In a passage it lies on the middle between the walls, in free space at the distance from the followed wall that the
-    passage before had: the nearer wall, or where both sides are open the one that was nearer last.
+    In a passage it lies on the middle between the walls, in free space in the direction `coast`, from
+    `surround.along_wall`; or, where that is NaN, at the distance from the followed wall that the passage before had:
+    the nearer wall, or where both sides are open the one that was nearer last.
 
     Source:
       Mano et al., equations 3 and 4.
@@ -309,6 +352,8 @@ def target_of(
     cos, sin = jnp.cos(along), jnp.sin(along)
     middle = jnp.stack([tuning.ahead_m * cos + off_m * sin, tuning.ahead_m * sin - off_m * cos])
     ahead = jnp.where((mode == RunMode.WALL_FOLLOWING) | (open_left ^ open_right), wall, middle)
+    coasts = (mode == RunMode.WALL_FOLLOWING) & jnp.isfinite(coast)
+    ahead = jnp.where(coasts, tuning.ahead_m * jnp.stack([jnp.cos(coast), jnp.sin(coast)]), ahead)
     return jnp.where(mode == RunMode.BRANCH_SELECTION, _selected(drive, to_robot, tuning), ahead)
 
 

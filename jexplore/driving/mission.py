@@ -227,9 +227,10 @@ def step(draws: Draws, building: Building, robot: Robot, tuning: Tuning, noise: 
     xy, known = surround.points(around)
     points = placed(xy), known
     writer, drive, track, estimate = nodes.made(state, writer, drive, ahead.track, event, points, tuning, robot)
+    space, drive = behaviour.at_gateway(ahead.space, drive, event.out)
     if writer.guide is not None:
         writer, drive, track = guided(state, writer, drive, track, estimate, ways_m, event.blocked, tuning, robot)
-    mode, drive, target, getting, speed = _driven(state, drive, ahead, walls, around, ways_m, estimate, tuning, robot)
+    mode, drive, target, getting, speed = _driven(state, drive, space, walls, around, ways_m, estimate, tuning, robot)
     after = _moved(draws, building, robot, noise, state, estimate, senses, speed)
     turn = after.odometry[2] - looked_from
     node_at, is_elsewhere = mapping.truly_at(state.node_at, state.writer, writer, state.body.pose[:2])
@@ -237,7 +238,7 @@ def step(draws: Draws, building: Building, robot: Robot, tuning: Tuning, noise: 
         manoeuvre=manoeuvre.remembered(getting, after.odometry),
         climbed_m=state.climbed_m - (after.odometer_m - state.odometer_m) * jnp.sign(speed[0]) * jnp.tan(senses.pitch),
         track=track,
-        space=ahead.space,
+        space=space,
         drive=drive.replace(looked=jnp.where(drive.latch == Latch.LOOK, drive.looked + jnp.abs(turn), 0.0)),
         writer=writer.replace(way=writer.way.replace(mode=writer.way.mode.at[state.step].set(mode, mode="drop"))),
         scan_overflow=state.scan_overflow + ahead.scan_overflow,
@@ -276,11 +277,15 @@ def _decided(state, writer, ahead, around, ways_m, placed, at_goal, is_open, tun
     return writer, drive, ahead, due(state, writer, ahead, at_goal, is_open, arrives)
 
 
-def _driven(state, drive, ahead, walls, around, ways_m, estimate, tuning, robot):
+def _driven(state, drive, space, walls, around, ways_m, estimate, tuning, robot):
     """Run mode, target point and speed: `(mode, drive, target, manoeuvre, speed)`."""
-    mode, drive = behaviour.choose_mode(drive, ahead.space, walls, ways_m, tuning, robot)
+    mode, drive = behaviour.choose_mode(drive, space, walls, ways_m, tuning, robot)
     edge = surround.edge(around)
-    target = behaviour.target_of(mode, drive, walls.left_m, walls.right_m, edge, to_robot(estimate), tuning)
+    coasts = (mode == behaviour.RunMode.WALL_FOLLOWING) & (tuning.coast_m > 0)
+    coast = run_if(
+        coasts, lambda _: surround.along_wall(around, drive.side, tuning.coast_m, robot), jnp.float32(jnp.nan)
+    )
+    target = behaviour.target_of(mode, drive, walls.left_m, walls.right_m, edge, coast, to_robot(estimate), tuning)
     at_target = (drive.latch == Latch.LEAVE) & (jnp.hypot(*target) < tuning.arrive_m)
     bearing = jnp.where(at_target, btm.wrapped(drive.out - estimate[2]), jnp.arctan2(target[1], target[0]))
     turning = jnp.where(drive.latch == Latch.LOOK, 2, drive.turning)
