@@ -14,14 +14,14 @@ from jax import Array
 
 from jexplore import btm
 from jexplore.arrays.loops import run_if
-from jexplore.driving import behaviour
+from jexplore.driving import behaviour, halls
 from jexplore.driving.behaviour import Drive, Latch, RunMode, Track
 from jexplore.driving.events import Ahead, triangles
 from jexplore.driving.mapping import has_left
-from jexplore.driving.sensing import gateways, surround
+from jexplore.driving.sensing import surround
 from jexplore.driving.sensing.surround import Surround
 from jexplore.driving.settings import Robot, Tuning
-from jexplore.driving.vehicle import ANGLES_RAD, RANGE_M, Building, Senses, to_robot, touches
+from jexplore.driving.vehicle import ANGLES_RAD, RANGE_M, Building, Senses, touches
 
 LOOK_RAD = math.pi - 0.05  # the robot looks round by turning so far: the scanner sees half of what there is
 LOOK_STEP_RAD = 0.2  # it stops where it cannot turn so far on
@@ -149,22 +149,11 @@ def _look_ends(state, track, ends, around, ways_m, placed, tuning, robot):
     chosen = jax.tree.map(lambda new, old: jnp.where(ends & better, new, old), other, kept)
     is_gateway = jnp.isfinite(track.out)
     gateway, there = run_if(
-        ends & is_gateway, lambda _: _gateway(state, track, around, placed, tuning), (track, jnp.bool_(False))
+        ends & is_gateway, lambda _: halls.looked(state, track, around, placed, tuning), (track, jnp.bool_(False))
     )
     chosen = jax.tree.map(lambda new, old: jnp.where(ends & is_gateway, new, old), gateway, chosen)
     better, back = better & ~is_gateway, back & ~is_gateway
     return _Look(ends, chosen, better | back, back, had & jnp.where(is_gateway, there, there_is | drive.known))
-
-
-def _gateway(state, track, around, placed, tuning):
-    """The gateway before which the robot is, once it has looked round: `(track, whether there is one)`."""
-    heading = state.estimate[2]
-    out = track.out - heading
-    middle = to_robot(state.estimate)(track.centre) + tuning.coast_m * jnp.stack([jnp.cos(out), jnp.sin(out)])
-    xy, known = surround.points(around)
-    there, middle, across, width_m = gateways.gateway(xy, known, middle, out, tuning.width_m)
-    found = behaviour.before_gateway(placed(middle), heading + across, width_m, tuning.coast_m)
-    return jax.tree.map(lambda new, old: jnp.where(there, new, old), found, track), there
 
 
 def _surveyed(track, in_map, around, ways_m, placed, tuning, robot):

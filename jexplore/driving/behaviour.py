@@ -8,7 +8,6 @@ import enum
 from collections.abc import Callable
 from typing import Any, ClassVar, Self
 
-import jax
 import jax.numpy as jnp
 from flax import struct
 from jax import Array, lax
@@ -29,7 +28,6 @@ GETS_ON = 1.0, 0.8  # likewise past what seems to close a passage
 LATCH_STEPS = 200  # a target that is not reached in so many steps is given up
 SLOWER = 1.5  # or in so many times those that it takes at full speed, if these are more
 BEFORE_M = 0.6  # a wide place is left by way of a point so far before the opening
-GATEWAY_COS = 0.7  # of the angle between a way and a gateway's axis from which on it leads out
 BESIDE_M = 0.25  # unless the robot is no farther beside its axis
 
 
@@ -67,20 +65,6 @@ class Track:
 def no_track() -> Track:
     """Nothing ahead."""
     return Track(jnp.zeros(2), jnp.float32(0), jnp.uint32(0), jnp.int32(0), jnp.float32(jnp.nan))
-
-
-def before_gateway(middle: Array, out: Array, width_m: Array, coast_m: Array | float) -> Track:
-    """The place before a gateway of a hall, which is believed.
-
-    Args:
-      middle: `[2]` float32, of the gateway, metres, odometry.
-      out: float32, radians, where it leads.
-      width_m: float32.
-      coast_m: how far before it the place lies.
-    """
-    centre = middle - coast_m * jnp.stack([jnp.cos(out), jnp.sin(out)])
-    radius = jnp.hypot(coast_m, width_m / 2)
-    return Track(centre, radius, jnp.uint32(2**WINDOW - 1), jnp.int32(1), jnp.float32(1) * out)
 
 
 def votes(track: Track) -> Array:
@@ -204,22 +188,6 @@ def watch_free_space(
     return after, turns & ~space.inside, turns & space.inside
 
 
-def at_gateway(space: FreeSpace, drive: "Drive", out: Array) -> tuple[FreeSpace, "Drive"]:
-    """Whether the robot goes on in the hall, and which wall it follows, once it has been written that it is before a
-    gateway: `(space, drive)`.
-
-    Args:
-      space, drive: `FreeSpace`, `Drive`.
-      out: float32, radians, where the gateway leads; NaN: the robot is before none.
-    """
-    is_before, left = jnp.isfinite(out), jnp.sin(drive.out - out)  # to the left of the gateway's axis
-    stays = jnp.cos(drive.out - out) < GATEWAY_COS
-    after = no_free_space().replace(inside=stays)
-    space = jax.tree.map(lambda new, old: jnp.where(is_before, new, old), after, space)
-    side = jnp.where(stays, jnp.where(left > 0, -1, 1), 0)
-    return space, drive.replace(side=jnp.where(is_before, side, drive.side).astype(jnp.int32))
-
-
 def border_ahead(
     border_m: Array, since_m: Array, enters: Array, leaves: Array, region: tuple[Any, Any]
 ) -> tuple[Array, Array]:
@@ -256,6 +224,7 @@ class Drive:
     known: Array  # bool, the place that is approached is a node, met again
     surveys: Array  # int32, places that it has gone to since the last node, each better than the one before
     side: Array  # int32, where the wall is that is followed: 1 left, -1 right, 0 none
+    began: Array  # [4] float32, where it began to follow that since the last node: odometry; odometer; NaN: it does not
     turning: Array  # int32, side to which a dead end turns the robot: 1 left, -1 right, 0 none
     left_m: Array  # float32, last distance of a wall on the left within C1, or of one beside which it can turn
     right_m: Array  # float32, likewise on the right
@@ -275,6 +244,7 @@ def at_rest() -> Drive:
         known=jnp.bool_(False),
         surveys=jnp.int32(0),
         side=jnp.int32(0),
+        began=jnp.full(4, jnp.nan),
         turning=jnp.int32(0),
         left_m=jnp.float32(1),
         right_m=jnp.float32(1),

@@ -11,11 +11,11 @@ from jax import Array, lax
 
 from jexplore import btm
 from jexplore.arrays.loops import run_if
-from jexplore.driving import behaviour, links, mapping
+from jexplore.driving import behaviour, halls, links, mapping
 from jexplore.driving.behaviour import FreeSpace, Latch, Track
 from jexplore.driving.mapping import Writer
 from jexplore.driving.nodes import SAME_NODE_M, Event
-from jexplore.driving.sensing import gateways, ground_profile, lone_steps, perception, surround
+from jexplore.driving.sensing import ground_profile, lone_steps, perception, surround
 from jexplore.driving.sensing.lone_steps import LoneStep
 from jexplore.driving.sensing.surround import Surround
 from jexplore.driving.settings import Robot, Tuning
@@ -23,7 +23,6 @@ from jexplore.driving.vehicle import ANGLES_RAD, BEAM_SPACING_RAD, to_robot
 
 DRIVE = 1.5  # length of the stretch in which walls are steered by, in look-aheads
 CROSSING_M = 0.1  # but no nearer than this to a wall across the way
-ABEAM_M = 0.4  # a gateway is beside the robot if its middle is no farther ahead or behind
 EVERY = 3  # steps between two looks for triangles
 SCAN_POINTS = 64  # of a scan that are made into triangles
 BESIDE_M = -0.2  # a divergence is looked for so far ahead of the robot's middle or farther
@@ -117,33 +116,9 @@ def look_ahead(
     tips = jnp.hypot(*(lean - writer.level.even)) > jnp.radians(tuning.inclination_deg)
     leans = tips | (rise > RISES_M)
     track, overflow = _watch(state, writer, xy, known, walls.beside.min(), leans, placed, tuning)
-    is_hall = tuning.coast_m > 0
-    track = run_if(
-        is_hall & is_free & state.space.inside & ~leans & (state.step % EVERY == 0),
-        lambda track: _beside(state, writer, xy, known, track, placed, tuning),
-        track,
+    space, border_m, missed, track = _watch_free_space(
+        state, writer, walls, xy, known, track, is_free & ~is_blind, placed, tuning
     )
-    left_m, right_m = walls.region_sides
-    is_in, (from_m, to_m) = is_hall & state.space.inside, walls.region
-    to_m = jnp.where(is_hall, 0.0, to_m)
-    # A hall is left where both its walls are beside the robot: those before it may be in its corner.
-    left_m, right_m = jnp.where(is_in, walls.beside[0], left_m), jnp.where(is_in, walls.beside[1], right_m)
-    space, enters, leaves = behaviour.watch_free_space(
-        state.space,
-        left_m,
-        right_m,
-        state.odometer_m,
-        tuning.open_m,
-        is_free & ~is_blind,
-        walls.roomy,
-        tuning.coast_m,
-    )
-    border_m, missed = behaviour.border_ahead(writer.border_m, space.since_m, enters, leaves, (from_m, to_m))
-    crosses = is_hall & (missed | (state.odometer_m >= border_m))
-    track = jax.tree.map(
-        lambda new, old: jnp.where(crosses & is_free, new, old), _crossed(state, writer, space, walls, tuning), track
-    )
-    border_m, missed = jnp.where(crosses, jnp.inf, border_m), missed & ~is_hall
     level, changed, crease_m, steepest = mapping.watch_level(
         writer.level, lean, lean_m, jnp.radians(tuning.inclination_deg), mapping.EVEN_LENGTHS * robot.length_m
     )
@@ -229,29 +204,27 @@ def _watch(state, writer, xy, valid, wall_m, leans, placed, tuning):
     return run_if(looks, looked, (track, jnp.int32(0)))
 
 
-def _beside(state, writer, xy, valid, track, placed, tuning):
-    """The place before a gateway in the wall that the robot follows, where it is abeam: a `Track`; else the one given."""
-    heading, out = state.estimate[2], state.drive.side * math.pi / 2
-    abeam = jnp.stack([0.0, state.drive.side * tuning.coast_m])
-    there, middle, across, width_m = gateways.gateway(xy, valid, abeam, out, tuning.width_m)
-    found = behaviour.before_gateway(placed(middle), heading + across, width_m, tuning.coast_m)
-    known = mapping.is_near_known(writer, found.centre[None], state.odometer_m, tuning.leave_m)[0]
-    there &= (jnp.abs(middle[0]) < ABEAM_M) & ~known & (state.drive.side != 0)
-    return jax.tree.map(lambda new, old: jnp.where(there, new, old), found, track)
-
-
-def _crossed(state, writer, space, walls, tuning):
-    """The place before the gateway by which the robot has come into a hall or out of one, a `Track`: there is none where
-    it comes out by one before which it has just been.
+def _watch_free_space(state, writer, walls, xy, valid, track, looking, placed, tuning):
+    """`FreeSpace` after one more look, the border that is ahead and whether it was missed, see `Ahead`, and the `Track`
+    of the gateway of a hall, if there is one.
     """
-    heading = state.estimate[2]
-    out = jnp.where(space.inside, heading + math.pi, heading)
-    width_m = jnp.minimum(walls.beside.sum(), 2 * tuning.coast_m)
-    found = behaviour.before_gateway(state.estimate[:2], out, width_m, tuning.coast_m)
-    last = jnp.minimum(writer.node, writer.map.kind.shape[0] - 1)
-    off_m = jnp.hypot(writer.map.x_m[last] - found.centre[0], writer.map.y_m[last] - found.centre[1])
-    known = ~space.inside & (off_m < 2 * tuning.coast_m)
-    return jax.tree.map(lambda none, new: jnp.where(known, none, new), behaviour.no_track(), found)
+    is_hall = tuning.coast_m > 0
+    left_m, right_m = halls.sides(state.space, walls, tuning)
+    space, enters, leaves = behaviour.watch_free_space(
+        state.space, left_m, right_m, state.odometer_m, tuning.open_m, looking, walls.roomy, tuning.coast_m
+    )
+    region = walls.region[0], jnp.where(is_hall, 0.0, walls.region[1])
+    border_m, missed = behaviour.border_ahead(writer.border_m, space.since_m, enters, leaves, region)
+    crosses = is_hall & (missed | (state.odometer_m >= border_m))
+
+    def gateway(track):
+        found = halls.crossed(state, writer, space.inside, walls.beside, tuning)
+        abeam = halls.abeam(state, writer, xy, valid, track, placed, tuning)
+        return jax.tree.map(lambda new, old: jnp.where(crosses, new, old), found, abeam)
+
+    looks = looking & (crosses | (state.space.inside & (state.step % EVERY == 0)))
+    track = run_if(is_hall & looks, gateway, track)
+    return space, jnp.where(crosses, jnp.inf, border_m), missed & ~is_hall, track
 
 
 def _recent_ground(way, state):

@@ -17,7 +17,7 @@ from jax import Array
 from jexplore import btm
 from jexplore.arrays.loops import run_if
 from jexplore.btm import Btm
-from jexplore.driving import approach, behaviour, manoeuvre, mapping, nodes
+from jexplore.driving import approach, behaviour, halls, manoeuvre, mapping, nodes
 from jexplore.driving.behaviour import Drive, FreeSpace, Latch, Track
 from jexplore.driving.events import GOAL_M, due, look_ahead, walls_of_scan
 from jexplore.driving.guiding.guide import Guide
@@ -227,7 +227,9 @@ def step(draws: Draws, building: Building, robot: Robot, tuning: Tuning, noise: 
     xy, known = surround.points(around)
     points = placed(xy), known
     writer, drive, track, estimate = nodes.made(state, writer, drive, ahead.track, event, points, tuning, robot)
-    space, drive = behaviour.at_gateway(ahead.space, drive, event.out)
+    space, drive = halls.gone_on(ahead.space, drive, event.out)
+    drive, is_round = halls.circled(state, drive, space, around, estimate, event.kind != btm.NONE, tuning)
+    writer = writer.replace(exhausted=writer.exhausted | is_round)
     if writer.guide is not None:
         writer, drive, track = guided(state, writer, drive, track, estimate, ways_m, event.blocked, tuning, robot)
     mode, drive, target, getting, speed = _driven(state, drive, space, walls, around, ways_m, estimate, tuning, robot)
@@ -281,10 +283,7 @@ def _driven(state, drive, space, walls, around, ways_m, estimate, tuning, robot)
     """Run mode, target point and speed: `(mode, drive, target, manoeuvre, speed)`."""
     mode, drive = behaviour.choose_mode(drive, space, walls, ways_m, tuning, robot)
     edge = surround.edge(around)
-    coasts = (mode == behaviour.RunMode.WALL_FOLLOWING) & (tuning.coast_m > 0)
-    coast = run_if(
-        coasts, lambda _: surround.along_wall(around, drive.side, tuning.coast_m, robot), jnp.float32(jnp.nan)
-    )
+    coast = halls.coast(mode, drive.side, around, tuning, robot)
     target = behaviour.target_of(mode, drive, walls.left_m, walls.right_m, edge, coast, to_robot(estimate), tuning)
     at_target = (drive.latch == Latch.LEAVE) & (jnp.hypot(*target) < tuning.arrive_m)
     bearing = jnp.where(at_target, btm.wrapped(drive.out - estimate[2]), jnp.arctan2(target[1], target[0]))

@@ -39,7 +39,7 @@ class Event:
     pose: Array  # [3] float32, odometry there
     centre: Array  # [2] float32, of the node
     radius: Array  # float32, of a divergence's circle
-    out: Array  # float32, radians, where the gateway of a hall leads before which a divergence lies; NaN: it lies elsewhere
+    out: Array  # float32, radians, where the gateway of a hall leads before which a divergence lies; else NaN
     posture: Array  # float32, radians, inclination of the body
     steepest: Array  # float32, radians, of an obstacle
     step_m: Array  # float32, height of a step that it has gone over, or cannot climb; 0

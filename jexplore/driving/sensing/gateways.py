@@ -11,13 +11,13 @@ from jexplore.btm import wrapped
 from jexplore.driving.sensing import openings
 from jexplore.driving.vehicle import to_robot
 
-ALONG_M = 3.0  # of a wall so much to each side is looked at
+ALONG_M = 3.5  # of a wall so much to each side is looked at
 TILTS_RAD = np.radians(np.arange(-25, 26, 5)).astype(np.float32)  # by which its direction may be another
 OFFSETS_M = np.arange(-8, 9, dtype=np.float32) / 10  # and it may be nearer or farther
 BAND_M = 0.1  # points so near to a line vote for it
 WALL_M = 0.2  # and so far before and behind its line
 LEADS_M = 0.6  # a gateway leads on so far behind the wall
-MOST_M = 3.0  # and is no wider
+MOST_M = 4.5  # and is no wider
 ABOUT_M = -0.6, -0.3, 0.0, 0.3, 0.6  # from where its middle is expected a point of it is looked for
 
 
@@ -33,7 +33,8 @@ def gateway(
       width_m: least width of an opening.
 
     Returns:
-      `(there, middle, out, width_m)`: bool; `[2]` float32, metres; float32, radians, square to the wall; float32, metres.
+      `(there, middle, out, width_m)`: bool; `[2]` float32, metres; float32, radians, square to the wall; float32,
+        metres.
     """
     turned, wall_m = _wall(xy, valid, middle, out)
     v, u = _along(xy, turned)
@@ -98,5 +99,7 @@ def at_gateway(out: Array, radius_m: Array, coast_m: Array | float, size: int) -
     half_m = jnp.sqrt(jnp.maximum(radius_m**2 - coast_m**2, 0))
     middle = away_m[:, None] * jnp.stack([jnp.cos(across), jnp.sin(across)], axis=1)
     wide = 2 * jnp.stack([half_m, jnp.float32(1) * coast_m, jnp.float32(1) * coast_m])
-    together = [jnp.pad(a, [(0, size - 3)] + [(0, 0)] * (a.ndim - 1)) for a in (jnp.ones(3, bool), middle, across, wide)]
+    together = [
+        jnp.pad(a, [(0, size - 3)] + [(0, 0)] * (a.ndim - 1)) for a in (jnp.ones(3, bool), middle, across, wide)
+    ]
     return openings.in_order(together, jnp.int32(0), size)
