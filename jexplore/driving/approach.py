@@ -77,9 +77,8 @@ def latched(
       tuning, robot: `Tuning`, `Robot`.
     """
     drive, track = state.drive, ahead.track
-    is_gateway = jnp.isfinite(track.out)
-    begins = behaviour.is_believed(track, tuning.votes) & (drive.latch == Latch.FREE)
-    begins &= ~ahead.space.inside | is_gateway
+    begins = behaviour.is_believed(track, tuning.votes) & (~ahead.space.inside | jnp.isfinite(track.out))
+    begins &= drive.latch == Latch.FREE
     following = (drive.latch == Latch.APPROACH) | begins
     target = jnp.where(following, track.centre, drive.target)
     distance = _away_m(state, target)
@@ -93,10 +92,9 @@ def latched(
     may_look = jnp.minimum(left, right) >= math.pi - 1e-3
     ends = looks & ((drive.looked >= LOOK_RAD) | (left < LOOK_STEP_RAD))
     look = _look_ends(state, track, ends, around, ways_m, placed, tuning, robot)
-    had = track.age > 0
     small = look.track.radius < jnp.hypot(robot.length_m, robot.width_m) / 2 + surround.MARGIN_M
     arrives = (following & near & ~may_look & ((distance < THERE_M) | small)) | (ends & ~look.goes_on & look.there_is)
-    none = ends & ~look.goes_on & had & ~look.there_is
+    none = ends & ~look.goes_on & (track.age > 0) & ~look.there_is
     too_late = following & late & ~arrives
 
     latch = jnp.where(begins, Latch.APPROACH, drive.latch)

@@ -117,7 +117,7 @@ def look_ahead(
     leans = tips | (rise > RISES_M)
     track, overflow = _watch(state, writer, xy, known, walls.beside.min(), leans, placed, tuning)
     space, border_m, missed, track = _watch_free_space(
-        state, writer, walls, xy, known, track, is_free & ~is_blind, placed, tuning
+        state, writer, walls, xy, known, track, is_free & ~jnp.asarray(is_blind), placed, tuning
     )
     level, changed, crease_m, steepest = mapping.watch_level(
         writer.level, lean, lean_m, jnp.radians(tuning.inclination_deg), mapping.EVEN_LENGTHS * robot.length_m

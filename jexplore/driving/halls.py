@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from jexplore import btm
 from jexplore.arrays.loops import run_if
 from jexplore.driving import behaviour, mapping
 from jexplore.driving.behaviour import WINDOW, Drive, FreeSpace, Latch, RunMode, Track
@@ -129,7 +130,36 @@ def _before(middle, out, width_m, tuning):
     return Track(centre, radius, jnp.uint32(2**WINDOW - 1), jnp.int32(1), jnp.float32(1) * out)
 
 
-def gone_on(space: FreeSpace, drive: Drive, out: Array) -> tuple[FreeSpace, Drive]:
+def gone_on(
+    state: Any,
+    space: FreeSpace,
+    drive: Drive,
+    writer: Writer,
+    event: Any,
+    around: Surround,
+    estimate: Array,
+    tuning: Tuning,
+) -> tuple[FreeSpace, Drive, Writer]:
+    """How the robot goes on in a hall once a node has been made, or none was due.
+
+    Args:
+      state: `mission.State` before the step.
+      space, drive, writer: `FreeSpace`, `Drive`, `Writer` after it.
+      event: `nodes.Event`.
+      around: `Surround`.
+      estimate: `[3]` float32, odometry.
+      tuning: `Tuning`.
+
+    Returns:
+      `(space, drive, writer)`: whether it stays in the hall, and which wall it follows; a hall that has no gateway is
+        exhausted once the robot has been all round.
+    """
+    space, drive = from_gateway(space, drive, event.out)
+    drive, is_round = circled(state, drive, space, around, estimate, event.kind != btm.NONE, tuning)
+    return space, drive, writer.replace(exhausted=writer.exhausted | is_round)
+
+
+def from_gateway(space: FreeSpace, drive: Drive, out: Array) -> tuple[FreeSpace, Drive]:
     """Whether the robot stays in the hall, and which wall it follows, once it has been before a gateway.
 
     Args:

@@ -220,16 +220,12 @@ def step(draws: Draws, building: Building, robot: Robot, tuning: Tuning, noise: 
     placed = to_odometry(state.estimate)
     writer = mapping.note(state, senses, walls.beside.sum(), robot)
     ahead = look_ahead(state, writer, walls, around, placed, tuning, robot, blind != 0)
-    at_goal = senses.beacon_m < GOAL_M
-    writer, drive, ahead, event = _decided(
-        state, writer, ahead, around, ways_m, placed, at_goal, _is_open(building), tuning, robot
-    )
+    at_goal, at = senses.beacon_m < GOAL_M, (around, ways_m, placed)
+    writer, drive, ahead, event = _decided(state, writer, ahead, at, at_goal, _is_open(building), tuning, robot)
     xy, known = surround.points(around)
-    points = placed(xy), known
-    writer, drive, track, estimate = nodes.made(state, writer, drive, ahead.track, event, points, tuning, robot)
-    space, drive = halls.gone_on(ahead.space, drive, event.out)
-    drive, is_round = halls.circled(state, drive, space, around, estimate, event.kind != btm.NONE, tuning)
-    writer = writer.replace(exhausted=writer.exhausted | is_round)
+    seen = placed(xy), known
+    writer, drive, track, estimate = nodes.made(state, writer, drive, ahead.track, event, seen, tuning, robot)
+    space, drive, writer = halls.gone_on(state, ahead.space, drive, writer, event, around, estimate, tuning)
     if writer.guide is not None:
         writer, drive, track = guided(state, writer, drive, track, estimate, ways_m, event.blocked, tuning, robot)
     mode, drive, target, getting, speed = _driven(state, drive, space, walls, around, ways_m, estimate, tuning, robot)
@@ -259,9 +255,9 @@ def step(draws: Draws, building: Building, robot: Robot, tuning: Tuning, noise: 
     )
 
 
-def _decided(state, writer, ahead, around, ways_m, placed, at_goal, is_open, tuning, robot):
+def _decided(state, writer, ahead, at, at_goal, is_open, tuning, robot):
     """What branch selection does, and the node that is due: `(writer, drive, ahead, event)`."""
-    drive, track, begins, arrives, gives_up = approach.latched(state, ahead, around, ways_m, placed, tuning, robot)
+    drive, track, begins, arrives, gives_up = approach.latched(state, ahead, *at, tuning, robot)
     none = jnp.stack([*ahead.track.centre, ahead.track.radius, state.odometer_m])
     early = arrives & jnp.isfinite(ahead.border_m)
     writer = writer.replace(
@@ -282,9 +278,8 @@ def _decided(state, writer, ahead, around, ways_m, placed, at_goal, is_open, tun
 def _driven(state, drive, space, walls, around, ways_m, estimate, tuning, robot):
     """Run mode, target point and speed: `(mode, drive, target, manoeuvre, speed)`."""
     mode, drive = behaviour.choose_mode(drive, space, walls, ways_m, tuning, robot)
-    edge = surround.edge(around)
-    coast = halls.coast(mode, drive.side, around, tuning, robot)
-    target = behaviour.target_of(mode, drive, walls.left_m, walls.right_m, edge, coast, to_robot(estimate), tuning)
+    ways = surround.edge(around), halls.coast(mode, drive.side, around, tuning, robot)
+    target = behaviour.target_of(mode, drive, walls.left_m, walls.right_m, *ways, to_robot(estimate), tuning)
     at_target = (drive.latch == Latch.LEAVE) & (jnp.hypot(*target) < tuning.arrive_m)
     bearing = jnp.where(at_target, btm.wrapped(drive.out - estimate[2]), jnp.arctan2(target[1], target[0]))
     turning = jnp.where(drive.latch == Latch.LOOK, 2, drive.turning)
