@@ -257,7 +257,8 @@ def step(draws: Draws, building: Building, robot: Robot, tuning: Tuning, noise: 
 
 def _decided(state, writer, ahead, at, at_goal, is_open, tuning, robot):
     """What branch selection does, and the node that is due: `(writer, drive, ahead, event)`."""
-    drive, track, begins, arrives, gives_up = approach.latched(state, ahead, *at, tuning, robot)
+    around, ways_m, placed = at
+    drive, track, begins, arrives, gives_up = approach.latched(state, ahead, around, ways_m, placed, tuning, robot)
     none = jnp.stack([*ahead.track.centre, ahead.track.radius, state.odometer_m])
     early = arrives & jnp.isfinite(ahead.border_m)
     writer = writer.replace(

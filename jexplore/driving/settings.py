@@ -90,7 +90,8 @@ class Tuning:
     in other worlds, whose rooms are places where ways part."""
     coast_m: float = 0.0
     """The walls of free space are followed at this distance, in metres, and each of its gateways is a place where ways
-    part. 0: 1.5; on courses at the distance of the passage before, as in the paper, and gateways are none."""
+    part. 0: 1.5, at most half of C1; on courses at the distance of the passage before, as in the paper, and gateways
+    are none."""
     dead_end_m: float = 0.39
     """The way ahead is closed if both walls together are no farther than this [C2], in metres."""
     arrive_m: float = 0.3
@@ -143,6 +144,8 @@ def for_world(tuning: Tuning, *, is_course: bool) -> Tuning:
     if not isinstance(tuning, Tuning):
         return tuning
     own = {name: found[0 if is_course else 1] for name, found in BY_WORLD.items() if getattr(tuning, name) == 0}
+    if "coast_m" in own:
+        own["coast_m"] = min(own["coast_m"], own.get("open_m", tuning.open_m) / 2)
     return dataclasses.replace(tuning, **own)
 
 
@@ -163,7 +166,7 @@ def require_tuning(tuning: Tuning) -> None:
         else:
             above = field.name not in FROM_ZERO
             require_number(f"tuning.{field.name}", value, low_open=above, high=1000)
-    for low, high in (("width_m", "open_m"), ("arrive_m", "open_m")):
+    for low, high in (("width_m", "open_m"), ("arrive_m", "open_m"), ("coast_m", "open_m")):
         if getattr(tuning, low) >= getattr(tuning, high):
             got = f"{getattr(tuning, low):g} and {getattr(tuning, high):g}"
             raise InputError(f"tuning.{low} must be less than tuning.{high}, got {got}")
