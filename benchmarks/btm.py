@@ -1,7 +1,7 @@
 """What is claimed of Behavioral Trace Maps, measured: repeatability, ablations, accuracy, buildings, sensors, speed.
 
     python benchmarks/btm.py [--runs 1000] [--parts repeat ablation place robots]
-    python benchmarks/btm.py [--runs 1000] [--parts buildings furniture sensors steps speed] [--seed 0]
+    python benchmarks/btm.py [--runs 1000] [--parts buildings halls furniture sensors steps speed] [--seed 0]
     python benchmarks/btm.py [--runs 1000] --parts buildings --worlds WORLD... [--seed 0]
     python benchmarks/btm.py [--runs 1000] --parts loops [--first 21]
     python benchmarks/btm.py --parts read-off --maps FOLDER
@@ -30,9 +30,22 @@ from jexplore.tracemap.corrected import correct_map
 from jexplore.tracemap.record import BtmMap
 from jexplore.tracemap.similarity import code
 from jexplore.worlds import load_world
+from jexplore.worlds.world import World
 
 STILL = Noise(attitude_deg=0, odometry=0, heading_deg_sqrt_m=0, slip=0, beacon_m=0)
-PARTS = ("repeat", "ablation", "place", "robots", "buildings", "furniture", "sensors", "steps", "loops", "speed")
+PARTS = (
+    "repeat",
+    "ablation",
+    "place",
+    "robots",
+    "buildings",
+    "halls",
+    "furniture",
+    "sensors",
+    "steps",
+    "loops",
+    "speed",
+)
 ERRORS = {
     "none besides 1 cm": {},
     "range noise 5 cm": {"range_m": 0.05},
@@ -189,6 +202,61 @@ def buildings(runs, seed=0, worlds=BUILDINGS):
         )
 
 
+def drawn_hall(seed, low_m, high_m):
+    """A hall with three or four passages, one in a wall, 1, 1.5 or 2 m wide and 4 m long, whose ends are told: `(world,
+    ends)`, `[K, 2]`, x, y, metres.
+    """
+    cell_m, size, rng = 0.1, 300, np.random.default_rng(seed)
+    extent = (rng.uniform(low_m, high_m, 2) / cell_m).astype(int)  # along x and y, cells
+    half, deep = int(rng.choice([1.0, 1.5, 2.0]) / cell_m / 2), int(4 / cell_m)
+    low = (size - extent) // 2
+    high = low + extent
+    occupied, ends = np.ones((size, size), bool), []
+    occupied[low[1] : high[1], low[0] : high[0]] = False
+    for side in rng.permutation(4)[: rng.integers(3, 5)]:
+        axis, upper = side % 2, side > 1  # the wall lies across this axis
+        along = int(rng.uniform(low[1 - axis] + 1.5 / cell_m, high[1 - axis] - 1.5 / cell_m))
+        span = slice(high[axis], high[axis] + deep) if upper else slice(low[axis] - deep, low[axis])
+        door = slice(along - half, along + half)
+        occupied[(door, span) if axis == 0 else (span, door)] = False
+        end = span.stop if upper else span.start
+        ends.append((end, along) if axis == 0 else (along, end))
+    return World(occupied=occupied, cell_m=cell_m, name=f"hall {seed}"), np.array(ends) * cell_m
+
+
+def halls(runs, seed=0):
+    """Halls that are drawn, too wide to be places: passages at whose end the robot has been, and nodes of its map
+    beside those of a ring of gateways, the passages' ends and the start. A fiftieth of so many halls, two starts each.
+    """
+    n = max(4, runs // 50)
+    head(
+        "halls",
+        "runs",
+        "EXHAUSTED",
+        "without help",
+        "passages searched",
+        "nodes",
+        "of a ring",
+        "took a place for another",
+    )
+    for low_m, high_m in ((10, 14), (14, 20)):
+        tables, searched, passages, ring = [], 0, 0, 0
+        for number in range(seed * n, (seed + 1) * n):
+            world, ends = drawn_hall(number, low_m, high_m)
+            found = traced(world, starts=2, seed=number, noise=Noise(range_m=0.01))
+            tables.append(found.table)
+            for i in range(2):
+                nodes = np.array([(node.x_m, node.y_m) for node in found.maps[i].nodes])
+                searched += sum(np.hypot(*(nodes - end).T).min() < 2 for end in ends)
+            passages, ring = passages + 2 * len(ends), ring + 2 * (2 * len(ends) + 1)
+        table = pd.concat(tables)
+        done, alone = table["outcome"] == "EXHAUSTED", table["interventions"] == 0
+        shares = [share(int(s.sum()), len(table)) for s in (done, done & alone)]
+        mistaken = share(int((table["mistaken"] > 0).sum()), len(table))
+        span = f"{low_m} to {high_m} m"
+        row(span, len(table), *shares, share(searched, passages), table["nodes"].sum(), ring, mistaken)
+
+
 def part(table, some, all_):
     """A share of sums, in percent; a dash where there is nothing."""
     return f"{100 * table[some].sum() / table[all_].sum():.1f} %" if table[all_].sum() else "–"
@@ -311,7 +379,7 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--runs", type=int, default=1000)
     parser.add_argument("--parts", nargs="*", default=PARTS, choices=(*PARTS, "read-off"))
-    parser.add_argument("--seed", type=int, default=0, help="of the starts in buildings and their noise")
+    parser.add_argument("--seed", type=int, default=0, help="of the starts in buildings and their noise, and of halls")
     parser.add_argument("--worlds", nargs="+", default=BUILDINGS, help="of buildings")
     parser.add_argument("--first", type=int, default=21, help="course of loops and equal junctions, of twenty")
     parser.add_argument("--maps", help="folder with the plans of read-off")
@@ -320,6 +388,7 @@ def main():
     use_compilation_cache()
     given = {
         "buildings": functools.partial(buildings, options.runs, options.seed, options.worlds),
+        "halls": functools.partial(halls, options.runs, options.seed),
         "loops": functools.partial(loops, options.runs, options.first),
         "read-off": functools.partial(read_off, options.maps),
     }

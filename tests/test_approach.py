@@ -46,7 +46,7 @@ def looked_round(node, radius_m, robot_x_m=0.0):
         manoeuvre=SimpleNamespace(backing=jnp.bool_(False)),
         odometer_m=jnp.float32(100),
     )
-    track = Track(centre=pose[:2], radius=jnp.float32(RADIUS_M), seen=jnp.uint32(511), age=jnp.int32(20))
+    track = Track(pose[:2], jnp.float32(RADIUS_M), jnp.uint32(511), jnp.int32(20), jnp.float32(math.nan))
     ahead = SimpleNamespace(track=track, space=behaviour.no_free_space(), leans=jnp.bool_(False))
     ways_m = surround.ways(around, KAMUI)
     return approach.latched(state, ahead, around, ways_m, to_odometry(pose), TUNING, KAMUI)

@@ -389,14 +389,24 @@ def test_at_rest_nothing_is_held():
 AHEAD = (0.0, 0.0)
 
 
-def target(mode, left_m, right_m, drive=None, *, edge=AHEAD):
+def target(mode, left_m, right_m, drive=None, *, edge=AHEAD, coast=math.nan):
     drive = driving(left_m=0.8, right_m=1.1) if drive is None else drive
     sides, edge = ([jnp.float32(v) for v in pair] for pair in ((left_m, right_m), edge))
 
     def to_robot(xy):
         return xy - jnp.asarray([1.0, 2.0])
 
-    return behaviour.target_of(jnp.int32(mode), drive, *sides, tuple(edge), to_robot, TUNING).tolist()
+    return behaviour.target_of(jnp.int32(mode), drive, *sides, tuple(edge), coast, to_robot, TUNING).tolist()
+
+
+@pytest.mark.parametrize("mode", RunMode)
+def test_the_wall_of_a_hall_is_followed_in_the_direction_that_is_told(mode):
+    """But only in that mode: elsewhere the target is what it is without."""
+    found = target(mode, 1.2, INF, coast=0.5)
+    if mode == RunMode.WALL_FOLLOWING:
+        assert found == pytest.approx([TUNING.ahead_m * math.cos(0.5), TUNING.ahead_m * math.sin(0.5)], abs=1e-6)
+    else:
+        assert found == target(mode, 1.2, INF)
 
 
 @pytest.mark.parametrize(("left_m", "right_m", "aside"), [(1.0, 1.0, 0), (1.4, 1.0, 0.2), (0.5, 1.5, -0.5)])
@@ -481,7 +491,14 @@ def test_an_opening_seen_from_the_side_is_gone_through_along_its_axis(aside, lat
     """To (4, 7), where the way leads north; half a metre and 0.6 m before that lies (4, 5.9)."""
     drive = driving(latch=latch, target=(4.0, 7.0)).replace(aside=jnp.bool_(aside), out=jnp.float32(math.pi / 2))
     found = behaviour.target_of(
-        jnp.int32(RunMode.BRANCH_SELECTION), drive, 1.0, 1.0, AHEAD, lambda xy: xy - jnp.asarray(robot), TUNING
+        jnp.int32(RunMode.BRANCH_SELECTION),
+        drive,
+        1.0,
+        1.0,
+        AHEAD,
+        math.nan,
+        lambda xy: xy - jnp.asarray(robot),
+        TUNING,
     )
     assert found.tolist() == pytest.approx(expected, abs=1e-5)
 

@@ -413,7 +413,7 @@ def test_it_steers_no_farther_than_the_way_is_worth():
 
 
 def believed(x, y):
-    return behaviour.Track(jnp.array([x, y]), jnp.float32(1), jnp.uint32(511), jnp.int32(9))
+    return behaviour.Track(jnp.array([x, y]), jnp.float32(1), jnp.uint32(511), jnp.int32(9), jnp.float32(math.nan))
 
 
 def test_a_place_that_it_sees_comes_first_but_not_one_where_it_has_been():

@@ -14,7 +14,7 @@ from jax import Array
 
 from jexplore import btm
 from jexplore.arrays.loops import run_if
-from jexplore.driving import behaviour
+from jexplore.driving import behaviour, halls
 from jexplore.driving.behaviour import Drive, Latch, RunMode, Track
 from jexplore.driving.events import Ahead, triangles
 from jexplore.driving.mapping import has_left
@@ -77,7 +77,8 @@ def latched(
       tuning, robot: `Tuning`, `Robot`.
     """
     drive, track = state.drive, ahead.track
-    begins = behaviour.is_believed(track, tuning.votes) & (drive.latch == Latch.FREE) & ~ahead.space.inside
+    begins = behaviour.is_believed(track, tuning.votes) & (~ahead.space.inside | jnp.isfinite(track.out))
+    begins &= drive.latch == Latch.FREE
     following = (drive.latch == Latch.APPROACH) | begins
     target = jnp.where(following, track.centre, drive.target)
     distance = _away_m(state, target)
@@ -91,10 +92,9 @@ def latched(
     may_look = jnp.minimum(left, right) >= math.pi - 1e-3
     ends = looks & ((drive.looked >= LOOK_RAD) | (left < LOOK_STEP_RAD))
     look = _look_ends(state, track, ends, around, ways_m, placed, tuning, robot)
-    had = track.age > 0
     small = look.track.radius < jnp.hypot(robot.length_m, robot.width_m) / 2 + surround.MARGIN_M
     arrives = (following & near & ~may_look & ((distance < THERE_M) | small)) | (ends & ~look.goes_on & look.there_is)
-    none = ends & ~look.goes_on & had & ~look.there_is
+    none = ends & ~look.goes_on & (track.age > 0) & ~look.there_is
     too_late = following & late & ~arrives
 
     latch = jnp.where(begins, Latch.APPROACH, drive.latch)
@@ -145,7 +145,13 @@ def _look_ends(state, track, ends, around, ways_m, placed, tuning, robot):
     )
     kept = track.replace(centre=jnp.where(back, middle, track.centre))
     chosen = jax.tree.map(lambda new, old: jnp.where(ends & better, new, old), other, kept)
-    return _Look(ends, chosen, better | back, back, had & (there_is | drive.known))
+    is_gateway = jnp.isfinite(track.out)
+    gateway, there = run_if(
+        ends & is_gateway, lambda _: halls.looked(state, track, around, placed, tuning), (track, jnp.bool_(False))
+    )
+    chosen = jax.tree.map(lambda new, old: jnp.where(ends & is_gateway, new, old), gateway, chosen)
+    better, back = better & ~is_gateway, back & ~is_gateway
+    return _Look(ends, chosen, better | back, back, had & jnp.where(is_gateway, there, there_is | drive.known))
 
 
 def _surveyed(track, in_map, around, ways_m, placed, tuning, robot):
@@ -171,7 +177,7 @@ def _surveyed(track, in_map, around, ways_m, placed, tuning, robot):
     one = jnp.uint32(1)
     off = jnp.hypot(*(placed(found.centre) - track.centre).T)
     there_is = jnp.any(found.valid & (off < jnp.maximum(SAME_PLACE_M, SAME_PLACE * track.radius)))
-    seen = Track(centre=centre, radius=found.radius[best], seen=one, age=jnp.int32(1))
+    seen = Track(centre, found.radius[best], one, jnp.int32(1), jnp.float32(jnp.nan))
     return seen, better, there_is, _middle(in_map, placed(found.centre), found)
 
 

@@ -58,12 +58,13 @@ class Track:
     radius: Array  # float32, metres
     seen: Array  # uint32, a bit a scan, the last one lowest: whether it showed the triangle
     age: Array  # int32, scans since it was first seen; 0: there is none
+    out: Array  # float32, radians, odometry: of a place before a gateway of a hall, where that leads; NaN: of no other
     replace: ClassVar[Callable[..., Self]]
 
 
 def no_track() -> Track:
     """Nothing ahead."""
-    return Track(centre=jnp.zeros(2), radius=jnp.float32(0), seen=jnp.uint32(0), age=jnp.int32(0))
+    return Track(jnp.zeros(2), jnp.float32(0), jnp.uint32(0), jnp.int32(0), jnp.float32(jnp.nan))
 
 
 def votes(track: Track) -> Array:
@@ -122,6 +123,7 @@ def follow(
         radius=blended(track.radius, found.radius[which]),
         seen=jnp.where(going, seen, 0),
         age=jnp.where(going, jnp.where(followed, track.age + 1, 1), 0),
+        out=jnp.float32(jnp.nan),
     )
 
 
@@ -132,6 +134,7 @@ class FreeSpace:
     inside: Array  # bool
     streak: Array  # int32, steps in a row that say otherwise
     since_m: Array  # float32, odometer at the first of them
+    replace: ClassVar[Callable[..., Self]]
 
 
 def no_free_space() -> FreeSpace:
@@ -159,6 +162,7 @@ def watch_free_space(
     open_m: Array | float,
     looking: Array | bool,
     roomy: Array | bool = True,
+    coast_m: Array | float = 0.0,
 ) -> tuple[FreeSpace, Array, Array]:
     """Takes one more look at the walls on both sides.
 
@@ -169,11 +173,12 @@ def watch_free_space(
       open_m: a side without a wall within this is free [C1].
       looking: bool scalar; False: nothing changes.
       roomy: from `perception.is_roomy`; where it is False, no free space is entered.
+      coast_m: at which its walls are followed; above 0 it is left only where both walls are as near as that.
 
     Returns:
       `(space, enters, leaves)`: bools, true in the step in which it is believed.
     """
-    limit = jnp.where(space.inside, open_m - HYSTERESIS_M, open_m)
+    limit = jnp.where(space.inside, jnp.where(coast_m > 0, coast_m, open_m - HYSTERESIS_M), open_m)
     free = is_free(left_m, right_m, limit) & (roomy | space.inside)
     other = looking & (free != space.inside)
     since = jnp.where(other & (space.streak > 0), space.since_m, odometer_m)
@@ -218,6 +223,8 @@ class Drive:
     aside: Array  # bool, a wide place is left by an opening that is seen from the side
     known: Array  # bool, the place that is approached is a node, met again
     surveys: Array  # int32, places that it has gone to since the last node, each better than the one before
+    side: Array  # int32, where the wall is that is followed: 1 left, -1 right, 0 none
+    began: Array  # [4] float32, where it began to follow that since the last node: odometry; odometer; NaN: it does not
     turning: Array  # int32, side to which a dead end turns the robot: 1 left, -1 right, 0 none
     left_m: Array  # float32, last distance of a wall on the left within C1, or of one beside which it can turn
     right_m: Array  # float32, likewise on the right
@@ -236,6 +243,8 @@ def at_rest() -> Drive:
         aside=jnp.bool_(False),
         known=jnp.bool_(False),
         surveys=jnp.int32(0),
+        side=jnp.int32(0),
+        began=jnp.full(4, jnp.nan),
         turning=jnp.int32(0),
         left_m=jnp.float32(1),
         right_m=jnp.float32(1),
@@ -275,7 +284,9 @@ def choose_mode(
     turning = jnp.where(turns, jnp.where(drive.turning == 0, larger, drive.turning), 0)
     walls = ~free & ~closed & ~latched
     least_m = jnp.hypot(robot.length_m, robot.width_m) / 2 + surround.MARGIN_M + ROOM_M
+    side = jnp.where(drive.side == 0, jnp.where(left_m < right_m, 1, -1), drive.side)
     return mode, drive.replace(
+        side=jnp.where(free, side, 0).astype(jnp.int32),
         turning=turning.astype(jnp.int32),
         left_m=jnp.where(walls & (left_m < tuning.open_m), jnp.maximum(left_m, least_m), drive.left_m),
         right_m=jnp.where(walls & (right_m < tuning.open_m), jnp.maximum(right_m, least_m), drive.right_m),
@@ -288,13 +299,15 @@ def target_of(
     left_m: Array,
     right_m: Array,
     edge: tuple[Array, Array],
+    coast: Array,
     to_robot: Callable[[Array], Array],
     tuning: Tuning,
 ) -> Array:
     """The target point in the robot's frame: `[2]` float32, metres.
 
-    In a passage it lies on the middle between the walls, in free space at the distance from the followed wall that the
-    passage before had: the nearer wall, or where both sides are open the one that was nearer last.
+    In a passage it lies on the middle between the walls, in free space in the direction `coast`, from
+    `surround.along_wall`; or, where that is NaN, at the distance from the followed wall that the passage before had:
+    the nearer wall, or where both sides are open the one that was nearer last.
 
     Source:
       Mano et al., equations 3 and 4.
@@ -309,6 +322,8 @@ def target_of(
     cos, sin = jnp.cos(along), jnp.sin(along)
     middle = jnp.stack([tuning.ahead_m * cos + off_m * sin, tuning.ahead_m * sin - off_m * cos])
     ahead = jnp.where((mode == RunMode.WALL_FOLLOWING) | (open_left ^ open_right), wall, middle)
+    coasts = (mode == RunMode.WALL_FOLLOWING) & jnp.isfinite(coast)
+    ahead = jnp.where(coasts, tuning.ahead_m * jnp.stack([jnp.cos(coast), jnp.sin(coast)]), ahead)
     return jnp.where(mode == RunMode.BRANCH_SELECTION, _selected(drive, to_robot, tuning), ahead)
 
 

@@ -11,7 +11,7 @@ from jax import Array, lax
 
 from jexplore import btm
 from jexplore.arrays.loops import run_if
-from jexplore.driving import behaviour, links, mapping
+from jexplore.driving import behaviour, halls, links, mapping
 from jexplore.driving.behaviour import FreeSpace, Latch, Track
 from jexplore.driving.mapping import Writer
 from jexplore.driving.nodes import SAME_NODE_M, Event
@@ -116,11 +116,9 @@ def look_ahead(
     tips = jnp.hypot(*(lean - writer.level.even)) > jnp.radians(tuning.inclination_deg)
     leans = tips | (rise > RISES_M)
     track, overflow = _watch(state, writer, xy, known, walls.beside.min(), leans, placed, tuning)
-    left_m, right_m = walls.region_sides
-    space, enters, leaves = behaviour.watch_free_space(
-        state.space, left_m, right_m, state.odometer_m, tuning.open_m, is_free & ~is_blind, walls.roomy
+    space, border_m, missed, track = _watch_free_space(
+        state, writer, walls, xy, known, track, is_free & ~jnp.asarray(is_blind), placed, tuning
     )
-    border_m, missed = behaviour.border_ahead(writer.border_m, space.since_m, enters, leaves, walls.region)
     level, changed, crease_m, steepest = mapping.watch_level(
         writer.level, lean, lean_m, jnp.radians(tuning.inclination_deg), mapping.EVEN_LENGTHS * robot.length_m
     )
@@ -200,10 +198,33 @@ def _watch(state, writer, xy, valid, wall_m, leans, placed, tuning):
         return behaviour.follow(carry[0], found, placed, tuning.same_m, ~approaches), found.overflow
 
     # There are no divergences in free space; where the robot turns on a slope, it leans otherwise for a moment.
-    forgets = (state.space.inside | leans) & ~turns
+    forgets = ((state.space.inside & jnp.isnan(state.track.out)) | leans) & ~turns
     track = jax.tree.map(lambda none, old: jnp.where(forgets, none, old), behaviour.no_track(), state.track)
-    looks = (state.step % EVERY == 0) & ~is_in & ~turns & ~forgets
+    looks = (state.step % EVERY == 0) & ~is_in & ~turns & ~forgets & ~state.space.inside & jnp.isnan(state.track.out)
     return run_if(looks, looked, (track, jnp.int32(0)))
+
+
+def _watch_free_space(state, writer, walls, xy, valid, track, looking, placed, tuning):
+    """`FreeSpace` after one more look, the border that is ahead and whether it was missed, see `Ahead`, and the `Track`
+    of the gateway of a hall, if there is one.
+    """
+    is_hall = tuning.coast_m > 0
+    left_m, right_m = halls.sides(state.space, walls, tuning)
+    space, enters, leaves = behaviour.watch_free_space(
+        state.space, left_m, right_m, state.odometer_m, tuning.open_m, looking, walls.roomy, tuning.coast_m
+    )
+    region = walls.region[0], jnp.where(is_hall, 0.0, walls.region[1])
+    border_m, missed = behaviour.border_ahead(writer.border_m, space.since_m, enters, leaves, region)
+    crosses = is_hall & (missed | (state.odometer_m >= border_m))
+
+    def gateway(track):
+        found = halls.crossed(state, writer, space.inside, walls.beside, tuning)
+        abeam = halls.abeam(state, writer, xy, valid, track, placed, tuning)
+        return jax.tree.map(lambda new, old: jnp.where(crosses, new, old), found, abeam)
+
+    looks = looking & (crosses | (state.space.inside & (state.step % EVERY == 0)))
+    track = run_if(is_hall & looks, gateway, track)
+    return space, jnp.where(crosses, jnp.inf, border_m), missed & ~is_hall, track
 
 
 def _recent_ground(way, state):
@@ -307,6 +328,7 @@ def due(state: Any, writer: Writer, ahead: Ahead, at_goal: Array, is_open: Array
         pose=pose,
         centre=centre,
         radius=jnp.where(kind == btm.DIVERGENCE, ahead.track.radius, 0.0),
+        out=jnp.where(kind == btm.DIVERGENCE, ahead.track.out, jnp.nan),
         posture=writer.way.posture[jnp.minimum(state.step, writer.way.posture.shape[0] - 1)],
         steepest=jnp.where(is_blocked, ahead.beyond[1], ahead.steepest),
         step_m=jnp.where(is_blocked, ahead.beyond[0], jnp.where(ahead.is_lone, step.height_m, 0.0)),

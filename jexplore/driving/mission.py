@@ -17,7 +17,7 @@ from jax import Array
 from jexplore import btm
 from jexplore.arrays.loops import run_if
 from jexplore.btm import Btm
-from jexplore.driving import approach, behaviour, manoeuvre, mapping, nodes
+from jexplore.driving import approach, behaviour, halls, manoeuvre, mapping, nodes
 from jexplore.driving.behaviour import Drive, FreeSpace, Latch, Track
 from jexplore.driving.events import GOAL_M, due, look_ahead, walls_of_scan
 from jexplore.driving.guiding.guide import Guide
@@ -220,16 +220,15 @@ def step(draws: Draws, building: Building, robot: Robot, tuning: Tuning, noise: 
     placed = to_odometry(state.estimate)
     writer = mapping.note(state, senses, walls.beside.sum(), robot)
     ahead = look_ahead(state, writer, walls, around, placed, tuning, robot, blind != 0)
-    at_goal = senses.beacon_m < GOAL_M
-    writer, drive, ahead, event = _decided(
-        state, writer, ahead, around, ways_m, placed, at_goal, _is_open(building), tuning, robot
-    )
+    at_goal, at = senses.beacon_m < GOAL_M, (around, ways_m, placed)
+    writer, drive, ahead, event = _decided(state, writer, ahead, at, at_goal, _is_open(building), tuning, robot)
     xy, known = surround.points(around)
-    points = placed(xy), known
-    writer, drive, track, estimate = nodes.made(state, writer, drive, ahead.track, event, points, tuning, robot)
+    seen = placed(xy), known
+    writer, drive, track, estimate = nodes.made(state, writer, drive, ahead.track, event, seen, tuning, robot)
+    space, drive, writer = halls.gone_on(state, ahead.space, drive, writer, event, around, estimate, tuning)
     if writer.guide is not None:
         writer, drive, track = guided(state, writer, drive, track, estimate, ways_m, event.blocked, tuning, robot)
-    mode, drive, target, getting, speed = _driven(state, drive, ahead, walls, around, ways_m, estimate, tuning, robot)
+    mode, drive, target, getting, speed = _driven(state, drive, space, walls, around, ways_m, estimate, tuning, robot)
     after = _moved(draws, building, robot, noise, state, estimate, senses, speed)
     turn = after.odometry[2] - looked_from
     node_at, is_elsewhere = mapping.truly_at(state.node_at, state.writer, writer, state.body.pose[:2])
@@ -237,7 +236,7 @@ def step(draws: Draws, building: Building, robot: Robot, tuning: Tuning, noise: 
         manoeuvre=manoeuvre.remembered(getting, after.odometry),
         climbed_m=state.climbed_m - (after.odometer_m - state.odometer_m) * jnp.sign(speed[0]) * jnp.tan(senses.pitch),
         track=track,
-        space=ahead.space,
+        space=space,
         drive=drive.replace(looked=jnp.where(drive.latch == Latch.LOOK, drive.looked + jnp.abs(turn), 0.0)),
         writer=writer.replace(way=writer.way.replace(mode=writer.way.mode.at[state.step].set(mode, mode="drop"))),
         scan_overflow=state.scan_overflow + ahead.scan_overflow,
@@ -256,8 +255,9 @@ def step(draws: Draws, building: Building, robot: Robot, tuning: Tuning, noise: 
     )
 
 
-def _decided(state, writer, ahead, around, ways_m, placed, at_goal, is_open, tuning, robot):
+def _decided(state, writer, ahead, at, at_goal, is_open, tuning, robot):
     """What branch selection does, and the node that is due: `(writer, drive, ahead, event)`."""
+    around, ways_m, placed = at
     drive, track, begins, arrives, gives_up = approach.latched(state, ahead, around, ways_m, placed, tuning, robot)
     none = jnp.stack([*ahead.track.centre, ahead.track.radius, state.odometer_m])
     early = arrives & jnp.isfinite(ahead.border_m)
@@ -276,11 +276,11 @@ def _decided(state, writer, ahead, around, ways_m, placed, at_goal, is_open, tun
     return writer, drive, ahead, due(state, writer, ahead, at_goal, is_open, arrives)
 
 
-def _driven(state, drive, ahead, walls, around, ways_m, estimate, tuning, robot):
+def _driven(state, drive, space, walls, around, ways_m, estimate, tuning, robot):
     """Run mode, target point and speed: `(mode, drive, target, manoeuvre, speed)`."""
-    mode, drive = behaviour.choose_mode(drive, ahead.space, walls, ways_m, tuning, robot)
-    edge = surround.edge(around)
-    target = behaviour.target_of(mode, drive, walls.left_m, walls.right_m, edge, to_robot(estimate), tuning)
+    mode, drive = behaviour.choose_mode(drive, space, walls, ways_m, tuning, robot)
+    ways = surround.edge(around), halls.coast(mode, drive.side, around, tuning, robot)
+    target = behaviour.target_of(mode, drive, walls.left_m, walls.right_m, *ways, to_robot(estimate), tuning)
     at_target = (drive.latch == Latch.LEAVE) & (jnp.hypot(*target) < tuning.arrive_m)
     bearing = jnp.where(at_target, btm.wrapped(drive.out - estimate[2]), jnp.arctan2(target[1], target[0]))
     turning = jnp.where(drive.latch == Latch.LOOK, 2, drive.turning)

@@ -16,7 +16,7 @@ from jexplore.driving import behaviour, links
 from jexplore.driving.behaviour import Drive, Latch, Track
 from jexplore.driving.guiding import leaving
 from jexplore.driving.mapping import Writer, along, came_from, came_through, has_left, moved
-from jexplore.driving.sensing import obstacles, openings
+from jexplore.driving.sensing import gateways, obstacles, openings
 from jexplore.driving.settings import Robot, Tuning
 from jexplore.driving.vehicle import to_odometry
 
@@ -39,6 +39,7 @@ class Event:
     pose: Array  # [3] float32, odometry there
     centre: Array  # [2] float32, of the node
     radius: Array  # float32, of a divergence's circle
+    out: Array  # float32, radians, where the gateway of a hall leads before which a divergence lies; else NaN
     posture: Array  # float32, radians, inclination of the body
     steepest: Array  # float32, radians, of an obstacle
     step_m: Array  # float32, height of a step that it has gone over, or cannot climb; 0
@@ -119,6 +120,8 @@ def _find_openings(writer, event, points, tuning, is_divergence):
         size=OPENINGS,
         seen_from=event.pose[:2],
     )
+    at_gateway = gateways.at_gateway(event.out, event.radius, tuning.coast_m, OPENINGS)
+    found = _either_of(jnp.isfinite(event.out), at_gateway, found)
     off = jnp.where(found.valid, jnp.abs(btm.wrapped(found.bearing - came)), jnp.inf)
     passed = came_through(writer, event.centre + found.middle, found.across, found.width_m)
     passed = _by_door(jnp.where(found.valid, passed, -1), found.width_m, writer.way.odometer_m)

@@ -88,6 +88,10 @@ class Tuning:
     open_m: float = 0.0
     """A side without a wall within this [C1], in metres, is free space. 0: 2.5 on courses, whose hall is free space, 5
     in other worlds, whose rooms are places where ways part."""
+    coast_m: float = 0.0
+    """The walls of free space are followed at this distance, in metres, and each of its gateways is a place where ways
+    part. 0: 1.5, at most half of C1; on courses at the distance of the passage before, as in the paper, and gateways
+    are none."""
     dead_end_m: float = 0.39
     """The way ahead is closed if both walls together are no farther than this [C2], in metres."""
     arrive_m: float = 0.3
@@ -120,10 +124,12 @@ class Tuning:
     """The robot turns at this rate for each radian of bearing of the target point [kw], in 1/s."""
 
 
-BY_WORLD = {"open_m": (2.5, 5.0), "far_m": (4.0, 8.0)}
+BY_WORLD = {"open_m": (2.5, 5.0), "far_m": (4.0, 8.0), "coast_m": (0.0, 1.5)}
 """Thresholds whose 0 stands for another number -> that on courses, and in other worlds."""
 SEES_M = 4.0
 """The scanner that looks ahead must see level ground no nearer than this, metres."""
+FROM_ZERO = "obtuse_tol_deg", "leave_m", "tread_wave_m2", "agree_deg", "agree_share", "coast_m"
+"""Thresholds that may be 0."""
 WHOLE = {"votes": 9, "helps": 100}
 """Thresholds that are whole numbers -> their largest value."""
 
@@ -138,6 +144,8 @@ def for_world(tuning: Tuning, *, is_course: bool) -> Tuning:
     if not isinstance(tuning, Tuning):
         return tuning
     own = {name: found[0 if is_course else 1] for name, found in BY_WORLD.items() if getattr(tuning, name) == 0}
+    if "coast_m" in own:
+        own["coast_m"] = min(own["coast_m"], own.get("open_m", tuning.open_m) / 2)
     return dataclasses.replace(tuning, **own)
 
 
@@ -156,9 +164,9 @@ def require_tuning(tuning: Tuning) -> None:
         if field.type is int:
             require_whole(f"tuning.{field.name}", value, low=1, high=WHOLE[field.name])
         else:
-            above = field.name not in ("obtuse_tol_deg", "leave_m", "tread_wave_m2", "agree_deg", "agree_share")
+            above = field.name not in FROM_ZERO
             require_number(f"tuning.{field.name}", value, low_open=above, high=1000)
-    for low, high in (("width_m", "open_m"), ("arrive_m", "open_m")):
+    for low, high in (("width_m", "open_m"), ("arrive_m", "open_m"), ("coast_m", "open_m")):
         if getattr(tuning, low) >= getattr(tuning, high):
             got = f"{getattr(tuning, low):g} and {getattr(tuning, high):g}"
             raise InputError(f"tuning.{low} must be less than tuning.{high}, got {got}")

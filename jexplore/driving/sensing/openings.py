@@ -223,7 +223,7 @@ def openings(xy: Array, valid: Array, centre: Array, radius_m: Array | float, wi
     own = jnp.where(jnp.any(stays) | jnp.any(doors[0]), stays, valid), middle, across, wide
     more = jnp.sum(gap_here, dtype=jnp.int32) - size, jnp.sum(door, dtype=jnp.int32) - size
     together = [jnp.concatenate(pair) for pair in zip(own, doors)]
-    return _in_order(together, jnp.maximum(more[0], 0) + jnp.maximum(more[1], 0), size)
+    return in_order(together, jnp.maximum(more[0], 0) + jnp.maximum(more[1], 0), size)
 
 
 def ways_out(xy: Array, valid: Array, centre: Array, radius_m: Array | float, width_m: Array | float, *,
@@ -255,7 +255,7 @@ def ways_out(xy: Array, valid: Array, centre: Array, radius_m: Array | float, wi
         return _joined(together, _wall_doors(place, here, width_m, circle * radius_m, size))
 
     none = [jnp.concatenate([a, jnp.zeros_like(a[: 2 * size])]) for a in together]
-    return _in_order(run_if(radius_m > WIDE_M, with_doors, none), found.overflow, size)
+    return in_order(run_if(radius_m > WIDE_M, with_doors, none), found.overflow, size)
 
 
 def _joined(openings, doors):
@@ -323,7 +323,7 @@ def _doors(place, door, door_end, size):
     return jnp.any(chosen, axis=1), (one + other) / 2, jnp.arctan2(-along[:, 0], along[:, 1]), jnp.hypot(*along.T)
 
 
-def _in_order(together, more, size):
+def in_order(together, more, size):
     """`Openings` counter-clockwise, of which some did not fit before."""
     valid, middle, across, wide = together
     # The direction of its passage, if from the centre it looks much like that and no other opening does.

@@ -24,6 +24,8 @@ TURN_STEPS = 36  # of half a turn each way
 OPPOSITE = 0.26  # cosine: what lies at least 75 degrees from the nearest point is on the other side
 MARGIN_M = 0.03  # between a wall and the robot's outline where it turns
 BESIDE_M = 0.05  # likewise beside the way where it drives
+COAST = 0.85  # of the distance at which a wall is followed: half of the strip that must be free
+COAST_FREE_M = 2.0  # and so far
 
 _IS_BEHIND = np.abs(np.arange(SECTORS) - SECTORS // 2) > BEHIND
 DIRECTION = np.radians(np.arange(DIRECTIONS) * (360 / DIRECTIONS) - 180).astype(np.float32)
@@ -158,3 +160,34 @@ def ways(around: Surround, robot: Robot) -> Array:
     along, aside = x * cos + y * sin, y * cos - x * sin
     meets = known & (along > 0) & (jnp.abs(aside) < robot.width_m / 2 + BESIDE_M)
     return jnp.min(jnp.where(meets, along, jnp.inf), axis=1) - robot.length_m / 2
+
+
+def along_wall(around: Surround, side: Array, coast_m: Array | float, robot: Robot) -> Array:
+    """The direction in which the robot follows a wall: float32, radians.
+
+    From where the nearest point is it is the first, away from the side of the wall, in which a strip as wide as the
+    robot keeps its distance is free: along the wall, round its corners, and past gaps that are narrower than that
+    strip. Far from any wall it is straight on.
+
+    Args:
+      around: `Surround`.
+      side: int32, where the wall is to be: 1 to the left, -1 to the right.
+      coast_m: how far from it the robot keeps, metres.
+      robot: `Robot`.
+    """
+    xy, known = points(around)
+    x, y = xy[:, 0], -side * xy[:, 1]  # the wall to the right
+    cos, sin = np.cos(DIRECTION)[:, None], np.sin(DIRECTION)[:, None]
+    along, aside = x * cos + y * sin, y * cos - x * sin
+    half_m = jnp.minimum(COAST * coast_m, robot.width_m / 2 + BESIDE_M + along / 2)
+    meets = known & (along > 0) & (jnp.abs(aside) < half_m)
+    free_m = jnp.min(jnp.where(meets, along, jnp.inf), axis=1)
+    free = free_m >= COAST_FREE_M
+    range_m = jnp.where(known, jnp.hypot(x, y), jnp.inf)
+    nearest = jnp.argmin(range_m)
+    after = (DIRECTION - jnp.arctan2(y[nearest], x[nearest])) % (2 * math.pi)
+    first = jnp.argmin(jnp.where(free, after, jnp.inf))
+    straight = np.argmin(np.abs(DIRECTION))
+    goes_on = free[straight] & (range_m[nearest] > 2 * coast_m)
+    chosen = jnp.where(goes_on, straight, jnp.where(jnp.any(free), first, jnp.argmax(free_m)))
+    return -side * jnp.asarray(DIRECTION)[chosen]

@@ -317,7 +317,8 @@ def _placed(world, ends, robot, tuning):
     for pose in begins:
         require_start(world, building, robot, pose)
     x_m, y_m = begins[0, :2]
-    truth = truth_of(world, (int(y_m / world.cell_m), int(x_m / world.cell_m)), robot.width_m, tuning.open_m)
+    at = int(y_m / world.cell_m), int(x_m / world.cell_m)
+    truth = truth_of(world, at, robot.width_m, tuning.open_m, tuning.coast_m)
     return building_of(world, goal, truth.marks), truth, begins
 
 

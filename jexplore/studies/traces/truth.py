@@ -23,9 +23,10 @@ class Truth(NamedTuple):
     map: BtmMap  # of a course its topology, else what `extract` makes of the true map
     marks: np.ndarray  # [K, 3] float, x, y, metres, in the world's frame; radius within which the place is reached
     is_door: np.ndarray  # [K] bool; the others are junctions
+    around_m: np.ndarray  # [K] float, metres: a divergence no farther away is no false one
 
 
-def truth_of(world: World, start_rc: tuple[int, int], width_m: float, open_m: float) -> Truth:
+def truth_of(world: World, start_rc: tuple[int, int], width_m: float, open_m: float, coast_m: float = 0.0) -> Truth:
     """What there is to find in a world, as far as a robot gets.
 
     Args:
@@ -33,6 +34,7 @@ def truth_of(world: World, start_rc: tuple[int, int], width_m: float, open_m: fl
       start_rc: row and col of a cell that the robot can reach.
       width_m: of the robot.
       open_m: see `extract`.
+      coast_m: so far before the mouth of a passage into free space the robot has its divergence, metres.
 
     Returns:
       `Truth`. Junctions are nodes of type divergence and free space. Without true rooms there are no doors.
@@ -55,8 +57,9 @@ def truth_of(world: World, start_rc: tuple[int, int], width_m: float, open_m: fl
         )
     else:
         found = world.course.topology
-    places = [(node.x_m, node.y_m) for node in found.nodes if node.type in ("divergence", "free_space")]
-    places = np.array(places).reshape(-1, 2)
+    junctions = [node for node in found.nodes if node.type in ("divergence", "free_space")]
+    is_mouth = np.array([node.type == "free_space" for node in junctions], bool)
+    places = np.array([(node.x_m, node.y_m) for node in junctions]).reshape(-1, 2)
     cells = np.floor((places - np.asarray(world.origin_m)) / world.cell_m).astype(int)
     radius = np.maximum(distance[cells[:, 1], cells[:, 0]], NEAR_M) if len(cells) else np.zeros(0)
     doors = np.zeros((0, 2))
@@ -66,7 +69,8 @@ def truth_of(world: World, start_rc: tuple[int, int], width_m: float, open_m: fl
         doors = np.stack(centre_of(*cells.T, cell_m=world.cell_m, origin_m=world.origin_m), axis=1)
     at = np.concatenate([places, doors])
     marks = np.column_stack([at, np.concatenate([radius, np.full(len(doors), NEAR_M)])])
-    return Truth(found, marks, np.arange(len(marks)) >= len(places))
+    around_m = marks[:, 2] + coast_m * np.append(is_mouth, np.zeros(len(doors), bool))
+    return Truth(found, marks, np.arange(len(marks)) >= len(places), around_m)
 
 
 def maps_from(world: World, truth: Truth, pose: tuple[float, float, float]) -> tuple[BtmMap, ...]:
@@ -114,10 +118,10 @@ def false_divergences(found: BtmMap, node_at: np.ndarray, truth: Truth) -> int:
       node_at: `[N, 2]`, where the robot truly was when it made each node, in the world's frame.
       truth: `Truth`.
     """
-    places = truth.marks[~truth.is_door]
+    places, around_m = truth.marks[~truth.is_door], truth.around_m[~truth.is_door]
     count = 0
     for node in found.nodes:
         if node.type == "divergence":
             off = np.hypot(*(places[:, :2] - node_at[node.id]).T)
-            count += not np.any(off <= places[:, 2])
+            count += not np.any(off <= around_m)
     return count

@@ -1,0 +1,219 @@
+"""Halls: the robot follows their walls, and before each gateway is a place where ways part.
+
+That place and the ways along the wall are the extended Voronoi graph of a space too wide for the sensors, where
+distances from its walls stand for a middle line (Beeson, Jong and Kuipers, Towards autonomous topological place
+detection using the extended Voronoi graph, 2005).
+"""
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from jexplore import btm
+from jexplore.arrays.loops import run_if
+from jexplore.driving import behaviour, mapping
+from jexplore.driving.behaviour import WINDOW, Drive, FreeSpace, Latch, RunMode, Track
+from jexplore.driving.mapping import Writer
+from jexplore.driving.sensing import gateways, surround
+from jexplore.driving.sensing.surround import Surround
+from jexplore.driving.settings import Robot, Tuning
+from jexplore.driving.vehicle import to_robot
+
+ABEAM_M = 0.4  # a gateway is beside the robot if its middle is no farther ahead or behind
+ROUND_M, ROUND_RAD = 6.0, 4.5  # a robot that has gone and turned so far, and is where it began, has been all round
+BEGAN_M = 2.0  # within this: it may have begun in a corner
+AWAY_M = 4.0  # from an island it goes so far away
+OUT_COS = 0.7  # of the angle between a way and a gateway's axis from which on it leads out
+
+
+def sides(space: FreeSpace, walls: Any, tuning: Tuning) -> tuple[Array, Array]:
+    """How far the walls are to the left and right by which free space is watched: float32, metres.
+
+    A hall is left where both its walls are beside the robot: those before it may be its corner's.
+
+    Args:
+      space: `FreeSpace`.
+      walls: `events.Walls`.
+      tuning: `Tuning`.
+    """
+    inside = (tuning.coast_m > 0) & space.inside
+    return jax.tree.map(lambda here, ahead: jnp.where(inside, here, ahead), tuple(walls.beside), walls.region_sides)
+
+
+def coast(mode: Array, side: Array, around: Surround, tuning: Tuning, robot: Robot) -> Array:
+    """The direction in which the robot follows the wall of a hall: float32, radians; NaN where it follows none.
+
+    Args:
+      mode: int32, `RunMode`.
+      side: int32, of the wall, `Drive.side`.
+      around, tuning, robot: `Surround`, `Tuning`, `Robot`.
+    """
+    follows = (mode == RunMode.WALL_FOLLOWING) & (tuning.coast_m > 0)
+    none = jnp.float32(jnp.nan)
+    return run_if(follows, lambda _: surround.along_wall(around, side, tuning.coast_m, robot), none)
+
+
+def abeam(
+    state: Any,
+    writer: Writer,
+    xy: Array,
+    valid: Array,
+    track: Track,
+    placed: Callable[[Array], Array],
+    tuning: Tuning,
+) -> Track:
+    """The place before a gateway in the wall that the robot follows, once that is abeam, or else the one given.
+
+    Args:
+      state, writer: `mission.State`, `Writer`.
+      xy, valid: from `surround.points`.
+      track: `Track`.
+      placed: function from the robot's frame into the odometry's.
+      tuning: `Tuning`.
+    """
+    side = state.drive.side
+    beside = jnp.stack([0.0, side * tuning.coast_m])
+    there, middle, out, width_m = gateways.gateway(xy, valid, beside, side * math.pi / 2, tuning.width_m)
+    found = _before(placed(middle), state.estimate[2] + out, width_m, tuning)
+    known = mapping.is_near_known(writer, found.centre[None], state.odometer_m, tuning.leave_m)[0]
+    there &= (jnp.abs(middle[0]) < ABEAM_M) & ~known & state.space.inside & (side != 0)
+    return jax.tree.map(lambda new, old: jnp.where(there, new, old), found, track)
+
+
+def crossed(state: Any, writer: Writer, inside: Array, beside_m: Array, tuning: Tuning) -> Track:
+    """The place before the gateway by which the robot has come into a hall or out of one.
+
+    There is none where walls are not beside it, nor where it comes out by a gateway before which it has just been.
+
+    Args:
+      state, writer: `mission.State`, `Writer`.
+      inside: bool, whether the robot is in the hall now.
+      beside_m: `[2]` float32, clearance beside it.
+      tuning: `Tuning`.
+    """
+    out = state.estimate[2] + jnp.where(inside, math.pi, 0.0)
+    found = _before(state.estimate[:2], out, jnp.minimum(beside_m.sum(), gateways.MOST_M), tuning)
+    last = jnp.minimum(writer.node, writer.map.kind.shape[0] - 1)
+    off_m = jnp.hypot(writer.map.x_m[last] - found.centre[0], writer.map.y_m[last] - found.centre[1])
+    none = (beside_m.sum() > gateways.MOST_M) | (~inside & (off_m < 2 * tuning.coast_m))
+    return jax.tree.map(lambda no, yes: jnp.where(none, no, yes), behaviour.no_track(), found)
+
+
+def looked(
+    state: Any, track: Track, around: Surround, placed: Callable[[Array], Array], tuning: Tuning
+) -> tuple[Track, Array]:
+    """The gateway before which the robot is, once it has looked round: `(track, whether there is one)`.
+
+    Args:
+      state: `mission.State`.
+      track: `Track`, where it was expected.
+      around: `Surround`.
+      placed: function from the robot's frame into the odometry's.
+      tuning: `Tuning`.
+    """
+    heading = state.estimate[2]
+    out = track.out - heading
+    middle = to_robot(state.estimate)(track.centre) + tuning.coast_m * jnp.stack([jnp.cos(out), jnp.sin(out)])
+    there, middle, out, width_m = gateways.gateway(*surround.points(around), middle, out, tuning.width_m)
+    found = _before(placed(middle), heading + out, width_m, tuning)
+    return jax.tree.map(lambda new, old: jnp.where(there, new, old), found, track), there
+
+
+def _before(middle, out, width_m, tuning):
+    """The place before a gateway, believed, a `Track`: so far before it as walls are followed at."""
+    centre = middle - tuning.coast_m * jnp.stack([jnp.cos(out), jnp.sin(out)])
+    radius = jnp.hypot(tuning.coast_m, width_m / 2)
+    return Track(centre, radius, jnp.uint32(2**WINDOW - 1), jnp.int32(1), jnp.float32(1) * out)
+
+
+def gone_on(
+    state: Any,
+    space: FreeSpace,
+    drive: Drive,
+    writer: Writer,
+    event: Any,
+    around: Surround,
+    estimate: Array,
+    tuning: Tuning,
+) -> tuple[FreeSpace, Drive, Writer]:
+    """How the robot goes on in a hall once a node has been made, or none was due.
+
+    Args:
+      state: `mission.State` before the step.
+      space, drive, writer: `FreeSpace`, `Drive`, `Writer` after it.
+      event: `nodes.Event`.
+      around: `Surround`.
+      estimate: `[3]` float32, odometry.
+      tuning: `Tuning`.
+
+    Returns:
+      `(space, drive, writer)`: whether it stays in the hall, and which wall it follows; a hall that has no gateway is
+        exhausted once the robot has been all round.
+    """
+    space, drive = from_gateway(space, drive, event.out)
+    drive, is_round = circled(state, drive, space, around, estimate, event.kind != btm.NONE, tuning)
+    return space, drive, writer.replace(exhausted=writer.exhausted | is_round)
+
+
+def from_gateway(space: FreeSpace, drive: Drive, out: Array) -> tuple[FreeSpace, Drive]:
+    """Whether the robot stays in the hall, and which wall it follows, once it has been before a gateway.
+
+    Args:
+      space, drive: `FreeSpace`, `Drive` with the link that is taken.
+      out: float32, radians, where the gateway leads; NaN: the robot has been before none.
+
+    Returns:
+      `(space, drive)`.
+    """
+    is_before, to_left = jnp.isfinite(out), jnp.sin(drive.out - out) > 0
+    stays = jnp.cos(drive.out - out) < OUT_COS
+    after = behaviour.no_free_space().replace(inside=stays)
+    space = jax.tree.map(lambda new, old: jnp.where(is_before, new, old), after, space)
+    side = jnp.where(stays, jnp.where(to_left, -1, 1), 0)  # going to the left, it has the gateway's wall to the right
+    return space, drive.replace(side=jnp.where(is_before, side, drive.side).astype(jnp.int32))
+
+
+def circled(
+    state: Any, drive: Drive, space: FreeSpace, around: Surround, estimate: Array, at_node: Array, tuning: Tuning
+) -> tuple[Drive, Array]:
+    """What the robot does once it has followed a wall all round and met no gateway.
+
+    What stands in the hall it leaves straight across, for another wall. A hall whose own wall has none is exhausted.
+
+    Args:
+      state: `mission.State` before the step.
+      drive, space: `Drive`, `FreeSpace` after it.
+      around: `Surround`.
+      estimate: `[3]` float32, odometry.
+      at_node: bool, a node was made.
+      tuning: `Tuning`.
+
+    Returns:
+      `(drive, is_round)`: bool, the robot has been round its hall.
+    """
+    xy, known = surround.points(around)
+    beside = jnp.any(known & (jnp.hypot(*xy.T) < 2 * tuning.coast_m))
+    follows = space.inside & (state.mode == RunMode.WALL_FOLLOWING) & (drive.latch == Latch.FREE) & beside
+    now = jnp.append(estimate, state.odometer_m)
+    began = jnp.where(at_node | ~space.inside, jnp.nan, drive.began)
+    began = jnp.where(follows & jnp.isnan(began[0]) & (tuning.coast_m > 0), now, began)
+    gone = now - began
+    is_back = follows & (gone[3] > ROUND_M) & (jnp.hypot(gone[0], gone[1]) < BEGAN_M)
+    turned = -drive.side * gone[2]  # away from the wall, along the inside of a hall
+    leaves = is_back & (turned < -ROUND_RAD)
+    out = estimate[2] - drive.side * math.pi / 2
+    target = estimate[:2] + AWAY_M * jnp.stack([jnp.cos(out), jnp.sin(out)])
+    after = drive.replace(
+        latch=jnp.where(leaves, Latch.LEAVE, drive.latch).astype(jnp.int32),
+        target=jnp.where(leaves, target, drive.target),
+        out=jnp.where(leaves, out, drive.out),
+        since=jnp.where(leaves, behaviour.begun(jnp.float32(AWAY_M), tuning), drive.since),
+        aside=drive.aside & ~leaves,
+        side=jnp.where(leaves, 0, drive.side).astype(jnp.int32),
+        began=jnp.where(leaves, jnp.nan, began),
+    )
+    return after, is_back & (turned > ROUND_RAD)
