@@ -33,6 +33,7 @@ AWAY_M = 0.4  # where it can go back no farther it goes ahead so far, and as muc
 AWAY_RAD_S = 0.0, 0.1, 0.2, 0.5, 1.0  # turning so fast
 LEAST_BACK_M = 0.005  # a step counts so much, turns too
 AHEAD_S = 0.2  # a step is looked at so far ahead
+FREES = 8  # steps for which it goes on with what gets it away from what it has touched
 SLACK_M = 0.01  # between a wall and the robot's outline after a step
 STICK = 0.3  # weight of the direction taken before
 
@@ -47,6 +48,8 @@ class Manoeuvre:
     backing: Array  # bool, it is going back
     backed_m: Array  # float32, how far
     away_m: Array  # float32, so far it still goes ahead, for there is no room behind it; 0: it does not
+    tried: Array  # int32, how often it has touched something and tried another way to get away from it
+    frees: Array  # int32, steps for which it still goes that way
     avoiding: Array  # bool, it goes round something
     side: Array  # float32, radians, direction in which
     replace: ClassVar[Callable[..., Self]]
@@ -61,6 +64,8 @@ def at_rest(pose: Array) -> Manoeuvre:
         backing=jnp.bool_(False),
         backed_m=jnp.float32(0),
         away_m=jnp.float32(0),
+        tried=jnp.int32(0),
+        frees=jnp.int32(0),
         avoiding=jnp.bool_(False),
         side=jnp.float32(0),
     )
@@ -122,9 +127,10 @@ def drive(
     starts, enough = _backs(now, around, robot, in_place, wanted, omega, touched)
     goes = (now.backing | starts) & (now.kept > 1)
     still = jnp.float32(0), jnp.float32(0), now.length, jnp.bool_(False), jnp.float32(0)
+    now = now.replace(tried=now.tried + touched, frees=jnp.where(touched, FREES, jnp.maximum(now.frees - 1, 0)))
     side = jnp.sign(jnp.where(turning != 0, turning, course))
     back_v, back_omega, length, wedged, away_m = run_if(
-        goes, lambda _: _back_or_away(now, around, robot, pose, speed, touched, side), still
+        goes, lambda _: _back_or_away(now, around, robot, pose, speed, side), still
     )
     # Nor does it go back farther where that leads nowhere and the way that it wants is free.
     enough |= wedged & ~in_place & (now.backed_m >= BACK_M)
@@ -186,7 +192,7 @@ def _gets_free(speed):
     return jnp.asarray(ways) * jnp.stack([speed, jnp.ones_like(speed)])
 
 
-def _back(now, around, robot, pose, speed, touched):
+def _back(now, around, robot, pose, speed):
     """Speed and turn rate to the pose before, how many poses are left, and whether neither is free: `(v, omega, length,
     wedged)`.
 
@@ -205,22 +211,21 @@ def _back(now, around, robot, pose, speed, touched):
     near = (behind < TRAIL_M / 2) & (aside | (jnp.abs(turn) < TRAIL_RAD + MOST_STEER_RAD))
     ways = jnp.concatenate([jnp.stack([jnp.stack([v, omega])]), _gets_free(speed)])
     room_m = jax.vmap(lambda way: _room_m(around, robot, way[0] * AHEAD_S, way[1] * AHEAD_S))(ways)
-    # As planned, or straight back; where neither is free, by what leads farthest away; where the last step has met
-    # what is not seen, by one after the other.
+    # As planned, or straight back; where neither is free, by what leads farthest away; where a step has met what is not
+    # seen, by one after the other.
     free = room_m[:2] >= SLACK_M
     best = jnp.where(jnp.any(free), jnp.argmax(free), jnp.argmax(room_m))
-    turn_of = (now.backed_m / LEAST_BACK_M).astype(jnp.int32) % (len(ways) - 2)
-    best = jnp.where(touched, 2 + turn_of, best)
+    best = jnp.where(now.frees > 0, 2 + now.tried % (len(ways) - 2), best)
     found, passes = ways[best], best > 0
     near |= passes & (jnp.hypot(offset[0], offset[1]) < BACK_M)
     return found[0], found[1], jnp.where(near, now.length - 1, now.length), ~jnp.any(free)
 
 
-def _back_or_away(now, around, robot, pose, speed, touched, side):
+def _back_or_away(now, around, robot, pose, speed, side):
     """`_back`, and how far it still goes ahead: where there is no room behind it goes away from there."""
-    back_v, back_omega, length, wedged = _back(now, around, robot, pose, speed, touched)
+    back_v, back_omega, length, wedged = _back(now, around, robot, pose, speed)
     away_v, away_omega, is_free = _away(around, robot, speed, side)
-    away = is_free & ~touched & (wedged | (now.away_m > 0))
+    away = is_free & (now.frees == 0) & (wedged | (now.away_m > 0))
     left_m = jnp.maximum(jnp.where(now.away_m > 0, now.away_m, AWAY_M) - away_v * 0.1, 0)
     v, omega = jnp.where(away, away_v, back_v), jnp.where(away, away_omega, back_omega)
     return v, omega, jnp.where(away, now.length, length), wedged, jnp.where(away, left_m, 0.0)
