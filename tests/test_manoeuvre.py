@@ -242,6 +242,21 @@ def test_what_was_touched_is_left_by_the_least_way_back():
     assert v == pytest.approx(TUNING.speed_m_s)  # and on it goes
 
 
+def test_what_gets_it_away_from_what_it_has_touched_is_gone_on_with():
+    """For some steps, whatever it sees; the next touch makes it try the next way."""
+    now, pose, tried = along_x(1.0), (0.0, 0.1, 0.3), []
+    for _ in range(11):
+        now, *first = driven(now, pose=pose, touched=True)
+        tried.append(first)
+        for _ in range(manoeuvre.FREES - 1):
+            now, *way = driven(now.replace(backed_m=jnp.float32(0)), of((0.5, 0.5)), pose=pose)
+            assert way == first
+    assert len({tuple(way) for way in tried}) == 11
+    assert any(v > 0 for v, _ in tried) and any(v < 0 for v, _ in tried)
+    now, *way = driven(now, pose=pose)
+    assert tuple(way) not in {tuple(way) for way in tried}  # back along its way
+
+
 def test_it_goes_back_no_farther_where_that_leads_nowhere():
     """Between walls where it cannot turn, with a third one behind it."""
     beside, behind = [(0, 0.3), (0, -0.3)], [(-0.36, y) for y in (-0.1, 0, 0.1)]
