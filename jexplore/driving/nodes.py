@@ -283,8 +283,8 @@ def made(
         whole, latch, target, out, correction = write(whole, event, points, tuning, robot)
         about = to_odometry(jnp.append(event.centre, correction[2]))
         estimate = jnp.append(about(estimate[:2] - event.centre), estimate[2]) + correction
-        is_divergence = event.kind == btm.DIVERGENCE
-        latches = is_divergence | event.blocked | event.returns
+        latches = (event.kind == btm.DIVERGENCE) | event.blocked | event.returns
+        centre = event.centre + correction[:2]
         drive = drive.replace(
             latch=jnp.where(latches, latch, drive.latch),
             target=jnp.where(latches, target, drive.target),
@@ -292,7 +292,7 @@ def made(
             surveys=jnp.int32(0),
             known=jnp.bool_(False),
             out=jnp.where(latches, out, drive.out),
-            aside=jnp.where(latches, behaviour.is_aside(target - event.centre, out, event.radius), drive.aside),
+            aside=jnp.where(latches, behaviour.is_aside(target - centre, out, event.radius), drive.aside),
         )
         track = jax.tree.map(lambda none, old: jnp.where(latches, none, old), behaviour.no_track(), track)
         return whole.map, {name: getattr(whole, name) for name in rest}, drive, track, estimate
