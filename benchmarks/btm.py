@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from jexplore.driving.settings import Noise, Tuning
+from jexplore.driving.settings import Noise, Tuning, for_world
 from jexplore.engine.backend import start_backend, use_compilation_cache
 from jexplore.extraction.extract import extract
 from jexplore.report.trace_tables import share
@@ -361,7 +361,8 @@ def read_off(maps):
         plans = path.with_name(path.name.replace("_furnitures", "")), path
         worlds = [load_world(f"{plan}@0.05") for plan in plans]
         free = [~world.occupied for world in worlds]
-        n = [len(extract(f, np.ones_like(f), world.cell_m).nodes) for f, world in zip(free, worlds)]
+        open_m = for_world(Tuning(), is_course=False).open_m
+        n = [len(extract(f, np.ones_like(f), world.cell_m, open_m=open_m).nodes) for f, world in zip(free, worlds)]
         ratios.append(n[1] / n[0])
         row(plans[0].stem, *n, f"{ratios[-1]:.2f}")
     row("mean", "", "", f"{np.mean(ratios):.2f}")

@@ -27,11 +27,13 @@ import jexplore as jx
 from jexplore.bench.tables import markdown
 from jexplore.driving.batch import building_of
 from jexplore.driving.settings import Noise
+from jexplore.driving.vehicle import Building
 from jexplore.engine.backend import start_backend, use_compilation_cache
 from jexplore.report.trace_tables import share
 from jexplore.studies import checks
 from jexplore.studies.traces import following, job, routes, tracing
 from jexplore.tracemap.record import BtmMap, Link, Node
+from jexplore.worlds.world import World
 
 WORLDS = {"courses": [f"course#{i}:obstacle=none" for i in range(10)], "office": ["office"]}
 NEAR_M = 1.5
@@ -93,17 +95,20 @@ def driven(world: str, n: int, seed: int):
     pairs = [(a, b) for a in ids for b in ids if a != b]
     order = [pairs[i] for i in rng.permutation(len(pairs))]
     able = [route for route in routes.routes(found, ["wheeled"], order)[0] if route.links]
-    chosen = [able[i % len(able)] for i in range(n)]
-    there = [route for route in chosen if fits(world, found, route)]
+    chosen = [able[i % len(able)] for i in range(n)] if able else []
+    (ready,) = checks.ready_worlds([world], 0.1)
+    building = building_of(ready)
+    there = [route for route in chosen if fits(ready, building, found, route)]
+    if not there:
+        raise SystemExit(f"{world}, seed {seed}: no route that the robot can drive")
     table = following.follow(world, found, there, "wheeled", noise=NOISE, seed=seed, workers=WORKERS).table
     return table, n - len(there)
 
 
-def fits(world: str, btm: BtmMap, route: routes.Route) -> bool:
+def fits(world: World, building: Building, btm: BtmMap, route: routes.Route) -> bool:
     """Whether the robot fits where a route begins: the map is off by as much as its writer's odometry."""
-    (building,) = checks.ready_worlds([world], 0.1)
     try:
-        following.start_of(building, building_of(building), routes.robot_of("wheeled"), btm, route)
+        following.start_of(world, building, routes.robot_of("wheeled"), btm, route)
     except jx.InputError:
         return False
     return True

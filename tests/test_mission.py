@@ -520,6 +520,10 @@ def test_sweeps():
     assert len(set(np.floor((values["circle"] - 1.1) / 0.9 * 64))) == 64  # one in every 64th: Latin
     assert sorted(set(values["noise.range_m"])) == [0, 0.03]
     assert job.swept_values([], 100, 0) == {}
+    for world, own in (("course", 2.5), ("rooms", 5.0)):  # 0 stands for another number, swept or not
+        assert job.prepare_trace(world, sweep=["open_m=0,3"]).swept["open_m"].tolist() == [own, 3]
+    with pytest.raises(InputError, match=r"tuning\.open_m must be a number above 0"):
+        job.prepare_trace("rooms", sweep=["open_m=-1,3"])
 
 
 def test_a_step_without_jit_is_the_step_with_and_uses_no_key_twice(noisy, jit_on):

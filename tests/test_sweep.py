@@ -12,13 +12,16 @@ import yaml
 import jexplore as jx
 from jexplore.cli import main
 from jexplore.config import InputError, Lidar, Rules
+from jexplore.driving.settings import Tuning
 from jexplore.engine import devices
 from jexplore.exploration import batch
 from jexplore.studies.results.units import COLUMNS
 from jexplore.studies.sweeps import plan as plans
+from jexplore.studies.sweeps import traces
 from jexplore.studies.sweeps.plan import Block, in_shard, prepare_sweep
 from jexplore.studies.sweeps.run import ready, sweep
 from jexplore.studies.sweeps.spec import Range, Sweep, plain, read_spec, sweep_from
+from jexplore.studies.traces import job
 
 WORLDS = ["rooms:width_m=5,height_m=5", "maze:width_m=5,height_m=5"]
 SMALL = {"n_beams": 31}
@@ -386,6 +389,24 @@ def test_what_settings_leave_out_is_the_sweeps_own():
         {"seed": 1, "cell_m": 0.1, "lidar.range_m": 8.0},
         {"seed": 7, "cell_m": 0.2, "lidar.range_m": 4},
     ]
+
+
+def test_robots_are_judged_by_the_true_map_of_their_own_c1():
+    """Rooms that are free space have a node at every door, and none within."""
+    spec = Sweep(
+        ["rooms"],
+        robots=["kamui"],
+        episodes=1,
+        settings=[{"tuning.open_m": 1.0}, {"tuning.votes": 1}, {"tuning.votes": 3}],
+    )
+    groups = traces.prepare_traces(spec).groups
+    assert [group.settings for group in groups] == [[0], [1, 2]]
+    kinds = [{node.type for node in group.job.truth.map.nodes} for group in groups]
+    assert ["free_space" in kind for kind in kinds] == [True, False]
+    alone = [job.prepare_trace("rooms", tuning=Tuning(open_m=open_m)) for open_m in (1.0, 0.0)]
+    for group, own in zip(groups, alone):
+        assert group.job.truth.map == own.truth.map
+        assert (group.job.tuning.open_m, group.job.tuning.coast_m) == (own.tuning.open_m, own.tuning.coast_m)
 
 
 @pytest.mark.parametrize(

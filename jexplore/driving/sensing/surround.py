@@ -60,7 +60,7 @@ def moved(
       around: `Surround`.
       ahead_m, aside_m: how far, in its old frame.
       turn: counter-clockwise, radians.
-      far_m: points farther away by `MEMORY_M` are forgotten, metres.
+      far_m: points farther away by `MEMORY_M` are forgotten, metres; inf: none.
     """
     xy, known = points(around)
     x, y = to_robot(jnp.stack([ahead_m, aside_m, turn]))(xy).T

@@ -128,14 +128,15 @@ def prepare_traces(spec: Sweep) -> TracePlan:
         raise InputError(f"a sweep may have {MAX_TOTAL:,} runs, got {total:,}; use fewer settings or runs")
     if spec.start != "random":
         raise InputError(f"start is for strategies: a robot starts where its world says, got {spec.start!r}")
-    together: dict[tuple[int, float], list[int]] = {}
-    for i, (seed, cell_m, *_) in enumerate(records):
-        together.setdefault((seed, cell_m), []).append(i)
+    # What there is to find depends on C1, and on where the robot has its nodes in free space.
+    together: dict[tuple[int, float, float, float], list[int]] = {}
+    for i, (seed, cell_m, tuning, _) in enumerate(records):
+        together.setdefault((seed, cell_m, tuning.open_m, tuning.coast_m), []).append(i)
     groups = []
     for world, name in enumerate(spec.worlds):
         for robot, kind in enumerate(spec.robots):
-            for (seed, cell_m), own in together.items():
-                job = prepare_trace(name, robot=kind, runs=1, seed=seed, cell_m=cell_m)
+            for (seed, cell_m, *_), own in together.items():
+                job = prepare_trace(name, robot=kind, runs=1, seed=seed, tuning=records[own[0]][2], cell_m=cell_m)
                 groups.append(Group(world, robot, own, _with_settings(job, spec, records, own)))
     size, units = max(UNIT, -(-total // MOST_UNITS)), []
     for i, group in enumerate(groups):

@@ -17,6 +17,7 @@ from jexplore.driving import vehicle
 from jexplore.driving.batch import MAX_STEPS, building_of, pose_in, require_start
 from jexplore.driving.mission import SIZE
 from jexplore.driving.settings import (
+    BY_WORLD,
     ROBOTS,
     WHOLE,
     Noise,
@@ -237,7 +238,7 @@ def prepare_trace(
       seed: of the draws; run i of every setting draws alike.
       tuning, noise: `Tuning`, `Noise`.
       start: x, y, metres; heading, degrees; by default the world's own, else drawn.
-      sweep, settings: see `swept_values`.
+      sweep, settings: see `swept_values`. What there is to find is told by the thresholds that are not swept.
       cell_m: edge of a cell, metres.
       max_steps: steps after which a run ends as STEP_LIMIT; by default `MAX_STEPS`, in buildings more by free area.
       attributes: see `attributes_of`.
@@ -258,7 +259,7 @@ def prepare_trace(
     settings = require_whole("settings", settings, 1, MAX_RUNS)
     max_steps = require_whole("max_steps", _enough(world) if max_steps is None else max_steps, 100, MOST_STEPS)
     robot, tuning, noise = _sound(world, robot, tuning, noise)
-    swept = swept_values(sweep, settings, seed)
+    swept = _for_world(world, swept_values(sweep, settings, seed))
     count = len(next(iter(swept.values()))) if swept else 1
     if count * runs > MAX_RUNS:
         raise InputError(f"{count} settings x {runs} runs are more than {MAX_RUNS}; use fewer")
@@ -291,6 +292,12 @@ def _sound(world, robot, tuning, noise):
     tuning, noise = for_world(tuning or Tuning(), is_course=world.course is not None), noise or Noise()
     _require(robot, tuning, noise)
     return robot, tuning, noise
+
+
+def _for_world(world, swept):
+    """Swept values with the numbers for which 0 stands."""
+    own = for_world(Tuning(), is_course=world.course is not None)
+    return {name: np.where(v == 0, getattr(own, name), v) if name in BY_WORLD else v for name, v in swept.items()}
 
 
 def _require(robot, tuning, noise):

@@ -8,6 +8,7 @@ import zlib
 import numpy as np
 from scipy import ndimage
 
+from jexplore.driving.settings import Tuning, for_world
 from jexplore.driving.vehicle import BEAMS
 from jexplore.extraction.extract import extract
 from jexplore.grid import is_known, is_occupied
@@ -61,7 +62,7 @@ def storage(
     (world,) = checks.ready_worlds([world], cell_m)
     free = ~world.occupied
     if btm is None:
-        btm = extract(free, np.ones_like(free), world.cell_m) if world.course is None else world.course.topology
+        btm = world.course.topology if world.course is not None else _read_off(free, world.cell_m)
     text = json.dumps(jsonable(to_json(btm)), separators=(",", ":")).encode()
     forms = {
         "btm_json": text,
@@ -71,6 +72,11 @@ def storage(
     found = {name: len(data) for name, data in forms.items()}
     found |= {f"{name}_zlib": len(zlib.compress(data, 9)) for name, data in forms.items()}
     return {**found, "pose_graph": _pose_graph(btm)}
+
+
+def _read_off(free, cell_m):
+    """The map that a robot is to write there."""
+    return extract(free, np.ones_like(free), cell_m, open_m=for_world(Tuning(), is_course=False).open_m)
 
 
 def packed(btm: BtmMap) -> bytes:
