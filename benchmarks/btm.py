@@ -203,29 +203,26 @@ def buildings(runs, seed=0, worlds=BUILDINGS):
 
 
 def drawn_hall(seed, low_m, high_m):
-    """A hall with three or four passages, one in a wall, 1, 1.5 or 2 m wide and 4 m long, whose ends are told: `(world,
-    ends)`, `[K, 2]`, x, y, metres.
-    """
-    cell_m, size, rng = 0.1, 300, np.random.default_rng(seed)
+    """A hall with three or four passages, one in a wall, 1, 1.5 or 2 m wide and 3 to 12 m long: `(world, how many)`."""
+    cell_m, size, rng = 0.1, 460, np.random.default_rng(seed)
     extent = (rng.uniform(low_m, high_m, 2) / cell_m).astype(int)  # along x and y, cells
-    half, deep = int(rng.choice([1.0, 1.5, 2.0]) / cell_m / 2), int(4 / cell_m)
+    half = int(rng.choice([1.0, 1.5, 2.0]) / cell_m / 2)
     low = (size - extent) // 2
     high = low + extent
-    occupied, ends = np.ones((size, size), bool), []
+    occupied, n_passages = np.ones((size, size), bool), int(rng.integers(3, 5))
     occupied[low[1] : high[1], low[0] : high[0]] = False
-    for side in rng.permutation(4)[: rng.integers(3, 5)]:
+    for side in rng.permutation(4)[:n_passages]:
         axis, upper = side % 2, side > 1  # the wall lies across this axis
         along = int(rng.uniform(low[1 - axis] + 1.5 / cell_m, high[1 - axis] - 1.5 / cell_m))
+        deep = int(rng.uniform(3, 12) / cell_m)
         span = slice(high[axis], high[axis] + deep) if upper else slice(low[axis] - deep, low[axis])
         door = slice(along - half, along + half)
         occupied[(door, span) if axis == 0 else (span, door)] = False
-        end = span.stop if upper else span.start
-        ends.append((end, along) if axis == 0 else (along, end))
-    return World(occupied=occupied, cell_m=cell_m, name=f"hall {seed}"), np.array(ends) * cell_m
+    return World(occupied=occupied, cell_m=cell_m, name=f"hall {seed}"), n_passages
 
 
 def halls(runs, seed=0):
-    """Halls that are drawn, too wide to be places: passages at whose end the robot has been, and nodes of its map
+    """Halls that are drawn, too wide to be places: nodes of the robot's map with a single way beside passages, and all
     beside those of a ring of gateways, the passages' ends and the start. A fiftieth of so many halls, two starts each.
     """
     n = max(4, runs // 50)
@@ -237,24 +234,26 @@ def halls(runs, seed=0):
         "passages searched",
         "nodes",
         "of a ring",
+        "left un-searched links",
         "took a place for another",
     )
     for low_m, high_m in ((10, 14), (14, 20)):
-        tables, searched, passages, ring = [], 0, 0, 0
+        tables, searched, passages, ring, left = [], 0, 0, 0, 0
         for number in range(seed * n, (seed + 1) * n):
-            world, ends = drawn_hall(number, low_m, high_m)
+            world, n_passages = drawn_hall(number, low_m, high_m)
             found = traced(world, starts=2, seed=number, noise=Noise(range_m=0.01))
             tables.append(found.table)
             for i in range(2):
-                nodes = np.array([(node.x_m, node.y_m) for node in found.maps[i].nodes])
-                searched += sum(np.hypot(*(nodes - end).T).min() < 2 for end in ends)
-            passages, ring = passages + 2 * len(ends), ring + 2 * (2 * len(ends) + 1)
+                btm = found.maps[i]
+                searched += min(sum(len(btm.bearings_deg(node.id)) == 1 for node in btm.nodes[1:]), n_passages)
+                left += any(link.status == "un-searched" and link.start > 0 for link in btm.links)
+            passages, ring = passages + 2 * n_passages, ring + 2 * (2 * n_passages + 1)
         table = pd.concat(tables)
         done, alone = table["outcome"] == "EXHAUSTED", table["interventions"] == 0
         shares = [share(int(s.sum()), len(table)) for s in (done, done & alone)]
         mistaken = share(int((table["mistaken"] > 0).sum()), len(table))
         span = f"{low_m} to {high_m} m"
-        row(span, len(table), *shares, share(searched, passages), table["nodes"].sum(), ring, mistaken)
+        row(span, len(table), *shares, share(searched, passages), table["nodes"].sum(), ring, left, mistaken)
 
 
 def part(table, some, all_):

@@ -171,46 +171,58 @@ def test_which_wall_is_followed_from_a_gateway_on(bearing, inside, side):
     assert (bool(after.inside), int(after.streak), int(gone.side)) == (True, 2, 5)
 
 
-def crossing(inside, beside, node, *, pose=(10.0, 4.0, math.pi / 2)):
-    """Of a robot that drives north, with a divergence at a place as its last node."""
+def crossing(inside, width_m, node, *, pose=(10.0, 4.0, math.pi / 2)):
+    """Of a robot that has driven north for two metres past the border at a place, with walls so far apart before that,
+    and a divergence somewhere as its last node.
+    """
     writer = mapping.begin(mapping.LEAN_STEPS, 4, 4, jnp.array([0.0, 0.0, 0.0]), False)
     map_, last = btm.add_node(writer.map, btm.DIVERGENCE, *node, radius_m=1.6)
-    state = SimpleNamespace(estimate=jnp.array(pose))
-    return halls.crossed(state, writer.replace(map=map_, node=last), jnp.bool_(inside), jnp.array(beside), TUNING)
+    gone_m = np.arange(mapping.LEAN_STEPS) * 0.2
+    at = np.searchsorted(gone_m, gone_m[-1] - 2)
+    poses = np.array([(pose[0], pose[1] + m - gone_m[at], pose[2]) for m in gone_m])
+    width = np.where(gone_m <= gone_m[at], width_m, math.inf)
+    fields = {"odometer_m": gone_m, "pose": poses, "width_m": width}
+    way = writer.way.replace(**{name: jnp.asarray(a, jnp.float32) for name, a in fields.items()})
+    writer = writer.replace(map=map_, node=last, way=way)
+    return halls.crossed(writer, jnp.bool_(inside), jnp.float32(gone_m[at]), TUNING)
 
 
 def test_the_gateway_by_which_a_hall_is_entered_or_left():
-    comes = crossing(True, (0.6, 0.4), (0.0, 0.0))
-    assert comes.centre.tolist() == pytest.approx([10, 4 + COAST_M], abs=1e-5)
-    assert float(comes.out) == pytest.approx(math.pi / 2 + math.pi)
+    """Told from where the robot was at the border, though it is noticed later."""
+    comes = crossing(True, 1.0, (0.0, 0.0))
+    assert comes.centre.tolist() == pytest.approx([10, 4 + COAST_M], abs=1e-4)
+    assert float(comes.out) == pytest.approx(math.pi / 2 + math.pi, abs=1e-4)
     assert float(comes.radius) == pytest.approx(math.hypot(COAST_M, 0.5))
-    goes = crossing(False, (0.6, 0.4), (0.0, 0.0))
-    assert goes.centre.tolist() == pytest.approx([10, 4 - COAST_M], abs=1e-5)
+    goes = crossing(False, 1.0, (0.0, 0.0))
+    assert goes.centre.tolist() == pytest.approx([10, 4 - COAST_M], abs=1e-4)
     assert float(goes.out) == pytest.approx(math.pi / 2)
 
 
 @pytest.mark.parametrize(
-    ("inside", "beside", "node"),
+    ("inside", "width_m", "node"),
     [
-        (False, (0.6, 0.4), (10.0, 3.0)),  # by the one before which it has just been
-        (True, (4.0, 1.4), (0.0, 0.0)),  # in the middle of the hall, where it began
-        (True, (math.inf, 0.5), (0.0, 0.0)),
+        (False, 1.0, (10.0, 3.0)),  # by the one before which it has just been
+        (True, 5.4, (0.0, 0.0)),  # wider than any gateway
+        (True, math.inf, (0.0, 0.0)),  # in the middle of the hall, where it began
     ],
 )
-def test_where_there_is_no_such_gateway(inside, beside, node):
-    assert int(crossing(inside, beside, node).age) == 0
+def test_where_there_is_no_such_gateway(inside, width_m, node):
+    assert int(crossing(inside, width_m, node).age) == 0
 
 
-def gone_round(turned_deg, *, gone_m=20.0, off_m=0.5, side=-1, at_node=False, inside=True, latch=Latch.FREE):
-    """`(drive, is_round)` of a robot that is so far from where it began to follow a wall."""
-    drive = behaviour.at_rest().replace(
-        side=jnp.int32(side), latch=jnp.int32(latch), began=jnp.array([2.0, 3.0, 0.1, 50.0])
-    )
+def gone_round(
+    turned_deg, *, gone_m=20.0, off_m=0.5, side=-1, at_node=False, inside=True, latch=Latch.FREE, n_nodes=1, heading=0.1
+):
+    """`(drive, is_round)` of a robot that is so far past where it began to follow a wall."""
+    began = jnp.array([2.0, 3.0, math.radians(turned_deg), 50.0, heading])
+    drive = behaviour.at_rest().replace(side=jnp.int32(side), latch=jnp.int32(latch), began=began)
+    writer = mapping.begin(mapping.LEAN_STEPS, 4, 4, jnp.array([0.0, 0.0, 0.0]), False)
+    writer = writer.replace(map=writer.map.replace(n_nodes=jnp.int32(n_nodes)))
     state = SimpleNamespace(mode=jnp.int32(RunMode.WALL_FOLLOWING), odometer_m=jnp.float32(50 + gone_m))
     space = behaviour.no_free_space().replace(inside=jnp.bool_(inside))
     around = surround_of((-9, side * 1.4, 9, side * 1.4))
-    estimate = jnp.array([2.0 + off_m, 3.0, 0.1 + math.radians(turned_deg)])
-    return halls.circled(state, drive, space, around, estimate, jnp.bool_(at_node), TUNING)
+    estimate = jnp.array([2.0 + off_m, 3.0, 0.1])
+    return halls.circled(state, drive, space, writer, around, estimate, jnp.bool_(at_node), TUNING)
 
 
 @pytest.mark.parametrize("side", [-1, 1])
@@ -221,11 +233,13 @@ def test_a_hall_without_a_gateway_is_gone_round_once(side):
 
 
 @pytest.mark.parametrize("side", [-1, 1])
-def test_what_stands_in_a_hall_is_left_straight_across(side):
-    drive, is_round = gone_round(side * 350, side=side)
+@pytest.mark.parametrize("more", [{"turned_deg": 350}, {"turned_deg": -350, "n_nodes": 2}])
+def test_what_stands_in_a_hall_is_left_straight_across(side, more):
+    """So is a wall without a gateway, where the robot has come from elsewhere."""
+    drive, is_round = gone_round(**{**more, "turned_deg": side * more["turned_deg"]}, side=side)
     assert not bool(is_round)
     assert (int(drive.latch), int(drive.side)) == (Latch.LEAVE, 0)
-    out = 0.1 + side * math.radians(350) - side * math.pi / 2
+    out = 0.1 - side * math.pi / 2
     away = (drive.target - jnp.array([2.5, 3.0])).tolist()
     assert away == pytest.approx([halls.AWAY_M * math.cos(out), halls.AWAY_M * math.sin(out)], abs=1e-4)
     assert math.isnan(float(drive.began[0]))
@@ -236,6 +250,7 @@ def test_what_stands_in_a_hall_is_left_straight_across(side):
     [
         {"gone_m": 3.0},
         {"off_m": 2.5},
+        {"off_m": -0.5},  # it has not passed there yet
         {"turned_deg": 180},
         {"at_node": True},
         {"inside": False},
@@ -247,6 +262,13 @@ def test_who_has_not_been_all_round(change):
         drive, is_round = gone_round(**{"turned_deg": turned_deg, **change})
         assert not bool(is_round)
         assert int(drive.latch) == change.get("latch", Latch.FREE)
+
+
+@pytest.mark.parametrize("latch", [Latch.FREE, Latch.LOOK])
+def test_only_turns_along_the_wall_count(latch):
+    drive, _ = gone_round(90, off_m=1.0, latch=latch, heading=0.1 - 0.3)
+    assert float(drive.began[2]) == pytest.approx(math.radians(90) + (0.3 if latch == Latch.FREE else 0), abs=1e-5)
+    assert float(drive.began[4]) == pytest.approx(0.1)
 
 
 def test_walls_are_followed_in_halls_alone():

@@ -36,7 +36,7 @@ BOUNDS = {
     "tuning.ahead_m": (0, LEAST, 1000, MOST),
     "tuning.region_m": (0, LEAST, 1000, MOST),
     "tuning.open_m": (0.39, 0.4, 1000, MOST),
-    "tuning.coast_m": (-ABOVE, 0, 2.4, 2.5),
+    "tuning.coast_m": (-ABOVE, 0, 1.25, 1.26),
     "tuning.dead_end_m": (0, LEAST, 1000, MOST),
     "tuning.arrive_m": (0, LEAST, 2.4, 2.5),
     "tuning.leave_m": (-ABOVE, 0, 1000, MOST),

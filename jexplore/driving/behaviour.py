@@ -173,7 +173,7 @@ def watch_free_space(
       open_m: a side without a wall within this is free [C1].
       looking: bool scalar; False: nothing changes.
       roomy: from `perception.is_roomy`; where it is False, no free space is entered.
-      coast_m: at which its walls are followed; above 0 it is left only where both walls are as near as that.
+      coast_m: at which its walls are followed; above 0 it is left only where both are no farther apart than twice that.
 
     Returns:
       `(space, enters, leaves)`: bools, true in the step in which it is believed.
@@ -224,7 +224,8 @@ class Drive:
     known: Array  # bool, the place that is approached is a node, met again
     surveys: Array  # int32, places that it has gone to since the last node, each better than the one before
     side: Array  # int32, where the wall is that is followed: 1 left, -1 right, 0 none
-    began: Array  # [4] float32, where it began to follow that since the last node: odometry; odometer; NaN: it does not
+    began: Array  # [5] float32, where it began to follow that since the last node: x, y, metres; how far it has turned
+    # as it followed it, radians; odometer there; heading at the step before; NaN: it does not
     turning: Array  # int32, side to which a dead end turns the robot: 1 left, -1 right, 0 none
     left_m: Array  # float32, last distance of a wall on the left within C1, or of one beside which it can turn
     right_m: Array  # float32, likewise on the right
@@ -244,7 +245,7 @@ def at_rest() -> Drive:
         known=jnp.bool_(False),
         surveys=jnp.int32(0),
         side=jnp.int32(0),
-        began=jnp.full(4, jnp.nan),
+        began=jnp.full(5, jnp.nan),
         turning=jnp.int32(0),
         left_m=jnp.float32(1),
         right_m=jnp.float32(1),

@@ -75,6 +75,7 @@ class Ahead(NamedTuple):
     space: FreeSpace
     border_m: Array  # float32, odometer at which the free space will have been entered or left; inf: none
     missed: Array  # bool, where the free space begins was not reached before it ends
+    is_noted: Array  # bool, where it begins and ends there are nodes
     level: mapping.Level
     changed: Array  # bool, whether the robot stands on ground of another inclination now
     crease_m: Array  # float32, odometer where it changed
@@ -137,6 +138,7 @@ def look_ahead(
         space=space,
         border_m=border_m,
         missed=missed,
+        is_noted=jnp.asarray(tuning.coast_m == 0),
         level=level,
         changed=changed,
         crease_m=crease_m,
@@ -209,22 +211,25 @@ def _watch_free_space(state, writer, walls, xy, valid, track, looking, placed, t
     of the gateway of a hall, if there is one.
     """
     is_hall = tuning.coast_m > 0
-    left_m, right_m = halls.sides(state.space, walls, tuning)
+    # One that is still ahead is watched ahead.
+    within = is_hall & state.space.inside & ~jnp.isfinite(writer.border_m)
+    left_m, right_m = halls.sides(within, walls)
+    coast_m = jnp.where(within, tuning.coast_m, 0.0)
     space, enters, leaves = behaviour.watch_free_space(
-        state.space, left_m, right_m, state.odometer_m, tuning.open_m, looking, walls.roomy, tuning.coast_m
+        state.space, left_m, right_m, state.odometer_m, tuning.open_m, looking, walls.roomy, coast_m
     )
     region = walls.region[0], jnp.where(is_hall, 0.0, walls.region[1])
     border_m, missed = behaviour.border_ahead(writer.border_m, space.since_m, enters, leaves, region)
-    crosses = is_hall & (missed | (state.odometer_m >= border_m))
+    crosses = is_hall & ~missed & looking & (state.odometer_m >= border_m)
 
     def gateway(track):
-        found = halls.crossed(state, writer, space.inside, walls.beside, tuning)
+        found = halls.crossed(writer, space.inside, border_m, tuning)
         abeam = halls.abeam(state, writer, xy, valid, track, placed, tuning)
         return jax.tree.map(lambda new, old: jnp.where(crosses, new, old), found, abeam)
 
     looks = looking & (crosses | (state.space.inside & (state.step % EVERY == 0)))
     track = run_if(is_hall & looks, gateway, track)
-    return space, jnp.where(crosses, jnp.inf, border_m), missed & ~is_hall, track
+    return space, jnp.where(crosses | (is_hall & missed), jnp.inf, border_m), missed & ~is_hall, track
 
 
 def _recent_ground(way, state):
@@ -300,7 +305,8 @@ def due(state: Any, writer: Writer, ahead: Ahead, at_goal: Array, is_open: Array
       arrives: bool, whether the robot is at the middle of a divergence.
     """
     returns = is_open & _passes_start(state)
-    changed, crosses = ahead.changed, ahead.missed | (state.odometer_m >= writer.border_m)
+    changed = ahead.changed
+    crosses = ahead.is_noted & (ahead.missed | (state.odometer_m >= writer.border_m))
     stops = ahead.blocked >= SURE
     here = state.estimate
     crease = run_if(changed, lambda _: mapping.pose_at(writer.way, ahead.crease_m), here)

@@ -23,25 +23,24 @@ from jexplore.driving.sensing.surround import Surround
 from jexplore.driving.settings import Robot, Tuning
 from jexplore.driving.vehicle import to_robot
 
+MOUTH_M = 1.0  # before the border of a hall its gateway is narrowest within this
 ABEAM_M = 0.4  # a gateway is beside the robot if its middle is no farther ahead or behind
-ROUND_M, ROUND_RAD = 6.0, 4.5  # a robot that has gone and turned so far, and is where it began, has been all round
+ROUND_M, ROUND_RAD = 6.0, 4.5  # a robot that has gone and turned so far, and passes where it began, has been round
 BEGAN_M = 2.0  # within this: it may have begun in a corner
 AWAY_M = 4.0  # from an island it goes so far away
 OUT_COS = 0.7  # of the angle between a way and a gateway's axis from which on it leads out
 
 
-def sides(space: FreeSpace, walls: Any, tuning: Tuning) -> tuple[Array, Array]:
+def sides(within: Array, walls: Any) -> tuple[Array, Array]:
     """How far the walls are to the left and right by which free space is watched: float32, metres.
 
     A hall is left where both its walls are beside the robot: those before it may be its corner's.
 
     Args:
-      space: `FreeSpace`.
+      within: bool, whether the robot is in a hall.
       walls: `events.Walls`.
-      tuning: `Tuning`.
     """
-    inside = (tuning.coast_m > 0) & space.inside
-    return jax.tree.map(lambda here, ahead: jnp.where(inside, here, ahead), tuple(walls.beside), walls.region_sides)
+    return jax.tree.map(lambda here, ahead: jnp.where(within, here, ahead), tuple(walls.beside), walls.region_sides)
 
 
 def coast(mode: Array, side: Array, around: Surround, tuning: Tuning, robot: Robot) -> Array:
@@ -84,22 +83,27 @@ def abeam(
     return jax.tree.map(lambda new, old: jnp.where(there, new, old), found, track)
 
 
-def crossed(state: Any, writer: Writer, inside: Array, beside_m: Array, tuning: Tuning) -> Track:
+def crossed(writer: Writer, inside: Array, border_m: Array, tuning: Tuning) -> Track:
     """The place before the gateway by which the robot has come into a hall or out of one.
 
-    There is none where walls are not beside it, nor where it comes out by a gateway before which it has just been.
+    There is none where it has not just come between walls as near as a gateway's, nor where it comes out by a gateway
+    before which it has just been.
 
     Args:
-      state, writer: `mission.State`, `Writer`.
+      writer: `Writer` with this step.
       inside: bool, whether the robot is in the hall now.
-      beside_m: `[2]` float32, clearance beside it.
+      border_m: float32, odometer where it came to the border.
       tuning: `Tuning`.
     """
-    out = state.estimate[2] + jnp.where(inside, math.pi, 0.0)
-    found = _before(state.estimate[:2], out, jnp.minimum(beside_m.sum(), gateways.MOST_M), tuning)
+    way = writer.way
+    pose = mapping.pose_at(way, border_m)
+    just = (way.odometer_m > border_m - MOUTH_M) & (way.odometer_m <= border_m)
+    width_m = jnp.min(jnp.where(just, way.width_m, jnp.inf))
+    out = pose[2] + jnp.where(inside, math.pi, 0.0)
+    found = _before(pose[:2], out, jnp.minimum(width_m, gateways.MOST_M), tuning)
     last = jnp.minimum(writer.node, writer.map.kind.shape[0] - 1)
     off_m = jnp.hypot(writer.map.x_m[last] - found.centre[0], writer.map.y_m[last] - found.centre[1])
-    none = (beside_m.sum() > gateways.MOST_M) | (~inside & (off_m < 2 * tuning.coast_m))
+    none = (width_m > gateways.MOST_M) | (~inside & (off_m < 2 * tuning.coast_m))
     return jax.tree.map(lambda no, yes: jnp.where(none, no, yes), behaviour.no_track(), found)
 
 
@@ -155,7 +159,7 @@ def gone_on(
         exhausted once the robot has been all round.
     """
     space, drive = from_gateway(space, drive, event.out)
-    drive, is_round = circled(state, drive, space, around, estimate, event.kind != btm.NONE, tuning)
+    drive, is_round = circled(state, drive, space, writer, around, estimate, event.kind != btm.NONE, tuning)
     return space, drive, writer.replace(exhausted=writer.exhausted | is_round)
 
 
@@ -178,33 +182,47 @@ def from_gateway(space: FreeSpace, drive: Drive, out: Array) -> tuple[FreeSpace,
 
 
 def circled(
-    state: Any, drive: Drive, space: FreeSpace, around: Surround, estimate: Array, at_node: Array, tuning: Tuning
+    state: Any,
+    drive: Drive,
+    space: FreeSpace,
+    writer: Writer,
+    around: Surround,
+    estimate: Array,
+    at_node: Array,
+    tuning: Tuning,
 ) -> tuple[Drive, Array]:
-    """What the robot does once it has followed a wall all round and met no gateway.
+    """What the robot does once it has followed a wall all round and made no node.
 
-    What stands in the hall it leaves straight across, for another wall. A hall whose own wall has none is exhausted.
+    What stands in the hall it leaves straight across, for another wall. If it has been in no place but the hall where
+    it began, and follows no route, that is exhausted; else it goes across as well.
 
     Args:
       state: `mission.State` before the step.
-      drive, space: `Drive`, `FreeSpace` after it.
+      drive, space, writer: `Drive`, `FreeSpace`, `Writer` after it.
       around: `Surround`.
       estimate: `[3]` float32, odometry.
       at_node: bool, a node was made.
       tuning: `Tuning`.
 
     Returns:
-      `(drive, is_round)`: bool, the robot has been round its hall.
+      `(drive, is_round)`: bool, the hall where the robot began has been gone round and holds nothing.
     """
     xy, known = surround.points(around)
     beside = jnp.any(known & (jnp.hypot(*xy.T) < 2 * tuning.coast_m))
     follows = space.inside & (state.mode == RunMode.WALL_FOLLOWING) & (drive.latch == Latch.FREE) & beside
-    now = jnp.append(estimate, state.odometer_m)
     began = jnp.where(at_node | ~space.inside, jnp.nan, drive.began)
+    turn = jnp.where(follows, estimate[2] - began[4], 0.0)
+    began = began.at[2].add(turn).at[4].set(estimate[2])
+    now = jnp.stack([*estimate[:2], 0.0, state.odometer_m, estimate[2]])
     began = jnp.where(follows & jnp.isnan(began[0]) & (tuning.coast_m > 0), now, began)
-    gone = now - began
-    is_back = follows & (gone[3] > ROUND_M) & (jnp.hypot(gone[0], gone[1]) < BEGAN_M)
-    turned = -drive.side * gone[2]  # away from the wall, along the inside of a hall
-    leaves = is_back & (turned < -ROUND_RAD)
+    gone = estimate[:2] - began[:2]
+    passes = gone[0] * jnp.cos(estimate[2]) + gone[1] * jnp.sin(estimate[2]) >= 0
+    is_back = follows & passes & (jnp.hypot(*gone) < BEGAN_M) & (state.odometer_m - began[3] > ROUND_M)
+    turned = -drive.side * began[2]  # away from the wall, along the inside of a hall
+    alone = (writer.node == 0) & (writer.map.n_nodes == 1)
+    alone &= jnp.bool_(writer.guide is None)
+    is_round = is_back & (turned > ROUND_RAD) & alone
+    leaves = is_back & (jnp.abs(turned) > ROUND_RAD) & ~is_round
     out = estimate[2] - drive.side * math.pi / 2
     target = estimate[:2] + AWAY_M * jnp.stack([jnp.cos(out), jnp.sin(out)])
     after = drive.replace(
@@ -216,4 +234,4 @@ def circled(
         side=jnp.where(leaves, 0, drive.side).astype(jnp.int32),
         began=jnp.where(leaves, jnp.nan, began),
     )
-    return after, is_back & (turned > ROUND_RAD)
+    return after, is_round

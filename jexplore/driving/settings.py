@@ -90,8 +90,8 @@ class Tuning:
     in other worlds, whose rooms are places where ways part."""
     coast_m: float = 0.0
     """The walls of free space are followed at this distance, in metres, and each of its gateways is a place where ways
-    part. 0: 1.5, at most half of C1; on courses at the distance of the passage before, as in the paper, and gateways
-    are none."""
+    part. 0, the only other one on courses: there at the distance of the passage before, as in the paper, and gateways
+    are none; in other worlds 1.5, at most half of C1."""
     dead_end_m: float = 0.39
     """The way ahead is closed if both walls together are no farther than this [C2], in metres."""
     arrive_m: float = 0.3
@@ -166,10 +166,11 @@ def require_tuning(tuning: Tuning) -> None:
         else:
             above = field.name not in FROM_ZERO
             require_number(f"tuning.{field.name}", value, low_open=above, high=1000)
-    for low, high in (("width_m", "open_m"), ("arrive_m", "open_m"), ("coast_m", "open_m")):
+    for low, high in (("width_m", "open_m"), ("arrive_m", "open_m")):
         if getattr(tuning, low) >= getattr(tuning, high):
             got = f"{getattr(tuning, low):g} and {getattr(tuning, high):g}"
             raise InputError(f"tuning.{low} must be less than tuning.{high}, got {got}")
+    require_number("tuning.coast_m", tuning.coast_m, high=tuning.open_m / 2)
     require_number("tuning.circle", tuning.circle, low=1, low_open=True, high=3)
     require_number("tuning.obtuse_tol_deg", tuning.obtuse_tol_deg, high=90, high_open=True)
     require_number("tuning.inclination_deg", tuning.inclination_deg, low=1, high=45)

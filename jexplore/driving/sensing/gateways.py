@@ -46,6 +46,8 @@ def gateway(
         other = jnp.min(jnp.where(wall & (u >= at + off_m), u, jnp.inf))
         inside = valid & (v > 0) & (u > one) & (u < other)
         leads = jnp.all(~inside | (v > wall_m + LEADS_M) | (jnp.minimum(u - one, other - u) < WALL_M))
+        beyond = valid & (v > wall_m + LEADS_M) & (u > one - WALL_M) & (u < other + WALL_M)
+        leads &= jnp.any(beyond)  # else nothing is known there
         wide = other - one
         return leads & (wide > width_m) & (wide <= MOST_M), (one + other) / 2, wide
 

@@ -165,9 +165,9 @@ def ways(around: Surround, robot: Robot) -> Array:
 def along_wall(around: Surround, side: Array, coast_m: Array | float, robot: Robot) -> Array:
     """The direction in which the robot follows a wall: float32, radians.
 
-    From where the nearest point is it is the first, away from the side of the wall, in which a strip as wide as the
-    robot keeps its distance is free: along the wall, round its corners, and past gaps that are narrower than that
-    strip. Far from any wall it is straight on.
+    From where the nearest point is it is the first, away from the side of the wall, in which a strip is free that
+    widens from the robot's width to nearly twice its distance: along the wall, round its corners, and past gaps that
+    are narrower than that. Far from any wall it is straight on.
 
     Args:
       around: `Surround`.
@@ -179,7 +179,8 @@ def along_wall(around: Surround, side: Array, coast_m: Array | float, robot: Rob
     x, y = xy[:, 0], -side * xy[:, 1]  # the wall to the right
     cos, sin = np.cos(DIRECTION)[:, None], np.sin(DIRECTION)[:, None]
     along, aside = x * cos + y * sin, y * cos - x * sin
-    half_m = jnp.minimum(COAST * coast_m, robot.width_m / 2 + BESIDE_M + along / 2)
+    least_m = robot.width_m / 2 + BESIDE_M
+    half_m = jnp.maximum(least_m, jnp.minimum(COAST * coast_m, least_m + along / 2))
     meets = known & (along > 0) & (jnp.abs(aside) < half_m)
     free_m = jnp.min(jnp.where(meets, along, jnp.inf), axis=1)
     free = free_m >= COAST_FREE_M
