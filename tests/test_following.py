@@ -156,6 +156,26 @@ def test_at_a_place_that_the_map_does_not_have_the_robot_goes_towards_the_next()
     assert float(after.from_m) == -1.0
 
 
+@pytest.mark.parametrize("size", [2, 4])  # with a guide that is full, and one that is not
+@pytest.mark.parametrize(
+    ("at", "centre", "toward"),
+    [(2, (12.5, -6.2), 4.6), (2, (10.5, -5.0), 347.5), (1, (10.0, -5.0), 348.7), (1, (8.5, -3.0), 296.6)],
+)
+def test_past_the_last_place_it_goes_towards_the_end(size, at, centre, toward):
+    """Which lies at (15, -6); so it does near the last place, at (10, -6)."""
+    guide = a_guide(size=size).replace(at=jnp.int32(at), from_xy=jnp.array([10.0, (0.0, -6.0)[at - 1]]))
+    after, bearing = met(guide, 20.0, centre, place(WEST, NORTH))
+    assert counts(after) == (at, 0, 1)
+    assert bearing == pytest.approx(toward, abs=0.1)
+
+
+@pytest.mark.parametrize("size", [2, 4])
+def test_past_the_last_place_only_the_way_back_is_a_wall(size):
+    guide = a_guide(size=size).replace(at=jnp.int32(2), from_xy=jnp.array([10.0, -6.0]))
+    for bearing, walled in ((WEST, True), (EAST, False)):
+        assert bool(met(guide, 20.0, (12.5, -6.2), place(bearing))[0].walled) == walled
+
+
 def test_a_place_that_is_missed_is_told_by_the_next():
     after, bearing = met(a_guide(), 15.0, (10.0, -6.0), place(*CROSSING))
     assert bearing == pytest.approx(0)
@@ -450,9 +470,9 @@ def test_near_a_place_that_it_has_not_seen_it_goes_there_and_looks_round(inside,
 # How it leaves a place
 
 
-def left(guide, found, points, ways=(WEST, EAST)):
+def left(guide, found, points, ways=(WEST, EAST), room=8):
     """The link, its bearing in degrees, whether it is new, and the guide, at (10, 0.5)."""
-    map_, node = maps.add_node(maps.empty(4, 8), maps.DIVERGENCE, 10.0, 0.5)
+    map_, node = maps.add_node(maps.empty(4, room), maps.DIVERGENCE, 10.0, 0.5)
     for bearing in ways:
         map_, _ = maps.add_link(map_, node, bearing)
     event = types.SimpleNamespace(odometer_m=jnp.float32(9.0), centre=jnp.array([10.0, 0.5]))
@@ -475,6 +495,17 @@ def test_a_way_on_that_is_no_link_but_free_is_taken_from_where_it_is_free():
     link, _, is_new, after, onward = left(a_guide(), place(WEST, EAST), shut)
     assert (is_new, int(after.at), bool(onward.is_free)) == (False, 0, False)
     assert not bool(after.steers)
+
+
+def test_where_the_map_has_no_room_or_the_place_no_link_it_goes_on_by_what_there_is():
+    free = walls((10.0, -1.0), (10.2, -1.0))
+    link, bearing, is_new, _, onward = left(a_guide(), place(WEST, -0.3), free, ways=(WEST, -0.3), room=2)
+    assert (link, is_new, bool(onward.is_free)) == (1, False, False)
+    assert bearing == pytest.approx(math.degrees(-0.3) % 360)
+    shut = walls(*((x, -1.0) for x in np.arange(9.0, 11.0, 0.2)))
+    link, bearing, is_new, _, _ = left(a_guide(), place(WEST), shut, ways=())
+    assert (link, is_new) == (0, False)  # as it was told
+    assert bearing == 0
 
 
 def test_a_robot_that_only_finds_the_way_back_steers_for_what_comes_next():

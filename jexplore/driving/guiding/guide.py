@@ -163,8 +163,7 @@ def at_place(
     best = jnp.argmin(jnp.where(fits, off_m + MISFIT_M * misfit, jnp.inf))
     is_known, at = when & fits[best], jnp.minimum(place[best], size - 1)
     turn = HEADING_SHARE * jnp.clip(jnp.nan_to_num(jnp.nanmedian(off_ways[best])), -MOST_RAD, MOST_RAD)
-    ahead = expected[jnp.where(off_m[0] > TOWARD_M, 0, 1)] - centre
-    toward = jnp.arctan2(ahead[1], ahead[0])
+    toward = _toward(guide, centre)
     # Only back: the way on is closed.
     off = jnp.where(found.valid, jnp.abs(btm.wrapped(found.bearing - toward)), jnp.inf)
     walled = when & ~is_known & ~guide.strays & (jnp.sum(found.valid) == 1) & (jnp.min(off) > BACK_RAD)
@@ -185,6 +184,16 @@ def at_place(
     middle = jnp.where(goes_on & is_free[best], begins[best], centre)
     by_strip = jnp.where(goes_on, is_free[best], ~is_known & (reach_m(centre, toward) > OPEN_M))
     return moved, Onward(bearing, middle, by_strip)
+
+
+def _toward(guide, centre):
+    """How the next place, or the end, bears from a point, radians; the one after, where that is near."""
+    n, stops = guide.out.shape[0], guide.at + jnp.arange(2)
+    leg = jnp.where((stops == guide.count)[:, None], guide.end_leg, guide.leg[jnp.minimum(stops, n - 1)])
+    leg = jnp.where((stops > guide.count)[:, None], 0.0, leg)
+    off = guide.from_xy + _turned(guide)(jnp.cumsum(leg, axis=0)) - centre
+    ahead = off[jnp.where(jnp.hypot(*off[0]) > TOWARD_M, 0, 1)]
+    return jnp.arctan2(ahead[1], ahead[0])
 
 
 class _NextOnes(NamedTuple):
