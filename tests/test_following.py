@@ -176,6 +176,14 @@ def test_past_the_last_place_only_the_way_back_is_a_wall(size):
         assert bool(met(guide, 20.0, (12.5, -6.2), place(bearing))[0].walled) == walled
 
 
+@pytest.mark.parametrize(("x", "walled"), [(13.4, True), (13.6, False)])
+def test_only_the_way_back_near_the_end_is_the_ends_own(x, walled):
+    """It lies at (15, -6)."""
+    guide = a_guide().replace(at=jnp.int32(2), from_xy=jnp.array([10.0, -6.0]))
+    after, _ = met(guide, 20.0, (x, -6.0), place(WEST))
+    assert (bool(after.walled), bool(after.lost)) == (walled, walled)
+
+
 def test_a_place_that_is_missed_is_told_by_the_next():
     after, bearing = met(a_guide(), 15.0, (10.0, -6.0), place(*CROSSING))
     assert bearing == pytest.approx(0)
@@ -470,14 +478,14 @@ def test_near_a_place_that_it_has_not_seen_it_goes_there_and_looks_round(inside,
 # How it leaves a place
 
 
-def left(guide, found, points, ways=(WEST, EAST), room=8):
+def left(guide, found, points, ways=(WEST, EAST), room=8, onto=(0, 0.0)):
     """The link, its bearing in degrees, whether it is new, and the guide, at (10, 0.5)."""
     map_, node = maps.add_node(maps.empty(4, room), maps.DIVERGENCE, 10.0, 0.5)
     for bearing in ways:
         map_, _ = maps.add_link(map_, node, bearing)
     event = types.SimpleNamespace(odometer_m=jnp.float32(9.0), centre=jnp.array([10.0, 0.5]))
     given = map_, types.SimpleNamespace(guide=guide), event, node, found, jnp.bool_(True), points
-    after, written, link, bearing, onward = leaving.left_by(*given, jnp.int32(0), jnp.float32(0))
+    after, written, link, bearing, onward = leaving.left_by(*given, jnp.int32(onto[0]), jnp.float32(onto[1]))
     return int(link), math.degrees(float(bearing)) % 360, int(written.n_links) > len(ways), after, onward
 
 
@@ -503,9 +511,9 @@ def test_where_the_map_has_no_room_or_the_place_no_link_it_goes_on_by_what_there
     assert (link, is_new, bool(onward.is_free)) == (1, False, False)
     assert bearing == pytest.approx(math.degrees(-0.3) % 360)
     shut = walls(*((x, -1.0) for x in np.arange(9.0, 11.0, 0.2)))
-    link, bearing, is_new, _, _ = left(a_guide(), place(WEST), shut, ways=())
-    assert (link, is_new) == (0, False)  # as it was told
-    assert bearing == 0
+    link, bearing, is_new, _, _ = left(a_guide(), place(WEST), shut, ways=(), onto=(7, NORTH))
+    assert (link, is_new) == (7, False)  # as it was told
+    assert bearing == pytest.approx(90)
 
 
 def test_a_robot_that_only_finds_the_way_back_steers_for_what_comes_next():

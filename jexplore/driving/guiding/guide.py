@@ -164,9 +164,11 @@ def at_place(
     is_known, at = when & fits[best], jnp.minimum(place[best], size - 1)
     turn = HEADING_SHARE * jnp.clip(jnp.nan_to_num(jnp.nanmedian(off_ways[best])), -MOST_RAD, MOST_RAD)
     toward = _toward(guide, centre)
-    # Only back: the way on is closed.
+    # Only back: the way on is closed, unless the route ends there.
     off = jnp.where(found.valid, jnp.abs(btm.wrapped(found.bearing - toward)), jnp.inf)
     walled = when & ~is_known & ~guide.strays & (jnp.sum(found.valid) == 1) & (jnp.min(off) > BACK_RAD)
+    stop, *_, is_end = next_of(guide)
+    walled &= ~is_end | (jnp.hypot(*(stop - centre)) > TOWARD_M)
     moved = guide.replace(
         at=jnp.where(is_known, place[best] + 1, guide.at),
         from_xy=jnp.where(is_known, expected[best] + ANCHOR * (centre - expected[best]), guide.from_xy),
