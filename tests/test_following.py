@@ -149,6 +149,14 @@ def test_a_place_where_the_map_has_it_is_met_whatever_is_seen_there(off_m, at):
     assert counts(met(a_guide(), 9.0, (10.0, off_m), place(WEST, EAST))[0])[0] == at
 
 
+@pytest.mark.parametrize(("ways", "kept"), [(T, 3), ((WEST, EAST), 0)])
+def test_what_is_seen_at_a_place_is_kept_where_it_is_like_that_place(ways, kept):
+    """Not where it is that one only because the map has it there: its ways would be written back as new ones."""
+    after, _ = met(a_guide(), 9.0, (10.0, 0.2), place(*ways))
+    assert counts(after)[0] == 1
+    assert int(np.isfinite(after.seen[0]).sum()) == kept
+
+
 def test_at_a_place_that_the_map_does_not_have_the_robot_goes_towards_the_next():
     after, bearing = met(a_guide(), 3.0, (4.0, 6.0), place(NORTH, SOUTH, EAST))
     assert bearing == pytest.approx(315)
@@ -464,6 +472,7 @@ def test_near_a_place_that_it_has_not_seen_it_goes_there_and_looks_round(inside,
     assert int(drive.latch) == latch
     # In free space, where no place is seen, it has been there.
     assert int(after.at) == (2 if inside else 1)
+    assert int(after.missed) - int(guide.missed) == inside
     if inside:
         np.testing.assert_allclose(drive.target, (11.0, -6.0), atol=1e-5)
         assert not bool(after.strays)

@@ -159,7 +159,7 @@ def at_place(
     size = guide.out.shape[0]
     seen = jnp.where(found.valid, found.bearing + guide.turned, jnp.nan)
     near = _next_ones(guide, centre, found, seen, reach_m)
-    place, expected, off_m, fits, last, off_ways, begins, is_free, misfit, way = near
+    place, expected, off_m, fits, is_like, last, off_ways, begins, is_free, misfit, way = near
     best = jnp.argmin(jnp.where(fits, off_m + MISFIT_M * misfit, jnp.inf))
     is_known, at = when & fits[best], jnp.minimum(place[best], size - 1)
     turn = HEADING_SHARE * jnp.clip(jnp.nan_to_num(jnp.nanmedian(off_ways[best])), -MOST_RAD, MOST_RAD)
@@ -174,7 +174,7 @@ def at_place(
         from_xy=jnp.where(is_known, expected[best] + ANCHOR * (centre - expected[best]), guide.from_xy),
         from_m=jnp.where(is_known, odometer_m, guide.from_m),
         turned=guide.turned + jnp.where(is_known, turn, 0),
-        seen=guide.seen.at[jnp.where(is_known, at, size)].set(seen[:WAYS], mode="drop"),
+        seen=guide.seen.at[jnp.where(is_known & is_like[best], at, size)].set(seen[:WAYS], mode="drop"),
         missed=guide.missed + jnp.where(is_known, best.astype(jnp.int32), 0),
         extra=guide.extra + (when & ~is_known),
         strays=jnp.where(when, ~is_known, guide.strays),
@@ -205,6 +205,7 @@ class _NextOnes(NamedTuple):
     expected: Array  # [AHEAD, 2] float32, odometry
     off_m: Array  # [AHEAD] float32
     fits: Array  # [AHEAD] bool, it may be that one
+    is_like: Array  # [AHEAD] bool, as what is seen there says, not only because the map has it there
     last: Array  # [AHEAD] bool, the route ends there
     off_ways: Array  # [AHEAD, WAYS, V] float32, radians, how ways lie off openings; NaN: another one
     begins: Array  # [AHEAD, 2] float32, odometry, from where the way on is free
@@ -234,11 +235,11 @@ def _next_ones(guide, centre, found, seen, reach_m):
     fits = (off_m <= SURE[0] * length_m + SURE[1]) & (missing <= 1) & (more <= 2)
     fits |= (off_m <= NEAR[0] * length_m + NEAR[1]) & (missing == 0) & (more == 0)
     fits &= jnp.min(other_m, axis=1) > OTHER * off_m
-    fits = ((fits | (off_m < THERE_M)) & (is_seen | is_free)) | (off_m < HERE_M)
-    fits &= place < guide.count
+    is_like = (fits | (off_m < THERE_M)) & (is_seen | is_free) & (place < guide.count)
+    fits = is_like | ((off_m < HERE_M) & (place < guide.count))
     off_ways = jnp.where(alike, apart, jnp.nan)
     way = jnp.where(by_leg, leads, out)
-    return _NextOnes(place, expected, off_m, fits, last, off_ways, begins, is_free, missing + more, way)
+    return _NextOnes(place, expected, off_m, fits, is_like, last, off_ways, begins, is_free, missing + more, way)
 
 
 def _leads_on(guide, places, expected, centre):

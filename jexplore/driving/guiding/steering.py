@@ -158,6 +158,7 @@ def _steered(state, guide, drive, track, estimate, ways_m, places, tuning, robot
         at=guide.at + meets,
         from_xy=jnp.where(meets, place, guide.from_xy),
         from_m=jnp.where(meets, state.odometer_m, guide.from_m),
+        missed=guide.missed + meets,
         strays=guide.strays & ~meets,
     )
     return after, drive, track
