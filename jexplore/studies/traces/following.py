@@ -178,7 +178,7 @@ def start_of(
     device, fits = jax.tree.map(jnp.asarray, building), []
     for aside in ASIDE_M:
         beside = -aside * math.sin(angle), aside * math.cos(angle)
-        for metres in (m for m in CLEAR_M if m <= max(step.length_m / 2, CLEAR_M[-1])):
+        for metres in (m for m in CLEAR_M if m <= max((step.length_m or 0) / 2, CLEAR_M[-1])):
             x_m, y_m = node.x_m + metres * math.cos(angle), node.y_m + metres * math.sin(angle)
             pose = pose_in(world, (x_m + beside[0], y_m + beside[1], step.bearing_deg))
             if _is_free(world, pose) and not bool(vehicle.touches(device, robot, jnp.asarray(pose))):
