@@ -253,7 +253,15 @@ def test_a_goal_makes_no_place_a_known_one():
     map_ = writer.map.replace(kind=writer.map.kind.at[2].set(btm.TERMINAL))
     heading, zero, no = NORTH - TURN, jnp.float32(0), jnp.bool_(False)
     x, y = np.add(OFF, 10 * np.array([math.cos(heading), math.sin(heading)]))
-    measures = {"radius": zero, "posture": zero, "steepest": zero, "step_m": zero, "blocked": no, "returns": no}
+    measures = {
+        "radius": zero,
+        "out": jnp.float32(jnp.nan),
+        "posture": zero,
+        "steepest": zero,
+        "step_m": zero,
+        "blocked": no,
+        "returns": no,
+    }
     here = jnp.array([x, y, heading])
     due = nodes.Event(jnp.int32(btm.TERMINAL), jnp.float32(110), here, here[:2], **measures)
     points = jnp.zeros((512, 2)), jnp.zeros(512, bool)
