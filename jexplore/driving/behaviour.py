@@ -67,6 +67,12 @@ def no_track() -> Track:
     return Track(jnp.zeros(2), jnp.float32(0), jnp.uint32(0), jnp.int32(0), jnp.float32(jnp.nan))
 
 
+def believed(centre: Array, radius: Array | float, out: Array | float = jnp.nan) -> Track:
+    """What lies ahead as if every scan had shown it: see `Track`."""
+    full = jnp.uint32(2**WINDOW - 1)
+    return Track(centre, jnp.float32(1) * radius, full, jnp.int32(1), jnp.float32(1) * out)
+
+
 def votes(track: Track) -> Array:
     """Of the last `WINDOW` scans, how many showed it: int32."""
     return lax.population_count(track.seen).astype(jnp.int32)

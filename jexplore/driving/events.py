@@ -202,7 +202,7 @@ def _watch(state, writer, xy, valid, wall_m, leans, placed, tuning):
     # There are no divergences in free space; where the robot turns on a slope, it leans otherwise for a moment.
     forgets = ((state.space.inside & jnp.isnan(state.track.out)) | leans) & ~turns
     track = jax.tree.map(lambda none, old: jnp.where(forgets, none, old), behaviour.no_track(), state.track)
-    looks = (state.step % EVERY == 0) & ~is_in & ~turns & ~forgets & ~state.space.inside & jnp.isnan(state.track.out)
+    looks = (state.step % EVERY == 0) & ~is_in & ~turns & ~forgets & jnp.isnan(state.track.out)
     return run_if(looks, looked, (track, jnp.int32(0)))
 
 

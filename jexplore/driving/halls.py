@@ -16,7 +16,7 @@ from jax import Array
 from jexplore import btm
 from jexplore.arrays.loops import run_if
 from jexplore.driving import behaviour, mapping
-from jexplore.driving.behaviour import WINDOW, Drive, FreeSpace, Latch, RunMode, Track
+from jexplore.driving.behaviour import Drive, FreeSpace, Latch, RunMode, Track
 from jexplore.driving.mapping import Writer
 from jexplore.driving.sensing import gateways, surround
 from jexplore.driving.sensing.surround import Surround
@@ -130,8 +130,7 @@ def looked(
 def _before(middle, out, width_m, tuning):
     """The place before a gateway, believed, a `Track`: so far before it as walls are followed at."""
     centre = middle - tuning.coast_m * jnp.stack([jnp.cos(out), jnp.sin(out)])
-    radius = jnp.hypot(tuning.coast_m, width_m / 2)
-    return Track(centre, radius, jnp.uint32(2**WINDOW - 1), jnp.int32(1), jnp.float32(1) * out)
+    return behaviour.believed(centre, jnp.hypot(tuning.coast_m, width_m / 2), out)
 
 
 def gone_on(

@@ -142,8 +142,7 @@ def _steered(state, guide, drive, track, estimate, ways_m, places, tuning, robot
     frees = guide.steers & leaves & ~steers & ~looks & ~meets
     latch = jnp.where(frees, Latch.FREE, jnp.where(steers | meets, Latch.LEAVE, drive.latch))
     latch = jnp.where(looks, Latch.APPROACH, latch)
-    seen = jnp.uint32(2**behaviour.WINDOW - 1)
-    there = behaviour.no_track().replace(centre=place, radius=jnp.float32(1), seen=seen, age=jnp.int32(1))
+    there = behaviour.believed(place, 1.0)
     drive = drive.replace(
         latch=latch.astype(jnp.int32),
         target=jnp.where(steers, hop, jnp.where(looks, place, jnp.where(meets, beyond, drive.target))),
