@@ -209,6 +209,20 @@ def test_the_heading_is_put_right_at_a_place():
     assert expected.tolist() == pytest.approx([10.0 + south[0], south[1]], abs=1e-4)
 
 
+def test_a_heading_that_is_off_turns_legs_and_places_beside_the_route():
+    """The odometry's heading is a quarter turn less than the map's: ten metres east are ten metres south there."""
+    guide = a_guide().replace(turned=jnp.float32(math.pi / 2))
+    np.testing.assert_allclose(guides.next_of(guide)[0], (0.0, -10.0), atol=1e-4)
+    ways = [way - math.pi / 2 for way in T]
+    others = (((0.0, -1.2),), ())  # south of the first place: west of it, by the odometry
+    for beside, at in (((), 1), (others, 0)):
+        guide = a_guide(others=beside).replace(turned=jnp.float32(math.pi / 2))
+        assert int(met(guide, 9.0, (-0.9, -10.0), place(*ways))[0].at) == at
+    after, bearing = met(a_guide().replace(turned=jnp.float32(math.pi / 2)), 9.0, (0.0, -10.0), place(*ways))
+    assert bearing == pytest.approx(180, abs=1e-3)  # south on the map
+    np.testing.assert_allclose(guides.next_of(after)[0], (-6.0, -10.0), atol=1e-4)
+
+
 def test_one_way_that_is_seen_elsewhere_does_not_turn_the_heading():
     after, _ = met(a_guide(), 9.0, (10.0, 0.0), place(WEST, EAST, SOUTH + math.radians(38)))
     assert math.degrees(float(after.turned)) == pytest.approx(0, abs=1e-4)
@@ -399,6 +413,7 @@ def steered(guide, at, *, ways_m=FAR, mode=RunMode.CENTRAL, latch=Latch.FREE, tr
     space = behaviour.no_free_space().replace(inside=jnp.bool_(more.get("inside", False)))
     state = types.SimpleNamespace(odometer_m=jnp.float32(odometer_m), mode=jnp.int32(mode), space=space)
     drive = behaviour.at_rest().replace(latch=jnp.int32(latch), out=jnp.float32(more.get("out", 0.0)))
+    drive = drive.replace(since=jnp.int32(more.get("since", 0)))
     nodes, looked = (jnp.array(more.get(name, [(99.0, 99.0)])) for name in ("nodes", "looked"))
     pose = jnp.array([x, y, math.radians(heading)])
     track = track or behaviour.no_track()
@@ -475,7 +490,8 @@ def test_near_a_place_that_it_has_not_seen_it_goes_there_and_looks_round(inside,
     assert int(after.missed) - int(guide.missed) == inside
     if inside:
         np.testing.assert_allclose(drive.target, (11.0, -6.0), atol=1e-5)
-        assert not bool(after.strays)
+        np.testing.assert_allclose(after.from_xy, (10.0, -6.0), atol=1e-5)
+        assert (float(after.from_m), int(drive.since), bool(after.strays)) == (1.0, 0, False)
     else:
         np.testing.assert_allclose(track.centre, (10.0, -6.0), atol=1e-5)
         assert bool(drive.known)
@@ -484,17 +500,36 @@ def test_near_a_place_that_it_has_not_seen_it_goes_there_and_looks_round(inside,
         assert not bool(again.steers)
 
 
+def test_who_may_steer_no_farther_is_free_again():
+    guide = a_guide().replace(**STRAY, steers=jnp.bool_(True), from_m=jnp.float32(0.0))
+    for m, latch, since in ((11.9, Latch.LEAVE, 7), (12.1, Latch.FREE, 0)):
+        after, drive, _ = steered(guide, (8.0, -6.0, 0), latch=Latch.LEAVE, odometer_m=m, since=7)
+        assert (int(drive.latch), int(drive.since), bool(after.steers)) == (latch, since, latch == Latch.LEAVE)
+    _, drive, _ = steered(guide, (8.0, -6.0, 0), latch=Latch.APPROACH, odometer_m=12.1, since=7)  # it goes to a place
+    assert (int(drive.latch), int(drive.since)) == (Latch.APPROACH, 7)
+
+
+def test_an_end_in_sight_comes_before_a_place():
+    guide = a_guide(**ONE, tail_m=5.0).replace(at=jnp.int32(1), from_xy=jnp.array([10.0, 0.0]))
+    for ways_m, steers in ((FAR, True), (np.where(np.abs(surround.DIRECTION) < 0.3, 0.2, 5.0), False)):
+        after, *_ = steered(guide, (10.0, -2.0, 270), track=believed(10.0, -3.0), ways_m=ways_m)
+        assert bool(after.steers) == steers
+    assert bears(steered(guide, (10.0, -2.0, 270), track=believed(10.0, -3.0))[1]) == pytest.approx(270)
+
+
 # How it leaves a place
 
 
-def left(guide, found, points, ways=(WEST, EAST), room=8, onto=(0, 0.0)):
+def left(guide, found, points, ways=(WEST, EAST), room=8, onto=(0, 0.0), turned=(0.0, (0.0, 0.0, 0.0))):
     """The link, its bearing in degrees, whether it is new, and the guide, at (10, 0.5)."""
     map_, node = maps.add_node(maps.empty(4, room), maps.DIVERGENCE, 10.0, 0.5)
     for bearing in ways:
         map_, _ = maps.add_link(map_, node, bearing)
     event = types.SimpleNamespace(odometer_m=jnp.float32(9.0), centre=jnp.array([10.0, 0.5]))
     given = map_, types.SimpleNamespace(guide=guide), event, node, found, jnp.bool_(True), points
-    after, written, link, bearing, onward = leaving.left_by(*given, jnp.int32(onto[0]), jnp.float32(onto[1]))
+    turned = jnp.float32(turned[0]), jnp.array(turned[1], jnp.float32)
+    usual = jnp.int32(onto[0]), jnp.float32(onto[1])
+    after, written, link, bearing, onward = leaving.left_by(*given, usual, turned)
     return int(link), math.degrees(float(bearing)) % 360, int(written.n_links) > len(ways), after, onward
 
 
@@ -512,6 +547,25 @@ def test_a_way_on_that_is_no_link_but_free_is_taken_from_where_it_is_free():
     link, _, is_new, after, onward = left(a_guide(), place(WEST, EAST), shut)
     assert (is_new, int(after.at), bool(onward.is_free)) == (False, 0, False)
     assert not bool(after.steers)
+
+
+def test_what_is_put_right_at_a_place_moves_the_route_with_the_odometry():
+    """A known place lies 0.3 m east of where the odometry has it, whose heading is 0.2 rad too small."""
+    right = 0.3, 0.0, 0.2
+    free = walls((10.0, -1.0), (10.2, -1.0))
+    before = left(a_guide(), place(WEST, EAST), free)
+    link, bearing, _, after, onward = left(
+        a_guide(), place(WEST + 0.2, EAST + 0.2), free, ways=(WEST + 0.2, EAST + 0.2), turned=(0.2, right)
+    )
+    assert (link, int(after.at)) == (before[0], int(before[3].at))
+    assert bearing == pytest.approx(before[1] + math.degrees(0.2), abs=1e-3)  # as the map's node has its ways
+    centre = np.array([10.0, 0.5])
+    turn = np.array([[math.cos(0.2), -math.sin(0.2)], [math.sin(0.2), math.cos(0.2)]])
+    leaves, left_before = (np.asarray(way.middle) - centre for way in (onward, before[4]))
+    np.testing.assert_allclose(leaves, turn @ left_before, atol=1e-5)
+    then, now = guides.next_of(before[3])[0], guides.next_of(after)[0]
+    np.testing.assert_allclose(now, centre + turn @ (np.asarray(then) - centre) + np.array(right[:2]), atol=1e-4)
+    np.testing.assert_allclose(after.seen, before[3].seen, atol=1e-6)  # bearings on the map stay
 
 
 def test_where_the_map_has_no_room_or_the_place_no_link_it_goes_on_by_what_there_is():

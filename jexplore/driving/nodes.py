@@ -199,10 +199,12 @@ def write(
     goes_on = ~is_divergence & ~is_terminal & ~at.again
     map_, new = btm.add_link(map_, at.node, event.pose[2], when=goes_on, blocked=event.blocked)
     passes, which = _is_passed(writer, event, found, others, back, at, is_divergence, points, tuning)
+    correction = jnp.where(passes, 0.0, jnp.stack([*at.shift, applied]))
     after, map_, onto, bearing = links.where_to(writer, map_, at.node, back)
     through = ~is_divergence & ~event.blocked & ~event.returns
     onto = jnp.where(through, jnp.where(goes_on, new, links.other_link(map_, at.node, link)), onto)
-    left = leaving.left_by(map_, writer, event, at.node, found, is_divergence & ~passes, points, onto, bearing)
+    usual, is_place = (onto, bearing), is_divergence & ~passes
+    left = leaving.left_by(map_, writer, event, at.node, found, is_place, points, usual, (turn, correction))
     ways = _way_out(event, found, left, turn, tuning.leave_m, is_divergence)
     ways = to_odometry(jnp.stack([0.0, 0.0, applied - turn]))(ways[0]), ways[1] + applied - turn
     target, out = _either_of(passes, _past(event, found, which, others, back, points, tuning), ways)
@@ -220,7 +222,6 @@ def write(
         origin=jnp.stack([*(event.centre + at.shift), jnp.nan_to_num(turned) - applied]),
         guide=left.guide,
     )
-    correction = jnp.where(passes, 0.0, jnp.stack([*at.shift, applied]))
     passing = before.replace(passed=jnp.stack([*event.centre, event.radius, event.odometer_m]))
     return (
         _either_of(passes, passing, _either_of(at.fits, written, _full(writer))),

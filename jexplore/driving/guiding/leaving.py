@@ -1,5 +1,6 @@
 """By which link a robot that follows a route leaves a place."""
 
+import dataclasses
 import functools
 from typing import Any, NamedTuple
 
@@ -12,6 +13,7 @@ from jexplore.driving import links
 from jexplore.driving.guiding.guide import BACK_RAD, STRIP_M, Guide, Onward, at_place, is_next
 from jexplore.driving.mapping import Writer
 from jexplore.driving.sensing.openings import Openings
+from jexplore.driving.vehicle import to_odometry
 
 
 class Left(NamedTuple):
@@ -29,6 +31,18 @@ def passes_by(writer: Writer, centre: Array, passes: Array) -> Array:
     return passes if writer.guide is None else passes & ~is_next(writer.guide, centre)
 
 
+def corrected(guide: Guide, centre: Array, correction: Array) -> Guide:
+    """A guide once the odometry has been put right.
+
+    Args:
+      guide: `Guide`.
+      centre: `[2]` float32, about which the odometry has been turned.
+      correction: `[3]` float32, metres and radians.
+    """
+    from_xy = to_odometry(jnp.append(centre, correction[2]))(guide.from_xy - centre) + correction[:2]
+    return guide.replace(from_xy=from_xy, turned=guide.turned - correction[2])
+
+
 def left_by(
     map_: Btm,
     writer: Writer,
@@ -37,8 +51,8 @@ def left_by(
     found: Openings,
     is_place: Array,
     points: tuple[Array, Array],
-    onto: Array,
-    bearing: Array,
+    usual: tuple[Array, Array],
+    turned: tuple[Array, Array],
 ) -> Left:
     """Where a robot that follows a route goes on instead.
 
@@ -49,18 +63,24 @@ def left_by(
       map_: `Btm` with the node.
       writer, event: `Writer` before it; `nodes.Event`.
       node: int32.
-      found: `Openings` of it.
+      found: `Openings` of it, as the map's node has them.
       is_place: bool, whether it is a divergence.
       points: see `links.reach_m`.
-      onto, bearing: the link by which it would go on, and how that bears.
+      usual: the link by which it would go on, and how that bears, as the map's node has it.
+      turned: how far those are turned against the odometry, radians; `[3]`, the odometry's correction, see `corrected`.
 
     Returns:
       `Left`; of a robot that follows no route what was given.
     """
+    (onto, bearing), (turn, correction) = usual, turned
     if writer.guide is None:
         return Left(None, map_, onto, bearing, None)
     free_m = functools.partial(links.reach_m, points, width_m=STRIP_M)
-    ahead, way = at_place(writer.guide, event.odometer_m, event.centre, found, is_place, free_m)
+    measured = dataclasses.replace(found, bearing=found.bearing - turn)
+    ahead, way = at_place(writer.guide, event.odometer_m, event.centre, measured, is_place, free_m)
+    to_node = to_odometry(jnp.append(event.centre, turn))
+    way = way._replace(bearing=way.bearing + turn, middle=to_node(way.middle - event.centre))
+    ahead = corrected(ahead, event.centre, correction)
     link, out, off = links.toward(map_, node, way.bearing)
     is_open = jnp.any(found.valid & (jnp.abs(btm.wrapped(found.bearing - way.bearing)) < links.ALIKE_RAD))
     there = jnp.isfinite(off)
