@@ -13,7 +13,7 @@ from flax import struct
 from jax import Array, lax
 
 from jexplore.driving import manoeuvre
-from jexplore.driving.sensing import openings, perception, surround
+from jexplore.driving.sensing import perception, surround, ways_out
 from jexplore.driving.settings import Robot, Tuning
 from jexplore.driving.vehicle import DT_S
 
@@ -349,7 +349,7 @@ def is_aside(target: Array, out: Array, radius_m: Array) -> Array:
       radius_m: float32, of the place.
     """
     beside_m = target[1] * jnp.cos(out) - target[0] * jnp.sin(out)
-    return (radius_m > openings.WIDE_M) & (jnp.abs(beside_m) > BESIDE_M)
+    return (radius_m > ways_out.WIDE_M) & (jnp.abs(beside_m) > BESIDE_M)
 
 
 def _selected(drive, to_robot, tuning):

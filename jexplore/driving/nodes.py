@@ -17,6 +17,7 @@ from jexplore.driving.behaviour import Drive, Latch, Track
 from jexplore.driving.guiding import leaving
 from jexplore.driving.mapping import Writer, along, came_from, came_through, has_left, moved
 from jexplore.driving.sensing import gateways, obstacles, openings
+from jexplore.driving.sensing.ways_out import ways_out
 from jexplore.driving.settings import Robot, Tuning
 from jexplore.driving.vehicle import to_odometry
 
@@ -110,7 +111,7 @@ def _find_openings(writer, event, points, tuning, is_divergence):
         is_divergence, came_from(writer, event.centre, event.radius) - event.centre, -_heading(event.pose[2])
     )
     came = jnp.arctan2(came[1], came[0])
-    found = openings.ways_out(
+    found = ways_out(
         points[0],
         points[1],
         event.centre,

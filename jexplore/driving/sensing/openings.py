@@ -2,12 +2,10 @@
 
 import math
 
-import jax
 import jax.numpy as jnp
 from flax import struct
 from jax import Array
 
-from jexplore.arrays.loops import run_if
 from jexplore.btm import wrapped
 from jexplore.driving.sensing.perception import running_sum
 
@@ -26,13 +24,7 @@ DOOR = 3  # directions that a door takes at least
 BEYOND_M = 0.25  # what lies farther than its wall is seen through a door of it
 BOTH_ENDS = 0.75  # share of the directions of a wall that its ends are
 AHEAD = 0.6  # radii from the centre from which on they are
-WIDER = 1.5  # search circles, in which doors that lie partly outside one are looked for
-OTHER_M = 0.5  # from the middle of every other opening
 ALIKE_M = 0.02  # connections of the walls beside a gap that are longer by this count for less
-WIDE_M = 2.0  # a place is wide from this radius on: doors are looked for wall by wall
-JAMB = 60  # directions in which a door's other jamb is looked for
-MOST_DOOR_M = 1.5  # such a door is no wider
-BEHIND_RAD = math.radians(12)  # what bears no farther from a door, and lies beyond it, is behind it
 PASSAGE_RAD = math.radians(30)  # a link bears as its passage does if that differs no more from where it is seen
 APART_RAD = math.radians(40)  # and no other opening bears so nearly alike
 
@@ -58,7 +50,7 @@ def _next(here):
     return jnp.min(later, axis=0) % BEARINGS
 
 
-def _gaps(point, last, here, width_m):
+def gaps(point: Array, last: Array, here: Array, width_m: Array | float) -> tuple[Array, Array, Array]:
     """Gaps from every direction to the next, counter-clockwise and round the circle, that has a point.
 
     Args:
@@ -87,8 +79,13 @@ def _grazes(point, after, here, centre, seen_from):
     return (jnp.abs(wrapped(apart)) < GRAZE_RAD) & (span > 0) & (span < BEARINGS // 2)
 
 
-def _polar(offset, distance, inside, most_m):
+def polar(offset: Array, distance: Array, inside: Array, most_m: Array | float) -> tuple[Array, Array, Array]:
     """The nearest point in every direction and the farthest, for a wall may lead straight outward.
+
+    Args:
+      offset, distance: `[P, 2]`, `[P]` float32, of points from the centre.
+      inside: `[P]` bool, which of them count.
+      most_m: none of those lies farther away.
 
     Returns:
       `(point, last, here)`: `[BEARINGS, 2]` each; `[BEARINGS]` bool, whether there is any.
@@ -111,7 +108,7 @@ def _leads_on(distance, here, whole):
 
     Args:
       distance, here: `[BEARINGS]`, of the points in the circle; whether there is one.
-      whole: what `_polar` makes of all points.
+      whole: what `polar` makes of all points.
     """
     order, following = jnp.arange(BEARINGS), _next(here)
     reach_m = jnp.where(whole[2], jnp.hypot(*whole[0].T), jnp.inf)
@@ -125,8 +122,8 @@ def _pockets(point, whole, first, last, valid, width_m):
     """What lies beyond gaps of a circle: a passage that leads on, or a pocket whose walls are all in sight.
 
     Args:
-      point: `[BEARINGS, 2]`, from `_polar`, of what lies in the circle.
-      whole: what `_polar` makes of all points.
+      point: `[BEARINGS, 2]`, from `polar`, of what lies in the circle.
+      whole: what `polar` makes of all points.
       first, last: `[K]` int32, where the gaps begin and end.
       valid: `[K]` bool.
       width_m: least width of an opening.
@@ -149,12 +146,12 @@ def _pockets(point, whole, first, last, valid, width_m):
     deep = ordered[jnp.arange(len(first)), jnp.minimum((DEEP * n).astype(jnp.int32), BEARINGS - 1)]
     pocket = valid & seen & (deep < POCKET * chord)
     # A piece of wall all of which lies beyond is seen through a door.
-    ends = _gaps(place, place, here, width_m)[2]
+    ends = gaps(place, place, here, width_m)[2]
     piece = (running_sum(ends.astype(jnp.float32)) - ends) % jnp.maximum(jnp.sum(ends), 1)
     least = jnp.min(jnp.where((piece[:, None] == piece) & known[:, None, :], depth[:, None, :], jnp.inf), axis=2)
     beyond = known & (least > deep[:, None] + BEYOND_M) & pocket[:, None]
     ring = here & ~jnp.any(beyond, axis=0)
-    open_, after = _gaps(place, far, ring, width_m)[2], _next(ring)
+    open_, after = gaps(place, far, ring, width_m)[2], _next(ring)
     # Where a wall is seen from the side its points lie far apart, in directions next to each other: no door.
     open_ &= (after - jnp.arange(BEARINGS)) % BEARINGS >= DOOR
     # Nor is there one where a passage is known no farther: its ends lie beyond what is taken for its wall.
@@ -193,10 +190,10 @@ def openings(xy: Array, valid: Array, centre: Array, radius_m: Array | float, wi
     offset = xy - centre
     search_m = circle * radius_m
     distance = jnp.hypot(*offset.T)
-    point, last, here = _polar(offset, distance, valid & (distance <= search_m), search_m)
-    whole = _polar(offset, distance, valid, FAR_M)
+    point, last, here = polar(offset, distance, valid & (distance <= search_m), search_m)
+    whole = polar(offset, distance, valid, FAR_M)
     # A wall is what lies between two gaps.
-    after, gap_m, gap_here = _gaps(point, last, here, width_m)
+    after, gap_m, gap_here = gaps(point, last, here, width_m)
     gap_here &= ~_grazes(point, after, here, centre, seen_from)
     wall = (running_sum(gap_here.astype(jnp.float32)) - gap_here) % jnp.maximum(jnp.sum(gap_here), 1)
     distance = jnp.where(here, jnp.hypot(*point.T), jnp.inf)
@@ -204,7 +201,7 @@ def openings(xy: Array, valid: Array, centre: Array, radius_m: Array | float, wi
     door = gap_here & (gap_m < jnp.maximum(NARROW * radius_m, DOOR_M)) & _leads_on(distance, here, whole)
     beside = jnp.any(door & ((wall[:, None] == wall) | (wall[:, None] == wall[_next(here)])), axis=1)
     here &= (nearest_m <= NEAR * jnp.maximum(radius_m, jnp.min(distance))) | beside
-    after, width, gap_here = _gaps(point, last, here, width_m)
+    after, width, gap_here = gaps(point, last, here, width_m)
     gap_here &= ~_grazes(point, after, here, centre, seen_from)
     only = jnp.sum(here) == 1
     place = running_sum(gap_here.astype(jnp.float32)).astype(jnp.int32) - 1
@@ -224,93 +221,6 @@ def openings(xy: Array, valid: Array, centre: Array, radius_m: Array | float, wi
     more = jnp.sum(gap_here, dtype=jnp.int32) - size, jnp.sum(door, dtype=jnp.int32) - size
     together = [jnp.concatenate(pair) for pair in zip(own, doors)]
     return in_order(together, jnp.maximum(more[0], 0) + jnp.maximum(more[1], 0), size)
-
-
-def ways_out(xy: Array, valid: Array, centre: Array, radius_m: Array | float, width_m: Array | float, *,
-             circle: Array | float, size: int, seen_from: Array | None = None) -> Openings:  # fmt: skip
-    """`openings` of a place, and doors in the walls beside it whose farther jamb lies outside the search circle.
-
-    Two doors that face each other across a passage are rarely opposite to the centimetre. One whose middle lies in the
-    circle belongs to the place, as the one across the passage does; in the circle alone it and the passage are one gap.
-
-    Args and returns: as for `openings`.
-    """
-
-    def seen(wider):
-        return openings(xy, valid, centre, radius_m, width_m, circle=circle * wider, size=size, seen_from=seen_from)
-
-    both = jax.vmap(seen)(jnp.array([1.0, WIDER]))
-    found, more = (jax.tree.map(lambda a, i=i: a[i], both) for i in range(2))
-    inside = jnp.hypot(*more.middle.T) <= circle * radius_m
-    off = jnp.hypot(*jnp.moveaxis(more.middle[:, None] - found.middle, -1, 0))
-    off = jnp.where(found.valid, off, jnp.inf)
-    alike = found.valid & (jnp.abs(wrapped(more.across[:, None] - found.across)) < APART_RAD)
-    extra = more.valid & inside & (more.width_m <= DOOR_M) & (jnp.min(off, axis=1) > OTHER_M) & ~jnp.any(alike, axis=1)
-    parts = [(a.valid if a is found else extra, a.middle, a.across, a.width_m) for a in (found, more)]
-    together = [jnp.concatenate(pair) for pair in zip(*parts)]
-
-    def with_doors(_):
-        offset = xy - centre
-        place, _, here = _polar(offset, jnp.hypot(*offset.T), valid, FAR_M)
-        return _joined(together, _wall_doors(place, here, width_m, circle * radius_m, size))
-
-    none = [jnp.concatenate([a, jnp.zeros_like(a[: 2 * size])]) for a in together]
-    return in_order(run_if(radius_m > WIDE_M, with_doors, none), found.overflow, size)
-
-
-def _joined(openings, doors):
-    """Openings and doors, `(valid, middle, across, width)` of as many each. A door behind another is none of the place,
-    nor is an opening that is seen where a door is.
-    """
-    away_m, bearing = jnp.hypot(*doors[1].T), jnp.arctan2(doors[1][:, 1], doors[1][:, 0])
-    off = jnp.abs(wrapped(bearing[:, None] - bearing))
-    order = jnp.arange(len(bearing))
-    nearer = (away_m < away_m[:, None]) | ((away_m == away_m[:, None]) & (order < order[:, None]))
-    first = doors[0] & ~jnp.any(doors[0] & nearer & (off < BEHIND_RAD), axis=1)
-    off = jnp.abs(wrapped(jnp.arctan2(openings[1][:, 1], openings[1][:, 0])[:, None] - bearing))
-    alone = openings[0] & ~jnp.any(first & (off < APART_RAD / 2), axis=1)
-    return [jnp.concatenate(pair) for pair in zip((alone, *openings[1:]), (first, *doors[1:]))]
-
-
-def _wall_doors(place, here, width_m, reach_m, size):
-    """Doors in the walls of a wide place: narrow gaps from where a wall ends to the nearest point of the next that the
-    place leads on through.
-
-    Args:
-      place, here: `[BEARINGS, 2]`, `[BEARINGS]`, the nearest points in every direction, from `_polar`.
-      width_m: least width of an opening.
-      reach_m: their middles are no farther away.
-      size: K.
-
-    Returns:
-      `(valid, middle, across, width)` of 2 K.
-    """
-    mirrored = jnp.array([1.0, -1.0])
-    one = _from_ends(place, here, width_m, reach_m, size)
-    other = _from_ends(place[::-1] * mirrored, here[::-1], width_m, reach_m, size)
-    other = other[0], other[1] * mirrored, -other[2], other[3]
-    return [jnp.concatenate(pair) for pair in zip(one, other)]
-
-
-def _from_ends(place, here, width_m, reach_m, size):
-    """`_wall_doors` of one sense of rotation: from where a wall ends to the nearest point that comes later."""
-    order, ends = jnp.arange(BEARINGS), _gaps(place, place, here, width_m)[2]
-    later = (order[:, None] + 1 + jnp.arange(JAMB)) % BEARINGS
-    there = here[later]
-    way = place[later] - place[:, None]  # [BEARINGS, JAMB, 2]
-    chord = jnp.where(there, jnp.hypot(way[..., 0], way[..., 1]), jnp.inf)
-    at = jnp.argmin(chord, axis=1)
-    wide, along = chord[order, at], way[order, at]
-    out = jnp.stack([along[:, 1], -along[:, 0]], axis=1) / jnp.maximum(wide, 1e-6)[:, None]
-    between = jnp.arange(JAMB) < at[:, None]
-    deep_m = jnp.where(there, jnp.einsum("bjd,bd->bj", way, out), jnp.inf)
-    leads_on = jnp.any(between & (deep_m > LEADS_M), axis=1)
-    middle = place + along / 2
-    door = ends & leads_on & (wide > width_m) & (wide <= MOST_DOOR_M) & (jnp.hypot(*middle.T) <= reach_m)
-    number = running_sum(door.astype(jnp.float32)).astype(jnp.int32) - 1
-    chosen = door & (number == jnp.arange(size)[:, None])
-    first = jnp.argmax(chosen, axis=1)
-    return jnp.any(chosen, axis=1), middle[first], jnp.arctan2(out[first, 1], out[first, 0]), wide[first]
 
 
 def _doors(place, door, door_end, size):
@@ -350,7 +260,7 @@ def _narrowest(point, here, gap_here, first, last, radius_m):
     """Where the walls on both sides of gaps are nearest to each other.
 
     Args:
-      point, here: as in `_gaps`.
+      point, here: as in `gaps`.
       gap_here: `[BEARINGS]` bool, whether a gap begins there.
       first, last: `[K]` int32, where the gaps in question begin and end.
       radius_m: of the circle; narrower places behind the centre or beside it are not looked for.

@@ -1,0 +1,134 @@
+"""All ways out of a place: its openings, doors that lie partly outside it, and those in the walls of a wide room."""
+
+import math
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from jexplore.arrays.loops import run_if
+from jexplore.btm import wrapped
+from jexplore.driving.sensing.openings import (
+    APART_RAD,
+    BEARINGS,
+    DOOR_M,
+    FAR_M,
+    LEADS_M,
+    PASSAGE_RAD,
+    Openings,
+    gaps,
+    in_order,
+    openings,
+    polar,
+)
+from jexplore.driving.sensing.perception import running_sum
+
+WIDER = 1.5  # search circles, in which doors that lie partly outside one are looked for
+OTHER_M = 0.5  # from the middle of every other opening
+WIDE_M = 2.0  # a place is wide from this radius on: doors are looked for wall by wall
+JAMB = 60  # directions in which a door's other jamb is looked for
+MOST_DOOR_M = 1.5  # such a door is no wider
+BEHIND_RAD = math.radians(12)  # what bears no farther from a door, and lies beyond it, is behind it
+MERGED_RAD = math.radians(60)  # one whose walls face each other so far askew is two: a passage, and a door in its wall
+
+
+def ways_out(xy: Array, valid: Array, centre: Array, radius_m: Array | float, width_m: Array | float, *,
+             circle: Array | float, size: int, seen_from: Array | None = None) -> Openings:  # fmt: skip
+    """`openings` of a place, and doors in the walls beside it whose farther jamb lies outside the search circle.
+
+    Two doors that face each other across a passage are rarely opposite to the centimetre. One whose middle lies in the
+    circle belongs to the place, as the one across the passage does; in the circle alone it and the passage are one gap.
+    So are a passage and a door whose nearer jamb alone lies in the circle: their walls face each other askew, and what
+    the wider circle has straight ahead there counts instead.
+
+    Args and returns: as for `openings`.
+    """
+
+    def seen(wider):
+        return openings(xy, valid, centre, radius_m, width_m, circle=circle * wider, size=size, seen_from=seen_from)
+
+    both = jax.vmap(seen)(jnp.array([1.0, WIDER]))
+    found, more = (jax.tree.map(lambda a, i=i: a[i], both) for i in range(2))
+    merged = found.valid & (_askew(found) > MERGED_RAD) & (found.width_m > DOOR_M)
+    kept, inside = found.valid & ~merged, jnp.hypot(*more.middle.T) <= circle * radius_m
+    straight = jnp.any(merged) & (_askew(more) < PASSAGE_RAD)
+    extra = _others(kept, found, more) & ((inside & (more.width_m <= DOOR_M)) | straight)
+    beside = jnp.abs(wrapped(found.bearing[:, None] - jnp.concatenate([found.bearing, more.bearing])))
+    merged &= jnp.any(jnp.concatenate([kept, extra]) & (beside < math.pi / 2), axis=1)
+    parts = (found.valid & ~merged, found), (extra, more)
+    together = [jnp.concatenate(pair) for pair in zip(*((there, a.middle, a.across, a.width_m) for there, a in parts))]
+
+    def with_doors(_):
+        offset = xy - centre
+        place, _, here = polar(offset, jnp.hypot(*offset.T), valid, FAR_M)
+        return _joined(together, _wall_doors(place, here, width_m, circle * radius_m, size))
+
+    none = [jnp.concatenate([a, jnp.zeros_like(a[: 2 * size])]) for a in together]
+    return in_order(run_if(radius_m > WIDE_M, with_doors, none), found.overflow, size)
+
+
+def _askew(found):
+    """How far the passages of openings lie off the directions in which their middles do: `[K]`, radians."""
+    return jnp.abs(wrapped(found.across - jnp.arctan2(found.middle[:, 1], found.middle[:, 0])))
+
+
+def _others(there, found, more):
+    """Which openings of another view are none of those that are there: `[K]` bool."""
+    off = jnp.hypot(*jnp.moveaxis(more.middle[:, None] - found.middle, -1, 0))
+    alike = there & (jnp.abs(wrapped(more.across[:, None] - found.across)) < APART_RAD)
+    return more.valid & (jnp.min(jnp.where(there, off, jnp.inf), axis=1) > OTHER_M) & ~jnp.any(alike, axis=1)
+
+
+def _joined(found, doors):
+    """Openings and doors, `(valid, middle, across, width)` of as many each. A door behind another is none of the place,
+    nor is an opening that is seen where a door is.
+    """
+    away_m, bearing = jnp.hypot(*doors[1].T), jnp.arctan2(doors[1][:, 1], doors[1][:, 0])
+    off = jnp.abs(wrapped(bearing[:, None] - bearing))
+    order = jnp.arange(len(bearing))
+    nearer = (away_m < away_m[:, None]) | ((away_m == away_m[:, None]) & (order < order[:, None]))
+    first = doors[0] & ~jnp.any(doors[0] & nearer & (off < BEHIND_RAD), axis=1)
+    off = jnp.abs(wrapped(jnp.arctan2(found[1][:, 1], found[1][:, 0])[:, None] - bearing))
+    alone = found[0] & ~jnp.any(first & (off < APART_RAD / 2), axis=1)
+    return [jnp.concatenate(pair) for pair in zip((alone, *found[1:]), (first, *doors[1:]))]
+
+
+def _wall_doors(place, here, width_m, reach_m, size):
+    """Doors in the walls of a wide place: narrow gaps from where a wall ends to the nearest point of the next that the
+    place leads on through.
+
+    Args:
+      place, here: `[BEARINGS, 2]`, `[BEARINGS]`, the nearest points in every direction, from `polar`.
+      width_m: least width of an opening.
+      reach_m: their middles are no farther away.
+      size: K.
+
+    Returns:
+      `(valid, middle, across, width)` of 2 K.
+    """
+    mirrored = jnp.array([1.0, -1.0])
+    one = _from_ends(place, here, width_m, reach_m, size)
+    other = _from_ends(place[::-1] * mirrored, here[::-1], width_m, reach_m, size)
+    other = other[0], other[1] * mirrored, -other[2], other[3]
+    return [jnp.concatenate(pair) for pair in zip(one, other)]
+
+
+def _from_ends(place, here, width_m, reach_m, size):
+    """`_wall_doors` of one sense of rotation: from where a wall ends to the nearest point that comes later."""
+    order, ends = jnp.arange(BEARINGS), gaps(place, place, here, width_m)[2]
+    later = (order[:, None] + 1 + jnp.arange(JAMB)) % BEARINGS
+    there = here[later]
+    way = place[later] - place[:, None]  # [BEARINGS, JAMB, 2]
+    chord = jnp.where(there, jnp.hypot(way[..., 0], way[..., 1]), jnp.inf)
+    at = jnp.argmin(chord, axis=1)
+    wide, along = chord[order, at], way[order, at]
+    out = jnp.stack([along[:, 1], -along[:, 0]], axis=1) / jnp.maximum(wide, 1e-6)[:, None]
+    between = jnp.arange(JAMB) < at[:, None]
+    deep_m = jnp.where(there, jnp.einsum("bjd,bd->bj", way, out), jnp.inf)
+    leads_on = jnp.any(between & (deep_m > LEADS_M), axis=1)
+    middle = place + along / 2
+    door = ends & leads_on & (wide > width_m) & (wide <= MOST_DOOR_M) & (jnp.hypot(*middle.T) <= reach_m)
+    number = running_sum(door.astype(jnp.float32)).astype(jnp.int32) - 1
+    chosen = door & (number == jnp.arange(size)[:, None])
+    first = jnp.argmax(chosen, axis=1)
+    return jnp.any(chosen, axis=1), middle[first], jnp.arctan2(out[first, 1], out[first, 0]), wide[first]
