@@ -9,7 +9,12 @@ from pathlib import Path
 os.environ["MPLBACKEND"] = "Agg"
 os.environ.pop("JEXPLORE_SMALL", None)
 # Compiling is what tests wait for, and their worlds are tiny: the cheapest code will do. It gives the same integers.
-os.environ.setdefault("XLA_FLAGS", "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false")
+# Looking for what could move out of loops takes a quarter of the time, and both cores have a program of their own.
+os.environ.setdefault(
+    "XLA_FLAGS",
+    "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false --xla_cpu_parallel_codegen_split_count=1 "
+    "--xla_disable_hlo_passes=while-loop-invariant-code-motion,simplify-while-loops,while-loop-trip-count-annotator",
+)
 
 import hypothesis
 import jax
@@ -25,6 +30,13 @@ try:  # the C library keeps what is freed, in pieces; this gives it back
     _trim = ctypes.CDLL(None).malloc_trim
 except AttributeError:  # another C library
     _trim = int
+
+
+def pytest_collection_finish():
+    """What tests are made of stays: garbage is not looked for in it, and less often while programs are traced."""
+    gc.collect()
+    gc.freeze()
+    gc.set_threshold(20_000, 20, 20)
 
 
 def pytest_configure(config):
