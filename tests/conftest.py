@@ -49,7 +49,6 @@ def pytest_configure(config):
         folder = str(config.cache.mkdir("jax"))
         os.environ["JAX_COMPILATION_CACHE_DIR"] = folder
         jax.config.update("jax_compilation_cache_dir", folder)
-        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     jax.config.update("jax_disable_jit", True)
 
 
@@ -66,6 +65,7 @@ def _jit(on):
 
 @pytest.fixture(autouse=True)
 def _jit_as_marked(request):
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)  # commands keep what takes long only
     with _jit(request.node.get_closest_marker("jit") is not None):
         yield
 
