@@ -32,6 +32,25 @@ except AttributeError:  # another C library
     _trim = int
 
 
+# What takes longest comes first, so that no worker is left with much at the end; neighbours share few programs, which
+# two workers would compile at the same time.
+LONG = ("mission", "decisions", "engines", "docs", "training", "sweep", "episode", "own_strategies", "bounds")
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items):
+    """Long files first. With `--dist loadgroup` a file's tests stay together, except notebooks, which share nothing."""
+
+    def turn(item):
+        name = item.path.stem.removeprefix("test_")
+        return LONG.index(name) if name in LONG else len(LONG)
+
+    items.sort(key=turn)
+    for item in items:
+        if item.path.stem != "test_notebooks":
+            item.add_marker(pytest.mark.xdist_group(item.path.stem))
+
+
 def pytest_collection_finish():
     """What tests are made of stays: garbage is not looked for in it, and less often while programs are traced."""
     gc.collect()
