@@ -411,6 +411,10 @@ def test_room_for_the_maps_of_buildings():
             job.prepare_trace("course", **wrong)
 
 
+def test_room_for_steps_doubles():
+    assert [batch.room_for(n) for n in (1, 6000, 6001, 12000, 12001, 50000)] == [6000, 6000, 12000, 12000, 24000, 96000]
+
+
 @pytest.mark.jit
 def test_a_room_without_a_passage():
     found = ran(job.prepare_trace(box(), start=(1.0, 1.0, 0), noise=STILL, **AS_ON_COURSES))
