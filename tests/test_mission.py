@@ -393,7 +393,7 @@ def test_a_map_has_as_much_room_as_is_asked_for():
     plan = job.prepare_trace("course:obstacle=none", robot="wheeled", noise=STILL, nodes=4, links=6)
     assert is_level(plan.building.terrain)
     assert plan.is_narrow
-    assert plan.places == 9
+    assert plan.places == 6
     found = ran(plan)
     assert found.table["outcome"].tolist() == ["MAP_FULL"]
     assert kinds(found.first) == "TDFF"
