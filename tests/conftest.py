@@ -34,7 +34,18 @@ except AttributeError:  # another C library
 
 # What takes longest comes first, so that no worker is left with much at the end; neighbours share few programs, which
 # two workers would compile at the same time.
-LONG = ("mission", "decisions", "engines", "docs", "training", "sweep", "episode", "own_strategies", "bounds")
+LONG = (
+    "mission",
+    "decisions",
+    "training",
+    "engines",
+    "docs",
+    "sweep",
+    "episode",
+    "own_strategies",
+    "bounds",
+    "examples",
+)
 
 
 @pytest.hookimpl(tryfirst=True)
