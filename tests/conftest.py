@@ -9,7 +9,12 @@ from pathlib import Path
 os.environ["MPLBACKEND"] = "Agg"
 os.environ.pop("JEXPLORE_SMALL", None)
 # Compiling is what tests wait for, and their worlds are tiny: the cheapest code will do. It gives the same integers.
-os.environ.setdefault("XLA_FLAGS", "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false")
+# Looking for what could move out of loops takes a quarter of the time, and both cores have a program of their own.
+os.environ.setdefault(
+    "XLA_FLAGS",
+    "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false --xla_cpu_parallel_codegen_split_count=1 "
+    "--xla_disable_hlo_passes=while-loop-invariant-code-motion,simplify-while-loops,while-loop-trip-count-annotator",
+)
 
 import hypothesis
 import jax
@@ -27,6 +32,43 @@ except AttributeError:  # another C library
     _trim = int
 
 
+# What takes longest comes first, so that no worker is left with much at the end; neighbours share few programs, which
+# two workers would compile at the same time.
+LONG = (
+    "mission",
+    "decisions",
+    "training",
+    "engines",
+    "docs",
+    "sweep",
+    "episode",
+    "own_strategies",
+    "bounds",
+    "examples",
+)
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items):
+    """Long files first. With `--dist loadgroup` a file's tests stay together, except notebooks, which share nothing."""
+
+    def turn(item):
+        name = item.path.stem.removeprefix("test_")
+        return LONG.index(name) if name in LONG else len(LONG)
+
+    items.sort(key=turn)
+    for item in items:
+        if item.path.stem != "test_notebooks":
+            item.add_marker(pytest.mark.xdist_group(item.path.stem))
+
+
+def pytest_collection_finish():
+    """What tests are made of stays: garbage is not looked for in it, and less often while programs are traced."""
+    gc.collect()
+    gc.freeze()
+    gc.set_threshold(20_000, 20, 20)
+
+
 def pytest_configure(config):
     """Compiled programs are kept from run to run, for the processes that tests start as well; so is the CPU, where a
     plugin for compiling only is installed.
@@ -37,7 +79,6 @@ def pytest_configure(config):
         folder = str(config.cache.mkdir("jax"))
         os.environ["JAX_COMPILATION_CACHE_DIR"] = folder
         jax.config.update("jax_compilation_cache_dir", folder)
-        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     jax.config.update("jax_disable_jit", True)
 
 
@@ -54,6 +95,7 @@ def _jit(on):
 
 @pytest.fixture(autouse=True)
 def _jit_as_marked(request):
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)  # commands keep what takes long only
     with _jit(request.node.get_closest_marker("jit") is not None):
         yield
 

@@ -18,7 +18,7 @@ from ref.jobs import LIDAR, RULES, digest, few, some_jobs
 from jexplore import planning
 from jexplore.arrays import loops
 from jexplore.bench import engines
-from jexplore.config import InputError, Rules
+from jexplore.config import InputError
 from jexplore.engine import devices, lockstep, runner, serial
 from jexplore.exploration import batch
 from jexplore.exploration.batch import Job, run_jobs
@@ -30,6 +30,7 @@ from jexplore.worlds.starts import draw_starts
 from jexplore.worlds.world import World
 
 LANES = {"serial": None, "lockstep": 3}
+ENGINES = ("serial", None), ("lockstep", 7)  # with so many lanes
 TESTS = Path(__file__).resolve().parent
 
 
@@ -178,11 +179,9 @@ def test_processes_share_the_work_and_all_have_all_of_it(want):
 @pytest.mark.jit
 def test_programs_that_differ_in_what_is_fixed_are_told_apart_in_one_process():
     """Clearance is no array: in one process, lockstep must compile anew for each."""
-    job, paths = some_jobs()[0], []
-    job = job._replace(starts=job.starts[:2])
-    for clearance_m in (0.1, 0.3):
-        rules = Rules(max_plans=6, clearance_m=clearance_m)
-        both = [run_jobs([job], LIDAR, rules, engine=engine) for engine in ("serial", "lockstep")]
+    jobs, paths = some_jobs(), []
+    for rules in (RULES, dataclasses.replace(RULES, clearance_m=0.1)):
+        both = [run_jobs(jobs, LIDAR, rules, engine=engine, lanes=n) for engine, n in ENGINES]
         assert_equal(*both)
         paths.append(both[0].outcomes[0].result.known.tolist())
     assert paths[0] != paths[1]

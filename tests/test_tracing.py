@@ -14,7 +14,7 @@ from jexplore.cli import main
 from jexplore.config import InputError
 from jexplore.driving import batch
 from jexplore.report import plot_traces, trace_tables
-from jexplore.studies.traces import extraction, job, tracing
+from jexplore.studies.traces import extraction, job, recording, tracing
 from jexplore.tracemap import corrected, json_form
 from jexplore.tracemap.merging.rigid import Move, moved
 from jexplore.tracemap.record import BtmMap, Link, Node, check
@@ -45,6 +45,7 @@ def made(tmp_path_factory, jit_on):
             "--corrected",
         )
         assert main.main(["trace", *options, "--out", str(out)]) == 0
+        assert recording._frame._cache_size() == 1  # the page's steps are one program
     return out, said.getvalue(), drawn
 
 

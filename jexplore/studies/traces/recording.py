@@ -97,7 +97,8 @@ def record(plan: tracing.TraceJob, on_progress: Callable[[int], Any] = lambda n:
     building = jax.device_put(plan.building)
     setup = mission.Setup(room_for(plan.max_steps), *plan.size)
     key = _key(plan)
-    state = jax.tree.map(jnp.asarray, mission.at_start(setup, building, robot, plan.begins[0]))
+    # With the very types that a step returns, not weak ones: else the second step would be compiled once more.
+    state = jax.tree.map(lambda a: jnp.asarray(a, a.dtype), mission.at_start(setup, building, robot, plan.begins[0]))
     frames, steps = [], 0
     while int(state.outcome) == mission.Outcome.RUNNING and steps < plan.max_steps:
         state, seen = _frame(jax.random.fold_in(key, steps), building, robot, tuning, noise, state)
