@@ -13,37 +13,57 @@ from jexplore.reach import FAR, MOTIONS, NO_MOTION, STEPS
 STRIDES = {"sweeps": 1, "wave": 8}
 
 
-def _last_motion(cost, traversable, steps=STEPS, far=FAR):
+def _last_motion(cost, ways_in, steps=STEPS):
     """The pinned predecessor rule, for cells given with their 3 x 3 neighbourhoods.
 
     Args:
-      cost: `[3][3]` of `[...]`, of the cell (in the middle) and its neighbours; `far` outside the map.
-      traversable: `[3][3]` of `[...]` bool; False outside the map.
-      steps, far: as for `reach.relaxed`.
+      cost: `[3][3]` of `[...]`, of the cell (in the middle) and its neighbours; none is more than where no path leads,
+        which is what stands outside the map.
+      ways_in: five of `[...]` bool, whether the cell can be entered, and by each diagonal motion.
+      steps: as for `reach.relaxed`.
 
     Returns:
       `[...]` int8: the first of `MOTIONS` by which the cell's cost arises; -1 where there is none.
     """
     motion = jnp.full_like(cost[1][1], NO_MOTION, jnp.int8)
     for i, (drow, dcol) in reversed(list(enumerate(MOTIONS))):
-        before = cost[1 - drow][1 - dcol]
         step = steps[1] if drow and dcol else steps[0]
-        beside = traversable[1 - drow][1] & traversable[1][1 - dcol] if drow and dcol else True
-        matches = (before < far) & (before + step == cost[1][1]) & traversable[1][1] & beside
+        matches = (cost[1 - drow][1 - dcol] + step == cost[1][1]) & ways_in[max(i - 3, 0)]
         motion = jnp.where(matches, jnp.int8(i), motion)
     return motion
 
 
-def last_motions(cost: Array, traversable: Array, steps: tuple[int, int] = STEPS, far: int = FAR) -> Array:
+def _ways_in(traversable):
+    """`ways_in` of cells given with their neighbourhoods: `[3][3]` of `[...]` bool, False outside the map."""
+    own = traversable[1][1]
+    return [own, *(own & traversable[1 - drow][1] & traversable[1][1 - dcol] for drow, dcol in MOTIONS[4:])]
+
+
+def _near(bordered_array):
+    """Neighbourhoods of all cells: `[3][3]` of `[H, W]`."""
+    return [[beside(bordered_array, i, j) for j in (-1, 0, 1)] for i in (-1, 0, 1)]
+
+
+def last_motions(cost: Array, traversable: Array) -> Array:
     """The last motion of the path to every cell, `[H, W]` int8, NO_MOTION where there is none.
 
-    Costs and cells as for `lay_route`, or costs of other `steps`, and `far` where no path leads (both static).
+    Costs and cells as for `lay_route`.
     """
-    near, can = (
-        [[beside(a, i, j) for j in (-1, 0, 1)] for i in (-1, 0, 1)]
-        for a in (bordered(cost, far), bordered(traversable, False))
-    )
-    return _last_motion(near, can, steps, far)
+    return _last_motion(_near(bordered(cost, FAR)), _ways_in(_near(bordered(traversable, False))))
+
+
+def last_motions_by(cost: Array, shut: Array, steps: tuple[int, int], far: int) -> Array:
+    """`last_motions` of costs of any steps, for many robots on an accelerator.
+
+    Args:
+      cost: `[H, W]` of whole numbers.
+      shut: `[H, W]` uint8, from `waves.shut_ways`; higher bits do not matter.
+      steps: what a straight and a diagonal step cost. Static.
+      far: what stands where no path leads. Static.
+    """
+    # Put in a border once, and not looked up in one that each of nine reads asks for.
+    near = _near(lax.optimization_barrier(bordered(cost, far)))
+    return _last_motion(near, [shut >> i & 1 == 0 for i in range(5)], steps)
 
 
 def lay_route(
@@ -184,7 +204,7 @@ def _walk_back(route, cost, traversable, start, target, origin):
         going = under_way(state)
         corner = row - origin[0], col - origin[1]
         near, can = (lax.dynamic_slice(a, corner, (3, 3)) for a in (cost, traversable))
-        motion = _last_motion(near, can)
+        motion = _last_motion(near, _ways_in(can))
         motion = jnp.where(going, motion, route[row, col])
         row, col = (jnp.where(going, at - motions[motion, axis], at) for axis, at in enumerate((row, col)))
         return n + going, row, col, lax.dynamic_update_slice(route, motion[None, None], (row, col))
