@@ -214,6 +214,17 @@ def _known_method(method):
         raise ValueError(f"expected method: one of {', '.join(METHODS)}, got {method!r}")
 
 
+def _first_of(offset, blocked):
+    """The first step at which each beam is blocked: `[B]` int32 of `[S, B]`; `NOT_ENDED` where there is none."""
+    n = BLOCK // 2
+    # Only so many steps side by side: those after them are looked at by the same thread of an accelerator.
+    first = jnp.full((n, offset.shape[1]), NOT_ENDED, jnp.int32)
+    for i in reversed(range(0, offset.shape[0], n)):
+        step = i + lax.broadcasted_iota(jnp.int32, first.shape, 0)
+        first = jnp.where(blocked(offset[i : i + n]), step, first)
+    return jnp.min(first, axis=0)
+
+
 @functools.partial(jax.jit, static_argnames=("method",))
 def scan(
     occupied: Array, row: Array | int, col: Array | int, heading: Array | int, beams: Beams, *, method: str = "blocks"
@@ -239,10 +250,13 @@ def scan(
     flat, here = occupied.reshape(-1), row * occupied.shape[1] + col
     length = lax.dynamic_index_in_dim(beams.length, heading, keepdims=False)
 
+    def blocked(offset):
+        return flat.at[here + offset].get(mode="clip", wrap_negative_indices=False)
+
     def first_stop(offset, first):
         """The first step of some, `[n, B]`, at which each beam is stopped or ends."""
         step = first + lax.broadcasted_iota(jnp.int32, (offset.shape[0], 1), 0)
-        stopped = flat.at[here + offset].get(mode="clip", wrap_negative_indices=False) | (step >= length)
+        stopped = blocked(offset) | (step >= length)
         return jnp.min(jnp.where(stopped, step, NOT_ENDED), axis=0)
 
     def not_ended(state):
@@ -259,7 +273,8 @@ def scan(
         start = jnp.full(length.shape, NOT_ENDED, jnp.int32)
         _, end = lax.while_loop(not_ended, look, (jnp.int32(0), start))
     else:
-        end = first_stop(lax.dynamic_index_in_dim(beams.offset, heading, keepdims=False), 0)
+        end = _first_of(lax.dynamic_index_in_dim(beams.offset, heading, keepdims=False), blocked)
+        end = jnp.minimum(end, length)
     return Scan(end=end, hit=end < length)
 
 
@@ -318,7 +333,7 @@ def fold(
         _, misses = lax.while_loop(lambda s: s[0] * BLOCK < last, counted, (jnp.int32(0), misses))
     else:
         offset = lax.dynamic_index_in_dim(beams.by_beam, heading, keepdims=False)
-        misses = misses.at[cells(offset, 0)].add(1, mode="drop")
+        misses = misses.at[cells(offset, 0)].add(1, mode="drop", wrap_negative_indices=False)
     step = jnp.minimum(end, beams.offset.shape[1] - 1)
     stop = here + beams.offset[heading, step, lax.iota(jnp.int32, step.shape[0])]
     hits = grid.hits.reshape(-1).at[jnp.where(hit, stop, outside)].add(1, mode="drop")

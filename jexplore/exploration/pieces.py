@@ -20,7 +20,7 @@ from jexplore.planning.readout import Way, last_motions_by, way_by_steps
 from jexplore.planning.waves import shut_ways
 from jexplore.reach import FAR, STEPS, motions_into, saturated, source, spread
 
-PIECE, BACK = 16, 48  # rounds of the wave in a piece, and motions of the way back
+PIECE, BACK = 32, 96  # rounds of the wave in a piece, and motions of the way back
 
 
 @struct.dataclass

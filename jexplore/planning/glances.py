@@ -13,7 +13,6 @@ from jax import Array, lax
 
 from jexplore.arrays import bits
 from jexplore.arrays.loops import stored
-from jexplore.grid import lowest
 from jexplore.planning import Belief, Choice, bound_of, corner_of, cut_out, masks_of
 from jexplore.planning.readout import Way, last_motions_by, way_by_doubling
 from jexplore.planning.waves import SHUT, margins, outwards, room, shut_ways, width_of
@@ -96,7 +95,7 @@ def _cheapest(units, frontier):
     width = units.shape[1]
     flat = lax.broadcasted_iota(jnp.int32, units.shape, 0) * width + lax.broadcasted_iota(jnp.int32, units.shape, 1)
     # Cost and cell in one number: one pass.
-    low = lowest(jnp.where(frontier, units.astype(jnp.int32) * PLACES + flat, UNREACHED * PLACES))
+    low = jnp.min(jnp.where(frontier, units.astype(jnp.int32) * PLACES + flat, UNREACHED * PLACES))
     at = low % PLACES
     return low // PLACES, (at // width, at % width)
 

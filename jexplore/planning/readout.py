@@ -11,6 +11,7 @@ from jexplore.reach import FAR, MOTIONS, NO_MOTION, STEPS
 
 # For `lay_route` beside each method of `reach`: in lockstep a look costs more than a motion.
 STRIDES = {"sweeps": 1, "wave": 8}
+STORED = 16  # one cell of so many of a way that is looked up motion by motion
 
 
 def _last_motion(cost, ways_in, steps=STEPS):
@@ -162,7 +163,7 @@ def way_by_doubling(
       height: rows of the map. Static.
       n: static.
     """
-    before = _before(motions)
+    before = lax.optimization_barrier(_before(motions))  # else made anew for every step that is looked up
     cells = jnp.asarray(target[0] * motions.shape[1] + target[1], jnp.int32)[None]
     while cells.shape[0] <= n:
         cells = jnp.concatenate([cells, before.at[cells].get(mode="promise_in_bounds").astype(jnp.int32)])
@@ -185,7 +186,9 @@ def way_by_steps(
     """
     width, flat = motions.shape[1], motions.reshape(-1)
     back, cells = _back(width), [(at[0] - origin[0]) * width + at[1] - origin[1]]
-    for _ in range(n):
+    for i in range(n):
+        # Each motion is looked up from the last cell that is stored, which is not far back.
+        cells[-1] = cells[-1] if i % STORED else lax.optimization_barrier(cells[-1])
         cells.append(cells[-1] + back[flat.at[cells[-1]].get(mode="promise_in_bounds")])
     way = _way(jnp.stack(cells), motions, origin, height)
     return (cells[-1] // width + origin[0], cells[-1] % width + origin[1]), way

@@ -67,7 +67,7 @@ def margins(radius: int) -> tuple[int, int]:
 def room(radius: int) -> tuple[int, int]:
     """All rows and columns whose ways it wants to know: `(h, w)`."""
     above, left = margins(radius)
-    return 2 * above + 1, 2 * left + ALIGN
+    return 2 * above + 1, -(-(2 * left + ALIGN) // ALIGN) * ALIGN
 
 
 def outwards(cost: Array, shut: Array, steps: tuple[int, int], radii: tuple[int, int], far: int) -> Array:
