@@ -187,8 +187,7 @@ def beam_table(lidar: Lidar, cell_m: float, width: int, longest_m: float = 0.0) 
     angles = 45.0 * np.arange(HEADINGS)[:, None] + beam_angles_deg(lidar)
     dx, dy = exact_direction(angles)
     geometry = beam_geometry(np, dx, dy, 0.5, 0.5, 1e30)
-    state = (np.zeros(dx.shape), np.zeros(dx.shape))
-    steps = []
+    state, steps = (np.zeros(dx.shape), np.zeros(dx.shape)), []
     for _ in range(n_steps(max(reach, in_cells(longest_m, cell_m)))):
         state, step = advance_beams(np, state, geometry)
         steps.append(step)
@@ -214,17 +213,6 @@ def _known_method(method):
         raise ValueError(f"expected method: one of {', '.join(METHODS)}, got {method!r}")
 
 
-def _first_of(offset, blocked):
-    """The first step at which each beam is blocked: `[B]` int32 of `[S, B]`; `NOT_ENDED` where there is none."""
-    n = BLOCK // 2
-    # Only so many steps side by side: those after them are looked at by the same thread of an accelerator.
-    first = jnp.full((n, offset.shape[1]), NOT_ENDED, jnp.int32)
-    for i in reversed(range(0, offset.shape[0], n)):
-        step = i + lax.broadcasted_iota(jnp.int32, first.shape, 0)
-        first = jnp.where(blocked(offset[i : i + n]), step, first)
-    return jnp.min(first, axis=0)
-
-
 @functools.partial(jax.jit, static_argnames=("method",))
 def scan(
     occupied: Array, row: Array | int, col: Array | int, heading: Array | int, beams: Beams, *, method: str = "blocks"
@@ -236,9 +224,8 @@ def scan(
       row, col: int32, the robot's cell.
       heading: int32, which of the K headings of `beams`.
       beams: `Beams`.
-      method: one of `METHODS`; the beams' ends are the same. "blocks" looks at a few steps of all beams at a time until
-        all have ended and is for one robot on a CPU, "whole" looks at all steps at once and is for many in lockstep.
-        Static.
+      method: one of `METHODS`; the beams' ends are the same. "blocks" looks at a few steps of all beams at a time
+        until all have ended and is for one robot on a CPU, "whole" at all steps, for many in lockstep. Static.
 
     Returns:
       `Scan`. The first occupied cell that a beam enters stops it; the robot's own cell stops none.
@@ -270,11 +257,14 @@ def scan(
         return j + 1, jnp.minimum(end, first_stop(offset, j * BLOCK))
 
     if method == "blocks":
-        start = jnp.full(length.shape, NOT_ENDED, jnp.int32)
-        _, end = lax.while_loop(not_ended, look, (jnp.int32(0), start))
+        _, end = lax.while_loop(not_ended, look, (jnp.int32(0), jnp.full(length.shape, NOT_ENDED, jnp.int32)))
     else:
-        end = _first_of(lax.dynamic_index_in_dim(beams.offset, heading, keepdims=False), blocked)
-        end = jnp.minimum(end, length)
+        offset, n = lax.dynamic_index_in_dim(beams.offset, heading, keepdims=False), BLOCK // 2
+        # n steps side by side: on an accelerator a thread looks at those that come after them, and at the first last.
+        end = jnp.full((n, length.shape[0]), NOT_ENDED, jnp.int32)
+        for i in reversed(range(0, offset.shape[0], n)):
+            end = jnp.where(blocked(offset[i : i + n]), i + lax.broadcasted_iota(jnp.int32, end.shape, 0), end)
+        end = jnp.minimum(jnp.min(end, axis=0), length)
     return Scan(end=end, hit=end < length)
 
 
