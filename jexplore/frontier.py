@@ -65,6 +65,7 @@ def plan_masks(
     p_free: Array | float,
     near_d2: Array | float,
     clearance_d2: int,
+    packing: str = "sum",
 ) -> Masks:
     """Traversable and frontier cells at once, packed.
 
@@ -78,6 +79,7 @@ def plan_masks(
       row, col: int32, the robot's cell, inside the arrays.
       p_free, near_d2: scalars.
       clearance_d2: cells^2. Static.
+      packing: method of `bits.pack`. Static.
 
     Returns:
       `Masks`.
@@ -89,7 +91,7 @@ def plan_masks(
 
     def pack_all():
         cells = is_occupied(grid, p_free), is_known(grid), driven, exhausted, inside, disc(shape, row, col, near_d2)
-        return [bits.pack(mask) for mask in cells]
+        return [bits.pack(mask, method=packing) for mask in cells]
 
     occupied, known, driven, exhausted, inside, near = stored(row >= 0, pack_all)
 

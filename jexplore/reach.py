@@ -372,18 +372,19 @@ def _extent(words):
     return jnp.min(jnp.where(used, at, width)), jnp.max(jnp.where(used, at, -1))
 
 
-def saturated(cost: Array, traversable: Array) -> Array:
+def saturated(cost: Array, traversable: Array, *, packing: str = "sum") -> Array:
     """Cells one motion beyond those with a cost that hold FAR, because their cost would not fit.
 
     Args:
       cost: `[H, W]` int32, from `reach`.
       traversable: `[H, W]` bool.
+      packing: method of `bits.pack`. Static.
 
     Returns:
       int32. 0 unless some path has 16,384 straight steps or more; what lies beyond is then out of reach.
     """
-    reached, left = bits.pack(cost < FAR), bits.pack(cost == FAR)
+    reached, left, can = (bits.pack(mask, method=packing) for mask in (cost < FAR, cost == FAR, traversable))
     entered = jnp.zeros_like(left)
-    for (drow, dcol), possible in zip(MOTIONS, motions_into(bits.pack(traversable))):
+    for (drow, dcol), possible in zip(MOTIONS, motions_into(can)):
         entered = entered | (left & possible & bits.shifted(reached, -drow, -dcol))
     return count(bits.unpack(entered, cost.shape[0]))

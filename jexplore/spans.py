@@ -14,7 +14,7 @@ from jexplore.arrays import bits
 from jexplore.raycast import Beams, Scan
 
 ROOM = 2**16  # places in a table of maxima: two bytes hold one
-FARTHEST = 512  # cells: the two tables of such a radius take 34 MB, for eight headings; making them, 250 MB
+FARTHEST = 512  # cells: the table of such a radius takes 140 MB, for eight headings
 
 
 @struct.dataclass
@@ -24,14 +24,15 @@ class Spans:
     A run of n beams is covered by two runs of 2**k of them, which begin where it begins and end where it ends.
     """
 
-    first: Array  # [K, 2 R + 1, 2 R + 1] uint16, where in the table of maxima the run stands that begins with it
-    last: Array  # [K, 2 R + 1, 2 R + 1] uint16, and the one that ends with it
+    # [K, 2 A, 2 B] uint32, A = 2 R + 64, B = 2 R + 1, the robot's cell in row A and column B: where in the table of
+    # maxima the run stands that begins with it, and in the upper half of the bits the one that ends with it
+    places: Array
     rounds: bool = struct.field(pytree_node=False)  # whether a run may go on from the last beam to the first
 
     @property
     def radius(self) -> int:
-        """R, cells: the farthest row and column of which they tell."""
-        return self.first.shape[-1] // 2
+        """R, cells: the farthest row and column of which they tell. Those beyond are such as no beam enters."""
+        return (self.places.shape[-1] // 2 - 1) // 2
 
 
 def spans_of(beams: Beams, radius: int) -> Spans | None:
@@ -64,9 +65,17 @@ def spans_of(beams: Beams, radius: int) -> Spans | None:
         return None
     places = np.where(size > 0, level * width + first + np.stack([0 * size, size - 2**level]), never)
     places[..., radius * side + radius] = never + 1
-    begins, ends = places.astype(np.uint16).reshape(2, n_headings, side, side)
+    begins, ends = places.astype(np.uint32).reshape(2, n_headings, side, side)
+    (above, left), never = _margins(radius), np.uint32(never * (ROOM + 1))
+    table = np.full((n_headings, 2 * above, 2 * left), never)
+    table[:, above - radius : above + radius + 1, left - radius : left + radius + 1] = begins + np.uint32(ROOM) * ends
     # Ignored types: numpy on the host, where the record says what it is on the device.
-    return Spans(begins, ends, rounds)  # type: ignore[arg-type]
+    return Spans(table, rounds)  # type: ignore[arg-type]
+
+
+def _margins(radius):
+    """Rows above the robot's in a table, and columns left of it: what `reached` asks of lies within."""
+    return 2 * radius + 2 * bits.WORD, 2 * radius + 1
 
 
 def _levels(n_beams):
@@ -121,20 +130,21 @@ def reached(
         jnp.clip((row - radius) // bits.WORD, 0, -(-shape[0] // bits.WORD) - n_words),
         jnp.clip(col - radius, 0, shape[1] - width),
     )
-    side, of_words = 2 * radius + 1, (n_words, width)
-    drow_of_word = lax.broadcasted_iota(jnp.int32, of_words, 0) * bits.WORD + (at[0] * bits.WORD - row)
-    dcol = lax.broadcasted_iota(jnp.int32, of_words, 1) + (at[1] - col)
-    across = jnp.clip(dcol + radius, 0, side - 1)
+    of_words, first = (n_words, width), (at[0] * bits.WORD - row, at[1] - col)
+    drow_of_word = lax.broadcasted_iota(jnp.int32, of_words, 0) * bits.WORD + first[0]
+    dcol = lax.broadcasted_iota(jnp.int32, of_words, 1) + first[1]
     tops = _tops(jnp.where(when, seen.end + seen.hit, 0), n_beams, spans.rounds, when)
+    corner = heading, *(n + margin for n, margin in zip(first, _margins(radius)))
+    # Cut out in one, so that all rows of a word are found from one place.
+    places = lax.dynamic_slice(spans.places, corner, (1, bits.WORD * n_words, width))
+    places = places.reshape(n_words, bits.WORD, width)
 
     def bit(i):
         """Row i of every word, at its place."""
-        drow = drow_of_word + i
-        cell = (heading * side + jnp.clip(drow + radius, 0, side - 1)) * side + across
-        # Of flat numbers, and of two tables, each gather is of the one before only: one kernel, and nothing is stored.
-        top = jnp.maximum(*(_at(tops, _at(places, cell)) for places in (spans.first, spans.last)))
+        own = places[:, i]
+        top = jnp.maximum(_at(tops, own % ROOM), _at(tops, own // ROOM))
         # A beam enters a cell with that step by which it has crossed as many rows and columns as lie between.
-        told = (jnp.abs(drow) <= radius) & (jnp.abs(dcol) <= radius) & (top >= jnp.abs(drow) + jnp.abs(dcol))
+        told = top.astype(jnp.int32) - jnp.abs(dcol) >= jnp.abs(drow_of_word + i)
         return jnp.where(told, jnp.uint32(1 << i), jnp.uint32(0))
 
     # Row by row, and not packed by a sum over rows: on an accelerator a fraction of the instructions.
@@ -142,16 +152,16 @@ def reached(
 
 
 def _at(table, places):
-    return jnp.ravel(table).at[places].get(mode="promise_in_bounds")
+    return table.at[places.astype(jnp.int32)].get(mode="promise_in_bounds")
 
 
 def _tops(told, n_beams, rounds, when):
     """The table of maxima: for 1, 2, 4, ... neighbours from each beam on, the most cells that one of them tells of."""
+    told = told.astype(jnp.int16)  # fewer bytes; no beam enters so many cells (`_levels`, `FARTHEST`)
     top = jnp.concatenate([told, told]) if rounds else told
     levels = [top]
     for k in range(_levels(n_beams) - 1):
         top = jnp.maximum(top, jnp.pad(top[2**k :], (0, 2**k), constant_values=-1))
-        # Else each level would be made anew from the scan itself, twice as much work for each.
-        top = lax.optimization_barrier(top) if k % 3 == 2 else top
+        top = lax.optimization_barrier(top)  # else each level would be made anew from the scan itself
         levels.append(top)
-    return jnp.concatenate([*levels, jnp.stack([jnp.int32(-1), jnp.where(when, 0, -1)])])
+    return jnp.concatenate([*levels, jnp.stack([jnp.int16(-1), jnp.where(when, jnp.int16(0), jnp.int16(-1))])])

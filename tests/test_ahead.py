@@ -1,5 +1,6 @@
 """Programs compiled for a GPU that is not there: their texts read, their launches counted, their lanes simulated."""
 
+import dataclasses
 import functools
 import json
 import subprocess
@@ -136,13 +137,13 @@ def test_scopes_are_what_is_named(op_name, scope):
 
 def test_traffic_by_hand(module):
     # Ten writes of 4 bytes, read and written, at ten places of 8 bytes each; the rest of the map is untouched.
-    assert module.traffic("scattered") == (2 * 40 + 80, 10)
+    assert module.traffic("scattered") == (2 * 40 + 80, 10, 2 * 40)
     # Two rows of 400 bytes read and written, and where they are.
-    assert module.traffic("gathered") == (800 + 800 + 8, 0)
+    assert module.traffic("gathered") == (800 + 800 + 8, 0, 0)
     # Of two rows one cell each: 8 bytes read, 8 written, and twice where they are, which lies in 8 bytes.
-    assert module.traffic("picked") == (8 + 8 + 8, 0)
-    assert module.traffic("copied") == (3200, 0)
-    assert module.traffic("nobody") == (0, 0)
+    assert module.traffic("picked") == (8 + 8 + 8, 0, 0)
+    assert module.traffic("copied") == (3200, 0, 0)
+    assert module.traffic("nobody") == (0, 0, 0)
     assert module.has_axis("scattered", 4)
     assert not module.has_axis("gathered", 100)
 
@@ -287,6 +288,13 @@ def test_writes_that_are_not_made_cost_nothing(steps, module):
     # Ten writes, by six blocks of 132 processors.
     assert whole == pytest.approx(10 * 132 / 6)
     assert half == pytest.approx(whole / 2)
+    # Nor do they move bytes: of 160, ten writes read and write 80.
+    assume = dataclasses.replace(assume, bandwidth_tb_s=1e-12)
+    whole, half = (
+        estimate.Estimator(module, targets.TARGETS["h100"], assume, {}, share).run(steps[1].body[:1]).memory
+        for share in (1.0, 0.5)
+    )
+    assert (whole, half) == pytest.approx((160 * 132 / 6, 120 * 132 / 6))
 
 
 def test_an_estimate_by_hand(steps, module):
@@ -446,7 +454,8 @@ def test_counts_of_the_program_compiled_for_an_h100(tmp_path):
     assert planning.windows(row["padded_shape"], radius_d2(RULES.clearance_m, 0.1)) == [64]
     assert set(row["launches_per_iteration"]) == {"turn", "fill", "fill/flood"}
     assert row["host_loops"] == 3
-    assert 0 < row["host_syncs_per_turn"] <= 2
+    # Episodes of so small a world are short, and lanes are filled more often than in the built-in ones (fewer than 2).
+    assert 0 < row["host_syncs_per_turn"] <= 3
     assert 0 < row["launches_per_turn"] <= 260
     assert len(row["single_block_kernels"]) <= 1
     assert row["cas_loops"] == []

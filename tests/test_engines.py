@@ -302,7 +302,7 @@ def test_lanes_fit_the_memory(monkeypatch):
 
 
 @pytest.mark.jit
-@pytest.mark.parametrize(("side_m", "glances"), [(6.4, 0), (16, 1), (51.2, 2)])
+@pytest.mark.parametrize(("side_m", "glances"), [(6.4, 0), (9.6, 1), (16, 2)])
 def test_a_lane_is_estimated_with_its_share_of_a_slot(side_m, glances):
     """Asked for one lane, which has a slot of its own, the estimate is that for thousands."""
     world = ready_worlds([f"cave:width_m={side_m},height_m={side_m}"], 0.1)[0]

@@ -29,9 +29,9 @@ def some_thoughts():
 
 
 def test_sizes_by_hand():
-    assert thoughts.sizes(64, 2) == ((16, 4), 4, 2)
+    assert thoughts.sizes(64, 2) == ((16, 4), 3, 2)
     assert thoughts.sizes(65, 1) == ((17,), 6, 3)
-    assert thoughts.sizes(64, 3) == ((16, 4, 4), 4, 2)
+    assert thoughts.sizes(64, 3) == ((16, 4, 4), 3, 2)
     assert thoughts.sizes(64, 0) == ((), 8, 8)
     assert thoughts.sizes(1, 1) == ((1,), 1, 1)
 

@@ -21,7 +21,7 @@ from jexplore.engine.program import Given, Program, split
 DECIDERS = 8  # one lane in so many decides at a time, and at most so large a share of the runs under way waits
 STARTERS = 16  # one lane in so many is measured and started at a time
 SPAN = 4  # turns between two looks at which lanes are to be filled, where deciding goes in pieces
-SMALL = 1024  # elements of a lane's array up to which the engine keeps the old one where a lane does nothing
+SMALL = 256  # elements of a lane's array up to which the engine keeps the old one where a lane does nothing
 
 
 @struct.dataclass

@@ -16,7 +16,7 @@ from jexplore.engine.program import Pieces
 
 # Of runs simulated and estimated (`jexplore bench --target h100`): more keep more lanes busy, fewer are less work.
 GLANCERS = (4, 16)  # one lane in so many is given a first glance in a turn, and one in so many each later one
-SEEKERS = (8, 11, 21)  # there is a slot for one lane in so many: without glances, after one, after more
+SEEKERS = (8, 11, 28)  # there is a slot for one lane in so many: without glances, after one, after more
 NEWCOMERS = 2  # in a turn one slot in so many is taken, and as many are given back; all where there are no glances
 
 

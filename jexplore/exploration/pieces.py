@@ -16,10 +16,11 @@ from jexplore.exploration import environment
 from jexplore.exploration.state import Setup, State
 from jexplore.planning import Choice, Field, bound_of, masks_of, nearest_of
 from jexplore.planning.glances import costs_of, glance, placed
-from jexplore.planning.readout import Way, last_motions, way_by_steps
-from jexplore.reach import FAR, motions_into, saturated, source, spread
+from jexplore.planning.readout import Way, last_motions_by, way_by_steps
+from jexplore.planning.waves import shut_ways
+from jexplore.reach import FAR, STEPS, motions_into, saturated, source, spread
 
-PIECE, BACK = 16, 48  # rounds of the wave in a piece, and motions of the way back
+PIECE, BACK = 32, 96  # rounds of the wave in a piece, and motions of the way back
 
 
 @struct.dataclass
@@ -110,7 +111,7 @@ class Begin:
         if self.before:
             settled, cost = (
                 bound_of(self.before, belief.model.clearance_d2),
-                costs_of(placed(seen, self.before, belief, (0, 0), shape)),
+                costs_of(placed(seen, self.before, belief, shape)),
             )
         return Search(masks.traversable, masks.frontier, start, jnp.int32(settled), cost, none, start, jnp.int32(0))
 
@@ -118,14 +119,17 @@ class Begin:
 def _go_on(search):
     """Some rounds of the wave; where it has ended, some motions of the way back."""
     goals, before = bits.unpack(search.frontier), search.settled
-    settled, cost = spread(motions_into(search.traversable), (before, search.cost), goals, rounds=PIECE)
+    ways_in = motions_into(search.traversable)
+    settled, cost = spread(ways_in, (before, search.cost), goals, rounds=PIECE)
     # A wave that has ended runs on idly: what it finds to be cheaper lies beyond the target.
     settled = jnp.where(before >= FAR, FAR, settled)
     known = Field(bits.unpack(search.traversable), cost, goals & (cost < FAR))
     ends = (settled >= FAR) & (before < FAR)
     target = jnp.where(ends, jnp.stack(nearest_of(known)), search.target)
     at = jnp.where(ends & (target[0] >= 0), target, search.at)
-    motions = lax.optimization_barrier(last_motions(known.cost, known.traversable))  # once, and not at every step
+    motions = lax.optimization_barrier(
+        last_motions_by(cost, shut_ways(ways_in), STEPS, FAR)
+    )  # once, and not at every step
     at, way = way_by_steps(motions, (at[0], at[1]), (0, 0), cost.shape[0], n=BACK)
     motion = search.motion + way.first(*search.start)
     return search.replace(settled=settled, cost=cost, target=target, at=jnp.stack(at), motion=motion), Notes(way, None)
@@ -140,7 +144,7 @@ def _conclude(setup, given, state, search):
     none = row < 0
     cost = jnp.where(none, FAR, search.cost[jnp.maximum(row, 0), jnp.maximum(col, 0)])
     # All that can be reached has been by the end of a search that found nothing.
-    beyond = saturated(search.cost, bits.unpack(search.traversable))
+    beyond = saturated(search.cost, bits.unpack(search.traversable), packing="halves")
     choice = Choice(row, col, cost, jnp.where(none, beyond, 0))
     return _settle(setup, given, state, choice, search.motion, None)
 

@@ -118,9 +118,10 @@ def _told(setup, state, seen, beams, when):
     pose, method = (belief.row, belief.col, belief.heading), belief.model.scan
     if beams.spans is not None:
         words, at = reached(seen, when, pose, beams.spans, state.shape)
-        before = lax.dynamic_slice(state.tally, at, words.shape)
+        whole = words.shape == state.tally.shape
+        before = state.tally if whole else lax.dynamic_slice(state.tally, at, words.shape)
         fresh = jnp.sum(lax.population_count(words & ~before), axis=0, dtype=jnp.int32)
-        tally = lax.dynamic_update_slice(state.tally, before | words, at)
+        tally = before | words if whole else lax.dynamic_update_slice(state.tally, before | words, at)
         known = state.known + jnp.sum(lax.optimization_barrier(fresh), dtype=jnp.int32)
         return fold(belief.grid, *pose, seen, beams, when=when, method=method), tally, known
     corner, size = square(belief.row, belief.col, state.shape, setup.window)

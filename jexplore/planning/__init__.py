@@ -28,6 +28,9 @@ from jexplore.reach import DIAGONAL, FAR, STRAIGHT, reach_packed, saturated
 WINDOWS = {0: (64, 128), 1024: (64, 256), 2048: (64, 256, 512)}
 
 
+PACKING = {"sweeps": "sum", "wave": "halves"}  # for `bits.pack` beside each method of `reach`
+
+
 @struct.dataclass
 class MapModel:
     """By what a robot tells from counts what is free, clear and near, and which form of the kernels does so."""
@@ -138,6 +141,7 @@ def masks_of(belief: Belief, origin: tuple[Array | int, ...] = (0, 0)) -> Masks:
 
     def judge(grid, driven, exhausted, inside, row, col, p_free, near_d2):
         numbers = {"p_free": p_free, "near_d2": near_d2, "clearance_d2": model.clearance_d2}
+        numbers["packing"] = PACKING[model.reach]
         return plan_masks(grid, driven, exhausted, inside, row, col, **numbers)
 
     arguments = belief.grid, belief.driven, belief.exhausted, inside, row, col, model.p_free, model.near_d2
@@ -195,7 +199,10 @@ def choose(belief: Belief, route: Array, known: Field, row: Array, col: Array) -
     # Only beside cells whose cost hardly fits can there be some whose cost does not.
     dear = lowest(jnp.where(known.cost < FAR, -known.cost, 0)) <= DIAGONAL - FAR
     with jax.named_scope("saturated"):
-        out_of_reach = run_if(none & dear, lambda _: saturated(known.cost, known.traversable), jnp.int32(0))
+        packing = PACKING[belief.model.reach]
+        out_of_reach = run_if(
+            none & dear, lambda _: saturated(known.cost, known.traversable, packing=packing), jnp.int32(0)
+        )
     return Choice(row, col, cost, out_of_reach), route
 
 
@@ -220,7 +227,8 @@ def windows(shape: Sequence[int], clearance_d2: int, *, glances: bool = False) -
     glanced at (`planning.glances`) are small in maps of any size.
     """
     sides = WINDOWS[0 if glances else max(least for least in WINDOWS if least <= max(shape))]
-    return [side for side in sides if side > 4 * math.isqrt(clearance_d2) and 2 * side <= max(shape)]
+    most = max(shape) - 1 if glances else max(shape) // 2
+    return [side for side in sides if 4 * math.isqrt(clearance_d2) < side <= most]
 
 
 def bound_of(side: int, clearance_d2: int) -> int:

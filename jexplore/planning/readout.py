@@ -11,39 +11,60 @@ from jexplore.reach import FAR, MOTIONS, NO_MOTION, STEPS
 
 # For `lay_route` beside each method of `reach`: in lockstep a look costs more than a motion.
 STRIDES = {"sweeps": 1, "wave": 8}
+STORED = 16  # one cell of so many of a way that is looked up motion by motion
 
 
-def _last_motion(cost, traversable, steps=STEPS, far=FAR):
+def _last_motion(cost, ways_in, steps=STEPS):
     """The pinned predecessor rule, for cells given with their 3 x 3 neighbourhoods.
 
     Args:
-      cost: `[3][3]` of `[...]`, of the cell (in the middle) and its neighbours; `far` outside the map.
-      traversable: `[3][3]` of `[...]` bool; False outside the map.
-      steps, far: as for `reach.relaxed`.
+      cost: `[3][3]` of `[...]`, of the cell (in the middle) and its neighbours; none is more than where no path leads,
+        which is what stands outside the map.
+      ways_in: five of `[...]` bool, whether the cell can be entered, and by each diagonal motion.
+      steps: as for `reach.relaxed`.
 
     Returns:
       `[...]` int8: the first of `MOTIONS` by which the cell's cost arises; -1 where there is none.
     """
     motion = jnp.full_like(cost[1][1], NO_MOTION, jnp.int8)
     for i, (drow, dcol) in reversed(list(enumerate(MOTIONS))):
-        before = cost[1 - drow][1 - dcol]
         step = steps[1] if drow and dcol else steps[0]
-        beside = traversable[1 - drow][1] & traversable[1][1 - dcol] if drow and dcol else True
-        matches = (before < far) & (before + step == cost[1][1]) & traversable[1][1] & beside
+        matches = (cost[1 - drow][1 - dcol] + step == cost[1][1]) & ways_in[max(i - 3, 0)]
         motion = jnp.where(matches, jnp.int8(i), motion)
     return motion
 
 
-def last_motions(cost: Array, traversable: Array, steps: tuple[int, int] = STEPS, far: int = FAR) -> Array:
+def _ways_in(traversable):
+    """`ways_in` of cells given with their neighbourhoods: `[3][3]` of `[...]` bool, False outside the map."""
+    own = traversable[1][1]
+    return [own, *(own & traversable[1 - drow][1] & traversable[1][1 - dcol] for drow, dcol in MOTIONS[4:])]
+
+
+def _near(bordered_array):
+    """Neighbourhoods of all cells: `[3][3]` of `[H, W]`."""
+    return [[beside(bordered_array, i, j) for j in (-1, 0, 1)] for i in (-1, 0, 1)]
+
+
+def last_motions(cost: Array, traversable: Array) -> Array:
     """The last motion of the path to every cell, `[H, W]` int8, NO_MOTION where there is none.
 
-    Costs and cells as for `lay_route`, or costs of other `steps`, and `far` where no path leads (both static).
+    Costs and cells as for `lay_route`.
     """
-    near, can = (
-        [[beside(a, i, j) for j in (-1, 0, 1)] for i in (-1, 0, 1)]
-        for a in (bordered(cost, far), bordered(traversable, False))
-    )
-    return _last_motion(near, can, steps, far)
+    return _last_motion(_near(bordered(cost, FAR)), _ways_in(_near(bordered(traversable, False))))
+
+
+def last_motions_by(cost: Array, shut: Array, steps: tuple[int, int], far: int) -> Array:
+    """`last_motions` of costs of any steps, for many robots on an accelerator.
+
+    Args:
+      cost: `[H, W]` of whole numbers.
+      shut: `[H, W]` uint8, from `waves.shut_ways`; higher bits do not matter.
+      steps: what a straight and a diagonal step cost. Static.
+      far: what stands where no path leads. Static.
+    """
+    # Put in a border once, and not looked up in one that each of nine reads asks for.
+    near = _near(lax.optimization_barrier(bordered(cost, far)))
+    return _last_motion(near, [shut >> i & 1 == 0 for i in range(5)], steps)
 
 
 def lay_route(
@@ -142,7 +163,7 @@ def way_by_doubling(
       height: rows of the map. Static.
       n: static.
     """
-    before = _before(motions)
+    before = lax.optimization_barrier(_before(motions))  # else made anew for every step that is looked up
     cells = jnp.asarray(target[0] * motions.shape[1] + target[1], jnp.int32)[None]
     while cells.shape[0] <= n:
         cells = jnp.concatenate([cells, before.at[cells].get(mode="promise_in_bounds").astype(jnp.int32)])
@@ -165,7 +186,9 @@ def way_by_steps(
     """
     width, flat = motions.shape[1], motions.reshape(-1)
     back, cells = _back(width), [(at[0] - origin[0]) * width + at[1] - origin[1]]
-    for _ in range(n):
+    for i in range(n):
+        # Each motion is looked up from the last cell that is stored, which is not far back.
+        cells[-1] = cells[-1] if i % STORED else lax.optimization_barrier(cells[-1])
         cells.append(cells[-1] + back[flat.at[cells[-1]].get(mode="promise_in_bounds")])
     way = _way(jnp.stack(cells), motions, origin, height)
     return (cells[-1] // width + origin[0], cells[-1] % width + origin[1]), way
@@ -184,7 +207,7 @@ def _walk_back(route, cost, traversable, start, target, origin):
         going = under_way(state)
         corner = row - origin[0], col - origin[1]
         near, can = (lax.dynamic_slice(a, corner, (3, 3)) for a in (cost, traversable))
-        motion = _last_motion(near, can)
+        motion = _last_motion(near, _ways_in(can))
         motion = jnp.where(going, motion, route[row, col])
         row, col = (jnp.where(going, at - motions[motion, axis], at) for axis, at in enumerate((row, col)))
         return n + going, row, col, lax.dynamic_update_slice(route, motion[None, None], (row, col))

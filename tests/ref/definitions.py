@@ -5,7 +5,7 @@ import jax.numpy as jnp
 
 from jexplore.frontier import disc
 from jexplore.grid import any_within_one, beside, bordered, is_known
-from jexplore.planning.readout import _last_motion
+from jexplore.planning.readout import _last_motion, _ways_in
 from jexplore.reach import FAR
 
 
@@ -60,4 +60,5 @@ def predecessors(cost, traversable):
     """
     b, t = bordered(cost, FAR), bordered(traversable, False)
     around = [[beside(a, drow, dcol) for drow in (-1, 0, 1) for dcol in (-1, 0, 1)] for a in (b, t)]
-    return _last_motion(*(jnp.stack(a).reshape(3, 3, *cost.shape) for a in around))
+    cost, traversable = (jnp.stack(a).reshape(3, 3, *cost.shape) for a in around)
+    return _last_motion(cost, _ways_in(traversable))

@@ -118,7 +118,8 @@ class Estimator:
     def _launch(self, step: Launch, in_graph):
         moved = self.module.traffic(step.name)
         share = min(1.0, step.blocks / self.target.cores) if step.blocks else 1.0
-        memory = moved.n_bytes / (self.rate * share)
+        # A write that lies outside is found to before the cell is read: a kernel branches round it.
+        memory = (moved.n_bytes - (1 - self.writes) * moved.atomic_bytes) / (self.rate * share)
         executed = step.threads * self.instructions.get(step.kernel, 0)
         return Seconds(
             launches=1e-6 * (self.assume.node_us if in_graph else self.assume.launch_us),
