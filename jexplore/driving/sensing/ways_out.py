@@ -53,8 +53,8 @@ def ways_out(xy: Array, valid: Array, centre: Array, radius_m: Array | float, wi
     kept, inside = found.valid & ~merged, jnp.hypot(*more.middle.T) <= circle * radius_m
     straight = jnp.any(merged) & (_askew(more) < PASSAGE_RAD)
     extra = _others(kept, found, more) & ((inside & (more.width_m <= DOOR_M)) | straight)
-    beside = jnp.abs(wrapped(found.bearing[:, None] - jnp.concatenate([found.bearing, more.bearing])))
-    merged &= jnp.any(jnp.concatenate([kept, extra]) & (beside < math.pi / 2), axis=1)
+    beside = jnp.abs(wrapped(found.bearing[:, None] - more.bearing)) < MERGED_RAD
+    merged &= jnp.any(extra & beside, axis=1)
     parts = (found.valid & ~merged, found), (extra, more)
     together = [jnp.concatenate(pair) for pair in zip(*((there, a.middle, a.across, a.width_m) for there, a in parts))]
 
