@@ -124,6 +124,8 @@ class Tuning:
     """The robot turns at this rate for each radian of bearing of the target point [kw], in 1/s."""
 
 
+MOST_NODES = 512
+"""Of a map, at most; of links twice as many."""
 BY_WORLD = {"open_m": (2.5, 5.0), "far_m": (4.0, 8.0), "coast_m": (0.0, 1.5)}
 """Thresholds whose 0 stands for another number -> that on courses, and in other worlds."""
 SEES_M = 4.0

@@ -21,7 +21,6 @@ from jexplore.engine.program import Given, Program, split
 DECIDERS = 8  # one lane in so many decides at a time, and at most so large a share of the runs under way waits
 STARTERS = 16  # one lane in so many is measured and started at a time
 SPAN = 4  # turns between two looks at which lanes are to be filled, where deciding goes in pieces
-SMALL = 256  # elements of a lane's array up to which the engine keeps the old one where a lane does nothing
 
 
 @struct.dataclass
@@ -320,7 +319,8 @@ class Engine:
 
         def keep(new, old):
             mask = under_way.reshape(-1, *[1] * (new.ndim - 1))
-            return jnp.where(mask, new, old) if math.prod(new.shape[1:]) <= SMALL else new
+            is_small = math.prod(new.shape[1:]) <= self.program.small
+            return jnp.where(mask, new, old) if is_small else new
 
         return lanes.replace(state=jax.tree.map(keep, new, lanes.state))
 

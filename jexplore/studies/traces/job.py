@@ -18,6 +18,7 @@ from jexplore.driving.batch import MAX_STEPS, building_of, pose_in, require_star
 from jexplore.driving.mission import SIZE
 from jexplore.driving.settings import (
     BY_WORLD,
+    MOST_NODES,
     ROBOTS,
     WHOLE,
     Noise,
@@ -28,7 +29,6 @@ from jexplore.driving.settings import (
     require_robot,
     require_tuning,
 )
-from jexplore.engine.lanes import SMALL
 from jexplore.studies import checks
 from jexplore.studies.traces.truth import Truth, maps_from, truth_of
 from jexplore.tracemap.record import BtmMap
@@ -41,7 +41,6 @@ STEPS_M2 = 100  # steps of 4 cm for each square metre of free area: four metres 
 CLEARANCE_M = 0.5  # of starts that are drawn
 ROOMY = 128  # most nodes of a map of a building, at least
 SPARE = 2  # nodes that there is room for by default, for each place of the true map that is one
-MOST_NODES = SMALL // 2  # links are twice as many: the engine keeps arrays so small as they are once a run is done
 NOISE = "noise."  # names of noise begin so in a sweep
 
 
