@@ -49,7 +49,9 @@ def ways_out(xy: Array, valid: Array, centre: Array, radius_m: Array | float, wi
 
     both = jax.vmap(seen)(jnp.array([1.0, WIDER]))
     found, more = (jax.tree.map(lambda a, i=i: a[i], both) for i in range(2))
-    merged = found.valid & (_askew(found) > MERGED_RAD) & (found.width_m > DOOR_M)
+    # Of a gap wider than half a turn the walls face each other on the other side of the centre: that is one.
+    merged = found.valid & (jnp.abs(_askew(found) - math.pi / 2) < math.pi / 2 - MERGED_RAD)
+    merged &= found.width_m > DOOR_M
     kept, inside = found.valid & ~merged, jnp.hypot(*more.middle.T) <= circle * radius_m
     straight = jnp.any(merged) & (_askew(more) < PASSAGE_RAD)
     extra = _others(kept, found, more) & ((inside & (more.width_m <= DOOR_M)) | straight)
