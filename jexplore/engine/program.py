@@ -64,9 +64,9 @@ class Program(NamedTuple):
 
     A run begins, and then decides and advances until it is done. Deciding is what few robots do at a time and costs
     much: in lockstep those that must are gathered. Every function is called on runs that it does not concern as well:
-    `advance` must leave the large arrays of a state alone where the run is done or must decide (nothing tells if it does
-    not: results in lockstep are then others); the engine takes care of those up to `small`. Arrays that `decide` does
-    not change it must hand on as they are: they are then neither gathered nor copied.
+    `advance` must leave the large arrays of a state alone where the run is done or must decide (nothing tells if it
+    does not: results in lockstep are then others); the engine takes care of those up to `small`. Arrays that `decide`
+    does not change it must hand on as they are: they are then neither gathered nor copied.
     """
 
     setup: Hashable  # what is fixed before compiling; the first argument of the functions
