@@ -10,13 +10,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from jax import lax
-from test_planning import IN_MAP, S, drawn, large_belief, no_route
+from ref import plans
+from test_planning import IN_MAP, S, drawn, follow, large_belief, no_route, oracle
 
 from jexplore.arrays import bits
 from jexplore.engine import thoughts
 from jexplore.exploration import pieces
-from jexplore.planning import bound_of
-from jexplore.planning.glances import MOST, UNITS, UNREACHED, costs_of, glance
+from jexplore.planning import bound_of, windows
+from jexplore.planning.glances import MOST, UNITS, UNREACHED, costs_of, glance, placed
 from jexplore.planning.readout import laid, last_motions, lay_route, way_by_doubling, way_by_steps
 from jexplore.planning.waves import ALIGN, SHUT, margins, outwards, room, shut_ways, width_of
 from jexplore.reach import DIAGONAL, FAR, STEPS, STRAIGHT, motions_into, reach_packed, source, spread
@@ -213,3 +214,41 @@ def test_pieces_end_where_one_go_does(clearance_d2):
         settled.append(bool(found[1].settled))
         assert (costs_of(found[1].cost) == costs_of(found[2].cost))[costs_of(found[2].cost) <= bound].all()
     assert 0 < sum(settled) < len(settled)
+
+
+@functools.partial(jax.jit, static_argnums=1)
+@functools.partial(jax.vmap, in_axes=(0, None))
+def glances_in(beliefs, sides):
+    """Glances into windows, each of which goes on from the one before, and the costs that it tells of in the map."""
+    found, before = [], (None, 0)
+    for side in sides:
+        seen = glance(beliefs, side, *before)
+        found.append((seen, costs_of(placed(seen.cost, side, beliefs, beliefs.driven.shape))))
+        before = seen.cost, side
+    return found
+
+
+@pytest.mark.jit
+@pytest.mark.parametrize(("shape", "clearance_d2"), [((129, 40), 0), ((70, 200), 9)])
+def test_glances_into_the_windows_that_there_are_see_what_the_oracle_does(shape, clearance_d2):
+    """Windows of 64 and 128 cells, which are larger than one side of the map or both."""
+    sides, beliefs, settled = tuple(windows(shape, clearance_d2, glances=True)), [], []
+    assert sides == (64, 128)
+    for seed in range(12):
+        belief = large_belief(seed, shape, clearance_d2, [1, 9, 24, 26, 28, 40, 56, 60, 400])
+        beliefs.append(belief.replace(model=belief.model.replace(reach="wave")))
+    found = jax.device_get(glances_in(jax.tree.map(lambda *a: jnp.stack(a), *beliefs), sides))
+    for i, belief in enumerate(beliefs):
+        _, cost, pred, candidates = oracle(belief)
+        best, start = plans.closest(candidates, cost), (int(belief.row), int(belief.col))
+        target = divmod(best, shape[1])
+        for side, (seen, costs) in zip(sides, jax.tree.map(lambda a, i=i: a[i], found)):
+            bound = bound_of(side, clearance_d2)
+            np.testing.assert_array_equal(costs[cost <= bound], cost[cost <= bound])
+            assert seen.settled == (best >= 0 and cost[target] <= bound)
+            if seen.settled:
+                assert (seen.choice.row, seen.choice.col, seen.choice.cost) == (*target, cost[target])
+                route = np.asarray(laid(no_route(belief), seen.way))
+                assert follow(route, start, target) == (plans.path(pred, start, target), cost[target])
+            settled.append((side, bool(seen.settled)))
+    assert len(set(settled)) == 4
