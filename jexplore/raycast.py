@@ -19,6 +19,8 @@ from jexplore.config import Lidar
 from jexplore.grid import Grid, in_cells
 
 BLOCK = 8  # steps of a beam looked at together, before asking whether all beams have ended
+BESIDE = BLOCK // 2  # steps that method "whole" looks at side by side
+UNROLLED = 512  # steps up to which it does, by code for each: it compiles in a second; 5,664 steps would take 15 s
 METHODS = ("blocks", "whole")
 NOT_ENDED = 2**30  # step number of a beam that is still under way
 HEADINGS = 8  # lattice headings, 45 degrees apart
@@ -71,9 +73,6 @@ def exact_direction(deg: float | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def beam_angles_deg(lidar: Lidar) -> np.ndarray:
     """Angles of a scanner's beams relative to its heading.
-
-    Args:
-      lidar: `Lidar`.
 
     Returns:
       `[B]` float64, degrees, from right to left. At a field of view of 360 degrees the last beam stops one step short
@@ -258,12 +257,14 @@ def scan(
 
     if method == "blocks":
         _, end = lax.while_loop(not_ended, look, (jnp.int32(0), jnp.full(length.shape, NOT_ENDED, jnp.int32)))
+    elif (offset := lax.dynamic_index_in_dim(beams.offset, heading, keepdims=False)).shape[0] > UNROLLED:
+        end = first_stop(offset, 0)
     else:
-        offset, n = lax.dynamic_index_in_dim(beams.offset, heading, keepdims=False), BLOCK // 2
-        # n steps side by side: on an accelerator a thread looks at those that come after them, and at the first last.
-        end = jnp.full((n, length.shape[0]), NOT_ENDED, jnp.int32)
-        for i in reversed(range(0, offset.shape[0], n)):
-            end = jnp.where(blocked(offset[i : i + n]), i + lax.broadcasted_iota(jnp.int32, end.shape, 0), end)
+        # On an accelerator a thread looks at every fourth step, from the last to the first: the first that is blocked
+        # is noted over those behind it.
+        end = jnp.full((BESIDE, length.shape[0]), NOT_ENDED, jnp.int32)
+        for i in reversed(range(0, offset.shape[0], BESIDE)):
+            end = jnp.where(blocked(offset[i : i + BESIDE]), i + lax.broadcasted_iota(jnp.int32, end.shape, 0), end)
         end = jnp.minimum(jnp.min(end, axis=0), length)
     return Scan(end=end, hit=end < length)
 
@@ -340,7 +341,6 @@ def steps_inside(
     """How many steps each beam can make before it leaves the map.
 
     Args:
-      beams: `Beams`.
       row, col, heading: int32, where the beams start.
       extent: `(height, width)` of the map without padding, int32 scalars.
 

@@ -34,19 +34,19 @@ def motions_into(words):
     return [words] * 4 + diagonal
 
 
-def _ways_in(motions):
+def _motion_bits(motions):
     """`motions_into` as bits of one byte a cell, from the lowest: a straight motion, and each diagonal one."""
     return sum(bits.unpack(words).astype(jnp.uint8) << i for i, words in enumerate(motions[3:]))
 
 
-def _relax(cost, ways_in, steps, far=FAR):
-    """The cheapest cost of every cell after at most one more motion, like `cost`; `ways_in` from `_ways_in`."""
+def _relax(cost, ways_in, steps):
+    """The cheapest cost of every cell after at most one more motion, like `cost`; `ways_in` from `_motion_bits`."""
     # Of which nobody can tell that it is the same in every round: an accelerator would else take the bits apart once,
     # and store and read a byte for each of them.
     ways_in = ways_in ^ (cost >> (8 * cost.dtype.itemsize - 1)).astype(jnp.uint8)
-    # What cannot be entered has a floor of `far`, and it is no summand: two of them would overflow.
-    floors = [jnp.where(ways_in >> i & 1 != 0, cost.dtype.type(0), cost.dtype.type(far)) for i in range(5)]
-    b = bordered(cost, far)
+    # What cannot be entered has a floor of `FAR`, and it is no summand: two of them would overflow.
+    floors = [jnp.where(ways_in >> i & 1 != 0, cost.dtype.type(0), cost.dtype.type(FAR)) for i in range(5)]
+    b = bordered(cost, FAR)
     straight = jnp.minimum(
         jnp.minimum(beside(b, 0, -1), beside(b, 0, 1)), jnp.minimum(beside(b, -1, 0), beside(b, 1, 0))
     )
@@ -199,32 +199,15 @@ def nearest_source(words: Array, sources: Array, n: int, *, method: str = "sweep
     return jnp.where(cost < FAR, cost % scale, -1)
 
 
-def relaxed(cost: Array, motions: list[Array], steps: tuple[int, int], rounds: int, *, far: int = FAR) -> Array:
-    """Costs after at least so many rounds of a wave, in a loop whose length is known.
-
-    Args:
-      cost: `[32 K, W]` of any whole numbers, before; no less than of the cheapest path.
-      motions: from `motions_into`.
-      steps: what a straight and a diagonal step cost. Static.
-      rounds: int. Static.
-      far: what stands where no path is known; with a step added it still fits. Static.
-
-    Returns:
-      costs like those given. Where all up to c were final before, all up to c and so many straight steps are.
-    """
-
-    return _relaxed(cost, _ways_in(motions), steps, rounds, far)
-
-
-def _relaxed(cost, ways_in, steps, rounds, far=FAR):
-    """`relaxed`, by `_ways_in`."""
+def _relaxed(cost, ways_in, steps, rounds):
+    """Costs after so many rounds of `_relax`, a multiple of `ROUNDS`, in a loop whose length is known."""
 
     def some(_, cost):
         for _ in range(ROUNDS):  # unrolled: a kernel each on an accelerator, which a loop would copy between
-            cost = _relax(cost, ways_in, steps, far)
+            cost = _relax(cost, ways_in, steps)
         return cost
 
-    return lax.fori_loop(0, -(-rounds // ROUNDS), some, cost)
+    return lax.fori_loop(0, rounds // ROUNDS, some, cost)
 
 
 def spread(
@@ -247,7 +230,7 @@ def spread(
     Returns:
       the wave after that. One that has ended may run on: costs only ever get closer to what is final.
     """
-    (settled, cost), ways_in = wave, lax.optimization_barrier(_ways_in(motions))
+    (settled, cost), ways_in = wave, lax.optimization_barrier(_motion_bits(motions))
     new = before = cost if rounds == ROUNDS else _relaxed(cost, ways_in, steps, rounds - ROUNDS)
     for _ in range(ROUNDS):
         before, new = new, _relax(new, ways_in, steps)
@@ -358,7 +341,7 @@ def flood(words: Array, row: Array | int, col: Array | int, *, method: str = "sw
             reached = reached | (words & bits.shifted(before, -drow, -dcol))
         return reached
 
-    def some(reached):  # unrolled, as in `relaxed`
+    def some(reached):  # unrolled, as in `_relaxed`
         return functools.reduce(lambda reached, _: step(reached), range(2 * ROUNDS), reached)
 
     with jax.named_scope("flood"):

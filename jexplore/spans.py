@@ -14,7 +14,8 @@ from jexplore.arrays import bits
 from jexplore.raycast import Beams, Scan
 
 ROOM = 2**16  # places in a table of maxima: two bytes hold one
-FARTHEST = 512  # cells: the table of such a radius takes 140 MB, for eight headings
+# Cells: the table of such a radius takes 33.5 MB, for eight headings, and making it 100 MB; it grows with the square.
+FARTHEST = 240
 
 
 @struct.dataclass
@@ -157,7 +158,10 @@ def _at(table, places):
 
 def _tops(told, n_beams, rounds, when):
     """The table of maxima: for 1, 2, 4, ... neighbours from each beam on, the most cells that one of them tells of."""
-    told = told.astype(jnp.int16)  # fewer bytes; no beam enters so many cells (`_levels`, `FARTHEST`)
+    # Fewer bytes, and enough: a beam goes on by a row or a column with every step, and ends in the map, all of whose
+    # cells that it can come to lie within the radius: after 2 `FARTHEST` steps at most, that which is stopped after one
+    # more.
+    told = told.astype(jnp.int16)
     top = jnp.concatenate([told, told]) if rounds else told
     levels = [top]
     for k in range(_levels(n_beams) - 1):

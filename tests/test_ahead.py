@@ -245,7 +245,7 @@ def test_all_work_is_done_in_whatever_order(n_glances):
 
 
 @pytest.mark.jit
-@pytest.mark.parametrize(("n_lanes", "windows"), [(3, (32,)), (16, ())])
+@pytest.mark.parametrize(("n_lanes", "windows"), [(3, (32,)), (16, ()), (7, (32, 48))])
 def test_the_simulation_is_the_engine(n_lanes, windows, monkeypatch):
     """Turns, lanes that advanced, glances: those that the engine counts."""
     monkeypatch.setattr(planning, "WINDOWS", {0: windows})

@@ -9,15 +9,18 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from test_planning import IN_MAP, S, drawn, large_belief, no_route
+from jax import lax
+from ref import plans
+from test_planning import IN_MAP, S, drawn, follow, large_belief, no_route, oracle
 
 from jexplore.arrays import bits
 from jexplore.engine import thoughts
 from jexplore.exploration import pieces
-from jexplore.planning import bound_of
-from jexplore.planning.glances import MOST, UNITS, UNREACHED, costs_of, glance
+from jexplore.planning import bound_of, windows
+from jexplore.planning.glances import MOST, UNITS, UNREACHED, costs_of, glance, placed
 from jexplore.planning.readout import laid, last_motions, lay_route, way_by_doubling, way_by_steps
-from jexplore.reach import DIAGONAL, FAR, STEPS, STRAIGHT, motions_into, reach_packed, relaxed, source, spread
+from jexplore.planning.waves import ALIGN, SHUT, margins, outwards, room, shut_ways, width_of
+from jexplore.reach import DIAGONAL, FAR, STEPS, STRAIGHT, motions_into, reach_packed, source, spread
 
 # ---------------------------------------------------------------- who, by hand
 
@@ -62,6 +65,9 @@ def test_glances_move_on_or_settle():
 
 # ---------------------------------------------------------------- waves and ways of known length
 
+# Radii of waves, one after the other: of a whole number of groups of rounds, with a smaller one last, going on.
+LENGTHS = (4,), (6,), (3, 7)
+
 
 def test_a_wave_goes_on_by_hand():
     """Eight free cells in a row; 4 rounds settle what costs less than 5 steps, 8 all; then nothing changes."""
@@ -76,15 +82,25 @@ def test_a_wave_goes_on_by_hand():
     assert int(spread(motions_into(words), wave, None, rounds=12)[0]) == FAR
 
 
+def wave(words, row, col, radii, steps, far):
+    """Costs after a wave outwards from a cell to one radius after the other: `[7, 9]`; `far` where it has not come."""
+    cost, ways = jnp.full((1, width_of(0)), far).at[0, 0].set(0), shut_ways(motions_into(words))
+    for before, radius in zip((0, *radii), radii):
+        (above, left), size = margins(radius), room(radius)
+        shut = jnp.pad(ways, ((above, above), (left, size[1] - left)), constant_values=SHUT)
+        cost = outwards(cost, lax.dynamic_slice(shut, (row, col), size), steps, (before, radius), int(far))
+    n = radii[-1]
+    whole = jnp.full((7 + 2 * n, 9 + 2 * n + ALIGN), far)
+    return lax.dynamic_update_slice(whole, cost, (row, col))[n : n + 7, n : n + 9]
+
+
 @jax.jit
 def ways(passable, row, col, draw):
-    """Costs by sweeps, by a wave that is 6 long, by one in `UNITS`; the way to a reached cell, in four forms."""
+    """Costs by sweeps, by waves of `LENGTHS`, by those in `UNITS`; the way to a reached cell, in four forms."""
     words = bits.pack(passable)
-    cost, first = reach_packed(words, row, col), source((32, 9), row, col)
-    short = relaxed(first, motions_into(words), STEPS, 6)
-    units = relaxed(
-        jnp.where(first < FAR, 0, UNREACHED).astype(jnp.int16), motions_into(words), UNITS, 6, far=UNREACHED
-    )
+    cost = reach_packed(words, row, col)
+    short = jnp.stack([wave(words, row, col, radii, STEPS, np.int32(FAR)) for radii in LENGTHS])
+    units = jnp.stack([wave(words, row, col, radii, UNITS, np.int16(UNREACHED)) for radii in LENGTHS])
     reached = jnp.ravel(cost < FAR)
     end = jnp.argsort(~reached)[draw % jnp.sum(reached)]
     target, blank, cost = (end // 9, end % 9), jnp.full((7, 9), -1, jnp.int8), cost[:7]
@@ -96,7 +112,7 @@ def ways(passable, row, col, draw):
     way = way_by_doubling(motions, target, (0, 0), 7, n=37)
     first = way.first(row, col) == jnp.maximum(route[row, col], 0)
     routes = jnp.stack([lay(), lay(stride=4), route, laid(blank, way)])
-    return cost, short[:7], costs_of(units[:7]), routes, jnp.stack(at), first
+    return cost, short, costs_of(units), routes, jnp.stack(at), first
 
 
 @pytest.mark.jit
@@ -110,7 +126,8 @@ def test_waves_and_ways_of_known_length_are_those_of_any(seed):
     cost, short, by_units, routes, at, first = map(np.asarray, ways(passable, row, col, int(draw.integers(10**6))))
     np.testing.assert_array_equal(by_units, short)
     assert first
-    np.testing.assert_array_equal(short[cost <= 6 * S], cost[cost <= 6 * S])
+    for costs, (*_, last) in zip(short, LENGTHS):
+        np.testing.assert_array_equal(costs[cost <= last * S], cost[cost <= last * S])
     assert (short >= cost).all()
     assert (routes == routes[0]).all()
     assert at.tolist() == [row, col]
@@ -197,3 +214,41 @@ def test_pieces_end_where_one_go_does(clearance_d2):
         settled.append(bool(found[1].settled))
         assert (costs_of(found[1].cost) == costs_of(found[2].cost))[costs_of(found[2].cost) <= bound].all()
     assert 0 < sum(settled) < len(settled)
+
+
+@functools.partial(jax.jit, static_argnums=1)
+@functools.partial(jax.vmap, in_axes=(0, None))
+def glances_in(beliefs, sides):
+    """Glances into windows, each of which goes on from the one before, and the costs that it tells of in the map."""
+    found, before = [], (None, 0)
+    for side in sides:
+        seen = glance(beliefs, side, *before)
+        found.append((seen, costs_of(placed(seen.cost, side, beliefs, beliefs.driven.shape))))
+        before = seen.cost, side
+    return found
+
+
+@pytest.mark.jit
+@pytest.mark.parametrize(("shape", "clearance_d2"), [((129, 40), 0), ((70, 200), 9)])
+def test_glances_into_the_windows_that_there_are_see_what_the_oracle_does(shape, clearance_d2):
+    """Windows of 64 and 128 cells, which are larger than one side of the map or both."""
+    sides, beliefs, settled = tuple(windows(shape, clearance_d2, glances=True)), [], []
+    assert sides == (64, 128)
+    for seed in range(12):
+        belief = large_belief(seed, shape, clearance_d2, [1, 9, 24, 26, 28, 40, 56, 60, 400])
+        beliefs.append(belief.replace(model=belief.model.replace(reach="wave")))
+    found = jax.device_get(glances_in(jax.tree.map(lambda *a: jnp.stack(a), *beliefs), sides))
+    for i, belief in enumerate(beliefs):
+        _, cost, pred, candidates = oracle(belief)
+        best, start = plans.closest(candidates, cost), (int(belief.row), int(belief.col))
+        target = divmod(best, shape[1])
+        for side, (seen, costs) in zip(sides, jax.tree.map(lambda a, i=i: a[i], found)):
+            bound = bound_of(side, clearance_d2)
+            np.testing.assert_array_equal(costs[cost <= bound], cost[cost <= bound])
+            assert seen.settled == (best >= 0 and cost[target] <= bound)
+            if seen.settled:
+                assert (seen.choice.row, seen.choice.col, seen.choice.cost) == (*target, cost[target])
+                route = np.asarray(laid(no_route(belief), seen.way))
+                assert follow(route, start, target) == (plans.path(pred, start, target), cost[target])
+            settled.append((side, bool(seen.settled)))
+    assert len(set(settled)) == 4

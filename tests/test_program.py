@@ -163,6 +163,45 @@ def test_engines_make_the_runs_that_a_loop_makes(how):
     assert (costs.useful is None) == (how["engine"] == "serial")
 
 
+def logging(size, leaves_alone, small):
+    """Runs of as many steps as their tasks say, each of which adds 1 to all of a log of some size."""
+
+    def advance(setup, given, state):
+        goes_on = state["left"] > 0 if leaves_alone else True
+        return {"left": state["left"] - 1, "log": state["log"] + jnp.where(goes_on, 1, 0)}
+
+    return Program(
+        None,
+        lambda setup, given: {"left": given.task, "log": jnp.zeros(size, jnp.int32)},
+        advance,
+        lambda state: state["left"] <= 0,
+        lambda setup, given, state: {"least": state["log"].min(), "most": state["log"].max()},
+        lambda state: state["log"],
+        small=small,
+    )
+
+
+SMALL = Program._field_defaults["small"]
+
+
+@pytest.mark.jit
+@pytest.mark.parametrize(
+    ("size", "leaves_alone", "small"),
+    [(SMALL, False, SMALL), (SMALL + 1, True, SMALL), (SMALL + 1, False, SMALL), (SMALL + 1, False, SMALL + 1)],
+)
+def test_arrays_of_a_run_that_is_done_are_kept_if_they_are_small(size, leaves_alone, small):
+    """Larger ones are so only where `advance` leaves them alone. A run ends in every turn, and waits for another."""
+    tasks = np.random.default_rng(0).permutation(32).astype(np.int32)
+    for engine in ("serial", "lockstep"):
+        line = Line(logging(size, leaves_alone, small), (), np.zeros(1), (), 0, tasks, np.arange(len(tasks)))
+        run_all([line], find_resources(engine=engine, **({"lanes": 32} if engine == "lockstep" else {"workers": 1})))
+        is_kept = engine == "serial" or size <= small or leaves_alone
+        for found in line.results.values():
+            assert (found >= tasks).all()
+            assert (found == tasks).all() == is_kept
+        assert (line.kept == tasks[0]).all() or not is_kept
+
+
 @pytest.mark.parametrize("glances", [(), (glance,), (glance, second_glance)])
 def test_use_is_counted_by_the_places_that_there_are(glances, monkeypatch):
     """Whatever the sizes of groups: by those that decide, that are given a first glance, or, with none, by slots."""

@@ -209,6 +209,30 @@ def test_a_scan_of_default_size_is_the_oracles():
         np.testing.assert_array_equal(got, want)
 
 
+@pytest.mark.parametrize("lidar", LIDARS, ids=lambda lidar: f"{lidar.n_beams} beams")
+def test_long_beams_end_where_those_that_are_unrolled_do(lidar, monkeypatch):
+    occupied, _ = maps.cluttered(5, 20, 25)
+    table = raycast.beam_table(lidar, 0.3, 25)
+    steps = table.offset.shape[1]
+    assert steps < raycast.UNROLLED
+    for heading, at in enumerate(np.argwhere(~occupied)[::20][:8].tolist()):
+        for unrolled in (steps, steps - 1):
+            monkeypatch.setattr(raycast, "UNROLLED", unrolled)
+            want, seen = (raycast.scan(jnp.asarray(occupied), *at, heading, table, method=m) for m in raycast.METHODS)
+            np.testing.assert_array_equal(seen.end, want.end)
+            np.testing.assert_array_equal(seen.hit, want.hit)
+
+
+def test_programs_of_long_beams_are_bounded():
+    def size(range_m):
+        table = raycast.beam_table(Lidar(n_beams=1, range_m=range_m), 0.1, 30)
+        scan = functools.partial(raycast.scan.__wrapped__, method="whole")
+        return len(jax.make_jaxpr(scan)(jnp.ones((30, 30), bool), 1, 1, 0, table).jaxpr.eqns)
+
+    assert size(8) < size(20) < size(35)
+    assert size(400) < size(8)
+
+
 @pytest.mark.jit
 @pytest.mark.parametrize("heading", range(8))
 def test_the_general_form_agrees_with_the_table_on_the_lattice(heading):

@@ -101,6 +101,7 @@ def test_spans_are_bounded():
     """What does not fit is counted otherwise."""
     beams = raycast.beam_table(Lidar(n_beams=9, range_m=6), 1.0, 20)
     assert spans_of(beams, FARTHEST + 1) is None
+    assert spans_of(beams, FARTHEST).places.nbytes < 34e6
     world = ready_worlds(["cave:width_m=6.4,height_m=6.4"], 0.1)[0]
     spans = prepare_site(world, Lidar(range_m=60), Rules(), kernels_for("lockstep", "gpu")).beams.spans
     assert spans.radius == 64

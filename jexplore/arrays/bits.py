@@ -10,6 +10,7 @@ import jax.numpy as jnp
 from jax import Array, lax
 
 WORD = 32  # rows a word
+METHODS = ("sum", "halves")  # of packing
 
 
 def pack(mask: Array, *, method: str = "sum") -> Array:
@@ -17,12 +18,18 @@ def pack(mask: Array, *, method: str = "sum") -> Array:
 
     Args:
       mask: `[H, W]` bool.
-      method: the words are the same: "sum" adds up rows, which a CPU does many columns at a time; "halves" joins
-        neighbouring rows, then pairs of them, and so on, so that a thread of an accelerator makes a whole word. Static.
+      method: one of `METHODS`; the words are the same: "sum" adds up rows, which a CPU does many columns at a time;
+        "halves" joins neighbouring rows, then pairs of them, and so on, so that a thread of an accelerator makes a
+        whole word. Static.
 
     Returns:
       `[ceil(H / 32), W]` uint32; bits beyond the last row are 0.
+
+    Raises:
+      ValueError: while tracing, if the method is not known.
     """
+    if method not in METHODS:
+        raise ValueError(f"expected method: one of {', '.join(METHODS)}, got {method!r}")
     height, width = mask.shape
     n = -(-height // WORD)
     rows = jnp.pad(mask, ((0, n * WORD - height), (0, 0))).reshape(n, WORD, width)

@@ -64,9 +64,9 @@ class Program(NamedTuple):
 
     A run begins, and then decides and advances until it is done. Deciding is what few robots do at a time and costs
     much: in lockstep those that must are gathered. Every function is called on runs that it does not concern as well:
-    `advance` must leave the large arrays of a state alone where the run is done or must decide; the engine takes care
-    of those up to `small`. Arrays that `decide` does not change it must hand on as they are: they are then neither
-    gathered nor copied.
+    `advance` must leave the large arrays of a state alone where the run is done or must decide (nothing tells if it
+    does not: results in lockstep are then others); the engine takes care of those up to `small`. Arrays that `decide`
+    does not change it must hand on as they are: they are then neither gathered nor copied.
     """
 
     setup: Hashable  # what is fixed before compiling; the first argument of the functions
@@ -80,7 +80,9 @@ class Program(NamedTuple):
     pieces: Pieces | Any = None  # what lockstep does instead of `decide`, with the same outcome
     # (state) -> pytree of arrays: what is kept of every run besides its result
     record: Callable[[Any], Any] | None = None
-    small: int = 256  # elements of an array up to which the engine keeps the old one of a run that does not advance
+    # elements of an array up to which the engine keeps the old one of a run that does not advance. That is a pass more
+    # over the arrays of all lanes in every turn: 256 spare it packed masks of maps of more than 64 x 128 cells
+    small: int = 256
     cpu_options: tuple[tuple[str, Any], ...] = ()  # pairs of name and value: options of XLA's compiler on a CPU
     # bytes that deciding and advancing need, a lane; for an estimate
     scratch: Callable[[Any, Any], tuple[int, int]] = lambda shared, state: (0, 0)

@@ -23,7 +23,9 @@ from jexplore.engine.program import Line
 ENGINES = ("serial", "lockstep")
 # Cores that do what lockstep is estimated to do on an accelerator (`bench --target`): 41 in a cave, 24 in a hospital.
 CORES_WORTH = 24
-FILLING = 4096  # runs a device: the estimate is for so many lanes; 1,024 that plan at once come to 3 to 5 cores
+# Runs a device: the estimate is for so many lanes. 1,024 came to 3 to 5 cores in the engine as it was, which planned at
+# once; this has not been estimated since.
+FILLING = 4096
 
 
 @dataclasses.dataclass

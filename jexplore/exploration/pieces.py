@@ -127,9 +127,8 @@ def _go_on(search):
     ends = (settled >= FAR) & (before < FAR)
     target = jnp.where(ends, jnp.stack(nearest_of(known)), search.target)
     at = jnp.where(ends & (target[0] >= 0), target, search.at)
-    motions = lax.optimization_barrier(
-        last_motions_by(cost, shut_ways(ways_in), STEPS, FAR)
-    )  # once, and not at every step
+    # Made once, and not for every step that is looked up.
+    motions = lax.optimization_barrier(last_motions_by(cost, shut_ways(ways_in), STEPS, FAR))
     at, way = way_by_steps(motions, (at[0], at[1]), (0, 0), cost.shape[0], n=BACK)
     motion = search.motion + way.first(*search.start)
     return search.replace(settled=settled, cost=cost, target=target, at=jnp.stack(at), motion=motion), Notes(way, None)

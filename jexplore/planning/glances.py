@@ -19,7 +19,7 @@ from jexplore.planning.waves import SHUT, margins, outwards, room, shut_ways, wi
 from jexplore.reach import DIAGONAL, FAR, STRAIGHT, motions_into
 
 UNITS = (70, 99)  # what a straight and a diagonal step cost in a window
-MOST = 64  # motions of a way, in whole `ROUNDS`, that these tell apart: fewer than a straight step's units
+MOST = 64  # motions of a way that these tell apart: fewer than a straight step's units
 UNREACHED = 2**14
 PLACES = 2**16  # cells that a glance can tell apart: with units before them, less than 2**31
 INVERSE = 29  # 29 * 99 is 1 more than a multiple of 70
@@ -33,8 +33,8 @@ class Glance:
     settled: Array  # bool, whether the window settles it
     choice: Choice
     way: Way  # from the robot to the target; without any motion where it is not settled
-    # [2 r + 1, waves.width_of(r)] int16, the robot's cell in row and column r; in `UNITS`, final up to the window's
-    # bound; UNREACHED elsewhere
+    # [2 r + 1, waves.width_of(r)] int16, the robot's cell in row and column r; in `UNITS`: final up to the window's
+    # bound, above it that of some way, or UNREACHED
     cost: Array
 
 

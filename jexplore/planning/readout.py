@@ -21,7 +21,7 @@ def _last_motion(cost, ways_in, steps=STEPS):
       cost: `[3][3]` of `[...]`, of the cell (in the middle) and its neighbours; none is more than where no path leads,
         which is what stands outside the map.
       ways_in: five of `[...]` bool, whether the cell can be entered, and by each diagonal motion.
-      steps: as for `reach.relaxed`.
+      steps: what a straight and a diagonal step cost. Static.
 
     Returns:
       `[...]` int8: the first of `MOTIONS` by which the cell's cost arises; -1 where there is none.
@@ -34,7 +34,7 @@ def _last_motion(cost, ways_in, steps=STEPS):
     return motion
 
 
-def _ways_in(traversable):
+def _enterable(traversable):
     """`ways_in` of cells given with their neighbourhoods: `[3][3]` of `[...]` bool, False outside the map."""
     own = traversable[1][1]
     return [own, *(own & traversable[1 - drow][1] & traversable[1][1 - dcol] for drow, dcol in MOTIONS[4:])]
@@ -50,7 +50,7 @@ def last_motions(cost: Array, traversable: Array) -> Array:
 
     Costs and cells as for `lay_route`.
     """
-    return _last_motion(_near(bordered(cost, FAR)), _ways_in(_near(bordered(traversable, False))))
+    return _last_motion(_near(bordered(cost, FAR)), _enterable(_near(bordered(traversable, False))))
 
 
 def last_motions_by(cost: Array, shut: Array, steps: tuple[int, int], far: int) -> Array:
@@ -207,7 +207,7 @@ def _walk_back(route, cost, traversable, start, target, origin):
         going = under_way(state)
         corner = row - origin[0], col - origin[1]
         near, can = (lax.dynamic_slice(a, corner, (3, 3)) for a in (cost, traversable))
-        motion = _last_motion(near, _ways_in(can))
+        motion = _last_motion(near, _enterable(can))
         motion = jnp.where(going, motion, route[row, col])
         row, col = (jnp.where(going, at - motions[motion, axis], at) for axis, at in enumerate((row, col)))
         return n + going, row, col, lax.dynamic_update_slice(route, motion[None, None], (row, col))

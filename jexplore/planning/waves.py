@@ -1,7 +1,8 @@
 """Waves of known length, for many robots on an accelerator: rounds of relaxations that look at no edge.
 
 An array that a round reads is larger than what it makes, by a row above and below and two columns at each side, so that
-no neighbour is asked whether it lies inside; and a wave from one cell is made no larger than it can have come.
+no neighbour is asked whether it lies inside; and a wave from one cell is made no larger than it can have come. A column
+at each side would do: two leave widths whole multiples of `ALIGN` in every round.
 """
 
 import jax.numpy as jnp
@@ -67,6 +68,7 @@ def margins(radius: int) -> tuple[int, int]:
 def room(radius: int) -> tuple[int, int]:
     """All rows and columns whose ways it wants to know: `(h, w)`."""
     above, left = margins(radius)
+    # Right of the middle one as many as left of it, and up to 3 more, which `width_of` adds on the way to the radius.
     return 2 * above + 1, -(-(2 * left + ALIGN) // ALIGN) * ALIGN
 
 

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 
 from jexplore.frontier import disc
 from jexplore.grid import any_within_one, beside, bordered, is_known
-from jexplore.planning.readout import _last_motion, _ways_in
+from jexplore.planning.readout import _enterable, _last_motion
 from jexplore.reach import FAR
 
 
@@ -61,4 +61,4 @@ def predecessors(cost, traversable):
     b, t = bordered(cost, FAR), bordered(traversable, False)
     around = [[beside(a, drow, dcol) for drow in (-1, 0, 1) for dcol in (-1, 0, 1)] for a in (b, t)]
     cost, traversable = (jnp.stack(a).reshape(3, 3, *cost.shape) for a in around)
-    return _last_motion(cost, _ways_in(traversable))
+    return _last_motion(cost, _enterable(traversable))

@@ -75,8 +75,9 @@ class Estimator:
         writes: float = 1.0,
         kernels: Mapping[str, str] | None = None,
     ) -> None:
-        """`turns`: how often its loops go round, from `loop_turns`; `writes`: share of the writes of scatters that are
-        made, the others lie outside their array; `kernels`: name -> PTX.
+        """`turns`: how often its loops go round, from `loop_turns`; `writes`: share of the writes of scans' misses that
+        are made, the others lie outside their array; of all other scatters, which write a hundredth, it is taken to be
+        the same; `kernels`: name -> PTX.
         """
         self.writes = writes
         self.instructions = {name: launches.instructions_of(text) for name, text in (kernels or {}).items()}
