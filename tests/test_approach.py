@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from jexplore import btm
-from jexplore.driving import approach, behaviour, mapping
+from jexplore.driving import approach, behaviour, events, mapping
 from jexplore.driving.behaviour import Latch, RunMode, Track
 from jexplore.driving.building.walls import Walls, cast
 from jexplore.driving.sensing import surround
@@ -27,9 +27,9 @@ T = Walls(
 Y_M, RADIUS_M = 0.16, 1.16
 
 
-def looked_round(node, radius_m, robot_x_m=0.0):
-    """What a robot finds that has looked round at `(robot_x_m, Y_M)`, where it has seen a circle of `RADIUS_M`, and
-    whose map has a divergence at a place, with a circle so large: `Latched`.
+def looked_round(node, radius_m, robot_x_m=0.0, track_x_m=None):
+    """What a robot finds that has looked round at `(robot_x_m, Y_M)`, where it has seen a circle of `RADIUS_M`, if not
+    elsewhere, and whose map has a divergence at a place, with a circle so large: `Latched`.
     """
     pose = jnp.array([robot_x_m, Y_M, 0.0])
     angles = np.radians(np.arange(SECTORS) - SECTORS // 2).astype(np.float32)
@@ -46,7 +46,8 @@ def looked_round(node, radius_m, robot_x_m=0.0):
         manoeuvre=SimpleNamespace(backing=jnp.bool_(False)),
         odometer_m=jnp.float32(100),
     )
-    track = Track(pose[:2], jnp.float32(RADIUS_M), jnp.uint32(511), jnp.int32(20), jnp.float32(math.nan))
+    at = pose[:2] if track_x_m is None else jnp.array([track_x_m, Y_M])
+    track = Track(at, jnp.float32(RADIUS_M), jnp.uint32(511), jnp.int32(20), jnp.float32(math.nan))
     ahead = SimpleNamespace(track=track, space=behaviour.no_free_space(), leans=jnp.bool_(False))
     ways_m = surround.ways(around, KAMUI)
     return approach.latched(state, ahead, around, ways_m, to_odometry(pose), TUNING, KAMUI)
@@ -94,3 +95,70 @@ def test_a_place_beyond_the_circle_is_another_one():
     found = looked_round((1.2, Y_M), RADIUS_M)
     assert bool(found.arrives)
     assert found.track.centre.tolist() == pytest.approx([0, Y_M])
+
+
+# ---------------------------------------------------------------- places seen on the way
+
+
+def test_a_place_that_a_robot_sees_from_afar_as_it_looks_round_is_gone_to():
+    found = looked_round((0.0, -5.0), RADIUS_M, robot_x_m=-1.5, track_x_m=0.0)
+    assert not bool(found.arrives)
+    assert int(found.drive.latch) == Latch.APPROACH
+    assert found.drive.target.tolist() == pytest.approx([0, Y_M])
+
+
+def leaving(track_xy, target, out_m, latch=Latch.LEAVE):
+    """Whether a robot that leaves a place, so far beyond its circle, for a target on the x axis begins to approach a
+    place that it has seen.
+    """
+    writer = mapping.begin(mapping.LEAN_STEPS, 8, 16, jnp.array([-50.0, 0.0, 0.0]), False)
+    map_, node = btm.add_node(writer.map, btm.DIVERGENCE, 0.0, 0.0, radius_m=1.0)
+    pose = jnp.array([1.0 + out_m, 0.0, 0.0])
+    state = SimpleNamespace(
+        drive=behaviour.at_rest().replace(latch=jnp.int32(latch), target=jnp.array(target)),
+        writer=writer.replace(map=map_, node=node),
+        estimate=pose,
+    )
+    track = Track(jnp.array(track_xy), jnp.float32(1.2), jnp.uint32(511), jnp.int32(20), jnp.float32(math.nan))
+    return bool(approach._is_on_way(state, track, TUNING))
+
+
+@pytest.mark.parametrize(
+    ("place", "target", "out_m", "heeds"),
+    [
+        ((4.0, 0.3), (7.0, 0.0), 0.8, True),
+        ((4.0, 0.3), (7.0, 0.0), 0.3, False),  # it has not left yet
+        ((4.0, 0.7), (7.0, 0.0), 0.8, False),  # beside its way
+        ((8.0, 0.0), (7.0, 0.0), 0.8, False),  # behind the opening
+        ((1.5, 0.0), (7.0, 0.0), 0.8, False),  # it has gone past it
+        ((2.0, 0.0), (2.7, 0.0), 0.8, False),  # it is there in a moment
+    ],
+)
+def test_on_the_way_to_a_far_opening_a_robot_heeds_places_that_it_passes(place, target, out_m, heeds):
+    assert leaving(place, target, out_m) == heeds
+    assert not leaving(place, target, out_m, latch=Latch.APPROACH)
+
+
+# A corridor along y, and doors 0.9 m wide on both sides of it, not quite opposite, into wide rooms.
+CORRIDOR = Walls(
+    x=jnp.array([[0.0, -9, -0.45], [0.0, 0.45, 9], [2.35, -9, -0.05], [2.35, 0.85, 9], [-6.0, -4, 4], [7.0, -4, 4]]),
+    y=jnp.array([[-4.0, -6, 0], [4.0, -6, 0], [-4.0, 2.35, 7], [4.0, 2.35, 7]]),
+)
+
+
+def crossing(monkeypatch, near_m):
+    """Triangles in the corridor, between its doors, of a robot that comes out of one of them."""
+    monkeypatch.setattr(events, "NEAR_M", near_m)
+    angles = np.radians(np.arange(SECTORS) - SECTORS // 2).astype(np.float32)
+    ranges = cast(CORRIDOR, jnp.array([0.2, 0.0, 0.0]), angles, RANGE_M)
+    xy = jnp.stack([ranges * np.cos(angles), ranges * np.sin(angles)], axis=1)
+    found = events.triangles(xy, ranges < RANGE_M, jnp.float32(8), for_world(Tuning(), is_course=False))
+    place = found.centre + jnp.array([0.2, 0.0])
+    return int(jnp.sum(found.valid & (jnp.hypot(*(place - jnp.array([1.2, 0.2])).T) < 0.5)))
+
+
+@pytest.mark.jit
+def test_a_robot_that_looks_far_sees_what_is_near_as_well(monkeypatch):
+    """Of all that it sees within 8 m, 48 points lie farther apart than the doors are wide."""
+    assert crossing(monkeypatch, near_m=8.0) == 0
+    assert crossing(monkeypatch, near_m=4.0) > 0

@@ -686,18 +686,18 @@ def test_a_searched_link_that_leads_elsewhere_is_followed_no_more():
         assert bool(after.exhausted) == exhausted
 
 
-def test_once_nothing_else_is_left_links_that_were_given_up_get_another_chance():
+def test_once_nothing_else_is_left_links_that_were_given_up_are_tried_once_more():
     t, *_ = at_the_t()
     south, north = int(t.link), 3 - int(t.link)
     writer, *_ = at_a_dead_end(t, (4.0, -6.0), SOUTH, 9.5)
     lost = writer.replace(fails=writer.fails.at[south].set(links.FAILS - 1))
     after, *_ = at_a_dead_end(lost, (4.1, -6.1), SOUTH, 20)
     assert (int(after.link), bool(after.exhausted), int(after.rounds)) == (south, False, 1)
-    assert not after.fails.any()
+    assert int(after.fails[south]) == links.FAILS - 1  # once more
     vain = writer.replace(tries=writer.tries.at[north].set(links.TRIES))
     after, *_ = at_a_dead_end(vain, (4.1, -6.1), SOUTH, 20)
     assert (int(after.link), bool(after.exhausted), int(after.rounds)) == (south, False, 1)  # on the way there
-    assert (int(after.tries[north]), bool(after.map.blocked[north])) == (0, False)
+    assert (int(after.tries[north]), bool(after.map.blocked[north])) == (links.TRIES - 1, False)
     after, *_ = at_a_dead_end(vain.replace(rounds=jnp.int32(links.ROUNDS)), (4.1, -6.1), SOUTH, 20)
     assert (bool(after.exhausted), bool(after.map.blocked[north])) == (True, True)
     # What the ground has stopped stays blocked.
@@ -707,6 +707,25 @@ def test_once_nothing_else_is_left_links_that_were_given_up_get_another_chance()
 
 
 # ---------------------------------------------------------------- known nodes met again
+
+
+def test_what_else_is_seen_at_a_known_place_is_tried_once():
+    t, *_ = at_the_t()
+    north = 3 - int(t.link)
+    writer, *_ = at_a_dead_end(t, (4.0, -6.0), SOUTH, 9.5)
+    came = 15.5, (4.0, -2.0)
+    assert int(back_at_the_t(writer, *came)[0].map.n_links) == 3
+    none = jnp.int32(NONE)
+    map_ = writer.map.replace(start=writer.map.start.at[north].set(none), status=writer.map.status.at[north].set(none))
+    after, latch, *_ = back_at_the_t(writer.replace(map=map_), *came)
+    assert links_of(after)[3:] == [(1, NONE, UNSEARCHED)]
+    assert degrees(after.map.start_bearing[3]) == pytest.approx(90, abs=3)
+    assert (int(after.link), int(after.tries[3]), latch) == (3, links.TRIES, Latch.LEAVE)
+    # A link that bears no farther from it is the one.
+    for off_deg, n_links in ((20, 3), (30, 4)):
+        bearing = writer.map.start_bearing.at[north].add(math.radians(off_deg))
+        after, *_ = back_at_the_t(writer.replace(map=writer.map.replace(start_bearing=bearing)), *came)
+        assert int(after.map.n_links) == n_links
 
 
 def test_only_the_link_by_which_it_came_is_taken_away():

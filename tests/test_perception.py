@@ -549,7 +549,7 @@ def test_every_triangle_keeps_to_its_bounds():
         pose = np.array([*(middle + rng.uniform([-3, -0.4], [-1, 0.4])), rng.uniform(-0.4, 0.4)], np.float32)
         noise_m = rng.normal(scale=0.03, size=BEAMS).astype(np.float32)
         found, *_ = look_from(walls_, pose, TUNING, noise_m)
-        assert found.corners.shape == (2 * SCAN_POINTS, 3, 2)
+        assert found.corners.shape == (4 * SCAN_POINTS, 3, 2)  # of two views
         corners = np.asarray(found.corners)[np.asarray(found.valid)].astype(float)
         for triangle, centre, radius in zip(
             corners, *(np.asarray(a)[found.valid] for a in (found.centre, found.radius))

@@ -21,12 +21,13 @@ from jexplore.driving.mapping import has_left
 from jexplore.driving.sensing import surround
 from jexplore.driving.sensing.surround import Surround
 from jexplore.driving.settings import Robot, Tuning
-from jexplore.driving.vehicle import ANGLES_RAD, RANGE_M, Building, Senses, touches
+from jexplore.driving.vehicle import ANGLES_RAD, RANGE_M, Building, Senses, to_robot, touches
 
 LOOK_RAD = math.pi - 0.05  # the robot looks round by turning so far: the scanner sees half of what there is
 LOOK_STEP_RAD = 0.2  # it stops where it cannot turn so far on
 THERE_M = 0.1  # where it cannot turn at a place, it goes on as near as this
 SURVEY_M = 1.0  # a place so near may be the one that is meant; and way between two looks round where the way is shut
+AT_PLACE = 2.0  # a robot is at a place within so many times the distance at which it stops there
 SURVEYS = 2  # so often a robot that has looked round goes to a better place than the one where it is
 SAME_PLACE_M, SAME_PLACE = 0.4, 0.4  # a place is the one that was meant within this, or so many radii
 LARGER = 1.15  # a place is better if its circle is larger by this
@@ -36,6 +37,7 @@ STUCK_STEPS = 150  # without going on or finding a node: the operator helps
 STUCK_M = 0.3
 STRAY_STEPS, STRAY_M = 600, 3.0  # likewise where it has driven up and down for so long within so far of one place
 HELPS_KEPT = 16  # helps of which place, time and run mode are kept
+ONWARD_M = 1.0  # a robot that leaves a place, and has farther than this to go, heeds what it passes on the way
 LOST_M = 0.5  # a divergence farther ahead than this and its radius, and no longer seen, is none
 
 
@@ -54,7 +56,7 @@ class _Look(NamedTuple):
 
     ends: Array  # bool, it has just done so
     track: Track  # the place where it is, or to which it goes
-    goes_on: Array  # bool, to another place
+    goes_on: Array  # bool, to another place, or the one that it means
     back: Array  # bool, which is a node that it knows
     there_is: Array  # bool, there is a place where it is
 
@@ -78,7 +80,7 @@ def latched(
     """
     drive, track = state.drive, ahead.track
     begins = behaviour.is_believed(track, tuning.votes) & (~ahead.space.inside | jnp.isfinite(track.out))
-    begins &= drive.latch == Latch.FREE
+    begins &= (drive.latch == Latch.FREE) | _is_on_way(state, track, tuning)
     following = (drive.latch == Latch.APPROACH) | begins
     target = jnp.where(following, track.centre, drive.target)
     distance = _away_m(state, target)
@@ -125,6 +127,17 @@ def _away_m(state, place):
     return jnp.hypot(*(place - state.estimate[:2]))
 
 
+def _is_on_way(state, track, tuning):
+    """Whether a place lies on the way to an opening far from the place that the robot leaves: it is passed before."""
+    map_, node = state.writer.map, jnp.minimum(state.writer.node, state.writer.map.kind.shape[0] - 1)
+    gone_m = _away_m(state, jnp.stack([map_.x_m[node], map_.y_m[node]]))
+    is_out = (gone_m > map_.radius_m[node] + tuning.leave_m) & (state.drive.latch == Latch.LEAVE)
+    way = state.drive.target - state.estimate[:2]
+    ahead, aside = to_robot(jnp.append(state.estimate[:2], jnp.arctan2(way[1], way[0])))(track.centre)
+    on_m = jnp.hypot(*way)
+    return is_out & (on_m > ONWARD_M) & (ahead > 0) & (ahead < on_m) & (jnp.abs(aside) < track.radius / 2)
+
+
 def _look_ends(state, track, ends, around, ways_m, placed, tuning, robot):
     """What the robot finds where it has looked round, a `_Look`; elsewhere nothing of it counts but the track."""
     drive, map_, had = state.drive, state.writer.map, track.age > 0
@@ -151,7 +164,10 @@ def _look_ends(state, track, ends, around, ways_m, placed, tuning, robot):
     )
     chosen = jax.tree.map(lambda new, old: jnp.where(ends & is_gateway, new, old), gateway, chosen)
     better, back = better & ~is_gateway, back & ~is_gateway
-    return _Look(ends, chosen, better | back, back, had & jnp.where(is_gateway, there, there_is | drive.known))
+    there_is = had & jnp.where(is_gateway, there, there_is | drive.known)
+    # One that looks round where the way is shut may see the place that it means from afar.
+    far = ends & there_is & (_away_m(state, chosen.centre) > AT_PLACE * tuning.arrive_m)
+    return _Look(ends, chosen, better | back | far, back, there_is)
 
 
 def _surveyed(track, in_map, around, ways_m, placed, tuning, robot):

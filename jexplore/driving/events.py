@@ -25,6 +25,7 @@ DRIVE = 1.5  # length of the stretch in which walls are steered by, in look-ahea
 CROSSING_M = 0.1  # but no nearer than this to a wall across the way
 EVERY = 3  # steps between two looks for triangles
 SCAN_POINTS = 64  # of a scan that are made into triangles
+NEAR_M = 4.0  # a robot that looks farther than this looks at what is nearer once more
 BESIDE_M = -0.2  # a divergence is looked for so far ahead of the robot's middle or farther
 GOAL_M = 0.5  # a run ends where it hears its goal's beacon within this
 RISES_M = 0.1  # where the profile ahead rises by more, what looks like a wall may be stairs
@@ -174,17 +175,35 @@ def _lone_step(state, writer, ground, tips, level, changed, crease_m, blocked, r
 
 
 def triangles(xy: Array, valid: Array, wall_m: Array | float, tuning: Tuning) -> perception.Divergence:
-    """The triangles of a scan, `wall_m` from the nearer wall: `perception.Divergence`."""
-    far_m = perception.far_bound(tuning.far_m, tuning.width_m, BEAM_SPACING_RAD, wall_m)
-    return perception.divergences(
-        xy,
-        valid,
-        far_m=far_m,
-        width_m=tuning.width_m,
-        obtuse_tol_deg=tuning.obtuse_tol_deg,
-        open_m=tuning.open_m,
-        size=SCAN_POINTS,
-    )
+    """The triangles of a scan, `wall_m` from the nearer wall: `perception.Divergence`.
+
+    Where the robot looks far, it looks once more at what is near alone: of all that it sees at once, points would lie
+    too far apart to show a door.
+    """
+    views = jnp.stack([1.0 * tuning.far_m, jnp.minimum(tuning.far_m, NEAR_M)])
+
+    def look(far_m):
+        return perception.divergences(
+            xy,
+            valid,
+            far_m=perception.far_bound(far_m, tuning.width_m, BEAM_SPACING_RAD, wall_m),
+            width_m=tuning.width_m,
+            obtuse_tol_deg=tuning.obtuse_tol_deg,
+            open_m=tuning.open_m,
+            size=SCAN_POINTS,
+        )
+
+    def put(i, found):
+        return jax.tree.map(
+            lambda both, new: lax.dynamic_update_index_in_dim(both, new, i, 0, allow_negative_indices=False),
+            found,
+            look(views[i]),
+        )
+
+    blank = jax.tree.map(lambda a: jnp.zeros((2, *a.shape), a.dtype), jax.eval_shape(look, views[0]))
+    found = lax.fori_loop(0, jnp.where(tuning.far_m > NEAR_M, 2, 1), put, blank)
+    found = jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:]), found)
+    return found.replace(overflow=jnp.max(found.overflow))
 
 
 def _watch(state, writer, xy, valid, wall_m, leans, placed, tuning):

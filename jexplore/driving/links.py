@@ -21,7 +21,7 @@ DOUBT = 0.05, 4.0  # of the way, metres at most: how far off a node may seem tha
 SAME_WAY = 0.6, 0.05  # a way that is as long as a known one, this near in metres and of its length, is that one
 TRIES = 3  # an un-searched link on which the robot has set off so often in vain is given up
 FAILS = 3  # a searched link that has led elsewhere so often in a row is followed no more
-ROUNDS = 1  # so often links of both kinds get another chance, once nothing else is left
+ROUNDS = 1  # so often links of both kinds are tried once more, when nothing else is left
 SAME_END_RAD = math.radians(25)  # a robot that comes in nearer to a known link comes by it
 TURN_RAD = math.radians(20)  # the odometry's heading is corrected by no more, where a node is met again
 
@@ -355,8 +355,9 @@ def where_to(writer: Writer, map_: Btm, node: Array, back: Array) -> tuple[Write
         )
 
     def again(_):
-        tries, blocked = jnp.where(vain, 0, writer.tries), map_.blocked & ~vain
-        return blocked, tries, jnp.zeros_like(fails), *chosen(map_.replace(blocked=blocked), jnp.zeros_like(fails))
+        tries, blocked = jnp.where(vain, TRIES - 1, writer.tries), map_.blocked & ~vain
+        one_less = jnp.minimum(fails, FAILS - 1)
+        return blocked, tries, one_less, *chosen(map_.replace(blocked=blocked), one_less)
 
     link, bearing = chosen(map_, fails)
     more = (link == btm.NONE) & (writer.rounds < ROUNDS)

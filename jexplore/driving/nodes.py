@@ -14,7 +14,7 @@ from jexplore.arrays.loops import run_if
 from jexplore.btm import Btm
 from jexplore.driving import behaviour, links
 from jexplore.driving.behaviour import Drive, Latch, Track
-from jexplore.driving.guiding import leaving
+from jexplore.driving.guiding import leaving, passing
 from jexplore.driving.mapping import Writer, along, came_from, came_through, has_left, moved
 from jexplore.driving.sensing import gateways, obstacles, openings
 from jexplore.driving.sensing.ways_out import ways_out
@@ -23,8 +23,7 @@ from jexplore.driving.vehicle import to_odometry
 
 OPENINGS = 8  # of a divergence
 DOOR_BEFORE_M = 3.0  # a door that was passed so far before another opening is the way in
-CORNER = 1.3  # of a circle's diameter: with only one opening, wider than this, it lies in a corner
-IN_LINE_RAD = math.radians(45)  # two openings are in line if they are no farther from it
+NEW_RAD = math.radians(25)  # an opening of a known place that bears farther from all its links is one more
 SHIFT_M = 0.7  # the odometry's place is corrected by half at a node met again no farther than this away, metres
 SAME_NODE_M = 1.0  # free space and obstacles nearer than this to one that is known are that one
 LED_M = 1.5  # and so near to where a known link leads to one
@@ -108,7 +107,7 @@ def _find_openings(writer, event, points, tuning, is_divergence):
       `(found, others, back)`: `openings.Openings`; which of them are not the way in; bearing of that way, radians.
     """
     came = jnp.where(
-        is_divergence, came_from(writer, event.centre, event.radius) - event.centre, -_heading(event.pose[2])
+        is_divergence, came_from(writer, event.centre, event.radius) - event.centre, -passing.heading(event.pose[2])
     )
     came = jnp.arctan2(came[1], came[0])
     found = ways_out(
@@ -176,8 +175,6 @@ def write(
 ) -> tuple[Writer, Array, Array, Array, Array]:
     """Makes the node that is due, ends the link that led to it, and chooses where to go on.
 
-    A place with two openings in line is none: it is passed.
-
     Args:
       writer, event: `Writer`; `Event`, of any kind but `NONE`.
       points: what lies round the robot: `[P, 2]` float32, odometry; `[P]` bool, whether there is one.
@@ -194,12 +191,13 @@ def write(
     at = _arrive(writer, event, found, back, tuning, is_divergence, is_terminal)
     map_, step_m = obstacles.judged(at.map, writer, event, tuning, robot, at.posture, at.node)
     at, event, turn, applied, turned = _turns(writer, event, at, found, tuning)
+    measured = back, found  # by the odometry; from here on as the map has them
     back, found = back + turn, dataclasses.replace(found, bearing=found.bearing + turn)
     map_, link = _end_way_here(map_, writer, event, at, back, step_m)
-    map_ = _add_openings(map_, event, at.node, found, others, is_divergence & ~at.again)
+    writer, map_ = _add_openings(writer, map_, event, at, found, others, is_divergence)
     goes_on = ~is_divergence & ~is_terminal & ~at.again
     map_, new = btm.add_link(map_, at.node, event.pose[2], when=goes_on, blocked=event.blocked)
-    passes, which = _is_passed(writer, event, found, others, back, at, is_divergence, points, tuning)
+    passes, which = passing.is_passed(writer, event, measured, others, at, is_divergence, points, tuning)
     correction = jnp.where(passes, 0.0, jnp.stack([*at.shift, applied]))
     after, map_, onto, bearing = links.where_to(writer, map_, at.node, back)
     through = ~is_divergence & ~event.blocked & ~event.returns
@@ -208,7 +206,7 @@ def write(
     left = leaving.left_by(map_, writer, event, at.node, found, is_place, points, usual, (turn, correction))
     ways = _way_out(event, found, left, turn, tuning.leave_m, is_divergence)
     ways = to_odometry(jnp.stack([0.0, 0.0, applied - turn]))(ways[0]), ways[1] + applied - turn
-    target, out = _either_of(passes, _past(event, found, which, others, back, points, tuning), ways)
+    target, out = _either_of(passes, passing.past(event, measured, which, others, points, tuning), ways)
     taken = jnp.where(left.link == btm.NONE, size, left.link)
     written = after.replace(
         map=left.map,
@@ -223,9 +221,9 @@ def write(
         origin=jnp.stack([*(event.centre + at.shift), jnp.nan_to_num(turned) - applied]),
         guide=left.guide,
     )
-    passing = before.replace(passed=jnp.stack([*event.centre, event.radius, event.odometer_m]))
+    unchanged = before.replace(passed=jnp.stack([*event.centre, event.radius, event.odometer_m]))
     return (
-        _either_of(passes, passing, _either_of(at.fits, written, _full(writer))),
+        _either_of(passes, unchanged, _either_of(at.fits, written, _full(writer))),
         jnp.where((~through & (taken < size)) | passes, Latch.LEAVE, Latch.FREE).astype(jnp.int32),
         event.centre + correction[:2] + target,
         out,
@@ -236,11 +234,11 @@ def write(
 def _way_out(event, found, left, turn, leave_m, is_divergence):
     """From the centre to a point on the link that is taken: `[2]`; and its direction there, radians."""
     bearing = left.bearing
-    ways = leave_m * _heading(bearing), bearing
-    ways = _either_of(is_divergence, _through(event, found, bearing, turn, leave_m), ways)
+    ways = leave_m * passing.heading(bearing), bearing
+    ways = _either_of(is_divergence, passing.through(event, found, bearing, turn, leave_m), ways)
     if left.onward is None:
         return ways
-    beyond = left.onward.middle - event.centre + (event.radius + leave_m) * _heading(bearing)
+    beyond = left.onward.middle - event.centre + (event.radius + leave_m) * passing.heading(bearing)
     return _either_of(left.onward.is_free, (beyond, bearing), ways)
 
 
@@ -308,69 +306,31 @@ def made(
     return writer.replace(map=map_, **rest), drive, track, estimate
 
 
-def _add_openings(map_, event, node, found, others, when):
-    """A new divergence's links.
+def _add_openings(writer, map_, event, at, found, others, when):
+    """A divergence's links: `(writer, map)`.
 
-    A start in its circle is on no link: what leads away from it leads away from the divergence.
+    A new one has all its openings but the way in. One that is met again has those besides that bear otherwise than any
+    of its links, for from elsewhere more may be seen; each is tried once. A start in the circle of a new one is on no
+    link: what leads away from it leads away from the divergence.
     """
+    own, bearing = links.ends_at(map_, at.node)
+    known = jnp.any(own[:, None] & (jnp.abs(btm.wrapped(bearing[:, None] - found.bearing)) < NEW_RAD), axis=0)
+    goes = others & when & (~at.again | (at.met & ~known))
+    before = map_.n_links
     for i in range(OPENINGS):
-        map_, _ = btm.add_link(map_, node, found.bearing[i], when=when & others[i], opening_m=found.width_m[i])
-    map_ = map_.replace(overflow=map_.overflow + jnp.where(when, found.overflow, 0))
+        map_, _ = btm.add_link(map_, at.node, found.bearing[i], when=goes[i], opening_m=found.width_m[i])
+    number = jnp.arange(map_.start.shape[0])
+    once = at.again & (number >= before) & (number < map_.n_links)
+    writer = writer.replace(tries=jnp.where(once, links.TRIES - 1, writer.tries))
+    is_new = when & ~at.again
+    map_ = map_.replace(overflow=map_.overflow + jnp.where(is_new, found.overflow, 0))
     off = jnp.hypot(event.centre[0] - map_.x_m[0], event.centre[1] - map_.y_m[0])
-    goes = when & (off < event.radius) & (map_.start == 0) & (map_.status == btm.UNSEARCHED)
-    return map_.replace(blocked=map_.blocked | goes)
+    holds = is_new & (off < event.radius) & (map_.start == 0) & (map_.status == btm.UNSEARCHED)
+    return writer, map_.replace(blocked=map_.blocked | holds)
 
 
 def _full(writer):
     return writer.replace(map=writer.map.replace(overflow=writer.map.overflow + 1), full=jnp.bool_(True))
-
-
-def _is_behind(found):
-    """Openings whose narrowest place lies on the other side of the centre: there is one wall only, before it: `[K]`."""
-    return found.middle[:, 0] * jnp.cos(found.across) + found.middle[:, 1] * jnp.sin(found.across) < 0
-
-
-def _is_passed(writer, event, found, others, back, at, is_divergence, points, tuning):
-    """Whether a place is none, and which of its openings the robot takes: `(passes, which)`.
-
-    One with two openings in line is a stretch of a passage, unless the link leads to a node there; so is one whose only
-    opening lies in line with where the robot has come from, if what closes the passage there is beyond its circle. One
-    with a single opening much wider than its circle lies in the corner of a room.
-    """
-    n, other = jnp.sum(found.valid), jnp.argmax(others)
-    straight = jnp.abs(btm.wrapped(found.bearing[other] - back)) > math.pi - IN_LINE_RAD
-    followed, to = links.leads_to(writer)
-    in_line = (jnp.sum(others) == 1) & straight & ~(at.again & followed & (at.near == to))
-    free_m = links.reach_m(points, event.centre, back, event.radius)
-    in_line &= (n == 2) | ((n == 1) & (free_m > tuning.circle * event.radius))
-    wide = (found.width_m > CORNER * 2 * event.radius) | _is_behind(found)
-    corner = (n == 1) & jnp.any(found.valid & wide) & ~at.again
-    passes = leaving.passes_by(writer, event.centre, is_divergence & (in_line | corner))
-    return passes, jnp.where(corner, jnp.argmax(found.valid), other)
-
-
-def _through(event, found, bearing, turn, leave_m):
-    """From the centre to a point beyond the opening that bears so, straight on where there is none: `[2]`; and the
-    direction of its passage, radians.
-    """
-    off = jnp.where(found.valid, jnp.abs(btm.wrapped(found.bearing - bearing)), jnp.inf)
-    which = jnp.argmin(off)
-    middle, across = found.middle[which], found.across[which] + turn
-    middle = to_odometry(jnp.stack([0.0, 0.0, turn]))(middle)
-    plain = (event.radius + leave_m) * _heading(bearing)
-    near = (off[which] < math.pi / 4) & ~_is_behind(found)[which]
-    return jnp.where(near, middle + leave_m * _heading(across), plain), jnp.where(near, across, bearing)
-
-
-def _past(event, found, which, others, back, points, tuning):
-    """From the centre of a place that is none to a point beyond it: `[2]`; and a direction there, radians.
-
-    Where the way out is a door of what lies beyond its circle, perhaps a place itself: straight on, if that is free.
-    """
-    leave_m, on_m, ahead = tuning.leave_m, event.radius + tuning.leave_m, back + math.pi
-    far = jnp.any(others) & (jnp.hypot(*found.middle[which]) > tuning.circle * event.radius)
-    far &= links.reach_m(points, event.centre, ahead, event.radius) > on_m + leave_m
-    return _either_of(far, (on_m * _heading(ahead), ahead), _through(event, found, found.bearing[which], 0.0, leave_m))
 
 
 def _either_of(condition, yes, no):
@@ -381,10 +341,6 @@ def _border_left(writer, event):
     """The border of a free space that is still ahead once a node has been made."""
     reached = (event.kind == btm.FREE_SPACE) & (event.odometer_m >= writer.border_m)
     return jnp.where(reached | (event.kind == btm.DIVERGENCE), jnp.inf, writer.border_m)
-
-
-def _heading(angle):
-    return jnp.stack([jnp.cos(angle), jnp.sin(angle)])
 
 
 def _end_link(map_, writer, event, at_node, back, step_m, link, when):

@@ -1,0 +1,87 @@
+"""Places that are none, which a robot passes, and the points to which it leaves a place."""
+
+import math
+from typing import Any
+
+import jax.numpy as jnp
+from jax import Array
+
+from jexplore import btm
+from jexplore.driving import links
+from jexplore.driving.guiding import leaving
+from jexplore.driving.mapping import Writer
+from jexplore.driving.sensing.openings import Openings
+from jexplore.driving.settings import Tuning
+from jexplore.driving.vehicle import to_odometry
+
+CORNER = 1.3  # of a circle's diameter: with only one opening, wider than this, it lies in a corner
+IN_LINE_RAD = math.radians(45)  # two openings are in line if they are no farther from it
+
+
+def is_passed(writer: Writer, event: Any, measured: tuple[Array, Openings], others: Array, at: Any,
+              is_divergence: Array, points: tuple[Array, Array], tuning: Tuning) -> tuple[Array, Array]:  # fmt: skip
+    """Whether a place is none, and which of its openings the robot takes: `(passes, which)`.
+
+    One with two openings in line is a stretch of a passage, unless the link leads to a node there; so is one whose only
+    opening lies in line with where the robot has come from, if what closes the passage there is beyond its circle. One
+    with a single opening much wider than its circle lies in the corner of a room.
+
+    Args:
+      writer, event, at: `Writer`; `nodes.Event`, `nodes.Arrival` of the place.
+      measured: bearing of the way in, radians, and `Openings` of the place, as the odometry has them.
+      others: `[K]` bool, which of those are not the way in.
+      is_divergence: bool.
+      points: what lies round the robot, see `nodes.write`.
+      tuning: `Tuning`.
+    """
+    back, found = measured
+    n, other = jnp.sum(found.valid), jnp.argmax(others)
+    straight = jnp.abs(btm.wrapped(found.bearing[other] - back)) > math.pi - IN_LINE_RAD
+    followed, to = links.leads_to(writer)
+    in_line = (jnp.sum(others) == 1) & straight & ~(at.again & followed & (at.near == to))
+    free_m = links.reach_m(points, event.centre, back, event.radius)
+    in_line &= (n == 2) | ((n == 1) & (free_m > tuning.circle * event.radius))
+    wide = (found.width_m > CORNER * 2 * event.radius) | is_behind(found)
+    corner = (n == 1) & jnp.any(found.valid & wide) & ~at.again
+    passes = leaving.passes_by(writer, event.centre, is_divergence & (in_line | corner))
+    return passes, jnp.where(corner, jnp.argmax(found.valid), other)
+
+
+def past(event: Any, measured: tuple[Array, Openings], which: Array, others: Array,
+         points: tuple[Array, Array], tuning: Tuning) -> tuple[Array, Array]:  # fmt: skip
+    """From the centre of a place that is none to a point beyond it: `[2]`; and a direction there, radians.
+
+    Where the way out is a door of what lies beyond its circle, perhaps a place itself: straight on, if that is free.
+    Arguments as for `is_passed`; `which`, int32, from it.
+    """
+    back, found = measured
+    leave_m, on_m, ahead = tuning.leave_m, event.radius + tuning.leave_m, back + math.pi
+    far = jnp.any(others) & (jnp.hypot(*found.middle[which]) > tuning.circle * event.radius)
+    far &= links.reach_m(points, event.centre, ahead, event.radius) > on_m + leave_m
+    target, out = through(event, found, found.bearing[which], 0.0, leave_m)
+    return jnp.where(far, on_m * heading(ahead), target), jnp.where(far, ahead, out)
+
+
+def through(
+    event: Any, found: Openings, bearing: Array, turn: Array | float, leave_m: Array | float
+) -> tuple[Array, Array]:
+    """From the centre to a point beyond the opening that bears so, straight on where there is none: `[2]`; and the
+    direction of its passage, radians. `turn` is that of the bearings against the odometry, radians; `leave_m` metres.
+    """
+    off = jnp.where(found.valid, jnp.abs(btm.wrapped(found.bearing - bearing)), jnp.inf)
+    which = jnp.argmin(off)
+    middle, across = found.middle[which], found.across[which] + turn
+    middle = to_odometry(jnp.stack([0.0, 0.0, turn]))(middle)
+    plain = (event.radius + leave_m) * heading(bearing)
+    near = (off[which] < math.pi / 4) & ~is_behind(found)[which]
+    return jnp.where(near, middle + leave_m * heading(across), plain), jnp.where(near, across, bearing)
+
+
+def is_behind(found: Openings) -> Array:
+    """Openings whose narrowest place lies on the other side of the centre: there is one wall only, before it: `[K]`."""
+    return found.middle[:, 0] * jnp.cos(found.across) + found.middle[:, 1] * jnp.sin(found.across) < 0
+
+
+def heading(angle: Array | float) -> Array:
+    """The unit vector of a direction, radians: `[2]` float32."""
+    return jnp.stack([jnp.cos(angle), jnp.sin(angle)])
