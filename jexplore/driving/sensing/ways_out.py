@@ -49,8 +49,8 @@ def ways_out(xy: Array, valid: Array, centre: Array, radius_m: Array | float, wi
     Args: as for `openings`.
 
     Returns:
-      `Openings`. What the wider circle or a wide room has too many of counts as overflow: the wider circle's are not
-        held against those of the circle, and a door that is looked for from both jambs counts once.
+      `Openings`. Their overflow is that of the circle, of the wider circle or of the walls of a wide room, whichever is
+        greatest: what one of these has no room for another mostly has none for either.
     """
 
     def seen(wider):
@@ -77,7 +77,8 @@ def ways_out(xy: Array, valid: Array, centre: Array, radius_m: Array | float, wi
 
     none = [jnp.concatenate([a, jnp.zeros_like(a[: 2 * size])]) for a in together], jnp.int32(0)
     together, too_many = run_if(radius_m > WIDE_M, with_doors, none)
-    return in_order(together, jnp.maximum(found.overflow, more.overflow) + too_many, size)
+    out = in_order(together, found.overflow, size)
+    return out.replace(overflow=jnp.maximum(out.overflow, jnp.maximum(more.overflow, too_many)))
 
 
 def _askew(found):
