@@ -441,14 +441,18 @@ def test_a_gap_that_leads_aside_is_parted_where_the_wider_circle_has_a_passage(n
 def test_what_a_place_has_too_many_of_is_counted(size):
     """Four ways out, of which the search circle has three, or, of a wide room, one."""
     askew = [lower(-5, -0.5), lower(0.5, 5), upper(-5, 0.6), upper(1.6, 5)]
-    sides = [
-        [wall((-3, -0.45), (3, 3)), wall((0.45, 3), (3, 3)), wall((-3, 3), (4.4, 4.4))]
-    ]  # a door, a wall behind it
+    # A door in every wall, and a wall behind it.
+    sides = [[wall((-3, -0.45), (3, 3)), wall((0.45, 3), (3, 3)), wall((-3, 3), (4.4, 4.4))]]
     for _ in range(3):
         sides.append([xy[:, ::-1] * (1, -1) for xy in sides[-1]])
     for parts, radius_m in ((askew, 1.1), (list(itertools.chain(*sides)), 3.0)):
         middles, overflow = ways_out_of(parts, radius_m, size)
         assert (len(middles), overflow) == (size, 4 - size)
+
+
+def test_what_the_wider_circle_has_fewer_of_is_counted_as_well():
+    """Three ways out, of which it has two."""
+    assert ways_out_of(PARTED["a gap and a door"][0], size=1)[1] == 2
 
 
 def test_a_place_has_some_way_out():
@@ -504,7 +508,8 @@ def test_the_only_wall_leaves_its_way_out():
 
 def test_passages_go_on_where_doors_open_beside_them():
     """Places along two corridors with a door every metre or two, at 1 cm of range noise, from where a robot looks round
-    before it gets there. One gap for a passage and a door in its wall left 13 of 240 ways on unseen, and 30 such gaps.
+    before it gets there. 3 of 240 ways on are unseen, and 12 gaps are one for a passage and a door in its wall; where
+    none is parted, 9 and 25.
     """
     world, rng, missed, merged = load_world("hospital"), np.random.default_rng(0), 0, 0
     corridors = jax.tree.map(jnp.asarray, walls.walls_of(world.occupied, world.cell_m))
@@ -521,9 +526,10 @@ def test_passages_go_on_where_doors_open_beside_them():
         off = np.abs(wrapped_deg(np.degrees(found.bearing)[there, None] - np.array([0, 180])))
         missed += int((~(off < 30).any(axis=0)).sum())
         towards = np.arctan2(*np.asarray(found.middle)[there].T[::-1])
-        askew = np.abs(wrapped_deg(np.degrees(np.asarray(found.across)[there] - towards))) > 60
-        merged += int((askew & (np.asarray(found.width_m)[there] > openings.DOOR_M)).sum())
-    assert missed <= 6
+        askew = np.abs(wrapped_deg(np.degrees(np.asarray(found.across)[there] - towards)))
+        wide = np.asarray(found.width_m)[there] > openings.DOOR_M
+        merged += int(((askew > 60) & (askew < 120) & wide).sum())
+    assert missed <= 4
     assert merged <= 15
 
 

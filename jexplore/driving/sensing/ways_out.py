@@ -50,7 +50,8 @@ def ways_out(xy: Array, valid: Array, centre: Array, radius_m: Array | float, wi
 
     Returns:
       `Openings`. Their overflow is that of the circle, of the wider circle or of the walls of a wide room, whichever is
-        greatest: what one of these has no room for another mostly has none for either.
+        greatest: what one of these has no room for another mostly has none for either. What the circle has no room for
+        and the wider one has may count twice.
     """
 
     def seen(wider):
