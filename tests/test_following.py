@@ -557,8 +557,8 @@ def about(centre, angle):
 
 @pytest.mark.parametrize("share", [0.2, 1.0])
 def test_what_is_put_right_at_a_place_moves_the_route_with_the_odometry(share):
-    """A known place lies 0.3 m east of where the odometry has it; its ways bear 0.2 rad more than there, and the heading
-    is put right by a share of that.
+    """A known place lies 0.3 m east of where the odometry has it; its ways bear 0.2 rad more than there, and the
+    heading is put right by a share of that.
     """
     turn, right = 0.2, (0.3, 0.0, 0.2 * share)
     free, centre = walls((10.0, -1.0), (10.2, -1.0)), np.array([10.0, 0.5])

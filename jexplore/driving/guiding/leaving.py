@@ -66,10 +66,11 @@ def left_by(
       found: `Openings` of it, as the map's node has them.
       is_place: bool, whether it is a divergence.
       points: see `links.reach_m`.
-      usual: `(link, bearing)`, by which it would go on without a route: int32; float32, radians, as the map's node has it.
-      turned: `(turn, correction)`. float32, radians: how far bearings at the node, those of `found` too, are turned
-        against the odometry in which they were measured; `[3]` float32, metres and radians: how the odometry itself is put
-        right, see `corrected`, which is by a share of that turn.
+      usual: `(link, bearing)`: by which it would go on without a route, int32; how that bears, float32, radians, as the
+        map's node has it.
+      turned: `(turn, correction)`: how far bearings at the node, those of `found` and `usual` too, are turned against
+        the odometry in which they were measured, float32, radians; how the odometry itself is put right, by a share of
+        that turn, `[3]` float32, metres and radians, see `corrected`.
 
     Returns:
       `Left`; of a robot that follows no route what was given. `onward` is the guide's, turned by `turn` about

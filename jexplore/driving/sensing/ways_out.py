@@ -1,7 +1,6 @@
-"""What leads out of a place: the openings of its search circle, doors that lie partly outside that, and doors in the walls
-of a wide room.
-"""
+"""What leads out of a place: the openings of its search circle, doors partly outside that, and doors of a wide room."""
 
+import dataclasses
 import math
 
 import jax
@@ -30,9 +29,9 @@ WIDE_M = 2.0  # a place is wide from this radius on: doors are looked for wall b
 JAMB = 60  # directions in which a door's other jamb is looked for
 MOST_DOOR_M = 1.5  # such a door is no wider
 BEHIND_RAD = math.radians(12)  # what bears no farther from a door, and lies beyond it, is behind it
-MERGED_RAD = math.radians(60)  # an opening that is turned so far from how it bears, either way, stands for two
-BESIDE_RAD = math.radians(60)  # and these bear no farther from it
-STRAIGHT_RAD = math.radians(30)  # they are turned no farther from how they bear
+MERGED_RAD = math.radians(60)  # what leads so far off the direction of its middle, and off its opposite, is two
+BESIDE_RAD = math.radians(60)  # if there is one of the wider circle that bears no farther from it
+STRAIGHT_RAD = math.radians(30)  # one that leads no farther off the direction of its middle lies straight ahead
 
 
 def ways_out(xy: Array, valid: Array, centre: Array, radius_m: Array | float, width_m: Array | float, *,
@@ -41,10 +40,10 @@ def ways_out(xy: Array, valid: Array, centre: Array, radius_m: Array | float, wi
 
     Two doors that face each other across a passage are rarely opposite to the centimetre. One whose middle lies in the
     circle belongs to the place, as the one across the passage does; in the circle alone it and the passage are one gap.
-    So are a passage and a door that lies farther on in its wall, of which the circle may hold the nearer jamb or nothing.
-    What is seen beyond that gap, the passage's walls and a wall of the room behind the door, can pass for a pocket; its
-    door then is the gap from a jamb to that wall. It lies in the room, outside the circle, and leads aside, and there is
-    no way out along the passage. What the wider circle has straight ahead there counts instead.
+    So are a passage and a door farther on in its wall, of which the circle may hold the nearer jamb or nothing. What is
+    seen beyond that gap, the passage's walls and a wall of the room behind the door, can pass for a pocket, whose door
+    then is the gap from a jamb to that wall: it lies in the room, outside the circle, and leads aside, and there is no
+    way out along the passage. What the wider circle has straight ahead there counts instead.
 
     Args: as for `openings`.
 
@@ -79,7 +78,8 @@ def ways_out(xy: Array, valid: Array, centre: Array, radius_m: Array | float, wi
     none = [jnp.concatenate([a, jnp.zeros_like(a[: 2 * size])]) for a in together], jnp.int32(0)
     together, too_many = run_if(radius_m > WIDE_M, with_doors, none)
     out = in_order(together, found.overflow, size)
-    return out.replace(overflow=jnp.maximum(out.overflow, jnp.maximum(more.overflow, too_many)))
+    overflow = jnp.maximum(out.overflow, jnp.maximum(more.overflow, too_many))
+    return dataclasses.replace(out, overflow=overflow)
 
 
 def _askew(found):
@@ -130,8 +130,10 @@ def _wall_doors(place, here, width_m, reach_m, size):
 
 
 def _from_ends(place, here, width_m, reach_m, size):
-    """`_wall_doors` of one sense of rotation: from where a wall ends to the nearest point that comes later: `(doors, n)`:
-    of K; int32, how many there are.
+    """`_wall_doors` of one sense of rotation: from where a wall ends to the nearest point that comes later.
+
+    Returns:
+      `(doors, n)`: `(valid, middle, across, width)` of K; int32, how many there are.
     """
     order, ends = jnp.arange(BEARINGS), gaps(place, place, here, width_m)[2]
     later = (order[:, None] + 1 + jnp.arange(JAMB)) % BEARINGS
