@@ -437,17 +437,31 @@ def test_a_gap_that_leads_aside_is_parted_where_the_wider_circle_has_a_passage(n
     assert overflow == 0
 
 
+def four_doors(behind):
+    """A room of 6 m with a door in the middle of every wall, and walls of such extent 1.4 m behind them."""
+    sides = []
+    for turns, extent in enumerate(behind):
+        side = [wall((-3, -0.45), (3, 3)), wall((0.45, 3), (3, 3)), wall(extent, (4.4, 4.4))]
+        for _ in range(turns):
+            side = [xy[:, ::-1] * (1, -1) for xy in side]
+        sides += side
+    return sides
+
+
 @pytest.mark.parametrize("size", [1, 2, 3, 4])
 def test_what_a_place_has_too_many_of_is_counted(size):
     """Four ways out, of which the search circle has three, or, of a wide room, one."""
     askew = [lower(-5, -0.5), lower(0.5, 5), upper(-5, 0.6), upper(1.6, 5)]
-    # A door in every wall, and a wall behind it.
-    sides = [[wall((-3, -0.45), (3, 3)), wall((0.45, 3), (3, 3)), wall((-3, 3), (4.4, 4.4))]]
-    for _ in range(3):
-        sides.append([xy[:, ::-1] * (1, -1) for xy in sides[-1]])
-    for parts, radius_m in ((askew, 1.1), (list(itertools.chain(*sides)), 3.0)):
+    for parts, radius_m in ((askew, 1.1), (four_doors([(-3, 3)] * 4), 3.0)):
         middles, overflow = ways_out_of(parts, radius_m, size)
         assert (len(middles), overflow) == (size, 4 - size)
+
+
+def test_a_room_and_its_mirror_image_have_equally_many_too_many():
+    """In one sense of rotation five doors are found, in the other four."""
+    parts = four_doors([(-3, 3), (-0.9, 0.4), (-3, -0.2), (-3, 3)])
+    one, other = (ways_out_of([xy * (sign, 1) for xy in parts], 3.0, size=1)[1] for sign in (1, -1))
+    assert one == other == 4
 
 
 def test_what_the_wider_circle_has_fewer_of_is_counted_as_well():
