@@ -549,23 +549,49 @@ def test_a_way_on_that_is_no_link_but_free_is_taken_from_where_it_is_free():
     assert not bool(after.steers)
 
 
-def test_what_is_put_right_at_a_place_moves_the_route_with_the_odometry():
-    """A known place lies 0.3 m east of where the odometry has it, whose heading is 0.2 rad too small."""
-    right = 0.3, 0.0, 0.2
-    free = walls((10.0, -1.0), (10.2, -1.0))
+def about(centre, angle):
+    """The function that turns points about a centre."""
+    turn = np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])
+    return lambda xy: centre + turn @ (np.asarray(xy) - centre)
+
+
+@pytest.mark.parametrize("share", [0.2, 1.0])
+def test_what_is_put_right_at_a_place_moves_the_route_with_the_odometry(share):
+    """A known place lies 0.3 m east of where the odometry has it; its ways bear 0.2 rad more than there, and the
+    heading is put right by a share of that.
+    """
+    turn, right = 0.2, (0.3, 0.0, 0.2 * share)
+    free, centre = walls((10.0, -1.0), (10.2, -1.0)), np.array([10.0, 0.5])
     before = left(a_guide(), place(WEST, EAST), free)
-    link, bearing, _, after, onward = left(
-        a_guide(), place(WEST + 0.2, EAST + 0.2), free, ways=(WEST + 0.2, EAST + 0.2), turned=(0.2, right)
-    )
+    ways = WEST + turn, EAST + turn
+    link, bearing, _, after, onward = left(a_guide(), place(*ways), free, ways=ways, turned=(turn, right))
     assert (link, int(after.at)) == (before[0], int(before[3].at))
-    assert bearing == pytest.approx(before[1] + math.degrees(0.2), abs=1e-3)  # as the map's node has its ways
-    centre = np.array([10.0, 0.5])
-    turn = np.array([[math.cos(0.2), -math.sin(0.2)], [math.sin(0.2), math.cos(0.2)]])
-    leaves, left_before = (np.asarray(way.middle) - centre for way in (onward, before[4]))
-    np.testing.assert_allclose(leaves, turn @ left_before, atol=1e-5)
+    # The way on is as the map's node has it.
+    assert bearing == pytest.approx(before[1] + math.degrees(turn), abs=1e-3)
+    assert float(onward.bearing) == pytest.approx(float(before[4].bearing) + turn, abs=1e-6)
+    np.testing.assert_allclose(onward.middle, about(centre, turn)(before[4].middle), atol=1e-5)
+    # What lies ahead is as the odometry has it from now on.
+    moved = about(centre, right[2])
+    np.testing.assert_allclose(after.from_xy, moved(before[3].from_xy) + right[:2], atol=1e-5)
+    assert float(after.turned) == pytest.approx(float(before[3].turned) - right[2], abs=1e-6)
     then, now = guides.next_of(before[3])[0], guides.next_of(after)[0]
-    np.testing.assert_allclose(now, centre + turn @ (np.asarray(then) - centre) + np.array(right[:2]), atol=1e-4)
+    np.testing.assert_allclose(now, moved(then) + right[:2], atol=1e-4)
     np.testing.assert_allclose(after.seen, before[3].seen, atol=1e-6)  # bearings on the map stay
+
+
+@pytest.mark.parametrize(("aside", "is_open"), [(-0.6, True), (0.6, True), (-0.75, False), (0.75, False)])
+def test_a_way_on_without_a_link_is_open_where_the_node_has_an_opening(aside, is_open):
+    """Towards an end that lies south of a place that the map does not have; an opening lies so far beside that way."""
+    shut = walls(*((x, -1.0) for x in np.arange(9.0, 11.0, 0.2)))
+    guide = a_guide().replace(**STRAY)
+    ways = WEST + 0.2, EAST + 0.2
+    toward = float(left(guide, place(WEST, EAST), shut)[4].bearing)
+    found = place(*ways, toward + 0.2 + aside)
+    link, bearing, is_new, _, onward = left(guide, found, shut, ways=ways, turned=(0.2, (0.3, 0.0, 0.04)))
+    assert not bool(onward.is_free)
+    assert is_new == is_open
+    if is_open:
+        assert (link, bearing) == (2, pytest.approx(math.degrees(toward + 0.2) % 360, abs=1e-3))
 
 
 def test_where_the_map_has_no_room_or_the_place_no_link_it_goes_on_by_what_there_is():

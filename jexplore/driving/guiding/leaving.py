@@ -23,7 +23,7 @@ class Left(NamedTuple):
     map: Btm
     link: Array  # int32
     bearing: Array  # float32, radians, of the link there
-    onward: Onward | None  # what the route says; `is_free` where that is no opening
+    onward: Onward | None  # what the route says: radians and metres, turned as the map's node has them
 
 
 def passes_by(writer: Writer, centre: Array, passes: Array) -> Array:
@@ -66,11 +66,15 @@ def left_by(
       found: `Openings` of it, as the map's node has them.
       is_place: bool, whether it is a divergence.
       points: see `links.reach_m`.
-      usual: the link by which it would go on, and how that bears, as the map's node has it.
-      turned: how far those are turned against the odometry, radians; `[3]`, the odometry's correction, see `corrected`.
+      usual: `(link, bearing)`: by which it would go on without a route, int32; how that bears, float32, radians, as the
+        map's node has it.
+      turned: `(turn, correction)`: how far bearings at the node, those of `found` and `usual` too, are turned against
+        the odometry in which they were measured, float32, radians; how the odometry itself is put right, by a share of
+        that turn, `[3]` float32, metres and radians, see `corrected`.
 
     Returns:
-      `Left`; of a robot that follows no route what was given.
+      `Left`; of a robot that follows no route what was given. `onward` is the guide's, turned by `turn` about
+        `event.centre`; `is_free`: it is no opening, but a new link.
     """
     (onto, bearing), (turn, correction) = usual, turned
     if writer.guide is None:

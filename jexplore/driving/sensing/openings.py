@@ -1,4 +1,4 @@
-"""The ways out of a place: gaps between the walls round it, and doors in the walls of pockets beside it."""
+"""The openings of a search circle: gaps between the walls in it, and doors in the walls of pockets beyond these."""
 
 import math
 

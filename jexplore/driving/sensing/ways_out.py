@@ -1,5 +1,6 @@
-"""All ways out of a place: its openings, doors that lie partly outside it, and those in the walls of a wide room."""
+"""What leads out of a place: the openings of its search circle, doors partly outside that, and doors of a wide room."""
 
+import dataclasses
 import math
 
 import jax
@@ -14,7 +15,6 @@ from jexplore.driving.sensing.openings import (
     DOOR_M,
     FAR_M,
     LEADS_M,
-    PASSAGE_RAD,
     Openings,
     gaps,
     in_order,
@@ -29,7 +29,9 @@ WIDE_M = 2.0  # a place is wide from this radius on: doors are looked for wall b
 JAMB = 60  # directions in which a door's other jamb is looked for
 MOST_DOOR_M = 1.5  # such a door is no wider
 BEHIND_RAD = math.radians(12)  # what bears no farther from a door, and lies beyond it, is behind it
-MERGED_RAD = math.radians(60)  # one whose walls face each other so far askew is two: a passage, and a door in its wall
+MERGED_RAD = math.radians(60)  # what leads so far off the direction of its middle, and off its opposite, is two
+BESIDE_RAD = math.radians(60)  # if there is one of the wider circle that bears no farther from it
+STRAIGHT_RAD = math.radians(30)  # one that leads no farther off the direction of its middle lies straight ahead
 
 
 def ways_out(xy: Array, valid: Array, centre: Array, radius_m: Array | float, width_m: Array | float, *,
@@ -38,10 +40,17 @@ def ways_out(xy: Array, valid: Array, centre: Array, radius_m: Array | float, wi
 
     Two doors that face each other across a passage are rarely opposite to the centimetre. One whose middle lies in the
     circle belongs to the place, as the one across the passage does; in the circle alone it and the passage are one gap.
-    So are a passage and a door whose nearer jamb alone lies in the circle: their walls face each other askew, and what
-    the wider circle has straight ahead there counts instead.
+    So are a passage and a door farther on in its wall, of which the circle may hold the nearer jamb or nothing. What is
+    seen beyond that gap, the passage's walls and a wall of the room behind the door, can pass for a pocket, whose door
+    then is the gap from a jamb to that wall: it lies in the room, outside the circle, and leads aside, and there is no
+    way out along the passage. What the wider circle has straight ahead there counts instead.
 
-    Args and returns: as for `openings`.
+    Args: as for `openings`.
+
+    Returns:
+      `Openings`. Their overflow is that of the circle, of the wider circle or of the walls of a wide room, whichever is
+        greatest: what one of these has no room for another mostly has none for either. What the circle has no room for
+        and the wider one has may count twice.
     """
 
     def seen(wider):
@@ -49,13 +58,13 @@ def ways_out(xy: Array, valid: Array, centre: Array, radius_m: Array | float, wi
 
     both = jax.vmap(seen)(jnp.array([1.0, WIDER]))
     found, more = (jax.tree.map(lambda a, i=i: a[i], both) for i in range(2))
+    askew = _askew(found)
     # Of a gap wider than half a turn the walls face each other on the other side of the centre: that is one.
-    merged = found.valid & (jnp.abs(_askew(found) - math.pi / 2) < math.pi / 2 - MERGED_RAD)
-    merged &= found.width_m > DOOR_M
+    merged = found.valid & (askew > MERGED_RAD) & (askew < math.pi - MERGED_RAD) & (found.width_m > DOOR_M)
     kept, inside = found.valid & ~merged, jnp.hypot(*more.middle.T) <= circle * radius_m
-    straight = jnp.any(merged) & (_askew(more) < PASSAGE_RAD)
+    straight = jnp.any(merged) & (_askew(more) < STRAIGHT_RAD)
     extra = _others(kept, found, more) & ((inside & (more.width_m <= DOOR_M)) | straight)
-    beside = jnp.abs(wrapped(found.bearing[:, None] - more.bearing)) < MERGED_RAD
+    beside = jnp.abs(wrapped(found.bearing[:, None] - more.bearing)) < BESIDE_RAD
     merged &= jnp.any(extra & beside, axis=1)
     parts = (found.valid & ~merged, found), (extra, more)
     together = [jnp.concatenate(pair) for pair in zip(*((there, a.middle, a.across, a.width_m) for there, a in parts))]
@@ -63,10 +72,14 @@ def ways_out(xy: Array, valid: Array, centre: Array, radius_m: Array | float, wi
     def with_doors(_):
         offset = xy - centre
         place, _, here = polar(offset, jnp.hypot(*offset.T), valid, FAR_M)
-        return _joined(together, _wall_doors(place, here, width_m, circle * radius_m, size))
+        doors, too_many = _wall_doors(place, here, width_m, circle * radius_m, size)
+        return _joined(together, doors), too_many
 
-    none = [jnp.concatenate([a, jnp.zeros_like(a[: 2 * size])]) for a in together]
-    return in_order(run_if(radius_m > WIDE_M, with_doors, none), found.overflow, size)
+    none = [jnp.concatenate([a, jnp.zeros_like(a[: 2 * size])]) for a in together], jnp.int32(0)
+    together, too_many = run_if(radius_m > WIDE_M, with_doors, none)
+    out = in_order(together, found.overflow, size)
+    overflow = jnp.maximum(out.overflow, jnp.maximum(more.overflow, too_many))
+    return dataclasses.replace(out, overflow=overflow)
 
 
 def _askew(found):
@@ -106,17 +119,22 @@ def _wall_doors(place, here, width_m, reach_m, size):
       size: K.
 
     Returns:
-      `(valid, middle, across, width)` of 2 K.
+      `((valid, middle, across, width), too_many)`: of 2 K; int32, those that did not fit.
     """
     mirrored = jnp.array([1.0, -1.0])
-    one = _from_ends(place, here, width_m, reach_m, size)
-    other = _from_ends(place[::-1] * mirrored, here[::-1], width_m, reach_m, size)
+    one, n_one = _from_ends(place, here, width_m, reach_m, size)
+    other, n_other = _from_ends(place[::-1] * mirrored, here[::-1], width_m, reach_m, size)
     other = other[0], other[1] * mirrored, -other[2], other[3]
-    return [jnp.concatenate(pair) for pair in zip(one, other)]
+    too_many = jnp.maximum(jnp.maximum(n_one, n_other) - size, 0)
+    return [jnp.concatenate(pair) for pair in zip(one, other)], too_many
 
 
 def _from_ends(place, here, width_m, reach_m, size):
-    """`_wall_doors` of one sense of rotation: from where a wall ends to the nearest point that comes later."""
+    """`_wall_doors` of one sense of rotation: from where a wall ends to the nearest point that comes later.
+
+    Returns:
+      `(doors, n)`: `(valid, middle, across, width)` of K; int32, how many there are.
+    """
     order, ends = jnp.arange(BEARINGS), gaps(place, place, here, width_m)[2]
     later = (order[:, None] + 1 + jnp.arange(JAMB)) % BEARINGS
     there = here[later]
@@ -133,4 +151,5 @@ def _from_ends(place, here, width_m, reach_m, size):
     number = running_sum(door.astype(jnp.float32)).astype(jnp.int32) - 1
     chosen = door & (number == jnp.arange(size)[:, None])
     first = jnp.argmax(chosen, axis=1)
-    return jnp.any(chosen, axis=1), middle[first], jnp.arctan2(out[first, 1], out[first, 0]), wide[first]
+    doors = jnp.any(chosen, axis=1), middle[first], jnp.arctan2(out[first, 1], out[first, 0]), wide[first]
+    return doors, jnp.sum(door, dtype=jnp.int32)
