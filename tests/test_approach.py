@@ -107,19 +107,25 @@ def test_a_place_that_a_robot_sees_from_afar_as_it_looks_round_is_gone_to():
     assert found.drive.target.tolist() == pytest.approx([0, Y_M])
 
 
-def leaving(track_xy, target, out_m, latch=Latch.LEAVE):
-    """Whether a robot that leaves a place, so far beyond its circle, for a target on the x axis begins to approach a
-    place that it has seen.
+def leaving(track_xy, target, out_m, latch=Latch.LEAVE, passed=None, guide=None):
+    """Whether a robot that leaves a place, so far beyond its circle, for a target begins to approach a place it has
+    seen: all along an axis that is turned by 40 degrees. `passed`: x and radius of a place that was none.
     """
+    cos, sin = math.cos(0.7), math.sin(0.7)
+
+    def turned(x, y):
+        return jnp.array([cos * x - sin * y, sin * x + cos * y])
+
     writer = mapping.begin(mapping.LEAN_STEPS, 8, 16, jnp.array([-50.0, 0.0, 0.0]), False)
     map_, node = btm.add_node(writer.map, btm.DIVERGENCE, 0.0, 0.0, radius_m=1.0)
-    pose = jnp.array([1.0 + out_m, 0.0, 0.0])
+    if passed is not None:
+        writer = writer.replace(passed=jnp.array([*turned(passed[0], 0.0), passed[1], 5.0]))
     state = SimpleNamespace(
-        drive=behaviour.at_rest().replace(latch=jnp.int32(latch), target=jnp.array(target)),
-        writer=writer.replace(map=map_, node=node),
-        estimate=pose,
+        drive=behaviour.at_rest().replace(latch=jnp.int32(latch), target=turned(*target)),
+        writer=writer.replace(map=map_, node=node, node_m=jnp.float32(4), guide=guide),
+        estimate=jnp.append(turned(1.0 + out_m, 0.0), 0.3),
     )
-    track = Track(jnp.array(track_xy), jnp.float32(1.2), jnp.uint32(511), jnp.int32(20), jnp.float32(math.nan))
+    track = Track(turned(*track_xy), jnp.float32(1.2), jnp.uint32(511), jnp.int32(20), jnp.float32(math.nan))
     return bool(approach._is_on_way(state, track, TUNING))
 
 
@@ -137,6 +143,15 @@ def leaving(track_xy, target, out_m, latch=Latch.LEAVE):
 def test_on_the_way_to_a_far_opening_a_robot_heeds_places_that_it_passes(place, target, out_m, heeds):
     assert leaving(place, target, out_m) == heeds
     assert not leaving(place, target, out_m, latch=Latch.APPROACH)
+
+
+def test_it_has_left_a_place_that_was_none_as_well():
+    assert not leaving((4.0, 0.3), (7.0, 0.0), 0.8, passed=(1.5, 1.0))
+    assert leaving((4.0, 0.3), (7.0, 0.0), 2.2, passed=(1.5, 1.0))
+
+
+def test_a_robot_that_follows_a_route_heeds_none_on_the_way():
+    assert not leaving((4.0, 0.3), (7.0, 0.0), 0.8, guide=object())
 
 
 # A corridor along y, and doors 0.9 m wide on both sides of it, not quite opposite, into wide rooms.

@@ -721,6 +721,9 @@ def test_what_else_is_seen_at_a_known_place_is_tried_once():
     assert links_of(after)[3:] == [(1, NONE, UNSEARCHED)]
     assert degrees(after.map.start_bearing[3]) == pytest.approx(90, abs=3)
     assert (int(after.link), int(after.tries[3]), latch) == (3, links.TRIES, Latch.LEAVE)
+    # From 0.75 m beside it, where ways would bear otherwise, none is added.
+    beside, *_ = back_at_the_t(writer.replace(map=map_), *came, centre=(T_CENTRE[0] + 0.75, T_CENTRE[1]))
+    assert int(beside.map.n_links) == 3
     # A link that bears no farther from it is the one.
     for off_deg, n_links in ((20, 3), (30, 4)):
         bearing = writer.map.start_bearing.at[north].add(math.radians(off_deg))

@@ -86,7 +86,7 @@ def latched(
     distance = _away_m(state, target)
     near = distance < tuning.arrive_m
     lost = (drive.latch == Latch.APPROACH) & (track.age == 0) & ((distance > track.radius + LOST_M) | ahead.leans)
-    late = (drive.latch != Latch.FREE) & (drive.since > behaviour.LATCH_STEPS)
+    late = (drive.latch != Latch.FREE) & (drive.since > behaviour.LATCH_STEPS) & ~begins
     shut = (state.mode == RunMode.DEAD_END) | (state.mode == RunMode.CONTACT_GUARD) | state.manoeuvre.backing
     surveys = (drive.latch == Latch.FREE) & ~begins & shut & (state.odometer_m - drive.looked_m > SURVEY_M)
     looks, none = drive.latch == Latch.LOOK, (jnp.float32(0), jnp.float32(0))
@@ -128,10 +128,17 @@ def _away_m(state, place):
 
 
 def _is_on_way(state, track, tuning):
-    """Whether a place lies on the way to an opening far from the place that the robot leaves: it is passed before."""
-    map_, node = state.writer.map, jnp.minimum(state.writer.node, state.writer.map.kind.shape[0] - 1)
-    gone_m = _away_m(state, jnp.stack([map_.x_m[node], map_.y_m[node]]))
-    is_out = (gone_m > map_.radius_m[node] + tuning.leave_m) & (state.drive.latch == Latch.LEAVE)
+    """Whether a place lies on the way to an opening far from the place that the robot leaves: it is passed before.
+
+    A robot that follows a route looks for its own places.
+    """
+    writer, map_ = state.writer, state.writer.map
+    if writer.guide is not None:
+        return jnp.bool_(False)
+    node = jnp.minimum(writer.node, map_.kind.shape[0] - 1)
+    left = jnp.stack([map_.x_m[node], map_.y_m[node], map_.radius_m[node]])
+    left = jnp.where(writer.passed[3] > writer.node_m, writer.passed[:3], left)  # a place that was none
+    is_out = (_away_m(state, left[:2]) > left[2] + tuning.leave_m) & (state.drive.latch == Latch.LEAVE)
     way = state.drive.target - state.estimate[:2]
     ahead, aside = to_robot(jnp.append(state.estimate[:2], jnp.arctan2(way[1], way[0])))(track.centre)
     on_m = jnp.hypot(*way)
@@ -166,8 +173,8 @@ def _look_ends(state, track, ends, around, ways_m, placed, tuning, robot):
     better, back = better & ~is_gateway, back & ~is_gateway
     there_is = had & jnp.where(is_gateway, there, there_is | drive.known)
     # One that looks round where the way is shut may see the place that it means from afar.
-    far = ends & there_is & (_away_m(state, chosen.centre) > AT_PLACE * tuning.arrive_m)
-    return _Look(ends, chosen, better | back | far, back, there_is)
+    far = ends & there_is & ~is_gateway & (_away_m(state, chosen.centre) > AT_PLACE * tuning.arrive_m)
+    return _Look(ends, chosen, better | back | (far & may_go), back, there_is & (~far | may_go))
 
 
 def _surveyed(track, in_map, around, ways_m, placed, tuning, robot):

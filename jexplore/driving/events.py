@@ -180,13 +180,14 @@ def triangles(xy: Array, valid: Array, wall_m: Array | float, tuning: Tuning) ->
     Where the robot looks far, it looks once more at what is near alone: of all that it sees at once, points would lie
     too far apart to show a door.
     """
-    views = jnp.stack([1.0 * tuning.far_m, jnp.minimum(tuning.far_m, NEAR_M)])
+    far_m = perception.far_bound(tuning.far_m, tuning.width_m, BEAM_SPACING_RAD, wall_m)
+    views = jnp.stack([far_m, jnp.minimum(far_m, NEAR_M)])
 
     def look(far_m):
         return perception.divergences(
             xy,
             valid,
-            far_m=perception.far_bound(far_m, tuning.width_m, BEAM_SPACING_RAD, wall_m),
+            far_m=far_m,
             width_m=tuning.width_m,
             obtuse_tol_deg=tuning.obtuse_tol_deg,
             open_m=tuning.open_m,
@@ -201,7 +202,7 @@ def triangles(xy: Array, valid: Array, wall_m: Array | float, tuning: Tuning) ->
         )
 
     blank = jax.tree.map(lambda a: jnp.zeros((2, *a.shape), a.dtype), jax.eval_shape(look, views[0]))
-    found = lax.fori_loop(0, jnp.where(tuning.far_m > NEAR_M, 2, 1), put, blank)
+    found = lax.fori_loop(0, jnp.where(far_m > NEAR_M, 2, 1), put, blank)
     found = jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:]), found)
     return found.replace(overflow=jnp.max(found.overflow))
 

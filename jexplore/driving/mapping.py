@@ -89,7 +89,7 @@ class Writer:
     lone_step: LoneStep  # that is ahead or under the robot
     border_m: Array  # float32, odometer at which a free space will have been entered or left; inf: none
     passed: Array  # [4] float32, a place that was none: x, y, radius, metres; odometer there
-    tries: Array  # [M] int32, how often the robot has set off on a link that was un-searched
+    tries: Array  # [M] int32, how often the robot has set off on a link that was un-searched, or may do so no more
     fails: Array  # [M] int32, how often in a row a searched link has led elsewhere
     rounds: Array  # int32, how often links that were given up have got another chance
     exhausted: Array  # bool, nothing is left to follow

@@ -310,12 +310,14 @@ def _add_openings(writer, map_, event, at, found, others, when):
     """A divergence's links: `(writer, map)`.
 
     A new one has all its openings but the way in. One that is met again has those besides that bear otherwise than any
-    of its links, for from elsewhere more may be seen; each is tried once. A start in the circle of a new one is on no
-    link: what leads away from it leads away from the divergence.
+    of its links, for from elsewhere more may be seen; each is given up after one try. Not so before the gateways of a
+    hall, nor where the robot follows a route. A start in the circle of a new one is on no link: what leads away from it
+    leads away from the divergence.
     """
     own, bearing = links.ends_at(map_, at.node)
     known = jnp.any(own[:, None] & (jnp.abs(btm.wrapped(bearing[:, None] - found.bearing)) < NEW_RAD), axis=0)
-    goes = others & when & (~at.again | (at.met & ~known))
+    more = at.met & ~known & jnp.isnan(event.out) if writer.guide is None else False
+    goes = others & when & (~at.again | more)
     before = map_.n_links
     for i in range(OPENINGS):
         map_, _ = btm.add_link(map_, at.node, found.bearing[i], when=goes[i], opening_m=found.width_m[i])
