@@ -21,7 +21,7 @@ from jexplore.driving.mapping import has_left
 from jexplore.driving.sensing import surround
 from jexplore.driving.sensing.surround import Surround
 from jexplore.driving.settings import Robot, Tuning
-from jexplore.driving.vehicle import ANGLES_RAD, RANGE_M, Building, Senses, to_robot, touches
+from jexplore.driving.vehicle import ANGLES_RAD, RANGE_M, Building, Senses, to_robot, touches, towards
 
 LOOK_RAD = math.pi - 0.05  # the robot looks round by turning so far: the scanner sees half of what there is
 LOOK_STEP_RAD = 0.2  # it stops where it cannot turn so far on
@@ -107,7 +107,7 @@ def latched(
     turned = lost & ~aligned  # towards what is none: it would go back the way it came
     latch = jnp.where(turned, Latch.LEAVE, jnp.where(has_left | lost | too_late, Latch.FREE, latch))
     from_ = jnp.where(turned, state.estimate[:2], track.centre)
-    onward = from_ + tuning.leave_m * jnp.stack([jnp.cos(drive.out), jnp.sin(drive.out)])
+    onward = from_ + tuning.leave_m * towards(drive.out)
     target = jnp.where(ends & look.goes_on, look.track.centre, jnp.where(none | turned, onward, target))
     after = drive.replace(
         latch=latch.astype(jnp.int32),

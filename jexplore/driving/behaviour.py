@@ -15,7 +15,7 @@ from jax import Array, lax
 from jexplore.driving import manoeuvre
 from jexplore.driving.sensing import perception, surround, ways_out
 from jexplore.driving.settings import Robot, Tuning
-from jexplore.driving.vehicle import DT_S
+from jexplore.driving.vehicle import DT_S, towards
 
 WINDOW = 9  # scans that vote
 DOUBT = 2  # votes up to which another triangle takes the place of one that a scan does not show
@@ -330,7 +330,7 @@ def target_of(
     middle = jnp.stack([tuning.ahead_m * cos + off_m * sin, tuning.ahead_m * sin - off_m * cos])
     ahead = jnp.where((mode == RunMode.WALL_FOLLOWING) | (open_left ^ open_right), wall, middle)
     coasts = (mode == RunMode.WALL_FOLLOWING) & jnp.isfinite(coast)
-    ahead = jnp.where(coasts, tuning.ahead_m * jnp.stack([jnp.cos(coast), jnp.sin(coast)]), ahead)
+    ahead = jnp.where(coasts, tuning.ahead_m * towards(coast), ahead)
     return jnp.where(mode == RunMode.BRANCH_SELECTION, _selected(drive, to_robot, tuning), ahead)
 
 
@@ -357,7 +357,7 @@ def _selected(drive, to_robot, tuning):
     the robot comes before it first, so that it does not meet the jamb.
     """
     target = to_robot(drive.target)
-    axis = to_robot(drive.target + jnp.stack([jnp.cos(drive.out), jnp.sin(drive.out)])) - target
+    axis = to_robot(drive.target + towards(drive.out)) - target
     before_m, beside_m = target @ axis, target[1] * axis[0] - target[0] * axis[1]
     via_m = tuning.leave_m + BEFORE_M
     first = drive.aside & (drive.latch == Latch.LEAVE) & (jnp.abs(beside_m) > BESIDE_M) & (before_m > via_m)

@@ -21,7 +21,7 @@ from jexplore.driving.mapping import Writer
 from jexplore.driving.sensing import gateways, surround
 from jexplore.driving.sensing.surround import Surround
 from jexplore.driving.settings import Robot, Tuning
-from jexplore.driving.vehicle import to_robot
+from jexplore.driving.vehicle import to_robot, towards
 
 MOUTH_M = 1.0  # before the border of a hall its gateway is narrowest within this
 ABEAM_M = 0.4  # a gateway is beside the robot if its middle is no farther ahead or behind
@@ -121,7 +121,7 @@ def looked(
     """
     heading = state.estimate[2]
     out = track.out - heading
-    middle = to_robot(state.estimate)(track.centre) + tuning.coast_m * jnp.stack([jnp.cos(out), jnp.sin(out)])
+    middle = to_robot(state.estimate)(track.centre) + tuning.coast_m * towards(out)
     there, middle, out, width_m = gateways.gateway(*surround.points(around), middle, out, tuning.width_m)
     found = _before(placed(middle), heading + out, width_m, tuning)
     return jax.tree.map(lambda new, old: jnp.where(there, new, old), found, track), there
@@ -129,7 +129,7 @@ def looked(
 
 def _before(middle, out, width_m, tuning):
     """The place before a gateway, believed, a `Track`: so far before it as walls are followed at."""
-    centre = middle - tuning.coast_m * jnp.stack([jnp.cos(out), jnp.sin(out)])
+    centre = middle - tuning.coast_m * towards(out)
     return behaviour.believed(centre, jnp.hypot(tuning.coast_m, width_m / 2), out)
 
 
@@ -223,7 +223,7 @@ def circled(
     is_round = is_back & (turned > ROUND_RAD) & alone
     leaves = is_back & (jnp.abs(turned) > ROUND_RAD) & ~is_round
     out = estimate[2] - drive.side * math.pi / 2
-    target = estimate[:2] + AWAY_M * jnp.stack([jnp.cos(out), jnp.sin(out)])
+    target = estimate[:2] + AWAY_M * towards(out)
     after = drive.replace(
         latch=jnp.where(leaves, Latch.LEAVE, drive.latch).astype(jnp.int32),
         target=jnp.where(leaves, target, drive.target),

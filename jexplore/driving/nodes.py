@@ -19,7 +19,7 @@ from jexplore.driving.mapping import Writer, along, came_from, came_through, has
 from jexplore.driving.sensing import gateways, obstacles, openings
 from jexplore.driving.sensing.ways_out import ways_out
 from jexplore.driving.settings import Robot, Tuning
-from jexplore.driving.vehicle import to_odometry
+from jexplore.driving.vehicle import to_odometry, towards
 
 OPENINGS = 8  # of a divergence
 DOOR_BEFORE_M = 3.0  # a door that was passed so far before another opening is the way in
@@ -107,7 +107,7 @@ def _find_openings(writer, event, points, tuning, is_divergence):
       `(found, others, back)`: `openings.Openings`; which of them are not the way in; bearing of that way, radians.
     """
     came = jnp.where(
-        is_divergence, came_from(writer, event.centre, event.radius) - event.centre, -passing.heading(event.pose[2])
+        is_divergence, came_from(writer, event.centre, event.radius) - event.centre, -towards(event.pose[2])
     )
     came = jnp.arctan2(came[1], came[0])
     found = ways_out(
@@ -234,11 +234,11 @@ def write(
 def _way_out(event, found, left, turn, leave_m, is_divergence):
     """From the centre to a point on the link that is taken: `[2]`; and its direction there, radians."""
     bearing = left.bearing
-    ways = leave_m * passing.heading(bearing), bearing
+    ways = leave_m * towards(bearing), bearing
     ways = _either_of(is_divergence, passing.through(event, found, bearing, turn, leave_m), ways)
     if left.onward is None:
         return ways
-    beyond = left.onward.middle - event.centre + (event.radius + leave_m) * passing.heading(bearing)
+    beyond = left.onward.middle - event.centre + (event.radius + leave_m) * towards(bearing)
     return _either_of(left.onward.is_free, (beyond, bearing), ways)
 
 

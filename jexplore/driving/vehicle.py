@@ -275,6 +275,11 @@ def move(
     return moved, jnp.where(goes, odometry, estimate), jnp.where(goes, jnp.abs(measured), 0)
 
 
+def towards(angle: Array | float) -> Array:
+    """The unit vector of a direction, radians: `[2]` float32."""
+    return jnp.stack([jnp.cos(angle), jnp.sin(angle)])
+
+
 def to_odometry(estimate: Array) -> Callable[[Array], Array]:
     """A function from points `[..., 2]` in the robot's frame to the odometry's."""
     cos, sin = jnp.cos(estimate[2]), jnp.sin(estimate[2])

@@ -12,7 +12,7 @@ from jexplore.driving.guiding import leaving
 from jexplore.driving.mapping import Writer
 from jexplore.driving.sensing.openings import Openings
 from jexplore.driving.settings import Tuning
-from jexplore.driving.vehicle import to_odometry
+from jexplore.driving.vehicle import to_odometry, towards
 
 CORNER = 1.3  # of a circle's diameter: with only one opening, wider than this, it lies in a corner
 IN_LINE_RAD = math.radians(45)  # two openings are in line if they are no farther from it
@@ -59,7 +59,7 @@ def past(event: Any, measured: tuple[Array, Openings], which: Array, others: Arr
     far = jnp.any(others) & (jnp.hypot(*found.middle[which]) > tuning.circle * event.radius)
     far &= links.reach_m(points, event.centre, ahead, event.radius) > on_m + leave_m
     target, out = through(event, found, found.bearing[which], 0.0, leave_m)
-    return jnp.where(far, on_m * heading(ahead), target), jnp.where(far, ahead, out)
+    return jnp.where(far, on_m * towards(ahead), target), jnp.where(far, ahead, out)
 
 
 def through(
@@ -72,16 +72,11 @@ def through(
     which = jnp.argmin(off)
     middle, across = found.middle[which], found.across[which] + turn
     middle = to_odometry(jnp.stack([0.0, 0.0, turn]))(middle)
-    plain = (event.radius + leave_m) * heading(bearing)
+    plain = (event.radius + leave_m) * towards(bearing)
     near = (off[which] < math.pi / 4) & ~is_behind(found)[which]
-    return jnp.where(near, middle + leave_m * heading(across), plain), jnp.where(near, across, bearing)
+    return jnp.where(near, middle + leave_m * towards(across), plain), jnp.where(near, across, bearing)
 
 
 def is_behind(found: Openings) -> Array:
     """Openings whose narrowest place lies on the other side of the centre: there is one wall only, before it: `[K]`."""
     return found.middle[:, 0] * jnp.cos(found.across) + found.middle[:, 1] * jnp.sin(found.across) < 0
-
-
-def heading(angle: Array | float) -> Array:
-    """The unit vector of a direction, radians: `[2]` float32."""
-    return jnp.stack([jnp.cos(angle), jnp.sin(angle)])

@@ -14,6 +14,7 @@ from jexplore.driving.guiding.guide import AHEAD, THERE_M, Guide, next_of
 from jexplore.driving.mapping import Writer
 from jexplore.driving.sensing import surround
 from jexplore.driving.settings import Robot, Tuning
+from jexplore.driving.vehicle import towards
 
 LOST = 1.5, 5.0  # none of the next places within so many times the way and so many metres more: the robot is lost
 END_M = 0.4, 0.2, 0.8  # the end is there within so much, more for each metre that the way is longer, and at most
@@ -136,9 +137,9 @@ def _steered(state, guide, drive, track, estimate, ways_m, places, tuning, robot
     wants |= ((state.mode != RunMode.CENTRAL) & (state.mode != RunMode.BRANCH_SELECTION)) | guide.steers
     steers = may & ~looks & wants & (sees | jnp.any(jnp.isfinite(cost)))
     steers &= (is_end | ~has_looked) & ~meets
-    hop = estimate[:2] + jnp.minimum(off_m, HOP_M) * jnp.stack([jnp.cos(best), jnp.sin(best)])
+    hop = estimate[:2] + jnp.minimum(off_m, HOP_M) * towards(best)
     out = guide.out[jnp.minimum(guide.at, guide.out.shape[0] - 1)] - guide.turned
-    beyond = place + HOP_M * jnp.stack([jnp.cos(out), jnp.sin(out)])
+    beyond = place + HOP_M * towards(out)
     frees = guide.steers & leaves & ~steers & ~looks & ~meets
     latch = jnp.where(frees, Latch.FREE, jnp.where(steers | meets, Latch.LEAVE, drive.latch))
     latch = jnp.where(looks, Latch.APPROACH, latch)
