@@ -257,6 +257,33 @@ def test_what_gets_it_away_from_what_it_has_touched_is_gone_on_with():
     assert tuple(way) not in {tuple(way) for way in tried}  # back along its way
 
 
+@pytest.mark.parametrize("side", [1, -1])
+@pytest.mark.parametrize("error_m", [0.0, 0.02, 0.04])
+def test_close_along_a_wall_it_gets_away(side, error_m):
+    """It wants to turn away, there is no room to turn, and the wall is nearer than it has seen: it leans away."""
+    gap_m, half = 0.004, np.array([KAMUI.length_m, KAMUI.width_m]) / 2
+    wall_m = half[1] + gap_m
+    corners = half * [(1, 1), (1, -1), (-1, 1), (-1, -1)]
+    along = np.arange(-4, 4, 0.03)
+    now, pose, contacts, touched = along_x(2.0), np.array([0.0, 0.0, 0.0]), 0, False
+    for _ in range(150):
+        cos, sin = math.cos(pose[2]), math.sin(pose[2])
+        x, y = along - pose[0], side * (wall_m + error_m) - pose[1]
+        seen = np.stack([x * cos + y * sin, y * cos - x * sin], axis=1)
+        bearing = (-side * math.pi / 2 - pose[2] + math.pi) % (2 * math.pi) - math.pi
+        now, v, omega = driven(now, of(*seen), pose=pose, bearing=bearing, touched=touched)
+        after = exact(pose, v, omega)
+        cos, sin = math.cos(after[2]), math.sin(after[2])
+        touched = (side * (after[1] + corners @ [sin, cos]) > wall_m).any()
+        contacts += touched
+        pose = pose if touched else after
+        now = _remembered(now, jnp.asarray(pose, jnp.float32))
+        if -side * pose[1] > 0.5:
+            break
+    assert -side * pose[1] > 0.5, (pose, contacts)
+    assert contacts < 20
+
+
 def test_it_goes_back_no_farther_where_that_leads_nowhere():
     """Between walls where it cannot turn, with a third one behind it."""
     beside, behind = [(0, 0.3), (0, -0.3)], [(-0.36, y) for y in (-0.1, 0, 0.1)]
@@ -285,21 +312,23 @@ def test_going_back_it_comes_over_to_the_trail(left_m):
 
 
 @pytest.mark.parametrize("side", [1, -1])
-def test_a_robot_that_touches_a_wall_leads_away_from_it(side):
-    """Half a centimetre beside it and along its whole length: neither the plan nor straight back gets free of it."""
-    rear = [(x, side * 0.2) for x in np.arange(-0.5, 0.36, 0.05)]
-    now = along_x(1.0).replace(backing=jnp.bool_(True))
-    pose = np.zeros(3)
-    for _ in range(8):
-        offset = np.array(rear) - pose[:2]
+def test_a_robot_that_goes_back_along_a_wall_leans_away_from_it(side):
+    """Half a centimetre beside it: its outline never meets the wall, and soon has room to turn."""
+    now = along_x(4.0).replace(backing=jnp.bool_(True))
+    pose, along = np.zeros(3), np.arange(-6, 0.36, 0.05)
+    corners = [(x, y) for x in (-0.35, 0.35) for y in (-0.195, 0.195)]
+    for _ in range(200):
+        offset = np.stack([along, np.full(len(along), side * 0.2)], axis=1) - pose[:2]
         cos, sin = math.cos(pose[2]), math.sin(pose[2])
         seen = np.stack([offset @ [cos, sin], offset @ [-sin, cos]], axis=1)
-        now, v, omega = driven(now, of(*seen), pose=pose)
+        now, v, omega = driven(now, of(*seen), pose=pose, turning=-side)
+        if not now.backing:
+            break
         pose = exact(pose, v, omega)
-    # The corner of its outline that is nearest to the wall has come away from it.
-    corners = [(x, y) for x in (-0.35, 0.35) for y in (-0.195, 0.195)]
-    aside = [side * (pose[1] + math.sin(pose[2]) * x + math.cos(pose[2]) * y) for x, y in corners]
-    assert 0.2 - max(aside) > 0.005
+        aside = [side * (pose[1] + math.sin(pose[2]) * x + math.cos(pose[2]) * y) for x, y in corners]
+        assert max(aside) < 0.2
+    assert not now.backing
+    assert -side * pose[1] > 0.2, pose
 
 
 def lines(*segments):

@@ -18,6 +18,7 @@ from jexplore.btm import wrapped
 from jexplore.driving.sensing import surround
 from jexplore.driving.sensing.surround import DIRECTION, Surround
 from jexplore.driving.settings import Robot, Tuning
+from jexplore.driving.vehicle import DT_S
 
 TRAIL = 256  # poses of the way here that are kept
 TRAIL_M = 0.04  # way between two
@@ -34,6 +35,10 @@ AWAY_RAD_S = 0.0, 0.1, 0.2, 0.5, 1.0  # turning so fast
 LEAST_BACK_M = 0.005  # a step counts so much, turns too
 AHEAD_S = 0.2  # a step is looked at so far ahead
 FREES = 8  # steps for which it goes on with what gets it away from what it has touched
+AGAIN = 8  # and steps after these within which the next way is tried where it touches again
+# Those ways: speeds, in halves of its speed, and turn rates away from what is nearest, radians a second.
+LEAN = 0.1  # close beside a wall its outline allows no larger one
+WAYS = *((v, turn) for turns in ((0, LEAN), (0.5, -0.5), (1, -1)) for v in (-1, 1) for turn in turns), (0, 1), (0, -1)
 SLACK_M = 0.01  # between a wall and the robot's outline after a step
 STICK = 0.3  # weight of the direction taken before
 
@@ -48,8 +53,8 @@ class Manoeuvre:
     backing: Array  # bool, it is going back
     backed_m: Array  # float32, how far
     away_m: Array  # float32, so far it still goes ahead, for there is no room behind it; 0: it does not
-    tried: Array  # int32, how often it has touched something and tried another way to get away from it
-    frees: Array  # int32, steps for which it still goes that way
+    tried: Array  # int32, which of `WAYS` it tries to get away from what it has touched
+    frees: Array  # int32, steps for which it still does, and `AGAIN`
     avoiding: Array  # bool, it goes round something
     side: Array  # float32, radians, direction in which
     replace: ClassVar[Callable[..., Self]]
@@ -127,7 +132,10 @@ def drive(
     starts, enough = _backs(now, around, robot, in_place, wanted, omega, touched)
     goes = (now.backing | starts) & (now.kept > 1)
     still = jnp.float32(0), jnp.float32(0), now.length, jnp.bool_(False), jnp.float32(0)
-    now = now.replace(tried=now.tried + touched, frees=jnp.where(touched, FREES, jnp.maximum(now.frees - 1, 0)))
+    now = now.replace(
+        tried=jnp.where(touched, jnp.where(now.frees > 0, (now.tried + 1) % len(WAYS), 0), now.tried),
+        frees=jnp.where(touched, FREES + AGAIN, jnp.maximum(now.frees - 1, 0)),
+    )
     side = jnp.sign(jnp.where(turning != 0, turning, course))
     back_v, back_omega, length, wedged, away_m = run_if(
         goes, lambda _: _back_or_away(now, around, robot, pose, speed, side), still
@@ -186,17 +194,36 @@ def _backs(now, around, robot, in_place, wanted, omega, touched):
     return starts, (now.backed_m >= BACK_M) & can | (now.backed_m > MOST_BACK_M)
 
 
-def _gets_free(speed):
-    """Short ways by which a robot that touches something may get away from it: `[K, 2]`, speed and turn rate."""
-    ways = [(v, omega) for v in (-0.5, 0.5) for omega in (0.0, -0.5, 0.5, -1.0, 1.0)] + [(0.0, -1.0), (0.0, 1.0)]
-    return jnp.asarray(ways) * jnp.stack([speed, jnp.ones_like(speed)])
+def _beside(around, robot):
+    """Where something is nearest beside the robot, 1 to the left and -1 to the right; how near; and whether that leaves
+    no room to turn in place, while there is room between it and the other side, and behind: `(side, off_m, leans)`.
+    """
+    xy, known = surround.points(around)
+    x, y = xy.T
+    half_m, width_m = robot.length_m / 2, robot.width_m / 2
+
+    def nearest(there, off_m):
+        return jnp.min(jnp.where(known & there, off_m, jnp.inf))
+
+    left, right = (nearest((jnp.abs(x) < half_m + BACK_M) & (side * y > 0), side * y) - width_m for side in (1, -1))
+    behind = nearest((x < 0) & (jnp.abs(y) < width_m), -x) - half_m
+    needed_m = jnp.hypot(half_m, width_m) + 2 * surround.MARGIN_M - width_m
+    leans = (jnp.minimum(left, right) < needed_m) & (left + right > 2 * needed_m) & (behind > BACK_M)
+    return jnp.where(left < right, 1, -1), jnp.minimum(left, right), leans
+
+
+def _gets_free(speed, side):
+    """`WAYS` as `[K, 2]`, metres and radians a second."""
+    # Going ahead, it leaves what is to the left by turning right; going back, by turning left.
+    return jnp.stack([jnp.stack([v * speed / 2, jnp.float32(turn) * side * (-1 if v > 0 else 1)]) for v, turn in WAYS])
 
 
 def _back(now, around, robot, pose, speed):
     """Speed and turn rate to the pose before, how many poses are left, and whether neither is free: `(v, omega, length,
     wedged)`.
 
-    Where that would touch, it goes straight back, and where that would, by whatever leads farthest away.
+    Where that would touch, it goes straight back, and where that would, by whatever leads farthest away. Along a wall
+    it leans away from that, else it would be as near after any way back.
     """
     goal = now.trail[(now.length - 1) % TRAIL]
     offset = goal[:2] - pose[:2]
@@ -209,23 +236,27 @@ def _back(now, around, robot, pose, speed):
     steered = turn - jnp.where(v < 0, jnp.clip(STEER * left, -MOST_STEER_RAD, MOST_STEER_RAD), 0)
     omega = jnp.where(aside, 0, jnp.clip(steered / 0.1, -1.0, 1.0))
     near = (behind < TRAIL_M / 2) & (aside | (jnp.abs(turn) < TRAIL_RAD + MOST_STEER_RAD))
-    ways = jnp.concatenate([jnp.stack([jnp.stack([v, omega])]), _gets_free(speed)])
+    side, off_m, leans = _beside(around, robot)
+    ways = jnp.concatenate([jnp.stack([v, omega])[None], _gets_free(speed, side)])
     room_m = jax.vmap(lambda way: _room_m(around, robot, way[0] * AHEAD_S, way[1] * AHEAD_S))(ways)
     # As planned, or straight back; where neither is free, by what leads farthest away; where a step has met what is not
     # seen, by one after the other.
     free = room_m[:2] >= SLACK_M
     best = jnp.where(jnp.any(free), jnp.argmax(free), jnp.argmax(room_m))
-    best = jnp.where(now.frees > 0, 2 + now.tried % (len(ways) - 2), best)
-    found, passes = ways[best], best > 0
+    best = jnp.where(now.frees > AGAIN, 1 + now.tried, best)
+    # Along a wall, by half of what its outline has room for. Where that touches, it goes straight back for a while.
+    lean = jnp.where(now.frees == 0, jnp.clip(off_m / robot.length_m / DT_S, 0, LEAN), 0.0)
+    leans &= now.frees <= AGAIN
+    found, passes = jnp.where(leans, jnp.stack([-speed / 2, side * lean]), ways[best]), leans | (best > 0)
     near |= passes & (jnp.hypot(offset[0], offset[1]) < BACK_M)
-    return found[0], found[1], jnp.where(near, now.length - 1, now.length), ~jnp.any(free)
+    return found[0], found[1], jnp.where(near, now.length - 1, now.length), ~jnp.any(free) & ~leans
 
 
 def _back_or_away(now, around, robot, pose, speed, side):
     """`_back`, and how far it still goes ahead: where there is no room behind it goes away from there."""
     back_v, back_omega, length, wedged = _back(now, around, robot, pose, speed)
     away_v, away_omega, is_free = _away(around, robot, speed, side)
-    away = is_free & (now.frees == 0) & (wedged | (now.away_m > 0))
+    away = is_free & (now.frees <= AGAIN) & (wedged | (now.away_m > 0))
     left_m = jnp.maximum(jnp.where(now.away_m > 0, now.away_m, AWAY_M) - away_v * 0.1, 0)
     v, omega = jnp.where(away, away_v, back_v), jnp.where(away, away_omega, back_omega)
     return v, omega, jnp.where(away, now.length, length), wedged, jnp.where(away, left_m, 0.0)
