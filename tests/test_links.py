@@ -1,6 +1,7 @@
 """Which known node a place is by its ways, where the odometry is off: cases one can check with a pencil."""
 
 import math
+from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -8,7 +9,9 @@ import numpy as np
 import pytest
 
 from jexplore import btm
-from jexplore.driving import links, mapping, nodes
+from jexplore.driving import behaviour, links, mapping, nodes
+from jexplore.driving.behaviour import Latch
+from jexplore.driving.events import _passes_start
 from jexplore.driving.sensing.openings import Openings
 from jexplore.driving.settings import ROBOTS, Tuning, for_world
 
@@ -94,10 +97,43 @@ def test_it_has_the_very_ways(found, expected):
     assert recognised(a_writer(T), (2.0, 0.0), place(*found), EAST) == expected
 
 
+@pytest.mark.parametrize(
+    ("found", "expected"), [((NORTH, SOUTH, EAST), 1), ((NORTH, SOUTH, EAST, WEST), 1), ((SOUTH, EAST), None)]
+)
+def test_a_link_that_was_given_up_may_be_seen_or_not(found, expected):
+    """It was an opening from where the robot saw it; the ways of the node are the others."""
+    writer = a_writer(((0.0, 0.0), (NORTH, SOUTH), (EAST, WEST)))
+    blocked = (writer.map.start == 1) & (jnp.abs(btm.wrapped(writer.map.start_bearing - WEST)) < 0.1)
+    assert recognised(writer, (2.0, 0.0), place(NORTH, SOUTH, EAST), EAST) is None
+    writer = writer.replace(map=writer.map.replace(blocked=blocked))
+    assert recognised(writer, (2.0, 0.0), place(*found), EAST) == expected
+    _, spread = links.turn_to(writer.map, jnp.int32(1), place(*found))
+    assert math.isfinite(spread) == (expected == 1)
+
+
 def test_the_way_by_which_the_robot_comes_must_wait_there():
     assert recognised(a_writer(T), (2.0, 0.0), place(NORTH, SOUTH, EAST), NORTH) is None
     done = ((0.0, 0.0), (NORTH, SOUTH, EAST), ())
     assert recognised(a_writer(done), (2.0, 0.0), place(NORTH, SOUTH, EAST), EAST) is None
+
+
+@pytest.mark.parametrize(
+    ("latch", "none_m", "expected"),
+    [
+        (Latch.FREE, -1.0, True),
+        (Latch.LEAVE, -1.0, True),
+        (Latch.LEAVE, 8.0, False),  # it has just looked round where no place was, and goes on from there
+        (Latch.FREE, 8.0, True),
+        (Latch.LOOK, -1.0, False),
+    ],
+)
+def test_a_robot_comes_back_to_its_start_along_its_link(latch, none_m, expected):
+    """From a place ten metres away, at which it was before."""
+    writer = a_writer(((-40.0, 0.0), (), (NORTH,)))
+    writer = writer.replace(node=jnp.int32(1), node_m=jnp.float32(5), passed=jnp.array([-49.0, 0.0, 1.0, none_m]))
+    drive = behaviour.at_rest().replace(latch=jnp.int32(latch))
+    state = SimpleNamespace(writer=writer, drive=drive, estimate=jnp.array([-50.1, 0.0, WEST]), odometer_m=9.0)
+    assert bool(_passes_start(state)) == expected
 
 
 @pytest.mark.parametrize(

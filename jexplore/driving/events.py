@@ -295,7 +295,7 @@ def _ground_ahead(x, z, robot, state):
 def _passes_start(state):
     """Whether the robot has come by the node where it started since it was at another one, along its link.
 
-    A start in the circle of a divergence is on no link.
+    A start in the circle of a divergence is on no link, nor is a robot that leaves a place that was none.
     """
     map_ = state.writer.map
     followed, to, there = links.led_to(state.writer)
@@ -305,6 +305,7 @@ def _passes_start(state):
     along = jnp.abs(jnp.cos(state.estimate[2] - map_.start_bearing[0])) > ALONG
     within = jnp.hypot(map_.x_m - map_.x_m[0], map_.y_m - map_.y_m[0]) < map_.radius_m
     on_link = ~jnp.any(within & (map_.kind == btm.DIVERGENCE)) & (state.drive.latch != Latch.LOOK)
+    on_link &= (state.drive.latch != Latch.LEAVE) | (state.writer.passed[3] <= state.writer.node_m)
     return (
         on_link
         & along

@@ -31,9 +31,10 @@ def turn_to(map_: Btm, node: Array, found: Openings) -> tuple[Array, Array]:
 
     Returns:
       `(turn, spread)`: radians, to be added; the farthest that a link lies from its opening once that is done, radians,
-        inf where an opening has no link, or a link no opening, within `TURN_RAD`.
+        inf where an opening has no link, or a link that is not given up no opening, within `TURN_RAD`.
     """
     own, bearing = ends_at(map_, node)
+    needed = own & ~jnp.tile(map_.blocked, 2)
     off = btm.wrapped(bearing[:, None] - found.bearing)  # [2M, K]
     off = jnp.where(own[:, None] & found.valid, off, jnp.inf)
     near = jnp.argmin(jnp.abs(off), axis=0)
@@ -42,7 +43,7 @@ def turn_to(map_: Btm, node: Array, found: Openings) -> tuple[Array, Array]:
     n = jnp.sum(counts)
     turn = jnp.sum(jnp.where(counts, least, 0)) / jnp.maximum(n, 1)
     has_opening = jnp.any(jnp.abs(off) < TURN_RAD, axis=1)
-    whole = (n >= 1) & jnp.all(counts == found.valid) & jnp.all(has_opening == own)
+    whole = (n >= 1) & jnp.all(counts == found.valid) & jnp.all(has_opening | ~needed)
     return turn, jnp.where(whole, jnp.max(jnp.where(counts, jnp.abs(least - turn), 0)), jnp.inf)
 
 
@@ -98,7 +99,7 @@ def ends_at(map_: Btm, node: Array) -> tuple[Array, Array]:
 
 
 def is_alike(map_: Btm, node: Array, found: Openings, back: Array, leads: Array) -> Array:
-    """Whether a place may be a node: all its links are among the openings, and all openings among them.
+    """Whether a place may be a node: all its links but those given up are among the openings, all openings among them.
 
     Args:
       map_: `Btm`.
@@ -112,7 +113,7 @@ def is_alike(map_: Btm, node: Array, found: Openings, back: Array, leads: Array)
     """
     own, bearing = ends_at(map_, node)
     near = own[:, None] & found.valid & (jnp.abs(btm.wrapped(bearing[:, None] - found.bearing)) < ALIKE_RAD)
-    missing = jnp.sum(own & ~jnp.any(near, axis=1))
+    missing = jnp.sum(own & ~jnp.tile(map_.blocked, 2) & ~jnp.any(near, axis=1))
     more = jnp.sum(found.valid & ~jnp.any(near, axis=0))
     waits = (map_.start == node) & btm.open_links(map_) & (jnp.abs(btm.wrapped(map_.start_bearing - back)) < ALIKE_RAD)
     return (missing == 0) & (more == 0) & (leads | jnp.any(waits))
