@@ -1,39 +1,38 @@
-"""Which beams of a scan enter a cell: a run of neighbours, so that whether one of them reaches it is two looks into a
-table of maxima, for every cell round the robot at once. For many maps in lockstep.
+"""Which beams of a scan enter a cell: a run of neighbours, so that how many of them come to it is two looks into a
+table of counts, for every cell round the robot at once. For many maps in lockstep.
 """
 
-import functools
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from flax import struct
 from jax import Array, lax
 
 from jexplore.arrays import bits
+from jexplore.grid import Grid
 from jexplore.raycast import Beams, Scan
 
-ROOM = 2**16  # places in a table of maxima: two bytes hold one
-# Cells: the table of such a radius takes 33.5 MB, for eight headings, and making it 100 MB; it grows with the square.
+HALF = 2**16  # what half of the bits of a word can hold
+ALIGN = 4  # columns and steps are made in whole multiples: as many are the work of one thread of an accelerator
+# Cells: the table of such a radius takes 30 MB, for eight headings, and making it 100 MB; it grows with the square.
 FARTHEST = 240
 
 
 @struct.dataclass
 class Spans:
-    """The run of beams that enter each cell round a robot, for each of K headings.
+    """The run of beams that enter each cell round a robot, for each of K headings."""
 
-    A run of n beams is covered by two runs of 2**k of them, which begin where it begins and end where it ends.
-    """
-
-    # [K, 2 A, 2 B] uint32, A = 2 R + 64, B = 2 R + 1, the robot's cell in row A and column B: where in the table of
-    # maxima the run stands that begins with it, and in the upper half of the bits the one that ends with it
-    places: Array
+    # [K, 2 A, 2 A] uint32, A = 2 R + ALIGN, the robot's cell in row and column A: the first beam of the run, and in the
+    # upper half of the bits the one after its last; each as 32 times its group and its place therein
+    runs: Array
     rounds: bool = struct.field(pytree_node=False)  # whether a run may go on from the last beam to the first
 
     @property
     def radius(self) -> int:
         """R, cells: the farthest row and column of which they tell. Those beyond are such as no beam enters."""
-        return (self.places.shape[-1] // 2 - 1) // 2
+        return (self.runs.shape[-1] // 2 - ALIGN) // 2
 
 
 def spans_of(beams: Beams, radius: int) -> Spans | None:
@@ -47,9 +46,6 @@ def spans_of(beams: Beams, radius: int) -> Spans | None:
     Returns:
       `Spans` of numpy arrays; None where the beams that enter a cell are no run of neighbours, or are too many, and for
       a radius beyond `FARTHEST`.
-
-    Source:
-      Bender and Farach-Colton 2000, range maxima by a sparse table.
     """
     if radius > FARTHEST:
         return None
@@ -59,29 +55,22 @@ def spans_of(beams: Beams, radius: int) -> Spans | None:
     if any(row is None for row in rows):
         return None
     first, size = (np.stack(a) for a in zip(*rows))
+    size[:, radius * side + radius] = 1  # the robot's own cell, as if the first beam entered it
     rounds = bool((first + size > n_beams).any())
-    width, level = (1 + rounds) * n_beams, np.frexp(np.maximum(size, 1))[1] - 1
-    never = _levels(n_beams) * width  # and after it the robot's own cell
-    if never + 2 > ROOM:
+    group = _group((1 + rounds) * n_beams)
+    begins, ends = (bits.WORD * (beam // group) + beam % group for beam in (first, first + size))
+    if ends.max() >= HALF:
         return None
-    places = np.where(size > 0, level * width + first + np.stack([0 * size, size - 2**level]), never)
-    places[..., radius * side + radius] = never + 1
-    begins, ends = places.astype(np.uint32).reshape(2, n_headings, side, side)
-    (above, left), never = _margins(radius), np.uint32(never * (ROOM + 1))
-    table = np.full((n_headings, 2 * above, 2 * left), never)
-    table[:, above - radius : above + radius + 1, left - radius : left + radius + 1] = begins + np.uint32(ROOM) * ends
+    middle = 2 * radius + ALIGN  # whatever part of a map is asked of lies within
+    table, near = np.zeros((n_headings, 2 * middle, 2 * middle), np.uint32), slice(middle - radius, middle + radius + 1)
+    table[:, near, near] = (begins + HALF * ends).reshape(n_headings, side, side)
     # Ignored types: numpy on the host, where the record says what it is on the device.
     return Spans(table, rounds)  # type: ignore[arg-type]
 
 
-def _margins(radius):
-    """Rows above the robot's in a table, and columns left of it: what `reached` asks of lies within."""
-    return 2 * radius + 2 * bits.WORD, 2 * radius + 1
-
-
-def _levels(n_beams):
-    """Levels of the table of maxima: those of 1, 2, 4, ... beams, at most all."""
-    return n_beams.bit_length()
+def _group(n):
+    """Of n beams so many share a word of a table of counts, which has room for a number up to n besides."""
+    return bits.WORD - max(8, n.bit_length())
 
 
 def _runs(beams, heading, radius):
@@ -108,64 +97,111 @@ def _runs(beams, heading, radius):
     return np.where(size > 0, first, 0), size
 
 
-def reached(
-    seen: Scan, when: Array | bool, pose: tuple[Any, Any, Any], spans: Spans, shape: tuple[int, ...]
-) -> tuple[Array, tuple[Array, Array]]:
-    """The cells of a map of which a scan tells something: those that beams pass, those that stop one, the robot's own.
+@jax.jit
+def fold(
+    grid: Grid, known: Array, pose: tuple[Any, Any, Any], seen: Scan, beams: Beams, when: Array | bool
+) -> tuple[Grid, Array]:
+    """`raycast.fold` without a cell that is written twice for its misses, and what comes to be known.
 
     Args:
-      seen: `Scan`, `[B]`, which stays inside the map.
-      when: bool scalar; if False, there are none.
+      grid: `Grid`, `[H, W]`.
+      known: `[ceil(H / 32), W]` uint32, packed, its known cells.
       pose: `(row, col, heading)` int32, where the scan was made. In a wall at the map's edge the answer is undefined.
-      spans: `Spans`, of a radius within which every cell of the map lies that a beam comes to.
-      shape: `(H, W)` of the map. Static.
+      seen: `Scan`, `[B]`, which stays inside the map.
+      beams: `Beams` with `Spans`, of a radius within which every cell of the map lies that a beam comes to.
+      when: bool scalar; if False, nothing is counted.
 
     Returns:
-      `(words, at)`: `[k, w]` uint32, packed, of that part of the map that a scan can change, and where in the packed
-        map it begins, `(word, col)` int32.
+      `(grid, known)`.
     """
-    (row, col, heading), radius, n_beams = pose, spans.radius, seen.end.shape[0]
-    n_words = min(-(-shape[0] // bits.WORD), -(-(2 * radius + bits.WORD) // bits.WORD))
-    width = min(shape[1], 2 * radius + 1)
-    at = (
-        jnp.clip((row - radius) // bits.WORD, 0, -(-shape[0] // bits.WORD) - n_words),
-        jnp.clip(col - radius, 0, shape[1] - width),
-    )
-    of_words, first = (n_words, width), (at[0] * bits.WORD - row, at[1] - col)
-    drow_of_word = lax.broadcasted_iota(jnp.int32, of_words, 0) * bits.WORD + first[0]
-    dcol = lax.broadcasted_iota(jnp.int32, of_words, 1) + first[1]
-    tops = _tops(jnp.where(when, seen.end + seen.hit, 0), n_beams, spans.rounds, when)
-    corner = heading, *(n + margin for n, margin in zip(first, _margins(radius)))
-    # Cut out in one, so that all rows of a word are found from one place.
-    places = lax.dynamic_slice(spans.places, corner, (1, bits.WORD * n_words, width))
-    places = places.reshape(n_words, bits.WORD, width)
-
-    def bit(i):
-        """Row i of every word, at its place."""
-        own = places[:, i]
-        top = jnp.maximum(_at(tops, own % ROOM), _at(tops, own // ROOM))
-        # A beam enters a cell with that step by which it has crossed as many rows and columns as lie between.
-        told = top.astype(jnp.int32) - jnp.abs(dcol) >= jnp.abs(drow_of_word + i)
-        return jnp.where(told, jnp.uint32(1 << i), jnp.uint32(0))
-
-    # Row by row, and not packed by a sum over rows: on an accelerator a fraction of the instructions.
-    return functools.reduce(jnp.bitwise_or, map(bit, range(bits.WORD))), at
+    shape = grid.misses.shape
+    counts, at = _entered(seen, when, pose, beams, shape)
+    if counts.shape == shape:
+        # Made with the misses, a byte a cell: else the counts would be stored.
+        told, misses = lax.optimization_barrier(counts > 0), grid.misses + counts
+        known = known | bits.pack(told, method="halves")
+    else:
+        # Both, though one would do: what is looked up would else be stored, four bytes for each look.
+        kind = jnp.uint8 if seen.end.shape[0] < 2**8 else jnp.uint16
+        told, counts = lax.optimization_barrier((counts > 0, counts.astype(kind)))
+        misses = _added(grid.misses, counts.astype(jnp.int32), at)
+        known = _also_known(known, told, at)
+    # A beam passes all cells that it enters but the one that stops it.
+    (row, col, heading), step = pose, jnp.minimum(seen.end, beams.offset.shape[1] - 1)
+    stop = row * shape[1] + col + beams.offset[heading, step, lax.iota(jnp.int32, step.shape[0])]
+    stop = jnp.where(seen.hit & when, stop, shape[0] * shape[1])
+    hits, misses = (a.reshape(-1).at[stop].add(n, mode="drop") for a, n in ((grid.hits, 1), (misses, -1)))
+    return Grid(hits=hits.reshape(shape), misses=misses.reshape(shape)), known
 
 
-def _at(table, places):
-    return table.at[places.astype(jnp.int32)].get(mode="promise_in_bounds")
+def _also_known(known, told, at):
+    """Packed known cells, with those of a part of the map that begins at `at`."""
+    n_words = min(known.shape[0], -(-(told.shape[0] + bits.WORD - 1) // bits.WORD))
+    spare, word = bits.WORD * n_words - told.shape[0], jnp.minimum(at[0] // bits.WORD, known.shape[0] - n_words)
+    rows = jnp.pad(told, ((spare, spare), (0, 0)))
+    corner = spare - (at[0] - bits.WORD * word), jnp.zeros_like(word)
+    words = bits.pack(lax.dynamic_slice(rows, corner, (bits.WORD * n_words, told.shape[1])), method="halves")
+    words |= lax.dynamic_slice(known, (word, at[1]), words.shape)
+    return lax.dynamic_update_slice(known, words, (word, at[1]))
 
 
-def _tops(told, n_beams, rounds, when):
-    """The table of maxima: for 1, 2, 4, ... neighbours from each beam on, the most cells that one of them tells of."""
-    # Fewer bytes, and enough: a beam goes on by a row or a column with every step, and ends in the map, all of whose
-    # cells that it can come to lie within the radius: after 2 `FARTHEST` steps at most, that which is stopped after one
-    # more.
-    told = told.astype(jnp.int16)
-    top = jnp.concatenate([told, told]) if rounds else told
-    levels = [top]
-    for k in range(_levels(n_beams) - 1):
-        top = jnp.maximum(top, jnp.pad(top[2**k :], (0, 2**k), constant_values=-1))
-        top = lax.optimization_barrier(top)  # else each level would be made anew from the scan itself
-        levels.append(top)
-    return jnp.concatenate([*levels, jnp.stack([jnp.int16(-1), jnp.where(when, jnp.int16(0), jnp.int16(-1))])])
+def _added(array, values, at):
+    """Values added to a part of an array that begins at `at`, each cell of which is written once."""
+    axes = tuple(range(array.ndim))
+    numbers = lax.ScatterDimensionNumbers(axes, (), axes)
+    once = {"indices_are_sorted": True, "unique_indices": True, "mode": "promise_in_bounds"}
+    return lax.scatter_add(array, jnp.stack(at), values, numbers, **once)
+
+
+def _entered(seen, when, pose, beams, shape):
+    """How many beams enter each cell of a map: those that pass it and those that it stops; one its own, the robot's.
+
+    Returns:
+      `(counts, at)`: `[h, w]` int32, of that part of the map that a scan can change, and where in the map it begins,
+        `(row, col)` int32.
+    """
+    (row, col, heading), spans, radius = pose, beams.spans, beams.spans.radius
+    size = min(shape[0], 2 * radius + 1), min(shape[1], -(-(2 * radius + 1) // ALIGN) * ALIGN)
+    at = [jnp.clip(n - radius, 0, full - own) for n, full, own in zip((row, col), shape, size)]
+    first = at[0] - row, at[1] - col
+    corner = heading, *(n + spans.runs.shape[-1] // 2 for n in first)
+    runs = lax.dynamic_slice(spans.runs, corner, (1, *size))[0]
+    counts, group = _counts(jnp.where(when, seen.end + seen.hit, -1), beams.offset.shape[1], spans)
+    # A beam enters a cell with that step by which it has crossed as many rows and columns as lie between.
+    drow, dcol = (lax.broadcasted_iota(jnp.int32, size, axis) + first[axis] for axis in (0, 1))
+    step = jnp.minimum(jnp.abs(drow) + jnp.abs(dcol), counts.shape[1] - 1).astype(jnp.uint32)
+
+    def before(beam):
+        """How many beams before one come as far as each cell."""
+        word = counts.reshape(-1).at[beam // bits.WORD * counts.shape[1] + step].get(mode="promise_in_bounds")
+        own = word & (jnp.uint32(1) << beam % bits.WORD) - 1
+        return ((word >> group) + lax.population_count(own)).astype(jnp.int32)
+
+    return before(runs // HALF) - before(runs % HALF), at
+
+
+def _counts(told, farthest, spans):
+    """How many beams come how far: for each step, that of the robot's own cell the first, a group of beams a word.
+
+    Args:
+      told: `[B]` int32, cells that each beam tells of; -1 for not even the robot's own.
+      farthest: steps of a beam. Static.
+      spans: `Spans`.
+
+    Returns:
+      `([n, s] uint32, group)`: in a word's `group` lower bits which beams come so far, in the others how many of those
+        before them do.
+    """
+    told = jnp.concatenate([told, told]) if spans.rounds else told
+    group = _group(told.shape[0])
+    n_groups, n_steps = told.shape[0] // group + 1, -(-(min(farthest, 2 * spans.radius) + 1) // ALIGN) * ALIGN
+    told = jnp.pad(told, (0, n_groups * group - told.shape[0]), constant_values=-1).reshape(n_groups, group, 1)
+    step = lax.broadcasted_iota(jnp.int32, (n_groups, n_steps), 1)
+    own = before = jnp.zeros(step.shape, jnp.uint32)
+    for i in reversed(range(group)):  # by the sign of a difference: two operations a beam
+        own = own << 1 | lax.bitcast_convert_type(step - 1 - told[:, i], jnp.uint32) >> 31
+    own = lax.optimization_barrier(own)  # once, and not for each sum that it is in
+    number = lax.broadcasted_iota(jnp.int32, step.shape, 0)
+    for i in range(n_groups - 1):
+        before += jnp.where(number > i, lax.population_count(own[i]), 0)
+    return lax.optimization_barrier(before << group | own), group

@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array, lax
 
+from jexplore import spans
 from jexplore.arrays import bits
 from jexplore.arrays.loops import one_kernel, run_if
 from jexplore.engine.native import Native, load_kernel
@@ -18,7 +19,6 @@ from jexplore.engine.program import Given
 from jexplore.exploration.state import Setup, State, Stream
 from jexplore.grid import Grid, count, is_known
 from jexplore.raycast import Beams, disturb, fold, scan
-from jexplore.spans import reached
 
 SOURCE, SYMBOL = Path(__file__).with_suffix(".cpp"), "jexplore_look"
 STRIDE = 16  # cells by which the square moves in which known cells are counted
@@ -117,13 +117,9 @@ def _told(setup, state, seen, beams, when):
     belief = state.belief
     pose, method = (belief.row, belief.col, belief.heading), belief.model.scan
     if beams.spans is not None:
-        words, at = reached(seen, when, pose, beams.spans, state.shape)
-        whole = words.shape == state.tally.shape
-        before = state.tally if whole else lax.dynamic_slice(state.tally, at, words.shape)
-        fresh = jnp.sum(lax.population_count(words & ~before), axis=0, dtype=jnp.int32)
-        tally = before | words if whole else lax.dynamic_update_slice(state.tally, before | words, at)
-        known = state.known + jnp.sum(lax.optimization_barrier(fresh), dtype=jnp.int32)
-        return fold(belief.grid, *pose, seen, beams, when=when, method=method), tally, known
+        grid, tally = spans.fold(belief.grid, state.tally, pose, seen, beams, when)
+        known = jnp.sum(lax.population_count(tally).astype(jnp.int32), axis=0, dtype=jnp.int32)
+        return grid, tally, jnp.sum(lax.optimization_barrier(known), dtype=jnp.int32)
     corner, size = square(belief.row, belief.col, state.shape, setup.window)
     # Known cells outside the square, counted before the update. The number is added where it changes nothing (it is
     # never negative), so that it is made first, and the update can then be made in place.

@@ -154,7 +154,7 @@ def prepare_site(
     )
     glances = tuple(windows(shape, model.clearance_d2, glances=True)) if kernels.in_pieces else None
     setup = _setup(everyone, world.cell_m, shape, limit, kernels.native, glances)
-    beams = _beams(everyone, world.cell_m, shape, setup.window if kernels.in_pieces else None)
+    beams = _beams(everyone, world.cell_m, shape, setup.window - 1 if kernels.in_pieces else None)
     return Site(truth, beams, setup, numbers)
 
 
@@ -187,11 +187,14 @@ def _setup(everyone, cell_m, shape, limit, native, glances):
     )
 
 
-def _beams(everyone, cell_m, shape, window):
-    """The same table for all rules and noise: megabytes. `window`: how far beams come, for `Spans`; None: without."""
+def _beams(everyone, cell_m, shape, radius):
+    """The same table for all rules and noise: megabytes. `radius`: how far beams come, for `Spans`; None: without.
+
+    `Setup.window` is a cell more.
+    """
     lidar, _ = everyone[0]
     scanner, longest_m = (lidar.n_beams, lidar.fov_deg, lidar.range_m), max(one.range_m for one, _ in everyone)
-    return _table(scanner, longest_m, cell_m, shape[1], None if window is None else min(window, max(shape)))
+    return _table(scanner, longest_m, cell_m, shape[1], None if radius is None else min(radius, max(shape)))
 
 
 @functools.lru_cache(maxsize=8)

@@ -135,9 +135,7 @@ def _schedules(world, recorded, n_lanes):
 def _row(plan, world, made, recorded, order):
     """What a program does, and what it would take: a dict."""
     turns = loop_turns(recorded, order)
-    # Beams that have ended, and lanes that do not scan, count nothing.
-    writes = order.busy * float(np.mean([plans.writes for plans in recorded]))
-    estimator = Estimator(made.module, targets.TARGETS[plan.target], plan.assume, turns, writes, made.kernels)
+    estimator = Estimator(made.module, targets.TARGETS[plan.target], plan.assume, turns, made.kernels)
     seconds = estimator.run(made.steps)
     loops = launches.loops(made.steps)
     turn = next(loop for loop in loops if not loop.scope)
@@ -158,7 +156,7 @@ def _row(plan, world, made, recorded, order):
         },
         "ms_per_turn_by_loop": {name or "turn": each * one.total for name, one in estimator.by_scope.items()},
         "iterations_per_turn": {name or "turn": one.iterations / order.turns for name, one in turns.items()},
-        "episodes": order.episodes, "writes": writes,
+        "episodes": order.episodes,
         "episodes_per_s": order.episodes / seconds.total,
     }  # fmt: skip
 
@@ -184,11 +182,9 @@ def tables(report: Mapping[str, Any]) -> str:
          for row in report["schedules"]],
     )  # fmt: skip
     speeds = markdown(
-        ["world", "lanes", "ms a turn", "syncs", "launches", "memory", "atomics", "instructions", "writes made",
-         "episodes/s"],
+        ["world", "lanes", "ms a turn", "syncs", "launches", "memory", "atomics", "instructions", "episodes/s"],
         [[row["world"], row["lanes"], *(row["ms_per_turn"][name] for name in
-          ("total", "syncs", "launches", "memory", "atomics", "instructions")), percent(row["writes"]),
-          row["episodes_per_s"]]
+          ("total", "syncs", "launches", "memory", "atomics", "instructions")), row["episodes_per_s"]]
          for row in programs],
     )  # fmt: skip
     given = ", ".join(f"{name} {value:g}" for name, value in assume.items() if value is not None)
@@ -196,5 +192,5 @@ def tables(report: Mapping[str, Any]) -> str:
         f"Compiled for {report['settings']['target']}, not run:\n\n{counts}",
         f"Launches of one turn of each loop, its condition included:\n\n{loops}",
         f"Schedule, simulated from {report['settings']['episodes']} recorded episodes a world:\n\n{orders}",
-        f"Estimate ({given}; each after the other, of a scan's writes those that beams make):\n\n{speeds}",
+        f"Estimate ({given}; each after the other):\n\n{speeds}",
     ))  # fmt: skip

@@ -72,14 +72,9 @@ class Estimator:
         target: Target,
         assume: Assumptions,
         turns: Mapping[str, Turns],
-        writes: float = 1.0,
         kernels: Mapping[str, str] | None = None,
     ) -> None:
-        """`turns`: how often its loops go round, from `loop_turns`; `writes`: share of the writes of scans' misses that
-        are made, the others lie outside their array; of all other scatters, which write a hundredth, it is taken to be
-        the same; `kernels`: name -> PTX.
-        """
-        self.writes = writes
+        """`turns`: how often its loops go round, from `loop_turns`; `kernels`: name -> PTX."""
         self.instructions = {name: launches.instructions_of(text) for name, text in (kernels or {}).items()}
         rate = assume.bandwidth_tb_s
         self.module, self.target, self.assume, self.turns = module, target, assume, turns
@@ -119,12 +114,11 @@ class Estimator:
     def _launch(self, step: Launch, in_graph):
         moved = self.module.traffic(step.name)
         share = min(1.0, step.blocks / self.target.cores) if step.blocks else 1.0
-        # A write that lies outside is found to before the cell is read: a kernel branches round it.
-        memory = (moved.n_bytes - (1 - self.writes) * moved.atomic_bytes) / (self.rate * share)
+        memory = moved.n_bytes / (self.rate * share)
         executed = step.threads * self.instructions.get(step.kernel, 0)
         return Seconds(
             launches=1e-6 * (self.assume.node_us if in_graph else self.assume.launch_us),
             memory=memory,
-            atomics=self.writes * moved.atomics / (1e9 * self.assume.atomics_g_s * share),
+            atomics=moved.atomics / (1e9 * self.assume.atomics_g_s * share),
             instructions=max(0.0, executed / (1e12 * self.assume.instructions_t_s * share) - memory),
         )

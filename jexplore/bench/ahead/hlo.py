@@ -29,7 +29,6 @@ class Traffic(NamedTuple):
 
     n_bytes: int  # read and written
     atomics: int  # elements that are added or set one by one, because several may meet in a cell
-    atomic_bytes: int = 0  # of the bytes, those that these read and write
 
 
 def arrays_of(shape: str) -> list[tuple[str, tuple[int, ...]]]:
@@ -96,7 +95,7 @@ class Module:
         return self._fused(self.computations[called[1]])
 
     def _fused(self, body):
-        total, atomics, atomic_bytes, written = 0, 0, 0, set()
+        total, atomics, written = 0, 0, set()
         users = {}
         for name, one in body.items():
             for i, other in enumerate(one.operands):
@@ -110,12 +109,11 @@ class Module:
                 written.add(name)
                 if one.op == "scatter" and "unique_indices=true" not in one.rest:
                     atomics += sum(math.prod(dims) for _, dims in arrays_of(new))
-                    atomic_bytes += 2 * bytes_of(new)
         roots = [name for name, one in body.items() if one.is_root]
         for root in roots:
             ends = body[root].operands if body[root].op == "tuple" else [root]
             total += sum(bytes_of(body[end].shape) for end in ends if self._source(body, end) not in written)
-        return Traffic(total, atomics, atomic_bytes)
+        return Traffic(total, atomics)
 
     def _source(self, body, name):
         while body[name].op in ("bitcast", "copy", "reshape") and body[name].operands:

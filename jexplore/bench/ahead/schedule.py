@@ -34,7 +34,6 @@ class Plans(NamedTuple):
     found: np.ndarray  # [n] bool, whether there was a target
     glances: np.ndarray  # [n] int32, glances that did not settle it
     pieces: np.ndarray  # [n] int32, of the search after that; 0 where a glance settled it
-    writes: float  # share of all steps of all beams that a scan counts, the mean of the episode's
 
 
 class Schedule(NamedTuple):
@@ -60,10 +59,8 @@ class Schedule(NamedTuple):
 
 
 @functools.partial(jax.jit, static_argnums=0)
-def _recorded(setup: Setup, given: Given) -> tuple[Array, Array, Array]:
-    """One episode: `([P, 5] int32, n, cells)`: of each plan what `Plans` has, how many there were, and how many cells a
-    scan has counted.
-    """
+def _recorded(setup: Setup, given: Given) -> tuple[Array, Array]:
+    """One episode: `([P, 5] int32, n)`: of each plan what `Plans` has, and how many there were."""
     program = program_of(setup)
     sides, clearance_d2 = setup.windows or (), given.numbers.model.clearance_d2
     bounds = jnp.array([bound_of(side, clearance_d2) for side in sides], jnp.int32)
@@ -95,8 +92,8 @@ def _recorded(setup: Setup, given: Given) -> tuple[Array, Array, Array]:
 
     state = program.begin(setup, given)
     room = jnp.zeros((state.choices.shape[0], 5), jnp.int32)
-    n, state, rows = lax.while_loop(lambda c: ~program.is_done(c[1]), plan, (jnp.int32(0), state, room))
-    return rows, n, jnp.sum(state.belief.grid.hits + state.belief.grid.misses) / jnp.maximum(state.scans, 1)
+    n, _, rows = lax.while_loop(lambda c: ~program.is_done(c[1]), plan, (jnp.int32(0), state, room))
+    return rows, n
 
 
 def record(world: World, strategy: Strategy, episodes: int) -> list[Plans]:
@@ -115,9 +112,9 @@ def record(world: World, strategy: Strategy, episodes: int) -> list[Plans]:
     line = line_of(site, (setup, numbers), starts, SEED, np.arange(episodes))
     found = []
     for number in range(episodes):
-        rows, n, cells = _recorded(setup, given_of(line, number))
+        rows, n = _recorded(setup, given_of(line, number))
         moves, cost, has_target, failed, pieces = np.asarray(rows)[: int(n)].T
-        found.append(Plans(moves, cost, has_target != 0, failed, pieces, float(cells) / site.beams.by_beam[0].size))
+        found.append(Plans(moves, cost, has_target != 0, failed, pieces))
     return found
 
 
