@@ -11,9 +11,10 @@ import pytest
 from PIL import Image
 
 from jexplore.cli import main
+from jexplore.cli.tracemaps import trace
 from jexplore.config import InputError
 from jexplore.driving import batch
-from jexplore.report import plot_traces, trace_tables
+from jexplore.report import operator_view, plot_traces, trace_tables
 from jexplore.studies.traces import extraction, job, recording, tracing
 from jexplore.tracemap import corrected, json_form
 from jexplore.tracemap.merging.rigid import Move, moved
@@ -80,6 +81,26 @@ def test_the_page_shows_the_run_that_was_made(ran):
     assert "kamui in course" in page
     assert "branch selection" in page
     assert len(page) > 200_000
+
+
+@pytest.mark.parametrize(("n", "warns"), [(5, False), (7, True), (4, True)])
+def test_a_page_of_another_run_says_so(n, warns, tmp_path, monkeypatch, capsys):
+    """Run 0 had five steps; progress never goes beyond them."""
+
+    def record(plan, on_progress):
+        for done in range(1, n + 1):
+            on_progress(done)
+        return SimpleNamespace(time_s=np.arange(n))
+
+    monkeypatch.setattr(recording, "record", record)
+    monkeypatch.setattr(operator_view, "page", lambda seen: "a page")
+    counts = []
+    monkeypatch.setattr(trace, "working", lambda total, unit: contextlib.nullcontext(counts.append))
+    found = SimpleNamespace(driven=SimpleNamespace(truth=np.zeros((5, 3))), plan=None)
+    trace._write_view(found, tmp_path / "btm.html")
+    assert (tmp_path / "btm.html").read_text() == "a page"
+    assert max(counts) <= 5
+    assert (f"it has {n} steps, not 5" in capsys.readouterr().err) == warns
 
 
 def test_files_text_and_picture_show_one_map(made):

@@ -157,9 +157,16 @@ def _write_view(found, path):
     from jexplore.report import operator_view
     from jexplore.studies.traces import recording
 
-    with working(len(found.driven.truth), "steps") as on_progress:
-        page = operator_view.page(recording.record(found.plan, on_progress))
-    path.write_text(page, encoding="utf-8")
+    n = len(found.driven.truth)
+    with working(n, "steps") as on_progress:
+        seen = recording.record(found.plan, lambda done: on_progress(min(done, n)))
+    if len(seen.time_s) != n:
+        print(
+            f"warning: {path.name} shows run 0 as it was driven once more, step by step: rounding differs, and it has "
+            f"{len(seen.time_s)} steps, not {n}",
+            file=sys.stderr,
+        )
+    path.write_text(operator_view.page(seen), encoding="utf-8")
 
 
 def _draw(found, first, path):
