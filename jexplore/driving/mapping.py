@@ -68,8 +68,9 @@ class Level:
     """The lean of the ground that the robot stands on, and of what it last stood on evenly; see `lean_of`."""
 
     even: Array  # [2] float32, radians, when it last stood evenly
-    anchor: Array  # [2] float32, radians, since which it has varied little
-    anchor_m: Array  # float32, odometer there
+    anchor: Array  # [2] float32, radians, about which it varies little: first as it came there, then as it has settled
+    anchor_m: Array  # float32, odometer where that began
+    stands: Array  # bool, whether it stands evenly
     left_m: Array  # float32, odometer where it last was the even one
     since_m: Array  # float32, odometer where it came to be
 
@@ -120,7 +121,7 @@ def begin(
         link=link,
         left_bearing=jnp.float32(1) * pose[2],
         entry=jnp.zeros(2),
-        level=Level(even=jnp.zeros(2), anchor=jnp.zeros(2), anchor_m=zero, left_m=zero, since_m=zero),
+        level=Level(jnp.zeros(2), jnp.zeros(2), zero, jnp.bool_(False), zero, zero),
         lone_step=lone_steps.none(),
         border_m=jnp.float32(jnp.inf),
         passed=jnp.array([0.0, 0.0, 0.0, -jnp.inf], jnp.float32),
@@ -188,6 +189,7 @@ def watch_level(
     anchor = jnp.where(varied, lean, level.anchor)
     anchor_m = jnp.where(varied, odometer_m, level.anchor_m)
     even = odometer_m - anchor_m >= even_m
+    anchor = jnp.where(even & ~level.stands, lean, anchor)
     changed = even & (jnp.hypot(*(anchor - level.even)) > threshold)
     crease = (level.left_m + anchor_m) / 2
     steepest = jnp.maximum(jnp.hypot(*anchor), jnp.hypot(*level.even))
@@ -202,6 +204,7 @@ def watch_level(
         even=jnp.where(stays, anchor, level.even),
         anchor=anchor,
         anchor_m=anchor_m,
+        stands=even,
         left_m=jnp.where(same | even, odometer_m, level.left_m),
         since_m=jnp.where(stays & ~near, anchor_m, level.since_m),
     )
