@@ -127,6 +127,14 @@ def test_a_robot_that_stands_evenly_half_way_over_an_edge_still_comes_from_the_s
     assert changes(pitch, RIDE)[0].size == 3
 
 
+def test_a_slope_is_as_steep_as_the_robot_stands_once_it_has_settled():
+    """It comes onto 6 degrees, and off them, with the last 0.8 slowly: first and first differ by less than 5."""
+    pitch = np.interp(RIDE, [2, 2.04, 2.16, 5, 5.04, 5.16], [0, 5.2, 6, 6, 0.8, 0])
+    at, _, steepest = changes(pitch, RIDE)
+    np.testing.assert_allclose(at, [2.2, 5.2], atol=0.15)
+    np.testing.assert_allclose(steepest, 6, atol=0.1)
+
+
 def test_ground_that_hardly_changes_is_level():
     assert not changes(np.zeros(RIDE.size), RIDE)[0].size
     assert not changes(pitch_deg(RIDE, [3.0], [0, 4.5], KAMUI.length_m), RIDE)[0].size
