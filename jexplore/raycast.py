@@ -41,7 +41,7 @@ class Beams:
     length: Array  # [K, B] int32, cells entered at a distance below the range
     reach: Array  # float32, the range, cells
     around: int = struct.field(pytree_node=False, default=1)  # scans, evenly turned, that see all round
-    spans: Any = None  # `spans.Spans` of these beams, where cells that come to be known are counted by them
+    spans: Any = None  # `spans.Spans` of these beams, where scans are counted by them
     replace: ClassVar[Callable[..., Self]]
 
 

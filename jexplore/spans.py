@@ -16,6 +16,7 @@ from jexplore.raycast import Beams, Scan
 
 HALF = 2**16  # what half of the bits of a word can hold
 ALIGN = 4  # columns and steps are made in whole multiples: as many are the work of one thread of an accelerator
+ABREAST = 16  # rows of a table that are summed up in one go: for many more XLA makes a kernel a row
 # Cells: the table of such a radius takes 30 MB, for eight headings, and making it 100 MB; it grows with the square.
 FARTHEST = 240
 
@@ -197,11 +198,22 @@ def _counts(told, farthest, spans):
     n_groups, n_steps = told.shape[0] // group + 1, -(-(min(farthest, 2 * spans.radius) + 1) // ALIGN) * ALIGN
     told = jnp.pad(told, (0, n_groups * group - told.shape[0]), constant_values=-1).reshape(n_groups, group, 1)
     step = lax.broadcasted_iota(jnp.int32, (n_groups, n_steps), 1)
-    own = before = jnp.zeros(step.shape, jnp.uint32)
+    own = jnp.zeros(step.shape, jnp.uint32)
     for i in reversed(range(group)):  # by the sign of a difference: two operations a beam
         own = own << 1 | lax.bitcast_convert_type(step - 1 - told[:, i], jnp.uint32) >> 31
     own = lax.optimization_barrier(own)  # once, and not for each sum that it is in
-    number = lax.broadcasted_iota(jnp.int32, step.shape, 0)
-    for i in range(n_groups - 1):
-        before += jnp.where(number > i, lax.population_count(own[i]), 0)
-    return lax.optimization_barrier(before << group | own), group
+    return lax.optimization_barrier(_sums_before(lax.population_count(own)) << group | own), group
+
+
+def _sums_before(rows):
+    """For each row the sum of all before it, `[n, s]` uint32 as the rows are: `ABREAST` of them at a time."""
+    n, n_steps = rows.shape
+    if n > ABREAST:
+        n_blocks = -(-n // ABREAST)
+        blocks = jnp.pad(rows, ((0, n_blocks * ABREAST - n), (0, 0))).reshape(n_blocks, ABREAST, n_steps)
+        whole = _sums_before(lax.optimization_barrier(jnp.sum(blocks, axis=1, dtype=jnp.uint32)))
+        return (whole[:, None] + jax.vmap(_sums_before)(blocks)).reshape(-1, n_steps)[:n]
+    row, before = lax.broadcasted_iota(jnp.int32, rows.shape, 0), jnp.zeros_like(rows)
+    for i in range(n - 1):
+        before += jnp.where(row > i, rows[i], 0)
+    return before

@@ -18,7 +18,7 @@ from ref.jobs import LIDAR, RULES, digest, few, some_jobs
 from jexplore import planning
 from jexplore.arrays import loops
 from jexplore.bench import engines
-from jexplore.config import InputError
+from jexplore.config import InputError, Lidar
 from jexplore.engine import devices, lockstep, runner, serial
 from jexplore.exploration import batch
 from jexplore.exploration.batch import Job, run_jobs
@@ -301,12 +301,10 @@ def test_lanes_fit_the_memory(monkeypatch):
     assert fitting(2**40) == 20
 
 
-@pytest.mark.jit
-@pytest.mark.parametrize(("side_m", "glances"), [(6.4, 0), (9.6, 1), (16, 2)])
-def test_a_lane_is_estimated_with_its_share_of_a_slot(side_m, glances):
-    """Asked for one lane, which has a slot of its own, the estimate is that for thousands."""
+def estimated(side_m, lidar):
+    """A `Line` on an accelerator, and a function that estimates the bytes of one of so many lanes."""
     world = ready_worlds([f"cave:width_m={side_m},height_m={side_m}"], 0.1)[0]
-    site = prepare_site(world, LIDAR, RULES, kernels_for("lockstep", "gpu"))
+    site = prepare_site(world, lidar, RULES, kernels_for("lockstep", "gpu"))
     line = line_of(site, site.with_strategy(parse_strategy("closest")), np.zeros((9999, 3)), 0, np.arange(9999))
     group = lockstep.Group([line], jax.local_devices()[:1])
     queue = jax.tree.map(lambda a: a[0], group.queue())
@@ -315,8 +313,23 @@ def test_a_lane_is_estimated_with_its_share_of_a_slot(side_m, glances):
         lanes = jax.eval_shape(functools.partial(group.engine.empty, n_lanes=n_lanes), queue, group.common)
         return group.engine.lane_bytes(lanes, line.shared)
 
+    return line, estimate
+
+
+@pytest.mark.jit
+@pytest.mark.parametrize(("side_m", "glances"), [(6.4, 0), (9.6, 1), (16, 2)])
+def test_a_lane_is_estimated_with_its_share_of_a_slot(side_m, glances):
+    """Asked for one lane, which has a slot of its own, the estimate is that for thousands."""
+    line, estimate = estimated(side_m, LIDAR)
     assert len(line.program.pieces.glances) == glances
     assert estimate(1) == pytest.approx(estimate(4096), rel=0.01)
+
+
+@pytest.mark.jit
+def test_a_lane_is_estimated_with_what_its_scans_store():
+    """Compiled for an H100 a lane takes 1.01 MB in a cave with so many and long beams, 0.43 of it between two turns."""
+    _, estimate = estimated(16, Lidar(n_beams=1080, fov_deg=270, range_m=30))
+    assert estimate(4096) == pytest.approx(1.01e6, rel=0.1)
 
 
 class Accelerator:

@@ -26,8 +26,9 @@ LIDARS = (
     Lidar(n_beams=1, range_m=5),
     Lidar(n_beams=3, fov_deg=360, range_m=6),
     Lidar(n_beams=300, range_m=4),
+    Lidar(n_beams=700, fov_deg=40, range_m=9),  # more of them in a cell than a byte holds
 )
-SHAPES = ((12, 15), (70, 9), (40, 40), (1, 1), (1, 9))
+SHAPES = ((12, 15), (64, 9), (70, 9), (9, 70), (40, 40), (1, 1), (1, 9))
 
 
 @functools.cache
@@ -105,6 +106,18 @@ def test_spans_need_not_go_farther_than_the_map(lidar):
     for pose in ((1, 1, 1), (10, 13, 5), (5, 7, 2)):
         seen = raycast.scan(occupied, *pose, clipped, method="whole")
         assert_equal(*counted(occupied, pose, seen, clipped, True, empty_grid(occupied.shape)))
+
+
+@pytest.mark.jit
+@pytest.mark.parametrize(("n_beams", "fov_deg"), [(1080, 270), (4096, 360)])
+def test_as_many_beams_as_there_may_be(n_beams, fov_deg):
+    """Their table has more groups than are summed up in one go; and room for a longer range than theirs."""
+    beams = raycast.beam_table(Lidar(n_beams=n_beams, fov_deg=fov_deg, range_m=9), 1.0, 40, 14)
+    beams = beams.replace(spans=spans_of(beams, 14))
+    occupied = jnp.ones((33, 40), bool).at[1:-1, 1:-1].set(False).at[12, 20].set(True)
+    for pose in ((1, 1, 1), (31, 38, 4), (14, 21, 3)):
+        seen = raycast.scan(occupied, *pose, beams, method="whole")
+        assert_equal(*counted(occupied, pose, seen, beams, True, empty_grid(occupied.shape)))
 
 
 def test_spans_are_bounded():

@@ -21,7 +21,8 @@ from jexplore.engine.lanes import Usage
 from jexplore.engine.program import Line
 
 ENGINES = ("serial", "lockstep")
-# Cores that do what lockstep is estimated to do on an accelerator (`bench --target`): 41 in a cave, 24 in a hospital.
+# Cores that do what lockstep is estimated to do on an accelerator (`bench --target`): 49 in a cave, 25 in a hospital,
+# where it was 24 when this was set.
 CORES_WORTH = 24
 # Runs a device: the estimate is for so many lanes. 1,024 came to 3 to 5 cores in the engine as it was, which planned at
 # once; this has not been estimated since.

@@ -1,5 +1,7 @@
 """An exploration episode as a program of the engine: from the first scan to a named outcome, and what it measured."""
 
+import math
+
 import jax.numpy as jnp
 from jax import lax
 
@@ -12,8 +14,8 @@ from jexplore.grid import beside, bordered, count, is_known
 from jexplore.policies.closest import is_nearest
 
 # Bytes besides the state, an estimate: of a cell for a plan, where a quarter of a group looks at whole maps at a time;
-# of a beam for a scan.
-PLANNING_BYTES, SCAN_BYTES = 10, 24
+# of a beam's step for a scan, which stores what each look finds.
+PLANNING_BYTES, SCAN_BYTES = 10, 1
 
 
 # A tenth of the time of compiling, and nothing gained by it: loops here store what they would compute anew.
@@ -103,7 +105,7 @@ def _must_plan(state):
 
 
 def _scratch(beams, state):
-    return PLANNING_BYTES * state.route.size, SCAN_BYTES * beams.length.shape[-1]
+    return PLANNING_BYTES * state.route.size, SCAN_BYTES * math.prod(beams.offset.shape[-2:])
 
 
 def program_of(setup: Setup, keep: str | None = None) -> Program:
