@@ -132,10 +132,7 @@ def drive(
     starts, enough = _backs(now, around, robot, in_place, wanted, omega, touched)
     goes = (now.backing | starts) & (now.kept > 1)
     still = jnp.float32(0), jnp.float32(0), now.length, jnp.bool_(False), jnp.float32(0)
-    now = now.replace(
-        tried=jnp.where(touched, jnp.where(now.frees > 0, (now.tried + 1) % len(WAYS), 0), now.tried),
-        frees=jnp.where(touched, FREES + AGAIN, jnp.maximum(now.frees - 1, 0)),
-    )
+    now = _tries(now, touched)
     side = jnp.sign(jnp.where(turning != 0, turning, course))
     back_v, back_omega, length, wedged, away_m = run_if(
         goes, lambda _: _back_or_away(now, around, robot, pose, speed, side), still
@@ -153,6 +150,14 @@ def drive(
         side=course + pose[2],
     )
     return after, jnp.where(backing, back_v, v), jnp.where(backing, back_omega, omega)
+
+
+def _tries(now, touched):
+    """With the way that it tries to get away from what it has touched: the next one, if it still tried one."""
+    return now.replace(
+        tried=jnp.where(touched, jnp.where(now.frees > 0, (now.tried + 1) % len(WAYS), 0), now.tried),
+        frees=jnp.where(touched, FREES + AGAIN, jnp.maximum(now.frees - 1, 0)),
+    )
 
 
 def _round(now, ways_m, pose, bearing, turning):
