@@ -2,7 +2,8 @@
 
 Between a target point and the wheels. A direction is taken in which the robot's width fits, the nearest to the target
 (target approach, wall following while the way is blocked, target approach; Mano et al., Fig. 7). Before it turns in
-place the robot sweeps its outline over what it has seen; where that would touch, it goes back the way that it came.
+place the robot sweeps its outline over what it has seen; where that would touch, it goes back the way that it came, or
+along a wall away from that.
 """
 
 from collections.abc import Callable
@@ -36,8 +37,8 @@ LEAST_BACK_M = 0.005  # a step counts so much, turns too
 AHEAD_S = 0.2  # a step is looked at so far ahead
 FREES = 8  # steps for which it goes on with what gets it away from what it has touched
 AGAIN = 8  # and steps after these within which the next way is tried where it touches again
-# Those ways: speeds, in halves of its speed, and turn rates away from what is nearest, radians a second.
-LEAN = 0.1  # close beside a wall its outline allows no larger one
+LEAN = 0.1  # turn rate, radians a second: close beside a wall its outline allows no larger one
+# What it tries: speeds, in halves of its speed, and turn rates away from what is nearest.
 WAYS = *((v, turn) for turns in ((0, LEAN), (0.5, -0.5), (1, -1)) for v in (-1, 1) for turn in turns), (0, 1), (0, -1)
 SLACK_M = 0.01  # between a wall and the robot's outline after a step
 STICK = 0.3  # weight of the direction taken before
@@ -54,7 +55,7 @@ class Manoeuvre:
     backed_m: Array  # float32, how far
     away_m: Array  # float32, so far it still goes ahead, for there is no room behind it; 0: it does not
     tried: Array  # int32, which of `WAYS` it tries to get away from what it has touched
-    frees: Array  # int32, steps for which it still does, and `AGAIN`
+    frees: Array  # int32, steps left: above `AGAIN` it still goes that way, below a touch makes it try the next one
     avoiding: Array  # bool, it goes round something
     side: Array  # float32, radians, direction in which
     replace: ClassVar[Callable[..., Self]]
@@ -205,14 +206,16 @@ def _beside(around, robot):
     """
     xy, known = surround.points(around)
     x, y = xy.T
-    half_m, width_m = robot.length_m / 2, robot.width_m / 2
+    half_m, half_width_m = robot.length_m / 2, robot.width_m / 2
 
     def nearest(there, off_m):
         return jnp.min(jnp.where(known & there, off_m, jnp.inf))
 
-    left, right = (nearest((jnp.abs(x) < half_m + BACK_M) & (side * y > 0), side * y) - width_m for side in (1, -1))
-    behind = nearest((x < 0) & (jnp.abs(y) < width_m), -x) - half_m
-    needed_m = jnp.hypot(half_m, width_m) + 2 * surround.MARGIN_M - width_m
+    left, right = (
+        nearest((jnp.abs(x) < half_m + BACK_M) & (side * y > 0), side * y) - half_width_m for side in (1, -1)
+    )
+    behind = nearest((x < 0) & (jnp.abs(y) < half_width_m), -x) - half_m
+    needed_m = jnp.hypot(half_m, half_width_m) + 2 * surround.MARGIN_M - half_width_m
     leans = (jnp.minimum(left, right) < needed_m) & (left + right > 2 * needed_m) & (behind > BACK_M)
     return jnp.where(left < right, 1, -1), jnp.minimum(left, right), leans
 
@@ -224,8 +227,8 @@ def _gets_free(speed, side):
 
 
 def _back(now, around, robot, pose, speed):
-    """Speed and turn rate to the pose before, how many poses are left, and whether neither is free: `(v, omega, length,
-    wedged)`.
+    """Speed and turn rate to the pose before, how many poses are left, and whether it can neither go so, nor straight
+    back, nor lean: `(v, omega, length, wedged)`.
 
     Where that would touch, it goes straight back, and where that would, by whatever leads farthest away. Along a wall
     it leans away from that, else it would be as near after any way back.
