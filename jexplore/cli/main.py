@@ -6,7 +6,6 @@ line and status 2 and leaves no files, an interruption with one line and status 
 keeps what is finished.
 """
 
-import contextlib
 import io
 import os
 import signal
@@ -35,7 +34,6 @@ from jexplore.engine.plugins import keep_to_cpu
 from jexplore.version import __version__
 
 INTERRUPTED = 130  # exit status of a run that was ended
-M_ARENA_MAX = -8  # of glibc's mallopt: most heaps
 _ENDED_BY = [int(signal.SIGINT)]  # signals that have ended this process, the last one at the end
 
 COMMANDS: dict[str, type] = {
@@ -78,7 +76,6 @@ def main(argv: Sequence[str] | None = None) -> int:
     if own:
         sys.unraisablehook = _repeat_interrupt
         _end_like_control_c()
-        _share_heap()
     try:
         with plain_warnings():
             status = _dispatch(arguments)
@@ -113,18 +110,6 @@ def _end_like_control_c():
         number = getattr(signal, name, None)
         if number is not None and signal.getsignal(number) == signal.SIG_DFL:
             signal.signal(number, end)
-
-
-def _share_heap():
-    """Has all threads share one heap, where glibc manages the memory and its variable does not say otherwise.
-
-    By default it has several, and each keeps what threads that compile have freed: a fifth of what a process takes.
-    """
-    if sys.platform == "linux" and "MALLOC_ARENA_MAX" not in os.environ:
-        import ctypes
-
-        with contextlib.suppress(AttributeError):  # another C library
-            ctypes.CDLL(None).mallopt(M_ARENA_MAX, 1)
 
 
 def _repeat_interrupt(unraisable):
