@@ -144,7 +144,7 @@ def drive(
     after = now.replace(
         backing=backing,
         away_m=jnp.where(backing, away_m, 0),
-        backed_m=jnp.where(backing, now.backed_m + jnp.maximum(jnp.abs(back_v) * 0.1, LEAST_BACK_M), 0),
+        backed_m=jnp.where(backing, now.backed_m + jnp.maximum(jnp.abs(back_v) * DT_S, LEAST_BACK_M), 0),
         length=jnp.where(backing, length, now.length),
         kept=jnp.where(backing, now.kept - (now.length - length), now.kept),
         avoiding=avoiding,
@@ -239,10 +239,10 @@ def _back(now, around, robot, pose, speed):
     turn = wrapped(goal[2] - pose[2])
     left = offset[1] * jnp.cos(pose[2]) - offset[0] * jnp.sin(pose[2])
     aside = jnp.abs(turn) > ASIDE_RAD
-    v = jnp.where(aside, -speed / 2, -jnp.clip(behind / 0.1, 0, speed))
+    v = jnp.where(aside, -speed / 2, -jnp.clip(behind / DT_S, 0, speed))
     # Going back, it comes to the left by heading to the right.
     steered = turn - jnp.where(v < 0, jnp.clip(STEER * left, -MOST_STEER_RAD, MOST_STEER_RAD), 0)
-    omega = jnp.where(aside, 0, jnp.clip(steered / 0.1, -1.0, 1.0))
+    omega = jnp.where(aside, 0, jnp.clip(steered / DT_S, -1.0, 1.0))
     near = (behind < TRAIL_M / 2) & (aside | (jnp.abs(turn) < TRAIL_RAD + MOST_STEER_RAD))
     side, off_m, leans = _beside(around, robot)
     ways = jnp.concatenate([jnp.stack([v, omega])[None], _gets_free(speed, side)])
@@ -265,7 +265,7 @@ def _back_or_away(now, around, robot, pose, speed, side):
     back_v, back_omega, length, wedged = _back(now, around, robot, pose, speed)
     away_v, away_omega, is_free = _away(around, robot, speed, side)
     away = is_free & (now.frees <= AGAIN) & (wedged | (now.away_m > 0))
-    left_m = jnp.maximum(jnp.where(now.away_m > 0, now.away_m, AWAY_M) - away_v * 0.1, 0)
+    left_m = jnp.maximum(jnp.where(now.away_m > 0, now.away_m, AWAY_M) - away_v * DT_S, 0)
     v, omega = jnp.where(away, away_v, back_v), jnp.where(away, away_omega, back_omega)
     return v, omega, jnp.where(away, now.length, length), wedged, jnp.where(away, left_m, 0.0)
 
