@@ -258,30 +258,83 @@ def test_what_gets_it_away_from_what_it_has_touched_is_gone_on_with():
 
 
 @pytest.mark.parametrize("side", [1, -1])
-@pytest.mark.parametrize("error_m", [0.0, 0.02, 0.04])
-def test_close_along_a_wall_it_gets_away(side, error_m):
-    """It wants to turn away, there is no room to turn, and the wall is nearer than it has seen: it leans away."""
-    gap_m, half = 0.004, np.array([KAMUI.length_m, KAMUI.width_m]) / 2
-    wall_m = half[1] + gap_m
-    corners = half * [(1, 1), (1, -1), (-1, 1), (-1, -1)]
+def test_what_it_tries_leads_away_from_what_is_nearest(side):
+    """With a wall to the left it turns left going back, and right going ahead."""
+    now, found = along_x(1.0), []
+    for _ in range(4):
+        now, *way = driven(now, of((0, side * 0.2)), touched=True)
+        found.append(way)
+    lean = side * manoeuvre.LEAN
+    half = TUNING.speed_m_s / 2
+    np.testing.assert_allclose(found, [(-half, 0), (-half, lean), (half, 0), (half, -lean)], atol=1e-6)
+
+
+def test_where_nothing_is_free_it_goes_where_most_is():
+    """A wall half a centimetre beside it, another one behind."""
+    now = along_x(1.0).replace(backing=jnp.bool_(True))
+    after, v, _ = driven(now, of((0, 0.2), (-0.355, 0.1), (-0.355, -0.1)), bearing=-2.0)
+    assert after.backing
+    assert v == pytest.approx(TUNING.speed_m_s / 2)
+
+
+@pytest.mark.parametrize(("frees", "omega"), [(0, 0.057), (1, 0.0), (manoeuvre.AGAIN, 0.0)])
+def test_a_robot_that_leans_and_touches_goes_straight_back_for_a_while(frees, omega):
+    now = along_x(1.0).replace(backing=jnp.bool_(True), frees=jnp.int32(frees + 1))
+    now = now if frees else now.replace(frees=jnp.int32(0))
+    _, v, turn = driven(now, of((0.1, 0.199)), bearing=-2.0)
+    assert (v, turn) == pytest.approx((-TUNING.speed_m_s / 2, omega), abs=1e-3)
+
+
+def test_where_it_leans_it_is_past_a_pose_of_the_trail_that_it_does_not_stand_on():
+    now = along_x(1.0).replace(backing=jnp.bool_(True))
+    after, v, _ = driven(now, of((0.1, 0.199)), pose=(0, 0, 0.5), bearing=-2.0)
+    assert v == pytest.approx(-TUNING.speed_m_s / 2)
+    assert int(after.length) == int(now.length) - 1
+
+
+def beside_a_wall(side, gap_m, error_m=0.0, noise_m=0.0, unseen_m=math.inf, steps=150):
+    """A robot that wants to turn away from a wall beside it: `(y, contacts)`, how far it has come, of so many steps.
+
+    It sees the wall too far away by `error_m`, every point off by `noise_m`; behind its middle there is another wall,
+    `unseen_m` away.
+    """
+    half = np.array([KAMUI.length_m, KAMUI.width_m]) / 2
+    wall_m, corners = half[1] + gap_m, half * [(1, 1), (1, -1), (-1, 1), (-1, -1)]
     along = np.arange(-4, 4, 0.03)
-    now, pose, contacts, touched = along_x(2.0), np.array([0.0, 0.0, 0.0]), 0, False
-    for _ in range(150):
+    aside = side * (wall_m + error_m) + noise_m * np.random.default_rng(0).standard_normal(len(along))
+    now, pose, contacts, touched = along_x(2.0), np.zeros(3), 0, False
+    for _ in range(steps):
         cos, sin = math.cos(pose[2]), math.sin(pose[2])
-        x, y = along - pose[0], side * (wall_m + error_m) - pose[1]
+        x, y = along - pose[0], aside - pose[1]
         seen = np.stack([x * cos + y * sin, y * cos - x * sin], axis=1)
         bearing = (-side * math.pi / 2 - pose[2] + math.pi) % (2 * math.pi) - math.pi
         now, v, omega = driven(now, of(*seen), pose=pose, bearing=bearing, touched=touched)
         after = exact(pose, v, omega)
         cos, sin = math.cos(after[2]), math.sin(after[2])
-        touched = (side * (after[1] + corners @ [sin, cos]) > wall_m).any()
+        x, y = after[0] + corners @ [cos, -sin], after[1] + corners @ [sin, cos]
+        touched = (side * y > wall_m).any() or (x < -unseen_m).any()
         contacts += touched
         pose = pose if touched else after
         now = _remembered(now, jnp.asarray(pose, jnp.float32))
         if -side * pose[1] > 0.5:
             break
-    assert -side * pose[1] > 0.5, (pose, contacts)
+    return -side * pose[1], contacts
+
+
+@pytest.mark.parametrize("side", [1, -1])
+@pytest.mark.parametrize(("error_m", "noise_m"), [(0.0, 0.0), (0.02, 0.0), (0.04, 0.0), (0.0, 0.01)])
+def test_close_along_a_wall_it_gets_away(side, error_m, noise_m):
+    """There is no room to turn, and the wall is not quite where it is seen: the robot leans away from it."""
+    y, contacts = beside_a_wall(side, 0.004, error_m, noise_m)
+    assert y > 0.5, (y, contacts)
     assert contacts < 20
+
+
+@pytest.mark.parametrize("unseen_m", [0.36, 0.6])
+def test_it_does_not_go_round_in_circles_where_something_unseen_is_behind_it(unseen_m):
+    """What it has tried ahead it does not undo before it tries the next way."""
+    y, contacts = beside_a_wall(1, 0.15, unseen_m=unseen_m)
+    assert y > 0.5, (y, contacts)
 
 
 def test_it_goes_back_no_farther_where_that_leads_nowhere():

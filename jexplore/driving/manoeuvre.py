@@ -36,8 +36,9 @@ AWAY_RAD_S = 0.0, 0.1, 0.2, 0.5, 1.0  # turning so fast
 LEAST_BACK_M = 0.005  # a step counts so much, turns too
 AHEAD_S = 0.2  # a step is looked at so far ahead
 FREES = 8  # steps for which it goes on with what gets it away from what it has touched
-AGAIN = 8  # and steps after these within which the next way is tried where it touches again
+AGAIN = 12  # and steps after these within which the next way is tried where it touches again: more than lead back
 LEAN = 0.1  # turn rate, radians a second: close beside a wall its outline allows no larger one
+LEAST_LEAN = LEAN / 8
 # What it tries: speeds, in halves of its speed, and turn rates away from what is nearest.
 WAYS = *((v, turn) for turns in ((0, LEAN), (0.5, -0.5), (1, -1)) for v in (-1, 1) for turn in turns), (0, 1), (0, -1)
 SLACK_M = 0.01  # between a wall and the robot's outline after a step
@@ -201,23 +202,29 @@ def _backs(now, around, robot, in_place, wanted, omega, touched):
 
 
 def _beside(around, robot):
-    """Where something is nearest beside the robot, 1 to the left and -1 to the right; how near; and whether that leaves
-    no room to turn in place, while there is room between it and the other side, and behind: `(side, off_m, leans)`.
+    """Where something is nearest beside the robot, 1 to the left and -1 to the right; how near to its front half; and
+    whether it leaves no room to turn in place, while there is room between it and the other side, and behind: `(side,
+    off_m, leans)`.
     """
     xy, known = surround.points(around)
     x, y = xy.T
     half_m, half_width_m = robot.length_m / 2, robot.width_m / 2
+    # A wall that it touches is seen some way inside its outline.
+    beside_m = half_width_m - jnp.where(jnp.abs(x) < half_m, surround.MARGIN_M, SLACK_M)
 
     def nearest(there, off_m):
         return jnp.min(jnp.where(known & there, off_m, jnp.inf))
 
     left, right = (
-        nearest((jnp.abs(x) < half_m + BACK_M) & (side * y > 0), side * y) - half_width_m for side in (1, -1)
+        nearest((jnp.abs(x) < half_m + BACK_M) & (side * y > beside_m), side * y) - half_width_m for side in (1, -1)
     )
-    behind = nearest((x < 0) & (jnp.abs(y) < half_width_m), -x) - half_m
-    needed_m = jnp.hypot(half_m, half_width_m) + 2 * surround.MARGIN_M - half_width_m
+    behind = nearest((x < 0) & (jnp.abs(y) < half_width_m - surround.MARGIN_M), -x) - half_m
+    margin_m = 2 * surround.MARGIN_M
+    needed_m = jnp.hypot(half_m + margin_m, half_width_m + margin_m) - half_width_m
     leans = (jnp.minimum(left, right) < needed_m) & (left + right > 2 * needed_m) & (behind > BACK_M)
-    return jnp.where(left < right, 1, -1), jnp.minimum(left, right), leans
+    side = jnp.where(left < right, 1, -1)
+    off_m = nearest((x > 0) & (x < half_m + BACK_M) & (side * y > beside_m), side * y) - half_width_m
+    return side, off_m, leans
 
 
 def _gets_free(speed, side):
@@ -244,18 +251,19 @@ def _back(now, around, robot, pose, speed):
     steered = turn - jnp.where(v < 0, jnp.clip(STEER * left, -MOST_STEER_RAD, MOST_STEER_RAD), 0)
     omega = jnp.where(aside, 0, jnp.clip(steered / DT_S, -1.0, 1.0))
     near = (behind < TRAIL_M / 2) & (aside | (jnp.abs(turn) < TRAIL_RAD + MOST_STEER_RAD))
+    # Along a wall, by half of what its front has room for. Where that touches, it goes straight back for a while.
     side, off_m, leans = _beside(around, robot)
-    ways = jnp.concatenate([jnp.stack([v, omega])[None], _gets_free(speed, side)])
+    lean = jnp.where(now.frees == 0, jnp.clip(off_m / robot.length_m / DT_S, LEAST_LEAN, LEAN), 0.0)
+    ways = jnp.stack([jnp.stack([-speed / 2, side * lean]), jnp.stack([v, omega])])
+    ways = jnp.concatenate([ways, _gets_free(speed, side)])
     room_m = jax.vmap(lambda way: _room_m(around, robot, way[0] * AHEAD_S, way[1] * AHEAD_S))(ways)
+    leans &= (now.frees <= AGAIN) & (room_m[0] > jnp.minimum(off_m, 0) - SLACK_M)
     # As planned, or straight back; where neither is free, by what leads farthest away; where a step has met what is not
     # seen, by one after the other.
-    free = room_m[:2] >= SLACK_M
-    best = jnp.where(jnp.any(free), jnp.argmax(free), jnp.argmax(room_m))
-    best = jnp.where(now.frees > AGAIN, 1 + now.tried, best)
-    # Along a wall, by half of what its outline has room for. Where that touches, it goes straight back for a while.
-    lean = jnp.where(now.frees == 0, jnp.clip(off_m / robot.length_m / DT_S, 0, LEAN), 0.0)
-    leans &= now.frees <= AGAIN
-    found, passes = jnp.where(leans, jnp.stack([-speed / 2, side * lean]), ways[best]), leans | (best > 0)
+    free = room_m[1:3] >= SLACK_M
+    best = jnp.where(jnp.any(free), 1 + jnp.argmax(free), jnp.argmax(room_m))
+    best = jnp.where(now.frees > AGAIN, 2 + now.tried, jnp.where(leans, 0, best))
+    found, passes = ways[best], best != 1
     near |= passes & (jnp.hypot(offset[0], offset[1]) < BACK_M)
     return found[0], found[1], jnp.where(near, now.length - 1, now.length), ~jnp.any(free) & ~leans
 
