@@ -83,24 +83,30 @@ def test_the_page_shows_the_run_that_was_made(ran):
     assert len(page) > 200_000
 
 
-@pytest.mark.parametrize(("n", "warns"), [(5, False), (7, True), (4, True)])
-def test_a_page_of_another_run_says_so(n, warns, tmp_path, monkeypatch, capsys):
+@pytest.mark.parametrize(
+    ("n", "off_m", "warns"), [(5, 0.0, False), (5, 0.005, False), (7, 0.0, True), (4, 0.0, True), (5, 0.25, True)]
+)
+def test_a_page_of_another_run_says_so(n, off_m, warns, tmp_path, monkeypatch, capsys):
     """Run 0 had five steps; progress never goes beyond them."""
 
     def record(plan, on_progress):
         for done in range(1, n + 1):
             on_progress(done)
-        return SimpleNamespace(time_s=np.arange(n))
+        pose = np.tile([7.0, 8.0, 0.0], (n, 1))
+        pose[2, 1] += off_m
+        return SimpleNamespace(pose=pose)
 
     monkeypatch.setattr(recording, "record", record)
     monkeypatch.setattr(operator_view, "page", lambda seen: "a page")
     counts = []
     monkeypatch.setattr(trace, "working", lambda total, unit: contextlib.nullcontext(counts.append))
-    found = SimpleNamespace(driven=SimpleNamespace(truth=np.zeros((5, 3))), plan=None)
+    plan = SimpleNamespace(world=SimpleNamespace(origin_m=(7.0, 8.0)))
+    found = SimpleNamespace(driven=SimpleNamespace(truth=np.zeros((5, 3))), plan=plan)
     trace._write_view(found, tmp_path / "btm.html")
     assert (tmp_path / "btm.html").read_text() == "a page"
     assert max(counts) <= 5
-    assert (f"it has {n} steps, not 5" in capsys.readouterr().err) == warns
+    said = capsys.readouterr().err
+    assert (f"it has {n} steps, not 5, up to {off_m:.2f} m from where they were" in said) == warns
 
 
 def test_files_text_and_picture_show_one_map(made):

@@ -31,10 +31,10 @@ def turn_to(map_: Btm, node: Array, found: Openings) -> tuple[Array, Array]:
 
     Returns:
       `(turn, spread)`: radians, to be added; the farthest that a link lies from its opening once that is done, radians,
-        inf where an opening has no link, or a link that is not given up no opening, within `TURN_RAD`.
+        inf where an opening has no link, or a link that it must have no opening, within `TURN_RAD`.
     """
     own, bearing = ends_at(map_, node)
-    needed = own & ~jnp.tile(map_.blocked, 2)
+    needed = _needed(map_, own)
     off = btm.wrapped(bearing[:, None] - found.bearing)  # [2M, K]
     off = jnp.where(own[:, None] & found.valid, off, jnp.inf)
     near = jnp.argmin(jnp.abs(off), axis=0)
@@ -98,8 +98,14 @@ def ends_at(map_: Btm, node: Array) -> tuple[Array, Array]:
     return jnp.concatenate(own), jnp.concatenate([map_.start_bearing, map_.end_bearing])
 
 
+def _needed(map_, own):
+    """The ends of links without which a place is not that node: those not given up, or all where these are too few."""
+    needed = own & ~jnp.tile(map_.blocked, 2)
+    return jnp.where(jnp.sum(needed) > 1, needed, own)
+
+
 def is_alike(map_: Btm, node: Array, found: Openings, back: Array, leads: Array) -> Array:
-    """Whether a place may be a node: all its links but those given up are among the openings, all openings among them.
+    """Whether a place may be a node: all openings are among its links, and these, but for some given up, among them.
 
     Args:
       map_: `Btm`.
@@ -113,7 +119,7 @@ def is_alike(map_: Btm, node: Array, found: Openings, back: Array, leads: Array)
     """
     own, bearing = ends_at(map_, node)
     near = own[:, None] & found.valid & (jnp.abs(btm.wrapped(bearing[:, None] - found.bearing)) < ALIKE_RAD)
-    missing = jnp.sum(own & ~jnp.tile(map_.blocked, 2) & ~jnp.any(near, axis=1))
+    missing = jnp.sum(_needed(map_, own) & ~jnp.any(near, axis=1))
     more = jnp.sum(found.valid & ~jnp.any(near, axis=0))
     waits = (map_.start == node) & btm.open_links(map_) & (jnp.abs(btm.wrapped(map_.start_bearing - back)) < ALIKE_RAD)
     return (missing == 0) & (more == 0) & (leads | jnp.any(waits))

@@ -8,6 +8,7 @@ import sys
 from collections.abc import Sequence
 from typing import Annotated
 
+import numpy as np
 import tyro
 
 from jexplore.cli.listings import describe
@@ -16,6 +17,8 @@ from jexplore.cli.output.console import COMPILING, Out, note, say, working
 from jexplore.cli.output.terminal import show_table
 from jexplore.config import InputError
 from jexplore.driving.settings import Noise, Tuning
+
+SAME_WAY_M = 0.01  # two ways no farther apart than this are one
 
 
 @dataclasses.dataclass(frozen=True)
@@ -160,10 +163,13 @@ def _write_view(found, path):
     n = len(found.driven.truth)
     with working(n, "steps") as on_progress:
         seen = recording.record(found.plan, lambda done: on_progress(min(done, n)))
-    if len(seen.time_s) != n:
+    way_m = recording.moved(found.driven.truth, found.plan.world.origin_m)[:, :2]
+    m = min(n, len(seen.pose))
+    off_m = np.hypot(*(seen.pose[:m, :2] - way_m[:m]).T).max()
+    if len(seen.pose) != n or off_m > SAME_WAY_M:
         print(
             f"warning: {path.name} shows run 0 as it was driven once more, step by step: rounding differs, and it has "
-            f"{len(seen.time_s)} steps, not {n}",
+            f"{len(seen.pose)} steps, not {n}, up to {off_m:.2f} m from where they were",
             file=sys.stderr,
         )
     path.write_text(operator_view.page(seen), encoding="utf-8")
