@@ -24,6 +24,7 @@ from jexplore.driving.settings import Robot, Tuning
 from jexplore.driving.vehicle import ANGLES_RAD, RANGE_M, Building, Senses, to_robot, touches, towards
 
 LOOK_RAD = math.pi - 0.05  # the robot looks round by turning so far: the scanner sees half of what there is
+LOOK_ON_RAD = 0.5  # and by so much more while it sees no place
 LOOK_STEP_RAD = 0.2  # it stops where it cannot turn so far on
 THERE_M = 0.1  # where it cannot turn at a place, it goes on as near as this
 SURVEY_M = 1.0  # a place so near may be the one that is meant; and way between two looks round where the way is shut
@@ -92,8 +93,8 @@ def latched(
     looks, none = drive.latch == Latch.LOOK, (jnp.float32(0), jnp.float32(0))
     left, right = run_if((following & near) | surveys | looks, lambda _: surround.free_turn(around, robot), none)
     may_look = jnp.minimum(left, right) >= math.pi - 1e-3
-    ends = looks & ((drive.looked >= LOOK_RAD) | (left < LOOK_STEP_RAD))
-    look = _look_ends(state, track, ends, around, ways_m, placed, tuning, robot)
+    look = _look_ends(state, track, looks, left, around, ways_m, placed, tuning, robot)
+    ends = look.ends
     small = look.track.radius < jnp.hypot(robot.length_m, robot.width_m) / 2 + surround.MARGIN_M
     arrives = (following & near & ~may_look & ((distance < THERE_M) | small)) | (ends & ~look.goes_on & look.there_is)
     none = ends & ~look.goes_on & (track.age > 0) & ~look.there_is
@@ -145,9 +146,13 @@ def _is_on_way(state, track, tuning):
     return is_out & (on_m > ONWARD_M) & (ahead > 0) & (ahead < on_m) & (jnp.abs(aside) < track.radius / 2)
 
 
-def _look_ends(state, track, ends, around, ways_m, placed, tuning, robot):
-    """What the robot finds where it has looked round, a `_Look`; elsewhere nothing of it counts but the track."""
+def _look_ends(state, track, looks, left, around, ways_m, placed, tuning, robot):
+    """What the robot finds where it has looked round, a `_Look`; elsewhere nothing of it counts but the track.
+
+    While it sees no place there, it looks on for a while: noise may hide one for a moment.
+    """
     drive, map_, had = state.drive, state.writer.map, track.age > 0
+    ends = looks & ((drive.looked >= LOOK_RAD) | (left < LOOK_STEP_RAD))
     node, off_m = btm.nearest_node(map_, track.centre[0], track.centre[1], btm.DIVERGENCE)
     in_map = jnp.stack([map_.x_m[node], map_.y_m[node]]), map_.radius_m[node]
     other, better, there_is, middle = run_if(
@@ -174,7 +179,9 @@ def _look_ends(state, track, ends, around, ways_m, placed, tuning, robot):
     there_is = had & jnp.where(is_gateway, there, there_is | drive.known)
     # One that looks round where the way is shut may see the place that it means from afar.
     far = ends & there_is & ~is_gateway & (_away_m(state, chosen.centre) > AT_PLACE * tuning.arrive_m)
-    return _Look(ends, chosen, better | back | (far & may_go), back, there_is & (~far | may_go))
+    goes_on = better | back | (far & may_go)
+    may_look = (drive.looked < LOOK_RAD + LOOK_ON_RAD) & (left >= LOOK_STEP_RAD) & ~is_gateway
+    return _Look(ends & ~(may_look & had & ~there_is & ~goes_on), chosen, goes_on, back, there_is & (~far | may_go))
 
 
 def _surveyed(track, in_map, around, ways_m, placed, tuning, robot):

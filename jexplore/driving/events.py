@@ -29,7 +29,7 @@ NEAR_M = 4.0  # a robot that looks farther than this looks at what is nearer onc
 BESIDE_M = -0.2  # a divergence is looked for so far ahead of the robot's middle or farther
 GOAL_M = 0.5  # a run ends where it hears its goal's beacon within this
 RISES_M = 0.1  # where the profile ahead rises by more, what looks like a wall may be stairs
-STEP_SLACK_M = 0.015  # a step ahead may be lower than it looks by this
+STEP_SLACK_M = 0.03  # a step ahead may be lower than it looks by this
 LOOK_M = 0.30  # of the profile ahead, in which a robot finds that it cannot climb
 RECENT = 64  # steps whose profile is looked at for that
 LEVEL_RAD = math.radians(4)  # ground that leans less is level, where a single step is looked for
@@ -126,8 +126,7 @@ def look_ahead(
     )
     heeds = is_free if writer.guide is None else is_free | writer.guide.steers
     blocked = jnp.where(stops & (heeds | state.halts), state.blocked + 1, 0)
-    # What it saw as it tipped over the last step is off.
-    ground = jnp.where(posture < LEVEL_RAD, ground_x, jnp.inf), ground_z
+    ground = ground_x, ground_z, posture
     lone_step, is_lone, after = _lone_step(state, writer, ground, tips, level, changed, crease_m, blocked, robot)
     return Ahead(
         leans=leans,
@@ -151,6 +150,11 @@ def look_ahead(
 
 def _lone_step(state, writer, ground, tips, level, changed, crease_m, blocked, robot):
     """`(lone_step, is_lone, after)`: see `Ahead`. Where the ground's inclination changes, that makes the node."""
+    # What it saw as it tipped over the last step is off.
+    is_step = writer.map.obstacle[jnp.minimum(writer.node, writer.map.kind.shape[0] - 1)] == btm.STAIRS
+    beyond_m = jnp.where(is_step, writer.node_m + lone_steps.TOGETHER_M, -jnp.inf)
+    x_m, z_m, posture = ground
+    ground = jnp.where((posture < LEVEL_RAD) & (x_m > beyond_m), x_m, jnp.inf), z_m
     is_level = jnp.hypot(*level.even) < LEVEL_RAD
     is_on = state.odometer_m + robot.length_m / 2 > writer.lone_step.from_m
     looks = is_level & ~tips & ~is_on & (state.drive.latch != Latch.LOOK) & ~state.manoeuvre.backing

@@ -64,6 +64,7 @@ class Profile:
 
     variance_m2: Array  # float32, residual variance about the least-squares line, n - 2 in the denominator
     tread_wave_m2: Array  # float32, part of it that is a sine of the period of a tread, of the best one
+    noise_m: Array  # float32, standard deviation of a point, told by how its neighbours differ
     slope: Array  # float32, of that line, signed
     step_m: Array  # float32, height of a step, the median of all
     riser_m: Array  # float32, height of a step of stairs, likewise, between level treads
@@ -101,6 +102,7 @@ def profile(x_m: Array, z_m: Array, valid: Array) -> Profile:
     return Profile(
         variance_m2=variance,
         tread_wave_m2=jnp.where(enough, _tread_wave(x, residual, valid), 0),
+        noise_m=noise,
         slope=jnp.where(enough, slope, 0),
         step_m=jnp.where(enough, _median(rises, steps), 0),
         riser_m=jnp.where(enough, _riser(steps, rises, *heights), 0),

@@ -1,5 +1,6 @@
 """What an obstacle is: a slope or stairs, how steep, and how high its steps are."""
 
+import math
 from typing import Any
 
 import jax.numpy as jnp
@@ -11,8 +12,11 @@ from jexplore.driving.sensing import ground_profile
 from jexplore.driving.sensing.ground_profile import Profile
 from jexplore.driving.settings import Robot, Tuning
 
-STANDS_OUT = 15.0  # shares that a point has of the variance besides: of noise the best wave has more once in 300
+# Shares that a point has of the variance besides, and of that of noise: of noise alone the best wave has more once in
+# 200.
+STANDS_OUT = 10.0, 8.0
 SURE = 5  # a wave larger than so many thresholds is one however large the rest
+ALONG_RAD = math.radians(45)  # ground counts that a robot sees which heads no farther from where it has left the node
 MARGIN_M = 0.1  # the profile of an obstacle is looked at so far from the nodes at its ends
 
 
@@ -21,7 +25,8 @@ def is_stairs(found: Profile, tuning: Tuning) -> Array:
     which is noise, or a body that tips: bool.
     """
     rest = found.variance_m2 - found.tread_wave_m2
-    doubt = jnp.minimum(STANDS_OUT / jnp.maximum(found.count, 1) * rest, SURE * tuning.tread_wave_m2)
+    share = (STANDS_OUT[0] * rest + STANDS_OUT[1] * found.noise_m**2) / jnp.maximum(found.count, 1)
+    doubt = jnp.minimum(share, SURE * tuning.tread_wave_m2)
     return found.tread_wave_m2 > jnp.maximum(tuning.tread_wave_m2, doubt)
 
 
@@ -50,6 +55,7 @@ def judged(
     over = map_.kind[before] == btm.OBSTACLE
     way = writer.way
     within = (way.ground_x_m > writer.node_m + MARGIN_M) & (way.ground_x_m < event.odometer_m - MARGIN_M)
+    within &= jnp.abs(btm.wrapped(way.pose[:, 2] - writer.left_bearing)) < ALONG_RAD
     found = ground_profile.profile(way.ground_x_m, way.ground_z_m, within & jnp.isfinite(way.ground_x_m))
     is_steep = jnp.abs(jnp.arctan(found.slope)) > jnp.radians(tuning.inclination_deg)
     is_judged = over & is_steep & (found.count >= 3) & (event.odometer_m > writer.node_m)
