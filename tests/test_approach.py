@@ -27,9 +27,9 @@ T = Walls(
 Y_M, RADIUS_M = 0.16, 1.16
 
 
-def looked_round(node, radius_m, robot_x_m=0.0, track_x_m=None):
-    """What a robot finds that has looked round at `(robot_x_m, Y_M)`, where it has seen a circle of `RADIUS_M`, if not
-    elsewhere, and whose map has a divergence at a place, with a circle so large: `Latched`.
+def looked_round(node, radius_m, robot_x_m=0.0, track_x_m=None, looked=math.pi):
+    """What a robot finds that has looked round at `(robot_x_m, Y_M)`, by so many radians, where it has seen a circle of
+    `RADIUS_M`, if not elsewhere, and whose map has a divergence at a place, with a circle so large: `Latched`.
     """
     pose = jnp.array([robot_x_m, Y_M, 0.0])
     angles = np.radians(np.arange(SECTORS) - SECTORS // 2).astype(np.float32)
@@ -37,7 +37,7 @@ def looked_round(node, radius_m, robot_x_m=0.0, track_x_m=None):
     around = Surround(ranges * np.cos(angles), ranges * np.sin(angles))
     writer = mapping.begin(mapping.LEAN_STEPS, 8, 16, jnp.array([-50.0, 0.0, 0.0]), False)
     map_, _ = btm.add_node(writer.map, btm.DIVERGENCE, *node, radius_m=radius_m)
-    drive = behaviour.at_rest().replace(latch=jnp.int32(Latch.LOOK), looked=jnp.float32(math.pi))
+    drive = behaviour.at_rest().replace(latch=jnp.int32(Latch.LOOK), looked=jnp.float32(looked))
     state = SimpleNamespace(
         drive=drive.replace(target=pose[:2]),
         writer=writer.replace(map=map_),
@@ -64,6 +64,24 @@ def test_the_robot_goes_to_where_it_sees_that_circle():
     found = looked_round((0.9, Y_M), RADIUS_M, robot_x_m=0.42)
     assert (bool(found.arrives), bool(found.drive.known), int(found.drive.latch)) == (False, True, Latch.APPROACH)
     assert found.drive.target.tolist() == pytest.approx([0, Y_M], abs=0.1)  # beams are a degree apart
+
+
+@pytest.mark.parametrize(
+    ("robot_x_m", "looked", "goes_on"),
+    [
+        (4.0, approach.LOOK_RAD - 0.01, True),
+        (4.0, approach.LOOK_RAD + 0.01, True),
+        (4.0, approach.LOOK_RAD + approach.LOOK_ON_RAD + 0.01, False),
+        (0.0, approach.LOOK_RAD + 0.01, False),  # there is a place
+    ],
+)
+def test_where_it_sees_no_place_it_looks_a_little_longer(robot_x_m, looked, goes_on):
+    """In the passage there is none: what it took for one was noise, or noise hides it now."""
+    found = looked_round((0.0, 50.0), RADIUS_M, robot_x_m, looked=looked)
+    assert (int(found.drive.latch) == Latch.LOOK) == goes_on
+    assert bool(found.gives_up) == (not goes_on and robot_x_m > 0)
+    assert bool(found.arrives) == (not goes_on and robot_x_m == 0)
+    assert int(found.track.age) == (0 if found.gives_up else 20)
 
 
 @pytest.mark.parametrize(

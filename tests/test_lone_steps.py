@@ -1,14 +1,17 @@
 """Single steps and sills in level ground, told from the profile that a robot drives over."""
 
 import math
+from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jexplore.driving import mapping
+from jexplore import btm
+from jexplore.driving import behaviour, events, manoeuvre, mapping
 from jexplore.driving.sensing import lone_steps
+from jexplore.driving.settings import ROBOTS
 
 pytestmark = pytest.mark.jit
 LENGTH_M, AHEAD_M, STEP_M, RECENT = 0.7, 0.7, 0.04, 64
@@ -101,3 +104,22 @@ def test_a_robot_that_did_not_tip_has_turned_away(degrees, tipped):
     posture = jnp.where(odometer > 8, 1.0, posture)  # elsewhere it may lean as it likes
     way = mapping.no_way(256).replace(odometer_m=odometer, posture=posture)
     assert bool(lone_steps.has_tipped(step, way, LENGTH_M)) == tipped
+
+
+@pytest.mark.parametrize(
+    ("obstacle", "at_m", "is_seen"), [(btm.STAIRS, 7.5, False), (btm.STAIRS, 7.8, True), (btm.SLOPE, 7.5, True)]
+)
+def test_behind_a_step_what_the_robot_saw_as_it_tipped_is_no_second_one(obstacle, at_m, is_seen):
+    """It has passed the first, at 6.4 m, and saw what lies up to 1.2 m behind that while it tipped."""
+    writer = mapping.begin(RECENT, 4, 8, jnp.zeros(3), False)
+    map_, node = btm.add_node(writer.map, btm.OBSTACLE, 6.4, 0.0, obstacle=obstacle, step_m=0.18)
+    writer = writer.replace(map=map_, node=node, node_m=jnp.float32(6.4))
+    state = SimpleNamespace(
+        odometer_m=jnp.float32(7.1), drive=behaviour.at_rest(), manoeuvre=manoeuvre.at_rest(jnp.zeros(3))
+    )
+    x = np.full(RECENT, np.inf, np.float32)
+    x[-20:] = at_m + 0.04 * np.arange(-17, 3)
+    ground = jnp.asarray(x), jnp.where(x < at_m, -0.07, 0.0), jnp.zeros(RECENT)
+    level, no = SimpleNamespace(even=jnp.zeros(2)), jnp.bool_(False)
+    found, *_ = events._lone_step(state, writer, ground, no, level, no, jnp.float32(0), jnp.int32(0), ROBOTS["kamui"])
+    assert bool(jnp.isfinite(found.from_m)) == is_seen

@@ -922,12 +922,12 @@ def test_a_new_node_on_a_known_link_has_a_way_of_its_own():
 # ---------------------------------------------------------------- obstacles
 
 
-def over(height, pitch=-10.0):
-    """The writer and the records after a ride over an obstacle from 2 m to 4 m of this profile."""
+def over(height, pitch=-10.0, heading=lambda s: 0.0):
+    """The writer and the records after a ride over an obstacle from 2 m to 4 m of this profile, headed so."""
     odometer = np.arange(0, 6, 0.04)
     on_it = (odometer > 2) & (odometer < 4)
     writer = begun()
-    rows = [(s, s, 0, 0, pitch * p, abs(pitch) * p + 1, 2.0) for s, p in zip(odometer, on_it)]
+    rows = [(s, s, 0, heading(s), pitch * p, abs(pitch) * p + 1, 2.0) for s, p in zip(odometer, on_it)]
     writer = path(writer, *rows)
     z = np.zeros(STEPS, np.float32)
     z[: len(odometer)] = [*map(height, odometer)]
@@ -958,6 +958,18 @@ def test_an_obstacle_is_a_slope_until_its_profile_says_otherwise():
         assert node.attributes.get("profile_variance_m2", 0) < 1e-6
     assert written.links[1].posture_deg == pytest.approx(11)
     assert [node.posture_deg for node in written.nodes[1:]] == pytest.approx([11, 11])
+
+
+def test_ground_that_a_robot_sees_turned_round_does_not_count():
+    """On the slope it turns and looks down: what lies there is not on its way."""
+
+    def is_turned(s):
+        return 2.8 < s < 3.2
+
+    _, _, written = over(lambda s: slope(s) - 0.3 * is_turned(s), heading=lambda s: math.pi * is_turned(s))
+    for node in written.nodes[1:]:
+        assert (node.obstacle, node.step_m) == ("slope", None)
+        assert node.attributes.get("profile_variance_m2", 0) < 1e-6
 
 
 def test_stairs_fit_no_line():

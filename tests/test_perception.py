@@ -836,14 +836,16 @@ def test_a_riser_between_treads_of_any_length():
 def test_noise_alone_makes_hardly_any_stairs_of_a_slope_and_hides_none_of_ten_centimetres(sigma):
     """Of the mean height of a scan's beams: as with 3 cm and more, and with an attitude that is a degree off."""
     rng = np.random.default_rng(9)
-    slopes = stairs = highest = 0
+    slopes = stairs = highest = low = 0
     for _ in range(100):
         noise = rng.normal(scale=sigma, size=len(WAY))
         slope = profile_of(WAY, WAY * math.tan(TEN) + noise)
         slopes += bool(obstacles.is_stairs(slope, TUNING))
         highest += float(profile_of(WAY, noise).highest_m) > 0
         stairs += bool(obstacles.is_stairs(profile_of(WAY, staircase(WAY, 0.3, 0.1) + noise), TUNING))
+        low += bool(obstacles.is_stairs(profile_of(WAY, staircase(WAY, 0.3, 0.05) + noise), TUNING))
     assert stairs == 100
+    assert low >= (99 if sigma == 0.01 else 20)
     assert slopes <= 2  # one in some hundreds
     assert highest <= 2  # level ground has no step
 
