@@ -4,6 +4,7 @@ import contextlib
 import io
 import json
 import os
+import platform
 import re
 import signal
 import subprocess
@@ -436,3 +437,40 @@ def test_a_map_that_hardly_means_what_it_says_is_told_in_one_line(tmp_path, caps
     assert said.startswith("warning: ")
     assert said.count("\n") == 1
     assert "33% of its pixels are grey 205" in said
+
+
+HEAPS = """
+import ctypes, sys, threading
+from jexplore.cli import main
+main.COMMANDS["trace"].execute = lambda options, arguments: 0
+main.main()
+libc = ctypes.CDLL(None)
+libc.fopen.restype = ctypes.c_void_p
+stay = threading.Barrier(5)
+def use():
+    libc.malloc(1000)
+    stay.wait()
+threads = [threading.Thread(target=use) for _ in range(4)]
+[thread.start() for thread in threads]
+stay.wait()
+file = ctypes.c_void_p(libc.fopen(b"/dev/stderr", b"w"))
+libc.malloc_info(0, file)
+libc.fflush(file)
+"""
+
+
+@pytest.mark.skipif(not platform.libc_ver()[0].startswith("glibc"), reason="the memory is not managed by glibc")
+def test_threads_of_one_run_share_a_heap():
+    """Else each keeps what it has freed; workers that run at once would wait for each other."""
+
+    def heaps(*arguments, **variables):
+        env = {k: v for k, v in os.environ.items() if k != "MALLOC_ARENA_MAX"} | variables
+        command = [sys.executable, "-c", HEAPS, "trace", *arguments]
+        done = subprocess.run(command, env=env, capture_output=True, text=True, check=True)
+        return done.stderr.count("<heap nr=")
+
+    assert heaps() == heaps("--runs", "1", "--starts", "1") == 1
+    assert heaps("--runs", "2") > 1
+    assert heaps("--starts", "2") > 1
+    assert heaps("--sweep", "robot.width_m=0.39,0.6") > 1
+    assert heaps(MALLOC_ARENA_MAX="3") > 1

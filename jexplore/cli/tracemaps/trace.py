@@ -87,6 +87,11 @@ class Trace:
     tuning: Tuning = dataclasses.field(default_factory=Tuning)
     noise: Noise = dataclasses.field(default_factory=Noise)
 
+    @property
+    def is_one_run(self) -> bool:
+        """Whether one worker does it all."""
+        return not self.sweep and self.runs in (None, 1) and self.starts in (None, 1)
+
     def execute(self, arguments: Sequence[str]) -> int | None:
         """Runs the command; returns the exit status, None for 0."""
         from jexplore.studies.traces import tracing

@@ -69,6 +69,6 @@ def has_tipped(step: LoneStep, way: Any, length_m: Array | float) -> Array:
       length_m: of the robot.
     """
     near = (way.odometer_m > step.from_m - length_m) & (way.odometer_m < step.to_m + length_m)
-    return jnp.max(jnp.where(near, steadying.running_mean(way.posture, MEANT), 0)) > TIPS * jnp.arctan(
-        step.height_m / length_m
-    )
+    # Of both angles, whose noise goes either way: that of the inclination never goes below 0.
+    leant = jnp.hypot(*(steadying.running_mean(angle, MEANT) for angle in (way.pitch, way.roll)))
+    return jnp.max(jnp.where(near, leant, 0)) > TIPS * jnp.arctan(step.height_m / length_m)
