@@ -27,7 +27,7 @@ T = Walls(
 Y_M, RADIUS_M = 0.16, 1.16
 
 
-def looked_round(node, radius_m, robot_x_m=0.0, track_x_m=None, looked=math.pi):
+def looked_round(node, radius_m, robot_x_m=0.0, track_x_m=None, looked=math.pi, seen=511):
     """What a robot finds that has looked round at `(robot_x_m, Y_M)`, by so many radians, where it has seen a circle of
     `RADIUS_M`, if not elsewhere, and whose map has a divergence at a place, with a circle so large: `Latched`.
     """
@@ -47,7 +47,7 @@ def looked_round(node, radius_m, robot_x_m=0.0, track_x_m=None, looked=math.pi):
         odometer_m=jnp.float32(100),
     )
     at = pose[:2] if track_x_m is None else jnp.array([track_x_m, Y_M])
-    track = Track(at, jnp.float32(RADIUS_M), jnp.uint32(511), jnp.int32(20), jnp.float32(math.nan))
+    track = Track(at, jnp.float32(RADIUS_M), jnp.uint32(seen), jnp.int32(20), jnp.float32(math.nan))
     ahead = SimpleNamespace(track=track, space=behaviour.no_free_space(), leans=jnp.bool_(False))
     ways_m = surround.ways(around, KAMUI)
     return approach.latched(state, ahead, around, ways_m, to_odometry(pose), TUNING, KAMUI)
@@ -67,17 +67,18 @@ def test_the_robot_goes_to_where_it_sees_that_circle():
 
 
 @pytest.mark.parametrize(
-    ("robot_x_m", "looked", "goes_on"),
+    ("robot_x_m", "looked", "seen", "goes_on"),
     [
-        (4.0, approach.LOOK_RAD - 0.01, True),
-        (4.0, approach.LOOK_RAD + 0.01, True),
-        (4.0, approach.LOOK_RAD + approach.LOOK_ON_RAD + 0.01, False),
-        (0.0, approach.LOOK_RAD + 0.01, False),  # there is a place
+        (4.0, approach.LOOK_RAD - 0.01, 511, True),
+        (4.0, approach.LOOK_RAD + 0.01, 511, True),
+        (4.0, approach.LOOK_RAD + 0.01, 510, False),  # one scan has not shown it
+        (4.0, approach.LOOK_RAD + approach.LOOK_ON_RAD + 0.01, 511, False),
+        (0.0, approach.LOOK_RAD + 0.01, 511, False),  # there is a place
     ],
 )
-def test_where_it_sees_no_place_it_looks_a_little_longer(robot_x_m, looked, goes_on):
+def test_where_it_sees_no_place_that_all_scans_have_shown_it_looks_a_little_longer(robot_x_m, looked, seen, goes_on):
     """In the passage there is none: what it took for one was noise, or noise hides it now."""
-    found = looked_round((0.0, 50.0), RADIUS_M, robot_x_m, looked=looked)
+    found = looked_round((0.0, 50.0), RADIUS_M, robot_x_m, looked=looked, seen=seen)
     assert (int(found.drive.latch) == Latch.LOOK) == goes_on
     assert bool(found.gives_up) == (not goes_on and robot_x_m > 0)
     assert bool(found.arrives) == (not goes_on and robot_x_m == 0)

@@ -24,7 +24,7 @@ from jexplore.driving.settings import Robot, Tuning
 from jexplore.driving.vehicle import ANGLES_RAD, RANGE_M, Building, Senses, to_robot, touches, towards
 
 LOOK_RAD = math.pi - 0.05  # the robot looks round by turning so far: the scanner sees half of what there is
-LOOK_ON_RAD = 0.5  # and by so much more while it sees no place
+LOOK_ON_RAD = 0.5  # and by so much more while it sees no place where all scans have shown one
 LOOK_STEP_RAD = 0.2  # it stops where it cannot turn so far on
 THERE_M = 0.1  # where it cannot turn at a place, it goes on as near as this
 SURVEY_M = 1.0  # a place so near may be the one that is meant; and way between two looks round where the way is shut
@@ -149,7 +149,7 @@ def _is_on_way(state, track, tuning):
 def _look_ends(state, track, looks, left, around, ways_m, placed, tuning, robot):
     """What the robot finds where it has looked round, a `_Look`; elsewhere nothing of it counts but the track.
 
-    While it sees no place there, it looks on for a while: noise may hide one for a moment.
+    While it sees no place where all scans on the way have shown one, it looks on: noise may hide it for a moment.
     """
     drive, map_, had = state.drive, state.writer.map, track.age > 0
     ends = looks & ((drive.looked >= LOOK_RAD) | (left < LOOK_STEP_RAD))
@@ -180,8 +180,9 @@ def _look_ends(state, track, looks, left, around, ways_m, placed, tuning, robot)
     # One that looks round where the way is shut may see the place that it means from afar.
     far = ends & there_is & ~is_gateway & (_away_m(state, chosen.centre) > AT_PLACE * tuning.arrive_m)
     goes_on = better | back | (far & may_go)
-    may_look = (drive.looked < LOOK_RAD + LOOK_ON_RAD) & (left >= LOOK_STEP_RAD) & ~is_gateway
-    return _Look(ends & ~(may_look & had & ~there_is & ~goes_on), chosen, goes_on, back, there_is & (~far | may_go))
+    looks_on = (drive.looked < LOOK_RAD + LOOK_ON_RAD) & (left >= LOOK_STEP_RAD) & ~is_gateway
+    looks_on &= (behaviour.votes(track) == behaviour.WINDOW) & ~there_is & ~goes_on
+    return _Look(ends & ~looks_on, chosen, goes_on, back, there_is & (~far | may_go))
 
 
 def _surveyed(track, in_map, around, ways_m, placed, tuning, robot):
