@@ -923,16 +923,18 @@ def test_a_new_node_on_a_known_link_has_a_way_of_its_own():
 
 
 def over(height, pitch=-10.0, heading=lambda s: 0.0):
-    """The writer and the records after a ride over an obstacle from 2 m to 4 m of this profile, headed so."""
+    """The writer and the records after a ride over an obstacle from 2 m to 4 m of this profile, headed so, of
+    which the robot sees what lies 0.6 m ahead.
+    """
     odometer = np.arange(0, 6, 0.04)
     on_it = (odometer > 2) & (odometer < 4)
     writer = begun()
     rows = [(s, s, 0, heading(s), pitch * p, abs(pitch) * p + 1, 2.0) for s, p in zip(odometer, on_it)]
     writer = path(writer, *rows)
     z = np.zeros(STEPS, np.float32)
-    z[: len(odometer)] = [*map(height, odometer)]
+    z[: len(odometer)] = [*map(height, odometer + 0.6)]
     way = writer.way
-    writer = writer.replace(way=way.replace(ground_x_m=way.odometer_m, ground_z_m=jnp.asarray(z)))
+    writer = writer.replace(way=way.replace(ground_x_m=way.odometer_m + 0.6, ground_z_m=jnp.asarray(z)))
     writer, latch, *_ = write_node(writer, event(OBSTACLE, 2, (2.0, 0.0, 0.0), steepest=9))
     assert latch == Latch.FREE
     first = btm.to_map(writer.map)
@@ -964,12 +966,20 @@ def test_ground_that_a_robot_sees_turned_round_does_not_count():
     """On the slope it turns and looks down: what lies there is not on its way."""
 
     def is_turned(s):
-        return 2.8 < s < 3.2
+        return 2.4 < s < 2.8
 
-    _, _, written = over(lambda s: slope(s) - 0.3 * is_turned(s), heading=lambda s: math.pi * is_turned(s))
+    _, _, written = over(lambda x: slope(x) - 0.3 * is_turned(x - 0.6), heading=lambda s: math.pi * is_turned(s))
     for node in written.nodes[1:]:
         assert (node.obstacle, node.step_m) == ("slope", None)
         assert node.attributes.get("profile_variance_m2", 0) < 1e-6
+
+
+def test_stairs_round_a_bend_are_stairs():
+    """The robot has left the node headed elsewhere."""
+    _, _, written = over(stairs, heading=lambda s: 1.5 * (s > 2.2))
+    assert [(node.obstacle, node.step_m) for node in written.nodes[1:]] == [
+        ("stairs", pytest.approx(0.1, abs=1e-3))
+    ] * 2
 
 
 def test_stairs_fit_no_line():

@@ -106,7 +106,7 @@ def test_a_page_of_another_run_says_so(n, off_m, warns, tmp_path, monkeypatch, c
     assert (tmp_path / "btm.html").read_text() == "a page"
     assert max(counts) <= 5
     said = capsys.readouterr().err
-    assert (f"it has {n} steps, not 5, up to {off_m:.2f} m from where they were" in said) == warns
+    assert (f"it has {n} steps (run 0 has 5) and lies up to {off_m:.2f} m off" in said) == warns
 
 
 def test_files_text_and_picture_show_one_map(made):

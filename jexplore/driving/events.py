@@ -151,7 +151,9 @@ def look_ahead(
 def _lone_step(state, writer, ground, tips, level, changed, crease_m, blocked, robot):
     """`(lone_step, is_lone, after)`: see `Ahead`. Where the ground's inclination changes, that makes the node."""
     # What it saw as it tipped over the last step is off.
-    is_step = writer.map.obstacle[jnp.minimum(writer.node, writer.map.kind.shape[0] - 1)] == btm.STAIRS
+    map_ = writer.map
+    is_step = map_.obstacle[jnp.minimum(writer.node, map_.kind.shape[0] - 1)] == btm.STAIRS
+    is_step &= ~jnp.any(map_.blocked & (map_.start == writer.node))  # from which the robot has turned back
     beyond_m = jnp.where(is_step, writer.node_m + lone_steps.TOGETHER_M, -jnp.inf)
     x_m, z_m, posture = ground
     ground = jnp.where((posture < LEVEL_RAD) & (x_m > beyond_m), x_m, jnp.inf), z_m

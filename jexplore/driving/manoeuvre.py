@@ -218,7 +218,7 @@ def _beside(around, robot):
     left, right = (
         nearest((jnp.abs(x) < half_m + BACK_M) & (side * y > beside_m), side * y) - half_width_m for side in (1, -1)
     )
-    behind = nearest((x < 0) & (jnp.abs(y) < half_width_m - surround.MARGIN_M), -x) - half_m
+    behind = nearest((x < 0) & (jnp.abs(y) < half_width_m - 2 * SLACK_M), -x) - half_m
     margin_m = 2 * surround.MARGIN_M
     needed_m = jnp.hypot(half_m + margin_m, half_width_m + margin_m) - half_width_m
     leans = (jnp.minimum(left, right) < needed_m) & (left + right > 2 * needed_m) & (behind > BACK_M)

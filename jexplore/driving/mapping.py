@@ -243,14 +243,9 @@ def along(way: Way, from_m: Array | float, to_m: Array | float) -> tuple[Array, 
     """
     within = (way.odometer_m >= from_m) & (way.odometer_m <= to_m)
     known = within & jnp.isfinite(way.width_m)
-    n, half, total, count = known.shape[0], MEANT_STEPS // 2, 0, 0
-    place, value = (
-        jnp.pad(a, half, constant_values=jnp.inf) for a in (jnp.where(known, way.odometer_m, jnp.inf), way.width_m)
-    )
-    for k in range(MEANT_STEPS):
-        near = jnp.abs(place[k : k + n] - way.odometer_m) <= MEANT_M
-        total, count = total + jnp.where(near, value[k : k + n], 0), count + near
-    width = jnp.min(jnp.where(known, total / jnp.maximum(count, 1), jnp.inf))
+    place = jnp.where(known, way.odometer_m, jnp.inf)
+    meant = steadying.mean_near(way.width_m, place, way.odometer_m, MEANT_STEPS, MEANT_M)
+    width = jnp.min(jnp.where(known, meant, jnp.inf))
     rolls = jnp.abs(steadying.running_mean(way.roll, MEANT_STEPS))
     posture, roll = (jnp.degrees(jnp.max(jnp.where(within, a, 0))) for a in (way.posture, rolls))
     return width, posture, roll

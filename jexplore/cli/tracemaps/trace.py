@@ -8,7 +8,6 @@ import sys
 from collections.abc import Sequence
 from typing import Annotated
 
-import numpy as np
 import tyro
 
 from jexplore.cli.listings import describe
@@ -162,6 +161,8 @@ class Trace:
 
 def _write_view(found, path):
     """The operator's page of run 0."""
+    import numpy as np
+
     from jexplore.report import operator_view
     from jexplore.studies.traces import recording
 
@@ -173,8 +174,8 @@ def _write_view(found, path):
     off_m = np.hypot(*(seen.pose[:m, :2] - way_m[:m]).T).max()
     if len(seen.pose) != n or off_m > SAME_WAY_M:
         print(
-            f"warning: {path.name} shows run 0 as it was driven once more, step by step: rounding differs, and it has "
-            f"{len(seen.pose)} steps, not {n}, up to {off_m:.2f} m from where they were",
+            f"warning: {path.name} shows run 0 as it was driven once more, step by step: rounding differs, so that it "
+            f"has {len(seen.pose)} steps (run 0 has {n}) and lies up to {off_m:.2f} m off",
             file=sys.stderr,
         )
     path.write_text(operator_view.page(seen), encoding="utf-8")

@@ -12,7 +12,7 @@ from jexplore.driving.sensing.ground_profile import FACE_M, STEP_M, SURE
 FLANK = 3  # points on either side of a step, whose height is that between their medians: one may lie on its face
 TOGETHER_M = 1.2  # steps no farther apart are one, as high as those seen before the robot is on the first
 PASSED_M = 0.30  # the robot's end is so far beyond it: until then its own tipping shows in the profile
-MEANT = 5  # steps over which its attitude is averaged for that
+MEANT, MEANT_M = 5, 0.1  # steps over which its attitude is averaged for that, so far before and behind at most
 TIPS = 0.5  # of the angle at which a robot stands with one end on it: it has tipped so far
 
 
@@ -70,5 +70,7 @@ def has_tipped(step: LoneStep, way: Any, length_m: Array | float) -> Array:
     """
     near = (way.odometer_m > step.from_m - length_m) & (way.odometer_m < step.to_m + length_m)
     # Of both angles, whose noise goes either way: that of the inclination never goes below 0.
-    leant = jnp.hypot(*(steadying.running_mean(angle, MEANT) for angle in (way.pitch, way.roll)))
+    leant = jnp.hypot(
+        *(steadying.mean_near(a, way.odometer_m, way.odometer_m, MEANT, MEANT_M) for a in (way.pitch, way.roll))
+    )
     return jnp.max(jnp.where(near, leant, 0)) > TIPS * jnp.arctan(step.height_m / length_m)

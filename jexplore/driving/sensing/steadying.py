@@ -44,6 +44,23 @@ def running_mean(values: Array, n: int) -> Array:
     return jnp.convolve(jnp.pad(values, n // 2), jnp.full(n, 1 / n), mode="valid")
 
 
+def mean_near(values: Array, place_m: Array, here_m: Array, n: int, within_m: float) -> Array:
+    """The mean of every value and those of its neighbours, n in all (odd, static), that lie near: `[S]` float32.
+
+    Args:
+      values: `[S]` float32.
+      place_m: `[S]` float32, where they are; inf: they do not count.
+      here_m: `[S]` float32, where the means are taken.
+      n, within_m: neighbours farther away do not count.
+    """
+    half, total, count = n // 2, 0, 0
+    place_m, values = (jnp.pad(a, half, constant_values=jnp.inf) for a in (place_m, values))
+    for k in range(n):
+        near = jnp.abs(place_m[k : k + len(here_m)] - here_m) <= within_m
+        total, count = total + jnp.where(near, values[k : k + len(here_m)], 0), count + near
+    return total / jnp.maximum(count, 1)
+
+
 def shares(angle: Array, age: Array) -> Array:
     """How much each of the last readings counts in their mean: only the last one where the noise is small.
 
