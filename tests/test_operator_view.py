@@ -62,7 +62,16 @@ def recording(**changes):
     )
     links = (
         Link(id=0, start=0, end=4, status="searched", start_bearing_deg=0, end_bearing_deg=180, length_m=4.1),
-        Link(id=1, start=4, end=7, status="searched", start_bearing_deg=10, end_bearing_deg=180, min_width_m=1.9),
+        Link(
+            id=1,
+            start=4,
+            end=7,
+            status="searched",
+            start_bearing_deg=10,
+            end_bearing_deg=180,
+            min_width_m=1.9,
+            attributes={"moved": (4.0123456, -0.5, 1e-7)},
+        ),
         Link(id=2, start=7, end=NOWHERE, status="un-searched", start_bearing_deg=270),
     )
     fields = {
@@ -256,6 +265,7 @@ const text = (id) => document.getElementById(id).textContent;
   seen.pitch = text("pitch"); seen.big = text("mode");
   seen.speed = text("now-speed"); seen.roll = text("roll");
   seen.links = [...document.querySelectorAll("#links tbody tr")].map((row) => row.cells[1].textContent);
+  seen.moved = document.querySelectorAll("#links tbody tr")[1].cells[4].textContent;
   seen.notes = document.querySelectorAll("#nodes tbody tr")[1].cells[4].textContent;
   document.querySelectorAll("#nodes tbody button")[1].click(); note("picked");
   seen.rows = document.querySelectorAll("#nodes tbody tr").length;
@@ -295,6 +305,7 @@ def test_it_replays_in_a_browser(body):
     assert (seen["open"], seen["clear"], seen["pitch"]) == ("open", "1.23 m", "−10.3°")
     assert (seen["big"], seen["speed"], seen["roll"]) == ("branch selection", "1.37 m/s", "–")
     assert seen["links"] == ["0 → 4", "4 → 7", "7 → ?"]
+    assert "moved: 4.01 -0.5 1e-7" in seen["moved"]
     assert seen["notes"].startswith("slope, 10.5°, v: </script>")
     assert (frames["picked"], seen["picked"]["picked"], seen["rows"]) == (30, 4, 2)
     assert seen["linksThen"] == ["0 → 4", "4 → ?"]

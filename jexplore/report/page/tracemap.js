@@ -1,7 +1,8 @@
 // What the pages that draw Behavioral Trace Maps share: marks of nodes, curves of links, words for their measures. It
 // follows replay.js in the same scope.
 const GLYPH = {terminal: "\u25a0", divergence: "\u25cf", free_space: "\u25c6", obstacle: "\u25b2"};
-const extras = (item) => Object.entries(item.attributes).map(([name, value]) => `${words(name)}: ${typeof value === "string" ? value : typeof value === "number" ? Number(value.toPrecision(3)) : JSON.stringify(value)}`);
+const plain = (value) => typeof value === "string" ? value : typeof value === "number" ? String(Number(value.toPrecision(3))) : Array.isArray(value) ? value.map(plain).join(" ") : JSON.stringify(value);
+const extras = (item) => Object.entries(item.attributes).map(([name, value]) => `${words(name)}: ${plain(value)}`);
 function nodeNotes(node) {
   const notes = [];
   if (node.obstacle) notes.push(node.obstacle);
