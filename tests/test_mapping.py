@@ -688,26 +688,30 @@ def test_a_searched_link_that_leads_elsewhere_is_followed_no_more():
     assert int(there.fails[south]) == 0
     # From the dead end there is no other way to what is left to be searched.
     for fails, exhausted in ((1, False), (2, True)):
-        lost = writer.replace(fails=writer.fails.at[south].set(fails), rounds=jnp.int32(links.ROUNDS))
+        lost = writer.replace(fails=writer.fails.at[south].set(fails), last_chance=jnp.int32(2))
         after, *_ = at_a_dead_end(lost, (4.1, -6.1), SOUTH, 20)
         assert int(after.fails[south]) == fails + 1
         assert bool(after.exhausted) == exhausted
 
 
-def test_once_nothing_else_is_left_links_that_were_given_up_are_tried_once_more():
+def test_when_nothing_else_is_left_links_that_were_given_up_are_tried_again():
     t, *_ = at_the_t()
     south, north = int(t.link), 3 - int(t.link)
     writer, *_ = at_a_dead_end(t, (4.0, -6.0), SOUTH, 9.5)
     lost = writer.replace(fails=writer.fails.at[south].set(links.FAILS - 1))
     after, *_ = at_a_dead_end(lost, (4.1, -6.1), SOUTH, 20)
-    assert (int(after.link), bool(after.exhausted), int(after.rounds)) == (south, False, 1)
+    assert (int(after.link), bool(after.exhausted), int(after.last_chance)) == (south, False, 2)
     assert int(after.fails[south]) == links.FAILS - 1  # once more
     vain = writer.replace(tries=writer.tries.at[north].set(links.TRIES))
     after, *_ = at_a_dead_end(vain, (4.1, -6.1), SOUTH, 20)
-    assert (int(after.link), bool(after.exhausted), int(after.rounds)) == (south, False, 1)  # on the way there
+    assert (int(after.link), bool(after.exhausted), int(after.last_chance)) == (south, False, 2)  # on the way there
     assert (int(after.tries[north]), bool(after.map.blocked[north])) == (links.TRIES - 1, False)
-    after, *_ = at_a_dead_end(vain.replace(rounds=jnp.int32(links.ROUNDS)), (4.1, -6.1), SOUTH, 20)
+    after, *_ = at_a_dead_end(vain.replace(last_chance=jnp.int32(1)), (4.1, -6.1), SOUTH, 20)
     assert (bool(after.exhausted), bool(after.map.blocked[north])) == (True, True)
+    # A searched one beyond which others are left gets more chances, while some are made use of: two are searched now.
+    for last_chance, exhausted in ((1, False), (2, True)):
+        after, *_ = at_a_dead_end(lost.replace(last_chance=jnp.int32(last_chance)), (4.1, -6.1), SOUTH, 20)
+        assert (bool(after.exhausted), int(after.last_chance)) == (exhausted, 2)
     # What the ground has stopped stays blocked.
     stopped = writer.replace(map=writer.map.replace(blocked=writer.map.blocked.at[north].set(True)))
     after, *_ = at_a_dead_end(stopped, (4.1, -6.1), SOUTH, 20)

@@ -120,9 +120,11 @@ def _apexes(x, y, valid, first, second):
     between = (cross == 0) & (dot < 0)  # on the straight line between both: the pair is no edge
     here = valid[:, None] & ((cross != 0) | between)
     cotangent = jnp.where(between, BETWEEN, dot / jnp.where(cross == 0, 1, jnp.abs(cross)))
-    # The last bits of a cotangent give way to the number of its point, so that one minimum finds both.
-    key = (_ordered(cotangent) & ~(codes - 1)) | jnp.arange(n, dtype=jnp.int32)[:, None]
-    sides = [jnp.min(jnp.where(here & on_side, key, NONE), axis=0) for on_side in (cross >= 0, cross < 0)]
-    apex = jnp.stack([key & (codes - 1) for key in sides])  # [2, E]
-    there = jnp.stack([key != NONE for key in sides])
-    return apex, there, sides[0] < _ordered(jnp.float32(BETWEEN / 2))
+    # The last bits of a cotangent give way to the number of its point, so that one minimum finds both; one more to the
+    # side, so that both sides are one array: on the right what is least is the largest of what is negative.
+    key = (_ordered(cotangent) >> 1) + (1 << 30) & ~(codes - 1) | jnp.arange(n, dtype=jnp.int32)[:, None]
+    keys = jnp.where(here, jnp.where(cross >= 0, key, ~key), NONE)
+    left, right = jnp.min(jnp.where(keys >= 0, keys, NONE), axis=0), ~jnp.max(jnp.where(keys < 0, keys, ~NONE), axis=0)
+    sides = jnp.stack([left, right])
+    apex, there = sides & (codes - 1), sides != NONE
+    return apex, there, left < (_ordered(jnp.float32(BETWEEN / 2)) >> 1) + (1 << 30)

@@ -21,7 +21,6 @@ DOUBT = 0.05, 4.0  # of the way, metres at most: how far off a node may seem tha
 SAME_WAY = 0.6, 0.05  # a way that is as long as a known one, this near in metres and of its length, is that one
 TRIES = 3  # an un-searched link on which the robot has set off so often in vain is given up
 FAILS = 3  # a searched link that has led elsewhere so often in a row is followed no more
-ROUNDS = 1  # so often links of both kinds are tried once more, when nothing else is left
 SAME_END_RAD = math.radians(25)  # a robot that comes in nearer to a known link comes by it
 TURN_RAD = math.radians(20)  # the odometry's heading is corrected by no more, where a node is met again
 
@@ -335,11 +334,18 @@ def link_from(map_: Btm, start: Array, node: Array, back: Array) -> tuple[Array,
     return best, (off[best] < SAME_END_RAD) & (start != node)
 
 
+def is_any_open(writer: Writer) -> Array:
+    """Whether a link is un-searched and not given up: bool."""
+    map_ = writer.map
+    return jnp.any((map_.status == btm.UNSEARCHED) & ~map_.blocked & (writer.tries < TRIES))
+
+
 def where_to(writer: Writer, map_: Btm, node: Array, back: Array) -> tuple[Writer, Btm, Array, Array]:
     """The link by which the robot goes on from a place.
 
     Un-searched links that it has set off on in vain are given up, and searched ones that lead elsewhere are followed no
-    more; once nothing else is left, all of them get another chance.
+    more; when nothing else is left, all of them get another chance. The searched ones get it again as long as there are
+    un-searched ones beyond that were not given up, and one has been searched since the last time.
 
     Args:
       writer: `Writer` before the node was made.
@@ -362,15 +368,20 @@ def where_to(writer: Writer, map_: Btm, node: Array, back: Array) -> tuple[Write
             jnp.where(open_link != btm.NONE, one, two) for one, two in ((open_link, hop), (bearing, hop_bearing))
         )
 
+    is_first, n_searched = writer.last_chance < 0, jnp.sum(map_.status == btm.SEARCHED, dtype=jnp.int32)
+    is_open = (map_.status == btm.UNSEARCHED) & ~map_.blocked
+
     def again(_):
-        tries, blocked = jnp.where(vain, TRIES - 1, writer.tries), map_.blocked & ~vain
+        retried = vain & is_first
+        tries, blocked = jnp.where(retried, TRIES - 1, writer.tries), map_.blocked & ~retried
         one_less = jnp.minimum(fails, FAILS - 1)
         return blocked, tries, one_less, *chosen(map_.replace(blocked=blocked), one_less)
 
     link, bearing = chosen(map_, fails)
-    more = (link == btm.NONE) & (writer.rounds < ROUNDS)
+    more = (link == btm.NONE) & (is_first | (jnp.any(is_open) & (n_searched > writer.last_chance)))
     blocked, tries, fails, link, bearing = run_if(more, again, (map_.blocked, writer.tries, fails, link, bearing))
-    writer = writer.replace(tries=tries, fails=fails, rounds=writer.rounds + more)
+    last_chance = jnp.where(more, n_searched, writer.last_chance)
+    writer = writer.replace(tries=tries, fails=fails, last_chance=last_chance)
     return writer, map_.replace(blocked=blocked), link, bearing
 
 

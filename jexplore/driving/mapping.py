@@ -92,7 +92,7 @@ class Writer:
     passed: Array  # [4] float32, a place that was none: x, y, radius, metres; odometer there
     tries: Array  # [M] int32, how often the robot has set off on a link that was un-searched, or may do so no more
     fails: Array  # [M] int32, how often in a row a searched link has led elsewhere
-    rounds: Array  # int32, how often links that were given up have got another chance
+    last_chance: Array  # int32, searched links when those that were given up last got another chance; -1: never
     exhausted: Array  # bool, nothing is left to follow
     full: Array  # bool, a node did not fit
     doubts: Array  # [N] float32, known nodes that the last one may be: turn of its frame then, radians; NaN: it is not
@@ -134,7 +134,7 @@ def begin(
         passed=jnp.array([0.0, 0.0, 0.0, -jnp.inf], jnp.float32),
         tries=jnp.zeros(n_links, jnp.int32),
         fails=jnp.zeros(n_links, jnp.int32),
-        rounds=jnp.int32(0),
+        last_chance=jnp.int32(-1),
         exhausted=jnp.bool_(False),
         full=jnp.bool_(False),
         doubts=jnp.full(n_nodes, jnp.nan),

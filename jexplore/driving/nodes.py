@@ -119,6 +119,7 @@ def _find_openings(writer, event, points, tuning, is_divergence):
         circle=tuning.circle,
         size=OPENINGS,
         seen_from=event.pose[:2],
+        farther=writer.guide is None and ~links.is_any_open(writer),
     )
     at_gateway = gateways.at_gateway(event.out, event.radius, tuning.coast_m, OPENINGS)
     found = _either_of(jnp.isfinite(event.out), at_gateway, found)
@@ -297,8 +298,8 @@ def made(
         track = jax.tree.map(lambda none, old: jnp.where(latches, none, old), behaviour.no_track(), track)
         return whole.map, {name: getattr(whole, name) for name in rest}, drive, track, estimate
 
-    names = ("node", "node_m", "link", "left_bearing", "border_m", "passed", "tries", "fails", "rounds", "exhausted")
-    names = (*names, "full", "origin", "doubts", "dropped", "guide")
+    names = ("node", "node_m", "link", "left_bearing", "border_m", "passed", "tries", "fails", "last_chance", "full")
+    names = (*names, "exhausted", "origin", "doubts", "dropped", "guide")
     rest = {name: getattr(writer, name) for name in names}
     map_, rest, drive, track, estimate = run_if(
         event.kind != btm.NONE, written, (writer.map, rest, drive, track, state.estimate)

@@ -16,7 +16,7 @@ from jax.tree_util import register_dataclass
 
 from jexplore.arrays.loops import run_if
 from jexplore.driving.building.terrain import Terrain, attitude, look_at, turned
-from jexplore.driving.building.walls import Walls, cast, meets
+from jexplore.driving.building.walls import Walls, cast_along, meets
 from jexplore.driving.settings import Noise, Robot, Tuning
 
 register_dataclass(Robot, [f for f in Robot.__dataclass_fields__ if f != "name"], ["name"])
@@ -173,8 +173,8 @@ def scan(draws: Draws, building: Building, robot: Robot, noise: Noise, body: Bod
     """
     origin, direction = _mounted(body, 0.0, robot.scan_height_m, ahead_directions(robot))
     flat = jnp.maximum(jnp.hypot(direction[:, 0], direction[:, 1]), 1e-6)
-    bearing = jnp.arctan2(direction[:, 1], direction[:, 0])
-    ranges = cast(building.walls, (origin[0], origin[1], 0.0), bearing, RANGE_M) / flat
+    dx, dy = direction[:, 0] / flat, direction[:, 1] / flat
+    ranges = cast_along(building.walls, origin[0], origin[1], dx, dy, RANGE_M) / flat
     terrain = building.terrain
     tilts = jnp.abs(jnp.stack([body.pitch, body.roll, jnp.radians(robot.scan_pitch_deg)]))
     meets_ground = jnp.any(tilts > 1e-3) | (terrain.peak_m > origin[2])
@@ -191,8 +191,9 @@ def scan(draws: Draws, building: Building, robot: Robot, noise: Noise, body: Bod
 def _beacon(building, body):
     """Distance of the goal where its beacon is heard, else inf."""
     offset = building.goal - body.pose[:2]
-    off_m, bearing = jnp.hypot(*offset), jnp.arctan2(offset[1], offset[0])
-    wall_m = cast(building.walls, (body.pose[0], body.pose[1], 0.0), bearing[None], BEACON_M)[0]
+    off_m = jnp.hypot(*offset)
+    dx, dy = offset[:, None] / jnp.maximum(off_m, 1e-6)
+    wall_m = cast_along(building.walls, body.pose[0], body.pose[1], dx, dy, BEACON_M)[0]
     return jnp.where((off_m < BEACON_M) & (off_m < wall_m), off_m, jnp.inf)
 
 

@@ -152,7 +152,8 @@ def look_at(
     step = most_m / n
     distance = jnp.arange(1, n + 1, dtype=jnp.float32)[:, None] * step
     below = above(distance) <= 0  # [n, D]
-    first = jnp.argmax(below, axis=0)
+    # The first of them: a minimum, where an argmax is slow on a CPU.
+    first = jnp.min(jnp.where(below, jnp.arange(n)[:, None], n), axis=0)
 
     def halved(_, ends):
         low, high = ends
@@ -162,7 +163,7 @@ def look_at(
 
     # As a loop: unrolled, XLA computes every halving anew in those that follow.
     low, high = lax.fori_loop(0, HALVINGS, halved, (first * step, (first + 1) * step))
-    return jnp.where(jnp.any(below, axis=0), (low + high) / 2, jnp.inf)
+    return jnp.where(first < n, (low + high) / 2, jnp.inf)
 
 
 def turned(direction: Array, pitch_rad: Array | float, roll_rad: Array | float, heading_rad: Array | float) -> Array:

@@ -80,7 +80,13 @@ def cast(
     """
     x, y, heading = pose
     angle = heading + angles_rad
-    dx, dy = jnp.cos(angle), jnp.sin(angle)
+    return cast_along(walls, x, y, jnp.cos(angle), jnp.sin(angle), max_range_m)
+
+
+def cast_along(
+    walls: Walls, x: Array | float, y: Array | float, dx: Array, dy: Array, max_range_m: Array | float
+) -> Array:
+    """`cast` of beams whose directions are unit vectors: `dx`, `dy`, `[B]` float32; `x`, `y`: their origin, metres."""
     along_x = _nearest(walls.x, x, y, dx, dy)
     along_y = _nearest(walls.y, y, x, dy, dx)
     # Distances are not negative: their bits, as integers, are in the same order, and integers reduce fast on a CPU.

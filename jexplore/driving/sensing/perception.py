@@ -292,10 +292,10 @@ def _on_one_wall(xy, valid, centre, corner, spacing_m, recess_m):
         (ax, ay), (bx, by), (cx, cy) = (xy[corner[:, i]].T for i in range(3))
         is_left = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax) >= 0
         second, third = (jnp.where(is_left, bx, cx), jnp.where(is_left, by, cy)), jnp.where(is_left, cx, bx)
-        return ((ax, ay), second, (third, jnp.where(is_left, cy, by))), (centre[:, 0], centre[:, 1])
+        return ((ax, ay), second, (third, jnp.where(is_left, cy, by))), (centre[:, 0], centre[:, 1]), corner
 
     # Stored, so that no corner is looked up anew for every point.
-    place, (mid_x, mid_y) = stored(spacing_m > 0, corners)
+    place, (mid_x, mid_y), corner = stored(spacing_m > 0, corners)
     place = [(x - mid_x, y - mid_y) for x, y in place]
     # [n, T], so that sums over the points run along rows, which a CPU does many at a time.
     x, y = xy[:, 0, None] - mid_x, xy[:, 1, None] - mid_y

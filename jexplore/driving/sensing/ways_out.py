@@ -24,18 +24,22 @@ from jexplore.driving.sensing.openings import (
 from jexplore.driving.sensing.perception import running_sum
 
 WIDER = 1.5  # search circles, in which doors that lie partly outside one are looked for
+SOMEWHAT_WIDER = 1.25  # likewise, before the next door is in sight
 OTHER_M = 0.5  # from the middle of every other opening
 WIDE_M = 2.0  # a place is wide from this radius on: doors are looked for wall by wall
+ROOM_M, ROOM = 1.2, 2.0  # where nothing else is left: from this radius on, and so many radii from the middle
 JAMB = 60  # directions in which a door's other jamb is looked for
 MOST_DOOR_M = 1.5  # such a door is no wider
 BEHIND_RAD = math.radians(12)  # what bears no farther from a door, and lies beyond it, is behind it
 MERGED_RAD = math.radians(60)  # what leads so far off the direction of its middle, and off its opposite, is two
+THROUGH_M = 0.5  # what lies so much farther than a door in whose gap it is seen is behind it too
 BESIDE_RAD = math.radians(60)  # if there is one of the wider circle that bears no farther from it
 STRAIGHT_RAD = math.radians(30)  # one that leads no farther off the direction of its middle lies straight ahead
 
 
 def ways_out(xy: Array, valid: Array, centre: Array, radius_m: Array | float, width_m: Array | float, *,
-             circle: Array | float, size: int, seen_from: Array | None = None) -> Openings:  # fmt: skip
+             circle: Array | float, size: int, seen_from: Array | None = None,
+             farther: Array | bool = False) -> Openings:  # fmt: skip
     """`openings` of a place, and doors in the walls beside it whose farther jamb lies outside the search circle.
 
     Two doors that face each other across a passage are rarely opposite to the centimetre. One whose middle lies in the
@@ -43,21 +47,27 @@ def ways_out(xy: Array, valid: Array, centre: Array, radius_m: Array | float, wi
     So are a passage and a door farther on in its wall, of which the circle may hold the nearer jamb or nothing. What is
     seen beyond that gap, the passage's walls and a wall of the room behind the door, can pass for a pocket, whose door
     then is the gap from a jamb to that wall: it lies in the room, outside the circle, and leads aside, and there is no
-    way out along the passage. What the wider circle has straight ahead there counts instead.
+    way out along the passage. What the wider circle has straight ahead there counts instead. Of a passage and a door
+    both jambs of which a somewhat wider circle holds that one has both, before the next door in the wall makes one gap
+    of what lies behind it.
 
-    Args: as for `openings`.
+    Args: as for `openings`; and
+      farther: bool, whether to look for doors wall by wall in smaller rooms as well, and farther away. The circles at
+        both ends of a long room are one place: the one may have a door that the other has not. Looked for everywhere,
+        such doors make ways to one place from many.
 
     Returns:
-      `Openings`. Their overflow is that of the circle, of the wider circle or of the walls of a wide room, whichever is
+      `Openings`. Their overflow is that of the circle, of a wider circle or of the walls of a wide room, whichever is
         greatest: what one of these has no room for another mostly has none for either. What the circle has no room for
-        and the wider one has may count twice.
+        and a wider one has may count twice.
     """
 
     def seen(wider):
         return openings(xy, valid, centre, radius_m, width_m, circle=circle * wider, size=size, seen_from=seen_from)
 
-    both = jax.vmap(seen)(jnp.array([1.0, WIDER]))
-    found, more = (jax.tree.map(lambda a, i=i: a[i], both) for i in range(2))
+    views = jax.vmap(seen)(jnp.array([1.0, SOMEWHAT_WIDER, WIDER]))
+    found, near, more = (jax.tree.map(lambda a, i=i: a[i], views) for i in range(3))
+    found = _parted(found, near, more, circle * radius_m)
     askew = _askew(found)
     # Of a gap wider than half a turn the walls face each other on the other side of the centre: that is one.
     merged = found.valid & (askew > MERGED_RAD) & (askew < math.pi - MERGED_RAD) & (found.width_m > DOOR_M)
@@ -72,19 +82,57 @@ def ways_out(xy: Array, valid: Array, centre: Array, radius_m: Array | float, wi
     def with_doors(_):
         offset = xy - centre
         place, _, here = polar(offset, jnp.hypot(*offset.T), valid, FAR_M)
-        doors, too_many = _wall_doors(place, here, width_m, circle * radius_m, size)
-        return _joined(together, doors), too_many
+        reach_m = jnp.where(farther, jnp.maximum(ROOM, circle), circle) * radius_m
+        doors, too_many = _wall_doors(place, here, width_m, reach_m, size)
+        return _joined(together, doors, radius_m > WIDE_M), too_many
 
     none = [jnp.concatenate([a, jnp.zeros_like(a[: 2 * size])]) for a in together], jnp.int32(0)
-    together, too_many = run_if(radius_m > WIDE_M, with_doors, none)
+    together, too_many = run_if(radius_m > jnp.where(farther, ROOM_M, WIDE_M), with_doors, none)
     out = in_order(together, found.overflow, size)
-    overflow = jnp.maximum(out.overflow, jnp.maximum(more.overflow, too_many))
+    overflow = jnp.maximum(out.overflow, jnp.maximum(jnp.maximum(near.overflow, more.overflow), too_many))
     return dataclasses.replace(out, overflow=overflow)
+
+
+def _parted(found, near, more, reach_m):
+    """Openings of the circle; where only the somewhat wider circle parts one by a door in it, its own instead.
+
+    Args:
+      found, near, more: `Openings` of K, of the circle, the somewhat wider and the wider one.
+      reach_m: radius of the circle.
+
+    Returns:
+      `Openings` of 2 K, in no order; the overflow is the circle's.
+    """
+    (away_m, at), (near_m, near_at) = ((jnp.hypot(*a.middle.T), _direction(a)) for a in (found, near))
+    alike, seen = _alike(found, near), jnp.any(_alike(found, near) | _alike(more, near), axis=0)
+    door = near.valid & (near.width_m <= DOOR_M) & (near_m <= reach_m) & ~seen
+    # What is seen through a gap, and lies outside the circle, bears as it likes.
+    outside, straight = away_m > reach_m, _askew(near) < STRAIGHT_RAD
+    half = jnp.where(outside, BESIDE_RAD, jnp.arctan2(found.width_m / 2, away_m))
+    within = jnp.abs(wrapped(at[:, None] - near_at)) < half[:, None]
+    parted = found.valid & ~jnp.any(alike, axis=1) & jnp.any(within & door, axis=1)
+    new = (within & ((near_m <= reach_m) | straight)) | (outside[:, None] & straight)
+    # One before or behind another of the place is that one.
+    behind = (found.valid & ~parted)[:, None] & (jnp.abs(wrapped(at[:, None] - near_at)) < BEHIND_RAD)
+    new = near.valid & jnp.any(new & parted[:, None], axis=0) & ~jnp.any(alike | behind, axis=0)
+    found, near = dataclasses.replace(found, valid=found.valid & ~parted), dataclasses.replace(near, valid=new)
+    return jax.tree.map(lambda a, b: jnp.concatenate([a, b]) if a.ndim else a, found, near)
+
+
+def _alike(one, other):
+    """Which openings are which others, by where they are: `[K, K]` bool."""
+    off = jnp.hypot(*jnp.moveaxis(one.middle[:, None] - other.middle, -1, 0))
+    return one.valid[:, None] & other.valid & (off < OTHER_M)
+
+
+def _direction(found):
+    """Directions in which the middles of openings lie: `[K]`, radians."""
+    return jnp.arctan2(found.middle[:, 1], found.middle[:, 0])
 
 
 def _askew(found):
     """How far the passages of openings lie off the directions in which their middles do: `[K]`, radians."""
-    return jnp.abs(wrapped(found.across - jnp.arctan2(found.middle[:, 1], found.middle[:, 0])))
+    return jnp.abs(wrapped(found.across - _direction(found)))
 
 
 def _others(there, found, more):
@@ -94,7 +142,7 @@ def _others(there, found, more):
     return more.valid & (jnp.min(jnp.where(there, off, jnp.inf), axis=1) > OTHER_M) & ~jnp.any(alike, axis=1)
 
 
-def _joined(found, doors):
+def _joined(found, doors, is_hall):
     """Openings and doors, `(valid, middle, across, width)` of as many each. A door behind another is none of the place,
     nor is an opening that is seen where a door is.
     """
@@ -103,8 +151,12 @@ def _joined(found, doors):
     order = jnp.arange(len(bearing))
     nearer = (away_m < away_m[:, None]) | ((away_m == away_m[:, None]) & (order < order[:, None]))
     first = doors[0] & ~jnp.any(doors[0] & nearer & (off < BEHIND_RAD), axis=1)
-    off = jnp.abs(wrapped(jnp.arctan2(found[1][:, 1], found[1][:, 0])[:, None] - bearing))
-    alone = found[0] & ~jnp.any(first & (off < APART_RAD / 2), axis=1)
+    found_m, towards = jnp.hypot(*found[1].T), jnp.arctan2(found[1][:, 1], found[1][:, 0])
+    off, gap = jnp.abs(wrapped(towards[:, None] - bearing)), jnp.arctan2(found[3] / 2, found_m)
+    narrow = found[3] <= MOST_DOOR_M
+    through = (found[0] & narrow)[:, None] & (off < gap[:, None]) & (away_m > found_m[:, None] + THROUGH_M)
+    first &= ~jnp.any(through, axis=0)
+    alone = found[0] & ~(jnp.any(first & (off < APART_RAD / 2), axis=1) & (narrow | is_hall))
     return [jnp.concatenate(pair) for pair in zip((alone, *found[1:]), (first, *doors[1:]))]
 
 
