@@ -61,7 +61,8 @@ ERRORS = {
     "heading bias 3 degrees a metre": {"heading_bias_deg_m": 3.0},
     "5 cm, 1 degree, 10 % invalid, slip 10 %": {"range_m": 0.05, "attitude_deg": 1.0, "invalid": 0.1, "slip": 0.1},
 }
-MOSTLY, NEARLY_ALL = ("10 % of the beams without a number",), 12  # errors of which so many times more runs are made
+RARELY_FAILS = "10 % of the beams without a number"  # an error with which
+RUNS_FACTOR = 12  # so many times as many runs are made
 BUILDINGS = ("rooms", "office", "hospital", "maze", "cave")
 WORKERS = os.cpu_count() or 1
 
@@ -277,7 +278,7 @@ def sensors(runs):
 
     for name, change in ERRORS.items():
         noise = dataclasses.replace(Noise(range_m=0.01), **change)
-        told(name, max(8, runs // 25) * (NEARLY_ALL if name in MOSTLY else 1), "kamui", noise)
+        told(name, max(8, runs // 25) * (RUNS_FACTOR if name == RARELY_FAILS else 1), "kamui", noise)
     for height in (0.35, 0.70):
         robot = f"kamui:scan_height_m={height}"
         told(f"scanner {height:.2f} m above the ground", max(8, runs // 25), robot, Noise(range_m=0.01))

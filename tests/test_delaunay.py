@@ -267,3 +267,13 @@ def test_circles_pass_through_all_three_corners():
     away = np.hypot(*np.moveaxis(points[corner] - centre[:, None], -1, 0))
     np.testing.assert_allclose(away[fat], np.repeat(radius[fat, None], 3, 1), rtol=1e-3)
     assert fat.sum() > 150
+
+
+def test_as_many_points_as_there_may_be():
+    """256 of them, for whose numbers a cotangent gives way to eight bits: all triangles but slivers at the hull."""
+    points = np.random.default_rng(2).uniform(0, 5, (256, 2)).astype(np.float32)
+    found = one(points, np.ones(256, bool))
+    mine = {tuple(row) for row in np.asarray(found.corner)[np.asarray(found.valid)].tolist()}
+    theirs = {tuple(sorted(row)) for row in spatial.Delaunay(points.astype(np.float64)).simplices.tolist()}
+    assert len(mine ^ theirs) <= 4
+    assert all(circle(points, corner)[1] > 50 for corner in mine ^ theirs)

@@ -17,6 +17,7 @@ from jexplore.driving.nodes import SHIFT_SHARE, TURN_SHARE, Event
 from jexplore.driving.settings import ROBOTS, Tuning, for_world
 from jexplore.tracemap import record
 from jexplore.tracemap.similarity import code
+from jexplore.worlds import load_world
 
 pytestmark = pytest.mark.jit
 TUNING, KAMUI = for_world(Tuning(), is_course=True), ROBOTS["kamui"]
@@ -580,6 +581,28 @@ def at_a_place(around, radius=1.0, stands=(0.0, 0.0)):
     after, latch, target, out, correction = WRITE(*jax.device_get((writer, due)), seen(around))
     assert correction.tolist() == [0, 0, 0]
     return writer, after, int(latch), target.tolist(), float(out)
+
+
+@pytest.mark.parametrize("given_up", [False, True])
+def test_where_nothing_else_is_left_doors_of_a_long_room_are_looked_for_farther_away(given_up):
+    """A room of the office, 3.4 x 4.8 m, in which the robot has started, from the middle of its eastern end: the door
+    at the western end of the southern wall is 2.7 m away.
+    """
+    world, middle = load_world("office"), np.array((3.29, 8.30))
+    angles = np.radians(np.arange(360)).astype(np.float32)
+    x, y = middle - world.origin_m
+    ranges_m = cast(jax.tree.map(jnp.asarray, walls_of(world.occupied, world.cell_m)), (x, y, 0.0), angles, 20.0)
+    room = np.asarray(ranges_m)[:, None] * np.stack([np.cos(angles), np.sin(angles)], 1)
+    writer = begun((-2.0, 0.0, 0.0)).replace(entry=jnp.asarray([-2.0, 0.0]))
+    tries = writer.tries.at[0].set(links.TRIES if given_up else links.TRIES - 1)
+    writer = writer.replace(tries=tries)
+    assert bool(links.is_any_open(writer)) != given_up
+    due = event(DIVERGENCE, 2, (0.0, 0.0, 0.0), (0.0, 0.0), radius=1.7)
+    after, *_ = WRITE(*jax.device_get((writer, due)), seen(room))
+    assert links_of(after) == [(0, 1, SEARCHED), *[(1, NONE, UNSEARCHED)] * given_up]
+    if given_up:
+        towards = math.degrees(math.atan2(-1.7, -2.0)) % 360
+        assert degrees(after.map.start_bearing[1]) % 360 == pytest.approx(towards, abs=5)
 
 
 @pytest.mark.parametrize(("by_deg", "passes"), [(0, True), (30, True), (60, False), (90, False)])

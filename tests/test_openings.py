@@ -582,7 +582,12 @@ def drawn_room(rng, sides=drawn_sides):
 
 def counted(rng, sides, n, aside_of=lambda w, h: 0.0, farther=False):
     """How many of n rooms have just their doors, and how many doors are missed, at 1 cm of range noise, from a place so
-    far aside of the middle, metres along x.
+    far aside of the middle.
+
+    Args:
+      sides: function from `rng` to width and height, decimetres.
+      aside_of: function from these to metres along x.
+      farther: as `ways_out` has it.
     """
     right, missed = 0, 0
     for _ in range(n):
@@ -612,7 +617,7 @@ def test_wide_rooms_have_the_openings_that_are_their_doors():
 
 
 @pytest.mark.parametrize("narrow", [False, True])
-def test_long_rooms_have_their_doors_from_the_middle_of_either_end(narrow):
+def test_long_rooms_have_their_doors_from_the_middle_of_one_end(narrow):
     """Of sixty rooms up to half as long again as they are wide, where the circles at both ends are one place to the
     robot, where nothing else is left. Looked at as ever they have 45 and 41, and 13 and 21 are missed.
     """
@@ -624,6 +629,31 @@ def test_long_rooms_have_their_doors_from_the_middle_of_either_end(narrow):
     right, missed = counted(np.random.default_rng(5), sides, 60, lambda w, h: (w - h) / 20, farther=True)
     assert right >= 50
     assert missed <= 8
+
+
+def made_up(*listed):
+    """`Openings` of three: bearing of the middle and its distance, and width, each leading away from the centre."""
+    bearing, away_m, width_m = (np.float32([*row, *[1] * (3 - len(listed))]) for row in np.array(listed).T)
+    bearing, valid = np.radians(bearing), np.arange(3) < len(listed)
+    middle = away_m[:, None] * np.stack([np.cos(bearing), np.sin(bearing)], 1)
+    return openings.Openings(bearing, middle, bearing, width_m, valid, np.int32(0))
+
+
+@pytest.mark.parametrize(
+    ("aside", "kept"),
+    [
+        (40, {(0, 3.0): False, (40, 0.9): True, (60, 0.9): True}),  # parted by the door at 40 degrees
+        (50, {(0, 3.0): True, (50, 0.9): False, (60, 0.9): True}),  # which is that behind it, at 60
+    ],
+)
+def test_an_opening_is_parted_only_where_something_takes_its_place(aside, kept):
+    one, other, opposite = (0, 1.0, 3.0), (60, 2.0, 0.9), (180, 1.0, 1.0)
+    found, near, more = made_up(one, other, opposite), made_up((aside, 1.2, 0.9), other, opposite), made_up(other)
+    parted = ways_out._parted(*jax.tree.map(jnp.asarray, (found, near, more)), 1.5)
+    bearing, width_m = np.round(np.degrees(parted.bearing)), np.round(np.asarray(parted.width_m, float), 1)
+    there = {pair for pair, valid in zip(zip(bearing.tolist(), width_m.tolist()), parted.valid.tolist()) if valid}
+    assert {key: key in there for key in kept} == kept
+    assert (180, 1.0) in there
 
 
 def test_a_passage_and_the_mouth_of_another_are_two_ways_out():

@@ -120,8 +120,9 @@ def _apexes(x, y, valid, first, second):
     between = (cross == 0) & (dot < 0)  # on the straight line between both: the pair is no edge
     here = valid[:, None] & ((cross != 0) | between)
     cotangent = jnp.where(between, BETWEEN, dot / jnp.where(cross == 0, 1, jnp.abs(cross)))
-    # The last bits of a cotangent give way to the number of its point, so that one minimum finds both; one more to the
-    # side, so that both sides are one array: on the right what is least is the largest of what is negative.
+    # The last bits of a cotangent give way to the number of its point, so that one minimum finds both (of 64 points 16
+    # bits of its fraction are left, of 256 14); one more to the side, so that both sides are one array: on the right
+    # what is least is the largest of what is negative.
     key = (_ordered(cotangent) >> 1) + (1 << 30) & ~(codes - 1) | jnp.arange(n, dtype=jnp.int32)[:, None]
     keys = jnp.where(here, jnp.where(cross >= 0, key, ~key), NONE)
     left, right = jnp.min(jnp.where(keys >= 0, keys, NONE), axis=0), ~jnp.max(jnp.where(keys < 0, keys, ~NONE), axis=0)

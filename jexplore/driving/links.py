@@ -335,7 +335,7 @@ def link_from(map_: Btm, start: Array, node: Array, back: Array) -> tuple[Array,
 
 
 def is_any_open(writer: Writer) -> Array:
-    """Whether a link is un-searched and not given up: bool."""
+    """Whether a link is un-searched and not given up, as that on which the robot arrives is until it ends: bool."""
     map_ = writer.map
     return jnp.any((map_.status == btm.UNSEARCHED) & ~map_.blocked & (writer.tries < TRIES))
 
@@ -344,8 +344,8 @@ def where_to(writer: Writer, map_: Btm, node: Array, back: Array) -> tuple[Write
     """The link by which the robot goes on from a place.
 
     Un-searched links that it has set off on in vain are given up, and searched ones that lead elsewhere are followed no
-    more; when nothing else is left, all of them get another chance. The searched ones get it again as long as there are
-    un-searched ones beyond that were not given up, and one has been searched since the last time.
+    more; when nothing else is left, all of them get another chance. After that the searched ones get one whenever
+    un-searched ones are left that were not given up, and more are searched than the last time.
 
     Args:
       writer: `Writer` before the node was made.

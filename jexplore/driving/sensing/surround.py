@@ -11,7 +11,7 @@ import numpy as np
 from flax import struct
 from jax import Array
 
-from jexplore.arrays.side_by_side import bearing, first_least
+from jexplore.arrays import vectorised
 from jexplore.btm import wrapped
 from jexplore.driving.settings import Robot
 from jexplore.driving.vehicle import ANGLES_RAD, to_robot
@@ -80,7 +80,9 @@ def seen(around: Surround, ranges_m: Array) -> Surround:
     first = SECTORS // 4
     scan = jnp.pad(ranges_m, (first, SECTORS - first - len(ranges_m)), constant_values=jnp.nan)
     fresh = ~jnp.isnan(scan)
-    sector = jnp.round(bearing(xy[:, 1], xy[:, 0]) * (SECTORS / (2 * math.pi)) + SECTORS / 2).astype(jnp.int32)
+    sector = jnp.round(vectorised.arctan2(xy[:, 1], xy[:, 0]) * (SECTORS / (2 * math.pi)) + SECTORS / 2).astype(
+        jnp.int32
+    )
     sector = jnp.where(known, sector % SECTORS, SECTORS)
     # Of the points that were known the nearest in every direction: distance and number in one integer.
     millimetres = (1000 * jnp.hypot(xy[:, 0], xy[:, 1])).astype(jnp.int32)
@@ -115,7 +117,7 @@ def edge(around: Surround) -> tuple[Array, Array]:
 
     def nearest(side):
         there = jnp.where(known & side, range_m, jnp.inf)
-        at = first_least(there)
+        at = vectorised.argmin(there)
         return there[at], jnp.arctan2(xy[at, 1], xy[at, 0])
 
     one_m, one = nearest(True)

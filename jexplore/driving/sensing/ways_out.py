@@ -31,8 +31,8 @@ ROOM_M, ROOM = 1.2, 2.0  # where nothing else is left: from this radius on, and 
 JAMB = 60  # directions in which a door's other jamb is looked for
 MOST_DOOR_M = 1.5  # such a door is no wider
 BEHIND_RAD = math.radians(12)  # what bears no farther from a door, and lies beyond it, is behind it
+THROUGH_M = 0.5  # so is what is seen through a door's gap and lies so much farther
 MERGED_RAD = math.radians(60)  # what leads so far off the direction of its middle, and off its opposite, is two
-THROUGH_M = 0.5  # what lies so much farther than a door in whose gap it is seen is behind it too
 BESIDE_RAD = math.radians(60)  # if there is one of the wider circle that bears no farther from it
 STRAIGHT_RAD = math.radians(30)  # one that leads no farther off the direction of its middle lies straight ahead
 
@@ -47,9 +47,9 @@ def ways_out(xy: Array, valid: Array, centre: Array, radius_m: Array | float, wi
     So are a passage and a door farther on in its wall, of which the circle may hold the nearer jamb or nothing. What is
     seen beyond that gap, the passage's walls and a wall of the room behind the door, can pass for a pocket, whose door
     then is the gap from a jamb to that wall: it lies in the room, outside the circle, and leads aside, and there is no
-    way out along the passage. What the wider circle has straight ahead there counts instead. Of a passage and a door
-    both jambs of which a somewhat wider circle holds that one has both, before the next door in the wall makes one gap
-    of what lies behind it.
+    way out along the passage. What the wider circle has straight ahead there counts instead. Where that
+    has the next door of the wall too, all may be one gap again: then what a somewhat wider circle has counts, in which
+    both jambs of the first door lie and nothing of the next.
 
     Args: as for `openings`; and
       farther: bool, whether to look for doors wall by wall in smaller rooms as well, and farther away. The circles at
@@ -106,15 +106,17 @@ def _parted(found, near, more, reach_m):
     (away_m, at), (near_m, near_at) = ((jnp.hypot(*a.middle.T), _direction(a)) for a in (found, near))
     alike, seen = _alike(found, near), jnp.any(_alike(found, near) | _alike(more, near), axis=0)
     door = near.valid & (near.width_m <= DOOR_M) & (near_m <= reach_m) & ~seen
-    # What is seen through a gap, and lies outside the circle, bears as it likes.
+    # What is seen through a gap, and lies outside the circle, may bear otherwise than the gap.
     outside, straight = away_m > reach_m, _askew(near) < STRAIGHT_RAD
     half = jnp.where(outside, BESIDE_RAD, jnp.arctan2(found.width_m / 2, away_m))
     within = jnp.abs(wrapped(at[:, None] - near_at)) < half[:, None]
     parted = found.valid & ~jnp.any(alike, axis=1) & jnp.any(within & door, axis=1)
-    new = (within & ((near_m <= reach_m) | straight)) | (outside[:, None] & straight)
+    ahead = jnp.abs(wrapped(at[:, None] - near_at)) < math.pi / 2
+    new = near.valid & ((within & ((near_m <= reach_m) | straight)) | (outside[:, None] & ahead & straight))
     # One before or behind another of the place is that one.
     behind = (found.valid & ~parted)[:, None] & (jnp.abs(wrapped(at[:, None] - near_at)) < BEHIND_RAD)
-    new = near.valid & jnp.any(new & parted[:, None], axis=0) & ~jnp.any(alike | behind, axis=0)
+    new &= parted[:, None] & ~jnp.any(alike | behind, axis=0)
+    parted, new = parted & jnp.any(new, axis=1), jnp.any(new, axis=0)
     found, near = dataclasses.replace(found, valid=found.valid & ~parted), dataclasses.replace(near, valid=new)
     return jax.tree.map(lambda a, b: jnp.concatenate([a, b]) if a.ndim else a, found, near)
 
@@ -142,9 +144,15 @@ def _others(there, found, more):
     return more.valid & (jnp.min(jnp.where(there, off, jnp.inf), axis=1) > OTHER_M) & ~jnp.any(alike, axis=1)
 
 
-def _joined(found, doors, is_hall):
-    """Openings and doors, `(valid, middle, across, width)` of as many each. A door behind another is none of the place,
-    nor is an opening that is seen where a door is.
+def _joined(found, doors, is_wide):
+    """Openings and doors together: `(valid, middle, across, width)`.
+
+    A door behind another is none of the place, nor is one that is seen through a narrow opening and lies farther by
+    `THROUGH_M`. An opening that is seen where a door is is that door; in rooms that are not wide only a narrow one.
+
+    Args:
+      found, doors: `(valid, middle, across, width)` of any number of openings, and of doors.
+      is_wide: bool, whether the room is.
     """
     away_m, bearing = jnp.hypot(*doors[1].T), jnp.arctan2(doors[1][:, 1], doors[1][:, 0])
     off = jnp.abs(wrapped(bearing[:, None] - bearing))
@@ -156,7 +164,7 @@ def _joined(found, doors, is_hall):
     narrow = found[3] <= MOST_DOOR_M
     through = (found[0] & narrow)[:, None] & (off < gap[:, None]) & (away_m > found_m[:, None] + THROUGH_M)
     first &= ~jnp.any(through, axis=0)
-    alone = found[0] & ~(jnp.any(first & (off < APART_RAD / 2), axis=1) & (narrow | is_hall))
+    alone = found[0] & ~(jnp.any(first & (off < APART_RAD / 2), axis=1) & (narrow | is_wide))
     return [jnp.concatenate(pair) for pair in zip((alone, *found[1:]), (first, *doors[1:]))]
 
 

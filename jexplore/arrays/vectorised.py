@@ -1,4 +1,4 @@
-"""Functions of arrays that XLA's CPU compiler makes one element after the other of, by operations that it does not."""
+"""`arctan2` and `argmin` for a CPU, where XLA has them go element by element: made of operations that it vectorises."""
 
 import math
 
@@ -9,14 +9,15 @@ from jax import Array, lax
 _ARCTAN = 0.99997726, -0.33262347, 0.19354346, -0.11643287, 0.05265332, -0.01172120
 
 
-def bearing(y: Array, x: Array) -> Array:
-    """`arctan2` to 4e-6 radians: `[...]` float32, 0 at the origin.
+def arctan2(y: Array, x: Array) -> Array:
+    """The angle of a point, to 4e-6 radians: `[...]` float32, 0 at the origin; the sign of a zero does not count.
 
     Args:
       y, x: `[...]` float32, finite.
     """
     ax, ay = jnp.abs(x), jnp.abs(y)
-    share = jnp.minimum(ax, ay) / jnp.maximum(jnp.maximum(ax, ay), 1e-30)
+    largest = jnp.maximum(ax, ay)
+    share = jnp.minimum(ax, ay) / jnp.where(largest > 0, largest, 1)
     square, angle = share * share, jnp.zeros_like(share)
     for factor in reversed(_ARCTAN):
         angle = angle * square + factor
@@ -26,7 +27,7 @@ def bearing(y: Array, x: Array) -> Array:
     return jnp.where(y < 0, -angle, angle)
 
 
-def first_least(values: Array) -> Array:
-    """`argmin` of `[n]` float32 without NaN: int32."""
+def argmin(values: Array) -> Array:
+    """The place of the first of the least of `[n]` float32 without NaN: int32; of NaN it makes the last place."""
     n = values.shape[0]
     return jnp.min(jnp.where(values == jnp.min(values), lax.iota(jnp.int32, n), n - 1))
