@@ -596,7 +596,7 @@ def test_where_nothing_else_is_left_doors_of_a_long_room_are_looked_for_farther_
     writer = begun((-2.0, 0.0, 0.0)).replace(entry=jnp.asarray([-2.0, 0.0]))
     tries = writer.tries.at[0].set(links.TRIES if given_up else links.TRIES - 1)
     writer = writer.replace(tries=tries)
-    assert bool(links.is_any_open(writer)) != given_up
+    assert bool(links.is_any_open(writer.map, writer.tries)) != given_up
     due = event(DIVERGENCE, 2, (0.0, 0.0, 0.0), (0.0, 0.0), radius=1.7)
     after, *_ = WRITE(*jax.device_get((writer, due)), seen(room))
     assert links_of(after) == [(0, 1, SEARCHED), *[(1, NONE, UNSEARCHED)] * given_up]

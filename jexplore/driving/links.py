@@ -334,10 +334,14 @@ def link_from(map_: Btm, start: Array, node: Array, back: Array) -> tuple[Array,
     return best, (off[best] < SAME_END_RAD) & (start != node)
 
 
-def is_any_open(writer: Writer) -> Array:
-    """Whether a link is un-searched and not given up, as that on which the robot arrives is until it ends: bool."""
-    map_ = writer.map
-    return jnp.any((map_.status == btm.UNSEARCHED) & ~map_.blocked & (writer.tries < TRIES))
+def is_any_open(map_: Btm, tries: Array) -> Array:
+    """Whether a link is un-searched and not given up, as that on which the robot arrives is until it ends: bool.
+
+    Args:
+      map_: `Btm`.
+      tries: `[M]` int32, see `Writer`.
+    """
+    return jnp.any((map_.status == btm.UNSEARCHED) & ~map_.blocked & (tries < TRIES))
 
 
 def where_to(writer: Writer, map_: Btm, node: Array, back: Array) -> tuple[Writer, Btm, Array, Array]:
@@ -369,7 +373,6 @@ def where_to(writer: Writer, map_: Btm, node: Array, back: Array) -> tuple[Write
         )
 
     is_first, n_searched = writer.last_chance < 0, jnp.sum(map_.status == btm.SEARCHED, dtype=jnp.int32)
-    is_open = (map_.status == btm.UNSEARCHED) & ~map_.blocked
 
     def again(_):
         retried = vain & is_first
@@ -378,7 +381,7 @@ def where_to(writer: Writer, map_: Btm, node: Array, back: Array) -> tuple[Write
         return blocked, tries, one_less, *chosen(map_.replace(blocked=blocked), one_less)
 
     link, bearing = chosen(map_, fails)
-    more = (link == btm.NONE) & (is_first | (jnp.any(is_open) & (n_searched > writer.last_chance)))
+    more = (link == btm.NONE) & (is_first | (is_any_open(map_, writer.tries) & (n_searched > writer.last_chance)))
     blocked, tries, fails, link, bearing = run_if(more, again, (map_.blocked, writer.tries, fails, link, bearing))
     last_chance = jnp.where(more, n_searched, writer.last_chance)
     writer = writer.replace(tries=tries, fails=fails, last_chance=last_chance)

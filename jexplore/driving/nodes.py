@@ -119,7 +119,7 @@ def _find_openings(writer, event, points, tuning, is_divergence):
         circle=tuning.circle,
         size=OPENINGS,
         seen_from=event.pose[:2],
-        farther=writer.guide is None and ~links.is_any_open(writer),
+        farther=writer.guide is None and ~links.is_any_open(writer.map, writer.tries),
     )
     at_gateway = gateways.at_gateway(event.out, event.radius, tuning.coast_m, OPENINGS)
     found = _either_of(jnp.isfinite(event.out), at_gateway, found)
