@@ -21,12 +21,10 @@ from jexplore.engine.lanes import Usage
 from jexplore.engine.program import Line
 
 ENGINES = ("serial", "lockstep")
-# Cores that do what lockstep is estimated to do on an accelerator (`bench --target`): 49 in a cave, 25 in a hospital,
-# where it was 24 when this was set.
-CORES_WORTH = 24
-# Runs a device: the estimate is for so many lanes. 1,024 came to 3 to 5 cores in the engine as it was, which planned at
-# once; this has not been estimated since.
-FILLING = 4096
+# CPU cores that do the work of one H100 in lockstep at 4,096 lanes, by `closest+recheck`: 97 of its own machine's in a
+# hospital, 160 in a cave (`benchmarks/device.py`).
+CORES_WORTH = 96
+FILLING = 4096  # runs a device from which lockstep is chosen; measured at this many lanes
 
 
 @dataclasses.dataclass
@@ -99,7 +97,7 @@ def cpu_devices() -> list[Any]:
 
 
 def faster_engine(devices: Sequence[Any], cores: int, runs: int | None = None, processes: int = 1) -> str:
-    """The engine that is likely to be the faster one, by an estimate: lockstep has been measured on no accelerator.
+    """The engine that is likely to be the faster one, by what an H100 and the cores beside it were measured to do.
 
     Args:
       devices: list of JAX devices.
