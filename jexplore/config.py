@@ -11,7 +11,7 @@ import numbers
 import operator
 import reprlib
 from collections.abc import Collection
-from typing import Any
+from typing import Any, Literal
 
 MAX_SEED = 2**32 - 1
 
@@ -125,8 +125,13 @@ class Lidar:
     """The noise of the ranges has this standard deviation, in metres."""
     dropout: float = 0.0
     """A beam returns nothing at all, and leaves the map as it is, with this probability."""
+    no_echo: Literal["free", "unknown"] = "free"
+    """A beam that nothing stops within the range says that its cells are free, or says nothing: they stay unknown, as
+    drivers have it that report no echo as an invalid reading."""
 
     def __post_init__(self) -> None:
+        if self.no_echo not in ("free", "unknown"):
+            raise InputError(f"lidar.no_echo must be 'free' or 'unknown', got {shown(self.no_echo)}")
         require_whole("lidar.n_beams", self.n_beams, low=1, high=4096)
         require_number("lidar.fov_deg", self.fov_deg, low=0, high=360, low_open=self.n_beams > 1)
         require_number("lidar.range_m", self.range_m, low_open=True, high=1000)

@@ -54,12 +54,12 @@ def target(_folder):
     return found.target
 
 
-def both(target, grid, occupied, stands, believes, lidar, when=True):
+def both(target, grid, occupied, stands, believes, lidar, when=True, free=True):
     """`(hits, misses, fresh)` by the kernel in C++ and by those in JAX."""
     table = raycast.beam_table(lidar, 1.0, occupied.shape[1])
     grid, occupied = jax.tree.map(jnp.asarray, (grid, occupied))
-    ours, fresh = sensing.look(target, grid, occupied, stands, believes, jax.tree.map(jnp.asarray, table), when)
-    seen = raycast.scan(occupied, *stands, table)
+    ours, fresh = sensing.look(target, grid, occupied, stands, believes, jax.tree.map(jnp.asarray, table), when, free)
+    seen = raycast.without_silent(raycast.scan(occupied, *stands, table), free)
     theirs = raycast.fold(grid, *believes, seen, table, when=when)
     n = np.sum(np.asarray(is_known(theirs))) - np.sum(np.asarray(is_known(grid)))
     return (ours.hits, ours.misses, fresh), (theirs.hits, theirs.misses, n)
@@ -78,6 +78,19 @@ def test_one_scan_by_hand(target):
     assert (int(np.max(hits)), int(np.max(misses)), int(fresh)) == (1, 1, 10)
 
 
+@needs_compiler
+def test_without_an_echo_a_beam_may_say_nothing(target):
+    how = (1, 2, 0), (1, 2, 0), RIGHT_ANGLES, True, False
+    for hits, misses, _ in both(target, empty_grid(ROOM.shape), ROOM, *how):
+        assert maps.picture(np.asarray(hits), np.asarray(misses)) == [
+            "??#????",
+            "??.????",
+            "??.????",
+            "#..????",  # ahead nothing is seen within 3 cells
+            "??#????",
+        ]
+
+
 @st.composite
 def scenes(draw):
     """A walled map, counts made before, where a robot stands and believes to be, a scanner."""
@@ -94,10 +107,11 @@ def scenes(draw):
 @needs_compiler
 @pytest.mark.jit
 @settings(max_examples=80)
-@given(scenes(), st.booleans())
-def test_parity_with_the_kernels_in_jax(target, scene, when):
+@given(scenes(), st.booleans(), st.booleans())
+def test_parity_with_the_kernels_in_jax(target, scene, when, free):
     grid, occupied, pose, lidar = scene
-    jax.tree.map(np.testing.assert_array_equal, *both(target, grid, occupied, pose, pose, lidar, jnp.bool_(when)))
+    flags = jnp.bool_(when), jnp.bool_(free)
+    jax.tree.map(np.testing.assert_array_equal, *both(target, grid, occupied, pose, pose, lidar, *flags))
 
 
 @needs_compiler

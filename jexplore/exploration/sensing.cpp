@@ -1,5 +1,5 @@
-// One scan and what it tells the map: `raycast.scan`, `raycast.fold` and the count of known cells in one pass over the
-// cells that beams enter. Whole numbers only, so that every bit is that of the kernels in JAX.
+// One scan and what it tells the map: `raycast.scan`, `without_silent`, `fold` and the count of known cells in one pass
+// over the cells that beams enter, two where a beam without an echo says nothing. Whole numbers only, so that every bit is that of the kernels in JAX.
 
 #include <algorithm>
 #include <cstdint>
@@ -13,7 +13,8 @@ using Counts = ffi::Buffer<ffi::S32, 2>;  // [H, W]
 using Walls = ffi::Buffer<ffi::PRED, 2>;  // [H', W]
 using Table = ffi::Buffer<ffi::S32, 4>;   // [K, S / BLOCK, B, BLOCK], `Beams.by_beam`
 using Length = ffi::Buffer<ffi::S32, 2>;  // [K, B], `Beams.length`
-using Pose = ffi::Buffer<ffi::S32, 1>;    // row, col, heading of the scan; of where it is counted; whether it is
+using Pose = ffi::Buffer<ffi::S32, 1>;    // row, col, heading of the scan; of where it is counted; whether it is;
+                                          // whether a beam without an echo shows its cells to be free
 using Fresh = ffi::Buffer<ffi::S32, 0>;
 
 namespace {
@@ -37,13 +38,28 @@ struct Map {
   }
 };
 
+// The walls of the world, and whether something stops a beam on its way.
+struct World {
+  const bool* walls;
+  int64_t n_cells;
+
+  bool Stops(int64_t cell) const { return !IsInside(cell, n_cells) || walls[cell]; }
+
+  bool Echoes(int64_t stands, const int32_t* seen, int64_t left, int64_t block, int64_t stride) const {
+    for (; left > 0; left -= block, seen += stride)
+      for (int64_t step = 0; step < std::min(left, block); ++step)
+        if (Stops(stands + seen[step])) return true;
+    return false;
+  }
+};
+
 ffi::Error Look(Counts hits, Counts misses, Walls occupied, Table by_beam, Length length, Pose pose,
                 ffi::Result<Counts> hits_out, ffi::Result<Counts> misses_out, ffi::Result<Fresh> fresh) {
   const auto shape = by_beam.dimensions();
   const int64_t n_headings = shape[0], n_beams = shape[2], block = shape[3], stride = n_beams * block;
-  const int64_t width = hits.dimensions()[1], n_walls = occupied.element_count();
+  const int64_t width = hits.dimensions()[1];
   const int32_t* at = pose.typed_data();
-  const bool* walls = occupied.typed_data();
+  const World world{occupied.typed_data(), static_cast<int64_t>(occupied.element_count())};
   Map map{hits_out->typed_data(), misses_out->typed_data(), static_cast<int64_t>(hits.element_count())};
   // XLA gives these results the memory of the arguments that they replace; were it not so, they would be copied here.
   if (map.hits != hits.typed_data()) std::memcpy(map.hits, hits.typed_data(), hits.size_bytes());
@@ -55,16 +71,16 @@ ffi::Error Look(Counts hits, Counts misses, Walls occupied, Table by_beam, Lengt
   const int32_t* seen_table = by_beam.typed_data() + seen_at * shape[1] * stride;
   const int32_t* told_table = by_beam.typed_data() + told_at * shape[1] * stride;
   const int32_t* n_steps = length.typed_data() + seen_at * n_beams;
-  const bool when = at[6] != 0;
+  const bool when = at[6] != 0, no_echo_is_free = at[7] != 0;
   if (when) map.Count(map.misses, believes);
   for (int64_t beam = 0; when && beam < n_beams; ++beam) {
     const int32_t* seen = seen_table + beam * block;
     const int32_t* told = told_table + beam * block;
+    if (!no_echo_is_free && !world.Echoes(stands, seen, n_steps[beam], block, stride)) continue;
     bool stopped = false;
     for (int64_t left = n_steps[beam]; left > 0 && !stopped; left -= block, seen += stride, told += stride) {
       for (int64_t step = 0; step < std::min(left, block) && !stopped; ++step) {
-        const int64_t entered = stands + seen[step];
-        stopped = !IsInside(entered, n_walls) || walls[entered];
+        stopped = world.Stops(stands + seen[step]);
         if (stopped) {
           map.Count(map.hits, believes + told[step]);
         } else {

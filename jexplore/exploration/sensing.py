@@ -18,7 +18,7 @@ from jexplore.engine.native import Native, load_kernel
 from jexplore.engine.program import Given
 from jexplore.exploration.state import Setup, State, Stream
 from jexplore.grid import Grid, count, is_known
-from jexplore.raycast import Beams, disturb, fold, scan
+from jexplore.raycast import Beams, disturb, fold, scan, without_silent
 
 SOURCE, SYMBOL = Path(__file__).with_suffix(".cpp"), "jexplore_look"
 STRIDE = 16  # cells by which the square moves in which known cells are counted
@@ -87,9 +87,16 @@ def known_in(grid: Grid, corner: Array, size: tuple[int, ...], *, method: str = 
 
 
 def look(
-    target: str, grid: Grid, occupied: Array, stands: Any, believes: Any, beams: Beams, when: Array | bool = True
+    target: str,
+    grid: Grid,
+    occupied: Array,
+    stands: Any,
+    believes: Any,
+    beams: Beams,
+    when: Array | bool = True,
+    no_echo_is_free: Array | bool = True,
 ) -> tuple[Grid, Array]:
-    """`raycast.scan` and `raycast.fold` by the kernel in C++, in place where the map is used no more.
+    """`raycast.scan`, `without_silent` and `fold` by the kernel in C++, in place where the map is used no more.
 
     Args:
       target: `Native.target`.
@@ -99,11 +106,12 @@ def look(
       believes: int32 row, col and heading of where it is counted.
       beams: `Beams`.
       when: bool scalar; if False, nothing is counted.
+      no_echo_is_free: bool scalar, as for `without_silent`.
 
     Returns:
       `(grid, fresh)`: the map, and how many of its cells have come to be known, int32.
     """
-    pose = jnp.stack([jnp.asarray(n, jnp.int32) for n in (*stands, *believes, when)])
+    pose = jnp.stack([jnp.asarray(n, jnp.int32) for n in (*stands, *believes, when, no_echo_is_free)])
     counts = jax.ShapeDtypeStruct(grid.hits.shape, jnp.int32)
     results = counts, counts, jax.ShapeDtypeStruct((), jnp.int32)
     call = jax.ffi.ffi_call(target, results, input_output_aliases={0: 0, 1: 1})
@@ -150,7 +158,8 @@ def sense(setup: Setup, given: Given, state: State, when: Array) -> State:
     belief, beams, occupied, base = state.belief, given.shared, *stacked(given, given.scenes.occupied)
     stands, believes = (base + state.row, state.col, state.heading), (belief.row, belief.col, belief.heading)
     if setup.native is not None:
-        grid, fresh = look(setup.native, belief.grid, occupied, stands, believes, beams, when)
+        free = given.numbers.no_echo_is_free
+        grid, fresh = look(setup.native, belief.grid, occupied, stands, believes, beams, when, free)
         state = state.replace(scans=state.scans + when, known=state.known + fresh)
         return state.replace(belief=belief.replace(grid=grid))
     seen = scan(occupied, *stands, beams, method=belief.model.scan)
@@ -158,6 +167,7 @@ def sense(setup: Setup, given: Given, state: State, when: Array) -> State:
         key = jax.random.fold_in(jax.random.fold_in(given.key, Stream.SENSOR), state.scans)
         noise = {"sigma_cells": given.numbers.sigma_cells, "dropout": given.numbers.dropout}
         seen = disturb(key, seen, state.row, state.col, state.heading, beams, belief.extent, **noise)
+    seen = without_silent(seen, given.numbers.no_echo_is_free)
     grid, tally, known = _told(setup, state, seen, beams, when)
     state = state.replace(tally=tally, scans=state.scans + when, known=known)
     return state.replace(belief=belief.replace(grid=grid))

@@ -150,6 +150,7 @@ def prepare_site(
         max_plans=np.int32(rules.max_plans or limit),  # type: ignore[arg-type]
         sigma_cells=np.float32(lidar.sigma_m / world.cell_m),  # type: ignore[arg-type]
         dropout=np.float32(lidar.dropout),  # type: ignore[arg-type]
+        no_echo_is_free=np.bool_(lidar.no_echo == "free"),  # type: ignore[arg-type]
         params=(),
     )
     glances = tuple(windows(shape, model.clearance_d2, glances=True)) if kernels.in_pieces else None

@@ -76,6 +76,7 @@ class Numbers:
     max_plans: Array  # int32
     sigma_cells: Array  # float32
     dropout: Array  # float32
+    no_echo_is_free: Array  # bool, whether a beam that nothing stops shows its cells to be free
     params: Any  # `Policy.params`
     replace: ClassVar[Callable[..., Self]]
 

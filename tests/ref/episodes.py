@@ -67,6 +67,7 @@ def numbers_of(strategy, lidar, rules, cell_m, kernels="serial"):
         max_plans=np.int32(rules.max_plans or CAPACITY),
         sigma_cells=np.float32(lidar.sigma_m / cell_m),
         dropout=np.float32(lidar.dropout),
+        no_echo_is_free=np.bool_(lidar.no_echo == "free"),
         params=strategy.policy.params,
     )
 
@@ -209,6 +210,7 @@ def replay(occupied, start, strategy, lidar, rules, *, cell_m, rooms=None, choos
         look_around=rules.look_around,
         scan_every_m=rules.scan_every_m,
         arrival_m=rules.arrival_m,
+        no_echo=lidar.no_echo,
         sense=sense,
     )
 

@@ -249,6 +249,7 @@ def _lidar(draw, fixed, cell_m):
         n_beams=n_beams,
         fov_deg=float(draw.choice([draw.choice(SPECIAL_FOV), draw.uniform(30, 360)])),
         range_m=_range(draw, cell_m, most_cells),
+        no_echo=str(draw.choice(["free", "free", "free", "unknown"])),
         **noise,
     )
 
@@ -280,6 +281,7 @@ def kinds_of(case, verdict):
         f"noise, a side above {PACKED}": case.fixed.noisy and max(height, width) > PACKED,
         "field of view below 90 degrees": lidar.fov_deg < 90,
         "field of view of 360 degrees": lidar.fov_deg == 360,
+        "no echo, unknown": lidar.no_echo == "unknown",
         "one beam": lidar.n_beams == 1,
         "more than 181 beams": lidar.n_beams > 181,
         "a range of whole or half cells": (2 * in_cells(lidar.range_m, case.cell_m)).is_integer(),

@@ -113,7 +113,8 @@ def count_room_entries(visited, rooms):
 class Robot:
     """The robot in its world, with its map, its odometer and its record."""
 
-    def __init__(self, occupied, start, heading_deg, sense, p_free, scan_every):
+    def __init__(self, occupied, start, heading_deg, sense, p_free, scan_every, no_echo):
+        self.no_echo = no_echo
         self.scan_every, self.unscanned = scan_every, 0  # cost of the way, fixed point
         self.occupied, self.sense, self.p_free = occupied, sense, p_free
         self.cell, self.heading = start, heading_deg % 360
@@ -138,7 +139,10 @@ class Robot:
 
     def scan(self, heading_deg):
         """Make one scan and count it."""
-        beams.fold(self.result.hits, self.result.misses, *self.cell, self.sense(*self.cell, heading_deg))
+        readings = self.sense(*self.cell, heading_deg)
+        if self.no_echo == "unknown":
+            readings = [(missed, hit) for missed, hit in readings if hit is not None]
+        beams.fold(self.result.hits, self.result.misses, *self.cell, readings)
         self.unscanned = 0
         self.result.headings.append(heading_deg)
         self.result.scans += 1
@@ -258,6 +262,7 @@ def simulate(
     look_around=True,
     scan_every_m=0.0,
     arrival_m=0.0,
+    no_echo="free",
     sense=None,
 ):
     """One episode, from the scans at the start to a named outcome.
@@ -271,6 +276,7 @@ def simulate(
       max_steps, max_plans: bounds; default the larger of 20000 and the number of cells.
       scan_every_m: way after which the robot scans; it does so at its target and where a step is refused as well.
       arrival_m: distance from which a target that is no longer live counts as reached.
+      no_echo: "free", or "unknown": a beam that nothing stops says nothing.
       rooms: `[H, W]` int, room number, -1 for none.
       sense: `sense(row, col, heading_deg)` -> list of `(missed, hit)`, in place of the perfect scanner.
 
@@ -289,7 +295,7 @@ def simulate(
 
     scan_every = round(beams.in_cells(scan_every_m, cell_m) * 65536)
     arrival_r2 = plans.radius2(arrival_m, cell_m)
-    robot = Robot(occupied, start, int(start_heading_deg), sense or perfect, p_free, scan_every)
+    robot = Robot(occupied, start, int(start_heading_deg), sense or perfect, p_free, scan_every, no_echo)
     goal = goal_cells(occupied, start, clear_r2, near_r2)
     elsewhere = goal.copy()
     elsewhere[start] = False

@@ -201,13 +201,15 @@ def prepare_bounds(
 
 
 def require_perfect(lidar: Lidar) -> None:
-    """Refuse a scanner with noise.
+    """Refuse a scanner with noise, or whose beams say nothing without an echo.
 
     Raises:
       InputError: naming what must be 0.
     """
     if lidar.sigma_m or lidar.dropout:
         raise InputError("bounds are of a scanner without noise: lidar.sigma_m and lidar.dropout must be 0")
+    if lidar.no_echo != "free":
+        raise InputError("bounds are of a scanner that shows what it has no echo from: lidar.no_echo must be free")
 
 
 def tasks_of(
