@@ -66,6 +66,7 @@ def plan_masks(
     near_d2: Array | float,
     clearance_d2: int,
     packing: str = "sum",
+    stays_inside: bool = False,
 ) -> Masks:
     """Traversable and frontier cells at once, packed.
 
@@ -80,6 +81,7 @@ def plan_masks(
       p_free, near_d2: scalars.
       clearance_d2: cells^2. Static.
       packing: method of `bits.pack`. Static.
+      stays_inside: whether cells outside are left out of both, whatever they are. Static.
 
     Returns:
       `Masks`.
@@ -99,7 +101,8 @@ def plan_masks(
         free = known & ~occupied
         clear = free & ~within_packed(occupied, clearance_d2)
         frontier = clear & any_within_one_packed(inside & ~known) & ~exhausted
-        return Masks(clear | (free & near) | driven, frontier)
+        traversable = clear | (free & near) | driven
+        return Masks(traversable & inside, frontier & inside) if stays_inside else Masks(traversable, frontier)
 
     return stored(row >= 0, judge)
 

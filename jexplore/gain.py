@@ -37,7 +37,7 @@ class ViewGain(NamedTuple):
 
 
 def stops_and_unknown(
-    grid: Grid, extent: Array | tuple[Array | int, Array | int], p_free: Array | float
+    grid: Grid, extent: Array | tuple[Array | int, Array | int], p_free: Array | float, within: Array | None = None
 ) -> tuple[Array, Array]:
     """Cells that stop a simulated beam, and cells of which it would tell something new.
 
@@ -47,18 +47,21 @@ def stops_and_unknown(
       grid: `Grid`, `[H, W]`.
       extent: `(height, width)` of the world without padding, int32.
       p_free: scalar.
+      within: `[H, W]` bool, cells that are to be known; None: all.
 
     Returns:
       two of `[H, W]` bool.
     """
     rows, cols = (lax.broadcasted_iota(jnp.int32, grid.hits.shape, axis) for axis in (0, 1))
     inner = (rows > 0) & (cols > 0) & (rows < extent[0] - 1) & (cols < extent[1] - 1)
-    return is_occupied(grid, p_free) | ~inner, ~is_known(grid) & inner
+    return is_occupied(grid, p_free) | ~inner, ~is_known(grid) & (inner if within is None else inner & within)
 
 
-def prospect(grid: Grid, extent: Array | tuple[Array | int, Array | int], p_free: Array | float) -> Prospect:
+def prospect(
+    grid: Grid, extent: Array | tuple[Array | int, Array | int], p_free: Array | float, within: Array | None = None
+) -> Prospect:
     """`Prospect` of a map. Arguments as for `stops_and_unknown`. One cell in 16 may be mixed."""
-    stops, unknown = stops_and_unknown(grid, extent, p_free)
+    stops, unknown = stops_and_unknown(grid, extent, p_free, within)
     mixed = (grid.hits > 0) & (grid.misses > 0)
     none = mixed.size
     at = bits.first_cells(bits.pack(mixed), max(256, none // 16))
@@ -161,11 +164,12 @@ def unknown_near(
     row: Array | int,
     col: Array | int,
     beams: Beams,
+    within: Array | None = None,
 ) -> Array:
     """The most unknown cells that one beam of a look all round from a cell shows in its first `raycast.BLOCK` steps.
 
     Args:
-      grid, extent, p_free: as for `stops_and_unknown`.
+      grid, extent, p_free, within: as for `stops_and_unknown`.
       row, col: int32, the cell.
       beams: `Beams` of 8 headings.
 
@@ -180,7 +184,10 @@ def unknown_near(
     step = lax.broadcasted_iota(jnp.int32, rows.shape, 1)
     ends = is_occupied(entered, p_free) | ~inner | (step >= beams.length[turned, None])
     end = jnp.min(jnp.where(ends, step, BLOCK), axis=1, keepdims=True)
-    return jnp.max(jnp.sum((step < end) & ~is_known(entered), axis=1, dtype=jnp.int32))
+    new = (step < end) & ~is_known(entered)
+    if within is not None:
+        new &= within.reshape(-1).at[at].get(mode="promise_in_bounds")
+    return jnp.max(jnp.sum(new, axis=1, dtype=jnp.int32))
 
 
 def unknown_within(
@@ -209,16 +216,17 @@ def unknown_seen(
     row: Array | int,
     col: Array | int,
     beams: Beams,
+    within: Array | None = None,
     *,
     method: str = "blocks",
 ) -> Array:
     """How many unknown cells a look all round from a cell would show: int32, the `unknown` of a `look`.
 
     Args:
-      grid, extent, p_free: as for `stops_and_unknown`.
+      grid, extent, p_free, within: as for `stops_and_unknown`.
       row, col, beams, method: as for `look`.
     """
-    stops, unknown = stops_and_unknown(grid, extent, p_free)
+    stops, unknown = stops_and_unknown(grid, extent, p_free, within)
     zero = jnp.int32(0)
     found = scan(stops, row, col, zero, beams, method=method)
     passed = fold(empty_grid(stops.shape), row, col, zero, found, beams, method=method).misses

@@ -269,19 +269,6 @@ def scan(
     return Scan(end=end, hit=end < length)
 
 
-def without_silent(seen: Scan, no_echo_is_free: Array | bool) -> Scan:
-    """The scan of a scanner whose beams say nothing where they have no echo, unless these show their cells to be free.
-
-    Args:
-      seen: `Scan`, `[B]`.
-      no_echo_is_free: bool scalar; if True, the scan stays as it is.
-
-    Returns:
-      `Scan`, `[B]`: a beam that nothing stopped has passed no cell.
-    """
-    return Scan(end=jnp.where(seen.hit | no_echo_is_free, seen.end, 0), hit=seen.hit)
-
-
 @functools.partial(jax.jit, static_argnames=("method",))
 def fold(
     grid: Grid,

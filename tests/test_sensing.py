@@ -59,7 +59,7 @@ def both(target, grid, occupied, stands, believes, lidar, when=True, free=True):
     table = raycast.beam_table(lidar, 1.0, occupied.shape[1])
     grid, occupied = jax.tree.map(jnp.asarray, (grid, occupied))
     ours, fresh = sensing.look(target, grid, occupied, stands, believes, jax.tree.map(jnp.asarray, table), when, free)
-    seen = raycast.without_silent(raycast.scan(occupied, *stands, table), free)
+    seen = sensing.without_silent(raycast.scan(occupied, *stands, table), free)
     theirs = raycast.fold(grid, *believes, seen, table, when=when)
     n = np.sum(np.asarray(is_known(theirs))) - np.sum(np.asarray(is_known(grid)))
     return (ours.hits, ours.misses, fresh), (theirs.hits, theirs.misses, n)

@@ -17,10 +17,10 @@ from jexplore.distance import within_packed
 from jexplore.engine.program import Given
 from jexplore.exploration import trail
 from jexplore.exploration.motion import motion_step, turn_between
-from jexplore.exploration.sensing import blank_tally, sense, stacked
+from jexplore.exploration.sensing import first_tally, sense, stacked
 from jexplore.exploration.state import Outcome, Setup, State, Stream, no_counts
 from jexplore.frontier import disc
-from jexplore.grid import empty_grid, is_known
+from jexplore.grid import Grid, empty_grid, is_known
 from jexplore.planning import Belief, Choice, is_live, is_open
 from jexplore.reach import DIAGONAL, FAR, NO_MOTION, STRAIGHT, flood
 
@@ -241,6 +241,8 @@ def _find_goal(given, row, col):
     free, walls, near = stored(
         row >= 0, lambda: [bits.pack(m) for m in (~occupied, occupied, disc(shape, row, col, model.near_d2))]
     )
+    if given.scenes.within is not None:
+        free &= bits.pack(given.scenes.within[given.scene])
     clear = free & ~within_packed(walls, model.clearance_d2)
     goal = clear & flood(clear | (free & near), row, col, method=model.reach)
     rows, cols = (lax.broadcasted_iota(jnp.int32, shape, axis) for axis in (0, 1))
@@ -248,11 +250,18 @@ def _find_goal(given, row, col):
 
 
 def blank_belief(given: Given) -> Belief:
-    """The `Belief` of a robot that has seen nothing yet; `given` as for `begin`."""
+    """The `Belief` of a robot that has seen nothing yet; `given` as for `begin`.
+
+    What it knows all the same counts as seen once.
+    """
     truth, (row, col, heading) = given.scenes, given.task
     flags = jnp.zeros(truth.occupied.shape[1:], bool)
+    grid = empty_grid(flags.shape)
+    if truth.known is not None:
+        known = truth.known[given.scene]
+        grid = Grid(hits=(known > 0).astype(jnp.int32), misses=(known == 0).astype(jnp.int32))
     return Belief(
-        grid=empty_grid(flags.shape),
+        grid=grid,
         driven=_mark(flags, row, col),
         exhausted=flags,
         row=row,
@@ -261,6 +270,7 @@ def blank_belief(given: Given) -> Belief:
         start=jnp.stack([row, col, heading]),
         extent=truth.extent[given.scene],
         model=given.numbers.model,
+        within=None if truth.within is None else truth.within[given.scene],
     )
 
 
@@ -286,6 +296,7 @@ def begin(setup: Setup, given: Given) -> State:
     shape = truth.occupied.shape[1:]
     goal, stuck = _find_goal(given, row, col)
     belief = blank_belief(given)
+    tally, known = first_tally(setup, given.shared, belief, is_blank=truth.known is None)
     rooms, base = stacked(given, truth.rooms)
     room = rooms[base + row, col]
     steps, choices = trail.blank(setup.capacity)
@@ -304,11 +315,11 @@ def begin(setup: Setup, given: Given) -> State:
         walking=jnp.bool_(False),
         bumped=jnp.int32(NO_MOTION),
         came_from=jnp.stack([row, col]),
-        tally=blank_tally(setup, given.shared, row, col, shape),
+        tally=tally,
         room=room,
         outcome=jnp.where(stuck, Outcome.STUCK, Outcome.RUNNING).astype(jnp.int32),
         room_entries=(room >= 0).astype(jnp.int32),
-        **no_counts(),
+        **no_counts() | {"known": known},
     )
 
     def look_round(_, state):

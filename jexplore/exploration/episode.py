@@ -34,8 +34,9 @@ def _shares(parts, whole, n):
     return parts * quotient + -(-parts * rest // whole)
 
 
-def _knowable(explorable, occupied):
+def _knowable(explorable, occupied, within):
     """How many cells a scanner without noise can come to know: the free ones and the walls at their sides."""
+    occupied = occupied if within is None else occupied & within
     near = bordered(explorable, False)
     above, right, below, left = (beside(near, *step) for step in ((1, 0), (0, 1), (-1, 0), (0, -1)))
     return count(explorable | (occupied & (above | right | below | left)))
@@ -66,7 +67,7 @@ def finish(setup: Setup, given: Given, state: State) -> Result:
     # In whole numbers: the least count of which 100 times reaches q times the whole.
     at = jnp.searchsorted(so_far, _shares(jnp.array(PERCENTILES), 100, state.known)).astype(jnp.int32)
     at = jnp.minimum(at, steps)
-    marks = _shares(lax.iota(jnp.int32, MARKS) + 1, MARKS, _knowable(explorable, occupied))
+    marks = _shares(lax.iota(jnp.int32, MARKS) + 1, MARKS, _knowable(explorable, occupied, state.belief.within))
     along = jnp.minimum(jnp.searchsorted(so_far, marks).astype(jnp.int32), steps)
     # A step to the next column or the next row is straight.
     jump = jnp.abs(cell[1:] - cell[:-1])

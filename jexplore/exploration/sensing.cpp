@@ -1,5 +1,6 @@
-// One scan and what it tells the map: `raycast.scan`, `without_silent`, `fold` and the count of known cells in one pass
-// over the cells that beams enter, two where a beam without an echo says nothing. Whole numbers only, so that every bit is that of the kernels in JAX.
+// One scan and what it tells the map: `raycast.scan`, `without_silent`, `raycast.fold` and the count of known cells in
+// one pass over the cells that beams enter, two where a beam without an echo says nothing. Whole numbers only, so that
+// every bit is that of the kernels in JAX.
 
 #include <algorithm>
 #include <cstdint>

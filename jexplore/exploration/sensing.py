@@ -18,7 +18,8 @@ from jexplore.engine.native import Native, load_kernel
 from jexplore.engine.program import Given
 from jexplore.exploration.state import Setup, State, Stream
 from jexplore.grid import Grid, count, is_known
-from jexplore.raycast import Beams, disturb, fold, scan, without_silent
+from jexplore.planning import Belief
+from jexplore.raycast import Beams, Scan, disturb, fold, scan
 
 SOURCE, SYMBOL = Path(__file__).with_suffix(".cpp"), "jexplore_look"
 STRIDE = 16  # cells by which the square moves in which known cells are counted
@@ -51,29 +52,56 @@ class Square(NamedTuple):
     outside: Array  # int32, known cells outside
 
 
-def blank_tally(setup: Setup, beams: Beams, row: Any, col: Any, shape: tuple[int, ...]) -> Square | Array:
-    """By what known cells are counted, of a map of which nothing is known: a `Square`; or, by the beams' `Spans`, the
-    known cells, `[ceil(H / 32), W]` uint32, packed.
+def first_tally(setup: Setup, beams: Beams, belief: Belief, *, is_blank: bool) -> tuple[Square | Array, Array]:
+    """Known cells of a belief before its first scan, and by what they are counted from then on.
+
+    Args:
+      setup, beams: as for `sense`.
+      belief: `Belief`.
+      is_blank: whether nothing is known. Static.
+
+    Returns:
+      `tally`: a `Square`; or, by the beams' `Spans`, the known cells, `[ceil(H / 32), W]` uint32, packed.
+      `known`: int32.
     """
-    if beams.spans is None:
-        return Square(square(row, col, shape, setup.window)[0], jnp.int32(0))
-    return jnp.zeros((-(-shape[0] // bits.WORD), shape[1]), jnp.uint32)
+    shape, none = belief.driven.shape, jnp.int32(0)
+    if beams.spans is not None:
+        words = jnp.zeros((-(-shape[0] // bits.WORD), shape[1]), jnp.uint32)
+        return (
+            (words, none)
+            if is_blank
+            else (bits.pack(is_known(belief.grid)), count(_counted(belief.grid, belief.within)))
+        )
+    corner, size = square(belief.row, belief.col, shape, setup.window)
+    if is_blank:
+        return Square(corner, none), none
+    known = count(_counted(belief.grid, belief.within))
+    return Square(corner, known - known_in(belief.grid, corner, size, belief.within, method=belief.model.scan)), known
 
 
-def known_in(grid: Grid, corner: Array, size: tuple[int, ...], *, method: str = "blocks") -> Array:
+def _counted(grid, within):
+    """The known cells that count: those that are to be known."""
+    return is_known(grid) if within is None else is_known(grid) & within
+
+
+def known_in(
+    grid: Grid, corner: Array, size: tuple[int, ...], within: Array | None = None, *, method: str = "blocks"
+) -> Array:
     """Known cells in a square.
 
     Args:
       grid: `Grid`.
       corner: `[2]` int32, row and col where it begins.
       size: its height and width, inside the map. Static.
+      within: `[H, W]` bool, the cells that count; None: all.
       method: one of `raycast.METHODS`; the number is the same. "blocks" adds row to row. Static.
 
     Returns:
       int32.
     """
-    if method != "blocks":
-        return count(is_known(Grid(*(lax.dynamic_slice(a, corner, size) for a in (grid.hits, grid.misses)))))
+    if method != "blocks" or within is not None:
+        cut = [None if a is None else lax.dynamic_slice(a, corner, size) for a in (grid.hits, grid.misses, within)]
+        return count(_counted(Grid(cut[0], cut[1]), cut[2]))
 
     def run(hits, misses, row, col):
         def add(i, so_far):
@@ -96,7 +124,7 @@ def look(
     when: Array | bool = True,
     no_echo_is_free: Array | bool = True,
 ) -> tuple[Grid, Array]:
-    """`raycast.scan`, `without_silent` and `fold` by the kernel in C++, in place where the map is used no more.
+    """`raycast.scan`, `without_silent` and `raycast.fold` by the kernel in C++, in place where the map is used no more.
 
     Args:
       target: `Native.target`.
@@ -120,13 +148,27 @@ def look(
     return Grid(hits=hits, misses=misses), fresh
 
 
+def without_silent(seen: Scan, no_echo_is_free: Array | bool) -> Scan:
+    """The scan of a scanner whose beams say nothing where they have no echo, unless these show their cells to be free.
+
+    Args:
+      seen: `Scan`, `[B]`.
+      no_echo_is_free: bool scalar; if True, the scan stays as it is.
+
+    Returns:
+      `Scan`, `[B]`: a beam that nothing stopped has passed no cell.
+    """
+    return Scan(end=jnp.where(seen.hit | no_echo_is_free, seen.end, 0), hit=seen.hit)
+
+
 def _told(setup, state, seen, beams, when):
     """A scan counted into the map: `(grid, tally, known)`."""
     belief = state.belief
     pose, method = (belief.row, belief.col, belief.heading), belief.model.scan
     if beams.spans is not None:
         grid, tally = spans.fold(belief.grid, state.tally, pose, seen, beams, when)
-        known = jnp.sum(lax.population_count(tally).astype(jnp.int32), axis=0, dtype=jnp.int32)
+        counts = tally if belief.within is None else tally & bits.pack(belief.within)
+        known = jnp.sum(lax.population_count(counts).astype(jnp.int32), axis=0, dtype=jnp.int32)
         return grid, tally, jnp.sum(lax.optimization_barrier(known), dtype=jnp.int32)
     corner, size = square(belief.row, belief.col, state.shape, setup.window)
     # Known cells outside the square, counted before the update. The number is added where it changes nothing (it is
@@ -134,13 +176,13 @@ def _told(setup, state, seen, beams, when):
     moved = jnp.any(corner != state.tally.corner)
 
     def recounted(_):
-        return state.known - known_in(belief.grid, corner, size, method=method)
+        return state.known - known_in(belief.grid, corner, size, belief.within, method=method)
 
     with jax.named_scope("recount"):
         outside = run_if(moved, recounted, state.tally.outside)
     pose = belief.row + jnp.minimum(outside, 0), belief.col, belief.heading
     grid = fold(belief.grid, *pose, seen, beams, when=when, method=method)
-    return grid, Square(corner, outside), outside + known_in(grid, corner, size, method=method)
+    return grid, Square(corner, outside), outside + known_in(grid, corner, size, belief.within, method=method)
 
 
 def sense(setup: Setup, given: Given, state: State, when: Array) -> State:

@@ -120,15 +120,6 @@ def prepare_site(
       `Site` of numpy arrays.
     """
     shape = shape or (bucket(world.shape[0]), bucket(world.shape[1]))
-    pad = [(0, full - n) for full, n in zip(shape, world.shape)]
-    rooms = world.rooms if world.rooms is not None else np.full(world.shape, -1, np.int32)
-    # Ignored types: numpy on the host, where the record says what it is on the device.
-    truth = Truth(
-        occupied=np.pad(world.occupied, pad, constant_values=True),  # type: ignore[arg-type]
-        rooms=np.pad(rooms, pad, constant_values=-1),  # type: ignore[arg-type]
-        region=np.pad(_regions(world.occupied), pad),  # type: ignore[arg-type]
-        extent=np.asarray(world.shape, np.int32),  # type: ignore[arg-type]
-    )
     limit = max(LEAST_LIMIT, math.prod(world.shape))
     everyone = [(lidar, rules), *(pair for pair in alike if pair[0].n_beams == lidar.n_beams)]
     model = MapModel(
@@ -154,9 +145,37 @@ def prepare_site(
         params=(),
     )
     glances = tuple(windows(shape, model.clearance_d2, glances=True)) if kernels.in_pieces else None
-    setup = _setup(everyone, world.cell_m, shape, limit, kernels.native, glances)
+    native = None if world.within is not None else kernels.native  # which counts known cells everywhere
+    setup = _setup(everyone, world.cell_m, shape, limit, native, glances)
     beams = _beams(everyone, world.cell_m, shape, setup.window - 1 if kernels.in_pieces else None)
-    return Site(truth, beams, setup, numbers)
+    return Site(_truth_of(world, shape), beams, setup, numbers)
+
+
+def _truth_of(world, shape):
+    """The `Truth` of a world, padded to a shape."""
+    pad = [(0, full - n) for full, n in zip(shape, world.shape)]
+    rooms = world.rooms if world.rooms is not None else np.full(world.shape, -1, np.int32)
+    # Ignored types: numpy on the host, where the record says what it is on the device.
+    return Truth(
+        occupied=np.pad(world.occupied, pad, constant_values=True),  # type: ignore[arg-type]
+        rooms=np.pad(rooms, pad, constant_values=-1),  # type: ignore[arg-type]
+        region=np.pad(_regions(world), pad),  # type: ignore[arg-type]
+        extent=np.asarray(world.shape, np.int32),  # type: ignore[arg-type]
+        within=None if world.within is None else np.pad(world.within, pad),  # type: ignore[arg-type]
+        known=None if world.known is None else np.pad(world.known, pad, constant_values=-1),  # type: ignore[arg-type]
+    )
+
+
+def alike(truths: Sequence[Truth]) -> list[Truth]:
+    """Return records of worlds with the same arrays: what one of them restricts is unrestricted in the others."""
+    free: dict[str, Any] = {"within": True, "known": np.int8(-1)}
+    for name, value in free.items():
+        if any(getattr(truth, name) is not None for truth in truths):
+            truths = [
+                truth.replace(**{name: np.full(truth.occupied.shape, value)}) if getattr(truth, name) is None else truth
+                for truth in truths
+            ]
+    return list(truths)
 
 
 def cost_of(length_m: float, cell_m: float) -> int:
@@ -164,11 +183,13 @@ def cost_of(length_m: float, cell_m: float) -> int:
     return round(min(in_cells(length_m, cell_m) * reach.STRAIGHT, reach.FAR))
 
 
-def _regions(occupied):
-    """Number of each 4-connected region of free cells: `[H, W]` int32."""
+def _regions(world):
+    """Number of each 4-connected region of free cells within: `[H, W]` int32."""
     from scipy import ndimage
 
-    return ndimage.label(~occupied)[0].astype(np.int32)  # type: ignore[index]  # scipy says too little
+    return ndimage.label(~world.occupied if world.within is None else ~world.occupied & world.within)[0].astype(
+        np.int32
+    )  # type: ignore[index]  # scipy says too little
 
 
 def _setup(everyone, cell_m, shape, limit, native, glances):

@@ -49,6 +49,9 @@ class Truth:
     rooms: Array  # [H, W] int32; -1 outside rooms and in padding
     region: Array  # [H, W] int32, number of each 4-connected region of free cells
     extent: Array  # [2] int32, height and width without padding
+    within: Array | None = None  # [H, W] bool, where the robot may be and what it is to know; None: everywhere
+    known: Array | None = None  # [H, W] int8, what it knows before its first scan: -1 unknown, 0 free, 1 occupied
+    replace: ClassVar[Callable[..., Self]]
 
 
 class Setup(NamedTuple):
@@ -94,7 +97,7 @@ class Result:
     plans: Array  # int32, the last one, that found nothing, included
     exhausted: Array  # int32, targets that stayed live
     outcome: Array  # int32, `Outcome`
-    known: Array  # int32, known cells
+    known: Array  # int32, known cells among those that are to be known
     explored: Array  # int32, known cells among `explorable`
     explorable: Array  # int32, free cells 4-connected to the start in the true world
     room_entries: Array  # int32
@@ -128,8 +131,8 @@ class State:
     bumped: Array  # int32, the motion that was refused just now, index into `reach.MOTIONS`; -1 for none
     came_from: Array  # [2] int32, row and col of the belief before the last motion
     unscanned: Array  # int32, cost of the way driven since the last scan
-    known: Array  # int32, known cells
-    tally: Any  # by which known cells are counted, see `sensing.blank_tally`
+    known: Array  # int32, known cells among those that are to be known
+    tally: Any  # by which known cells are counted, see `sensing.first_tally`
     room: Array  # int32, the last room stood in; -1 for none yet
     straight: Array  # int32, and so on as in `Result`
     diagonal: Array

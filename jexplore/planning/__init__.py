@@ -57,6 +57,7 @@ class Belief:
     start: Array  # [3] int32, row, col and heading at the beginning
     extent: Array  # [2] int32, height and width of the world without padding
     model: MapModel
+    within: Array | None = None  # [H, W] bool, where the robot may be and what it is to know; None: everywhere
     replace: ClassVar[Callable[..., Self]]
 
 
@@ -119,16 +120,19 @@ def is_open(belief: Belief, row: Array | int, col: Array | int) -> Array:
     """
     hits, misses = (a[row, col] for a in (belief.grid.hits, belief.grid.misses))
     free = (hits + misses > 0) & (hits.astype(jnp.float32) <= belief.model.p_free * (hits + misses).astype(jnp.float32))
-    return free | belief.driven[row, col]
+    is_open = free | belief.driven[row, col]
+    return is_open if belief.within is None else is_open & belief.within[row, col]
 
 
 def is_live(belief: Belief, row: Array | int, col: Array | int) -> Array:
-    """Whether a cell is 8-adjacent to an unknown cell: bool."""
+    """Whether a cell is 8-adjacent to an unknown cell that is to be known: bool."""
     height, width = belief.driven.shape
     r = row + jnp.asarray([-1, -1, -1, 0, 0, 1, 1, 1], jnp.int32)
     c = col + jnp.asarray([-1, 0, 1, -1, 1, -1, 0, 1], jnp.int32)
     inside = (r >= 0) & (r < belief.extent[0]) & (c >= 0) & (c < belief.extent[1])
     r, c = jnp.clip(r, 0, height - 1), jnp.clip(c, 0, width - 1)
+    if belief.within is not None:
+        inside &= belief.within[r, c]
     return jnp.any(inside & ((belief.grid.hits[r, c] | belief.grid.misses[r, c]) == 0))
 
 
@@ -137,11 +141,14 @@ def masks_of(belief: Belief, origin: tuple[Array | int, ...] = (0, 0)) -> Masks:
     rows = lax.broadcasted_iota(jnp.int32, belief.driven.shape, 0) + origin[0]
     cols = lax.broadcasted_iota(jnp.int32, belief.driven.shape, 1) + origin[1]
     inside = (rows < belief.extent[0]) & (cols < belief.extent[1])
+    if belief.within is not None:
+        inside &= belief.within
     model, row, col = belief.model, belief.row - origin[0], belief.col - origin[1]
 
     def judge(grid, driven, exhausted, inside, row, col, p_free, near_d2):
         numbers = {"p_free": p_free, "near_d2": near_d2, "clearance_d2": model.clearance_d2}
         numbers["packing"] = PACKING[model.reach]
+        numbers["stays_inside"] = belief.within is not None
         return plan_masks(grid, driven, exhausted, inside, row, col, **numbers)
 
     arguments = belief.grid, belief.driven, belief.exhausted, inside, row, col, model.p_free, model.near_d2
@@ -257,6 +264,7 @@ def cut_out(belief: Belief, origin: tuple[Array, ...], shape: tuple[int, ...]) -
         grid=Grid(cut(belief.grid.hits), cut(belief.grid.misses)),
         driven=cut(belief.driven),
         exhausted=cut(belief.exhausted),
+        within=None if belief.within is None else cut(belief.within),
     )
 
 

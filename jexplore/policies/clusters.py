@@ -98,7 +98,7 @@ def shown_from(belief: Belief, at: Targets, beams: Beams, enough: Array | int) -
         i, shown = state
         i_ = jnp.minimum(i, m - 1)
         where = jnp.maximum(at.row[i_], 0), jnp.maximum(at.col[i_], 0)
-        new = unknown_near(belief.grid, belief.extent, belief.model.p_free, *where, beams)
+        new = unknown_near(belief.grid, belief.extent, belief.model.p_free, *where, beams, belief.within)
         on = i < n
         return i + on, shown.at[jnp.where(on, i, m)].set(new, mode="drop")
 
@@ -141,7 +141,7 @@ def from_each(belief: Belief, at: Targets, beams: Beams, tell: Callable[..., tup
       tell: `(prospect, row, col, beams, scratch) -> ([n_told] int32, scratch)`, the scratch zeros before and after.
       n_told: numbers that it tells. Static.
     """
-    ahead, beams = prospect(belief.grid, belief.extent, belief.model.p_free), all_round(beams)
+    ahead, beams = prospect(belief.grid, belief.extent, belief.model.p_free, belief.within), all_round(beams)
     n = jnp.sum(at.used, dtype=jnp.int32)  # used slots come first
 
     def evaluate(state):

@@ -113,7 +113,7 @@ def best_view(
     row, col = drawn(key, belief, known, params)
     usable = (row < height) & (lax.iota(jnp.int32, SAMPLES) < params.samples)
     row = jnp.minimum(row, height - 1)
-    ahead = prospect(belief.grid, belief.extent, belief.model.p_free)
+    ahead = prospect(belief.grid, belief.extent, belief.model.p_free, belief.within)
     beams = all_round(beams)
     path_m = metres(known.cost[row, col], belief.model.cell_m)
     # The most promising ones first, until the best that was found is better than what the next could be.
@@ -167,9 +167,8 @@ SELECT = functools.partial(select, gain_for_path)
 
 def live(params: Views, belief: Belief, beams: Beams, row: Array, col: Array) -> Array:
     """The `live` of such a strategy: a look from the view point would still show enough."""
-    seen = unknown_seen(
-        belief.grid, belief.extent, belief.model.p_free, row, col, all_round(beams), method=belief.model.scan
-    )
+    where, method = (row, col, all_round(beams), belief.within), belief.model.scan
+    seen = unknown_seen(belief.grid, belief.extent, belief.model.p_free, *where, method=method)
     return seen >= params.min_gain
 
 

@@ -22,7 +22,7 @@ from jexplore.engine.backend import use_compilation_cache
 from jexplore.engine.program import Given
 from jexplore.engine.runner import find_resources
 from jexplore.exploration import environment
-from jexplore.exploration.site import KERNELS, prepare_site
+from jexplore.exploration.site import KERNELS, alike, prepare_site
 from jexplore.exploration.state import Numbers, Outcome, State, Truth, steps_m
 from jexplore.exploration.trail import LOOKS, Trail
 from jexplore.planning import Field, View, choose, field, is_live, view_of
@@ -121,9 +121,9 @@ class Environment:
             sites.append(prepare_site(world, lidar, rules, kernels, self.shape))
         capacity = max(site.setup.capacity for site in sites) if paths else 1
         self._setup = sites[0].setup._replace(policy=closest(), capacity=capacity)  # which nobody asks
+        truths = alike([site.truth for site in sites])
         scenes, numbers = (
-            jax.tree.map(lambda *a: jnp.stack(a), *(getattr(site, name) for site in sites))
-            for name in ("truth", "numbers")
+            jax.tree.map(lambda *a: jnp.stack(a), *records) for records in (truths, [site.numbers for site in sites])
         )
         self._bank = _Bank(jax.tree.map(jnp.asarray, sites[0].beams), scenes, numbers, jnp.bool_(recheck))
         self._n_cells = jnp.asarray([len(own) for own in cells], jnp.int32)

@@ -80,6 +80,8 @@ def label_components(mask: np.ndarray) -> np.ndarray:
 def start_region(world: World, clearance_m: float) -> np.ndarray:
     """The cells that a drawn start may lie in: the largest 4-connected component of the clear cells.
 
+    Of a world with a region only what lies within counts, of one with a partial map only what this shows to be free.
+
     Args:
       world: a `World`.
       clearance_m: no occupied cell lies within this distance of a clear cell, centre to centre, metres.
@@ -88,9 +90,13 @@ def start_region(world: World, clearance_m: float) -> np.ndarray:
       `[H, W]` bool. Among components of one size, the one with the lowest flat index. All False if no cell is clear.
     """
     clear = clear_cells(world.occupied, clearance_m, world.cell_m)
+    if world.within is not None:
+        clear &= world.within
     labels = label_components(clear)
+    if world.known is not None:
+        clear &= world.known == 0
     sizes = np.bincount(labels[clear])
-    return labels == (np.argmax(sizes) if sizes.size else 0)
+    return clear & (labels == (np.argmax(sizes) if sizes.size else 0))
 
 
 def draw_starts(world: World, seed: int, n: int, clearance_m: float) -> np.ndarray:
@@ -189,6 +195,10 @@ def check_start(
     clear = clear_cells(world.occupied, clearance_m, world.cell_m)
     dy, dx = np.arange(rows)[:, None] - row, np.arange(cols)[None, :] - col
     near = (dy * dy + dx * dx <= radius_d2(near_m, world.cell_m)) & ~world.occupied
+    if world.within is not None:
+        if not world.within[row, col]:
+            raise InputError(f"{place}: lies outside the region that the robot is to stay in")
+        clear, near = clear & world.within, near & world.within
     labels = label_components(clear | near)
     reached = clear & (labels == labels[row, col])
     reached[row, col] = False

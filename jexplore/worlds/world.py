@@ -11,7 +11,7 @@ from flax import struct
 from numpy.typing import ArrayLike
 
 from jexplore.arrays.pictures import html_of, or_text
-from jexplore.config import InputError, require_number
+from jexplore.config import InputError, require_number, shown
 from jexplore.tracemap.record import BtmMap
 from jexplore.worlds.picture import floor_plan
 
@@ -50,6 +50,8 @@ class World:
     origin_m: tuple[float, float] = struct.field(pytree_node=False, default=(0.0, 0.0))
     elevation: np.ndarray | None = None  # [H, W] float32, height of the ground at cell centres, metres; None: level
     course: Course | None = struct.field(pytree_node=False, default=None)
+    within: np.ndarray | None = None  # [H, W] bool, where the robot may be and what it is to know; None: everywhere
+    known: np.ndarray | None = None  # [H, W] int8, what it knows from the beginning: -1 unknown, 0 free, 1 occupied
 
     def __post_init__(self) -> None:
         if isinstance(self.occupied, (list, np.ndarray)):  # a world on its way through jax holds other things
@@ -140,6 +142,10 @@ def checked(world: World) -> World:
         if not np.isfinite(elevation).all():
             raise InputError(f"{name!r}: elevation must be finite; use 0 where the height of the ground is unknown")
         world = world.replace(elevation=elevation.astype(np.float32, copy=False))
+    for field, kinds, what in (("within", "b", "bool"), ("known", "i", "int8: -1 unknown, 0 free, 1 occupied")):
+        array = getattr(world, field)
+        if array is not None and (np.shape(array) != occupied.shape or np.asarray(array).dtype.kind not in kinds):
+            raise InputError(f"{name!r}: {field} must be {what}, of shape {occupied.shape}, got {shown(array)}")
     if occupied.all():
         raise InputError(f"{name!r}: no cell is free")
     return with_ring(world)
@@ -170,6 +176,8 @@ def with_ring(world: World) -> World:
         occupied=np.pad(occupied, 1, constant_values=True),
         rooms=None if world.rooms is None else np.pad(world.rooms, 1, constant_values=-1),
         elevation=None if world.elevation is None else np.pad(world.elevation, 1, mode="edge"),
+        within=None if world.within is None else np.pad(world.within, 1),
+        known=None if world.known is None else np.pad(world.known, 1, constant_values=-1),
         start=None if world.start is None else (world.start[0] + 1, world.start[1] + 1, world.start[2]),
         origin_m=(x_m - world.cell_m, y_m - world.cell_m),
     )
@@ -196,6 +204,8 @@ def pad(world: World, shape: tuple[int, int]) -> World:
         occupied=np.pad(world.occupied, grow, constant_values=True),
         rooms=None if world.rooms is None else np.pad(world.rooms, grow, constant_values=-1),
         elevation=None if world.elevation is None else np.pad(world.elevation, grow, mode="edge"),
+        within=None if world.within is None else np.pad(world.within, grow),
+        known=None if world.known is None else np.pad(world.known, grow, constant_values=-1),
     )
 
 

@@ -36,15 +36,19 @@ def clear_cells(occupied, clearance_d2):
 # ---------------------------------------------------------------- by the engine
 
 
-def truth_of(occupied, rooms, shape):
+def truth_of(occupied, rooms, shape, within=None, known=None):
     """One world as an episode takes it, padded to `shape`."""
     grow = [(0, full - n) for full, n in zip(shape, occupied.shape)]
     rooms = np.full(occupied.shape, -1, np.int32) if rooms is None else rooms
     return Truth(
         occupied=np.pad(occupied, grow, constant_values=True)[None],
         rooms=np.pad(rooms, grow, constant_values=-1)[None],
-        region=np.pad(ndimage.label(~occupied)[0].astype(np.int32), grow)[None],
+        region=np.pad(ndimage.label(~occupied if within is None else ~occupied & within)[0].astype(np.int32), grow)[
+            None
+        ],
         extent=np.asarray([occupied.shape], np.int32),
+        within=None if within is None else np.pad(within, grow)[None],
+        known=None if known is None else np.pad(known, grow, constant_values=-1)[None],
     )
 
 
@@ -117,6 +121,8 @@ def play(
     *,
     cell_m,
     rooms=None,
+    within=None,
+    known=None,
     shape=None,
     seed=0,
     window=None,
@@ -139,7 +145,7 @@ def play(
             static,
             jax.random.key(seed),
             jnp.int32(scans_all_round(lidar.fov_deg)),
-            jax.device_put(truth_of(occupied, rooms, shape)),
+            jax.device_put(truth_of(occupied, rooms, shape, within, known)),
             jax.device_put(beams_of(lidar, cell_m, shape[1], beams_as)),
             numbers_of(strategy, lidar, rules, cell_m, kernels),
             jnp.asarray([start[0], start[1], start[2] // 45], jnp.int32),
@@ -190,7 +196,9 @@ def readings_of(occupied, lidar, *, cell_m, shape, seed, beams_as=None):
     return sense
 
 
-def replay(occupied, start, strategy, lidar, rules, *, cell_m, rooms=None, choose=None, sense=None):
+def replay(
+    occupied, start, strategy, lidar, rules, *, cell_m, rooms=None, within=None, known=None, choose=None, sense=None
+):
     """The simulator's `Result`."""
     return simulator.simulate(
         occupied,
@@ -211,6 +219,8 @@ def replay(occupied, start, strategy, lidar, rules, *, cell_m, rooms=None, choos
         scan_every_m=rules.scan_every_m,
         arrival_m=rules.arrival_m,
         no_echo=lidar.no_echo,
+        within=within,
+        known=known,
         sense=sense,
     )
 
@@ -229,22 +239,23 @@ def _first_difference(got, want):
     return "" if got == want else f" {got}, expected {want}"
 
 
-def differences(result, state, want, *, cell_m, rooms=None):
+def differences(result, state, want, *, cell_m, rooms=None, within=None, known=None):
     """Everything that the kernel and the simulator measure and that differs: one text for each; none if all is equal.
 
     Args:
       result, state: what `play` gave.
       want: what `replay` gave.
       cell_m: edge of a cell, metres.
-      rooms: as both of them were given.
+      rooms, within, known: as both of them were given.
     """
     height, width = want.hits.shape
+    at_start = 0 if known is None else int(((known >= 0) & (True if within is None else within)).sum())
     final = decode(kept(state), result, want.hits.shape)
-    known = want.hits + want.misses > 0
+    known = (want.hits + want.misses > 0) & (True if within is None else within)
     last_known = dict(want.known_after_scan)  # by the number of steps made: the last scan made there counts
     after_step = []
     for i in range(want.steps + 1):  # a step without a scan leaves what is known
-        after_step.append(last_known.get(i, after_step[-1] if after_step else 0))
+        after_step.append(last_known.get(i, after_step[-1] if after_step else at_start))
     lengths = (result.straight_at + math.sqrt(2) * result.diagonal_at) * cell_m
     along = progress_m(result, cell_m)
     outside = np.ones(state.shape, bool)

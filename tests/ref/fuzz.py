@@ -33,6 +33,7 @@ class Fixed(NamedTuple):
     window: int = 82  # half the width of the square that a scan can change, cells
     beams_as: tuple[int, int] = (120, 181)  # most steps and most beams
     kernels: str = "serial"  # the engine whose kernels there are
+    restricted: bool = False  # whether the robot stays within a region and knows a part of the map
 
 
 WIDE, TALL = (64, 256), (224, 64)
@@ -40,10 +41,11 @@ FEW = (
     Fixed(),
     Fixed(policy="random"),
     Fixed(clearance_d2=0, noisy=True),
+    Fixed(clearance_d2=1, restricted=True),
     Fixed(WIDE, clearance_d2=1, window=22, beams_as=(40, 181)),
     Fixed(WIDE, clearance_d2=0, noisy=True),
 )
-"""Five programs; tests of episodes have the first three as well."""
+"""Six programs; tests of episodes have the first three as well."""
 MANY = (
     *FEW,
     Fixed(clearance_d2=1, window=10, beams_as=(16, 361)),
@@ -58,9 +60,10 @@ MANY = (
     Fixed(TALL, clearance_d2=4),
     Fixed(TALL, policy="random", clearance_d2=0, noisy=True),
     Fixed(clearance_d2=1, kernels="lockstep"),
+    Fixed(policy="random", clearance_d2=0, kernels="lockstep", restricted=True),
     Fixed(WIDE, clearance_d2=4, noisy=True, kernels="lockstep"),
 )
-"""Eighteen programs."""
+"""Twenty programs."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -72,6 +75,8 @@ class Case:
     world: str  # what kind of world it is
     occupied: np.ndarray  # [H, W] bool
     rooms: np.ndarray | None  # [H, W] int32
+    within: np.ndarray | None  # [H, W] bool
+    known: np.ndarray | None  # [H, W] int8
     start: tuple[int, int, int]  # row, col, heading in degrees
     strategy: str
     lidar: Lidar
@@ -282,6 +287,7 @@ def kinds_of(case, verdict):
         "field of view below 90 degrees": lidar.fov_deg < 90,
         "field of view of 360 degrees": lidar.fov_deg == 360,
         "no echo, unknown": lidar.no_echo == "unknown",
+        "restricted": case.within is not None,
         "one beam": lidar.n_beams == 1,
         "more than 181 beams": lidar.n_beams > 181,
         "a range of whole or half cells": (2 * in_cells(lidar.range_m, case.cell_m)).is_integer(),
@@ -309,13 +315,17 @@ def draw_case(seed, number, fixed=MANY):
     special = [cell_m for cell_m in SPECIAL_CELLS if cell_m <= most_m]
     cell_m = float(draw.choice([draw.choice(special), draw.uniform(0.05, most_m)]))
     world, occupied = _roomy_world(draw, chosen)
+    start = _start(draw, occupied, chosen.clearance_d2)
+    within, known = _restricted(draw, occupied, start) if chosen.restricted else (None, None)
     return Case(
         fixed=chosen,
         seed=number,
         world=world,
         occupied=occupied,
         rooms=_rooms(draw, occupied),
-        start=_start(draw, occupied, chosen.clearance_d2),
+        within=within,
+        known=known,
+        start=start,
         strategy=chosen.policy + str(draw.choice(["", "+recheck"])),
         lidar=_lidar(draw, chosen, cell_m),
         rules=_rules(draw, chosen, cell_m, occupied.size),
@@ -323,9 +333,21 @@ def draw_case(seed, number, fixed=MANY):
     )
 
 
+def _restricted(draw, occupied, start):
+    """A region around the start, and what is known from the beginning, some of it wrong."""
+    rows, cols = np.indices(occupied.shape)
+    slope, side = draw.normal(size=2), draw.uniform(2, max(occupied.shape))
+    within = np.abs(slope @ np.stack([rows.ravel() - start[0], cols.ravel() - start[1]])) < side
+    known = np.where(rows < draw.integers(occupied.shape[0] + 1), occupied, -1)
+    wrong = draw.random(occupied.shape) < draw.choice([0, 0.02])
+    wrong[[0, -1]] = wrong[:, [0, -1]] = False
+    return within.reshape(occupied.shape), np.where((known >= 0) & wrong, 1 - known, known).astype(np.int8)
+
+
 def compare(case):
     """Plays a case by the engine and by the oracle: a `Verdict`."""
-    fixed, world = case.fixed, {"cell_m": case.cell_m, "rooms": case.rooms}
+    fixed = case.fixed
+    world = {name: getattr(case, name) for name in ("cell_m", "rooms", "within", "known")}
     how = {"shape": fixed.shape, "seed": case.seed, "beams_as": fixed.beams_as}
     episode = case.occupied, case.start, case.strategy, case.lidar, case.rules
     result, state = episodes.play(*episode, window=fixed.window, kernels=fixed.kernels, **world, **how)

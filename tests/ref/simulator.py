@@ -85,18 +85,18 @@ def connected(passable, start):
     return seen
 
 
-def goal_cells(occupied, start, clear_r2, near_r2):
+def goal_cells(occupied, start, clear_r2, near_r2, within=True):
     """Truly clear cells connected to the start: what has to be known for COMPLETE."""
-    truly_clear = plans.clear(~occupied, occupied, clear_r2)
-    passable = truly_clear | (~occupied & plans.disc(occupied.shape, *start, near_r2))
+    truly_clear = plans.clear(~occupied, occupied, clear_r2) & within
+    passable = truly_clear | (~occupied & within & plans.disc(occupied.shape, *start, near_r2))
     return truly_clear & connected(passable, start)
 
 
-def knowable(inside):
+def knowable(inside, within):
     """How many cells a perfect scanner can come to know: those inside, and the walls that it hits from there."""
     cells = set(map(tuple, np.argwhere(inside).tolist()))
     beside = {(r + dr, c + dc) for r, c in cells for dr, dc in ((0, 1), (1, 0), (0, -1), (-1, 0))}
-    return len(cells | beside)
+    return len(cells | {cell for cell in beside if within[cell]})
 
 
 def count_room_entries(visited, rooms):
@@ -113,8 +113,8 @@ def count_room_entries(visited, rooms):
 class Robot:
     """The robot in its world, with its map, its odometer and its record."""
 
-    def __init__(self, occupied, start, heading_deg, sense, p_free, scan_every, no_echo):
-        self.no_echo = no_echo
+    def __init__(self, occupied, start, heading_deg, sense, p_free, scan_every, no_echo, within, known):
+        self.no_echo, self.within = no_echo, within
         self.scan_every, self.unscanned = scan_every, 0  # cost of the way, fixed point
         self.occupied, self.sense, self.p_free = occupied, sense, p_free
         self.cell, self.heading = start, heading_deg % 360
@@ -124,6 +124,9 @@ class Robot:
         self.target = None
         shape = occupied.shape
         self.result = Result(visited=[start], hits=np.zeros(shape, np.int64), misses=np.zeros(shape, np.int64))
+        self.result.hits[known == 1] = 1
+        self.result.misses[known == 0] = 1
+        self.known_before = int(((known >= 0) & within).sum())
 
     def classes(self):
         """`(known, free, occupied)` as the robot believes them."""
@@ -131,11 +134,11 @@ class Robot:
 
     def known_count(self):
         """Cells observed so far, walls included."""
-        return int(self.classes()[0].sum())
+        return int((self.classes()[0] & self.within).sum())
 
     def live(self, target):
         """Whether a target is still beside an unknown cell."""
-        return bool(plans.beside_unknown(self.classes()[0])[target])
+        return bool(plans.beside_unknown(self.classes()[0] | ~self.within)[target])
 
     def scan(self, heading_deg):
         """Make one scan and count it."""
@@ -171,7 +174,7 @@ class Robot:
         row, col = self.cell
         motion = cell[0] - row, cell[1] - col
         self.turn_to(HEADING_OF[motion])
-        if self.occupied[cell] or not (self.classes()[1][cell] or self.driven[cell]):
+        if self.occupied[cell] or not self.within[cell] or not (self.classes()[1][cell] or self.driven[cell]):
             self.result.refused += 1
             self.scan(self.heading)
             return False
@@ -192,9 +195,9 @@ class Robot:
     def plan(self, choose, clear_r2, near_r2):
         """Choose a target and the way to it; the record says which."""
         known, free, occupied = self.classes()
-        passable = plans.traversable(free, occupied, self.driven, *self.cell, clear_r2, near_r2)
+        passable = plans.traversable(free, occupied, self.driven, *self.cell, clear_r2, near_r2) & self.within
         cost, pred = plans.dijkstra(passable, self.cell)
-        targets = plans.frontier(plans.clear(free, occupied, clear_r2), cost, known, self.exhausted)
+        targets = plans.frontier(plans.clear(free, occupied, clear_r2), cost, known | ~self.within, self.exhausted)
         flat = np.flatnonzero(targets)
         self.result.plans += 1
         plan = Plan(self.cell, None, 0, [])
@@ -263,6 +266,8 @@ def simulate(
     scan_every_m=0.0,
     arrival_m=0.0,
     no_echo="free",
+    within=None,
+    known=None,
     sense=None,
 ):
     """One episode, from the scans at the start to a named outcome.
@@ -277,6 +282,8 @@ def simulate(
       scan_every_m: way after which the robot scans; it does so at its target and where a step is refused as well.
       arrival_m: distance from which a target that is no longer live counts as reached.
       no_echo: "free", or "unknown": a beam that nothing stops says nothing.
+      within: `[H, W]` bool, where the robot may be and what it is to know; default everywhere.
+      known: `[H, W]` int, what it knows from the beginning, as if seen once: -1 unknown, 0 free, 1 occupied.
       rooms: `[H, W]` int, room number, -1 for none.
       sense: `sense(row, col, heading_deg)` -> list of `(missed, hit)`, in place of the perfect scanner.
 
@@ -295,13 +302,16 @@ def simulate(
 
     scan_every = round(beams.in_cells(scan_every_m, cell_m) * 65536)
     arrival_r2 = plans.radius2(arrival_m, cell_m)
-    robot = Robot(occupied, start, int(start_heading_deg), sense or perfect, p_free, scan_every, no_echo)
-    goal = goal_cells(occupied, start, clear_r2, near_r2)
+    within = np.ones(occupied.shape, bool) if within is None else within
+    known = np.full(occupied.shape, -1) if known is None else known
+    heading = int(start_heading_deg)
+    robot = Robot(occupied, start, heading, sense or perfect, p_free, scan_every, no_echo, within, known)
+    goal = goal_cells(occupied, start, clear_r2, near_r2, within)
     elsewhere = goal.copy()
     elsewhere[start] = False
     if occupied[start] or not elsewhere.any():
         robot.result.outcome = "STUCK"
-        robot.result.known_after_step.append(0)
+        robot.result.known_after_step.append(robot.known_count())
     else:
         n_scans = initial_scan_count(fov_deg)
         robot.look_all_round(n_scans)
@@ -318,7 +328,7 @@ def measure(robot, start, cell_m, rooms):
     """Fill in what is derived from the counts."""
     result = robot.result
     known = robot.classes()[0]
-    inside = connected(~robot.occupied, start)
+    inside = connected(~robot.occupied & robot.within, start)
     result.explored_fraction = float(known[inside].mean()) if inside.any() else 0.0
 
     lengths_m = [0.0]  # after every step; built from counts, so that no rounding piles up
@@ -330,7 +340,7 @@ def measure(robot, start, cell_m, rooms):
     result.path_m = lengths_m[-1]
     result.turning_rad = result.turns * math.pi / 4
 
-    final = int(known.sum())
+    final = int((known & robot.within).sum())
     by_step = [
         *enumerate(result.known_after_step),
         (result.steps, final),
@@ -339,9 +349,13 @@ def measure(robot, start, cell_m, rooms):
     for share in SHARES:
         for series, out in ((by_step, result.path_m_at), (by_scan, result.path_m_at_any_scan)):
             out[share] = lengths_m[next(step for step, count in series if 100 * count >= share * final)]
-    whole = knowable(inside)
+    whole = knowable(inside, robot.within)
     for share in range(1, 101):
-        steps = [step for step, count in result.known_after_scan if whole and 100 * count >= share * whole]
+        steps = [
+            step
+            for step, count in [(0, robot.known_before), *result.known_after_scan]
+            if whole and 100 * count >= share * whole
+        ]
         result.path_m_along.append(lengths_m[steps[0]] if steps else math.nan)
     if rooms is not None:
         result.room_entries = count_room_entries(result.visited, rooms)

@@ -194,6 +194,7 @@ def prepare_bounds(
     require_perfect(lidar)
     pairs: list[tuple[World, tuple[int, int, int]]] = []
     for world in ready_worlds(worlds, cell_m):
+        require_whole_world(world)
         places = ready_starts(world, start, starts if start == "random" else 1, seed=seed, rules=rules)
         pairs += [(world, (int(r), int(c), int(h))) for r, c, h in places]
     limits = None if max_floods else seconds, max_floods
@@ -212,11 +213,20 @@ def require_perfect(lidar: Lidar) -> None:
         raise InputError("bounds are of a scanner that shows what it has no echo from: lidar.no_echo must be free")
 
 
+def require_whole_world(world: World) -> None:
+    """Refuse a world with a region to stay in, or of which a robot knows a part beforehand."""
+    if world.within is not None or world.known is not None:
+        raise InputError(f"{world.name!r}: bounds are of whole worlds, of which nothing is known beforehand")
+
+
 def tasks_of(
     pairs: Iterable[tuple[World, tuple[int, int, int]]], lidar: Lidar, rules: Rules, seconds: float
 ) -> list[Task]:
-    """The tasks of some starts, each once. Raises as `require_perfect`."""
+    """The tasks of some starts, each once. Raises as `require_perfect` and `require_whole_world`."""
     require_perfect(lidar)
+    pairs = list(pairs)
+    for world, _ in pairs:
+        require_whole_world(world)
     found = {(world.name, *start): Task(world, start, lidar, rules, seconds, None) for world, start in pairs}
     return list(found.values())
 

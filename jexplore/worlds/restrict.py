@@ -1,0 +1,121 @@
+"""What an episode in a world is limited to, and what its robot knows beforehand: a region to stay in, a partial map."""
+
+import os
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from jexplore.config import InputError, shown
+from jexplore.grid import Grid
+from jexplore.worlds.readers.ros import read_ros
+from jexplore.worlds.readers.scans import ScanMap
+from jexplore.worlds.world import World
+
+Polygon = Sequence[tuple[float, float]]
+KnownMap = str | os.PathLike[str] | ArrayLike | ScanMap
+FREE_MAX, OCCUPIED_MIN = 25, 65  # per cent of an occupancy: ROS's map_saver calls cells free up to, occupied from this
+
+
+def parse_polygon(text: str) -> list[tuple[float, float]]:
+    """Return the corners of a polygon from text, `x,y x,y x,y`, metres.
+
+    Raises:
+      InputError: not pairs of numbers.
+    """
+    try:
+        corners = [tuple(float(part) for part in pair.split(",")) for pair in text.split()]
+    except ValueError:
+        corners = [()]
+    if any(len(corner) != 2 for corner in corners):
+        raise InputError(f"within must be corners in metres, such as '0,0 5,0 5,4', got {shown(text)}")
+    return [(x, y) for x, y in corners]
+
+
+def stay_within(world: World, polygon_m: str | Polygon) -> World:
+    """Return the world with a region that its robot stays in.
+
+    The region is no wall: beams pass its edge. Cells outside are never entered, are no frontier's unknown cells, and
+    count neither as known nor as explorable.
+
+    Args:
+      world: `World`.
+      polygon_m: corners, x and y in metres as `World.origin_m`, in order round the region; three or more. Or text, see
+        `parse_polygon`. A cell is inside if its centre is, by the even-odd rule.
+
+    Raises:
+      InputError: no polygon, or no free cell inside.
+    """
+    corners = parse_polygon(polygon_m) if isinstance(polygon_m, str) else polygon_m
+    try:
+        corner = np.asarray(corners, float)
+    except (TypeError, ValueError):
+        corner = np.empty(0)
+    if corner.ndim != 2 or corner.shape[1] != 2 or len(corner) < 3 or not np.isfinite(corner).all():
+        raise InputError(f"within must be three or more corners (x, y) in metres, got {shown(polygon_m)}")
+    x, y = _centres(world)
+    inside = np.zeros(world.shape, bool)
+    for (x0, y0), (x1, y1) in zip(corner, np.roll(corner, -1, axis=0)):
+        if y0 != y1:  # the edge crosses the rows between its ends, and turns round what lies to its left
+            rows = (y0 <= y) != (y1 <= y)
+            inside[rows] ^= x < (x0 + (y[rows] - y0) / (y1 - y0) * (x1 - x0))[:, None]
+    if not (inside & ~world.occupied).any():
+        (x0, y0), (x1, y1) = corner.min(axis=0), corner.max(axis=0)
+        raise InputError(
+            f"{world.name!r}: no free cell lies within {x0:g},{y0:g} to {x1:g},{y1:g}; the world spans "
+            f"{x[0]:.1f},{y[0]:.1f} to {x[-1]:.1f},{y[-1]:.1f} m"
+        )
+    return world.replace(within=inside if world.within is None else inside & world.within)
+
+
+def with_known(world: World, map_: KnownMap) -> World:
+    """Return the world with a partial map that its robot has from the beginning.
+
+    What it says of a cell counts as one observation; scans may contradict it.
+
+    Args:
+      world: `World`.
+      map_: path of a ROS map (`map.yaml`), such as `explored.yaml` of `jexplore explore`; a `ScanMap`; or an occupancy
+        `[H, W]` of the world's cells: -1 unknown, 0 (free) to 100 (occupied). Between 25 and 65 it is unknown.
+
+    Raises:
+      InputError: a file that is no map, another size of cells, or a map of which no known free cell lies in the world.
+    """
+    if isinstance(map_, (str, os.PathLike)):
+        occupancy, info = read_ros(map_)
+        name, cell_m, origin_m = os.fspath(map_), info.resolution_m, info.origin_m
+    elif isinstance(map_, ScanMap):
+        name, occupancy, cell_m, origin_m = "the map", _occupancy_of(map_.grid), map_.cell_m, map_.origin_m
+    else:
+        name, occupancy, cell_m, origin_m = "the map", np.asarray(map_), world.cell_m, world.origin_m
+        if occupancy.shape != world.shape or occupancy.dtype.kind not in "iu":
+            raise InputError(
+                f"the map must be integers [{world.shape[0]}, {world.shape[1]}], -1 unknown, 0 free to 100 occupied, "
+                f"got {occupancy.dtype} of shape {list(occupancy.shape)}"
+            )
+    if abs(cell_m - world.cell_m) > 1e-6 * world.cell_m:
+        raise InputError(
+            f"{name}: has cells of {cell_m:g} m, and {world.name!r} of {world.cell_m:g} m; make them equal"
+        )
+    x, y = _centres(world)
+    col, row = (np.floor((at - low) / cell_m).astype(int) for at, low in zip((x, y), origin_m))
+    (height, width), known = occupancy.shape, np.full(world.shape, -1, np.int8)
+    rows, cols = (row >= 0) & (row < height), (col >= 0) & (col < width)
+    told = occupancy[np.ix_(row[rows], col[cols])]
+    known[np.ix_(rows, cols)] = np.where((told >= 0) & (told <= FREE_MAX), 0, np.where(told >= OCCUPIED_MIN, 1, -1))
+    if not ((known == 0) & ~world.occupied).any():
+        raise InputError(
+            f"{name}: none of its free cells is a free cell of {world.name!r}; is it a map of this building?"
+        )
+    return world.replace(known=known)
+
+
+def _centres(world):
+    """x of the columns' centres and y of the rows', metres."""
+    return (low + (np.arange(n) + 0.5) * world.cell_m for low, n in zip(world.origin_m, world.shape[::-1]))
+
+
+def _occupancy_of(grid: Grid):
+    hits, misses = np.asarray(grid.hits), np.asarray(grid.misses)
+    seen = hits + misses
+    return np.where(seen > 0, 100 * hits // np.maximum(seen, 1), -1)
