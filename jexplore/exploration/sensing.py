@@ -100,8 +100,8 @@ def known_in(
       int32.
     """
     if method != "blocks" or within is not None:
-        cut = [None if a is None else lax.dynamic_slice(a, corner, size) for a in (grid.hits, grid.misses, within)]
-        return count(_counted(Grid(cut[0], cut[1]), cut[2]))
+        grid, within = jax.tree.map(lambda a: lax.dynamic_slice(a, corner, size), (grid, within))
+        return count(_counted(grid, within))
 
     def run(hits, misses, row, col):
         def add(i, so_far):

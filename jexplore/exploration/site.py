@@ -187,9 +187,8 @@ def _regions(world):
     """Number of each 4-connected region of free cells within: `[H, W]` int32."""
     from scipy import ndimage
 
-    return ndimage.label(~world.occupied if world.within is None else ~world.occupied & world.within)[0].astype(
-        np.int32
-    )  # type: ignore[index]  # scipy says too little
+    free = ~world.occupied if world.within is None else ~world.occupied & world.within
+    return ndimage.label(free)[0].astype(np.int32)  # type: ignore[index]  # scipy says too little
 
 
 def _setup(everyone, cell_m, shape, limit, native, glances):

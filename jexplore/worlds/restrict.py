@@ -1,7 +1,9 @@
 """What an episode in a world is limited to, and what its robot knows beforehand: a region to stay in, a partial map."""
 
+import contextlib
 import os
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -24,12 +26,10 @@ def parse_polygon(text: str) -> list[tuple[float, float]]:
       InputError: not pairs of numbers.
     """
     try:
-        corners = [tuple(float(part) for part in pair.split(",")) for pair in text.split()]
+        pairs = [pair.split(",") for pair in text.split()]
+        return [(float(x), float(y)) for x, y in pairs]
     except ValueError:
-        corners = [()]
-    if any(len(corner) != 2 for corner in corners):
-        raise InputError(f"within must be corners in metres, such as '0,0 5,0 5,4', got {shown(text)}")
-    return [(x, y) for x, y in corners]
+        raise InputError(f"within must be corners in metres, such as '0,0 5,0 5,4', got {shown(text)}") from None
 
 
 def stay_within(world: World, polygon_m: str | Polygon) -> World:
@@ -47,10 +47,9 @@ def stay_within(world: World, polygon_m: str | Polygon) -> World:
       InputError: no polygon, or no free cell inside.
     """
     corners = parse_polygon(polygon_m) if isinstance(polygon_m, str) else polygon_m
-    try:
+    corner: Any = np.empty(0)
+    with contextlib.suppress(TypeError, ValueError):
         corner = np.asarray(corners, float)
-    except (TypeError, ValueError):
-        corner = np.empty(0)
     if corner.ndim != 2 or corner.shape[1] != 2 or len(corner) < 3 or not np.isfinite(corner).all():
         raise InputError(f"within must be three or more corners (x, y) in metres, got {shown(polygon_m)}")
     x, y = _centres(world)
