@@ -29,9 +29,9 @@ EXCERPT = "<!-- excerpt: "
 RUN_ELSEWHERE = ("CONTRIBUTING.md", "docs/tutorial.md")  # by tests of their own, here and in test_program.py
 
 
-def hooks():
-    """`docs/hooks.py`, which mkdocs runs."""
-    spec = importlib.util.spec_from_file_location("hooks_of_the_docs", ROOT / "docs" / "hooks.py")
+def script(name):
+    """A script of `docs/`, as a module."""
+    spec = importlib.util.spec_from_file_location(f"{name}_of_the_docs", ROOT / "docs" / f"{name}.py")
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
@@ -196,9 +196,8 @@ def test_links_lead_somewhere(page):
         if ":" in path:
             continue
         file = (ROOT / page).parent / path if path else ROOT / page
-        made = os.path.normpath(file) == str(ROOT / "docs" / hooks().COMMANDS_PAGE)
-        assert file.exists() or made, f"{page}: {target}"
-        if anchor and not made:
+        assert file.exists(), f"{page}: {target}"
+        if anchor:
             assert anchor in anchors(file.read_text(encoding="utf-8")), f"{page}: {target}"
 
 
@@ -218,8 +217,39 @@ def test_readme_is_short_and_begins_with_what_is_run():
 
 def test_every_public_name_is_in_the_reference():
     pages = "\n".join(text_of(page) for page in PAGES if page.startswith("docs/reference/api/"))
-    named = re.findall(r"^::: jexplore\.(\w+)$", pages, re.M)
+    named = re.findall(r"^\| \[`jx\.(\w+)`\]", pages, re.M)
     assert sorted(named) == sorted(set(jx.__all__) - {"__version__"})
+    assert not re.findall(r"^\| \[`.*\| +\|$", pages, re.M), "a name without a meaning"
+
+
+@pytest.mark.parametrize("page", script("generate").generated())
+def test_generated_pages_are_as_the_code_has_them(page):
+    assert script("generate").generated()[page] == text_of(f"docs/{page}"), "run `python docs/generate.py`"
+
+
+def test_pages_hold_what_they_show_without_being_built():
+    """As a Git host shows them: no mark stands for a table, no line for a docstring."""
+    for page in PAGES:
+        text = text_of(page)
+        assert not re.search(r"^:::|^<!-- \w+ -->$(?<!<!-- end -->)", text, re.M), page
+        assert "<!-- begin" not in re.sub(r"<!-- begin [^>]*-->\n\n\|.*?\n<!-- end -->", "", text, flags=re.S), page
+
+
+def test_the_site_has_whole_docstrings_and_files_of_the_repository(tmp_path):
+    script("generate").write_site(tmp_path / "site")
+    page = (tmp_path / "site" / "reference" / "api" / "steps.md").read_text(encoding="utf-8")
+    assert "\n::: jexplore.Environment\n" in page
+    assert "(../results/measured.md#" in (tmp_path / "site" / "reference" / "worlds.md").read_text(encoding="utf-8")
+    listed = {leaf for _, leaf in leaves(yaml.safe_load((ROOT / "mkdocs.yml").read_text(encoding="utf-8"))["nav"])}
+    there = {path.relative_to(tmp_path / "site").as_posix() for path in (tmp_path / "site").rglob("*.md")}
+    assert listed == there
+
+
+def leaves(tree):
+    """Pairs of the title and the page in a nested `nav`."""
+    for entry in tree:
+        for title, below in entry.items():
+            yield from [(title, below)] if isinstance(below, str) else leaves(below)
 
 
 @pytest.mark.parametrize("name", COMMANDS)
@@ -228,10 +258,10 @@ def test_every_option_is_in_the_reference(name, capsys, monkeypatch):
     with pytest.raises(SystemExit):
         parse([name, "--help"], COMMANDS)
     told = set(re.findall(r"│ (--[\w.-]+)", capsys.readouterr().out))
-    page = hooks().commands_page(COMMANDS)
+    page = script("generate").commands_page(COMMANDS)
     own = re.search(rf"^## jexplore {name}\n(.*?)(?=^## )", page, re.S | re.M)[1]
-    parts = re.findall(r"\[`--(\w+)\.\*`\]\(#\1\)", own)
-    own += "".join(re.search(rf"^## Options --{part}\.\*.*?(?=^## |\Z)", page, re.S | re.M)[0] for part in parts)
+    parts = re.findall(r"\[`--(\w+)\.\*`\]\(#options-of-\1\)", own)
+    own += "".join(re.search(rf"^## Options of {part}\n.*?(?=^## |\Z)", page, re.S | re.M)[0] for part in parts)
     assert set(re.findall(r"^\| `(--[\w.-]+)", own, re.M)) == told
     assert told or name == "strategies"
 
@@ -243,7 +273,7 @@ def test_files_and_columns_are_explained():
 
 def test_links_of_the_site():
     """Files of the repository that are pages of the site are linked as such, from wherever."""
-    rewritten = hooks().rewritten
+    rewritten = script("generate").rewritten
     text = (
         "[a](../../benchmarks/RESULTS.md#rooms) [b](own-map.md) ![c](../images/x.png) [d](https://x.y/CONTRIBUTING.md)"
     )
@@ -272,7 +302,7 @@ def test_a_commands_page_from_two_options():
         crust: bool = dataclasses.field(default=True, metadata={"off": "Without."})
         """With."""
 
-    page = hooks().commands_page({"bake": Bake})
+    page = script("generate").commands_page({"bake": Bake})
     assert page.endswith(
         "## jexplore bake\n\nBake bread.\n\nUntil it is &lt;brown>.\n\n"
         "| option | default | meaning |\n| --- | --- | --- |\n"
