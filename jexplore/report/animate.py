@@ -143,9 +143,9 @@ def save_animation(
     fps: float = 12,
     max_frames: int = 300,
 ) -> int:
-    """Write an episode as an animation in the format of the file's ending, whole or not at all: a GIF that loops, or MP4.
+    """Write an episode as an animation in the format of the file's ending, whole or not at all: a GIF, or MP4.
 
-    All frames share one palette, so colours do not flicker. The last frame is held for two seconds.
+    A GIF loops. All frames share one palette, so colours do not flicker. The last frame is held for two seconds.
 
     Args:
       frames: iterable of one or more dicts: `state` `[H, W]` uint8; `frontier` `[H, W]` bool; `row`, `col`,
