@@ -105,7 +105,7 @@ def scale_bar(ax: Axes) -> AnchoredSizeBar:
     length = round_length(abs(np.subtract(*ax.get_xlim())) / 3)
     place: Any = {"loc": "upper left", "bbox_to_anchor": (0.0, 0.0), "bbox_transform": ax.transAxes}
     bar = AnchoredSizeBar(
-        ax.transData, length, f"{length:g} m", frameon=False, borderpad=0.2, pad=0, sep=2, label_top=False,
+        ax.transData, length, f"{length:g} m", frameon=False, borderpad=0.5, pad=0, sep=2, label_top=False,
         fontproperties=FontProperties(size=7), **place,
     )  # fmt: skip
     ax.add_artist(bar)
