@@ -400,3 +400,49 @@ def test_comments_of_fields_are_told():
     assert comment_of(lines, 1, 1) == "metres"
     assert comment_of(lines, 4, 4) == "row, col and heading"
     assert comment_of(lines, 5, 5) == ""
+
+
+def test_every_picture_is_drawn_by_the_script_and_shown():
+    images = ROOT / "docs" / "images"
+    there = {path.relative_to(images).as_posix() for path in images.rglob("*") if path.is_file()}
+    drawn = {picture for one in script("pictures").DRAWN.values() for picture in one.files}
+    shown = {name for page in PAGES for name in re.findall(r"\]\([./\w]*images/([\w./-]+)\)", text_of(page))}
+    assert there == drawn == shown
+    assert sum((images / name).stat().st_size for name in there) < 1_500_000  # the repository carries them
+
+
+@pytest.mark.parametrize("name", [name for name, drawn in script("pictures").DRAWN.items() if drawn.command])
+def test_what_draws_a_picture_is_told(name):
+    """Beside the picture, as one would type it."""
+    command = script("pictures").DRAWN[name].command.removesuffix(" --out drawn")
+    told = [" ".join(text_of(page).replace("\\\n", " ").split()) for page in PAGES]
+    assert any(command in text for text in told), command
+    if command.startswith("jexplore "):
+        parse(shlex.split(command)[1:], COMMANDS)
+
+
+def test_a_stale_picture_is_found(tmp_path):
+    """Another panel, another curve; not a shift by a pixel, nor a little more room, as other releases draw."""
+    from matplotlib.figure import Figure
+
+    def drawn(name, panels=2, curve=2.0, dpi=150, tall=3.0):
+        figure = Figure(figsize=(4, tall), layout="constrained")
+        for ax in figure.subplots(panels, 1, squeeze=False).flat:
+            ax.fill_between(range(10), np.arange(10) ** curve)
+            ax.set_title("a title")
+        figure.savefig(tmp_path / name, dpi=dpi)
+        return tmp_path / name
+
+    difference, old = script("pictures").difference, drawn("old.png")
+    assert difference(old, drawn("same.png")) is None
+    assert difference(old, drawn("larger.png", dpi=152)) is None
+    assert "differs by" in difference(old, drawn("panel.png", panels=3))
+    assert "differs by" in difference(old, drawn("curve.png", curve=0.5))
+    assert "drawn now 600 x 600" in difference(old, drawn("tall.png", tall=4.0))
+
+
+def test_the_picture_of_the_worlds_is_not_stale(tmp_path):
+    """The cheapest of them; `python docs/pictures.py --check` draws all."""
+    pictures = script("pictures")
+    for picture, path in pictures.draw("worlds", tmp_path).items():
+        assert pictures.difference(pictures.IMAGES / picture, path) is None, "run `python docs/pictures.py worlds`"
