@@ -111,8 +111,8 @@ def made_small(words):
         words = [SMALL.get(word, word) for word in words if not re.match(r"office#[02]", word)]
     numbers = {"--episodes": "1", "--starts": "1", "--seconds": "1", "--frames": "5"}
     words = [numbers.get(before, word) for before, word in itertools.pairwise(["", *words])]
-    more = {"explore": ("--frames", "5", "--no-report"), "compare": ("--no-report",)}
-    return [*words, *more.get(words[0], ())]
+    words += ["--no-report"] if words[0] in ("compare", "explore") else []
+    return words + (["--frames", "5"] if words[0] == "explore" and "--frames" not in words else [])
 
 
 @pytest.fixture
