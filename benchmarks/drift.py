@@ -65,7 +65,7 @@ def drifting(given):
     if given.out is not None:
         Path(given.out).mkdir(parents=True, exist_ok=True)
         found.runs.to_parquet(Path(given.out) / "drift.parquet")
-        save_figure(found.figure(), Path(given.out) / "drift.png", dpi=80)
+        save_figure(found.figure(), Path(given.out) / "drift.png")
     head("error", "value", "the true map", "nodes off by m", "cells on a wall", "wall drawn twice")
     for line in found.summary.to_dict("records"):
         right = "–" if np.isnan(line["true"]) else share(round(line["true"] * line["n"]), line["n"])

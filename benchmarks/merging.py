@@ -131,6 +131,7 @@ def picture(world, folder, steps=9000):
     from jexplore.driving.settings import Noise
     from jexplore.report.plot import save_figure
     from jexplore.report.plot_traces import draw_btm
+    from jexplore.report.plots.looks import legend_below
     from jexplore.studies.traces.recording import wall_lines
     from jexplore.studies.traces.tracing import trace
 
@@ -138,15 +139,17 @@ def picture(world, folder, steps=9000):
     names = ["the first robot's map", "the second's"]
     merged = merge_maps([found.maps[0], found.maps[1]], names=names)
     maps = [*zip(names, (found.maps[0], found.maps[1])), ("merged, in the frame of the first", merged.map)]
-    page = Figure(figsize=(9, 15), layout="constrained")
+    page, marks = Figure(figsize=(9, 15), layout="constrained"), {}
     for ax, (name, btm) in zip(page.subplots(len(maps), 1), maps):
-        ax.add_collection(LineCollection(list(wall_lines(found.plan).reshape(-1, 2, 2)), colors="0.7", linewidths=2))
-        draw_btm(ax, btm, legend=False)
-        ax.set_aspect("equal")
+        walls = LineCollection(list(wall_lines(found.plan).reshape(-1, 2, 2)), colors="0.7", linewidths=2)
+        marks["wall of the building"] = ax.add_collection(walls)
+        marks |= {mark.get_label(): mark for mark in draw_btm(ax, btm, legend=False)}
+        ax.set(aspect="equal", xlabel="x (m)", ylabel="y (m)")
         ax.autoscale_view()
         ax.set_title(f"{name}: {len(btm.nodes)} nodes, {len(btm.links)} links")
+    legend_below(page, list(marks.values()), list(marks))
     Path(folder).mkdir(parents=True, exist_ok=True)
-    save_figure(page, Path(folder) / "merged.png", dpi=80)
+    save_figure(page, Path(folder) / "merged.png")
     print(f"{merged.outcome.value}; {merged.matched} nodes in common; {'; '.join(merged.notes) or 'no notes'}")
 
 

@@ -1,5 +1,7 @@
 """Animations: which pixels come out, which frames are kept."""
 
+import subprocess
+
 import numpy as np
 import pytest
 from matplotlib.colors import to_rgb
@@ -36,21 +38,23 @@ def gif_frames(path):
 def test_gif_pixels_by_hand(tmp_path):
     frontier = np.zeros(STATE.shape, bool)
     frontier[2, 3] = True
-    animate.animate_gif([frame(frontier=frontier, row=0, col=0, target=(2, 0))], tmp_path / "a.gif", cell_m=0.1)
+    animate.save_animation([frame(frontier=frontier, row=0, col=0, target=(2, 0))], tmp_path / "a.gif", cell_m=0.1)
     ((picture, duration),) = gif_frames(tmp_path / "a.gif")
     assert duration == 2000
-    assert picture.shape == (3 * 160 + 24, 640, 3)  # 160 pixels a cell, and the band
+    assert picture.shape == (3 * 160 + 48, 640, 3)  # 160 pixels a cell, and two bands
     colours = np.array([[184] * 3, [255] * 3, [0] * 3, [224, 16, 16]])[np.where(frontier, 3, STATE)]
     corner = picture[: 3 * 160][8::160, 8::160][::-1]  # the upper left corner of each cell
     np.testing.assert_array_equal(corner, colours)
     assert (picture[3 * 160 - 80, 80] == to_bytes(plot.ROBOT)).all()  # in the middle of cell (0, 0)
-    ring = (picture == to_bytes(plot.TARGET)).all(axis=-1)
+    ring = (picture[: 3 * 160] == to_bytes(plot.TARGET)).all(axis=-1)
     rows, cols = np.nonzero(ring)
     assert abs(rows.mean() - 80) < 1
     assert abs(cols.mean() - 80) < 1
     band = picture[3 * 160 :]
     assert band[12, 8:120].min() < 100  # the caption
     assert band[12, 500:].min() == 0  # the scale bar
+    legend = {tuple(colour) for colour in band[24:].reshape(-1, 3).tolist()}
+    assert legend >= {tuple(animate._GIF_PALETTE[code]) for _, code in animate._LEGEND}
 
 
 def to_bytes(colour):
@@ -58,7 +62,7 @@ def to_bytes(colour):
 
 
 def test_gif_scale_bar_is_true(tmp_path):
-    animate.animate_gif([frame(state=np.ones((30, 40), np.uint8), caption="")], tmp_path / "a.gif", cell_m=0.25)
+    animate.save_animation([frame(state=np.ones((30, 40), np.uint8), caption="")], tmp_path / "a.gif", cell_m=0.25)
     ((picture, _),) = gif_frames(tmp_path / "a.gif")
     dark = np.nonzero((picture[30 * 16 + 12] == 0).all(axis=-1))[0]
     assert dark[-1] - dark[dark > 500][0] == pytest.approx(2.0 / 0.25 * 16, abs=1)  # "2 m" at 16 pixels a cell
@@ -66,9 +70,9 @@ def test_gif_scale_bar_is_true(tmp_path):
 
 def test_gif_path_is_drawn_between_cell_centres(tmp_path):
     state = np.ones((10, 10), np.uint8)
-    animate.animate_gif([frame(state=state, rows=[2, 2], cols=[1, 8], row=9, col=9)], tmp_path / "a.gif", cell_m=0.1)
+    animate.save_animation([frame(state=state, rows=[2, 2], cols=[1, 8], row=9, col=9)], tmp_path / "a.gif", cell_m=0.1)
     ((picture, _),) = gif_frames(tmp_path / "a.gif")
-    violet = (picture == (123, 44, 160)).all(axis=-1)
+    violet = (picture[:640] == (123, 44, 160)).all(axis=-1)
     rows, cols = np.nonzero(violet)
     assert rows.mean() == pytest.approx(640 - 2.5 * 64, abs=1)
     assert (cols.min(), cols.max()) == (pytest.approx(1.5 * 64, abs=2), pytest.approx(8.5 * 64, abs=2))
@@ -87,7 +91,7 @@ def test_gif_robot_points_where_it_heads(heading_deg, toward):
 
 def test_gif_colours_do_not_flicker(tmp_path):
     states = [np.where(np.arange(12).reshape(3, 4) < n, STATE, 0).astype(np.uint8) for n in range(1, 12)]
-    count = animate.animate_gif(
+    count = animate.save_animation(
         [frame(n, state) for n, state in enumerate(states)], tmp_path / "a.gif", cell_m=0.1, fps=10
     )
     found = gif_frames(tmp_path / "a.gif")
@@ -119,7 +123,7 @@ def test_gif_frames_may_share_one_buffer(tmp_path):
             state.flat[number] = 1
             yield frame(number, state)
 
-    animate.animate_gif(frames(), tmp_path / "a.gif", cell_m=0.1)
+    animate.save_animation(frames(), tmp_path / "a.gif", cell_m=0.1)
     counts = [(picture[:480] == 255).all(axis=-1).sum() for picture, _ in gif_frames(tmp_path / "a.gif")]
     assert counts == sorted(counts)
     assert counts[0] < counts[-1] / 5
@@ -131,23 +135,43 @@ def test_gif_of_any_shape(shape):
     state[-1, -1] = 2
     image = animate.frame_image(frame(state=state, row=0, col=0, caption="x" * 300), cell_m=0.05)
     assert image.width >= 320
-    assert max(image.size) <= 640 + 24
+    assert max(image.size) <= 640 + 48
     assert (np.asarray(image) == 2).any()  # a wall of one cell survives the reduction
 
 
 def test_gif_errors(tmp_path):
     with pytest.raises(ValueError, match="one or more frames"):
-        animate.animate_gif([], tmp_path / "a.gif", cell_m=0.1)
+        animate.save_animation([], tmp_path / "a.gif", cell_m=0.1)
     for wrong in ({"fps": 0}, {"fps": 51}, {"max_frames": 0}):
         with pytest.raises(ValueError, match="expected 0 < fps"):
-            animate.animate_gif([frame()], tmp_path / "a.gif", cell_m=0.1, **wrong)
+            animate.save_animation([frame()], tmp_path / "a.gif", cell_m=0.1, **wrong)
     with pytest.raises(InputError, match="missing"):
-        animate.animate_gif([frame()], tmp_path / "missing" / "a.gif", cell_m=0.1)
+        animate.save_animation([frame()], tmp_path / "missing" / "a.gif", cell_m=0.1)
 
     def breaks():
         yield frame()
         raise RuntimeError("midway")
 
     with pytest.raises(RuntimeError, match="midway"):
-        animate.animate_gif(breaks(), tmp_path / "a.gif", cell_m=0.1)
+        animate.save_animation(breaks(), tmp_path / "a.gif", cell_m=0.1)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_only_animations_are_written(tmp_path, monkeypatch):
+    monkeypatch.setattr(animate.FFMpegWriter, "isAvailable", classmethod(lambda cls: False))
+    for name, said in (("a.mp4", "needs the program ffmpeg"), ("a.png", r"must end in \.gif or \.mp4, got \.png")):
+        with pytest.raises(InputError, match=said):
+            animate.save_animation(iter([frame()]), tmp_path / name, cell_m=0.1)
+    assert list(tmp_path.iterdir()) == []
+    animate.save_animation([frame()], tmp_path / "bare", cell_m=0.1)
+    assert (tmp_path / "bare").read_bytes().startswith(b"GIF8")
+
+
+def test_mp4(tmp_path):
+    if not animate.FFMpegWriter.isAvailable():
+        pytest.skip("no ffmpeg on the path")
+    state = np.ones((33, 47), np.uint8)  # 611 pixels wide: an odd number
+    assert animate.save_animation([frame(k, state) for k in range(5)], tmp_path / "a.mp4", cell_m=0.1, fps=5) == 5
+    asked = ["ffprobe", "-v", "error", "-show_entries", "stream=codec_name,width,height,nb_frames", "-of", "csv=p=0"]
+    found = subprocess.run([*asked, tmp_path / "a.mp4"], capture_output=True, text=True, check=True).stdout
+    assert found.strip() == f"h264,612,{33 * 13 + 49},15"  # the last frame is held for two seconds

@@ -6,6 +6,7 @@ import matplotlib
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
+from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
 from PIL import Image
 from ref.figures import check_texts, pixels
 
@@ -239,15 +240,23 @@ def test_worlds_figure():
     figure = plot.worlds_figure([*plans, ("one", world(rooms=np.where(rooms == 4, -1, rooms)))])
     check_texts(figure)
     first, second, third, fourth = shown(figure)
-    assert first.get_xlabel() == "5 m² free, 2 rooms"
-    assert [second.get_xlabel(), third.get_xlabel(), fourth.get_xlabel()] == [
-        "16 m² free",
-        "5 m² free",
-        "5 m² free, 1 room",
-    ]
+    below = [ax.get_title().split("\n")[-1] for ax in (first, second, third, fourth)]
+    assert below == ["5 m² free, 2 rooms", "16 m² free", "5 m² free", "5 m² free, 1 room"]
     np.testing.assert_allclose(first.lines[0].get_xydata(), [[0.65, 0.55]])
     assert not second.lines
-    assert first.get_title() == "office#1"
+    assert first.get_title().startswith("office#1\n")
+
+
+@pytest.mark.parametrize(("width_m", "length", "said"), [(3.5, 1.0, "1 m"), (29.0, 5.0, "5 m"), (0.4, 0.1, "0.1 m")])
+def test_a_scale_bar_is_true(ax, width_m, length, said):
+    plot.draw_map(ax, np.ones((4, 10), np.uint8), width_m / 10)
+    plot.scale_bar(ax)
+    check_texts(ax.figure)
+    (bar,) = ax.findobj(AnchoredSizeBar)
+    assert bar.txt_label.get_text() == said
+    assert bar.size_bar.get_children()[0].get_width() == length
+    long_px = np.diff(ax.transData.transform([(0, 0), (length, 0)])[:, 0])
+    assert bar.size_bar.get_window_extent(ax.figure.canvas.get_renderer()).width == pytest.approx(long_px, abs=2)
 
 
 def a_figure():

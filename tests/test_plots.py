@@ -1,20 +1,23 @@
 """Pictures of comparisons and sweeps: what the artists hold, and that no two texts collide or leave the page."""
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
 import pytest
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
+from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
 from ref.figures import check_texts, pixels
 from test_aggregate import episodes, fail
 from test_response import CLEARANCE, RANGE, sweep
 
 from jexplore.config import InputError
-from jexplore.report.plots import compare, curves, looks, sweeps
+from jexplore.report.plots import bounds, compare, curves, looks, sweeps, waste
 from jexplore.studies.statistics import by_world, figures, league, response
 from jexplore.studies.statistics.aggregate import profiles
+from jexplore.worlds.world import World
 
 LONG = "decision-theoretic+recheck+segment:samples=500,lam=0.2"
 FOURTEEN = ["closest", *(f"distance-advantage+recheck:weight=0.{i}" for i in range(12)), LONG]
@@ -260,7 +263,10 @@ def test_response_figure():
             np.testing.assert_allclose(bar.lines[0].get_ydata(), own["estimate"])
             np.testing.assert_allclose(bar.lines[0].get_xdata(), own[RANGE], atol=0.1)
     assert axes[0].get_ylabel() == "path length (m)"
+    assert figure._suptitle.get_text() == "means over 4 starts and all values of rules.clearance_m, with 95 % intervals"
     check_texts(figure)
+    many = figures.response_figure(sweep(worlds=("v", "w", "x")), RANGE, over_worlds=True, confidence=0.8)
+    assert many._suptitle.get_text() == "means over 3 worlds, with 80 % intervals"
     ratios = figures.response_figure(table, RANGE, ratio=True)
     assert shown(ratios)[0].get_yscale() == "log"
     assert shown(ratios)[0].get_ylabel() == "path length over that of a"
@@ -300,6 +306,7 @@ def test_heat_figure():
     assert [label.get_text() for label in first.get_xticklabels()] == ["2", "4", "8"]
     assert [label.get_text() for label in first.get_yticklabels()] == ["0.2", "0.3"]
     assert first.images[0].get_clim() == second.images[0].get_clim()
+    assert figure._suptitle.get_text() == "means over 4 starts"
     check_texts(figure)
 
 
@@ -344,3 +351,27 @@ def test_pictures_have_ink_of_every_colour():
     for colour in looks.COLOURS[:2]:
         assert (np.abs(image - 255 * np.array(to_rgb(colour))).max(axis=-1) < 8).sum() > 10
     assert pd.DataFrame(image).drop_duplicates().shape[0] > 20
+
+
+def test_maps_have_a_legend_and_a_scale():
+    """Of bounds and of waste: everything that is drawn is named, and metres can be read off."""
+    plan = World(np.pad(np.zeros((8, 30), bool), 1, constant_values=True), 0.1, name="hall")
+    row = {"world": "hall", "start": 0, "start_row": 2, "start_col": 2, "low_m": 1.0, "high_m": 1.2, "status": "OPEN"}
+    found = SimpleNamespace(
+        worlds=[plan],
+        table=pd.DataFrame([row]),
+        walks=pd.DataFrame({"start": [0, 0, 0], "row": [2, 2, 2], "col": [2, 3, 4]}),
+        witnesses=[np.array([[5, 20]])],
+    )
+    way = np.array([[2, 2], [2, 3], [2, 4]])
+    for figure, said in (
+        (bounds.figure(found), list(bounds.LABELS)),
+        (
+            waste.figure([("hall", plan.occupied, way, np.array([0, 2]), 0.1)]),
+            [*(what for _, what in waste.LOOKS), "start"],
+        ),
+    ):
+        assert [text.get_text().replace("\n", " ") for text in figure.legends[0].get_texts()] == said
+        (bar,) = figure.findobj(AnchoredSizeBar)
+        assert bar.txt_label.get_text() == "1 m"
+        check_texts(figure)

@@ -12,6 +12,7 @@ from jexplore.exploration.results import map_state
 from jexplore.policies.room_wise import own_segment
 from jexplore.report.page.replay import FRONTIER, OWN_ROOM, STATE
 from jexplore.studies import explore
+from jexplore.studies.comparison import prepare_jobs
 from jexplore.studies.replays import replay_of, replays_of
 
 LIDAR = Lidar(n_beams=37, range_m=1.0)
@@ -35,7 +36,8 @@ def test_frames_are_those_of_the_episode(max_frames):
         np.testing.assert_array_equal((codes & FRONTIER) > 0, frame.frontier)
         assert not (codes & OWN_ROOM).any()
     np.testing.assert_allclose(replay.known_m2, episode.final.known[replay.steps] * 0.01)
-    assert (replay.world, replay.strategy, replay.which) == ("two rooms", "closest+recheck", "episode 1, seed 3")
+    assert (replay.world, replay.strategy, replay.which) == ("two rooms", "closest+recheck", "seed 3")
+    assert replay.episode == 1
     assert (replay.outcome, replay.cell_m) == (episode.measures["outcome"], 0.1)
     np.testing.assert_array_equal(replay.truth, episode.world.occupied)
 
@@ -86,6 +88,18 @@ def test_jobs_are_replayed_from_what_they_left_or_run_again(jobs):
 
 
 @pytest.mark.jit
+def test_later_episodes_are_those_of_the_comparison():
+    settings = {"seed": 3, "cell_m": 0.1, "start": "random", "lidar": LIDAR, "rules": Rules()}
+    jobs = prepare_jobs(two_rooms(), ["closest", "random"], episodes=4, **settings)
+    found, notes = replays_of(jobs, LIDAR, Rules(), episodes=2, max_frames=10)
+    assert notes == []
+    assert [(one.strategy, one.episode) for one in found] == [(s, e) for e in (0, 1) for s in ("closest", "random")]
+    for one in found:
+        assert one.changes == replay_of(ran(one.strategy, episode=one.episode), max_frames=10).changes
+    assert len(replays_of([job._replace(starts=job.starts[:1]) for job in jobs], LIDAR, Rules(), max_frames=3)[0]) == 2
+
+
+@pytest.mark.jit
 def test_what_is_missing_is_said(jobs):
     outcomes = batch.run_jobs(jobs, LIDAR, Rules()).outcomes
     assert outcomes[1].first is not None
@@ -97,8 +111,8 @@ def test_what_is_missing_is_said(jobs):
     found, notes = replays_of(jobs, LIDAR, Rules(), outcomes=cut, max_frames=3)
     assert [replay.strategy for replay in found] == ["closest+recheck"]
     assert notes == [
-        "closest in two rooms: no replay, the run was interrupted before its first episode ended.",
-        "random in two rooms: no replay, its episode made more plans than are kept.",
+        "closest in two rooms, episode 0: no replay, the run was interrupted before it ended.",
+        "random in two rooms, episode 0: no replay, it made more plans than are kept.",
     ]
     found, notes = replays_of(jobs, LIDAR, Rules(), outcomes=outcomes, max_pairs=1, max_frames=3)
     assert [replay.strategy for replay in found] == ["closest"]

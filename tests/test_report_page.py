@@ -22,6 +22,7 @@ from jexplore.report.page.assemble import plain, script_data
 from jexplore.report.page.packing import change, runs
 from jexplore.report.page.replay import ReplayData, changes_of, evenly
 from jexplore.report.page.report import MOST_BYTES, report_page
+from jexplore.report.tables import aligned_table
 
 NASTY = "</script><script>window.ran = 1</script><img src=x onerror=boom()> \"T\" & 'q' {{data}} <!-- ü 通路 \u2028"
 SVG = b'<?xml version="1.0"?><svg xmlns="http://www.w3.org/2000/svg"><script>window.ran = 1</script></svg>'
@@ -48,7 +49,8 @@ def replay(n=40, side=20, frames=300, seed=0, **changes):
         **{
             "world": "cave",
             "strategy": "closest",
-            "which": "episode 0, seed 0",
+            "which": "seed 0",
+            "episode": 0,
             "outcome": "STEP_LIMIT",
             "cell_m": 0.5,
         },
@@ -243,7 +245,7 @@ def test_structure():
     read = Reader(text)
     assert (read.attributes("html")[0]["lang"], read.text["title"]) == ("en", ["closest"])
     assert read.text["h1"] == ["closest"]
-    assert read.text["h2"] == ["What was asked", "Warnings", "Tables", "Plots", "Replays"]
+    assert read.text["h2"] == ["Warnings", "Tables", "Plots", "Replays", "What was asked, and with what: 4 entries"]
     assert read.text["h3"] == ["closest", "Rows", "Lists"]
     assert read.text["pre"] == ["jexplore closest"]
     assert list(zip(read.text["dt"], read.text["dd"])) == [
@@ -253,6 +255,8 @@ def test_structure():
     assert read.text["td"][:8] == ["closest", "12.35", "-", "3", "b", "1234", "0.5", "4"]
     assert read.text["td"][8:] == ["closest", "yes", "-", "b", "no", "0.25", "1", "closest"]
     assert [attrs["alt"] for attrs in read.attributes("img")] == ["alt closest", "a plot"]
+    assert read.text["figcaption"] == ["alt closest", "a plot"]  # words, not names of files
+    assert "open" not in read.attributes("details")[0]
     kinds = [attrs["src"].split(",")[0] for attrs in read.attributes("img")]
     assert kinds == ["data:image/png;base64", "data:image/svg+xml;base64"]
     assert base64.b64decode(read.attributes("img")[1]["src"].split(",")[1]) == SVG
@@ -307,8 +311,17 @@ def test_long_tables_and_settings_are_cut_and_say_so():
     )
     assert (len(read.text["td"]), len(read.text["dd"])) == (200, 200)
     assert read.text["dd"][0] == "x" * 400 + "…"
-    assert read.text["p"] == ["The first 200 of 300 settings.", "The first 200 of 1000 rows."]
+    assert read.text["p"] == ["The first 200 of 1000 rows.", "The first 200 of 300 settings."]
     assert Reader(report_page("r", {}, [("t", [])])).text["h3"] == ["t"]
+
+
+def test_a_table_is_that_of_the_terminal():
+    lines = [["a|b", "12.34 ± 0.5", "-"], ["c", "7.00", "0.900 [0.8, 1.0]"]]
+    text = aligned_table(["world", "path m", "ratio"], lines, left=["world"])
+    read = Reader(report_page("r", {}, [("t", text)]))
+    assert read.text["th"] == ["world", "path m", "ratio"]
+    assert read.text["td"] == [cell for line in lines for cell in line]
+    assert ["class" in attrs for attrs in read.attributes("td")] == [False, True, True] * 2
 
 
 def test_what_is_no_picture_is_refused():
@@ -357,7 +370,7 @@ def test_pictures_take_half_of_the_page():
     text = report_page("r", {}, figures=[("large", large, ""), ("small", small, "")], max_bytes=300_000)
     read = Reader(text)
     assert len(read.attributes("img")) == 1
-    assert read.text["p"] == ["large is too large for this page."]
+    assert read.text["p"] == ["The picture large is too large for this page."]
 
 
 # ---- in a browser
@@ -449,6 +462,50 @@ def test_it_replays_in_a_browser(body):
     assert [len(seen[name]["tiles"]) for name in ("large", "small")] == [1, 3]
     assert frames["quarter"] == 10
     assert seen["colours"] > 5
+
+
+EPISODES = """
+<script>
+const id = (name) => document.getElementById(name), seen = [replay.state().tiles.length];
+seen.push([...document.querySelectorAll("#episode option")].map((option) => option.textContent).join());
+const pick = (name, value) => { id(name).value = value; id(name).dispatchEvent(new Event("change")); };
+pick("episode", 4); seen.push(replay.state().tiles.map((tile) => tile.step), replay.state().frames);
+pick("world", 1); seen.push(replay.state().tiles.length, replay.state().frames);
+pick("episode", 0); seen.push(replay.state().tiles.length, id("episodebox").hidden);
+document.body.dataset.test = JSON.stringify(seen);
+</script>
+"""
+
+
+def test_a_reader_chooses_the_episode(body):
+    """In the second world only episode 0 is there: another one shows nothing, and does not fail."""
+    plan = replay().truth
+    shown = [replay(truth=plan, strategy=name, world=world) for world in ("cave", "maze") for name in "ab"]
+    later = [replay(n=n, truth=plan, strategy=name, episode=4) for n, name in ((5, "a"), (3, "b"))]
+    text = report_page("r", {}, replays=[*shown, *later])
+    found = body(text.replace("</body>", EPISODES + "</body>"))
+    assert "error" not in found, found["error"]
+    assert json.loads(found["test"]) == [2, "0,4", [0, 0], 6, 0, 1, 2, False]
+
+
+STROKES = """
+<script>
+const drawn = new Set(), real = CanvasRenderingContext2D.prototype.stroke;
+CanvasRenderingContext2D.prototype.stroke = function (...values) {
+  const tile = [...document.querySelectorAll("#tiles canvas")].indexOf(this.canvas);
+  if (tile >= 0) drawn.add(`${tile} ${this.strokeStyle}`);
+  return real.apply(this, values);
+};
+</script>
+"""
+
+
+def test_paths_have_the_colours_of_their_strategies(body):
+    text = report_page("r", {}, replays=many(3, truth=replay().truth)).replace("<style>", STROKES + "<style>")
+    script = "<script>replay.seek(20); document.body.dataset.test = JSON.stringify([...drawn]);</script>"
+    found = body(text.replace("</body>", script + "</body>"))
+    assert {"0 #0072b2", "1 #e69f00", "2 #009e73"} <= set(json.loads(found["test"]))
+    assert {"0 #e69f00", "0 #009e73", "1 #009e73"}.isdisjoint(json.loads(found["test"]))
 
 
 LOG = """

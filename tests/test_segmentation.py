@@ -4,6 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from PIL import Image
+from ref.figures import check_texts
 
 from jexplore import segment
 from jexplore.cli import main
@@ -139,6 +140,11 @@ def test_the_picture(pictures, tmp_path):
     for ax, dots in zip(page.axes, (0, 1)):
         assert [len(line.get_xdata()) for line in ax.lines] == [dots, 1, 0, 0]
         np.testing.assert_allclose([ax.lines[1].get_xdata()[0], ax.lines[1].get_ydata()[0]], [2.1, 1.05], atol=0.15)
+    said = [text.get_text() for text in page.legends[0].get_texts()]
+    assert said == ["wall or unknown", "floor of no room", "Voronoi graph", "critical point", "door found"]
+    check_texts(page)
+    plain = figure(found.pictures[:1], found.scores[:1])
+    assert [text.get_text() for text in plain.legends[0].get_texts()] == [*said[:2], "door found"]
 
 
 def test_the_command(pictures, tmp_path, capsys):

@@ -355,10 +355,13 @@ def _entries(found, ran):
 def _report(out, found, firsts, record, jobs, names, path):
     """Writes the page of a comparison, with those of its pictures that are there."""
     from jexplore.studies.results.report import replays_for, write_report
+    from jexplore.studies.statistics.by_world import markdown_table
+    from jexplore.studies.statistics.league import standings_table
+    from jexplore.studies.statistics.paired import MIN_PAIRS
 
     replays, notes = replays_for(jobs, firsts)
-    tables = [("In each world", found.summary)]
-    if len(found.worlds) > 1:
-        tables.insert(0, ("Over all worlds", found.standings))
+    tables = [("In each world", markdown_table(found.summary))]
+    if len(found.worlds) >= MIN_PAIRS:
+        tables.insert(0, ("Over all worlds", standings_table(found.standings)))
     pictures = out.there(names)
     write_report(path, f"jexplore {record['command'][1]}", record, tables, pictures, replays, notes)

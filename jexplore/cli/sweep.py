@@ -199,8 +199,9 @@ def _report(out, found, record, plan, names, path):
 
     jobs, settings = zip(*plan.first_jobs())
     replays, notes = replays_for(jobs, labels=labels_of(settings))
-    shown = found.summary.head(REPORTED)
-    tables = [(f"The first {len(shown)} of {len(found.summary)} rows of summary.csv", shown)]
+    rows = len(found.summary)
+    heading = "Every setting" if rows <= REPORTED else f"The first {REPORTED} of {rows} rows of summary.csv"
+    tables = [(heading, found.table(REPORTED))]
     pictures = out.there(names)
     write_report(path, "jexplore sweep", record, tables, pictures, replays, notes)
 

@@ -1,4 +1,4 @@
-"""Animations: an episode as a GIF, frame by frame, in pixels and one palette."""
+"""Animations: an episode as a GIF or MP4, frame by frame, in pixels and one palette."""
 
 import math
 import os
@@ -7,16 +7,21 @@ from typing import Any
 
 import matplotlib
 import numpy as np
+from matplotlib.animation import FFMpegWriter
+from matplotlib.figure import Figure
 from PIL import Image, ImageDraw, ImageFont
 
-from jexplore.report.plot import ARROW, MAP_RGB
+from jexplore.config import InputError
+from jexplore.report.plot import ARROW, MAP_RGB, round_length
 from jexplore.report.store import atomic
 
 _GIF_RGB = [*MAP_RGB.tolist(), (224, 16, 16), (0, 114, 178), (230, 159, 0), (123, 44, 160), (245, 245, 245)]
 _UNKNOWN, _FREE, _OCCUPIED, _FRONTIER, _TARGET, _ROBOT, _PATH, _BAND = range(len(_GIF_RGB))
 _GREYS = 8
 _GIF_PALETTE = [*_GIF_RGB, *([round(245 * (1 - i / (_GREYS - 1)))] * 3 for i in range(_GREYS))]
-_BAND_PX, _MIN_WIDTH_PX, _LONG_PX = 24, 320, 640
+_BAND_PX, _MIN_WIDTH_PX, _LONG_PX = 24, 360, 640
+_LEGEND = (("unknown", _UNKNOWN), ("frontier", _FRONTIER), ("target", _TARGET), ("robot", _ROBOT), ("path", _PATH))
+_HOLD_S = 2.0  # of the last frame
 
 
 def _font(size):
@@ -40,11 +45,11 @@ def _draw_text(image, text, at, font):
 
 
 def frame_image(frame: Mapping[str, Any], *, cell_m: float) -> Image.Image:
-    """One frame of an animation as a palette image; see `animate_gif` for its fields.
+    """One frame of an animation as a palette image; see `save_animation` for its fields.
 
     A cell is drawn as a square of whole pixels, as many as fit 640 pixels; maps of more than 640 cells are reduced by
-    whole factors first, where a frontier wins over occupied, occupied over free and free over unknown. Below lies a
-    band with the caption and a scale bar.
+    whole factors first, where a frontier wins over occupied, occupied over free and free over unknown. Below lie a
+    band with the caption and a scale bar, and one with a legend.
     """
     classes = np.where(frame["frontier"], np.uint8(_FRONTIER), np.asarray(frame["state"], dtype=np.uint8))
     shrink = math.ceil(max(classes.shape) / _LONG_PX)
@@ -52,7 +57,7 @@ def frame_image(frame: Mapping[str, Any], *, cell_m: float) -> Image.Image:
     scale = max(1, _LONG_PX // max(classes.shape))
     picture = classes.repeat(scale, axis=0).repeat(scale, axis=1)
     height, width = picture.shape
-    page = np.full((height + _BAND_PX, max(width, _MIN_WIDTH_PX)), _BAND, dtype=np.uint8)
+    page = np.full((height + 2 * _BAND_PX, max(width, _MIN_WIDTH_PX)), _BAND, dtype=np.uint8)
     left = (page.shape[1] - width) // 2
     page[:height, left : left + width] = picture
     image = Image.fromarray(page)
@@ -75,6 +80,7 @@ def frame_image(frame: Mapping[str, Any], *, cell_m: float) -> Image.Image:
         (x + size * (u * cos - v * sin), y - size * (u * sin + v * cos)) for u, v in np.asarray(ARROW.vertices)[:-1]
     ]
     draw.polygon(arrow, fill=_ROBOT, outline=_OCCUPIED)
+    _draw_legend(image, draw, height + _BAND_PX)
     _draw_band(image, draw, frame["caption"], cell_m / per_cell, height)
     return image
 
@@ -83,8 +89,7 @@ def _draw_band(image, draw, caption, metres_a_pixel, top):
     """The caption on the left, a scale bar of a round length on the right."""
     font = _font(12)
     widest = image.width / 4 * metres_a_pixel
-    unit = 10.0 ** math.floor(math.log10(widest))
-    bar_m = max(step * unit for step in (1, 2, 5) if step * unit <= widest)
+    bar_m = round_length(widest)
     right, bar = image.width - 10, round(bar_m / metres_a_pixel)
     label = f"{bar_m:g} m"
     label_left = right - bar - 8 - math.ceil(font.getlength(label))
@@ -98,6 +103,18 @@ def _draw_band(image, draw, caption, metres_a_pixel, top):
         text = text[:-2].rstrip("…") + "…" if len(text) > 2 else ""
     if text:
         _draw_text(image, text, (8, top), font)
+
+
+def _draw_legend(image, draw, top):
+    """What the colours stand for, in one line; the target as the ring that it is."""
+    font, left, middle = _font(11), 10, top + _BAND_PX // 2
+    for text, colour in _LEGEND:
+        box = (left, middle - 5, left + 10, middle + 5)
+        if colour == _TARGET:
+            draw.ellipse(box, outline=colour, width=3)
+        else:
+            draw.rectangle(box, fill=colour)
+        left += 26 + _draw_text(image, text, (left + 15, top), font)
 
 
 def _thinned(images, max_frames):
@@ -118,7 +135,7 @@ def _thinned(images, max_frames):
     return [image for _, image in kept]
 
 
-def animate_gif(
+def save_animation(
     frames: Iterable[Mapping[str, Any]],
     path: str | os.PathLike[str],
     *,
@@ -126,15 +143,15 @@ def animate_gif(
     fps: float = 12,
     max_frames: int = 300,
 ) -> int:
-    """Write an episode as an animated GIF that loops, whole or not at all.
+    """Write an episode as an animation in the format of the file's ending, whole or not at all: a GIF, or MP4.
 
-    All frames share one palette, so colours do not flicker. The last frame is held for two seconds.
+    A GIF loops. All frames share one palette, so colours do not flicker. The last frame is held for two seconds.
 
     Args:
       frames: iterable of one or more dicts: `state` `[H, W]` uint8; `frontier` `[H, W]` bool; `row`, `col`,
         `heading_deg` of the robot; `target`, a `(row, col)` or None; `rows`, `cols` `[N]`, cells driven so far;
         `caption`, text. A frame is drawn before the next one is asked for.
-      path: the file.
+      path: the file; without an ending it is a GIF. MP4 is written by the program ffmpeg.
       cell_m: edge of a cell, metres.
       fps: frames a second, above 0 and at most 50.
       max_frames: of more frames, that many are kept, evenly spaced, the last among them.
@@ -143,14 +160,33 @@ def animate_gif(
       Number of frames kept (those that look alike may be stored as one).
 
     Raises:
-      InputError: the file cannot be written.
+      InputError: there is no such format, ffmpeg is not there, or the file cannot be written.
       ValueError: no frames, or a rate or a number out of bounds.
     """
     if not 0 < fps <= 50 or max_frames < 1:
         raise ValueError(f"expected 0 < fps <= 50 and max_frames >= 1, got {fps!r} and {max_frames!r}")
+    ending = os.path.splitext(path)[1].lower() or ".gif"
+    if ending not in (".gif", ".mp4"):
+        raise InputError(f"{path} must end in .gif or .mp4, got {ending}")
+    if ending == ".mp4" and not FFMpegWriter.isAvailable():
+        raise InputError(f"{path} needs the program ffmpeg, which is not on the path; .gif needs none")
     images = _thinned(((lambda frame=frame: frame_image(frame, cell_m=cell_m)) for frame in frames), max_frames)
-    durations = [round(100 / fps) * 10] * (len(images) - 1) + [2000]
     with atomic(path) as part:
-        first, *rest = images
-        first.save(part, format="GIF", save_all=True, append_images=rest, duration=durations, loop=0, optimize=False)
+        (_write_gif if ending == ".gif" else _write_mp4)(images, part, fps)
     return len(images)
+
+
+def _write_gif(images, path, fps):
+    durations = [round(100 / fps) * 10] * (len(images) - 1) + [round(1000 * _HOLD_S)]
+    first, *rest = images
+    first.save(path, format="GIF", save_all=True, append_images=rest, duration=durations, loop=0, optimize=False)
+
+
+def _write_mp4(images, path, fps):
+    width, height = (size + size % 2 for size in images[0].size)  # H.264 takes even sizes only
+    page, writer = Figure(figsize=(width / 100, height / 100), dpi=100), FFMpegWriter(fps, extra_args=["-f", "mp4"])
+    with writer.saving(page, str(path), 100):
+        for image in [*images, *images[-1:] * round(_HOLD_S * fps)]:
+            page.images.clear()
+            page.figimage(np.asarray(image.convert("RGB")), 0, height - image.height)
+            writer.grab_frame()

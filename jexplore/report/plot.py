@@ -20,10 +20,12 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection
 from matplotlib.colors import ListedColormap, hsv_to_rgb
 from matplotlib.figure import Figure
+from matplotlib.font_manager import FontProperties
 from matplotlib.lines import Line2D
 from matplotlib.markers import MarkerStyle
 from matplotlib.path import Path as Outline
 from matplotlib.ticker import MaxNLocator
+from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
 
 from jexplore.config import InputError
 from jexplore.report.store import atomic
@@ -39,7 +41,7 @@ ARROW = Outline([(1.0, 0.0), (-0.6, 0.6), (-0.3, 0.0), (-0.6, -0.6), (1.0, 0.0)]
 """The robot: an arrow head along x."""
 
 
-def save_figure(figure: Figure, path: str | os.PathLike[str], *, dpi: float = 100) -> None:
+def save_figure(figure: Figure, path: str | os.PathLike[str], *, dpi: float = 150) -> None:
     """Write a figure in the format of the file's ending, whole or not at all: pixels (png) or a vector (svg, pdf).
 
     Equal figures give equal files. A PDF holds its fonts as outlines that can be edited (TrueType).
@@ -57,7 +59,8 @@ def save_figure(figure: Figure, path: str | os.PathLike[str], *, dpi: float = 10
         raise InputError(f"{path} must end in .png, .svg or .pdf, got .{ending}")
     dates = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}
     with atomic(path) as part, matplotlib.rc_context({"pdf.fonttype": 42, "svg.hashsalt": "jexplore"}):
-        figure.savefig(part, format=ending, dpi=dpi, metadata=dates.get(ending))
+        small: Any = {"pil_kwargs": {"optimize": True}} if ending == "png" else {}
+        figure.savefig(part, format=ending, dpi=dpi, metadata=dates.get(ending), **small)
 
 
 def wrapped(text: object, width: int, *, max_lines: int = 3) -> str:
@@ -90,8 +93,23 @@ def _plain(*texts):
         text.set_parse_math(False)
 
 
-def _no_ticks(ax):
+def round_length(most: float) -> float:
+    """The longest length of 1, 2 or 5 times a power of ten that is not above `most`, for a scale bar."""
+    unit = 10.0 ** math.floor(math.log10(most))
+    return max(step * unit for step in (1, 2, 5) if step * unit <= most)
+
+
+def scale_bar(ax: Axes) -> AnchoredSizeBar:
+    """A scale bar below a map in metres, at its left end, instead of ticks; at most a third of the map's width."""
     ax.set(xticks=[], yticks=[])
+    length = round_length(abs(np.subtract(*ax.get_xlim())) / 3)
+    place: Any = {"loc": "upper left", "bbox_to_anchor": (0.0, 0.0), "bbox_transform": ax.transAxes}
+    bar = AnchoredSizeBar(
+        ax.transData, length, f"{length:g} m", frameon=False, borderpad=0.5, pad=0, sep=2, label_top=False,
+        fontproperties=FontProperties(size=7), **place,
+    )  # fmt: skip
+    ax.add_artist(bar)
+    return bar
 
 
 def _centres_m(cells, cell_m):
@@ -277,7 +295,7 @@ def paths_figure(entries: Sequence[tuple[str, Sequence[tuple[str, Any, Any, Any,
     n_cols = max(len(panels) for _, panels in entries)
     sizes = [_panel_in([np.shape(panel[1]) for panel in panels], long_in=3.0) for _, panels in entries]
     width, heights = max(size[0] for size in sizes), [size[1] for size in sizes]
-    tall_in = sum(heights) + 0.45 * len(heights) + 0.6
+    tall_in = sum(heights) + 0.65 * len(heights) + 0.6
     figure = Figure(figsize=(max(width * n_cols + 0.5, 3.6), tall_in), layout="constrained")
     grid, marks = figure.subplots(len(entries), n_cols, squeeze=False, gridspec_kw={"height_ratios": heights}), ()
     for line, height, (world, panels) in zip(grid, heights, entries):
@@ -288,7 +306,7 @@ def paths_figure(entries: Sequence[tuple[str, Sequence[tuple[str, Any, Any, Any,
             strategy, state, rows, cols, cell_m, path_m = panel
             draw_map(ax, state, cell_m)
             marks = draw_path(ax, rows, cols, cell_m)[1:]
-            _no_ticks(ax)
+            scale_bar(ax)
             _plain(ax.set_title(f"{wrapped(strategy, int(11 * width), max_lines=2)}\n{path_m:.1f} m", fontsize=9))
         _plain(line[0].set_ylabel(wrapped(world, int(12 * height), max_lines=3), fontsize=9))
     _path_legend(figure, list(grid.flat), marks)
@@ -361,7 +379,7 @@ def worlds_figure(worlds: Sequence[tuple[str, Any]]) -> Figure:
     shapes = [world.shape for _, world in worlds]
     sizes = [_panel_in(shapes[i : i + n_cols], long_in=3.0) for i in range(0, len(shapes), n_cols)]
     width, heights = max(size[0] for size in sizes), [size[1] for size in sizes]
-    figure = Figure(figsize=(width * n_cols + 0.2, sum(heights) + 0.6 * n_rows), layout="constrained")
+    figure = Figure(figsize=(width * n_cols + 0.2, sum(heights) + 0.8 * n_rows), layout="constrained")
     grid = figure.subplots(n_rows, n_cols, squeeze=False, gridspec_kw={"height_ratios": heights})
     for ax, entry in itertools.zip_longest(grid.flat, worlds):
         if entry is None:
@@ -372,9 +390,9 @@ def worlds_figure(worlds: Sequence[tuple[str, Any]]) -> Figure:
         if world.start is not None:
             row, col, heading_deg = world.start
             draw_robot(ax, row, col, heading_deg, world.cell_m, size=10)
-        _no_ticks(ax)
-        _plain(ax.set_title(wrapped(name, int(11 * width), max_lines=2), fontsize=9))
+        scale_bar(ax)
         n_rooms = 0 if world.rooms is None else len(np.unique(world.rooms[world.rooms >= 0]))
         rooms = f", {n_rooms} room{'s' if n_rooms > 1 else ''}" if n_rooms else ""
-        ax.set_xlabel(f"{world.free_m2:.0f} m² free{rooms}", fontsize=8)
+        name = wrapped(name, int(11 * width), max_lines=2)
+        _plain(ax.set_title(f"{name}\n{world.free_m2:.0f} m² free{rooms}", fontsize=9))
     return figure

@@ -1,6 +1,7 @@
 """Numbers and tables as text."""
 
 import math
+import re
 from collections.abc import Collection, Iterable, Sequence
 
 
@@ -49,3 +50,10 @@ def aligned_table(head: Sequence[str], lines: Iterable[Sequence[str]], *, left: 
         for line in [head, rule, *lines]
     ]
     return "".join("| " + " | ".join(line) + " |\n" for line in text)
+
+
+def table_cells(text: str) -> tuple[list[str], list[list[str]], list[bool]]:
+    """The head, the lines and which columns are aligned to the right, of one table by `aligned_table`."""
+    head, rule, *lines = (re.split(r"(?<!\\)\|", line.strip())[1:-1] for line in text.strip().splitlines())
+    head, *lines = ([cell.strip().replace("\\|", "|") for cell in line] for line in [head, *lines])
+    return head, lines, [cell.strip().endswith(":") for cell in rule]

@@ -126,18 +126,18 @@ class Episode:
         fps: int = 12,
         on_progress: Callable[[int], object] | None = None,
     ) -> None:
-        """Write the episode as an animated GIF: known map, frontiers, target, path.
+        """Write the episode as an animation, GIF or MP4 by the file's ending: known map, frontiers, target, path.
 
         Args:
-          path: the file.
+          path: the file; MP4 is written by the program ffmpeg.
           max_frames: of more steps, that many are shown, evenly spaced, the last among them.
           fps: frames a second.
           on_progress: called with 1 for each frame drawn.
 
         Raises:
-          InputError: the file cannot be written, or the episode made more plans than are kept.
+          InputError: there is no such format, the file cannot be written, or the episode made more plans than are kept.
         """
-        animate.animate_gif(self._pictures(max_frames, on_progress), path, cell_m=self.world.cell_m, fps=fps)
+        animate.save_animation(self._pictures(max_frames, on_progress), path, cell_m=self.world.cell_m, fps=fps)
 
     def _pictures(self, max_frames, on_progress):
         final, cell_m = self.final, self.world.cell_m

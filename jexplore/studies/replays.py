@@ -24,6 +24,8 @@ from jexplore.worlds.world import World
 
 MAX_PAIRS = 12  # of world and strategy that are replayed on one page
 MAX_FRAMES = 300  # of a replay
+EPISODES = 3  # of each pair
+FEWER_FRAMES = 100  # of a replay of a later episode: maps are what a replay costs
 
 
 @jax.jit
@@ -82,7 +84,8 @@ def replay_data(
     return ReplayData(
         world=world.name,
         strategy=strategy.name,
-        which=f"episode {number}, seed {seed}",
+        which=f"seed {seed}",
+        episode=number,
         outcome=outcome,
         cell_m=world.cell_m,
         truth=world.occupied,
@@ -147,53 +150,57 @@ def replays_of(
     rules: Rules,
     *,
     outcomes: Sequence[Outcomes] | None = None,
+    episodes: int = EPISODES,
     max_pairs: int = MAX_PAIRS,
     max_frames: int = MAX_FRAMES,
     labels: Sequence[str] = (),
     on_progress: Callable[[int], object] | None = None,
 ) -> tuple[list[ReplayData], list[str]]:
-    """Episode 0 of the first jobs, for a page.
+    """The first episodes of the first jobs, for a page.
 
     Args:
       jobs: of a run, in its order.
       lidar: `Lidar` of the jobs that have none of their own.
       rules: `Rules`, likewise.
-      outcomes: what the jobs left; None: episode 0 of those that are shown is run, which costs little where what it
-        needs is compiled.
+      outcomes: what the jobs left, with episode 0. Episodes that it has not are run, which costs little where what they
+        need is compiled.
+      episodes: so many of each job are shown, or as many as all have.
       max_pairs: so many jobs are shown, the first ones.
-      max_frames: of a replay.
-      labels: what tells each job from others of its world and strategy; by default the number of its episode.
+      max_frames: of a replay; those of later episodes have `FEWER_FRAMES` at most.
+      labels: what tells each job from others of its world and strategy; by default its seed.
       on_progress: called with the number of replays made so far.
 
     Returns:
-      `(replays, notes)`: a `ReplayData` for each job that is shown; a list of lines, what is missing and why.
+      `(replays, notes)`: a `ReplayData` for each episode that is shown, episode by episode; a list of lines, what is
+        missing and why.
     """
     notes = []
     if len(jobs) > max_pairs:
         notes.append(f"Replays show the first {max_pairs} of {len(jobs)} pairs of world and strategy.")
     jobs = list(jobs[:max_pairs])
-    if outcomes is None:
-        use_compilation_cache()
-        outcomes = batch.run_jobs(jobs, lidar, rules, only=0).outcomes
+    use_compilation_cache()
     made = []
-    for done, (job, found, label) in enumerate(zip(jobs, outcomes, labels or [""] * len(jobs)), 1):
-        title = f"{job.strategy.name} in {job.world.name}"
-        if found.first is None:
-            notes.append(f"{title}: no replay, the run was interrupted before its first episode ended.")
-        elif found.first.plans is None:
-            notes.append(f"{title}: no replay, its episode made more plans than are kept.")
-        else:
-            replay = replay_data(
-                *(job.world, job.strategy, found.first),
-                start=tuple(int(value) for value in job.starts[0]),  # type: ignore[arg-type]  # three
-                seed=job.seed,
-                number=job.first,
-                lidar=job.lidar or lidar,
-                rules=job.rules or rules,
-                outcome=Outcome(int(found.result.outcome[0])).name,
-                max_frames=max_frames,
-            )
-            made.append(dataclasses.replace(replay, which=label) if label else replay)
-        if on_progress is not None:
-            on_progress(done)
+    for episode in range(min([episodes, *(len(job.starts) for job in jobs)])):
+        if episode or outcomes is None:
+            outcomes = batch.run_jobs(jobs, lidar, rules, only=episode).outcomes
+        for job, found, label in zip(jobs, outcomes, labels or [""] * len(jobs)):
+            title = f"{job.strategy.name} in {job.world.name}, episode {job.first + episode}"
+            if found.first is None:
+                notes.append(f"{title}: no replay, the run was interrupted before it ended.")
+            elif found.first.plans is None:
+                notes.append(f"{title}: no replay, it made more plans than are kept.")
+            else:
+                replay = replay_data(
+                    *(job.world, job.strategy, found.first),
+                    start=tuple(int(value) for value in job.starts[episode]),  # type: ignore[arg-type]  # three
+                    seed=job.seed,
+                    number=job.first + episode,
+                    lidar=job.lidar or lidar,
+                    rules=job.rules or rules,
+                    outcome=Outcome(int(found.result.outcome[episode])).name,
+                    max_frames=min(max_frames, FEWER_FRAMES) if episode else max_frames,
+                )
+                made.append(dataclasses.replace(replay, which=label) if label else replay)
+            if on_progress is not None:
+                on_progress(len(made))
     return made, notes

@@ -69,6 +69,7 @@ MODIFIERS: dict[str, str] = {
     "are found, =auto (as holz) and =rooms (as voronoi) only in rooms, not in corridors and halls (Holz et al. 2010, "
     "section 2.4)",
 }
+"""Name -> what it does to a strategy."""
 
 
 _Made = TypeVar("_Made")

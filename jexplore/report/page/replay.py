@@ -24,7 +24,9 @@ class ReplayData:
     world: str
     strategy: str
     which: str
-    """Of the episode: its number, its seed, or whatever tells it from others."""
+    """Of the run: its seed, its settings, or whatever tells it from others of its world and strategy."""
+    episode: int
+    """Its number in the run."""
     outcome: str
     cell_m: float
     truth: np.ndarray
@@ -132,6 +134,7 @@ def page_data(replays: Sequence[ReplayData]) -> dict[str, Any]:
             {
                 "world": numbers[key],
                 **{name: str(getattr(replay, name)) for name in ("strategy", "which", "outcome")},
+                "episode": int(replay.episode),
                 "start": [int(replay.rows[0]), int(replay.cols[0])],
                 "moves": base64_of(moves.astype(np.uint8).tobytes()),
                 **{name: packed(getattr(replay, name)) for name in ("steps", "heading_deg", "target", "until")},

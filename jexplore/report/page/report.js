@@ -7,7 +7,7 @@ const LAYERS = [
   {name: "rooms", text: "True rooms", colour: "rooms", title: "The world's rooms, which the robot does not know", off: !worlds.some((world) => world.hasRooms)},
   {name: "own", text: "Own room", colour: "own", title: "What the strategy takes for the room that the robot is in, and explores first", off: !replays.some((replay) => replay.has_own_room)},
   {name: "frontier", text: "Frontier", colour: "frontier", title: "Frontier cells that can be reached"},
-  {name: "path", text: "Path", colour: "path", title: "Where the robot has been"},
+  {name: "path", text: "Path", colour: "path", title: "Where the robot has been, in its strategy's colour"},
   {name: "ahead", text: "Way ahead", colour: "ahead", title: "Where it goes before it chooses anew"},
   {name: "target", text: "Target", colour: "target", title: "What it goes to"},
   {name: "robot", text: "Robot", colour: "robot", title: "The robot"},
@@ -17,7 +17,8 @@ const nameOf = new Set(replays.map(({which}) => which)).size > 1 ? ({strategy, w
 const names = [...new Set(replays.map(nameOf))];
 const colourOf = (replay) => PALETTE[names.indexOf(nameOf(replay)) % PALETTE.length];
 const dashOf = (replay) => names.indexOf(nameOf(replay)) < PALETTE.length ? [] : [6, 4];
-let measure = "metres", world = -1, large = -1;  // world: -1 for all; large: number of the replay that is enlarged
+const episodes = [...new Set(replays.map(({episode}) => episode))];
+let measure = "metres", world = -1, episode = episodes[0], large = -1;  // world: -1 for all; large: number of the replay that is enlarged
 const time = replays.length ? makeTimeline({show, keys: $("replays"), more: {
   w: () => look(), "+": () => zoom(1.3), "=": () => zoom(1.3), "-": () => zoom(1 / 1.3), Escape: () => enlarge(-1),
 }}) : null;
@@ -94,6 +95,7 @@ function mixed(colour, other, share) {
   const part = (at) => Math.round(parseInt(colour.slice(at, at + 2), 16) * (1 - share) + parseInt(other.slice(at, at + 2), 16) * share);
   return `#${[1, 3, 5].map((at) => part(at).toString(16).padStart(2, "0")).join("")}`;
 }
+const stripes = (list) => `linear-gradient(90deg, ${list.map((colour, i) => `${colour} ${100 * i / list.length}% ${100 * (i + 1) / list.length}%`).join(", ")})`;
 const colours = new Uint32Array(256);  // of a cell's code + 16 * its room's
 function paint({own, codes, pixels}, from = 0, to = codes.length) {
   for (let i = from; i < to; i++) pixels[i] = colours[codes[i] | own.rooms[i] << 4];
@@ -117,14 +119,14 @@ function buildTile(replay, number) {
   name.className = "name";
   const key = add(name, "i");
   key.setAttribute("aria-hidden", "true");
-  const title = add(name, "span", "", replay.which);
+  const title = add(name, "span", "", `${replay.which}, episode ${replay.episode}`);
   const button = add(name, "button", "Enlarge");
   button.addEventListener("click", () => enlarge(large === number ? -1 : number));
-  const now = add(caption, "div"), canvas = add(figure, "canvas", "", replay.which);
+  const now = add(caption, "div"), canvas = add(figure, "canvas", "", title.title);
   now.className = "now";
   canvas.tabIndex = 0;
   canvas.setAttribute("role", "img");
-  canvas.setAttribute("aria-label", `${replay.strategy} in ${replay.own.name}, ${replay.which}: the map so far and the way driven`);
+  canvas.setAttribute("aria-label", `${replay.strategy} in ${replay.own.name}, ${title.title}: the map so far and the way driven`);
   canvas.style.aspectRatio = `${replay.own.shape[1]} / ${replay.own.shape[0]}`;
   canvas.addEventListener("pointerdown", () => canvas.focus({preventScroll: true}));
   const plane = makePlane(canvas, {view: replay.own.view, bounds: replay.own.bounds, changed: showSoon, mayZoom: (event) => event.ctrlKey || large === number});
@@ -156,8 +158,8 @@ function drawTile(replay, position) {
   if (shown.truth) drawSheet(plane, own.truth, own.cell_m);
   plane.pen.lineJoin = "round";
   if (shown.path) {
-    plane.path(x, y, 0, step + 1); plane.stroke(ink.floor, 4.5); plane.path(x, y, 0, step + 1); plane.stroke(PALETTE[2], 2.2);
-    plane.disc(x[0], y[0], 4); plane.fill(ink.floor); plane.stroke(PALETTE[2], 2);
+    plane.path(x, y, 0, step + 1); plane.stroke(ink.floor, 4.5); plane.path(x, y, 0, step + 1); plane.stroke(colourOf(replay), 2.2);
+    plane.disc(x[0], y[0], 4); plane.fill(ink.floor); plane.stroke(colourOf(replay), 2);
   }
   if (shown.ahead && until > step) { plane.path(x, y, step, until + 1); plane.stroke(ink.floor, 4); plane.path(x, y, step, until + 1); plane.stroke(ink.way, 2, [4, 3]); }
   const [row, col] = [replay.target[2 * frame], replay.target[2 * frame + 1]];
@@ -168,15 +170,17 @@ function drawTile(replay, position) {
   const ways = done ? [`${replay.metres[step].toFixed(1)} m`, `${step} steps`] : [`${replay.metres[step].toFixed(1)} of ${replay.metres[replay.n].toFixed(1)} m`, `step ${step} of ${replay.n}`];
   replay.now.textContent = [...ways, `${replay.known[frame].toFixed(1)} m\u00b2 known`, ...(done ? [words(replay.outcome).toLowerCase()] : [])].join(" \u00b7 ");
 }
-const inSight = () => tiles.filter((replay) => (world < 0 || replay.world === world) && (large < 0 || replay.number === large));
-const inWorld = () => tiles.filter((replay) => world < 0 || replay.world === world);
+const isChosen = (replay) => replay.episode === episode && (world < 0 || replay.world === world);
+const inSight = () => tiles.filter((replay) => isChosen(replay) && (large < 0 || replay.number === large));
+const inWorld = () => tiles.filter(isChosen);
 
 // ---- the timeline
 const position = () => time.times[time.frame];
 function retime() {  // by the frames of the longest
-  const longest = inWorld().reduce((a, b) => b.at[measure].at(-1) > a.at[measure].at(-1) ? b : a);
-  const times = longest.at[measure];
-  time.setTimes(times, times.at(-1) / 30 || 1);
+  const [first, ...others] = inWorld();
+  if (!first) return time.setTimes([0]);  // no replay of this episode in this world
+  const times = others.reduce((a, b) => b.at[measure].at(-1) > a.at[measure].at(-1) ? b : a, first).at[measure];
+  return time.setTimes(times, times.at(-1) / 30 || 1);
 }
 const drawKnown = time && makeStrip($("known"), time, (c, w, h, along) => {
   const some = inWorld(), most = Math.max(...some.map((replay) => replay.known.at(-1)), 1e-9), y = (value) => h - 16 - value / most * (h - 24);
@@ -195,7 +199,7 @@ const where = () => measure === "metres" ? `${position().toFixed(1)} of ${time.t
 let spoken = "";
 function show() {
   for (const replay of inSight()) drawTile(replay, position());
-  drawKnown([world, measure].join());
+  drawKnown([world, episode, measure].join());
   $("clock").textContent = where();
   $("seek").setAttribute("aria-valuetext", where());
   if (!time.playing && spoken !== where()) $("spoken").textContent = spoken = where();
@@ -204,7 +208,7 @@ function show() {
 }
 const showSoon = soon(show);
 const state = () => ({
-  frame: time.frame, frames: time.frames, position: position(), playing: time.playing, speed: time.speed, measure, world, large, layers: {...shown},
+  frame: time.frame, frames: time.frames, position: position(), playing: time.playing, speed: time.speed, measure, world, episode, large, layers: {...shown},
   tiles: inSight().map((replay) => ({strategy: replay.strategy, world: replay.own.name, frame: replay.frame, step: replay.steps[replay.frame], view: {...replay.own.view}})),
 });
 
@@ -218,7 +222,7 @@ function arrange() {
   for (const replay of tiles) {
     const isLarge = replay.number === large;
     replay.title.textContent = world < 0 && worlds.length > 1 ? `${nameOf(replay)} in ${replay.own.name}` : nameOf(replay);
-    replay.figure.hidden = world >= 0 && replay.world !== world;
+    replay.figure.hidden = !isChosen(replay);
     replay.figure.classList.toggle("large", isLarge);
     replay.button.setAttribute("aria-pressed", String(isLarge));
     replay.button.textContent = isLarge ? "Side by side" : "Enlarge";
@@ -239,14 +243,17 @@ function start() {
   world = many ? 0 : -1;
   $("world").value = world;
   $("worldbox").hidden = worlds.length < 2;
-  $("world").addEventListener("change", () => { world = Number($("world").value); large = -1; $("tiles").classList.remove("large"); arrange(); retime(); });
+  for (const number of episodes) add($("episode"), "option", number).value = number;
+  $("episodebox").hidden = episodes.length < 2;
+  const choose = () => { world = Number($("world").value); episode = Number($("episode").value); large = -1; $("tiles").classList.remove("large"); arrange(); retime(); };
+  for (const id of ["world", "episode"]) $(id).addEventListener("change", choose);
   $("measure").addEventListener("change", () => { measure = $("measure").value; retime(); });
   for (const [id, action] of Object.entries({whole: look, closer: () => zoom(1.3), farther: () => zoom(1 / 1.3)})) $(id).addEventListener("click", action);
   const changed = () => { paintAll(); showSoon(); };
   const dressLayers = makeLayers(LAYERS, shown, changed, {
-    truth: () => ({background: mixed(ink.unknown, ink.wall, 0.42)}), path: () => ({background: PALETTE[2], height: "4px"}),
+    truth: () => ({background: mixed(ink.unknown, ink.wall, 0.42)}), path: () => ({background: stripes(names.slice(0, PALETTE.length).map((_, i) => PALETTE[i])), height: "4px"}),
     ahead: () => ({borderTop: `2px dashed ${ink.way}`, height: "0"}), wall: () => ({background: `linear-gradient(90deg, ${ink.unknown} 34%, ${ink.floor} 34% 67%, ${ink.wall} 67%)`, outline: `1px solid ${ink.line}`}),
-    rooms: () => ({background: `linear-gradient(90deg, ${[1, 2, 3].map((i) => `${PALETTE[i]}66 ${33 * (i - 1)}% ${33 * i}%`).join(", ")})`}),
+    rooms: () => ({background: stripes([1, 2, 3].map((i) => `${PALETTE[i]}66`))}),
   });
   themes(() => {
     dressLayers(); paintAll();

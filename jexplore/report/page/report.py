@@ -10,6 +10,7 @@ from jexplore.report.page.assemble import assembled, plain, script_data
 from jexplore.report.page.packing import base64_of
 from jexplore.report.page.replay import ReplayData, page_data
 from jexplore.report.store import jsonable
+from jexplore.report.tables import table_cells
 
 MOST_BYTES = 10_000_000
 MOST_ROWS = 200  # of a table that are shown
@@ -37,10 +38,11 @@ def report_page(
 
     Args:
       title: of the page.
-      asked: name -> value, nested as one likes: settings, versions. `command`, a text or a list of words, stands first.
-      tables: pairs of a heading and a DataFrame, whose index is not shown, or a list of mappings with the same keys,
-        or of rows the first of which has the names of the columns.
-      figures: name, the bytes of a PNG or SVG file, and a text that says what is to be seen.
+      asked: name -> value, nested as one likes: settings, versions. `command`, a text or a list of words, stands above
+        all else; the rest is folded, at the end.
+      tables: pairs of a heading and a table as the terminal has it, by `aligned_table`; or a DataFrame, whose index is
+        not shown, a list of mappings with the same keys, or of rows the first of which has the names of the columns.
+      figures: name, the bytes of a PNG or SVG file, and a text that says what is to be seen: the caption.
       replays: list of `ReplayData`.
       warnings: lines.
       notes: lines about the replays.
@@ -53,10 +55,11 @@ def report_page(
       ValueError: a figure that is neither PNG nor SVG, or a page that is too large without any replay.
     """
     replays, warnings, notes = list(replays), list(warnings), list(notes)
-    above = [_asked(asked), _warnings(warnings), _tables(tables), _plots(figures, max_bytes // 2)]
+    command, settings = _asked(asked)
+    above = [command, _warnings(warnings), _tables(tables), _plots(figures, max_bytes // 2)]
     frames, shown = MANY_FRAMES, [replay.thinned(MANY_FRAMES) for replay in replays]
     while True:
-        text = _page(title, above, shown, [*notes, *_cut(replays, shown, frames)])
+        text = _page(title, above, settings, shown, [*notes, *_cut(replays, shown, frames)])
         if len(text) <= max_bytes:
             return text
         if not shown:
@@ -76,7 +79,7 @@ def _cut(replays, shown, frames):
         yield f"To keep the page small, replays have at most {frames} frames."
 
 
-def _page(title, above, replays, notes):
+def _page(title, above, settings, replays, notes):
     lines = "".join(f"<li>{plain(note)}</li>" for note in notes)
     below = f'<ul class="notes">{lines}</ul>' if lines else ""
     if replays:
@@ -84,10 +87,13 @@ def _page(title, above, replays, notes):
     elif below:
         below = f"<section>{below}</section>"
     data = script_data(page_data(replays))
-    return assembled("report.html", title=plain(title), sections="\n".join(filter(None, [*above, below])), data=data)
+    return assembled(
+        "report.html", title=plain(title), sections="\n".join(filter(None, [*above, below, settings])), data=data
+    )
 
 
 def _asked(asked):
+    """The command, and all settings, folded."""
     asked = {str(name): value for name, value in jsonable(dict(asked)).items()}
     command = asked.pop("command", None)
     shown = command if command is None or isinstance(command, str) else " ".join(map(str, command))
@@ -97,7 +103,8 @@ def _asked(asked):
         f"<div><dt>{plain(name)}</dt><dd>{plain(_cut_text(text))}</dd></div>" for name, text in entries[:MOST_ROWS]
     )
     more = f'<p class="soft">The first {MOST_ROWS} of {len(entries)} settings.</p>' if len(entries) > MOST_ROWS else ""
-    return f"<section><h2>What was asked</h2>{head}<dl>{rows}</dl>{more}</section>" if head or rows else ""
+    summary = f"<summary><h2>What was asked, and with what: {len(entries)} entries</h2></summary>"
+    return head, f"<section><details>{summary}<dl>{rows}</dl>{more}</details></section>" if rows else ""
 
 
 def _cut_text(text):
@@ -125,31 +132,36 @@ def _warnings(lines):
 
 
 def _tables(tables):
-    made = [f"<h3>{plain(heading)}</h3>{_table(heading, *_cells(found))}" for heading, found in tables]
+    made = [f"<h3>{plain(heading)}</h3>{_table(heading, found)}" for heading, found in tables]
     return f"<section><h2>Tables</h2>{''.join(made)}</section>" if made else ""
 
 
 def _cells(found):
-    """Names of the columns, and rows of values."""
+    """Names of the columns, rows of texts, and which columns are aligned to the right."""
+    if isinstance(found, str):
+        return table_cells(found)
     if hasattr(found, "columns"):  # a DataFrame
-        return list(found.columns), found.itertuples(index=False, name=None)
-    rows = list(found)
-    if rows and isinstance(rows[0], Mapping):
-        return list(rows[0]), [list(row.values()) for row in rows]
-    return (rows[0], rows[1:]) if rows else ([], [])
-
-
-def _table(heading, head, rows):
+        head, rows = list(found.columns), list(found.itertuples(index=False, name=None))
+    else:
+        rows = list(found)
+        is_mappings = bool(rows) and isinstance(rows[0], Mapping)
+        head = list(rows[0]) if rows else []
+        rows = [list(row.values()) for row in rows] if is_mappings else rows[1:]
     rows = [[_plain_value(cell) for cell in row] for row in rows]
+    is_right = [all(_is_number(row[i]) or row[i] is None for row in rows) for i in range(len(head))]
+    return [str(name).replace("_", " ") for name in head], [[_text(cell) for cell in row] for row in rows], is_right
+
+
+def _table(heading, found):
+    head, rows, is_right = _cells(found)
     kept = rows[:MOST_ROWS]
-    is_right = [all(_is_number(row[i]) or row[i] is None for row in kept) for i in range(len(head))]
 
     def line(tag, cells):
         parts = (f"<{tag}{' class=right' if right else ''}>{cell}</{tag[:2]}>" for cell, right in zip(cells, is_right))
         return f"<tr>{''.join(parts)}</tr>"
 
-    names = line('th scope="col"', (plain(str(name).replace("_", " ")) for name in head))
-    body = "".join(line("td", (plain(_text(cell)) for cell in row)) for row in kept)
+    names = line('th scope="col"', map(plain, head))
+    body = "".join(line("td", map(plain, row)) for row in kept)
     more = f'<p class="soft">The first {MOST_ROWS} of {len(rows)} rows.</p>' if len(rows) > len(kept) else ""
     region = f'<div class="table" tabindex="0" role="region" aria-label="{plain(heading)}">'
     return f"{region}<table><thead>{names}</thead><tbody>{body}</tbody></table></div>{more}"
@@ -182,7 +194,7 @@ def _plots(figures, max_bytes):
     kept = dict(made)
     while sum(map(len, kept.values())) > max_bytes:
         del kept[max(kept, key=lambda name: len(kept[name]))]
-    shown = (kept.get(name, f"<p>{plain(name)} is too large for this page.</p>") for name in made)
+    shown = (kept.get(name, f"<p>The picture {plain(name)} is too large for this page.</p>") for name in made)
     return f'<section class="plots"><h2>Plots</h2>{"".join(shown)}</section>' if made else ""
 
 
@@ -194,5 +206,6 @@ def _figure(name, raw, alt):
         kind = "svg+xml"
     else:
         raise ValueError(f"expected {name} as the bytes of a PNG or SVG file, got {raw[:8]!r}")
-    caption = f"<figcaption>{plain(name)}</figcaption>"
-    return f'<figure><img src="data:image/{kind};base64,{base64_of(raw)}" alt="{plain(alt)}">{caption}</figure>'
+    caption = f"<figcaption>{plain(alt)}</figcaption>"
+    image = f'<img src="data:image/{kind};base64,{base64_of(raw)}" alt="{plain(alt)}">'
+    return f'<figure title="{plain(name)}">{image}{caption}</figure>'

@@ -5,11 +5,12 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from jexplore.report.plot import draw_map, draw_path, wrapped
-from jexplore.report.plots.looks import page_of, panels
+from jexplore.report.plot import draw_map, draw_path, scale_bar, wrapped
+from jexplore.report.plots.looks import legend_below, page_of, panels
 
 MOST = 12  # panels
 WITNESS = "#d55e00"
+LABELS = ("shortest walk found, dark to bright", "start", "end", "cell that the lower bound is made of")
 
 
 def figure(found: Any) -> Figure:
@@ -23,17 +24,20 @@ def figure(found: Any) -> Figure:
     """
     maps = {str(world.name): world for world in found.worlds}
     rows = found.table.to_dict("records")[:MOST]
-    page, _ = page_of(len(rows))
-    for number, ax, _lowest in panels(page, len(rows), page_of(len(rows))[1]):
+    page, n_cols = page_of(len(rows))
+    handles = []
+    for number, ax, _ in panels(page, len(rows), n_cols):
         row, world = rows[number], maps[str(rows[number]["world"])]
         draw_map(ax, np.where(world.occupied, 2, 1), world.cell_m)
         own = found.walks[found.walks["start"] == number]
         way = own if len(own) else {"row": np.array([row["start_row"]]), "col": np.array([row["start_col"]])}
-        draw_path(ax, np.asarray(way["row"]), np.asarray(way["col"]), world.cell_m, width=1.2)
+        handles = draw_path(ax, np.asarray(way["row"]), np.asarray(way["col"]), world.cell_m, width=1.2)
         at = (found.witnesses[number] + 0.5) * world.cell_m
-        ax.plot(at[:, 1], at[:, 0], ls="none", marker="D", ms=3.5, mfc=WITNESS, mec="white", mew=0.5, zorder=5)
-        ax.set(xticks=[], yticks=[])
+        style: Any = {"ls": "none", "marker": "D", "ms": 3.5, "mfc": WITNESS, "mec": "white", "mew": 0.5}
+        handles = [*handles, *ax.plot(at[:, 1], at[:, 0], zorder=5, **style)]
+        scale_bar(ax)
         ax.set_title(f"{wrapped(row['world'], 40, max_lines=2)}\n{_between(row)}", fontsize=8, parse_math=False)
+    legend_below(page, handles, LABELS[: len(handles)])
     return page
 
 

@@ -30,4 +30,5 @@ def figure(table: Any) -> Figure:
         ax.set_visible(False)
     for row in axes:
         row[0].set_ylabel("score", fontsize=8)
+    page.supxlabel("value of the feature", fontsize=8)
     return page

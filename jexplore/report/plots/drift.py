@@ -6,6 +6,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PatchCollection
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 
 from jexplore.report.plot import PALETTE, wrapped
@@ -120,7 +121,9 @@ def _draw_pair(page, pictures):
     draw_cells(axes[0], pictures.cells, pictures.cell_m)
     lines = pictures.walls.reshape(-1, 2, 2)
     axes[1].add_collection(LineCollection(list(lines), colors=WALL, linewidths=3, zorder=1))
-    draw_btm(axes[1], pictures.placed, legend=False)
+    building = Line2D([], [], color=WALL, linewidth=3, label="building")
+    handles = [*draw_btm(axes[1], pictures.placed, legend=False), building]
+    axes[1].legend(handles=handles, loc="upper left", bbox_to_anchor=(1.01, 1.0), fontsize=7, frameon=False)
     titles = "grid map, drawn by odometry", "trace map, nodes where they truly lie"
     for ax, title in zip(axes, titles):
         ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")

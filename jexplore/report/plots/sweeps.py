@@ -66,7 +66,9 @@ def draw_response(ax: Axes, x: Any, estimate: Any, low: Any, high: Any, look: Ma
     return container
 
 
-def response_figure(table: Any, setting: str, *, label: str = "path length (m)", ratio: bool = False) -> Figure:
+def response_figure(
+    table: Any, setting: str, *, label: str = "path length (m)", ratio: bool = False, averaged: str = ""
+) -> Figure:
     """Curves over one setting: one panel a world, one line a strategy.
 
     Args:
@@ -75,6 +77,7 @@ def response_figure(table: Any, setting: str, *, label: str = "path length (m)",
       setting: name of the column; text or truth values stand side by side in order of first appearance.
       label: of what is estimated.
       ratio: whether those are ratios: a logarithmic axis with a line at 1.
+      averaged: over what the estimates average: a line above the panels.
 
     Returns:
       `Figure`.
@@ -104,7 +107,14 @@ def response_figure(table: Any, setting: str, *, label: str = "path length (m)",
         ax.set_ylabel(wrapped(label, 40, max_lines=2) if number % n_cols == 0 else "")
         plain(ax, grid="both")
     legend_below(page, [lines[name] for name in lines], list(lines))
+    _above(page, averaged)
     return page
+
+
+def _above(page, text):
+    if text:
+        text = wrapped(text, int(12 * page.get_figwidth()), max_lines=3)
+        page.suptitle(text, fontsize=FONT, color=GREY, parse_math=False)
 
 
 def _y_axis(ax, rows, ratio):
@@ -152,7 +162,9 @@ def _norm(values, ratio) -> Any:
     return Normalize(low, high if high > low else low + 1.0)
 
 
-def heat_figure(table: Any, x: str, y: str, *, label: str = "path length (m)", ratio: bool = False) -> Figure:
+def heat_figure(
+    table: Any, x: str, y: str, *, label: str = "path length (m)", ratio: bool = False, averaged: str = ""
+) -> Figure:
     """Colours over two settings: a row of panels a world, one panel a strategy, all of one scale of colours.
 
     Args:
@@ -160,6 +172,7 @@ def heat_figure(table: Any, x: str, y: str, *, label: str = "path length (m)", r
       x, y: names of the columns; every value has a place of its own, whatever lies between.
       label: of what is estimated.
       ratio: whether those are ratios: blue below 1, red above.
+      averaged: over what the estimates average: a line above the panels.
 
     Returns:
       `Figure`.
@@ -200,6 +213,7 @@ def heat_figure(table: Any, x: str, y: str, *, label: str = "path length (m)", r
         ticks = ratio_ticks(norm.vmin, norm.vmax)
         bar.set_ticks(ticks, labels=[f"{tick:g}" for tick in ticks])
         bar.minorticks_off()
+    _above(page, averaged)
     return page
 
 

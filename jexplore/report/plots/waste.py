@@ -8,7 +8,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from jexplore.report.plot import draw_map, wrapped
+from jexplore.report.plot import draw_map, scale_bar, wrapped
 from jexplore.report.plots.looks import legend_below, page_of, panels
 
 MOST = 12  # panels
@@ -31,6 +31,7 @@ def figure(entries: Sequence[tuple[str, Any, Any, Any, float]]) -> Figure:
     """
     entries = list(entries)[:MOST]
     page, n_cols = page_of(len(entries))
+    start = []
     for number, ax, _ in panels(page, len(entries), n_cols):
         title, occupied, way, kinds, cell_m = entries[number]
         draw_map(ax, np.where(occupied, 2, 1), cell_m)
@@ -40,9 +41,9 @@ def figure(entries: Sequence[tuple[str, Any, Any, Any, float]]) -> Figure:
             ax.add_collection(
                 LineCollection(list(pieces[kinds == kind]), colors=colour, linewidths=1.5, zorder=3 + kind)
             )
-        ax.plot(*at[0], "o", ms=6, mfc="white", mec="black", mew=1.4, zorder=7)
-        ax.set(xticks=[], yticks=[])
+        start = ax.plot(*at[0], "o", ms=6, mfc="white", mec="black", mew=1.4, ls="none", zorder=7)
+        scale_bar(ax)
         ax.set_title(wrapped(title, 44, max_lines=2), fontsize=8, parse_math=False)
     lines = [Line2D([], [], color=colour, linewidth=2) for colour, _ in LOOKS]
-    legend_below(page, lines, [what for _, what in LOOKS])
+    legend_below(page, [*lines, *start], [*(what for _, what in LOOKS), "start"][: len(lines) + len(start)])
     return page

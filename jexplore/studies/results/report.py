@@ -16,7 +16,8 @@ PICTURES = {
     "compare.png": "Path lengths of all episodes, means with their intervals, and ratios to the first strategy",
     "coverage.png": "Share of what can be known along the path",
     "paths.png": "The map as each strategy saw it in episode 0, with its path",
-    "league.png": "Path lengths beside those of the first strategy, over all worlds",
+    "waste.png": "Where path was wasted in episode 0",
+    "league.png": "Path lengths as ratios to those of the first strategy, over all worlds",
     "reproduce.png": "Path lengths beside the paper's",
     "sweep.png": "Path lengths along the first setting that is varied",
     "sweep-map.png": "Path lengths over the first two settings that are varied",
@@ -28,11 +29,12 @@ PICTURES = {
 def replays_for(
     jobs: Sequence[Job], firsts: Mapping[int, Outcomes] | None = None, labels: Sequence[str] = ()
 ) -> tuple[list[ReplayData], list[str]]:
-    """Replays of episode 0 of the first jobs, which have their scanners and rules: see `replays.replays_of`.
+    """Replays of the first episodes of the first jobs, which have their scanners and rules: see `replays.replays_of`.
 
     Args:
       jobs: of a run.
-      firsts: number of a job -> what it left, of the first jobs; where one is missing, they are run once more.
+      firsts: number of a job -> what it left, of the first jobs; where one is missing, they are run once
+        more.
       labels: as in `replays.replays_of`.
     """
     have = [None if firsts is None else firsts.get(i) for i in range(min(len(jobs), MAX_PAIRS))]

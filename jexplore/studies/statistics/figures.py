@@ -12,8 +12,9 @@ from jexplore.config import InputError
 from jexplore.studies.statistics.aggregate import profiles
 from jexplore.studies.statistics.by_world import summarise
 from jexplore.studies.statistics.league import paths_by_world, standings
+from jexplore.studies.statistics.over_worlds import ALL_WORLDS
 from jexplore.studies.statistics.paired import MIN_PAIRS
-from jexplore.studies.statistics.response import response
+from jexplore.studies.statistics.response import response, settings_of
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -146,6 +147,13 @@ def _label(value, ratio, episodes) -> str:
     return f"{name.removesuffix(' (m)')} over that of {episodes['strategy'].iloc[0]}" if ratio else name
 
 
+def _averaged(episodes, table, *own) -> str:
+    """Over what the estimates of a table from `response` average, a line."""
+    varied = [name for name in settings_of(episodes) if name not in own and episodes[name].nunique(dropna=False) > 1]
+    what = "worlds" if ALL_WORLDS in set(table["world"]) else "starts"
+    return f"means over {table['n'].max()} {what}" + (f" and all values of {', '.join(varied)}" if varied else "")
+
+
 def response_figure(
     episodes: "pd.DataFrame", setting: str, *, value: str = "path_m", ratio: bool = False, **how: Any
 ) -> "Figure":
@@ -165,7 +173,8 @@ def response_figure(
     from jexplore.report.plots import sweeps
 
     table = response(episodes, setting, value=value, ratio=ratio, **how)
-    return sweeps.response_figure(table, setting, label=_label(value, ratio, episodes), ratio=ratio)
+    averaged = f"{_averaged(episodes, table, setting)}, with {100 * how.get('confidence', 0.95):g} % intervals"
+    return sweeps.response_figure(table, setting, label=_label(value, ratio, episodes), ratio=ratio, averaged=averaged)
 
 
 def heat_figure(
@@ -193,4 +202,5 @@ def heat_figure(
         table = table[(table["strategy"] != episodes["strategy"].iloc[0]).to_numpy()]
     if not len(table):
         raise InputError("episodes must be of two strategies or more for ratios, got one")
-    return sweeps.heat_figure(table, x, y, label=_label(value, ratio, episodes), ratio=ratio)
+    averaged = _averaged(episodes, table, x, y)
+    return sweeps.heat_figure(table, x, y, label=_label(value, ratio, episodes), ratio=ratio, averaged=averaged)

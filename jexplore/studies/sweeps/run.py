@@ -76,11 +76,15 @@ class Swept:
         return labelled.of_sweep(self)
 
     def to_markdown(self, rows: int | None = None) -> str:
-        """The summary as a Markdown table, only so many rows of it."""
+        """The summary as a Markdown table, only so many rows of it, and a line that says how many are left."""
+        left = 0 if rows is None else max(len(self.summary) - rows, 0)
+        more = f"\n... and {left:,} more rows: summary.csv, or jx.load(DIR).summary\n" if left else ""
+        return self.table(rows) + more
+
+    def table(self, rows: int | None = None) -> str:
+        """The first rows of the summary as a Markdown table, by default all."""
         shown = self.summary if rows is None else self.summary.head(rows)
-        text = (traces_table if self.spec.robots else summary_table)(shown, self.varied)
-        left = len(self.summary) - len(shown)
-        return text + (f"\n... and {left:,} more rows: summary.csv, or jx.load(DIR).summary\n" if left else "")
+        return (traces_table if self.spec.robots else summary_table)(shown, self.varied)
 
     @property
     def varied(self) -> list[str]:

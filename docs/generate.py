@@ -1,18 +1,26 @@
-"""What mkdocs does besides: pages made from the repository and from the commands' own records, links between them.
+"""Write what the documentation has from the code: tables, the commands' options, what the Python names mean.
 
-Importing this needs no mkdocs.
+    python docs/generate.py                     the pages of the repository; a test tells when they are stale
+    python docs/generate.py --site build/docs   all pages of the site, for `mkdocs build`
+
+The site has four files of the repository as pages, and of every Python name its whole docstring.
 """
 
+import argparse
+import ast
 import dataclasses
+import itertools
 import json
 import os
 import re
+import shutil
+import sys
 import typing
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
+DOCS = ROOT / "docs"
 TAKEN = {
     "CONTRIBUTING.md": "contributing.md",
     "CHANGELOG.md": "changelog.md",
@@ -21,36 +29,57 @@ TAKEN = {
 }
 """Files of the repository that are pages of the site: path there -> path here."""
 COMMANDS_PAGE = "reference/commands.md"
-SHARED = ("lidar", "rules", "tuning", "noise", "limits")
-"""Fields of options that are records of their own, each described once."""
+SHOWN = (".md", ".css", ".png", ".gif")
+"""Endings of the files of `docs/` that the site has."""
 _LINK = re.compile(r"(\]\()([^)\s#]+)((?:#[^)\s]*)?\))")
 _FENCE = re.compile(r"(^ *```.*?^ *```$)", re.MULTILINE | re.DOTALL)
+_PART = re.compile(r"<!-- begin (\w+)(?:: ([\w. ]+))? -->\n.*?<!-- end -->\n", re.DOTALL)
 
 
-def on_files(files: Any, config: Any) -> Any:
-    """Adds the pages that no file of `docs/` holds."""
-    from mkdocs.structure.files import File
-
+def generated() -> dict[str, str]:
+    """The pages that this script writes or has parts in, path below `docs/` -> text, as they should be."""
     from jexplore.cli.main import COMMANDS
 
-    made = {TAKEN[source]: rewritten((ROOT / source).read_text(encoding="utf-8"), source) for source in TAKEN}
-    made[COMMANDS_PAGE] = commands_page(COMMANDS)
-    for name, text in made.items():
-        files.append(File.generated(config, name, content=text))
-    for path in notebooks():
-        files.append(File.generated(config, f"notebooks/{path.name}", abs_src_path=str(path)))
-    return files
+    pages = {COMMANDS_PAGE: commands_page(COMMANDS)}
+    for path in sorted(DOCS.rglob("*.md")):
+        text = path.read_text(encoding="utf-8")
+        if _PART.search(text):
+            pages[path.relative_to(DOCS).as_posix()] = _PART.sub(_filled, text)
+    return pages
 
 
-def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str:
-    """Links to files of the repository become links to their pages, and `<!-- name -->` the table of that name."""
-    name = page.file.src_uri
-    if name in (*TAKEN.values(), COMMANDS_PAGE):
-        return markdown
-    for mark, table in TABLES.items():
-        if mark in markdown:
-            markdown = markdown.replace(mark, table())
-    return rewritten(markdown, f"docs/{name}")
+def _filled(part):
+    """A part of a page between its two marks, made anew."""
+    name, given = part[1], (part[2] or "").split()
+    begin = part[0].splitlines()[0]
+    return f"{begin}\n\n{PARTS[name](*given)}\n<!-- end -->\n"
+
+
+def write_site(folder: Path) -> None:
+    """Writes all pages of the site into a folder, which is emptied.
+
+    Args:
+      folder: as `docs_dir` of mkdocs.yml has it.
+    """
+    shutil.rmtree(folder, ignore_errors=True)
+    pages = {path.relative_to(DOCS).as_posix(): path for path in sorted(DOCS.rglob("*")) if path.suffix in SHOWN}
+    pages |= {page: ROOT / source for source, page in TAKEN.items()}
+    pages |= {f"notebooks/{path.name}": path for path in notebooks()}
+    for name, path in pages.items():
+        page = folder / name
+        page.parent.mkdir(parents=True, exist_ok=True)
+        if path.suffix != ".md":
+            shutil.copyfile(path, page)
+            continue
+        text = _PART.sub(_whole, path.read_text(encoding="utf-8"))
+        page.write_text(rewritten(text, path.relative_to(ROOT).as_posix()), encoding="utf-8")
+
+
+def _whole(part):
+    """What mkdocstrings makes whole docstrings of, where the repository's page has a line for every name."""
+    if part[1] != "api":
+        return part[0]
+    return "\n\n".join(f"::: jexplore.{name}" for name in part[2].split()) + "\n"
 
 
 def rewritten(text: str, source: str) -> str:
@@ -74,6 +103,8 @@ def rewritten(text: str, source: str) -> str:
 
 def page_of(path: str) -> str | None:
     """Where the site has a file of the repository; None where it has not."""
+    if path.startswith("notebooks/"):
+        return path
     return TAKEN.get(path) or (path.removeprefix("docs/") if path.startswith("docs/") else None)
 
 
@@ -114,16 +145,64 @@ def notebooks_table() -> str:
         cells = json.loads(path.read_text(encoding="utf-8"))["cells"]
         text = "\n\n".join("".join(cell["source"]) for cell in cells if cell["cell_type"] == "markdown")
         heading, *paragraphs = (" ".join(part.split()) for part in text.split("\n\n"))
-        rows.append((f"[{path.stem}](../notebooks/{path.name})", f"{heading.lstrip('# ')}. {paragraphs[0]}"))
+        rows.append((f"[{path.stem}](../../notebooks/{path.name})", f"{heading.lstrip('# ')}. {paragraphs[0]}"))
     return table_of(["notebook", "what it shows"], rows)
 
 
-TABLES = {
-    "<!-- generators -->": generators_table,
-    "<!-- strategies -->": strategies_table,
-    "<!-- notebooks -->": notebooks_table,
+def api_table(*names: str) -> str:
+    """Python names, where each is defined, and the first sentence of what is said of it there.
+
+    Args:
+      *names: below `jexplore`, dotted where they are not the package's own.
+    """
+    from jexplore import _MODULE_OF
+
+    rows = []
+    for name in names:
+        module, _, own = f"{_MODULE_OF[name]}.{name}".rpartition(".") if name in _MODULE_OF else name.rpartition(".")
+        path, text = defined(f"jexplore.{module}", own)
+        meaning = " ".join((text or "").split("\n\n")[0].split())
+        where = f"../../../{path.relative_to(ROOT).as_posix()}"
+        rows.append((f"[`{'jx.' if name in _MODULE_OF else 'jexplore.'}{name}`]({where})", meaning))
+    return table_of(["name", "meaning"], rows)
+
+
+def defined(module: str, name: str) -> tuple[Path, str | None]:
+    """The file that defines a name of a module, and its docstring there; nothing is imported.
+
+    Args:
+      module: dotted.
+      name: a function, a class, a value or a module below it; what the module imports is followed.
+
+    Raises:
+      KeyError: the module has no such name.
+    """
+    for at in (f"{module}.{name}", module):
+        file = ROOT.joinpath(*at.split("."))
+        file = file / "__init__.py" if file.is_dir() else file.with_suffix(".py")
+        if file.exists():
+            break
+    tree = ast.parse(file.read_text(encoding="utf-8"))
+    if at != module:
+        return file, ast.get_docstring(tree)
+    for after, node in itertools.pairwise([ast.Pass(), *reversed(tree.body)]):  # the last one, not its overloads
+        if getattr(node, "name", None) == name:
+            return file, ast.get_docstring(node)  # pyright: ignore[reportArgumentType]
+        if isinstance(node, ast.ImportFrom) and name in (alias.name for alias in node.names):
+            return defined(node.module or "", name)
+        targets = getattr(node, "targets", [getattr(node, "target", None)])
+        if any(isinstance(target, ast.Name) and target.id == name for target in targets):
+            return file, ast.get_docstring(ast.Module([after], []))
+    raise KeyError(f"{module} has no {name}")
+
+
+PARTS = {
+    "generators": generators_table,
+    "strategies": strategies_table,
+    "notebooks": notebooks_table,
+    "api": api_table,
 }
-"""Marks in the pages -> what makes the table that stands there."""
+"""Parts of pages: what stands between `<!-- begin NAME -->` and `<!-- end -->`."""
 
 
 def table_of(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
@@ -149,7 +228,7 @@ def commands_page(commands: Mapping[str, type]) -> str:
     for name, kind in commands.items():
         parts.append(f"## jexplore {name}\n\n{_summary(kind)}\n\n{_table(kind, '', shared)}")
     for name, kind in shared.items():
-        parts.append(f"## Options --{name}.* {{ #{name} }}\n\n{_summary(kind)}\n\n{_table(kind, name + '.', {})}")
+        parts.append(f"## Options of {name}\n\n{_summary(kind)}\n\n{_table(kind, name + '.', {})}")
     return "\n".join(parts)
 
 
@@ -167,7 +246,7 @@ def _table(kind, prefix, shared):
         hint, settings = _unwrapped(hints[field.name])
         if dataclasses.is_dataclass(hint):
             shared[field.name] = hint
-            more.append(f"[`--{field.name}.*`](#{field.name})")
+            more.append(f"[`--{field.name}.*`](#options-of-{field.name})")
             continue
         option, default = _option(field, hint, settings, prefix)
         text = field.metadata.get("off") if field.default is True else None
@@ -216,3 +295,20 @@ def _escaped(text):
     """Text whose angle brackets are no HTML; what is set as code stays."""
     parts = re.split(r"(`[^`]*`)", text)
     return "".join(part if part.startswith("`") else part.replace("<", "&lt;") for part in parts)
+
+
+def main() -> None:
+    """What the command line asks for."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--site", type=Path, metavar="DIR", help="all pages of the site into this folder")
+    site = parser.parse_args().site
+    if site is not None:
+        write_site(site)
+        return
+    for name, text in generated().items():
+        (DOCS / name).write_text(text, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    sys.path.insert(0, str(ROOT))  # this checkout's jexplore, not one that is installed
+    main()
