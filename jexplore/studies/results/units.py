@@ -176,6 +176,30 @@ def of_table(table: "pd.DataFrame", job: int, cell_m: float) -> Piece:
     return Piece(job, rows, marks, seen, paths, maps)
 
 
+def recut(jobs: Sequence[Job], keep: str | None, rows: "pd.DataFrame") -> Iterable[tuple[int, "pd.DataFrame"]]:
+    """The units of some jobs of which a table has every episode: `(number, table for a file)` each.
+
+    Args:
+      jobs: list of `Job`.
+      keep: as in `batch.run_jobs`; episodes of which that is not kept are left out.
+      rows: as `to_table` makes them, of whatever units; others are left out.
+    """
+    needed = [WAY] * (keep is not None) + [MAP] * (keep == "maps")
+    if not {PROGRESS, *needed} <= set(rows):
+        return
+    rows = rows.dropna(subset=[PROGRESS, *needed]).sort_values("episode")
+    of_pair = dict(iter(rows.groupby(["world", "strategy"], sort=False)))
+    for number, unit in enumerate(cut(jobs)):
+        own = of_pair.get((os.fspath(jobs[unit.job].world.name), jobs[unit.job].strategy.name))
+        if own is None:
+            continue
+        own = own[own["episode"].between(unit.first, unit.first + unit.n - 1)]
+        has_seen = unit.first == 0 and SEEN in own and own[SEEN].notna().iloc[:1].all()
+        if len(own) == unit.n and (unit.first or has_seen):
+            columns = [*COLUMNS, PROGRESS, *([SEEN] if has_seen else []), *needed]
+            yield number, own[columns].reset_index(drop=True)
+
+
 class Ran(NamedTuple):
     """What `run_units` returns."""
 

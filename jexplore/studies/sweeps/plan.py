@@ -17,6 +17,8 @@ from jexplore.grid import radius_d2
 from jexplore.policies import Strategy
 from jexplore.policies.catalogue.joined import joined
 from jexplore.raycast import scans_all_round
+from jexplore.report.ledger import Shorter
+from jexplore.report.store import read_parquet
 from jexplore.studies.checks import ready_starts, ready_strategies, ready_worlds, require_different, require_memory
 from jexplore.studies.results.provenance import digest, own_digests
 from jexplore.studies.results.units import CELL_S, LEAST, UNIT_S
@@ -127,9 +129,40 @@ class Plan:
             "version": __version__,
             "spec": plain(self.spec),
             "digests": self.digests,
-            "own": own_digests(self.strategies),
+            "own": own_digests(self._one_of_each_kind()),
             "shard": None if shard is None else f"{shard[0] + 1}/{shard[1]}",
         }
+
+    def shorter(self, shard: tuple[int, int] | None = None) -> Shorter:
+        """Sweeps of fewer episodes, which this one may go on with."""
+
+        def asked(n):
+            return dataclasses.replace(self, spec=dataclasses.replace(self.spec, episodes=n)).asked(shard)
+
+        return Shorter(self.spec.episodes, asked, lambda folder: read_parquet(folder / "episodes.parquet"), self._recut)
+
+    def _recut(self, rows):
+        """The units of which a table has every episode: `(number, table)` each."""
+        where = rows.groupby(["setting", "world", "strategy", "episode"]).indices
+        for number, blocks in enumerate(self.units):
+            wanted = [
+                (block.setting, os.fspath(self.spec.worlds[block.world]), self.strategies[block.strategy].name, episode)
+                for block in blocks
+                for episode in range(block.first, block.first + block.n)
+            ]
+            if all(key in where for key in wanted):
+                yield number, rows.iloc[[where[key][0] for key in wanted]].reset_index(drop=True)
+
+    def _one_of_each_kind(self):
+        """Of all settings and worlds that share a program one, with every strategy: `Job`s of no episode."""
+        kinds = {}
+        for _, cell_m, lidar, rules in self.records:
+            for world in range(len(self.spec.worlds)):
+                key = program_key(self.shapes[world, cell_m], cell_m, lidar, rules)
+                kinds.setdefault(key, (world, cell_m, lidar, rules))
+        for world, cell_m, lidar, rules in kinds.values():
+            for strategy in self.strategies:
+                yield Job(self.world(world, cell_m), strategy, np.zeros((0, 3), int), lidar=lidar, rules=rules)
 
     def size(self, unit: int) -> int:
         """Episodes of a unit."""
