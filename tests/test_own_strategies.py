@@ -457,15 +457,17 @@ def test_what_computes_the_same_is_compiled_once():
     assert known(closing(2, jnp.asarray(table))) != known(closing(2, jnp.asarray(other)))
     assert known(closing(0.0)) != known(closing(-0.0)) != known(closing(0))
     assert known(closing(0.1)) != known(closing(np.nextafter(np.float32(0.1), 1)))
-    for around in (
-        jax.jit,
-        functools.lru_cache,
-        lambda f: lambda view: jax.lax.map(lambda _: f(view), jnp.arange(2))[0],
-    ):
+
+    def mapped(function):
+        return lambda view: jax.lax.map(lambda _: function(view), jnp.arange(2))[0]
+
+    for around in (jax.jit, mapped):
         assert known(around(closing(2, table))) == known(around(closing(2, table))) != known(around(closing(2, other)))
-    keys = [jax.random.key(seed) for seed in (1, 1, 2)]
-    keyed = [lambda view, key=key: view.cost + jax.random.randint(key, (), 0, 9) for key in keys]
-    assert known(keyed[0]) == known(keyed[1]) != known(keyed[2])
+
+    def keyed(key):
+        return lambda view: view.cost + jax.random.randint(key, (), 0, 9)
+
+    assert known(keyed(jax.random.key(1))) == known(keyed(jax.random.key(1))) != known(keyed(jax.random.key(2)))
 
 
 def test_what_calls_back_into_python_is_compiled_anew():

@@ -147,10 +147,8 @@ class Ledger:
         Raises:
           InputError: its file is gone or damaged.
         """
-        import pandas as pd
-
         try:
-            return pd.read_parquet(self._file(unit))
+            return _table_in(self._file(unit))
         except Exception as error:  # pyarrow raises many kinds of errors for a broken file
             what = (str(error).splitlines() or [type(error).__name__])[0]
             raise InputError(
@@ -169,13 +167,17 @@ class Ledger:
 
 def _is_whole(file):
     """Whether a unit's file can be read to its end and is as it was written."""
-    import pyarrow.parquet as pq
-
     try:
-        pq.read_table(file, page_checksum_verification=True)
+        _table_in(file)
     except Exception:  # pyarrow raises many kinds of errors for a broken file
         return False
     return True
+
+
+def _table_in(file):
+    import pandas as pd
+
+    return pd.read_parquet(file, engine="pyarrow", page_checksum_verification=True)
 
 
 def is_finished(
