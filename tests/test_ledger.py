@@ -205,8 +205,8 @@ def shorter(episodes):
     def units_of(rows):
         for unit in range(episodes // 2):
             own = rows[rows["value"].between(2 * unit, 2 * unit + 1)]
-            if len(own) == 2:
-                yield unit, own.reset_index(drop=True)
+            if len(own):
+                yield unit, own.reset_index(drop=True), len(own) == 2
 
     def asked(n):
         return {key: value for key, value in {**ASKED, "episodes": n}.items() if key != "command"}
@@ -219,7 +219,8 @@ def lengthen(path, episodes, **change):
     with claimed(path, resume=True) as run:
         assert not ledger.is_finished(run, asked, episodes // 2, shorter=shorter(episodes))
         book = ledger.Ledger(run, asked, episodes // 2, resume=True, shorter=shorter(episodes))
-        return {unit: book.get(unit)["value"].tolist() for unit in sorted(book.done)}
+        found = {unit: book.get(unit)["value"].tolist() for unit in sorted(book.done)}
+        return found | {unit: book.begun_part(unit)["value"].tolist() for unit in sorted(book.begun - book.done)}
 
 
 def test_a_run_goes_on_with_more_episodes(tmp_path):
@@ -227,10 +228,11 @@ def test_a_run_goes_on_with_more_episodes(tmp_path):
         book = ledger.Ledger(run, {**ASKED, "episodes": 5}, 3)
         for unit, values in enumerate([(0, 1), (2, 3), (4,)]):
             book.put(unit, table(*values))
-    assert lengthen(tmp_path, 8) == {0: [0, 1], 1: [2, 3]}
-    assert lengthen(tmp_path, 8) == {0: [0, 1], 1: [2, 3]}  # after whatever has ended it
+    assert lengthen(tmp_path, 8) == {0: [0, 1], 1: [2, 3], 2: [4]}
+    assert lengthen(tmp_path, 8) == {0: [0, 1], 1: [2, 3], 2: [4]}  # after whatever has ended it
+    assert lengthen(tmp_path, 10) == {0: [0, 1], 1: [2, 3], 2: [4]}
     with claimed(tmp_path, resume=True) as run:
-        book = ledger.Ledger(run, {**ASKED, "episodes": 8}, 4, resume=True, shorter=shorter(8))
+        book = ledger.Ledger(run, {**ASKED, "episodes": 10}, 5, resume=True, shorter=shorter(10))
         book.put(2, table(4, 5))
     assert lengthen(tmp_path, 12) == {0: [0, 1], 1: [2, 3], 2: [4, 5]}
     assert len(names(tmp_path / UNFINISHED)) == 4  # with the page, nothing of shorter runs

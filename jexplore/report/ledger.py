@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 ASKED = "asked.json"  # what the run is asked, in the folder of its units
+BEGUN = "-begun"  # ends the name of a unit's file, before the suffix, that holds its first episodes only
 
 
 class Shorter(NamedTuple):
@@ -26,7 +27,8 @@ class Shorter(NamedTuple):
     episodes: int  # of this one
     asked: Callable[[int], Mapping[str, Any]]  # what one of so many episodes is asked
     finished: Callable[[Path], "pd.DataFrame"]  # what the folder of one that is finished holds, as rows of its units
-    units_of: Callable[["pd.DataFrame"], Iterable[tuple[int, "pd.DataFrame"]]]  # rows -> this one's units, those whole
+    units_of: Callable[["pd.DataFrame"], Iterable[tuple[int, "pd.DataFrame", bool]]]
+    """Rows -> this one's units that have any: number, table, whether it is whole."""
 
     def includes(self, path: Path, there: Any, here: Mapping[str, Any], *, trust: bool) -> bool:
         """Whether what a folder holds is one of them.
@@ -55,6 +57,8 @@ class Ledger:
     folder: Path
     done: set[int]
     """Numbers of the units that are finished."""
+    begun: set[int]
+    """Numbers of the units of which a run of fewer episodes has left the first ones."""
     damaged: list[str]
     """Files that were found damaged; their units are made again."""
 
@@ -81,7 +85,8 @@ class Ledger:
         Raises:
           InputError: the folder holds a run that is asked something else, or cannot be written.
         """
-        self.folder, self.done, self.damaged, self.units, self.first = run.unfinished, set(), [], units, 0
+        self.folder, self.done, self.begun, self.damaged = run.unfinished, set(), set(), []
+        self.units, self.first = units, 0
         page = {"asked": jsonable(dict(asked)), "units": units}
         page_file, record = self.folder / ASKED, run.path / "run.json"
         if not resume or not page_file.exists():
@@ -93,10 +98,7 @@ class Ledger:
         is_kept = page_file.exists()
         there = _read(page_file if is_kept else record) if is_kept or (resume and record.exists()) else None
         if there is not None and shorter is not None and shorter.includes(run.path, there, page, trust=trust):
-            if is_kept:
-                self._open(there)
-            tables = [self.get(unit) for unit in sorted(self.done)] if is_kept else [shorter.finished(run.path)]
-            self._grow(shorter, tables, page)
+            self._grow(shorter, self._all_of(there) if is_kept else [shorter.finished(run.path)], page)
         elif is_kept:
             require_same(run.path, there, page, trust=trust)
             page["first"] = there.get("first", 0)
@@ -106,11 +108,12 @@ class Ledger:
 
     def _open(self, page):
         """Counts the units that are there; throws away files that are damaged or belong to none."""
-        self.first, self.units, self.done = page.get("first", 0), page["units"], set()
+        self.first, self.units, self.done, self.begun = page.get("first", 0), page["units"], set(), set()
         for file in self.folder.glob("*.parquet"):
-            unit = int(file.stem) - self.first if file.stem.isdigit() else -1
+            number = file.stem.removesuffix(BEGUN)
+            unit = int(number) - self.first if number.isdigit() else -1
             if 0 <= unit < self.units and _is_whole(file):
-                self.done.add(unit)
+                (self.done if number == file.stem else self.begun).add(unit)
                 continue
             if 0 <= unit < self.units:
                 self.damaged.append(file.name)
@@ -120,6 +123,12 @@ class Ledger:
             with contextlib.suppress(OSError):
                 file.unlink()
 
+    def _all_of(self, page):
+        """The tables of all units that are there."""
+        self._open(page)
+        begun = [self.begun_part(unit) for unit in sorted(self.begun - self.done)]
+        return [self.get(unit) for unit in sorted(self.done)] + begun
+
     def _grow(self, shorter, tables, page):
         """Cuts what a shorter run has finished into units of this one: under new numbers, which count once the page
         says so, so that whatever ends this leaves one of both.
@@ -128,8 +137,8 @@ class Ledger:
 
         page["first"] = self.first = self.first + self.units
         if tables:
-            for unit, table in shorter.units_of(pd.concat(tables, ignore_index=True)):
-                self.put(unit, table)
+            for unit, table, is_whole in shorter.units_of(pd.concat(tables, ignore_index=True)):
+                write_parquet(table, self._file(unit, "" if is_whole else BEGUN))
         write_json(page, self.folder / ASKED)
 
     def put(self, unit: int, table: "pd.DataFrame") -> None:
@@ -147,22 +156,29 @@ class Ledger:
         Raises:
           InputError: its file is gone or damaged.
         """
-        try:
-            return _table_in(self._file(unit))
-        except Exception as error:  # pyarrow raises many kinds of errors for a broken file
-            what = (str(error).splitlines() or [type(error).__name__])[0]
-            raise InputError(
-                f"{self._file(unit)} must be a unit of this run, and was damaged meanwhile: {what}; --resume makes it "
-                "again"
-            ) from error
+        return _get(self._file(unit))
+
+    def begun_part(self, unit: int) -> "pd.DataFrame":
+        """The first episodes of a unit that is begun. Raises as `get`."""
+        return _get(self._file(unit, BEGUN))
 
     @property
     def left(self) -> list[int]:
         """Numbers of the units that are not finished."""
         return [unit for unit in range(self.units) if unit not in self.done]
 
-    def _file(self, unit):
-        return self.folder / f"{self.first + unit:06d}.parquet"
+    def _file(self, unit, tail=""):
+        return self.folder / f"{self.first + unit:06d}{tail}.parquet"
+
+
+def _get(file):
+    try:
+        return _table_in(file)
+    except Exception as error:  # pyarrow raises many kinds of errors for a broken file
+        what = (str(error).splitlines() or [type(error).__name__])[0]
+        raise InputError(
+            f"{file} must be a unit of this run, and was damaged meanwhile: {what}; --resume makes it again"
+        ) from error
 
 
 def _is_whole(file):

@@ -182,10 +182,11 @@ class Out:
 
     def say_kept(self) -> None:
         """Says how to go on with a run that was ended, if anything of it is kept."""
-        if self.ledger is not None and not self.ledger.done and self.wanted:
+        kept = set() if self.ledger is None else self.ledger.done | self.ledger.begun
+        if self.ledger is not None and not kept and self.wanted:
             print("jexplore: no unit of work was finished: nothing is kept to go on with", file=sys.stderr)
-        if self.ledger is not None and self.ledger.done and self.run.unfinished.exists():
-            done = f"{len(self.ledger.done)} of {self.wanted} units"
+        if kept and self.run.unfinished.exists():
+            done = f"{len(kept)} of {self.wanted} units"
             how = "--resume" if all((self.asked or {}).get("own", {}).values()) else "--resume --trust"
             print(f"jexplore: {done} are kept; --out {self.run.path} {how} goes on with them", file=sys.stderr)
 

@@ -176,8 +176,8 @@ def of_table(table: "pd.DataFrame", job: int, cell_m: float) -> Piece:
     return Piece(job, rows, marks, seen, paths, maps)
 
 
-def recut(jobs: Sequence[Job], keep: str | None, rows: "pd.DataFrame") -> Iterable[tuple[int, "pd.DataFrame"]]:
-    """The units of some jobs of which a table has every episode: `(number, table for a file)` each.
+def recut(jobs: Sequence[Job], keep: str | None, rows: "pd.DataFrame") -> Iterable[tuple[int, "pd.DataFrame", bool]]:
+    """The units of some jobs of which a table has the first episodes: number, table for a file, whether it has all.
 
     Args:
       jobs: list of `Job`.
@@ -194,10 +194,11 @@ def recut(jobs: Sequence[Job], keep: str | None, rows: "pd.DataFrame") -> Iterab
         if own is None:
             continue
         own = own[own["episode"].between(unit.first, unit.first + unit.n - 1)]
+        own = own[own["episode"] == unit.first + np.arange(len(own))]  # up to the first that is missing
         has_seen = unit.first == 0 and SEEN in own and own[SEEN].notna().iloc[:1].all()
-        if len(own) == unit.n and (unit.first or has_seen):
+        if len(own) and (unit.first or has_seen):
             columns = [*COLUMNS, PROGRESS, *([SEEN] if has_seen else []), *needed]
-            yield number, own[columns].reset_index(drop=True)
+            yield number, own[columns].reset_index(drop=True), len(own) == unit.n
 
 
 class Ran(NamedTuple):
@@ -209,12 +210,27 @@ class Ran(NamedTuple):
     firsts: dict[int, Outcomes]  # number of a job, one of the first -> what its first unit left, if that was run here
 
 
-def _kept(jobs, cuts, wanted, ledger) -> dict[int, Piece]:
-    """The units that a ledger has: number -> `Piece`."""
+def _kept(jobs, cuts, wanted, ledger) -> tuple[dict[int, Piece], dict[int, Piece]]:
+    """The units that a ledger has, and those of which it has the first episodes: number -> `Piece` each."""
     if ledger is None:
-        return {}
-    have = [i for i in wanted if i in ledger.done]
-    return {i: of_table(ledger.get(i), cuts[i].job, jobs[cuts[i].job].world.cell_m) for i in have}
+        return {}, {}
+
+    def pieces(have, get):
+        return {i: of_table(get(i), cuts[i].job, jobs[cuts[i].job].world.cell_m) for i in wanted if i in have}
+
+    return pieces(ledger.done, ledger.get), pieces(ledger.begun - ledger.done, ledger.begun_part)
+
+
+def _joined(begun: Piece | None, rest: Piece) -> Piece:
+    """A piece whose first episodes were there before."""
+    import pandas as pd
+
+    if begun is None:
+        return rest
+    paths = None if begun.paths is None or rest.paths is None else begun.paths + rest.paths
+    maps = rest.maps if begun.maps is None else begun.maps if rest.maps is None else np.append(begun.maps, rest.maps, 0)
+    table = pd.concat([begun.table, rest.table], ignore_index=True)
+    return Piece(rest.job, table, np.concatenate([begun.progress, rest.progress]), begun.seen, paths, maps)
 
 
 def run_units(
@@ -247,22 +263,30 @@ def run_units(
     """
     cuts = cut(jobs)
     wanted = list(range(len(cuts))) if units is None else sorted(units)
-    pieces, firsts = _kept(jobs, cuts, wanted, ledger), {}
-    resumed = sum(len(piece.table) for piece in pieces.values())
+    (pieces, begun), firsts = _kept(jobs, cuts, wanted, ledger), {}
+    resumed = sum(len(piece.table) for piece in (*pieces.values(), *begun.values()))
     left = [i for i in wanted if i not in pieces]
+    rest = {i: cuts[i] for i in left}
+    for i, piece in begun.items():
+        n = len(piece.table)
+        rest[i] = rest[i]._replace(first=rest[i].first + n, n=rest[i].n - n)
+
+    def whole(number: int, found: Outcomes) -> Piece:
+        unit = rest[number]
+        return _joined(begun.get(number), piece_of(jobs[unit.job], unit, found))
 
     def on_job(place: int, found: Outcomes) -> None:
         number = left[place]
-        if cuts[number].first == 0 and cuts[number].job < FIRSTS:
-            firsts[cuts[number].job] = found
-        piece = piece_of(jobs[cuts[number].job], cuts[number], found)
+        if rest[number].first == 0 and rest[number].job < FIRSTS:
+            firsts[rest[number].job] = found
+        piece = whole(number, found)
         if ledger is not None:
             ledger.put(number, to_table(piece))
         pieces[number] = piece
 
     costs = Costs()
     if left:
-        some = [job_of(jobs[cuts[i].job], cuts[i]) for i in left]
+        some = [job_of(jobs[unit.job], unit) for unit in rest.values()]
         progress = None if on_progress is None else (lambda done: on_progress(done + resumed))
         how: dict[str, Any] = {"engine": engine, "lanes": lanes, "workers": workers, "keep": keep, "alike": alike}
         try:
@@ -274,6 +298,5 @@ def run_units(
         costs = found.costs
         for place, outcomes in enumerate(found.outcomes):
             if left[place] not in pieces:
-                unit = cuts[left[place]]
-                pieces[left[place]] = piece_of(jobs[unit.job], unit, outcomes)
+                pieces[left[place]] = whole(left[place], outcomes)
     return Ran([pieces[i] for i in sorted(pieces)], costs, resumed, firsts)

@@ -142,16 +142,28 @@ class Plan:
         return Shorter(self.spec.episodes, asked, lambda folder: read_parquet(folder / "episodes.parquet"), self._recut)
 
     def _recut(self, rows):
-        """The units of which a table has every episode: `(number, table)` each."""
+        """The units of which a table has episodes: number, table, whether it has all."""
         where = rows.groupby(["setting", "world", "strategy", "episode"]).indices
         for number, blocks in enumerate(self.units):
-            wanted = [
-                (block.setting, os.fspath(self.spec.worlds[block.world]), self.strategies[block.strategy].name, episode)
-                for block in blocks
-                for episode in range(block.first, block.first + block.n)
-            ]
-            if all(key in where for key in wanted):
-                yield number, rows.iloc[[where[key][0] for key in wanted]].reset_index(drop=True)
+            keys = [key for block in blocks for key in self._episodes_of(block) if key in where]
+            if keys:
+                own = rows.iloc[[where[key][0] for key in keys]].reset_index(drop=True)
+                yield number, own, len(keys) == self.size(number)
+
+    def _episodes_of(self, block):
+        world, strategy = os.fspath(self.spec.worlds[block.world]), self.strategies[block.strategy].name
+        return [(block.setting, world, strategy, block.first + i) for i in range(block.n)]
+
+    def left_of(self, number: int, begun: Any) -> list[Block]:
+        """What a unit lacks of which a table has the first episodes of its blocks; None: all of it."""
+        have = (
+            set() if begun is None else set(zip(*(begun[name] for name in ("setting", "world", "strategy", "episode"))))
+        )
+        left = []
+        for block in self.units[number]:
+            n = next((i for i, key in enumerate(self._episodes_of(block)) if key not in have), block.n)
+            left += [block._replace(first=block.first + n, n=block.n - n)] if n < block.n else []
+        return left
 
     def _one_of_each_kind(self):
         """Of all settings and worlds that share a program one, with every strategy: `Job`s of no episode."""
