@@ -28,6 +28,7 @@ from jexplore.policies import STRATEGIES, parse_strategy, strategy
 from jexplore.policies.catalogue import adapt, entries, own
 from jexplore.policies.catalogue.grammar import listing
 from jexplore.studies.explore import frames
+from jexplore.studies.sweeps.spec import sweep_from
 
 LIDAR = Lidar(n_beams=37, range_m=1.0)
 NOISY = Lidar(n_beams=37, range_m=1.0, sigma_m=0.03, dropout=0.02)
@@ -585,7 +586,7 @@ def test_sets_have_no_order():
         with pytest.raises(InputError, match=f"{kind} must be a list, got a set, which has no order"):
             jx.compare(**arguments, episodes=1)
     with pytest.raises(InputError, match="strategies must be a list, got a set, which has no order"):
-        jx.Sweep(worlds=("cave",), strategies={"closest", "random"})
+        sweep_from({"worlds": ["cave"], "strategies": {"closest", "random"}})
 
 
 # ---------------------------------------------------------------- what is wrong with one

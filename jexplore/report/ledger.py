@@ -99,7 +99,7 @@ class Ledger:
         there = _read(page_file if is_kept else record) if is_kept or (resume and record.exists()) else None
         if there is not None and shorter is not None and shorter.includes(run.path, there, page, trust=trust):
             self._grow(shorter, self._all_of(there) if is_kept else [shorter.finished(run.path)], page)
-        elif is_kept:
+        elif there is not None and is_kept:
             require_same(run.path, there, page, trust=trust)
             page["first"] = there.get("first", 0)
         else:

@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jax.extend.core import ClosedJaxpr, Jaxpr, Literal
 
@@ -50,7 +51,7 @@ def _within(traced, seen) -> Iterator[Any]:
 
 def _bytes(array):
     """The elements of an array with their type and its shape."""
-    if jax.dtypes.issubdtype(getattr(array, "dtype", np.bool_), jax.dtypes.prng_key):
+    if jnp.issubdtype(getattr(array, "dtype", np.bool_), jax.dtypes.prng_key):
         array = jax.random.key_data(array)
     array = np.asarray(array)
     return f"{array.dtype}{array.shape}".encode() + np.ascontiguousarray(array).tobytes()

@@ -188,7 +188,7 @@ def recut(jobs: Sequence[Job], keep: str | None, rows: "pd.DataFrame") -> Iterab
     if not {PROGRESS, *needed} <= set(rows):
         return
     rows = rows.dropna(subset=[PROGRESS, *needed]).sort_values("episode")
-    of_pair = dict(iter(rows.groupby(["world", "strategy"], sort=False)))
+    of_pair: dict[Any, Any] = dict(iter(rows.groupby(["world", "strategy"], sort=False)))
     for number, unit in enumerate(cut(jobs)):
         own = of_pair.get((os.fspath(jobs[unit.job].world.name), jobs[unit.job].strategy.name))
         if own is None:
@@ -219,6 +219,12 @@ def _kept(jobs, cuts, wanted, ledger) -> tuple[dict[int, Piece], dict[int, Piece
         return {i: of_table(get(i), cuts[i].job, jobs[cuts[i].job].world.cell_m) for i in wanted if i in have}
 
     return pieces(ledger.done, ledger.get), pieces(ledger.begun - ledger.done, ledger.begun_part)
+
+
+def _rest(unit, begun):
+    """What is left of a unit whose first episodes are there."""
+    n = 0 if begun is None else len(begun.table)
+    return unit._replace(first=unit.first + n, n=unit.n - n)
 
 
 def _joined(begun: Piece | None, rest: Piece) -> Piece:
@@ -265,20 +271,16 @@ def run_units(
     wanted = list(range(len(cuts))) if units is None else sorted(units)
     (pieces, begun), firsts = _kept(jobs, cuts, wanted, ledger), {}
     resumed = sum(len(piece.table) for piece in (*pieces.values(), *begun.values()))
-    left = [i for i in wanted if i not in pieces]
-    rest = {i: cuts[i] for i in left}
-    for i, piece in begun.items():
-        n = len(piece.table)
-        rest[i] = rest[i]._replace(first=rest[i].first + n, n=rest[i].n - n)
+    left = {i: _rest(cuts[i], begun.get(i)) for i in wanted if i not in pieces}
+    numbers = list(left)
 
     def whole(number: int, found: Outcomes) -> Piece:
-        unit = rest[number]
-        return _joined(begun.get(number), piece_of(jobs[unit.job], unit, found))
+        return _joined(begun.get(number), piece_of(jobs[left[number].job], left[number], found))
 
     def on_job(place: int, found: Outcomes) -> None:
-        number = left[place]
-        if rest[number].first == 0 and rest[number].job < FIRSTS:
-            firsts[rest[number].job] = found
+        number = numbers[place]
+        if left[number].first == 0 and left[number].job < FIRSTS:
+            firsts[left[number].job] = found
         piece = whole(number, found)
         if ledger is not None:
             ledger.put(number, to_table(piece))
@@ -286,7 +288,7 @@ def run_units(
 
     costs = Costs()
     if left:
-        some = [job_of(jobs[unit.job], unit) for unit in rest.values()]
+        some = [job_of(jobs[unit.job], unit) for unit in left.values()]
         progress = None if on_progress is None else (lambda done: on_progress(done + resumed))
         how: dict[str, Any] = {"engine": engine, "lanes": lanes, "workers": workers, "keep": keep, "alike": alike}
         try:
@@ -297,6 +299,6 @@ def run_units(
             found = batch.Finished([], Costs(interrupted=True))
         costs = found.costs
         for place, outcomes in enumerate(found.outcomes):
-            if left[place] not in pieces:
-                pieces[left[place]] = whole(left[place], outcomes)
+            if numbers[place] not in pieces:
+                pieces[numbers[place]] = whole(numbers[place], outcomes)
     return Ran([pieces[i] for i in sorted(pieces)], costs, resumed, firsts)
