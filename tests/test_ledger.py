@@ -188,14 +188,123 @@ def test_a_unit_cut_short_is_made_again(tmp_path, cut):
     assert names(tmp_path / UNFINISHED) == ["000000.parquet", "asked.json"]
 
 
-def test_a_unit_damaged_inside_is_told(tmp_path):
-    leave(tmp_path, 0)
+@pytest.mark.parametrize("at", [4, 30, 55])
+def test_a_unit_damaged_inside_is_made_again(tmp_path, at):
+    """Nothing is told as kept that cannot be read."""
+    leave(tmp_path, 0, 1)
     file = tmp_path / UNFINISHED / "000000.parquet"
     data = bytearray(file.read_bytes())
-    data[4:60] = bytes(56)
+    data[at : at + 8] = bytes(byte ^ 4 for byte in data[at : at + 8])
     file.write_bytes(data)
-    with pytest.raises(InputError, match=r"000000.parquet must be a unit of this run: .*--resume"):
-        begin(tmp_path, resume=True)
+    assert begin(tmp_path, resume=True) == ({1}, [0, 2, 3], ["000000.parquet"], {1: [1, 1.5]})
+
+
+def shorter(episodes):
+    """A run of 2 episodes a unit that goes on with runs of fewer."""
+
+    def units_of(rows):
+        for unit in range(episodes // 2):
+            own = rows[rows["value"].between(2 * unit, 2 * unit + 1)]
+            if len(own):
+                yield unit, own.reset_index(drop=True), len(own) == 2
+
+    def asked(n):
+        return {key: value for key, value in {**ASKED, "episodes": n}.items() if key != "command"}
+
+    return ledger.Shorter(episodes, asked, lambda folder: pd.read_parquet(folder / "episodes.parquet"), units_of)
+
+
+def lengthen(path, episodes, **change):
+    asked = {**ASKED, "episodes": episodes, **change}
+    with claimed(path, resume=True) as run:
+        assert not ledger.is_finished(run, asked, episodes // 2, shorter=shorter(episodes))
+        book = ledger.Ledger(run, asked, episodes // 2, resume=True, shorter=shorter(episodes))
+        found = {unit: book.get(unit)["value"].tolist() for unit in sorted(book.done)}
+        return found | {unit: book.begun_part(unit)["value"].tolist() for unit in sorted(book.begun - book.done)}
+
+
+def test_a_run_goes_on_with_more_episodes(tmp_path):
+    with claimed(tmp_path) as run:
+        book = ledger.Ledger(run, {**ASKED, "episodes": 5}, 3)
+        for unit, values in enumerate([(0, 1), (2, 3), (4,)]):
+            book.put(unit, table(*values))
+    assert lengthen(tmp_path, 8) == {0: [0, 1], 1: [2, 3], 2: [4]}
+    assert lengthen(tmp_path, 8) == {0: [0, 1], 1: [2, 3], 2: [4]}  # after whatever has ended it
+    assert lengthen(tmp_path, 10) == {0: [0, 1], 1: [2, 3], 2: [4]}
+    with claimed(tmp_path, resume=True) as run:
+        book = ledger.Ledger(run, {**ASKED, "episodes": 10}, 5, resume=True, shorter=shorter(10))
+        book.put(2, table(4, 5))
+    assert lengthen(tmp_path, 12) == {0: [0, 1], 1: [2, 3], 2: [4, 5]}
+    assert len(names(tmp_path / UNFINISHED)) == 4  # with the page, nothing of shorter runs
+    for episodes, change, says in (
+        (10, {}, "holds a run of 12 episodes, more than 10: ask for 12 or more"),
+        (14, {"seed": 1}, "its seed is null, not 1"),
+        (12, {"seed": 1}, "its seed is null, not 1"),
+    ):
+        with pytest.raises(InputError, match=says):
+            begin_longer(tmp_path, episodes, change)
+
+
+def begin_longer(path, episodes, change):
+    other = shorter(episodes)
+    asks = other._replace(asked=lambda n: {**other.asked(n), **change})
+    with claimed(path, resume=True) as run:
+        ledger.Ledger(run, {**ASKED, "episodes": episodes, **change}, episodes // 2, resume=True, shorter=asks)
+
+
+def test_a_finished_run_goes_on_with_more_episodes(tmp_path):
+    page = {"asked": ledger.jsonable({**ASKED, "episodes": 4}), "units": 2}
+    files = {"episodes.parquet": lambda path: table(0, 1, 2, 3).to_parquet(path)}
+    with claimed(tmp_path) as run:
+        run.write({**files, "run.json": lambda path: path.write_text(json.dumps(page))})
+    (tmp_path / UNFINISHED).mkdir()  # as of a process that was killed before the page was there
+    (tmp_path / UNFINISHED / "000003.parquet").write_bytes(b"half")
+    with claimed(tmp_path, resume=True) as run:
+        assert ledger.is_finished(run, {**ASKED, "episodes": 4}, 2, shorter=shorter(4))
+    assert lengthen(tmp_path, 6) == {0: [0, 1], 1: [2, 3]}
+    assert "run.json" in names(tmp_path)  # the shorter one stays until the longer one is there
+
+
+def test_growing_loses_nothing_when_it_is_ended(tmp_path, monkeypatch):
+    with claimed(tmp_path) as run:
+        book = ledger.Ledger(run, {**ASKED, "episodes": 4}, 2)
+        for unit in (0, 1):
+            book.put(unit, table(2 * unit, 2 * unit + 1))
+    write = ledger.write_json
+
+    def ended(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(ledger, "write_json", ended)
+    with pytest.raises(KeyboardInterrupt):
+        lengthen(tmp_path, 8)
+    monkeypatch.setattr(ledger, "write_json", write)
+    with claimed(tmp_path, resume=True) as run:
+        assert ledger.Ledger(run, {**ASKED, "episodes": 4}, 2, resume=True).done == {0, 1}
+    assert lengthen(tmp_path, 8) == {0: [0, 1], 1: [2, 3]}
+
+
+@pytest.mark.parametrize("finished", [False, True])
+def test_a_strategy_that_cannot_be_told_is_trusted_or_refused(tmp_path, finished):
+    def opened(own, **how):
+        asked = {**ASKED, "own": own}
+        with claimed(tmp_path, resume=True) as run:
+            if finished:
+                return ledger.is_finished(run, asked, 4, **how)
+            return ledger.Ledger(run, asked, 4, resume=True, **how).done
+
+    asked = {**ASKED, "own": {"mine": "a", "asks": None}}
+    with claimed(tmp_path) as run:
+        if finished:
+            page = {"asked": ledger.jsonable(asked), "units": 4}
+            run.write({"run.json": lambda path: path.write_text(json.dumps(page))})
+        else:
+            ledger.Ledger(run, asked, 4).put(0, table(1))
+    with pytest.raises(InputError, match=r"'asks', which calls back into Python, .* --trust goes on if you know"):
+        opened({"mine": "a", "asks": None})
+    with pytest.raises(InputError, match="its strategy 'mine' computes something else now"):
+        opened({"mine": "b", "asks": None})
+    assert opened({"mine": "b", "asks": None}, trust=True) == (True if finished else {0})
 
 
 def test_a_page_that_cannot_be_read_is_told(tmp_path):

@@ -1,8 +1,12 @@
 """Strategies that a user brings: scores, constructors, policies, names, modules; what is wrong with one in a line."""
 
+import collections
+import dataclasses
 import functools
+import importlib
 import importlib.metadata
 import itertools
+import math
 import os
 import re
 import sys
@@ -18,12 +22,13 @@ from ref.worlds import two_rooms
 import jexplore as jx
 from jexplore.config import InputError, Lidar
 from jexplore.engine import serial
+from jexplore.exploration.site import KERNELS, prepare_site
 from jexplore.exploration.state import Outcome
 from jexplore.policies import STRATEGIES, parse_strategy, strategy
 from jexplore.policies.catalogue import adapt, entries, own
-from jexplore.policies.catalogue.fingerprint import fingerprint
 from jexplore.policies.catalogue.grammar import listing
 from jexplore.studies.explore import frames
+from jexplore.studies.sweeps.spec import sweep_from
 
 LIDAR = Lidar(n_beams=37, range_m=1.0)
 NOISY = Lidar(n_beams=37, range_m=1.0, sigma_m=0.03, dropout=0.02)
@@ -54,6 +59,16 @@ def equal(table, one, other):
     rows = [table[table["strategy"] == name].drop(columns="strategy").reset_index(drop=True) for name in (one, other)]
     assert len(rows[0]) > 0
     return rows[0].equals(rows[1])
+
+
+@functools.cache
+def site():
+    return prepare_site(two_rooms(), LIDAR, jx.Rules(), KERNELS["serial"])
+
+
+def program(one):
+    """What a strategy's program is told from others by."""
+    return site().with_strategy(strategy(one))[0].policy
 
 
 def compare(strategies, *, lidar=LIDAR, **how):
@@ -93,7 +108,7 @@ def test_what_is_not_finite():
     assert chosen(scored({(0, 2): -5.0, (2, 2): -inf}))[0] == (0, 2)
     assert chosen(scored({(0, 0): 7.0}))[0] == (1, 2)  # only a cell that is no frontier: the nearest
     for value in (nan, inf, -inf):
-        assert chosen(lambda view, value=value: jnp.full(view.cost.shape, value))[0] == (1, 2)
+        assert chosen(functools.partial(lambda value, view: jnp.full(view.cost.shape, value), value))[0] == (1, 2)
 
 
 def test_without_a_frontier_there_is_no_target():
@@ -180,7 +195,7 @@ def module(tmp_path, monkeypatch):
 
 def test_a_module_of_the_current_folder(module):
     plain = parse_strategy("mine_of_tests:nearest")
-    assert plain.policy == parse_strategy("mine_of_tests:nearest").policy  # equal, so compiled once
+    assert program(plain) == program("mine_of_tests:nearest")  # equal, so compiled once
     assert parse_strategy("mine_of_tests:nearest+recheck").recheck
     near = parse_strategy("mine_of_tests:near:weight=2,mode=odd,way=data/w.npz").policy
     assert near.params == {"weight": 2}
@@ -211,7 +226,7 @@ def test_a_module_elsewhere_is_found_before_a_builtin_name_is_asked(module):
 
 def test_a_module_is_as_it_is_now_and_here(module, tmp_path_factory, monkeypatch):
     def score():
-        return strategy("mine_of_tests:nearest").policy
+        return program("mine_of_tests:nearest")
 
     first = score()
     file = module / "mine_of_tests.py"
@@ -239,6 +254,63 @@ def test_a_module_is_as_it_is_now_and_here(module, tmp_path_factory, monkeypatch
         with pytest.raises(InputError, match=re.escape(says)):
             strategy(text)
     assert str(elsewhere) not in sys.path
+
+
+def number_of(text):
+    """What a function of a module returns: as it is written now."""
+    return own.import_object(*text.split(":"))()
+
+
+def test_modules_are_read_from_their_source(module):
+    """Neither bytecode, which knows files by size and second, nor what is imported stands for what is written."""
+    (module / "helper_of_tests.py").write_text("W = 1\n")
+    (module / "asking_of_tests.py").write_text("import helper_of_tests\ndef weight():\n    return helper_of_tests.W\n")
+    assert own.import_object("asking_of_tests", "weight") is own.import_object("asking_of_tests", "weight")
+    assert number_of("asking_of_tests:weight") == 1
+    before = os.stat(module / "helper_of_tests.py")
+    for n in (2, 3):
+        (module / "helper_of_tests.py").write_text(f"W = {n}\n")  # as long as before, and in the same second
+        os.utime(module / "helper_of_tests.py", ns=(before.st_atime_ns, before.st_mtime_ns))
+        assert number_of("asking_of_tests:weight") == n
+    assert not (module / "__pycache__").exists()
+    package = module / "package_of_tests"
+    (package / "inner").mkdir(parents=True)
+    for name, text in (
+        ("__init__", ""),
+        ("top", "from . import near\nfrom package_of_tests.inner.far import FAR\ndef both(): return near.NEAR, FAR\n"),
+        ("near", "NEAR = 1\n"),
+        ("inner/far", "FAR = 1\n"),
+    ):
+        (package / f"{name}.py").write_text(text)
+    assert number_of("package_of_tests.top:both") == (1, 1)
+    (package / "near.py").write_text("NEAR = 2\n")
+    assert number_of("package_of_tests.top:both") == (2, 1)
+    (package / "inner/far.py").write_text("FAR = 2\n")
+    assert number_of("package_of_tests.top:both") == (2, 2)
+
+
+def test_what_a_user_has_imported_does_not_stand_for_what_is_written(module, monkeypatch):
+    monkeypatch.syspath_prepend(module)
+    (module / "used_of_tests.py").write_text("W = 1\n")
+    (module / "drawing_of_tests.py").write_text("")
+    (module / "used_by_of_tests.py").write_text("import used_of_tests\ndef weight(): return used_of_tests.W\n")
+    importlib.invalidate_caches()
+    mine, drawing = importlib.import_module("used_of_tests"), importlib.import_module("drawing_of_tests")
+    (module / "used_of_tests.py").write_text("W = 2\n")
+    assert number_of("used_by_of_tests:weight") == 2
+    assert mine.W == 1
+    assert sys.modules["drawing_of_tests"] is drawing  # what nobody asked for stays
+
+
+def test_a_module_that_registers_may_be_written_anew(module, monkeypatch):
+    monkeypatch.setattr(entries, "STRATEGIES", dict(STRATEGIES))
+    text = "import jexplore as jx\n@jx.register('written-anew')\ndef score(view):\n    return -view.cost\n"
+    (module / "registers_of_tests.py").write_text(text)
+    first = program("registers_of_tests:score")
+    (module / "registers_of_tests.py").write_text(text.replace("-view", "+view"))
+    assert program("registers_of_tests:score") == program("written-anew") != first
+    with pytest.raises(InputError, match="'written-anew' is registered already"):
+        jx.register("written-anew", own.import_object("registers_of_tests", "score"))
 
 
 def test_registered(monkeypatch):
@@ -303,7 +375,8 @@ def test_packages_offer_strategies(module, monkeypatch):
 def test_what_stands_for_a_strategy():
     assert strategy("closest+recheck") == parse_strategy("closest+recheck")
     given = strategy(nearest)
-    assert strategy(given) == given
+    assert strategy(given).name == "nearest"
+    assert strategy(given).policy.select.function is nearest
     assert strategy(STRATEGIES["closest"].make).name == "closest"
     assert strategy(nearest, segment=True, recheck=True).name == "nearest+recheck+segment=holz"
     assert strategy(nearest, segment="auto", door_m=2.0).policy.params.door_m == 2.0
@@ -358,34 +431,55 @@ def again(n):
     return found
 
 
+def known(thing, **given):
+    return program(strategy(thing, name="thing", **given))
+
+
 def test_what_computes_the_same_is_compiled_once():
     one, same, other, changed = made(2), made(2), made(3), made(2, "view.path_m")
-    for name in ("score", "again"):
-        assert fingerprint(one[name]) == fingerprint(same[name])
-        assert hash(fingerprint(one[name])) == hash(fingerprint(same[name]))
-        assert fingerprint(one[name]) != fingerprint(changed[name])  # its helper is another
-    assert fingerprint(one["score"]) != fingerprint(other["score"])  # a global number is another
-    first = strategy(one["score"], weight=2)
-    assert first.policy == strategy(same["score"], weight=2).policy
+    assert known(one["score"]) == known(same["score"])
+    assert hash(known(one["score"])) == hash(known(same["score"]))
+    assert known(one["score"]) != known(changed["score"])  # its helper is another
+    assert known(one["score"]) != known(other["score"])  # a global number is another
+    first = known(one["score"], weight=2)
+    assert first == known(same["score"], weight=3)  # a parameter is not compiled in
     one["helper"] = changed["helper"]
-    assert first.policy != strategy(one["score"], weight=2).policy  # changed since
+    assert first != known(one["score"], weight=2)  # changed since
 
     def closing(n, array=None):
-        return lambda view: view.cost * n if array is None else array
+        return lambda view: view.cost * n if array is None else view.cost + array
 
-    assert fingerprint(closing(2)) == fingerprint(closing(2)) != fingerprint(closing(3))
-    table = np.zeros(3)
-    assert fingerprint(closing(2, table)) == fingerprint(closing(2, table.copy())) != fingerprint(closing(2, table + 1))
-    assert fingerprint(closing(0.0)) != fingerprint(closing(-0.0)) != fingerprint(closing(0))
-    part, twin, odd = (functools.partial(nearest, weight=w) for w in (1, 1, 2))
-    assert fingerprint(part) == fingerprint(twin) != fingerprint(odd)
-    for around in (jax.jit, jax.vmap, functools.lru_cache):
-        assert fingerprint(around(closing(2))) == fingerprint(around(closing(2))) != fingerprint(around(closing(3)))
-    assert fingerprint(np.sum) == fingerprint(np.sum) != fingerprint(jnp.sum)
-    shared = [lambda x: x]
-    for _ in range(60):  # each asks the two before it: looked at once
-        shared.append(lambda x, f=shared[-1], g=shared[-1]: f(x) + g(x))
-    assert fingerprint(shared[-1]) == fingerprint(shared[-1])
+    assert known(closing(2)) == known(closing(2)) != known(closing(3))
+    table = np.zeros((64, 64), np.float32)
+    other = table.copy()
+    other[63, 63] = 1e-9
+    assert known(closing(2, table)) == known(closing(2, table.copy())) != known(closing(2, other))
+    assert known(closing(2, jnp.asarray(table))) == known(closing(2, jnp.asarray(table)))
+    assert known(closing(2, jnp.asarray(table))) != known(closing(2, jnp.asarray(other)))
+    assert known(closing(0.0)) != known(closing(-0.0)) != known(closing(0))
+    assert known(closing(0.1)) != known(closing(np.nextafter(np.float32(0.1), 1)))
+
+    def mapped(function):
+        return lambda view: jax.lax.map(lambda _: function(view), jnp.arange(2))[0]
+
+    for around in (jax.jit, mapped):
+        assert known(around(closing(2, table))) == known(around(closing(2, table))) != known(around(closing(2, other)))
+
+    def keyed(key):
+        return lambda view: view.cost + jax.random.randint(key, (), 0, 9)
+
+    assert known(keyed(jax.random.key(1))) == known(keyed(jax.random.key(1))) != known(keyed(jax.random.key(2)))
+
+
+def test_what_calls_back_into_python_is_compiled_anew():
+    """JAX does not see what it computes."""
+
+    def asks(view):
+        return view.path_m * jax.pure_callback(lambda: np.float32(1), jax.ShapeDtypeStruct((), jnp.float32))
+
+    assert known(asks) != known(asks)
+    assert adapt.digest_of(known(asks)) is None
+    assert adapt.digest_of(known(nearest)) == adapt.digest_of(known(nearest)) is not None
 
 
 class Weighed:
@@ -398,35 +492,101 @@ class Weighed:
     __call__ = score
 
 
-def test_what_has_changed_since_is_another(tmp_path, monkeypatch):
-    """Whatever it is that a function refers to, it is looked at as it is when it is used."""
+@dataclasses.dataclass(slots=True)
+class Settings:
+    w: int = -1
+
+
+class Masked:
+    w = -1
+
+    def __call__(self, view):
+        return view.path_m * self.w
+
+
+def test_what_has_changed_since_is_another():
+    """Wherever a number stands, a function is looked at as it is when it is used."""
     thing, config, table, chain, box = Weighed(-1), {"w": -1}, np.full(3, -1), [nearest], types.SimpleNamespace(w=-1)
+    slots, some, queue, raw, objects = Settings(), {1}, collections.deque([1]), bytearray(b"a"), np.array([1], object)
+    hidden = np.ma.masked_array([-1, -2], [False, True])
     module = types.ModuleType("helper_of_tests")
     exec("def helper(view):\n    return -view.path_m", vars(module))
 
     def marked(view):
         return view.path_m * marked.w
 
-    def other(view):
-        return module.unused
-
-    marked.w = module.unused = -1
-    named = {"by an object": thing, "by its method": thing.score, "marked": marked}
+    marked.w = -1
+    named = {"by an object": thing, "by its method": thing.score, "marked": marked, "by a class": Masked()}
     named |= {
         "by a dict": lambda view: view.path_m * config["w"],
         "by an array": lambda view: view.path_m * table[0],
         "by a list": lambda view: chain[0](view),
         "by a box": lambda view: view.path_m * box.w,
+        "by slots": lambda view: view.path_m * slots.w,
+        "by a set": lambda view: view.path_m * len(some),
+        "by a deque": lambda view: view.path_m * queue[-1],
+        "by bytes": lambda view: view.path_m * raw[0],
+        "by an array of objects": lambda view: view.path_m * objects[0],
+        "by a mask": lambda view: view.path_m * int(hidden.sum()),
         "by a module": lambda view: module.helper(view),
-        "by a module through another": lambda view: (lambda view: module.helper(view))(view) + other(view),
+        "by a name": lambda view: getattr(module, "help" + "er")(view),
         "by a partial": functools.partial(lambda table, view: view.path_m * table[0], table),
     }
     kept = {name: strategy(function, name=name, segment=name == "marked") for name, function in named.items()}
-    assert all(strategy(one) == one for one in kept.values())
-    thing.weight, config["w"], table[:], chain[0], box.w, marked.w = 1, 1, 1, thing, 1, 1
+    before = {name: program(one) for name, one in kept.items()}
+    assert [name for name, one in kept.items() if program(one) != before[name]] == []
+    thing.weight, config["w"], table[:], chain[0], box.w, marked.w, Masked.w = 1, 1, 1, thing, 1, 1, 1
+    slots.w, raw[0], objects[0], hidden.mask = 1, 7, 2, [False, False]
+    some.add(2)
+    queue.append(5)
     exec("def helper(view):\n    return view.path_m", vars(module))
-    assert [name for name, one in kept.items() if strategy(one).policy == one.policy] == []
-    assert [name for name, function in named.items() if strategy(function, name=name).policy == kept[name].policy] == []
+    assert [name for name, one in kept.items() if program(one) == before[name]] == []
+
+
+def test_numbers_that_would_become_others_are_refused():
+    def weighed(view, weight=1.0):
+        return view.path_m * weight
+
+    def given(value):
+        return strategy(weighed, weight=value, name="mine")
+
+    whole = "must be a whole number from -2147483648 to 2147483647, got"
+    for value, says in (
+        (2**32, f"{whole} 4294967296"),
+        (-(2**31) - 1, whole),
+        (10**5000, whole),
+        (np.int64(2**40), whole),
+        (np.uint32(2**31), whole),
+        (np.array([1, 2**40]), whole),
+        (1e300, r"must be from -3.4e\+38 to 3.4e\+38, or infinite, got 1e\+300"),
+        (np.array([1.0, -1e39]), r"must be from -3.4e\+38 to 3.4e\+38, or infinite"),
+        (1 + 2j, r"must be real, got \(1\+2j\)"),
+        (np.array([1j]), "must be real"),
+        (math.nan, "must be a number, not NaN, got nan"),
+        (np.array([1.0, np.nan]), "must be a number, not NaN"),
+        (jnp.bfloat16(math.nan), "must be a number, not NaN"),
+        (np.array([2**40], object), "must be an array of numbers"),
+    ):
+        with pytest.raises(InputError, match=f"strategy 'mine': weight {says}") as caught:
+            given(value)
+        assert "\n" not in str(caught.value)
+    for value in (2**31 - 1, -(2**31), 3e38, math.inf, -math.inf, True, np.float32(1), np.array([math.inf])):
+        assert given(value).policy.select.function is weighed
+    with pytest.raises(InputError, match=r"'mine': weight\.inner must be a whole number"):
+        given({"inner": 2**40})
+    with pytest.raises(InputError, match=r"'put together': params must be a number, not NaN"):
+        strategy(jx.Strategy("put together", jx.Policy(nearest, nearest, math.nan)))
+    with pytest.raises(InputError, match=r"'weighed\+segment=holz': weight must be a whole number"):
+        strategy(weighed, weight=2**40, segment=True)
+
+
+def test_sets_have_no_order():
+    for kind, given in (("strategies", {"closest", "random"}), ("worlds", frozenset({"cave", "office"}))):
+        arguments = {"worlds": "cave", "strategies": "closest", kind: given}
+        with pytest.raises(InputError, match=f"{kind} must be a list, got a set, which has no order"):
+            jx.compare(**arguments, episodes=1)
+    with pytest.raises(InputError, match="strategies must be a list, got a set, which has no order"):
+        sweep_from({"worlds": ["cave"], "strategies": {"closest", "random"}})
 
 
 # ---------------------------------------------------------------- what is wrong with one
@@ -563,7 +723,9 @@ def test_every_strategy_of_the_package_would_pass_the_check():
         wrapped = jx.Policy(
             adapt.Init(one.init), adapt.Select(one.select), one.params, one.live and adapt.Live(one.live)
         )
-        adapt.check(wrapped, jax.tree.map(jnp.asarray, one.params), belief, beliefs.table(beliefs.LIDAR, belief), route)
+        table = beliefs.table(beliefs.LIDAR, belief)
+        found = adapt.traced_policy(wrapped, jax.tree.map(jnp.asarray, one.params), belief, table, route)
+        assert adapt.digest_of(found) is not None
 
 
 def test_outcomes_have_names():

@@ -117,8 +117,8 @@ def test_signals_keep_what_is_finished(want, name, status, tmp_path, capsys):
     few = table[(table["strategy"] == "closest") & (table["episode"] < 240)]
     assert len(few)
     pd.testing.assert_frame_equal(few.reset_index(drop=True), want.episodes.iloc[few["episode"]].reset_index(drop=True))
-    assert main.main([*COMMAND, "--episodes", "60000", "--out", str(folder), "--resume"]) == 2
-    assert "its episodes is 2000, not 60000" in capsys.readouterr().err
+    assert main.main([*COMMAND, "--episodes", "1999", "--out", str(folder), "--resume"]) == 2
+    assert "holds a run of 2000 episodes, more than 1999: ask for 2000 or more" in capsys.readouterr().err
     assert main.main([*COMMAND, "--episodes", "2000", "--out", str(folder)]) == 2
     assert "holds a run" in capsys.readouterr().err
 
@@ -186,12 +186,37 @@ def test_a_strategy_that_was_written_anew_is_another_run(tmp_path, capsys, monke
     monkeypatch.syspath_prepend(tmp_path)
     file, command = tmp_path / "mine_again.py", [*COMMAND, "--episodes", "2", "--out", "run", "--no-report", "--resume"]
     command[command.index("--strategies") + 1 : command.index("--strategies") + 2] = ["mine_again:far"]
-    file.write_text("def far(view):\n    return view.cost\n")
+    (tmp_path / "helps_again.py").write_text("SIGN = 1\n")
+    file.write_text("import helps_again\ndef far(view):\n    return view.cost * helps_again.SIGN\n")
     assert main.main(command) == 0
+    file.write_text("from helps_again import SIGN\ndef far(view):  # the same\n    return view.cost * SIGN\n")
     assert main.main(command) == 0
-    file.write_text("def far(view):\n    return -view.cost  # the nearest\n")
+    (tmp_path / "helps_again.py").write_text("SIGN = 2\n")
     assert main.main(command) == 2
-    assert "holds another run: its own, mine_again:far: is" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert "holds another run: its strategy 'mine_again:far' computes something else now; choose another" in said
+    assert main.main([*command, "--trust"]) == 0
+
+
+def test_a_run_goes_on_with_more_episodes(want, tmp_path, capsys):
+    folder = tmp_path / "run"
+    command = [*COMMAND, "--out", str(folder), "--no-report", "--resume", "--episodes"]
+    assert main.main([*command, "20"]) == 0  # units of 8: two of each strategy, and a half
+    process = begin(folder, "--no-report", "--resume", "--episodes", "240")
+    wait_for(process, folder, 8)
+    process.kill()
+    process.communicate()
+    assert main.main([*command, "239"]) == 2
+    assert "holds a run of 240 episodes, more than 239" in capsys.readouterr().err
+    assert main.main([*command, "240"]) == 0
+    record = json.loads((folder / "run.json").read_text())
+    assert record["asked"]["episodes"] == 240
+    assert record["resumed"] >= 48  # what was finished, and two units
+    pd.testing.assert_frame_equal(pd.read_parquet(folder / "episodes.parquet"), want.episodes)
+    found = load(folder)
+    for key, rows in want.progress.items():
+        np.testing.assert_array_equal(found.progress[key], rows)
+    assert [one.path_m for one in found.first[WORLD]] == [one.path_m for one in want.first[WORLD]]
 
 
 def test_a_picture_that_fails_costs_no_data(tmp_path, capsys, monkeypatch):

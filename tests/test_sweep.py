@@ -328,9 +328,17 @@ def test_the_command_and_its_parts(tmp_path, capsys, monkeypatch):
     assert main.main(["merge", "part3", "part1", "part2", "--out", "merged"]) == 0
     pd.testing.assert_frame_equal(jx.load("merged").episodes, whole.episodes)
     assert json.loads((tmp_path / "merged" / "run.json").read_text())["parts"] == ["part3", "part1", "part2"]
-    (tmp_path / "s.yaml").write_text(YAML.replace("24", "25"))
+    (tmp_path / "s.yaml").write_text(YAML.replace("24", "23"))
     assert main.main(["sweep", "s.yaml", "--out", "whole", "--resume"]) == 2
-    assert "holds another run" in capsys.readouterr().err
+    assert "holds a run of 24 episodes, more than 23: ask for 24 or more" in capsys.readouterr().err
+    (tmp_path / "s.yaml").write_text(YAML.replace("24", "25"))
+    assert main.main(["sweep", "s.yaml", "--out", "whole", "--resume", "--no-report"]) == 0
+    longer = jx.load("whole")
+    assert longer.resumed == 288
+    pd.testing.assert_frame_equal(
+        longer.episodes[longer.episodes["episode"] < 24].reset_index(drop=True), whole.episodes
+    )
+    pd.testing.assert_frame_equal(longer.episodes, sweep("s.yaml").episodes)
 
 
 @pytest.mark.jit

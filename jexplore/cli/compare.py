@@ -82,7 +82,10 @@ class Compare:
     report: bool = dataclasses.field(default=True, metadata={"off": "Leave out report.html."})
     """Write report.html, the whole run in one page with replays."""
     resume: bool = False
-    """Go on with the run that the folder holds, if there is one: what is finished is not computed again."""
+    """Go on with the run that the folder holds, if there is one: what is finished is not computed again. With more
+    --episodes than it had, the earlier ones are kept."""
+    trust: bool = False
+    """Let --resume take strategies of your own for what they were when the run began, even where nothing tells."""
     lidar: Lidar = dataclasses.field(default_factory=Lidar)
     rules: Rules = dataclasses.field(default_factory=Rules)
 
@@ -223,13 +226,20 @@ def run_with_bar(options: Any, jobs: "Sequence[Job]", out: Out, starts: "Sequenc
       starts: that are bounded afterwards; the last units of the run.
     """
     from jexplore.engine.backend import use_compilation_cache
-    from jexplore.studies.results import provenance, units
+    from jexplore.report.ledger import Shorter
+    from jexplore.studies.results import loading, provenance, units
 
     use_compilation_cache()
     keep = "paths" if getattr(options, "waste", False) else None
-    asked = provenance.asked(jobs) | ({"keep": keep} if keep else {})
-    asked |= {"bound_seconds": starts[0].seconds if starts else None} if hasattr(options, "bounds") else {}
-    ledger = out.keep(asked, len(units.cut(jobs)) + len(starts))
+    more = {"keep": keep} if keep else {}
+    more |= {"bound_seconds": starts[0].seconds if starts else None} if hasattr(options, "bounds") else {}
+
+    def asked_of(n):
+        return provenance.asked([job._replace(starts=job.starts[:n]) for job in jobs]) | more
+
+    n = len(jobs[0].starts)
+    shorter = Shorter(n, asked_of, loading.unit_rows, functools.partial(units.recut, jobs, keep))
+    ledger = out.keep(asked_of(n), len(units.cut(jobs)) + len(starts), shorter=shorter)
     if ledger is None:
         return None
     engine = None if options.engine == "auto" else options.engine

@@ -62,7 +62,10 @@ class Sweep:
     report: bool = dataclasses.field(default=True, metadata={"off": "Leave out report.html."})
     """Write report.html, the whole run in one page with replays."""
     resume: bool = False
-    """Go on with the run that the folder holds, if there is one: what is finished is not computed again."""
+    """Go on with the run that the folder holds, if there is one: what is finished is not computed again. With more
+    episodes than it had, the earlier ones are kept."""
+    trust: bool = False
+    """Let --resume take strategies of your own for what they were when the run began, even where nothing tells."""
 
     def execute(self, arguments: Sequence[str]) -> int | None:
         """Runs the command; returns the exit status, None for 0."""
@@ -91,7 +94,7 @@ class Sweep:
         if seconds > LONG_S and not self.yes:
             raise InputError(f"this will take {plans.duration(seconds)} or so ({lines[0]}): give --yes to begin")
         with Out(self, "sweep") as out:
-            ledger = out.keep(plan.asked(shard), len(plan.units), wanted=len(numbers))
+            ledger = out.keep(plan.asked(shard), len(plan.units), wanted=len(numbers), shorter=plan.shorter(shard))
             if ledger is None:
                 return _show_finished(out, plan if self.report else None)
             engine = None if self.engine == "auto" else self.engine
@@ -219,6 +222,8 @@ class Merge:
     """Folder to write."""
     overwrite: bool = False
     """Replace the run that the folder holds."""
+    trust: bool = False
+    """Take strategies of your own for the same in all parts, even where nothing tells."""
     report: bool = dataclasses.field(default=True, metadata={"off": "Leave out report.html."})
     """Write report.html, the whole run in one page with replays."""
 
@@ -228,6 +233,6 @@ class Merge:
 
         with Out(self, "sweep") as out:
             with note("jexplore: reading the parts"):
-                found, plan = merge(self.parts)
+                found, plan = merge(self.parts, trust=self.trust)
             out.asked, out.units = {"command": "sweep", **plan.asked()}, len(plan.units)
             return _finish(out, found, arguments, self, plan, parts=self.parts)

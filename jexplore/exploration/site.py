@@ -71,8 +71,7 @@ class Site(NamedTuple):
         """The `Setup` and the `Numbers` of a strategy here: `(setup, numbers)`."""
         params = _numbers(strategy)
         numbers = self.numbers.replace(recheck=np.bool_(strategy.recheck), params=params)
-        _check(self, strategy, numbers)
-        return self.setup._replace(policy=strategy.policy._replace(params=())), numbers
+        return self.setup._replace(policy=_traced(self, strategy, numbers)._replace(params=())), numbers
 
 
 def _numbers(strategy):
@@ -83,17 +82,17 @@ def _numbers(strategy):
         raise InputError(f"{strategy.name}: params of a Policy must be numbers and arrays") from None
 
 
-def _check(site, strategy, numbers):
-    """Refuses a strategy whose functions return what they should not. Those of this package do not."""
+def _traced(site, strategy, numbers):
+    """The policy of a strategy; a user's is traced here, and refused where it returns what it should not."""
     if not adapt.is_theirs(strategy.policy):
-        return
+        return strategy.policy
     truth = jax.tree.map(lambda a: a[None], site.truth)
     task = np.zeros(3, np.int32)
     # Ignored types: numpy on the host, where the record says what it is on the device.
     given = Given(np.zeros((), np.int32), site.beams, truth, np.int32(0), numbers, task)  # type: ignore[arg-type]
     belief = jax.eval_shape(environment.blank_belief, given)
     route = jax.ShapeDtypeStruct(site.truth.occupied.shape, np.int8)
-    adapt.check(strategy.policy, numbers.params, belief, site.beams, route)
+    return adapt.traced_policy(strategy.policy, numbers.params, belief, site.beams, route)
 
 
 def prepare_site(

@@ -56,10 +56,11 @@ def _never(key, params, carry, belief, beams, route):
     raise AssertionError("a record asks no strategy")
 
 
-def _bare(strategy):
-    """A strategy of which only `live` is left, so that all without one share what is compiled."""
-    policy = strategy.policy
-    return strategy._replace(policy=Policy(_nothing, _never, () if policy.live is None else policy.params, policy.live))
+def _bare(setup, numbers):
+    """A strategy here of which only `live` is left, so that all without one share what is compiled."""
+    live = setup.policy.live
+    params = () if live is None else numbers.params
+    return setup._replace(policy=Policy(_nothing, _never, (), live)), numbers.replace(params=params)
 
 
 def _script(final, capacity):
@@ -139,7 +140,7 @@ def stops(
     Yields:
       `Stop`s, one for each number of steps. What one holds is gone when the next is asked for.
     """
-    setup, numbers = site.with_strategy(_bare(strategy))
+    setup, numbers = _bare(*site.with_strategy(strategy))
     row, col, heading_deg = (int(value) for value in np.asarray(start))
     given = jax.device_put(
         Given(

@@ -6,9 +6,9 @@ pandas and pyarrow are imported by the functions that need them.
 import contextlib
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from jexplore.config import InputError
 from jexplore.report.folders import RunFolder
@@ -18,6 +18,37 @@ if TYPE_CHECKING:
     import pandas as pd
 
 ASKED = "asked.json"  # what the run is asked, in the folder of its units
+BEGUN = "-begun"  # ends the name of a unit's file, before the suffix, that holds its first episodes only
+
+
+class Shorter(NamedTuple):
+    """Runs that ask the same as this one, of fewer episodes: what this one goes on with."""
+
+    episodes: int  # of this one
+    asked: Callable[[int], Mapping[str, Any]]  # what one of so many episodes is asked
+    finished: Callable[[Path], "pd.DataFrame"]  # what the folder of one that is finished holds, as rows of its units
+    units_of: Callable[["pd.DataFrame"], Iterable[tuple[int, "pd.DataFrame", bool]]]
+    """Rows -> this one's units that have any: number, table, whether it is whole."""
+
+    def includes(self, path: Path, there: Any, here: Mapping[str, Any], *, trust: bool) -> bool:
+        """Whether what a folder holds is one of them.
+
+        Raises:
+          InputError: it has more episodes, or is asked something else.
+        """
+        asked = there.get("asked", {}) if isinstance(there, dict) else {}
+        n = asked.get("spec", asked).get("episodes")
+        if not isinstance(n, int) or not isinstance(there.get("units"), int) or n == self.episodes:
+            return False
+        if n > self.episodes:
+            raise InputError(
+                f"{path} holds a run of {n} episodes, more than {self.episodes}: ask for {n} or more, choose another "
+                "folder or allow overwriting (--overwrite)"
+            )
+        command = {"command": here["asked"]["command"]}
+        page = {"asked": jsonable({**command, **self.asked(n)}), "units": there.get("units")}
+        require_same(path, there, page, trust=trust)
+        return True
 
 
 class Ledger:
@@ -26,10 +57,21 @@ class Ledger:
     folder: Path
     done: set[int]
     """Numbers of the units that are finished."""
+    begun: set[int]
+    """Numbers of the units of which a run of fewer episodes has left the first ones."""
     damaged: list[str]
-    """Files that were found cut short; their units are made again."""
+    """Files that were found damaged; their units are made again."""
 
-    def __init__(self, run: RunFolder, asked: Mapping[str, Any], units: int, *, resume: bool = False) -> None:
+    def __init__(
+        self,
+        run: RunFolder,
+        asked: Mapping[str, Any],
+        units: int,
+        *,
+        resume: bool = False,
+        trust: bool = False,
+        shorter: Shorter | None = None,
+    ) -> None:
         """Opens the ledger of a run, or goes on with one.
 
         Args:
@@ -37,41 +79,67 @@ class Ledger:
           asked: what the run is asked, all that its results depend on; plain JSON, see `store.jsonable`.
           units: how many units the whole run has.
           resume: whether to go on with what is there. Else it is thrown away.
+          trust: as in `require_same`.
+          shorter: runs that can be gone on with besides.
 
         Raises:
           InputError: the folder holds a run that is asked something else, or cannot be written.
         """
-        self.folder, self.done, self.damaged, self.units = run.unfinished, set(), [], units
+        self.folder, self.done, self.begun, self.damaged = run.unfinished, set(), set(), []
+        self.units, self.first = units, 0
         page = {"asked": jsonable(dict(asked)), "units": units}
-        page_file = self.folder / ASKED
+        page_file, record = self.folder / ASKED, run.path / "run.json"
         if not resume or not page_file.exists():
             run.forget()
-        if page_file.exists():
-            require_same(run.path, _read(page_file), page)
+        try:
+            self.folder.mkdir(exist_ok=True)
+        except OSError as error:
+            raise InputError(f"{os.fspath(self.folder)!r} must be a folder that can be written: {error}") from error
+        is_kept = page_file.exists()
+        there = _read(page_file if is_kept else record) if is_kept or (resume and record.exists()) else None
+        if there is not None and shorter is not None and shorter.includes(run.path, there, page, trust=trust):
+            self._grow(shorter, self._all_of(there) if is_kept else [shorter.finished(run.path)], page)
+        elif there is not None and is_kept:
+            require_same(run.path, there, page, trust=trust)
+            page["first"] = there.get("first", 0)
         else:
-            try:
-                self.folder.mkdir(exist_ok=True)
-            except OSError as error:
-                raise InputError(f"{os.fspath(self.folder)!r} must be a folder that can be written: {error}") from error
             write_json(page, page_file)
+        self._open(page)
+
+    def _open(self, page):
+        """Counts the units that are there; throws away files that are damaged or belong to none."""
+        self.first, self.units, self.done, self.begun = page.get("first", 0), page["units"], set(), set()
         for file in self.folder.glob("*.parquet"):
-            if file.stem.isdigit() and int(file.stem) < units:
-                self._count(file)
+            number = file.stem.removesuffix(BEGUN)
+            unit = int(number) - self.first if number.isdigit() else -1
+            if 0 <= unit < self.units and _is_whole(file):
+                (self.done if number == file.stem else self.begun).add(unit)
+                continue
+            if 0 <= unit < self.units:
+                self.damaged.append(file.name)
+            with contextlib.suppress(OSError):
+                file.unlink()
         for file in self.folder.glob(".*.part"):  # of a holder that was killed while it wrote
             with contextlib.suppress(OSError):
                 file.unlink()
 
-    def _count(self, file):
-        import pyarrow.parquet as pq
+    def _all_of(self, page):
+        """The tables of all units that are there."""
+        self._open(page)
+        begun = [self.begun_part(unit) for unit in sorted(self.begun - self.done)]
+        return [self.get(unit) for unit in sorted(self.done)] + begun
 
-        try:
-            pq.read_metadata(file)
-        except Exception:  # pyarrow raises many kinds of errors for a broken file
-            self.damaged.append(file.name)
-            with contextlib.suppress(OSError):
-                file.unlink()
-            return
-        self.done.add(int(file.stem))
+    def _grow(self, shorter, tables, page):
+        """Cuts what a shorter run has finished into units of this one: under new numbers, which count once the page
+        says so, so that whatever ends this leaves one of both.
+        """
+        import pandas as pd
+
+        page["first"] = self.first = self.first + self.units
+        if tables:
+            for unit, table, is_whole in shorter.units_of(pd.concat(tables, ignore_index=True)):
+                write_parquet(table, self._file(unit, "" if is_whole else BEGUN))
+        write_json(page, self.folder / ASKED)
 
     def put(self, unit: int, table: "pd.DataFrame") -> None:
         """Keeps a unit that is finished: on the disk when this returns.
@@ -88,39 +156,64 @@ class Ledger:
         Raises:
           InputError: its file is gone or damaged.
         """
-        import pandas as pd
+        return _get(self._file(unit))
 
-        try:
-            return pd.read_parquet(self._file(unit))
-        except Exception as error:  # pyarrow raises many kinds of errors for a broken file
-            raise InputError(
-                f"{self._file(unit)} must be a unit of this run: {str(error).splitlines()[0]}; remove it and go on "
-                "with --resume"
-            ) from error
+    def begun_part(self, unit: int) -> "pd.DataFrame":
+        """The first episodes of a unit that is begun. Raises as `get`."""
+        return _get(self._file(unit, BEGUN))
 
     @property
     def left(self) -> list[int]:
         """Numbers of the units that are not finished."""
         return [unit for unit in range(self.units) if unit not in self.done]
 
-    def _file(self, unit):
-        return self.folder / f"{unit:06d}.parquet"
+    def _file(self, unit, tail=""):
+        return self.folder / f"{self.first + unit:06d}{tail}.parquet"
 
 
-def is_finished(run: RunFolder, asked: Mapping[str, Any], units: int) -> bool:
-    """Whether a folder holds a run that is finished and was asked this.
+def _get(file):
+    try:
+        return _table_in(file)
+    except Exception as error:  # pyarrow raises many kinds of errors for a broken file
+        what = (str(error).splitlines() or [type(error).__name__])[0]
+        raise InputError(
+            f"{file} must be a unit of this run, and was damaged meanwhile: {what}; --resume makes it again"
+        ) from error
+
+
+def _is_whole(file):
+    """Whether a unit's file can be read to its end and is as it was written."""
+    try:
+        _table_in(file)
+    except Exception:  # pyarrow raises many kinds of errors for a broken file
+        return False
+    return True
+
+
+def _table_in(file):
+    import pandas as pd
+
+    return pd.read_parquet(file, engine="pyarrow", page_checksum_verification=True)
+
+
+def is_finished(
+    run: RunFolder, asked: Mapping[str, Any], units: int, *, trust: bool = False, shorter: Shorter | None = None
+) -> bool:
+    """Whether a folder holds a run that is finished and was asked this. Arguments as of `Ledger`.
 
     Raises:
       InputError: it holds one that was asked something else, or another command's files.
     """
     page = run.path / "run.json"
-    if run.unfinished.exists():
+    if (run.unfinished / ASKED).exists():
         return False
     if not page.exists():
         run.require_free()
         return False
-    record = _read(page)
-    require_same(run.path, record, {"asked": jsonable(dict(asked)), "units": units})
+    record, here = _read(page), {"asked": jsonable(dict(asked)), "units": units}
+    if shorter is not None and shorter.includes(run.path, record, here, trust=trust):
+        return False
+    require_same(run.path, record, here, trust=trust)
     return not record.get("interrupted")  # else its units are gone, and it begins again
 
 
@@ -133,25 +226,45 @@ def _read(file):
         ) from error
 
 
-def require_same(path: Path, there: Any, here: Mapping[str, Any]) -> None:
+def require_same(path: Path, there: Any, here: Mapping[str, Any], *, trust: bool = False) -> None:
     """Refuse to go on with a run that is asked something else.
 
+    Args:
+      path: its folder.
+      there, here: what it was asked, and what is asked now.
+      trust: whether strategies are taken for what they were, whatever became of them.
+
     Raises:
-      InputError: naming the first difference.
+      InputError: naming the first difference, or a strategy of which it cannot be told whether there is one.
     """
     pages = (page if isinstance(page, dict) else {} for page in (there, here))
     old, new = ({**page.get("asked", {}), "units": page.get("units")} for page in pages)
+    was, is_ = old.pop("own", None) or {}, new.pop("own", None) or {}
     for key in dict.fromkeys((*new, *old)):
         if old.get(key) != new.get(key):
-            was, is_ = old.get(key), new.get(key)
-            if isinstance(was, dict) and isinstance(is_, dict):  # of which one entry tells more than all
-                inner = next(name for name in (*is_, *was) if was.get(name) != is_.get(name))
-                key, was, is_ = f"{key}, {inner}:", was.get(inner), is_.get(inner)
-            was, is_ = _short(was), _short(is_)
+            raise InputError(_difference(path, key, old.get(key), new.get(key)))
+    for name in () if trust else dict.fromkeys((*is_, *was)):
+        if is_.get(name) is None:
             raise InputError(
-                f"{path} holds another run: its {key} is {was}, not {is_}; choose another folder or allow overwriting "
-                "(--overwrite)"
+                f"{path} holds a run of {name!r}, which calls back into Python, so that nothing tells whether it has "
+                "changed since: --trust goes on if you know that it has not, --overwrite begins anew"
             )
+        if was.get(name) != is_[name]:
+            raise InputError(
+                f"{path} holds another run: its strategy {name!r} computes something else now; choose another folder "
+                "or allow overwriting (--overwrite)"
+            )
+
+
+def _difference(path, key, was, is_):
+    """What says that a run is another."""
+    if isinstance(was, dict) and isinstance(is_, dict):  # of which one entry tells more than all
+        inner = next(name for name in (*is_, *was) if was.get(name) != is_.get(name))
+        key, was, is_ = f"{key}, {inner}:", was.get(inner), is_.get(inner)
+    return (
+        f"{path} holds another run: its {key} is {_short(was)}, not {_short(is_)}; choose another folder or allow "
+        "overwriting (--overwrite)"
+    )
 
 
 def _short(value):

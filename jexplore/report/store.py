@@ -81,7 +81,7 @@ def write_parquet(episodes: "pd.DataFrame", path: str | os.PathLike[str]) -> Non
       InputError: the file cannot be written.
     """
     with atomic(path) as part:
-        episodes.to_parquet(part, index=False)
+        episodes.to_parquet(part, index=False, write_page_checksum=True)
 
 
 def read_parquet(path: str | os.PathLike[str], *, required: Sequence[str] = ()) -> "pd.DataFrame":

@@ -33,6 +33,8 @@ def listed(kind: str, items: Any) -> list[Any]:
     """A list of one or more different items; a single one may stand for itself."""
     if isinstance(items, (str, os.PathLike, World)):
         items = [items]
+    if isinstance(items, (set, frozenset)):  # which strategy is the first, with which others are compared, is chance
+        raise InputError(f"{kind} must be a list, got a set, which has no order")
     try:
         items = list(items)
     except TypeError:

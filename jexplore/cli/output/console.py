@@ -14,7 +14,7 @@ from jexplore.config import InputError
 
 if TYPE_CHECKING:
     from jexplore.report.folders import RunFolder
-    from jexplore.report.ledger import Ledger
+    from jexplore.report.ledger import Ledger, Shorter
 
 COMPILING = "jexplore: compiling (kept for later runs)"
 LONGEST = 400  # characters of a message; a name or a file may be quoted in it
@@ -153,11 +153,14 @@ class Out:
         if self.given is not None and self.given.startswith("~"):
             raise InputError(f"--out {self.given}: there is no such home folder; give the whole path")
         self.overwrite, self.resume = options.overwrite, getattr(options, "resume", False)
+        self.trust = getattr(options, "trust", False)
         self.command, self.ledger, self.asked, self.units, self.wanted = command, None, None, 0, 0
         if self.resume and self.overwrite:
             raise InputError("--resume goes on with a run and --overwrite replaces it: give one of them")
         if self.resume and self.given is None:
             raise InputError("--resume goes on with the run in a folder: name it with --out DIR")
+        if self.trust and not self.resume:
+            raise InputError("--trust says how to go on with a run: give --resume as well")
 
     def __enter__(self) -> "Out":
         from jexplore.report import folders
@@ -179,19 +182,24 @@ class Out:
 
     def say_kept(self) -> None:
         """Says how to go on with a run that was ended, if anything of it is kept."""
-        if self.ledger is not None and not self.ledger.done and self.wanted:
+        kept = set() if self.ledger is None else self.ledger.done | self.ledger.begun
+        if self.ledger is not None and not kept and self.wanted:
             print("jexplore: no unit of work was finished: nothing is kept to go on with", file=sys.stderr)
-        if self.ledger is not None and self.ledger.done and self.run.unfinished.exists():
-            done = f"{len(self.ledger.done)} of {self.wanted} units"
-            print(f"jexplore: {done} are kept; --out {self.run.path} --resume goes on with them", file=sys.stderr)
+        if kept and self.run.unfinished.exists():
+            done = f"{len(kept)} of {self.wanted} units"
+            how = "--resume" if all((self.asked or {}).get("own", {}).values()) else "--resume --trust"
+            print(f"jexplore: {done} are kept; --out {self.run.path} {how} goes on with them", file=sys.stderr)
 
-    def keep(self, asked: Mapping[str, Any], units: int, *, wanted: int | None = None) -> "Ledger | None":
+    def keep(
+        self, asked: Mapping[str, Any], units: int, *, wanted: int | None = None, shorter: "Shorter | None" = None
+    ) -> "Ledger | None":
         """Keeps what the run finishes on its way, or goes on with what is there.
 
         Args:
           asked: all that the results depend on.
           units: how many units the run has.
           wanted: how many of them are made here, by default all.
+          shorter: runs of fewer episodes that this one may go on with.
 
         Returns:
           `Ledger`; None where the run is finished.
@@ -202,9 +210,10 @@ class Out:
         from jexplore.report.ledger import Ledger, is_finished
 
         self.asked, self.units, self.wanted = {"command": self.command, **asked}, units, wanted or units
-        if self.resume and is_finished(self.run, self.asked, units):
+        how: dict[str, Any] = {"trust": self.trust, "shorter": shorter}
+        if self.resume and is_finished(self.run, self.asked, units, **how):
             return None
-        self.ledger = Ledger(self.run, self.asked, units, resume=self.resume)
+        self.ledger = Ledger(self.run, self.asked, units, resume=self.resume, **how)
         for name in self.ledger.damaged:
             print(f"warning: {name} was damaged, and its unit is made again", file=sys.stderr)
         return self.ledger

@@ -1,20 +1,22 @@
 """A user's strategy as a `Policy` whose functions return what the rules expect, or say in one line what they do not."""
 
 import contextlib
+import functools
 import os
 from collections.abc import Callable
 from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array, lax
 
 from jexplore.arrays.loops import stored
-from jexplore.config import InputError
+from jexplore.config import InputError, shown
 from jexplore.planning import Belief, Choice, choose, field, first_at, is_open, nearest_of, view_of
-from jexplore.policies.catalogue import fingerprint
+from jexplore.policies.catalogue import traced
 from jexplore.policies.catalogue.own import bare, call, described, is_score, parameters
-from jexplore.policies.policy import Policy
+from jexplore.policies.policy import Policy, Strategy
 from jexplore.policies.room_wise import rebuilt
 from jexplore.raycast import Beams
 from jexplore.reach import FAR, MOTIONS, NO_MOTION
@@ -51,7 +53,7 @@ def policy_from(make: Any, given: dict[str, Any]) -> Policy:
 def adapted(policy: Policy) -> Policy:
     """A `Policy` of a user's, its functions checked and as they are now; one of this package's as it is."""
     if is_theirs(policy):
-        return rebuilt(policy, lambda function: function.anew() if isinstance(function, _Theirs) else function)
+        return _anew(policy)
     if (getattr(bare(policy), "__module__", None) or "").startswith("jexplore.policies."):
         return policy
     live = None if policy.live is None else Live(policy.live)
@@ -59,19 +61,24 @@ def adapted(policy: Policy) -> Policy:
 
 
 class _Theirs:
-    """A function of a user's, told from others by what it computes: two that compute the same are compiled once."""
+    """A function of a user's. Once it has been traced it is told from others by what it computes, so that two that
+    compute the same are compiled once; until then it is equal to itself alone.
+    """
 
     function: Callable[..., Any]
     fixed: tuple[tuple[str, Any], ...]
     what: str
+    digest: str | None  # of the whole policy; None before it is traced, and where it cannot be told
 
-    def __init__(self, function: Callable[..., Any], fixed: tuple[tuple[str, Any], ...] = ()) -> None:
-        self.function, self.fixed, self.what = function, fixed, described(function)
-        self._key = type(self), fingerprint.fingerprint(function), fixed
+    def __init__(
+        self, function: Callable[..., Any], fixed: tuple[tuple[str, Any], ...] = (), digest: str | None = None
+    ) -> None:
+        self.function, self.fixed, self.what, self.digest = function, fixed, described(function), digest
+        self._key = type(self), object() if digest is None else digest
 
-    def anew(self) -> "_Theirs":
-        """The same function, as it is now."""
-        return type(self)(self.function, self.fixed)
+    def anew(self, digest: str | None = None) -> "_Theirs":
+        """The same function, as it is now, or as it was found to be when it was traced."""
+        return type(self)(self.function, self.fixed, digest)
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, _Theirs) and self._key == other._key
@@ -248,35 +255,81 @@ def _told(tree):
     return str(jax.tree.map(one, tree)).replace("'", "")[:300]
 
 
+def with_exact_numbers(strategy: Strategy) -> Strategy:
+    """A strategy, unless one of its parameters would become another number where episodes run, as int32 or float32.
+
+    Infinity is a number like any other; digits that float32 does not have are rounded.
+
+    Raises:
+      InputError: a whole number beyond int32, a number beyond float32, a complex one, NaN: names the parameter.
+    """
+    for path, leaf in jax.tree_util.tree_leaves_with_path(strategy.policy.params):
+        what = _refused(leaf)
+        if what is not None:
+            key = jax.tree_util.keystr(path, simple=True, separator=".").removeprefix("inner.") or "params"
+            raise InputError(f"strategy {strategy.name!r}: {key} must be {what}, got {shown(leaf)}")
+    return strategy
+
+
+def _refused(value):
+    """What a parameter must be and is not; None where nothing is wrong, or it is no number at all."""
+    if isinstance(value, int) and not -(2**31) <= value < 2**31:  # numpy has no such type for the largest
+        return _WHOLE
+    kind = getattr(value, "dtype", np.dtype(type(value) if isinstance(value, (float, complex)) else bool))
+    if kind == np.dtype(object):
+        return "an array of numbers"
+    if jnp.issubdtype(kind, np.complexfloating):
+        return "real"
+    if not jnp.issubdtype(kind, np.number):
+        return None
+    array = np.asarray(value)
+    if jnp.issubdtype(kind, np.integer):
+        return None if ((array >= -(2**31)) & (array < 2**31)).all() else _WHOLE
+    if np.isnan(array).any():
+        return "a number, not NaN"
+    with np.errstate(over="ignore"):
+        narrow = array.astype(np.float32)
+    return _REAL if (np.isinf(narrow) & ~np.isinf(array)).any() else None
+
+
+_WHOLE = f"a whole number from {-(2**31)} to {2**31 - 1}"
+_REAL = f"from -{np.finfo(np.float32).max:.3g} to {np.finfo(np.float32).max:.3g}, or infinite"
+
+
 def is_theirs(policy: Policy) -> bool:
     """Whether a policy, or the one that it modifies, comes from outside this package."""
     inner = getattr(policy.select, "inner", policy.select)
     return isinstance(inner, _Theirs)
 
 
-def files_of(policy: Policy) -> list[str]:
-    """Files in which somebody else's strategy is written, and what it refers to, but for what is installed: sorted."""
-    found = set()
-
-    def note(function):
-        if isinstance(function, _Theirs):
-            found.update(fingerprint.files_of(function.function))
-        return function
-
-    rebuilt(policy, note)
-    return sorted(found)
+def _anew(policy, digest=None):
+    return rebuilt(policy, lambda function: function.anew(digest) if isinstance(function, _Theirs) else function)
 
 
-def check(policy: Policy, params: Any, belief: Any, beams: Any, route: Any) -> None:
-    """Calls every function of a strategy on shapes alone, which costs no compiling.
+def digest_of(policy: Policy) -> str | None:
+    """What tells a user's strategy that was traced from others, in every process; None where nothing does."""
+    return getattr(getattr(policy.select, "inner", policy.select), "digest", None)
+
+
+def traced_policy(policy: Policy, params: Any, belief: Any, beams: Any, route: Any) -> Policy:
+    """A user's strategy, its functions told from others by what they compute: traced on shapes, which compiles nothing.
 
     Args:
       policy: `Policy`.
       params, belief, beams, route: what it will be called with; arrays or their shapes.
 
     Raises:
-      InputError: it raises, or returns the wrong thing; one line that names the function.
+      InputError: a function raises, or returns the wrong thing; one line that names it.
     """
+    leaves, tree = jax.tree.flatten((params, belief, beams, route))
+    shapes = tuple(jax.ShapeDtypeStruct(leaf.shape, leaf.dtype) for leaf in leaves)
+    digest = _digest(policy._replace(params=()), tree, shapes)
+    return policy if digest is None else _anew(policy, digest)
+
+
+@functools.lru_cache(maxsize=256)
+def _digest(policy, tree, shapes):
+    """See `traced.digest`. Functions that were taken anew are traced anew."""
 
     def all_of_it(key, params, belief, beams, route):
         carry = policy.init(params, belief)
@@ -285,4 +338,4 @@ def check(policy: Policy, params: Any, belief: Any, beams: Any, route: Any) -> N
         return carry, choice, route, live
 
     with jax.disable_jit(False):
-        jax.eval_shape(all_of_it, jax.random.key(0), params, belief, beams, route)
+        return traced.digest(jax.make_jaxpr(all_of_it)(jax.random.key(0), *jax.tree.unflatten(tree, shapes)))

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from typing import Any, TypeVar, overload
 
 from jexplore.config import InputError
-from jexplore.policies.catalogue.own import first_line, is_score, place_of
+from jexplore.policies.catalogue.own import first_line, is_replaced, is_score, place_of
 from jexplore.policies.closest import closest
 from jexplore.policies.decision_theoretic import decision_theoretic
 from jexplore.policies.distance_advantage import distance_advantage, small_first
@@ -102,7 +102,7 @@ def register(name: str, make: Any = None, *, summary: str = "", source: str = ""
         return functools.partial(register, name, summary=summary, source=source, replace=replace)
     if not isinstance(name, str) or not re.fullmatch(NAME, name):
         raise InputError(f"a strategy's name must be letters, digits, _, . and -, got {name!r}")
-    if not replace and (name in STRATEGIES or name in offered()):
+    if not replace and (name in offered() or (name in STRATEGIES and not is_replaced(STRATEGIES[name].make))):
         raise InputError(f"strategy {name!r} is registered already; replace=True puts another in its place")
     if name in STRATEGIES and not STRATEGIES[name].is_own:
         raise InputError(f"strategy {name!r} is one of jexplore's own; choose another name")

@@ -7,8 +7,8 @@ import re
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from jexplore.config import InputError, require_number, unknown
-from jexplore.policies.catalogue.adapt import adapted, policy_from
+from jexplore.config import InputError, require_number, shown, unknown
+from jexplore.policies.catalogue.adapt import adapted, policy_from, with_exact_numbers
 from jexplore.policies.catalogue.entries import MODIFIERS, Entry, entry_of, known_names, source_of
 from jexplore.policies.catalogue.own import described, import_object, name_of, parameters
 from jexplore.policies.policy import Policy, Strategy
@@ -166,7 +166,7 @@ def parse_strategy(text: str) -> Strategy:
     mine = {key: value for key, value in given.items() if key in own}
     policy = policy_from(entry.make, mine) if entry.is_own else entry.make(**mine)
     policy = _modified(policy, modifiers, {key: value for key, value in given.items() if key not in own})
-    return Strategy(text, policy, "recheck" in modifiers)
+    return with_exact_numbers(Strategy(text, policy, "recheck" in modifiers))
 
 
 def strategy(
@@ -209,10 +209,13 @@ def strategy(
         {"segment": kind} if kind else {},
         {key: value for key, value in given.items() if key in of_rooms},
     )
+    made = with_exact_numbers(Strategy(name or f"{base}{words}", policy, recheck))
     tail = ",".join(
-        f"{key}={value}" for key, value in given.items() if isinstance(value, (int, float, str, os.PathLike))
+        f"{key}={shown(value) if isinstance(value, int) else value}"
+        for key, value in given.items()
+        if isinstance(value, (int, float, str, os.PathLike))
     )
-    return Strategy(name or f"{base}{words}" + (f":{tail}" if tail else ""), policy, recheck)
+    return made if name or not tail else made._replace(name=f"{made.name}:{tail}")
 
 
 def _require_apart(make, own, others):
@@ -232,4 +235,4 @@ def _checked(given):
     _require_name(given.name)
     if not isinstance(given.policy, Policy):
         raise InputError(f"strategy {given.name!r}: policy must be a Policy, got {type(given.policy).__name__}")
-    return given._replace(policy=adapted(given.policy))
+    return with_exact_numbers(given._replace(policy=adapted(given.policy)))

@@ -152,34 +152,63 @@ def is_score(make: Any) -> bool:
     return bool(needed)
 
 
-_LOADED: dict[str, tuple[str, int, int]] = {}  # modules of the current folder: file, when it was written, its size
+_LOADED: dict[str, tuple[str, bytes]] = {}  # modules of the current folder: file, and what was in it
+
+
+class _FromSource(importlib.machinery.SourceFileLoader):
+    """Loads what is written in a file now. The bytecode that Python keeps knows a file by its size and second only."""
+
+    def get_code(self, fullname):
+        file = self.get_filename(fullname)
+        data = self.get_data(file)
+        _LOADED[fullname] = file, data
+        return self.source_to_code(data, file)
+
+
+class _Here:
+    """Finds modules of a folder, and of packages in it, before any that are installed."""
+
+    def __init__(self, folder):
+        self.folder = folder
+
+    def find_spec(self, fullname, path=None, target=None):
+        del target
+        for folder in [self.folder] if path is None else path:
+            if not _is_own(os.path.join(folder, "module.py"), self.folder):
+                continue
+            extensions = importlib.machinery.ExtensionFileLoader, importlib.machinery.EXTENSION_SUFFIXES
+            sources = _FromSource, importlib.machinery.SOURCE_SUFFIXES
+            spec = importlib.machinery.FileFinder(folder, extensions, sources).find_spec(fullname)
+            if spec is not None and spec.loader is not None:  # else a folder without __init__.py, which hides nothing
+                return spec
+        return None
+
+
+def _is_own(file, folder):
+    """Whether a file lies in a folder and is nothing that is installed, as in an environment in that folder."""
+    if is_library(file) or "site-packages" in file or "dist-packages" in file:
+        return False
+    return os.path.realpath(file).startswith(os.path.join(os.path.realpath(folder), ""))
 
 
 def import_object(module: str, name: str) -> Any:
-    """An object of a module, which may lie in the current folder: as it is there now, read again where it has changed.
+    """An object of a module, which may lie in the current folder: as it is written there now, with all that it imports
+    from there.
 
     Raises:
       InputError: the module does not import (its own error), is hidden by another, or has no such name.
     """
-    here, top = os.getcwd(), module.partition(".")[0]
-    spec = importlib.machinery.PathFinder.find_spec(top, [here])
-    _forget_others(top, spec)
-    if spec is not None:  # before anything of that name that is installed
-        sys.path.insert(0, here)
-    importlib.invalidate_caches()
-    try:
-        found = importlib.import_module(module)
-    except ModuleNotFoundError as error:
-        if error.name and (module == error.name or module.startswith(f"{error.name}.")):
-            raise InputError(f"no module {module!r}, neither installed nor in {here}") from error
-        raise InputError(f"module {module!r} does not import: {type(error).__name__}: {error}") from error
-    except (Exception, SystemExit) as error:
-        raise InputError(f"module {module!r} does not import: {type(error).__name__}: {first_line(error)}") from error
-    finally:
-        if spec is not None:
-            sys.path.remove(here)
-    if spec is not None and spec.origin is not None:
-        _LOADED[top] = _state_of(spec.origin)
+    here = os.getcwd()
+    with _imported_from(here, module.partition(".")[0]):
+        try:
+            found = importlib.import_module(module)
+        except ModuleNotFoundError as error:
+            if error.name and (module == error.name or module.startswith(f"{error.name}.")):
+                raise InputError(f"no module {module!r}, neither installed nor in {here}") from error
+            raise InputError(f"module {module!r} does not import: {type(error).__name__}: {error}") from error
+        except (Exception, SystemExit) as error:
+            what = f"{type(error).__name__}: {first_line(error)}"
+            raise InputError(f"module {module!r} does not import: {what}") from error
     try:
         return getattr(found, name)
     except AttributeError:
@@ -188,25 +217,54 @@ def import_object(module: str, name: str) -> Any:
         raise InputError(f"module {module!r} has no {name!r} {what}") from None
 
 
-def _state_of(file):
-    about = os.stat(file)
-    return file, about.st_mtime_ns, about.st_size
-
-
-def _forget_others(top, spec):
-    """Forgets a module that was loaded from another folder, or has been written since; one that is not ours stays.
+@contextlib.contextmanager
+def _imported_from(here, top):
+    """Modules of a folder are imported as they are written now: those that a user has imported meanwhile stand aside.
 
     Raises:
-      InputError: it stays, and hides that of the current folder.
+      InputError: the module called `top` is hidden by one from elsewhere.
     """
-    loaded = sys.modules.get(top)
-    if loaded is None:
-        return
-    if top in _LOADED and (spec is None or spec.origin is None or _state_of(spec.origin) != _LOADED[top]):
-        del _LOADED[top]
-        for name in [name for name in sys.modules if name == top or name.startswith(f"{top}.")]:
-            del sys.modules[name]
-    elif top not in _LOADED and spec is not None and spec.origin is not None:
-        file = getattr(loaded, "__file__", None) or "Python itself"
-        if os.path.abspath(file) != os.path.abspath(spec.origin):
+    if not all(_is_own(file, here) and _content(file) == data for file, data in _LOADED.values()):
+        for name in [*_LOADED]:
+            sys.modules.pop(name, None)
+        _LOADED.clear()
+    finder = _Here(here)
+    aside = {name: module for name, module in sys.modules.items() if _is_theirs(name, module, here)}
+    for name in aside:
+        del sys.modules[name]
+    try:
+        spec = finder.find_spec(top)
+        if spec is not None and top in sys.modules and top not in _LOADED:
+            file = getattr(sys.modules[top], "__file__", None) or "Python itself"
             raise InputError(f"{_short(spec.origin)} is hidden by another module {top!r}, of {file}: rename it")
+        sys.meta_path.insert(0, finder)
+        sys.path.insert(0, here)
+        importlib.invalidate_caches()
+        try:
+            yield
+        finally:
+            sys.meta_path.remove(finder)
+            sys.path.remove(here)
+    finally:
+        tops = {name.partition(".")[0] for name in _LOADED}
+        sys.modules.update({name: module for name, module in aside.items() if name.partition(".")[0] not in tops})
+
+
+def _is_theirs(name, module, here):
+    """Whether a user has imported a module from a folder: one with source, and not the program itself."""
+    file = getattr(module, "__file__", None)
+    is_source = isinstance(file, str) and file.endswith(".py")
+    return is_source and name != "__main__" and name not in _LOADED and _is_own(file, here)
+
+
+def is_replaced(thing: Any) -> bool:
+    """Whether the module that defines a function has been imported anew since."""
+    module = sys.modules.get(getattr(bare(thing), "__module__", None) or "")
+    names = getattr(bare(thing), "__globals__", None)
+    return module is not None and names is not None and vars(module) is not names
+
+
+def _content(file):
+    """What is in a file now; None where there is none."""
+    with contextlib.suppress(OSError), open(file, "rb") as opened:
+        return opened.read()

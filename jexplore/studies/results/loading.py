@@ -20,7 +20,7 @@ from jexplore.report.folders import UNFINISHED
 from jexplore.studies.comparison import Comparison
 from jexplore.studies.papers import PAPERS
 from jexplore.studies.reproduction import Reproduction, notes_of, world_names
-from jexplore.studies.results.units import COLUMNS, Seen
+from jexplore.studies.results.units import COLUMNS, Piece, Seen, to_table
 from jexplore.studies.sweeps.plan import Plan
 from jexplore.studies.sweeps.run import Swept, ordered, ready
 from jexplore.studies.sweeps.spec import read_spec
@@ -29,11 +29,10 @@ from jexplore.studies.sweeps.work import typed
 from jexplore.worlds.world import World
 
 if TYPE_CHECKING:
-    pass
+    import pandas as pd
 
 DETAILS = "details.npz"
 MADE_FROM = ("version", "spec", "digests")  # entries of what was asked from which a sweep is made ready again
-CHECKED = (*MADE_FROM, "own")  # that its parts have in common
 
 
 def write_details(found: Comparison, path: Path) -> None:
@@ -159,6 +158,21 @@ def _comparison(folder, record, command):
     return Reproduction(paper, found, world_names(paper, maps), notes_of(paper, maps))
 
 
+def unit_rows(folder: Path) -> "pd.DataFrame":
+    """The episodes of a finished comparison as rows of its units' files, see `units.to_table`."""
+    import pandas as pd
+
+    found = load(folder)
+    found = getattr(found, "comparison", found)
+    tables = []
+    for pair, rows in found.episodes.groupby(["world", "strategy"], sort=False):
+        world, strategy = pair
+        seen = next((one for one in found.first.get(world, []) if one.strategy == strategy), None)
+        table = rows[list(COLUMNS)].reset_index(drop=True)
+        tables.append(to_table(Piece(0, table, found.progress[pair], seen, None, None)))
+    return pd.concat(tables, ignore_index=True)
+
+
 def _sweep(folder, record):
     episodes = store.read_parquet(folder / "episodes.parquet", required=record["columns"])
     costs = Costs(compile_s=record["compile_s"] or 0.0, run_s=record["run_s"] or 0.0, engine=record["engine"])
@@ -172,11 +186,24 @@ def _part_of(asked):
     return int(i) - 1, int(n)
 
 
-def merge(parts: Sequence[str | os.PathLike[str]]) -> tuple[Swept, Plan | TracePlan]:
+def _require_same_strategies(part, asked, first):
+    """Refuses a part whose strategies compute something else than those of the first one."""
+    for name, digest in asked.get("own", {}).items():
+        if digest is None:
+            raise InputError(
+                f"{part} was made with {name!r}, which calls back into Python, so that nothing tells whether it was "
+                "the same in all parts: --trust if you know that it was"
+            )
+        if digest != first.get("own", {}).get(name):
+            raise InputError(f"{part} was made with another {name!r}, one that computes something else: make it again")
+
+
+def merge(parts: Sequence[str | os.PathLike[str]], *, trust: bool = False) -> tuple[Swept, Plan | TracePlan]:
     """The parts of a sweep put together.
 
     Args:
       parts: folders of all parts.
+      trust: whether somebody else's strategies are taken for the same in all parts.
 
     Returns:
       `(Swept, Plan)`.
@@ -198,9 +225,11 @@ def merge(parts: Sequence[str | os.PathLike[str]]) -> tuple[Swept, Plan | TraceP
         if page["interrupted"]:
             raise InputError(f"{part} holds a part that was not finished: go on with --resume")
         first = next(iter(pages.values()), asked)
-        for key in CHECKED:
+        for key in MADE_FROM:
             if asked.get(key) != first.get(key):
                 raise InputError(f"{part} must be a part of the sweep in {next(iter(pages))}: another {key}")
+        if not trust:
+            _require_same_strategies(part, asked, first)
         i, n = _part_of(asked)
         if n != _part_of(first)[1]:
             raise InputError(f"{part} is part {i + 1}/{n}, and {next(iter(pages))} one of {_part_of(first)[1]}")

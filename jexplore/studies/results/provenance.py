@@ -1,6 +1,5 @@
 """What results were made from: the worlds to the bit, the files of maps, the commit of this package."""
 
-import contextlib
 import functools
 import hashlib
 import importlib.metadata
@@ -14,10 +13,13 @@ from typing import Any
 import jax
 import numpy as np
 
+from jexplore.arrays.padding import bucket
+from jexplore.config import InputError
 from jexplore.exploration.batch import Job
-from jexplore.policies import Strategy
+from jexplore.exploration.site import KERNELS, prepare_site
 from jexplore.policies.catalogue import adapt
 from jexplore.version import __version__
+from jexplore.worlds import names
 from jexplore.worlds.world import World
 
 GIT_S = 5.0  # seconds that git may take
@@ -34,28 +36,29 @@ def digest(world: World) -> str:
 
 
 def files_of(world: World) -> dict[str, str]:
-    """The files that a world was read from, the picture that a yaml names among them: path -> SHA-256 in hexadecimal
-    digits; empty for other worlds.
+    """The files that a world was read from, those that they name among them: path -> SHA-256 in hexadecimal digits;
+    empty for other worlds.
     """
-    name = os.fspath(world.name)
-    for text in (name, name.rpartition("@")[0]):
-        path = Path(os.path.expanduser(text))
-        if text and path.is_file():
-            return {os.fspath(file): _file_hash(file) for file in (path, *_named_in(path))}
-    return {}
+    try:
+        path = Path(names.parse(os.path.expanduser(world.name), generators=()).base)
+    except InputError:
+        return {}
+    found = (path, *_named_in(path)) if path.is_file() else ()
+    return {os.fspath(file): _file_hash(file) for file in found if file.is_file()}
 
 
 def _named_in(path):
-    """The picture of a ROS map, if this is one."""
-    if path.suffix in (".yaml", ".yml"):
+    """The picture of a ROS map, or the files of a recording, if this is one."""
+    if path.name == names.METADATA:
+        suffixes = tuple(f".{suffix}" for suffix in names.SUFFIXES["ROS bag"])
+        yield from sorted(file for file in path.parent.iterdir() if file.name.lower().endswith(suffixes))
+    elif path.suffix.lower() in (".yaml", ".yml"):
         import yaml
 
         with open(path, encoding="utf-8") as file:
             page = yaml.safe_load(file)
         if isinstance(page, dict) and isinstance(page.get("image"), str):
-            picture = path.parent / page["image"]
-            if picture.is_file():
-                yield picture
+            yield path.parent / page["image"]
 
 
 def _file_hash(path):
@@ -91,21 +94,29 @@ def commit() -> str | None:
         return None
 
 
-def own_digests(strategies: Iterable[Strategy]) -> dict[str, str]:
-    """What strategies are made of that their names do not tell, somebody else's and those with weights: name -> SHA-256
-    of files and numbers, in hexadecimal digits.
+def own_digests(jobs: Iterable[Job]) -> dict[str, str | None]:
+    """What strategies compute that their names do not tell, somebody else's and those with weights.
+
+    Returns:
+      name -> SHA-256, in hexadecimal digits, of all parameters and of all that JAX sees of the strategy in the jobs'
+      worlds; None where that cannot be told, see `traced.digest`.
     """
-    digests = {}
-    for strategy in strategies:
-        leaves, theirs = jax.tree.leaves(strategy.policy.params), adapt.is_theirs(strategy.policy)
-        if theirs or any(np.ndim(leaf) for leaf in leaves):
-            files = [_file_hash(file) for file in adapt.files_of(strategy.policy)] if theirs else []
-            found = hashlib.sha256(repr(files).encode())
-            for leaf in leaves:
-                with contextlib.suppress(TypeError):  # what is no number is refused elsewhere
-                    found.update(np.ascontiguousarray(leaf).tobytes())
-            digests[strategy.name] = found.hexdigest()
-    return digests
+    parts: dict[str, dict[Any, str | None]] = {}
+    for job in jobs:
+        policy, sides = job.strategy.policy, tuple(bucket(side) for side in job.world.shape)
+        leaves, theirs = jax.tree.leaves(policy.params), adapt.is_theirs(policy)
+        where = sides, job.world.cell_m, job.lidar, job.rules
+        own = parts.setdefault(job.strategy.name, {}) if theirs or any(map(np.ndim, leaves)) else None
+        if own is None or where in own:
+            continue
+        own["numbers"] = hashlib.sha256(b"".join(np.ascontiguousarray(leaf).tobytes() for leaf in leaves)).hexdigest()
+        if theirs:
+            assert job.lidar is not None
+            assert job.rules is not None
+            site = prepare_site(job.world, job.lidar, job.rules, KERNELS["serial"])
+            own[where] = adapt.digest_of(site.with_strategy(job.strategy)[0].policy)
+    told = {name: list(own.values()) for name, own in parts.items()}
+    return {name: None if None in own else hashlib.sha256(repr(own).encode()).hexdigest() for name, own in told.items()}
 
 
 def asked(jobs: Sequence[Job]) -> dict[str, Any]:
@@ -126,5 +137,5 @@ def asked(jobs: Sequence[Job]) -> dict[str, Any]:
         "rules": list(dict.fromkeys(rules for _, rules in settings)),
         "starts": starts.hexdigest(),
         "digests": {name: digest(world) for name, world in worlds.items()},
-        "own": own_digests({job.strategy.name: job.strategy for job in jobs}.values()),
+        "own": own_digests(jobs),
     }

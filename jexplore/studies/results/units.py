@@ -176,6 +176,31 @@ def of_table(table: "pd.DataFrame", job: int, cell_m: float) -> Piece:
     return Piece(job, rows, marks, seen, paths, maps)
 
 
+def recut(jobs: Sequence[Job], keep: str | None, rows: "pd.DataFrame") -> Iterable[tuple[int, "pd.DataFrame", bool]]:
+    """The units of some jobs of which a table has the first episodes: number, table for a file, whether it has all.
+
+    Args:
+      jobs: list of `Job`.
+      keep: as in `batch.run_jobs`; episodes of which that is not kept are left out.
+      rows: as `to_table` makes them, of whatever units; others are left out.
+    """
+    needed = [WAY] * (keep is not None) + [MAP] * (keep == "maps")
+    if not {PROGRESS, *needed} <= set(rows):
+        return
+    rows = rows.dropna(subset=[PROGRESS, *needed]).sort_values("episode")
+    of_pair: dict[Any, Any] = dict(iter(rows.groupby(["world", "strategy"], sort=False)))
+    for number, unit in enumerate(cut(jobs)):
+        own = of_pair.get((os.fspath(jobs[unit.job].world.name), jobs[unit.job].strategy.name))
+        if own is None:
+            continue
+        own = own[own["episode"].between(unit.first, unit.first + unit.n - 1)]
+        own = own[own["episode"] == unit.first + np.arange(len(own))]  # up to the first that is missing
+        has_seen = unit.first == 0 and SEEN in own and own[SEEN].notna().iloc[:1].all()
+        if len(own) and (unit.first or has_seen):
+            columns = [*COLUMNS, PROGRESS, *([SEEN] if has_seen else []), *needed]
+            yield number, own[columns].reset_index(drop=True), len(own) == unit.n
+
+
 class Ran(NamedTuple):
     """What `run_units` returns."""
 
@@ -185,12 +210,33 @@ class Ran(NamedTuple):
     firsts: dict[int, Outcomes]  # number of a job, one of the first -> what its first unit left, if that was run here
 
 
-def _kept(jobs, cuts, wanted, ledger) -> dict[int, Piece]:
-    """The units that a ledger has: number -> `Piece`."""
+def _kept(jobs, cuts, wanted, ledger) -> tuple[dict[int, Piece], dict[int, Piece]]:
+    """The units that a ledger has, and those of which it has the first episodes: number -> `Piece` each."""
     if ledger is None:
-        return {}
-    have = [i for i in wanted if i in ledger.done]
-    return {i: of_table(ledger.get(i), cuts[i].job, jobs[cuts[i].job].world.cell_m) for i in have}
+        return {}, {}
+
+    def pieces(have, get):
+        return {i: of_table(get(i), cuts[i].job, jobs[cuts[i].job].world.cell_m) for i in wanted if i in have}
+
+    return pieces(ledger.done, ledger.get), pieces(ledger.begun - ledger.done, ledger.begun_part)
+
+
+def _rest(unit, begun):
+    """What is left of a unit whose first episodes are there."""
+    n = 0 if begun is None else len(begun.table)
+    return unit._replace(first=unit.first + n, n=unit.n - n)
+
+
+def _joined(begun: Piece | None, rest: Piece) -> Piece:
+    """A piece whose first episodes were there before."""
+    import pandas as pd
+
+    if begun is None:
+        return rest
+    paths = None if begun.paths is None or rest.paths is None else begun.paths + rest.paths
+    maps = rest.maps if begun.maps is None else begun.maps if rest.maps is None else np.append(begun.maps, rest.maps, 0)
+    table = pd.concat([begun.table, rest.table], ignore_index=True)
+    return Piece(rest.job, table, np.concatenate([begun.progress, rest.progress]), begun.seen, paths, maps)
 
 
 def run_units(
@@ -223,22 +269,26 @@ def run_units(
     """
     cuts = cut(jobs)
     wanted = list(range(len(cuts))) if units is None else sorted(units)
-    pieces, firsts = _kept(jobs, cuts, wanted, ledger), {}
-    resumed = sum(len(piece.table) for piece in pieces.values())
-    left = [i for i in wanted if i not in pieces]
+    (pieces, begun), firsts = _kept(jobs, cuts, wanted, ledger), {}
+    resumed = sum(len(piece.table) for piece in (*pieces.values(), *begun.values()))
+    left = {i: _rest(cuts[i], begun.get(i)) for i in wanted if i not in pieces}
+    numbers = list(left)
+
+    def whole(number: int, found: Outcomes) -> Piece:
+        return _joined(begun.get(number), piece_of(jobs[left[number].job], left[number], found))
 
     def on_job(place: int, found: Outcomes) -> None:
-        number = left[place]
-        if cuts[number].first == 0 and cuts[number].job < FIRSTS:
-            firsts[cuts[number].job] = found
-        piece = piece_of(jobs[cuts[number].job], cuts[number], found)
+        number = numbers[place]
+        if left[number].first == 0 and left[number].job < FIRSTS:
+            firsts[left[number].job] = found
+        piece = whole(number, found)
         if ledger is not None:
             ledger.put(number, to_table(piece))
         pieces[number] = piece
 
     costs = Costs()
     if left:
-        some = [job_of(jobs[cuts[i].job], cuts[i]) for i in left]
+        some = [job_of(jobs[unit.job], unit) for unit in left.values()]
         progress = None if on_progress is None else (lambda done: on_progress(done + resumed))
         how: dict[str, Any] = {"engine": engine, "lanes": lanes, "workers": workers, "keep": keep, "alike": alike}
         try:
@@ -249,7 +299,6 @@ def run_units(
             found = batch.Finished([], Costs(interrupted=True))
         costs = found.costs
         for place, outcomes in enumerate(found.outcomes):
-            if left[place] not in pieces:
-                unit = cuts[left[place]]
-                pieces[left[place]] = piece_of(jobs[unit.job], unit, outcomes)
+            if numbers[place] not in pieces:
+                pieces[numbers[place]] = whole(numbers[place], outcomes)
     return Ran([pieces[i] for i in sorted(pieces)], costs, resumed, firsts)

@@ -17,6 +17,8 @@ from jexplore.grid import radius_d2
 from jexplore.policies import Strategy
 from jexplore.policies.catalogue.joined import joined
 from jexplore.raycast import scans_all_round
+from jexplore.report.ledger import Shorter
+from jexplore.report.store import read_parquet
 from jexplore.studies.checks import ready_starts, ready_strategies, ready_worlds, require_different, require_memory
 from jexplore.studies.results.provenance import digest, own_digests
 from jexplore.studies.results.units import CELL_S, LEAST, UNIT_S
@@ -127,9 +129,52 @@ class Plan:
             "version": __version__,
             "spec": plain(self.spec),
             "digests": self.digests,
-            "own": own_digests(self.strategies),
+            "own": own_digests(self._one_of_each_kind()),
             "shard": None if shard is None else f"{shard[0] + 1}/{shard[1]}",
         }
+
+    def shorter(self, shard: tuple[int, int] | None = None) -> Shorter:
+        """Sweeps of fewer episodes, which this one may go on with."""
+
+        def asked(n):
+            return dataclasses.replace(self, spec=dataclasses.replace(self.spec, episodes=n)).asked(shard)
+
+        return Shorter(self.spec.episodes, asked, lambda folder: read_parquet(folder / "episodes.parquet"), self._recut)
+
+    def _recut(self, rows):
+        """The units of which a table has episodes: number, table, whether it has all."""
+        where = rows.groupby(["setting", "world", "strategy", "episode"]).indices
+        for number, blocks in enumerate(self.units):
+            keys = [key for block in blocks for key in self._episodes_of(block) if key in where]
+            if keys:
+                own = rows.iloc[[where[key][0] for key in keys]].reset_index(drop=True)
+                yield number, own, len(keys) == self.size(number)
+
+    def _episodes_of(self, block):
+        world, strategy = os.fspath(self.spec.worlds[block.world]), self.strategies[block.strategy].name
+        return [(block.setting, world, strategy, block.first + i) for i in range(block.n)]
+
+    def left_of(self, number: int, begun: Any) -> list[Block]:
+        """What a unit lacks of which a table has the first episodes of its blocks; None: all of it."""
+        have = (
+            set() if begun is None else set(zip(*(begun[name] for name in ("setting", "world", "strategy", "episode"))))
+        )
+        left = []
+        for block in self.units[number]:
+            n = next((i for i, key in enumerate(self._episodes_of(block)) if key not in have), block.n)
+            left += [block._replace(first=block.first + n, n=block.n - n)] if n < block.n else []
+        return left
+
+    def _one_of_each_kind(self):
+        """Of all settings and worlds that share a program one, with every strategy: `Job`s of no episode."""
+        kinds = {}
+        for _, cell_m, lidar, rules in self.records:
+            for world in range(len(self.spec.worlds)):
+                key = program_key(self.shapes[world, cell_m], cell_m, lidar, rules)
+                kinds.setdefault(key, (world, cell_m, lidar, rules))
+        for world, cell_m, lidar, rules in kinds.values():
+            for strategy in self.strategies:
+                yield Job(self.world(world, cell_m), strategy, np.zeros((0, 3), int), lidar=lidar, rules=rules)
 
     def size(self, unit: int) -> int:
         """Episodes of a unit."""

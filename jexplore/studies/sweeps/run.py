@@ -203,10 +203,12 @@ def run_sweep(
         raise InputError("gpu is for the engine ray: others take the GPUs that they find")
     if fast and (engine == "ray" or isinstance(plan, TracePlan)):
         raise InputError("fast is for strategies by the engine serial on this machine's CPU, not for robots or ray")
-    numbers, tables = in_shard(len(plan.units), shard), {}
+    numbers, tables, begun = in_shard(len(plan.units), shard), {}, {}
     if ledger is not None:
         tables = {i: ledger.get(i) for i in numbers if i in ledger.done}
-    resumed = sum(map(len, tables.values()))
+        is_here = engine != "ray"  # whose workers make whole units
+        begun = {i: ledger.begun_part(i) for i in numbers if is_here and i in ledger.begun - ledger.done}
+    resumed = sum(map(len, (*tables.values(), *begun.values())))
 
     def on_unit(number, table):
         if ledger is not None:
@@ -216,7 +218,7 @@ def run_sweep(
     left = [number for number in numbers if number not in tables]
     progress = None if on_progress is None else (lambda done: on_progress(done + resumed))
     how: dict[str, Any] = {"engine": engine, "lanes": lanes, "workers": workers}
-    costs = _run_left(plan, left, on_unit, how, gpu, fast, progress) if left else Costs()
+    costs = _run_left(plan, left, on_unit, how, gpu, fast, progress, begun) if left else Costs()
     if not tables:
         raise KeyboardInterrupt
     table = ordered(typed(pd.concat([tables[i] for i in sorted(tables)], ignore_index=True), plan), plan)
@@ -224,7 +226,7 @@ def run_sweep(
     return Swept(plan.spec, table, tuple(plan.columns), costs, wanted - len(table), resumed, plan.reference)
 
 
-def _run_left(plan, left, on_unit, how, gpu, fast, on_progress):
+def _run_left(plan, left, on_unit, how, gpu, fast, on_progress, begun):
     """Runs some units of a sweep by whatever engine: `Costs`."""
     if isinstance(plan, TracePlan):
         if how["engine"] == "ray":
@@ -232,7 +234,7 @@ def _run_left(plan, left, on_unit, how, gpu, fast, on_progress):
         return run_traces(plan, left, on_unit, **how, on_progress=on_progress)
     if how["engine"] != "ray":
         use_compilation_cache()
-        return run_block_units(plan, left, on_unit, **how, fast=fast, on_progress=on_progress)
+        return run_block_units(plan, left, on_unit, **how, fast=fast, on_progress=on_progress, begun=begun)
     from jexplore.studies.sweeps import cluster
 
     if how["lanes"] is not None:

@@ -81,6 +81,8 @@ class Sweep:
             given = getattr(self, name)
             if isinstance(given, (str, os.PathLike)) or (name == "strategies" and isinstance(given, Mapping)):
                 given = (given,)
+            if isinstance(given, (set, frozenset)):
+                raise InputError(f"{name} must be a list, got a set, which has no order")
             if not isinstance(given, Iterable) or isinstance(given, Mapping):
                 raise InputError(f"{name} must be a list, got {given!r}")
             object.__setattr__(self, name, tuple(given))

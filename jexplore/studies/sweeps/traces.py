@@ -102,6 +102,10 @@ class TracePlan:
             "shard": None if shard is None else f"{shard[0] + 1}/{shard[1]}",
         }
 
+    def shorter(self, shard: tuple[int, int] | None = None) -> None:
+        """Sweeps that this one may go on with: none."""
+        del shard
+
     def ordered(self, table: "pd.DataFrame") -> "pd.DataFrame":
         """Rows by setting, world, robot and run, in the order of the spec."""
         worlds = {os.fspath(name): i for i, name in enumerate(self.spec.worlds)}
