@@ -15,6 +15,7 @@ import pandas as pd
 import pytest
 
 from jexplore.cli import main
+from jexplore.cli.output import console
 from jexplore.config import Lidar
 from jexplore.studies import comparison
 from jexplore.studies.results import units
@@ -206,3 +207,52 @@ def test_a_picture_that_fails_costs_no_data(tmp_path, capsys, monkeypatch):
         "wrote episodes.parquet, details.npz, run.json, coverage.png, paths.png, report"
     )
     assert "compare.png" not in files(tmp_path)
+
+
+class Stop:
+    """Interrupts as soon as some episodes have ended, once."""
+
+    def __init__(self):
+        self.interrupted = False
+
+    def __call__(self, done):
+        if done and not self.interrupted:
+            self.interrupted = True
+            raise KeyboardInterrupt
+
+
+def test_what_an_interruption_wrote_is_gone_on_with(want, tmp_path, capsys, monkeypatch):
+    """Units of 32 episodes, of which none is whole: what the table shows is kept all the same."""
+    monkeypatch.setattr(units, "LEAST", 32)
+    run, command = tmp_path / "run", [*COMMAND, "--episodes", "32", "--workers", "1", "--no-report"]
+    with monkeypatch.context() as patch:
+        patch.setattr(console.Progress, "update", lambda _, done, stop=Stop(): stop(done))
+        assert main.main([*command, "--out", str(run)]) == 130
+    said = capsys.readouterr().err
+    assert f"jexplore: 0 of 2 units and parts of others are kept; --out {run} --resume goes on with them\n" in said
+    n = len(pd.read_parquet(run / ".unfinished" / "000000-part.parquet"))
+    assert 0 < n < 32
+    assert shards(run) == ["000000-part.parquet"]
+    assert main.main([*command, "--out", str(run), "--resume"]) == 0
+    assert json.loads((run / "run.json").read_text())["resumed"] == n
+    table = pd.read_parquet(run / "episodes.parquet")
+    rows = want.episodes[want.episodes["episode"] < 32].reset_index(drop=True)
+    pd.testing.assert_frame_equal(table, rows)
+    assert not (run / ".unfinished").exists()
+
+
+def test_a_part_of_a_unit_with_gaps_is_made_whole():
+    def piece(*episodes):
+        table = pd.DataFrame({"episode": episodes})
+        progress = np.array([[float(i)] for i in episodes])
+        return units.Piece(0, table, progress, None, [np.full((1, 3), i) for i in episodes], None)
+
+    unit = units.Unit(job=0, first=8, n=8, turn=1)
+    part = piece(8, 9, 12)
+    rest = units._rest(unit, part)
+    assert [(one.first, one.n) for one in rest] == [(10, 2), (13, 3)]
+    assert units._rest(unit, None) == [unit]
+    whole = units._joined([part, piece(13, 14, 15), piece(), piece(10, 11)])
+    assert whole.table["episode"].tolist() == list(range(8, 16))
+    assert whole.progress[:, 0].tolist() == list(range(8, 16))
+    assert [path[0, 0] for path in whole.paths] == list(range(8, 16))

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 ASKED = "asked.json"  # what the run is asked, in the folder of its units
+PART = "part"  # in the name of a file that holds a part of a unit
 
 
 class Ledger:
@@ -26,6 +27,8 @@ class Ledger:
     folder: Path
     done: set[int]
     """Numbers of the units that are finished."""
+    parts: set[int]
+    """Numbers of the units of which a part is kept."""
     damaged: list[str]
     """Files that were found cut short; their units are made again."""
 
@@ -41,7 +44,7 @@ class Ledger:
         Raises:
           InputError: the folder holds a run that is asked something else, or cannot be written.
         """
-        self.folder, self.done, self.damaged, self.units = run.unfinished, set(), [], units
+        self.folder, self.done, self.parts, self.damaged, self.units = run.unfinished, set(), set(), [], units
         page = {"asked": jsonable(dict(asked)), "units": units}
         page_file = self.folder / ASKED
         if not resume or not page_file.exists():
@@ -55,13 +58,15 @@ class Ledger:
                 raise InputError(f"{os.fspath(self.folder)!r} must be a folder that can be written: {error}") from error
             write_json(page, page_file)
         for file in self.folder.glob("*.parquet"):
-            if file.stem.isdigit() and int(file.stem) < units:
-                self._count(file)
+            number, _, part = file.stem.partition("-")
+            if number.isdigit() and int(number) < units and part in ("", PART):
+                self._count(file, int(number), self.parts if part == PART else self.done)
+        self.parts -= self.done
         for file in self.folder.glob(".*.part"):  # of a holder that was killed while it wrote
             with contextlib.suppress(OSError):
                 file.unlink()
 
-    def _count(self, file):
+    def _count(self, file, number, among):
         import pyarrow.parquet as pq
 
         try:
@@ -71,7 +76,7 @@ class Ledger:
             with contextlib.suppress(OSError):
                 file.unlink()
             return
-        self.done.add(int(file.stem))
+        among.add(number)
 
     def put(self, unit: int, table: "pd.DataFrame") -> None:
         """Keeps a unit that is finished: on the disk when this returns.
@@ -81,21 +86,27 @@ class Ledger:
         """
         write_parquet(table, self._file(unit))
         self.done.add(unit)
+        self.parts.discard(unit)
+
+    def put_part(self, unit: int, table: "pd.DataFrame") -> None:
+        """Keeps what is finished of a unit, in place of a smaller part of it. Raises as `put`."""
+        write_parquet(table, self._file(unit, f"-{PART}"))
+        self.parts.add(unit)
 
     def get(self, unit: int) -> "pd.DataFrame":
-        """The table of a unit that is finished.
+        """The table of a unit that is finished, or of the part of it that is.
 
         Raises:
           InputError: its file is gone or damaged.
         """
         import pandas as pd
 
+        file = self._file(unit, f"-{PART}" if unit in self.parts else "")
         try:
-            return pd.read_parquet(self._file(unit))
+            return pd.read_parquet(file)
         except Exception as error:  # pyarrow raises many kinds of errors for a broken file
             raise InputError(
-                f"{self._file(unit)} must be a unit of this run: {str(error).splitlines()[0]}; remove it and go on "
-                "with --resume"
+                f"{file} must be a unit of this run: {str(error).splitlines()[0]}; remove it and go on with --resume"
             ) from error
 
     @property
@@ -103,8 +114,8 @@ class Ledger:
         """Numbers of the units that are not finished."""
         return [unit for unit in range(self.units) if unit not in self.done]
 
-    def _file(self, unit):
-        return self.folder / f"{unit:06d}.parquet"
+    def _file(self, unit, end=""):
+        return self.folder / f"{unit:06d}{end}.parquet"
 
 
 def is_finished(run: RunFolder, asked: Mapping[str, Any], units: int) -> bool:

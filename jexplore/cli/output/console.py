@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from jexplore.report.ledger import Ledger
 
 COMPILING = "jexplore: compiling (kept for later runs)"
+under_way: "list[Out]" = []
+"""What this process writes at present."""
 LONGEST = 400  # characters of a message; a name or a file may be quoted in it
 PATIENCE_S = 2.0  # work that lasts longer shows how far it is
 TENTH = 0.1  # of all work, and
@@ -92,13 +94,13 @@ class _Lines:
             left = datetime.timedelta(seconds=round((self.total - self.n) / rate))
             speed = f"{rate:.0f}" if rate >= 10 else f"{rate:.2g}"
             share = f"{self.n} of {self.total} {self.unit} ({100 * self.n // max(self.total, 1)} %)"
-            _tell(f"jexplore: {share}, {speed} {self.unit}/s, {left} left")
+            tell(f"jexplore: {share}, {speed} {self.unit}/s, {left} left")
 
     def close(self):
         pass
 
 
-def _tell(line):
+def tell(line):
     """A line on stderr, if there is one."""
     if sys.stderr is not None:
         print(line, file=sys.stderr, flush=True)
@@ -116,7 +118,7 @@ def progress_of(total: int, unit: str) -> Iterator[Progress]:
 @contextlib.contextmanager
 def note(text: str) -> Iterator[Callable[[], None]]:
     """Says on stderr what takes so long, once, if it takes long; the block gets a function that calls it off."""
-    timer = threading.Timer(PATIENCE_S, lambda: _tell(text))
+    timer = threading.Timer(PATIENCE_S, lambda: tell(text))
     timer.daemon = True
     timer.start()
     try:
@@ -170,20 +172,28 @@ class Out:
             claim = folders.claimed(self.given, overwrite=self.overwrite, resume=self.resume)
         self._stack = contextlib.ExitStack()
         self.run = self._stack.enter_context(claim)
+        under_way.append(self)
         return self
 
     def __exit__(self, *error: Any) -> None:
+        under_way.remove(self)
         self._stack.close()
-        if error[0] is not None:
+        if error[0] is KeyboardInterrupt or (error[0] is not None and self.is_anything_kept):
             self.say_kept()
 
+    @property
+    def is_anything_kept(self) -> bool:
+        """Whether the folder has something of an unfinished run to go on with."""
+        return self.ledger is not None and bool(self.ledger.done or self.ledger.parts) and self.run.unfinished.exists()
+
     def say_kept(self) -> None:
-        """Says how to go on with a run that was ended, if anything of it is kept."""
-        if self.ledger is not None and not self.ledger.done and self.wanted:
-            print("jexplore: no unit of work was finished: nothing is kept to go on with", file=sys.stderr)
-        if self.ledger is not None and self.ledger.done and self.run.unfinished.exists():
-            done = f"{len(self.ledger.done)} of {self.wanted} units"
-            print(f"jexplore: {done} are kept; --out {self.run.path} --resume goes on with them", file=sys.stderr)
+        """Says how to go on with a run that was ended, or that nothing of it is kept."""
+        if self.is_anything_kept and self.ledger is not None:
+            part = " and parts of others" if self.ledger.parts else ""
+            done = f"{len(self.ledger.done)} of {self.wanted} units{part}"
+            tell(f"jexplore: {done} are kept; --out {self.run.path} --resume goes on with them")
+        elif self.ledger is not None and self.wanted and not self.ledger.done:
+            tell("jexplore: no unit of work was finished: nothing is kept to go on with")
 
     def keep(self, asked: Mapping[str, Any], units: int, *, wanted: int | None = None) -> "Ledger | None":
         """Keeps what the run finishes on its way, or goes on with what is there.

@@ -3,11 +3,12 @@
 pandas is imported by the functions that need it.
 """
 
+import collections
 import io
 import itertools
 import os
 import zlib
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -185,12 +186,50 @@ class Ran(NamedTuple):
     firsts: dict[int, Outcomes]  # number of a job, one of the first -> what its first unit left, if that was run here
 
 
-def _kept(jobs, cuts, wanted, ledger) -> dict[int, Piece]:
-    """The units that a ledger has: number -> `Piece`."""
+def _kept(jobs, cuts, wanted, ledger) -> tuple[dict[int, Piece], dict[int, Piece]]:
+    """The units that a ledger has, and those of which it has a part: number -> `Piece`, twice."""
     if ledger is None:
-        return {}
-    have = [i for i in wanted if i in ledger.done]
-    return {i: of_table(ledger.get(i), cuts[i].job, jobs[cuts[i].job].world.cell_m) for i in have}
+        return {}, {}
+
+    def of(numbers):
+        have = [i for i in wanted if i in numbers]
+        return {i: of_table(ledger.get(i), cuts[i].job, jobs[cuts[i].job].world.cell_m) for i in have}
+
+    return of(ledger.done), of(ledger.parts)
+
+
+def _rest(unit: Unit, part: Piece | None) -> list[Unit]:
+    """What a unit lacks of which a part is there: runs of episodes that follow each other, as units."""
+    there = set() if part is None else set(part.table["episode"])
+    left = [i for i in range(unit.first, unit.first + unit.n) if i not in there]
+    runs = itertools.groupby(enumerate(left), lambda pair: pair[1] - pair[0])
+    spans = [[episode for _, episode in run] for _, run in runs]
+    return [unit._replace(first=span[0], n=len(span)) for span in spans]
+
+
+def _joined(pieces: Collection[Piece]) -> Piece:
+    """Pieces of a unit as one, its episodes in order."""
+    parts = [piece for piece in pieces if len(piece.table)] or list(pieces)[:1]
+    if len(parts) == 1:
+        return parts[0]
+    import pandas as pd
+
+    table = pd.concat([part.table for part in parts], ignore_index=True)
+    order = np.argsort(table["episode"].to_numpy())
+    paths = maps = None
+    if all(part.paths is not None for part in parts):
+        every = [path for part in parts for path in part.paths or ()]
+        paths = [every[i] for i in order]
+    if all(part.maps is not None for part in parts):
+        maps = np.concatenate([part.maps for part in parts])[order]
+    return Piece(
+        parts[0].job,
+        table.iloc[order].reset_index(drop=True),
+        np.concatenate([part.progress for part in parts])[order],
+        next((part.seen for part in parts if part.seen is not None), None),
+        paths,
+        maps,
+    )
 
 
 def run_units(
@@ -223,33 +262,43 @@ def run_units(
     """
     cuts = cut(jobs)
     wanted = list(range(len(cuts))) if units is None else sorted(units)
-    pieces, firsts = _kept(jobs, cuts, wanted, ledger), {}
-    resumed = sum(len(piece.table) for piece in pieces.values())
-    left = [i for i in wanted if i not in pieces]
+    pieces, parts = _kept(jobs, cuts, wanted, ledger)
+    resumed = sum(len(piece.table) for piece in (*pieces.values(), *parts.values()))
+    left = [(i, span) for i in wanted if i not in pieces for span in _rest(cuts[i], parts.get(i))]
+    # number of a unit -> its pieces: by their places in `left`, and what was there before
+    made, firsts = {i: {-1: part} for i, part in parts.items()}, {}
+    needs = collections.Counter([*(i for i, _ in left), *parts])
 
     def on_job(place: int, found: Outcomes) -> None:
-        number = left[place]
-        if cuts[number].first == 0 and cuts[number].job < FIRSTS:
-            firsts[cuts[number].job] = found
-        piece = piece_of(jobs[cuts[number].job], cuts[number], found)
-        if ledger is not None:
-            ledger.put(number, to_table(piece))
-        pieces[number] = piece
+        number, span = left[place]
+        if span.first == 0 and span.job < FIRSTS:
+            firsts[span.job] = found
+        made.setdefault(number, {})[place] = piece_of(jobs[span.job], span, found)
+        if len(made[number]) == needs[number]:
+            piece = _joined(made[number].values())
+            if ledger is not None:
+                ledger.put(number, to_table(piece))
+            pieces[number] = piece
 
     costs = Costs()
     if left:
-        some = [job_of(jobs[cuts[i].job], cuts[i]) for i in left]
+        some = [job_of(jobs[span.job], span) for _, span in left]
         progress = None if on_progress is None else (lambda done: on_progress(done + resumed))
         how: dict[str, Any] = {"engine": engine, "lanes": lanes, "workers": workers, "keep": keep, "alike": alike}
         try:
             found = batch.run_jobs(some, Lidar(), Rules(), **how, fast=fast, on_progress=progress, on_job=on_job)
         except KeyboardInterrupt:
-            if not pieces:
+            if not pieces and not made:
                 raise
             found = batch.Finished([], Costs(interrupted=True))
         costs = found.costs
         for place, outcomes in enumerate(found.outcomes):
-            if left[place] not in pieces:
-                unit = cuts[left[place]]
-                pieces[left[place]] = piece_of(jobs[unit.job], unit, outcomes)
+            number, span = left[place]
+            if number not in pieces and place not in made.setdefault(number, {}):
+                made[number][place] = piece_of(jobs[span.job], span, outcomes)
+        for number in made.keys() - pieces.keys():
+            pieces[number] = _joined(made[number].values())
+            n = len(pieces[number].table)
+            if ledger is not None and n:
+                (ledger.put if n == cuts[number].n else ledger.put_part)(number, to_table(pieces[number]))
     return Ran([pieces[i] for i in sorted(pieces)], costs, resumed, firsts)
