@@ -101,14 +101,13 @@ def test_a_run_that_is_killed_again_and_again_comes_out_the_same(want, tmp_path)
     assert found.worlds[0].occupied.tolist() == want.worlds[0].occupied.tolist()
 
 
-@pytest.mark.parametrize(("name", "status"), [("SIGINT", 130), ("SIGTERM", 143), ("SIGHUP", 129)])
-def test_signals_keep_what_is_finished(want, name, status, tmp_path, capsys):
+def test_control_c_keeps_what_is_finished(want, tmp_path, capsys):
     folder = tmp_path / "run"
     process = begin(folder, "--episodes", "2000")
     wait_for(process, folder, 2)
-    process.send_signal(getattr(signal, name))
+    process.send_signal(signal.SIGINT)
     _, said = process.communicate(timeout=60)
-    assert process.returncode == status, said
+    assert process.returncode == 130, said
     assert "Traceback" not in said
     *_, kept, end = said.splitlines()
     assert kept.endswith(f"are kept; --out {folder} --resume goes on with them")
@@ -122,6 +121,64 @@ def test_signals_keep_what_is_finished(want, name, status, tmp_path, capsys):
     assert "its episodes is 2000, not 60000" in capsys.readouterr().err
     assert main.main([*COMMAND, "--episodes", "2000", "--out", str(folder)]) == 2
     assert "holds a run" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("name", "status"), [("SIGTERM", 143), ("SIGHUP", 129)])
+def test_a_batch_system_has_to_wait_two_seconds(name, status, want, tmp_path):
+    folder = tmp_path / "run"
+    process = begin(folder, "--episodes", "160")
+    wait_for(process, folder, 2)
+    began = time.monotonic()
+    process.send_signal(getattr(signal, name))
+    _, said = process.communicate(timeout=60)
+    assert time.monotonic() - began < 2
+    assert process.returncode == status, said
+    assert f"are kept; --out {folder} --resume goes on with them" in said
+    assert "Traceback" not in said
+    assert main.main([*COMMAND, "--episodes", "160", "--out", str(folder), "--resume"]) == 0
+    rows = want.episodes[want.episodes["episode"] < 160].reset_index(drop=True)
+    pd.testing.assert_frame_equal(pd.read_parquet(folder / "episodes.parquet"), rows)
+
+
+COMPILES = """
+import ctypes, signal, sys, types
+from jexplore.cli import main
+from jexplore.cli.output.console import Out
+
+def command(arguments, own):
+    options = types.SimpleNamespace(out=arguments[0], overwrite=False)
+    with Out(options, "explore") as out:
+        out.keep({}, 1)
+        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM, signal.SIGHUP})
+        print("begun", flush=True)
+        ctypes.CDLL(None).sleep(60)  # as a compiler does: in C, and no signal ends it
+
+main._dispatch = command
+sys.exit(main.main())
+"""
+
+
+@pytest.mark.parametrize(("name", "status"), [("SIGINT", 130), ("SIGTERM", 143), ("SIGHUP", 129)])
+def test_what_cannot_be_interrupted_is_ended(name, status, tmp_path):
+    program = [sys.executable, "-c", COMPILES, str(tmp_path / "made" / "run")]
+    process = subprocess.Popen(program, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert process.stdout is not None and process.stderr is not None
+    assert process.stdout.readline() == "begun\n"
+    time.sleep(0.5)  # it is asleep
+    began = time.monotonic()
+    process.send_signal(getattr(signal, name))
+    heard = "jexplore: interrupted: what is under way comes to its end first; Ctrl-C once more ends at once\n"
+    if name == "SIGINT":
+        assert process.stderr.readline() == heard
+        assert process.poll() is None
+        process.send_signal(signal.SIGINT)
+    _, said = process.communicate(timeout=60)
+    assert time.monotonic() - began < 2
+    assert process.returncode == status
+    by = "a second Ctrl-C" if name == "SIGINT" else name
+    kept = "jexplore: no unit of work was finished: nothing is kept to go on with"
+    assert said.splitlines() == [kept, f"jexplore: ended at once by {by}"]
+    assert files(tmp_path) == []  # the folders that were made for it are gone
 
 
 def test_a_full_disk_costs_what_comes_after(tmp_path):
