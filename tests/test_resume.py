@@ -162,7 +162,8 @@ sys.exit(main.main())
 def test_what_cannot_be_interrupted_is_ended(name, status, tmp_path):
     program = [sys.executable, "-c", COMPILES, str(tmp_path / "made" / "run")]
     process = subprocess.Popen(program, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    assert process.stdout is not None and process.stderr is not None
+    assert process.stdout is not None
+    assert process.stderr is not None
     assert process.stdout.readline() == "begun\n"
     time.sleep(0.5)  # it is asleep
     began = time.monotonic()
@@ -266,16 +267,9 @@ def test_a_picture_that_fails_costs_no_data(tmp_path, capsys, monkeypatch):
     assert "compare.png" not in files(tmp_path)
 
 
-class Stop:
-    """Interrupts as soon as some episodes have ended, once."""
-
-    def __init__(self):
-        self.interrupted = False
-
-    def __call__(self, done):
-        if done and not self.interrupted:
-            self.interrupted = True
-            raise KeyboardInterrupt
+def interrupt(_, done):
+    if done:
+        raise KeyboardInterrupt
 
 
 def test_what_an_interruption_wrote_is_gone_on_with(want, tmp_path, capsys, monkeypatch):
@@ -283,7 +277,7 @@ def test_what_an_interruption_wrote_is_gone_on_with(want, tmp_path, capsys, monk
     monkeypatch.setattr(units, "LEAST", 32)
     run, command = tmp_path / "run", [*COMMAND, "--episodes", "32", "--workers", "1", "--no-report"]
     with monkeypatch.context() as patch:
-        patch.setattr(console.Progress, "update", lambda _, done, stop=Stop(): stop(done))
+        patch.setattr(console.Progress, "update", interrupt)
         assert main.main([*command, "--out", str(run)]) == 130
     said = capsys.readouterr().err
     assert f"jexplore: 0 of 2 units and parts of others are kept; --out {run} --resume goes on with them\n" in said

@@ -31,7 +31,7 @@ from jexplore.cli.tracemaps.station import Station
 from jexplore.cli.tracemaps.trace import Trace
 from jexplore.cli.train import Train
 from jexplore.config import InputError
-from jexplore.engine.plugins import keep_to_cpu
+from jexplore.engine.plugins import keep_compiler_quiet, keep_to_cpu
 from jexplore.version import __version__
 
 M_ARENA_MAX = -8  # of glibc's mallopt: most heaps
@@ -76,6 +76,7 @@ def _run(arguments, signals):
     """Runs a command of this process, whose `Signals` these are, or without them one of another program."""
     own, ended_by = signals is not None, [int(signal.SIGINT)] if signals is None else signals.ended_by
     keep_to_cpu()
+    keep_compiler_quiet()
     if sys.stdout is None:  # closed by the shell
         sys.stdout = open(os.devnull, "w")  # noqa: SIM115
     if own and isinstance(sys.stdout, io.TextIOWrapper):
