@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array, lax
 
+from jexplore.arrays.draws import random_key
 from jexplore.arrays.loops import stored
 from jexplore.config import InputError
 from jexplore.planning import Belief, Choice, choose, field, first_at, is_open, nearest_of, view_of
@@ -285,4 +286,4 @@ def check(policy: Policy, params: Any, belief: Any, beams: Any, route: Any) -> N
         return carry, choice, route, live
 
     with jax.disable_jit(False):
-        jax.eval_shape(all_of_it, jax.random.key(0), params, belief, beams, route)
+        jax.eval_shape(all_of_it, random_key(0), params, belief, beams, route)

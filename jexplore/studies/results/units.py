@@ -186,18 +186,6 @@ class Ran(NamedTuple):
     firsts: dict[int, Outcomes]  # number of a job, one of the first -> what its first unit left, if that was run here
 
 
-def _kept(jobs, cuts, wanted, ledger) -> tuple[dict[int, Piece], dict[int, Piece]]:
-    """The units that a ledger has, and those of which it has a part: number -> `Piece`, twice."""
-    if ledger is None:
-        return {}, {}
-
-    def of(numbers):
-        have = [i for i in wanted if i in numbers]
-        return {i: of_table(ledger.get(i), cuts[i].job, jobs[cuts[i].job].world.cell_m) for i in have}
-
-    return of(ledger.done), of(ledger.parts)
-
-
 def _rest(unit: Unit, part: Piece | None) -> list[Unit]:
     """What a unit lacks of which a part is there: runs of episodes that follow each other, as units."""
     there = set() if part is None else set(part.table["episode"])
@@ -232,6 +220,51 @@ def _joined(pieces: Collection[Piece]) -> Piece:
     )
 
 
+class _Work:
+    """Units under way: what is there, what is left, and what has come back."""
+
+    def __init__(self, jobs, wanted, ledger):
+        self.jobs, self.cuts, self.ledger, self.firsts = jobs, cut(jobs), ledger, {}
+        wanted = range(len(self.cuts)) if wanted is None else sorted(wanted)
+        self.pieces = {i: self._read(i) for i in wanted if ledger is not None and i in ledger.done}
+        parts = {i: self._read(i) for i in wanted if ledger is not None and i in ledger.parts}
+        self.resumed = sum(len(piece.table) for piece in (*self.pieces.values(), *parts.values()))
+        waiting = [i for i in wanted if i not in self.pieces]
+        self.left = [(i, span) for i in waiting for span in _rest(self.cuts[i], parts.get(i))]
+        # number of a unit -> its pieces: by their places in `left`, and what was there before
+        self.made = {i: {-1: part} for i, part in parts.items()}
+        self.needs = collections.Counter([*(i for i, _ in self.left), *parts])
+
+    def _read(self, number):
+        job = self.cuts[number].job
+        return of_table(self.ledger.get(number), job, self.jobs[job].world.cell_m)
+
+    def put(self, place: int, found: Outcomes) -> None:
+        """Takes what a span of `left` has found, and keeps its unit if that was the last."""
+        number, span = self.left[place]
+        if span.first == 0 and span.job < FIRSTS:
+            self.firsts[span.job] = found
+        made = self.made.setdefault(number, {})
+        made[place] = piece_of(self.jobs[span.job], span, found)
+        if len(made) == self.needs[number]:
+            piece = _joined(made.values())
+            if self.ledger is not None:
+                self.ledger.put(number, to_table(piece))
+            self.pieces[number] = piece
+
+    def end(self, outcomes: Sequence[Outcomes]) -> None:
+        """Takes, after an interruption, what every span has found, and keeps the units of which there is a part."""
+        for place, found in enumerate(outcomes):
+            number, span = self.left[place]
+            if number not in self.pieces and place not in self.made.setdefault(number, {}):
+                self.made[number][place] = piece_of(self.jobs[span.job], span, found)
+        for number in self.made.keys() - self.pieces.keys():
+            self.pieces[number] = piece = _joined(self.made[number].values())
+            if self.ledger is not None and len(piece.table):
+                is_whole = len(piece.table) == self.cuts[number].n
+                (self.ledger.put if is_whole else self.ledger.put_part)(number, to_table(piece))
+
+
 def run_units(
     jobs: Sequence[Job],
     *,
@@ -260,45 +293,17 @@ def run_units(
       InputError: as `batch.run_jobs`; a unit cannot be written or read.
       KeyboardInterrupt: nothing had been finished.
     """
-    cuts = cut(jobs)
-    wanted = list(range(len(cuts))) if units is None else sorted(units)
-    pieces, parts = _kept(jobs, cuts, wanted, ledger)
-    resumed = sum(len(piece.table) for piece in (*pieces.values(), *parts.values()))
-    left = [(i, span) for i in wanted if i not in pieces for span in _rest(cuts[i], parts.get(i))]
-    # number of a unit -> its pieces: by their places in `left`, and what was there before
-    made, firsts = {i: {-1: part} for i, part in parts.items()}, {}
-    needs = collections.Counter([*(i for i, _ in left), *parts])
-
-    def on_job(place: int, found: Outcomes) -> None:
-        number, span = left[place]
-        if span.first == 0 and span.job < FIRSTS:
-            firsts[span.job] = found
-        made.setdefault(number, {})[place] = piece_of(jobs[span.job], span, found)
-        if len(made[number]) == needs[number]:
-            piece = _joined(made[number].values())
-            if ledger is not None:
-                ledger.put(number, to_table(piece))
-            pieces[number] = piece
-
-    costs = Costs()
-    if left:
-        some = [job_of(jobs[span.job], span) for _, span in left]
-        progress = None if on_progress is None else (lambda done: on_progress(done + resumed))
+    work, costs = _Work(jobs, units, ledger), Costs()
+    if work.left:
+        some = [job_of(jobs[span.job], span) for _, span in work.left]
+        progress = None if on_progress is None else (lambda done: on_progress(done + work.resumed))
         how: dict[str, Any] = {"engine": engine, "lanes": lanes, "workers": workers, "keep": keep, "alike": alike}
         try:
-            found = batch.run_jobs(some, Lidar(), Rules(), **how, fast=fast, on_progress=progress, on_job=on_job)
+            found = batch.run_jobs(some, Lidar(), Rules(), **how, fast=fast, on_progress=progress, on_job=work.put)
         except KeyboardInterrupt:
-            if not pieces and not made:
+            if not work.pieces and not work.made:
                 raise
             found = batch.Finished([], Costs(interrupted=True))
         costs = found.costs
-        for place, outcomes in enumerate(found.outcomes):
-            number, span = left[place]
-            if number not in pieces and place not in made.setdefault(number, {}):
-                made[number][place] = piece_of(jobs[span.job], span, outcomes)
-        for number in made.keys() - pieces.keys():
-            pieces[number] = _joined(made[number].values())
-            n = len(pieces[number].table)
-            if ledger is not None and n:
-                (ledger.put if n == cuts[number].n else ledger.put_part)(number, to_table(pieces[number]))
-    return Ran([pieces[i] for i in sorted(pieces)], costs, resumed, firsts)
+        work.end(found.outcomes)
+    return Ran([work.pieces[i] for i in sorted(work.pieces)], costs, work.resumed, work.firsts)
