@@ -18,6 +18,7 @@ from jexplore.cli.bound import Bound
 from jexplore.cli.compare import Compare
 from jexplore.cli.explore import Explore
 from jexplore.cli.listings import Strategies, Worlds
+from jexplore.cli.names import check_names
 from jexplore.cli.options import help_text, parse
 from jexplore.cli.output.console import say
 from jexplore.cli.output.signals import INTERRUPTED, Signals
@@ -129,6 +130,7 @@ def _dispatch(arguments, own):
             return 0
         if own and getattr(options, "is_one_run", False):
             _share_heap()
+        check_names(arguments[0], options)
         status = options.execute(arguments) or 0
         sys.stdout.flush()
         return status

@@ -69,7 +69,23 @@ MODIFIERS: dict[str, str] = {
     "are found, =auto (as holz) and =rooms (as voronoi) only in rooms, not in corridors and halls (Holz et al. 2010, "
     "section 2.4)",
 }
-
+SYNONYMS: dict[str, str] = {
+    "burgard": "utility",
+    "cost-utility": "utility",
+    "drl": "learned",
+    "frontier": "closest",
+    "greedy": "closest",
+    "information-gain": "decision-theoretic",
+    "nbv": "decision-theoretic",
+    "nearest": "closest",
+    "nearest-frontier": "closest",
+    "next-best-view": "decision-theoretic",
+    "rl": "learned",
+    "tsp": "tour",
+    "uniform": "random",
+    "yamauchi": "closest",
+}
+"""What others call a strategy -> its name here, for messages."""
 
 _Made = TypeVar("_Made")
 
