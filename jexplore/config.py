@@ -10,7 +10,8 @@ import math
 import numbers
 import operator
 import reprlib
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
+from types import MappingProxyType
 from typing import Any, Literal
 
 MAX_SEED = 2**32 - 1
@@ -102,9 +103,15 @@ def require_number(
     return value
 
 
-def unknown(kind: str, word: str, known: Collection[str]) -> InputError:
-    """The error for a word that is not among those known: says which exist and which was probably meant."""
-    near = difflib.get_close_matches(word, list(known), n=1, cutoff=0.5)
+def unknown(
+    kind: str, word: str, known: Collection[str], synonyms: Mapping[str, str] = MappingProxyType({})
+) -> InputError:
+    """The error for a word that is not among those known: says which exist and which was probably meant.
+
+    `synonyms`: what others call some of them -> their names.
+    """
+    meant = synonyms.get(word.lower().replace("_", "-"))
+    near = [meant] if meant else difflib.get_close_matches(word, list(known), n=1, cutoff=0.5)
     hint = f"; did you mean {near[0]!r}?" if near else ""
     have = ", ".join(known) if known else "none"
     return InputError(f"unknown {kind} {word!r}{hint} (there are: {have})")

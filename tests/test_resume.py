@@ -15,6 +15,7 @@ import pandas as pd
 import pytest
 
 from jexplore.cli import main
+from jexplore.cli.output import console
 from jexplore.config import Lidar
 from jexplore.studies import comparison
 from jexplore.studies.results import units
@@ -100,14 +101,13 @@ def test_a_run_that_is_killed_again_and_again_comes_out_the_same(want, tmp_path)
     assert found.worlds[0].occupied.tolist() == want.worlds[0].occupied.tolist()
 
 
-@pytest.mark.parametrize(("name", "status"), [("SIGINT", 130), ("SIGTERM", 143), ("SIGHUP", 129)])
-def test_signals_keep_what_is_finished(want, name, status, tmp_path, capsys):
+def test_control_c_keeps_what_is_finished(want, tmp_path, capsys):
     folder = tmp_path / "run"
     process = begin(folder, "--episodes", "2000")
     wait_for(process, folder, 2)
-    process.send_signal(getattr(signal, name))
+    process.send_signal(signal.SIGINT)
     _, said = process.communicate(timeout=60)
-    assert process.returncode == status, said
+    assert process.returncode == 130, said
     assert "Traceback" not in said
     *_, kept, end = said.splitlines()
     assert kept.endswith(f"are kept; --out {folder} --resume goes on with them")
@@ -121,6 +121,65 @@ def test_signals_keep_what_is_finished(want, name, status, tmp_path, capsys):
     assert "holds a run of 2000 episodes, more than 1999: ask for 2000 or more" in capsys.readouterr().err
     assert main.main([*COMMAND, "--episodes", "2000", "--out", str(folder)]) == 2
     assert "holds a run" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("name", "status"), [("SIGTERM", 143), ("SIGHUP", 129)])
+def test_a_batch_system_has_to_wait_two_seconds(name, status, want, tmp_path):
+    folder = tmp_path / "run"
+    process = begin(folder, "--episodes", "160")
+    wait_for(process, folder, 2)
+    began = time.monotonic()
+    process.send_signal(getattr(signal, name))
+    _, said = process.communicate(timeout=60)
+    assert time.monotonic() - began < 2
+    assert process.returncode == status, said
+    assert f"are kept; --out {folder} --resume goes on with them" in said
+    assert "Traceback" not in said
+    assert main.main([*COMMAND, "--episodes", "160", "--out", str(folder), "--resume"]) == 0
+    rows = want.episodes[want.episodes["episode"] < 160].reset_index(drop=True)
+    pd.testing.assert_frame_equal(pd.read_parquet(folder / "episodes.parquet"), rows)
+
+
+COMPILES = """
+import ctypes, signal, sys, types
+from jexplore.cli import main
+from jexplore.cli.output.console import Out
+
+def command(arguments, own):
+    options = types.SimpleNamespace(out=arguments[0], overwrite=False)
+    with Out(options, "explore") as out:
+        out.keep({}, 1)
+        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM, signal.SIGHUP})
+        print("begun", flush=True)
+        ctypes.CDLL(None).sleep(60)  # as a compiler does: in C, and no signal ends it
+
+main._dispatch = command
+sys.exit(main.main())
+"""
+
+
+@pytest.mark.parametrize(("name", "status"), [("SIGINT", 130), ("SIGTERM", 143), ("SIGHUP", 129)])
+def test_what_cannot_be_interrupted_is_ended(name, status, tmp_path):
+    program = [sys.executable, "-c", COMPILES, str(tmp_path / "made" / "run")]
+    process = subprocess.Popen(program, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    assert process.stderr is not None
+    assert process.stdout.readline() == "begun\n"
+    time.sleep(0.5)  # it is asleep
+    began = time.monotonic()
+    process.send_signal(getattr(signal, name))
+    heard = "jexplore: interrupted: what is under way comes to its end first; Ctrl-C once more ends at once\n"
+    if name == "SIGINT":
+        assert process.stderr.readline() == heard
+        assert process.poll() is None
+        process.send_signal(signal.SIGINT)
+    _, said = process.communicate(timeout=60)
+    assert time.monotonic() - began < 2
+    assert process.returncode == status
+    by = "a second Ctrl-C" if name == "SIGINT" else name
+    kept = "jexplore: no unit of work was finished: nothing is kept to go on with"
+    assert said.splitlines() == [kept, f"jexplore: ended at once by {by}"]
+    assert files(tmp_path) == []  # the folders that were made for it are gone
 
 
 def test_a_full_disk_costs_what_comes_after(tmp_path):
@@ -231,3 +290,45 @@ def test_a_picture_that_fails_costs_no_data(tmp_path, capsys, monkeypatch):
         "wrote episodes.parquet, details.npz, run.json, coverage.png, paths.png, report"
     )
     assert "compare.png" not in files(tmp_path)
+
+
+def interrupt(_, done):
+    if done:
+        raise KeyboardInterrupt
+
+
+def test_what_an_interruption_wrote_is_gone_on_with(want, tmp_path, capsys, monkeypatch):
+    """Units of 32 episodes, of which none is whole: what the table shows is kept all the same."""
+    monkeypatch.setattr(units, "LEAST", 32)
+    run, command = tmp_path / "run", [*COMMAND, "--episodes", "32", "--workers", "1", "--no-report"]
+    with monkeypatch.context() as patch:
+        patch.setattr(console.Progress, "update", interrupt)
+        assert main.main([*command, "--out", str(run)]) == 130
+    said = capsys.readouterr().err
+    assert f"jexplore: 0 of 2 units and parts of others are kept; --out {run} --resume goes on with them\n" in said
+    n = len(pd.read_parquet(run / ".unfinished" / "000000-part.parquet"))
+    assert 0 < n < 32
+    assert shards(run) == ["000000-part.parquet"]
+    assert main.main([*command, "--out", str(run), "--resume"]) == 0
+    assert json.loads((run / "run.json").read_text())["resumed"] == n
+    table = pd.read_parquet(run / "episodes.parquet")
+    rows = want.episodes[want.episodes["episode"] < 32].reset_index(drop=True)
+    pd.testing.assert_frame_equal(table, rows)
+    assert not (run / ".unfinished").exists()
+
+
+def test_a_part_of_a_unit_with_gaps_is_made_whole():
+    def piece(*episodes):
+        table = pd.DataFrame({"episode": episodes})
+        progress = np.array([[float(i)] for i in episodes])
+        return units.Piece(0, table, progress, None, [np.full((1, 3), i) for i in episodes], None)
+
+    unit = units.Unit(job=0, first=8, n=8, turn=1)
+    part = piece(8, 9, 12)
+    rest = units._rest(unit, part)
+    assert [(one.first, one.n) for one in rest] == [(10, 2), (13, 3)]
+    assert units._rest(unit, None) == [unit]
+    whole = units._joined([part, piece(13, 14, 15), piece(), piece(10, 11)])
+    assert whole.table["episode"].tolist() == list(range(8, 16))
+    assert whole.progress[:, 0].tolist() == list(range(8, 16))
+    assert [path[0, 0] for path in whole.paths] == list(range(8, 16))

@@ -10,6 +10,7 @@ import numpy as np
 from jax import lax
 
 from jexplore import planning
+from jexplore.arrays.draws import random_key
 from jexplore.bench import oracles
 from jexplore.bench.beliefs import Recording, record
 from jexplore.bench.engines import Compiler
@@ -40,11 +41,11 @@ def plan_program(
             no = choice.cost == NEVER
             grid = grid.replace(hits=grid.hits.at[0, 0].add(no))
             here = belief.replace(row=belief.row + no, grid=grid)
-            key = jax.random.fold_in(jax.random.key(0), i)
+            key = jax.random.fold_in(random_key(0), i)
             _, choice, route = policy.select(key, params, carry, here, beams, route)
             return choice, route, grid
 
-        first = jax.eval_shape(lambda b: policy.select(jax.random.key(0), params, carry, b, beams, route)[1], belief)
+        first = jax.eval_shape(lambda b: policy.select(random_key(0), params, carry, b, beams, route)[1], belief)
         start = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), first)
         return lax.fori_loop(0, passes, body, (start, route, belief.grid))[:2]
 

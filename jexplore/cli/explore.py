@@ -9,7 +9,7 @@ import tyro
 
 from jexplore.cli.listings import describe
 from jexplore.cli.options import OneStrategy, OneWorld, OutFolder
-from jexplore.cli.output.console import COMPILING, Out, note, progress_of
+from jexplore.cli.output.console import Out, compiling, progress_of
 from jexplore.config import InputError, Lidar, Rules, require_whole
 
 
@@ -66,7 +66,7 @@ class Explore:
                 lidar=self.lidar,
                 rules=self.rules,
             )
-            with note(COMPILING):
+            with compiling():
                 found = run_job(job, self.lidar, self.rules, fast=self.fast)
             measures = {"world": found.world.name, "strategy": found.strategy, **found.measures}
             times = {"compile_s": found.compile_s, "run_s": found.run_s}

@@ -11,7 +11,6 @@ import io
 import os
 import signal
 import sys
-import threading
 from collections.abc import Sequence
 
 from jexplore.cli.bench import Bench
@@ -19,8 +18,10 @@ from jexplore.cli.bound import Bound
 from jexplore.cli.compare import Compare
 from jexplore.cli.explore import Explore
 from jexplore.cli.listings import Strategies, Worlds
+from jexplore.cli.names import check_names
 from jexplore.cli.options import help_text, parse
 from jexplore.cli.output.console import say
+from jexplore.cli.output.signals import INTERRUPTED, Signals
 from jexplore.cli.output.terminal import plain_warnings
 from jexplore.cli.reproduce import Reproduce
 from jexplore.cli.segment import Segment
@@ -31,12 +32,10 @@ from jexplore.cli.tracemaps.station import Station
 from jexplore.cli.tracemaps.trace import Trace
 from jexplore.cli.train import Train
 from jexplore.config import InputError
-from jexplore.engine.plugins import keep_to_cpu
+from jexplore.engine.plugins import keep_compiler_quiet, keep_to_cpu
 from jexplore.version import __version__
 
-INTERRUPTED = 130  # exit status of a run that was ended
 M_ARENA_MAX = -8  # of glibc's mallopt: most heaps
-_ENDED_BY = [int(signal.SIGINT)]  # signals that have ended this process, the last one at the end
 
 COMMANDS: dict[str, type] = {
     "compare": Compare,
@@ -68,24 +67,29 @@ def main(argv: Sequence[str] | None = None) -> int:
       The exit status: 0; 2 for wrong input; 1 where there is no route, or memory or the reader of the output is
         gone; 130 if interrupted, 143 by SIGTERM, 129 by SIGHUP.
     """
-    own = argv is None
+    if argv is not None:
+        return _run(list(argv), None)
+    with Signals() as signals:
+        return _run(sys.argv[1:], signals)
+
+
+def _run(arguments, signals):
+    """Runs a command of this process, whose `Signals` these are, or without them one of another program."""
+    own, ended_by = signals is not None, [int(signal.SIGINT)] if signals is None else signals.ended_by
     keep_to_cpu()
+    keep_compiler_quiet()
     if sys.stdout is None:  # closed by the shell
         sys.stdout = open(os.devnull, "w")  # noqa: SIM115
     if own and isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="replace")
-    arguments = sys.argv[1:] if own else list(argv)
-    if own:
-        sys.unraisablehook = _repeat_interrupt
-        _end_like_control_c()
     try:
         with plain_warnings():
             status = _dispatch(arguments, own)
-        return _ENDED_BY[-1] + 128 if status == INTERRUPTED else status
+        return ended_by[-1] + 128 if status == INTERRUPTED else status
     except InputError as error:
         return say(f"jexplore: error: {' '.join(str(error).split())}", 2)
     except KeyboardInterrupt:
-        status = say("jexplore: interrupted, no results were written", _ENDED_BY[-1] + 128)
+        status = say("jexplore: interrupted, no results were written", ended_by[-1] + 128)
         if own:
             os._exit(status)  # at once: a program that is being compiled cannot be stopped in another way
         return status
@@ -99,21 +103,6 @@ def main(argv: Sequence[str] | None = None) -> int:
         return say(f"jexplore: error: cannot write the output: {error.strerror or error}", 1)
 
 
-def _end_like_control_c():
-    """What a batch system (SIGTERM) or a lost connection (SIGHUP) sends ends a run like Ctrl-C, unless it is ignored,
-    as under nohup.
-    """
-
-    def end(number, frame):
-        _ENDED_BY.append(number)
-        raise KeyboardInterrupt
-
-    for name in ("SIGTERM", "SIGHUP"):
-        number = getattr(signal, name, None)
-        if number is not None and signal.getsignal(number) == signal.SIG_DFL:
-            signal.signal(number, end)
-
-
 def _share_heap():
     """Has all threads share one heap, where glibc manages the memory and its variable does not say otherwise.
 
@@ -125,16 +114,6 @@ def _share_heap():
 
         with contextlib.suppress(AttributeError):  # another C library
             ctypes.CDLL(None).mallopt(M_ARENA_MAX, 1)
-
-
-def _repeat_interrupt(unraisable):
-    """Python drops what is raised where nobody can catch it, as in the function that jax has called after every garbage
-    collection: an interruption that falls there comes once more, a little later.
-    """
-    if unraisable.exc_type is KeyboardInterrupt:
-        threading.Timer(0.05, os.kill, (os.getpid(), signal.SIGINT)).start()
-    else:
-        sys.__unraisablehook__(unraisable)
 
 
 def _dispatch(arguments, own):
@@ -151,6 +130,7 @@ def _dispatch(arguments, own):
             return 0
         if own and getattr(options, "is_one_run", False):
             _share_heap()
+        check_names(arguments[0], options)
         status = options.execute(arguments) or 0
         sys.stdout.flush()
         return status

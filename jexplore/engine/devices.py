@@ -9,9 +9,11 @@ import jax
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
+from jexplore.arrays.draws import pinned_draws
+
 AXIS = "device"
 PROGRAMS = 32  # compiled programs that are kept in a process
-CONFIGURATION = ("jax_default_device", "jax_enable_x64", "jax_default_prng_impl", "jax_threefry_partitionable")
+CONFIGURATION = ("jax_default_device", "jax_enable_x64")
 
 
 def _mesh(devices):
@@ -117,6 +119,6 @@ def _is_option(option):
 def _compiled(made, tree, leaves, devices, donate, options, configuration):
     del configuration  # it only tells programs apart
     other = devices[0].platform != jax.default_backend()  # a CPU beside an accelerator
-    with jax.default_device(devices[0]) if other else contextlib.nullcontext():
+    with pinned_draws(), jax.default_device(devices[0]) if other else contextlib.nullcontext():
         lowered = jax.jit(made.function, donate_argnums=donate).lower(*jax.tree.unflatten(tree, leaves))
     return lowered.compile(compiler_options=dict(options)), lowered.out_info

@@ -14,6 +14,7 @@ import jax.numpy as jnp
 from flax import struct
 from jax import Array, lax
 
+from jexplore.arrays.draws import random_key
 from jexplore.arrays.loops import first_lanes, put, put_together, take
 from jexplore.engine import thoughts
 from jexplore.engine.program import Given, Program, split
@@ -104,7 +105,7 @@ class Engine:
     def _given(self, common, queue, at, scalars, task):
         """`Given` of one lane."""
         line = queue.line[at]
-        key = jax.random.fold_in(jax.random.key(common.table.seed[line]), queue.draw[at])
+        key = jax.random.fold_in(random_key(common.table.seed[line]), queue.draw[at])
         numbers = self.join(scalars, common.arrays)
         return Given(key, common.shared, common.scenes, common.table.scene[line], numbers, task)
 

@@ -5,6 +5,7 @@ import os
 import sys
 from pathlib import Path
 
+FATAL = "3"  # level of XLA's messages with which the process ends
 DRIVER = ("/dev/nvidiactl", "/dev/dxg", "/dev/nvhost-gpu", "/proc/driver/nvidia/version")
 """One of these is there where an NVIDIA driver is: on its own, under WSL, on a Jetson."""
 
@@ -28,3 +29,12 @@ def keep_to_cpu() -> None:
     """
     if "JAX_PLATFORMS" not in os.environ and is_idle():
         os.environ["JAX_PLATFORMS"] = "cpu"
+
+
+def keep_compiler_quiet() -> None:
+    """Keeps what XLA writes to stderr from users, such as that a slow compilation might be a bug of it, unless
+    `TF_CPP_MIN_LOG_LEVEL` says what is wanted. What fails is raised in Python all the same.
+
+    This must come before jax is imported.
+    """
+    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", FATAL)

@@ -16,6 +16,8 @@ import numpy as np
 from flax import struct
 from jax import Array
 
+from jexplore.arrays.draws import random_key
+
 
 @struct.dataclass
 class Given:
@@ -169,7 +171,7 @@ def given_of(line: Line, number: int = 0) -> Given:
     """The `Given` of one of a line's runs."""
     # Ignored types: numpy on the host, where the record says what it is on the device.
     return Given(
-        key=jax.random.fold_in(jax.random.key(np.uint32(line.seed)), line.draws[number]),
+        key=jax.random.fold_in(random_key(np.uint32(line.seed)), line.draws[number]),
         shared=line.shared,
         scenes=jax.tree.map(lambda a: a[None], line.scene),
         scene=np.int32(0),  # type: ignore[arg-type]

@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 
+from jexplore.arrays.draws import random_key
 from jexplore.engine.devices import compiled, on_devices, whole
 from jexplore.engine.program import Given, Line, Program
 from jexplore.engine.threads import Pace, Pieces, share_out
@@ -52,7 +53,7 @@ def chunk(
     """
 
     def one(i):
-        key = jax.random.fold_in(jax.random.key(seed), draws[i])
+        key = jax.random.fold_in(random_key(seed), draws[i])
         task = jax.tree.map(lambda a: lax.dynamic_index_in_dim(a, i, 0, False, allow_negative_indices=False), tasks)
         given = Given(key, shared, scenes, jnp.int32(0), numbers, task)
         state = run_one(program, given)

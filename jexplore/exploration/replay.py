@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
+from jexplore.arrays.draws import pinned_draws
 from jexplore.engine.program import given_of
 from jexplore.exploration import environment
 from jexplore.exploration.site import Site, line_of
@@ -30,10 +31,11 @@ class Moment(NamedTuple):
     state: State  # after it, and after the motion that follows
 
 
-_begin = jax.jit(environment.begin, static_argnums=0)
-_advance = jax.jit(environment.advance, static_argnums=0)
+_begin = pinned_draws()(jax.jit(environment.begin, static_argnums=0))
+_advance = pinned_draws()(jax.jit(environment.advance, static_argnums=0))
 
 
+@pinned_draws()
 @functools.partial(jax.jit, static_argnums=0)
 def _commit(setup, given, state, row, col, is_view, is_bad, route):
     cost = jnp.where(is_bad, FAR, 0)  # what it cost is on no record; only whether a path led there matters

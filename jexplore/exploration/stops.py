@@ -14,6 +14,7 @@ import numpy as np
 from jax import Array, lax
 from numpy.typing import ArrayLike
 
+from jexplore.arrays.draws import pinned_draws, random_key
 from jexplore.arrays.loops import run_if
 from jexplore.engine.program import Given
 from jexplore.exploration import environment
@@ -85,9 +86,10 @@ def _script(final, capacity):
     return script
 
 
-_begin = jax.jit(environment.begin, static_argnums=0)
+_begin = pinned_draws()(jax.jit(environment.begin, static_argnums=0))
 
 
+@pinned_draws()
 @functools.partial(jax.jit, static_argnums=0, donate_argnums=3)
 def _go_on(setup, given, script, state, step):
     """The state as the robot leaves the place where it is after some steps, and how it was turned there."""
@@ -144,7 +146,7 @@ def stops(
     row, col, heading_deg = (int(value) for value in np.asarray(start))
     given = jax.device_put(
         Given(
-            key=jax.random.fold_in(jax.random.key(np.uint32(seed)), number),
+            key=jax.random.fold_in(random_key(np.uint32(seed)), number),
             shared=site.beams,
             scenes=jax.tree.map(lambda a: a[None], site.truth),
             scene=np.int32(0),  # type: ignore[arg-type]  # numpy on the host, here and below

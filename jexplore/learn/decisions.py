@@ -11,6 +11,7 @@ import numpy as np
 from flax import struct
 from jax import Array, lax
 
+from jexplore.arrays.draws import random_key
 from jexplore.arrays.loops import alone_on_cpu, run_if
 from jexplore.config import InputError, require_whole
 from jexplore.exploration.environment import outcome_of
@@ -119,7 +120,7 @@ class Decisions:
 
     def _decides(self, i):
         """Whether there is anything to decide from start i."""
-        return ~self._begun_at(jax.random.key(0), i).is_over
+        return ~self._begun_at(random_key(0), i).is_over
 
     def _begun(self, key):
         draw, key = jax.random.split(key)

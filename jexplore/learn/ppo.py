@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from jexplore.arrays.draws import pinned_draws, random_key
 from jexplore.config import InputError
 from jexplore.engine.runner import find_resources
 from jexplore.learn.bank import Bank
@@ -98,11 +99,12 @@ def begin(weights: Any, settings: Settings) -> State:
     """A search that begins at some weights."""
     del settings
     blank = jnp.zeros((features.MOST, len(features.NAMES))), jnp.zeros(features.MOST, bool)
-    value = Value().init(jax.random.key(0), *blank)
+    value = Value().init(random_key(0), *blank)
     weights, value = jax.tree.map(np.asarray, (weights, value))
     return State(weights, value, 0)
 
 
+@pinned_draws()
 def step(
     state: State, network: str, bank: Bank, settings: Settings, seed: int, workers: int | None = None
 ) -> tuple[State, float]:

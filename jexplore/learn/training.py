@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import jax
 import numpy as np
 
+from jexplore.arrays.draws import pinned_draws, random_key
 from jexplore.config import MAX_SEED, InputError, Lidar, Rules, require_number, require_whole, unknown
 from jexplore.engine.backend import use_compilation_cache
 from jexplore.learn import advantage, es, ppo
@@ -178,8 +179,9 @@ def _numbers(algo, settings):
     return known._replace(**found)
 
 
+@pinned_draws()
 def _beginning(network, model, seed):
-    weights = networks.begin(network, jax.random.key(seed), len(features.NAMES))
+    weights = networks.begin(network, random_key(seed), len(features.NAMES))
     if model is not None:
         require_sound(model)
     if model is not None and model.network == network:

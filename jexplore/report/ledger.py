@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 ASKED = "asked.json"  # what the run is asked, in the folder of its units
-BEGUN = "-begun"  # ends the name of a unit's file, before the suffix, that holds its first episodes only
+PART = "-part"  # ends the name of a unit's file, before the suffix, that holds some of its episodes only
 
 
 class Shorter(NamedTuple):
@@ -57,8 +57,8 @@ class Ledger:
     folder: Path
     done: set[int]
     """Numbers of the units that are finished."""
-    begun: set[int]
-    """Numbers of the units of which a run of fewer episodes has left the first ones."""
+    parts: set[int]
+    """Numbers of the units that are not finished, of which a part is kept."""
     damaged: list[str]
     """Files that were found damaged; their units are made again."""
 
@@ -85,7 +85,7 @@ class Ledger:
         Raises:
           InputError: the folder holds a run that is asked something else, or cannot be written.
         """
-        self.folder, self.done, self.begun, self.damaged = run.unfinished, set(), set(), []
+        self.folder, self.done, self.parts, self.damaged = run.unfinished, set(), set(), []
         self.units, self.first = units, 0
         page = {"asked": jsonable(dict(asked)), "units": units}
         page_file, record = self.folder / ASKED, run.path / "run.json"
@@ -108,17 +108,18 @@ class Ledger:
 
     def _open(self, page):
         """Counts the units that are there; throws away files that are damaged or belong to none."""
-        self.first, self.units, self.done, self.begun = page.get("first", 0), page["units"], set(), set()
+        self.first, self.units, self.done, self.parts = page.get("first", 0), page["units"], set(), set()
         for file in self.folder.glob("*.parquet"):
-            number = file.stem.removesuffix(BEGUN)
+            number = file.stem.removesuffix(PART)
             unit = int(number) - self.first if number.isdigit() else -1
             if 0 <= unit < self.units and _is_whole(file):
-                (self.done if number == file.stem else self.begun).add(unit)
+                (self.done if number == file.stem else self.parts).add(unit)
                 continue
             if 0 <= unit < self.units:
                 self.damaged.append(file.name)
             with contextlib.suppress(OSError):
                 file.unlink()
+        self.parts -= self.done
         for file in self.folder.glob(".*.part"):  # of a holder that was killed while it wrote
             with contextlib.suppress(OSError):
                 file.unlink()
@@ -126,8 +127,7 @@ class Ledger:
     def _all_of(self, page):
         """The tables of all units that are there."""
         self._open(page)
-        begun = [self.begun_part(unit) for unit in sorted(self.begun - self.done)]
-        return [self.get(unit) for unit in sorted(self.done)] + begun
+        return [self.get(unit) for unit in sorted(self.done | self.parts)]
 
     def _grow(self, shorter, tables, page):
         """Cuts what a shorter run has finished into units of this one: under new numbers, which count once the page
@@ -138,7 +138,7 @@ class Ledger:
         page["first"] = self.first = self.first + self.units
         if tables:
             for unit, table, is_whole in shorter.units_of(pd.concat(tables, ignore_index=True)):
-                write_parquet(table, self._file(unit, "" if is_whole else BEGUN))
+                write_parquet(table, self._file(unit, "" if is_whole else PART))
         write_json(page, self.folder / ASKED)
 
     def put(self, unit: int, table: "pd.DataFrame") -> None:
@@ -149,18 +149,20 @@ class Ledger:
         """
         write_parquet(table, self._file(unit))
         self.done.add(unit)
+        self.parts.discard(unit)
+
+    def put_part(self, unit: int, table: "pd.DataFrame") -> None:
+        """Keeps what is finished of a unit, in place of a smaller part of it. Raises as `put`."""
+        write_parquet(table, self._file(unit, PART))
+        self.parts.add(unit)
 
     def get(self, unit: int) -> "pd.DataFrame":
-        """The table of a unit that is finished.
+        """The table of a unit that is finished, or of the part of it that is.
 
         Raises:
           InputError: its file is gone or damaged.
         """
-        return _get(self._file(unit))
-
-    def begun_part(self, unit: int) -> "pd.DataFrame":
-        """The first episodes of a unit that is begun. Raises as `get`."""
-        return _get(self._file(unit, BEGUN))
+        return _get(self._file(unit, PART if unit in self.parts else ""))
 
     @property
     def left(self) -> list[int]:

@@ -172,9 +172,12 @@ def environment() -> dict[str, Any]:
 
     Returns:
       A dict: `jexplore`, `python` and the packages' versions (None for one that is not installed), `platform`,
-        `machine`, `cpu_count`, and jax's `backend`, `device` (kind of the first one) and `device_count`.
+        `machine`, `cpu_count`, and jax's `backend`, `device` (kind of the first one) and `device_count`; the
+        `generator` of all that is random.
     """
     import jax
+
+    from jexplore.arrays.draws import GENERATOR
 
     devices = jax.devices()
     return {
@@ -187,4 +190,5 @@ def environment() -> dict[str, Any]:
         "backend": devices[0].platform,
         "device": devices[0].device_kind,
         "device_count": len(devices),
+        "generator": GENERATOR,
     }

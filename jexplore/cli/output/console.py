@@ -16,9 +16,13 @@ if TYPE_CHECKING:
     from jexplore.report.folders import RunFolder
     from jexplore.report.ledger import Ledger, Shorter
 
+PREPARING = "jexplore: making programs ready"
 COMPILING = "jexplore: compiling (kept for later runs)"
+under_way: "list[Out]" = []
+"""What this process writes at present."""
 LONGEST = 400  # characters of a message; a name or a file may be quoted in it
 PATIENCE_S = 2.0  # work that lasts longer shows how far it is
+TICK_S = 1.0  # between two times that a clock shows
 TENTH = 0.1  # of all work, and
 SILENCE_S = 30.0  # the time after which a log gets another line
 
@@ -92,13 +96,13 @@ class _Lines:
             left = datetime.timedelta(seconds=round((self.total - self.n) / rate))
             speed = f"{rate:.0f}" if rate >= 10 else f"{rate:.2g}"
             share = f"{self.n} of {self.total} {self.unit} ({100 * self.n // max(self.total, 1)} %)"
-            _tell(f"jexplore: {share}, {speed} {self.unit}/s, {left} left")
+            tell(f"jexplore: {share}, {speed} {self.unit}/s, {left} left")
 
     def close(self):
         pass
 
 
-def _tell(line):
+def tell(line):
     """A line on stderr, if there is one."""
     if sys.stderr is not None:
         print(line, file=sys.stderr, flush=True)
@@ -116,7 +120,7 @@ def progress_of(total: int, unit: str) -> Iterator[Progress]:
 @contextlib.contextmanager
 def note(text: str) -> Iterator[Callable[[], None]]:
     """Says on stderr what takes so long, once, if it takes long; the block gets a function that calls it off."""
-    timer = threading.Timer(PATIENCE_S, lambda: _tell(text))
+    timer = threading.Timer(PATIENCE_S, lambda: tell(text))
     timer.daemon = True
     timer.start()
     try:
@@ -126,9 +130,50 @@ def note(text: str) -> Iterator[Callable[[], None]]:
 
 
 @contextlib.contextmanager
+def compiling() -> Iterator[Callable[[], None]]:
+    """Says on stderr that programs are made ready, or that one is compiled, and for how long, if it takes long.
+
+    A clock on a terminal; elsewhere a line at first and then every half a minute. The block gets a function that calls
+    it off.
+    """
+    over = threading.Event()
+    clock = threading.Thread(target=_tell_time, args=(over,), daemon=True)
+
+    def call_off():
+        if not over.is_set():
+            over.set()
+            clock.join()
+
+    clock.start()
+    try:
+        yield call_off
+    finally:
+        call_off()
+
+
+def _tell_time(over):
+    from jexplore.engine.backend import compiling_s
+
+    began, said, said_at = time.monotonic(), None, 0.0
+    on_terminal = sys.stderr is not None and sys.stderr.isatty()
+    while not over.wait(TICK_S):
+        now, compiled_s = time.monotonic(), compiling_s() or 0.0
+        is_compiling = compiled_s > PATIENCE_S
+        spent, text = (compiled_s, COMPILING) if is_compiling else (now - began, PREPARING)
+        if spent > PATIENCE_S and on_terminal:
+            said = text
+            print(f"\r\033[K{text}, {spent:.0f} s", end="", file=sys.stderr, flush=True)
+        elif spent > PATIENCE_S and (text != said or now - said_at >= SILENCE_S):
+            tell(f"{text}, {spent:.0f} s" if text == said else text)
+            said, said_at = text, now
+    if said is not None and on_terminal:
+        print("\r\033[K", end="", file=sys.stderr, flush=True)
+
+
+@contextlib.contextmanager
 def working(total: int, unit: str) -> Iterator[Callable[[int], None]]:
-    """Progress of compiled work: a note while it compiles, then a bar. The block gets the function to call."""
-    with progress_of(total, unit) as progress, note(COMPILING) as call_off:
+    """Progress of compiled work: what is said while it compiles, then a bar. The block gets the function to call."""
+    with progress_of(total, unit) as progress, compiling() as call_off:
 
         def on_progress(done):
             call_off()
@@ -173,22 +218,29 @@ class Out:
             claim = folders.claimed(self.given, overwrite=self.overwrite, resume=self.resume)
         self._stack = contextlib.ExitStack()
         self.run = self._stack.enter_context(claim)
+        under_way.append(self)
         return self
 
     def __exit__(self, *error: Any) -> None:
+        under_way.remove(self)
         self._stack.close()
-        if error[0] is not None:
+        if error[0] is KeyboardInterrupt or (error[0] is not None and self.is_anything_kept):
             self.say_kept()
 
+    @property
+    def is_anything_kept(self) -> bool:
+        """Whether the folder has something of an unfinished run to go on with."""
+        return self.ledger is not None and bool(self.ledger.done or self.ledger.parts) and self.run.unfinished.exists()
+
     def say_kept(self) -> None:
-        """Says how to go on with a run that was ended, if anything of it is kept."""
-        kept = set() if self.ledger is None else self.ledger.done | self.ledger.begun
-        if self.ledger is not None and not kept and self.wanted:
-            print("jexplore: no unit of work was finished: nothing is kept to go on with", file=sys.stderr)
-        if kept and self.run.unfinished.exists():
-            done = f"{len(kept)} of {self.wanted} units"
+        """Says how to go on with a run that was ended, or that nothing of it is kept."""
+        if self.is_anything_kept and self.ledger is not None:
+            part = " and parts of others" if self.ledger.parts else ""
+            done = f"{len(self.ledger.done)} of {self.wanted} units{part}"
             how = "--resume" if all((self.asked or {}).get("own", {}).values()) else "--resume --trust"
-            print(f"jexplore: {done} are kept; --out {self.run.path} {how} goes on with them", file=sys.stderr)
+            tell(f"jexplore: {done} are kept; --out {self.run.path} {how} goes on with them")
+        elif self.ledger is not None and self.wanted and not self.ledger.done:
+            tell("jexplore: no unit of work was finished: nothing is kept to go on with")
 
     def keep(
         self, asked: Mapping[str, Any], units: int, *, wanted: int | None = None, shorter: "Shorter | None" = None

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import tyro
 
-from jexplore.cli.output.console import COMPILING, Out, note
+from jexplore.cli.output.console import Out, compiling
 from jexplore.cli.output.terminal import show_line, show_table
 from jexplore.config import InputError
 
@@ -98,7 +98,7 @@ class Route:
 
         use_compilation_cache()
         start = btm.nodes[0].id if self.from_ is None and btm.nodes else self.from_ or ""
-        with note(COMPILING):
+        with compiling():
             return routes.route(
                 btm, self.robot, start, self.to or "", known_only=self.known_only, within_m=self.within_m
             )
@@ -113,7 +113,7 @@ class Route:
         from jexplore.driving.settings import Noise
         from jexplore.studies.traces.following import follow
 
-        with note(COMPILING):
+        with compiling():
             found = follow(self.drive, btm, [route], self.robot, noise=Noise(range_m=self.noise_m), seed=self.seed)
         row = found.table.iloc[0]
         told = f"{row['outcome']} after {row['path_m']:.2f} m, {row['off_m']:.2f} m from where the map has the end"

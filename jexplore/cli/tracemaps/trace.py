@@ -12,7 +12,7 @@ import tyro
 
 from jexplore.cli.listings import describe
 from jexplore.cli.options import EngineName, OneStrategy, OneWorld, OutFolder
-from jexplore.cli.output.console import COMPILING, Out, note, say, working
+from jexplore.cli.output.console import Out, compiling, say, working
 from jexplore.cli.output.terminal import show_table
 from jexplore.config import InputError
 from jexplore.driving.settings import Noise, Tuning
@@ -241,7 +241,7 @@ def _trace_episode(out, options, arguments):
         if field.name not in own and getattr(options, field.name) != getattr(plain, field.name):
             option = field.name.replace("_", "-")
             raise InputError(f"--from-episode takes no --{option}: an episode's robot is that of `jexplore explore`")
-    with note(COMPILING):
+    with compiling():
         found = extraction.extracted(
             options.world,
             options.strategy,

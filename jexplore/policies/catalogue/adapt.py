@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 
+from jexplore.arrays.draws import random_key
 from jexplore.arrays.loops import stored
 from jexplore.config import InputError, shown
 from jexplore.planning import Belief, Choice, choose, field, first_at, is_open, nearest_of, view_of
@@ -338,4 +339,4 @@ def _digest(policy, tree, shapes):
         return carry, choice, route, live
 
     with jax.disable_jit(False):
-        return traced.digest(jax.make_jaxpr(all_of_it)(jax.random.key(0), *jax.tree.unflatten(tree, shapes)))
+        return traced.digest(jax.make_jaxpr(all_of_it)(random_key(0), *jax.tree.unflatten(tree, shapes)))

@@ -71,6 +71,23 @@ MODIFIERS: dict[str, str] = {
 }
 """Name -> what it does to a strategy."""
 
+SYNONYMS: dict[str, str] = {
+    "burgard": "utility",
+    "cost-utility": "utility",
+    "drl": "learned",
+    "frontier": "closest",
+    "greedy": "closest",
+    "information-gain": "decision-theoretic",
+    "nbv": "decision-theoretic",
+    "nearest": "closest",
+    "nearest-frontier": "closest",
+    "next-best-view": "decision-theoretic",
+    "rl": "learned",
+    "tsp": "tour",
+    "uniform": "random",
+    "yamauchi": "closest",
+}
+"""What others call a strategy -> its name here, for messages."""
 
 _Made = TypeVar("_Made")
 

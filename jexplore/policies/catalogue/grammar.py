@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 from jexplore.config import InputError, require_number, shown, unknown
 from jexplore.policies.catalogue.adapt import adapted, policy_from, with_exact_numbers
-from jexplore.policies.catalogue.entries import MODIFIERS, Entry, entry_of, known_names, source_of
+from jexplore.policies.catalogue.entries import MODIFIERS, SYNONYMS, Entry, entry_of, known_names, source_of
 from jexplore.policies.catalogue.own import described, import_object, name_of, parameters
 from jexplore.policies.policy import Policy, Strategy
 from jexplore.policies.room_wise import KINDS, segmented
@@ -128,7 +128,7 @@ def _unknown(name, rest):
         return InputError(f"{name!r} is no module: one in this folder or installed is named like {module}{rest}")
     if os.path.isfile(f"{name}.py"):
         return InputError(f"unknown strategy {name!r}: a function of {name}.py is named like {name}:function")
-    return unknown("strategy", name, known_names())
+    return unknown("strategy", name, known_names(), SYNONYMS)
 
 
 def parse_strategy(text: str) -> Strategy:

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
+from jexplore.arrays.draws import random_key
 from jexplore.config import InputError
 from jexplore.policies.learned import features, networks
 
@@ -63,7 +64,7 @@ def require_sound(model: Model, told: str = "model") -> None:
 
 def _blank(network):
     """Weights of a network, all 0."""
-    shapes = jax.eval_shape(lambda: networks.begin(network, jax.random.key(0), len(features.NAMES)))
+    shapes = jax.eval_shape(lambda: networks.begin(network, random_key(0), len(features.NAMES)))
     return jax.tree.map(lambda a: np.zeros(a.shape, a.dtype), shapes)
 
 

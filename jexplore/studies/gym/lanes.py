@@ -10,6 +10,7 @@ import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv  # type: ignore[import-not-found]
 from gymnasium.vector.utils import batch_space  # type: ignore[import-not-found]
 
+from jexplore.arrays.draws import random_key
 from jexplore.arrays.loops import alone_on_cpu, run_if
 from jexplore.config import MAX_SEED, InputError, Lidar, Rules, require_whole
 from jexplore.studies.checks import LIDAR, RULES
@@ -88,7 +89,7 @@ class GymVectorEnv(VectorEnv):
         elif self._bases is None:
             seeds = [drawn_seed(self) for _ in range(self.num_envs)]
         if seeds is not None:
-            self._bases = jnp.stack([jax.random.key(one) for one in seeds])
+            self._bases = jnp.stack([random_key(one) for one in seeds])
             self._numbers = np.full(self.num_envs, -1, np.int32)
         self._numbers = self._numbers + np.int32(1) if episode is None else episode
         self._states, seen, info = self._begin(self.environment.arrays, self._bases, self._numbers, start, world)

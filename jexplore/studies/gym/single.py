@@ -6,6 +6,7 @@ import gymnasium  # type: ignore[import-not-found]
 import jax
 import numpy as np
 
+from jexplore.arrays.draws import random_key
 from jexplore.config import MAX_SEED, InputError, Lidar, Rules, require_whole
 from jexplore.studies.checks import LIDAR, RULES
 from jexplore.studies.environment import Environment, EnvState
@@ -82,7 +83,7 @@ class GymEnv(gymnasium.Env):
         start, world, episode = (None if a is None else a[0] for a in given)
         super().reset(seed=seed)
         if seed is not None or self._base is None:
-            self._base, self._number = jax.random.key(drawn_seed(self) if seed is None else seed), -1
+            self._base, self._number = random_key(drawn_seed(self) if seed is None else seed), -1
         self._number = self._number + 1 if episode is None else int(episode)
         self._decisions = 0
         self._state, _ = self.environment.reset(self._key(), start, world)

@@ -3,11 +3,12 @@
 pandas is imported by the functions that need it.
 """
 
+import collections
 import io
 import itertools
 import os
 import zlib
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -210,33 +211,83 @@ class Ran(NamedTuple):
     firsts: dict[int, Outcomes]  # number of a job, one of the first -> what its first unit left, if that was run here
 
 
-def _kept(jobs, cuts, wanted, ledger) -> tuple[dict[int, Piece], dict[int, Piece]]:
-    """The units that a ledger has, and those of which it has the first episodes: number -> `Piece` each."""
-    if ledger is None:
-        return {}, {}
-
-    def pieces(have, get):
-        return {i: of_table(get(i), cuts[i].job, jobs[cuts[i].job].world.cell_m) for i in wanted if i in have}
-
-    return pieces(ledger.done, ledger.get), pieces(ledger.begun - ledger.done, ledger.begun_part)
+def _rest(unit: Unit, part: Piece | None) -> list[Unit]:
+    """What a unit lacks of which a part is there: runs of episodes that follow each other, as units."""
+    there = set() if part is None else set(part.table["episode"])
+    left = [i for i in range(unit.first, unit.first + unit.n) if i not in there]
+    runs = itertools.groupby(enumerate(left), lambda pair: pair[1] - pair[0])
+    spans = [[episode for _, episode in run] for _, run in runs]
+    return [unit._replace(first=span[0], n=len(span)) for span in spans]
 
 
-def _rest(unit, begun):
-    """What is left of a unit whose first episodes are there."""
-    n = 0 if begun is None else len(begun.table)
-    return unit._replace(first=unit.first + n, n=unit.n - n)
-
-
-def _joined(begun: Piece | None, rest: Piece) -> Piece:
-    """A piece whose first episodes were there before."""
+def _joined(pieces: Collection[Piece]) -> Piece:
+    """Pieces of a unit as one, its episodes in order."""
+    parts = [piece for piece in pieces if len(piece.table)] or list(pieces)[:1]
+    if len(parts) == 1:
+        return parts[0]
     import pandas as pd
 
-    if begun is None:
-        return rest
-    paths = None if begun.paths is None or rest.paths is None else begun.paths + rest.paths
-    maps = rest.maps if begun.maps is None else begun.maps if rest.maps is None else np.append(begun.maps, rest.maps, 0)
-    table = pd.concat([begun.table, rest.table], ignore_index=True)
-    return Piece(rest.job, table, np.concatenate([begun.progress, rest.progress]), begun.seen, paths, maps)
+    table = pd.concat([part.table for part in parts], ignore_index=True)
+    order = np.argsort(table["episode"].to_numpy())
+    paths = maps = None
+    if all(part.paths is not None for part in parts):
+        every = [path for part in parts for path in part.paths or ()]
+        paths = [every[i] for i in order]
+    if all(part.maps is not None for part in parts):
+        maps = np.concatenate([part.maps for part in parts])[order]
+    return Piece(
+        parts[0].job,
+        table.iloc[order].reset_index(drop=True),
+        np.concatenate([part.progress for part in parts])[order],
+        next((part.seen for part in parts if part.seen is not None), None),
+        paths,
+        maps,
+    )
+
+
+class _Work:
+    """Units under way: what is there, what is left, and what has come back."""
+
+    def __init__(self, jobs, wanted, ledger):
+        self.jobs, self.cuts, self.ledger, self.firsts = jobs, cut(jobs), ledger, {}
+        wanted = range(len(self.cuts)) if wanted is None else sorted(wanted)
+        self.pieces = {i: self._read(i) for i in wanted if ledger is not None and i in ledger.done}
+        parts = {i: self._read(i) for i in wanted if ledger is not None and i in ledger.parts}
+        self.resumed = sum(len(piece.table) for piece in (*self.pieces.values(), *parts.values()))
+        waiting = [i for i in wanted if i not in self.pieces]
+        self.left = [(i, span) for i in waiting for span in _rest(self.cuts[i], parts.get(i))]
+        # number of a unit -> its pieces: by their places in `left`, and what was there before
+        self.made = {i: {-1: part} for i, part in parts.items()}
+        self.needs = collections.Counter([*(i for i, _ in self.left), *parts])
+
+    def _read(self, number):
+        job = self.cuts[number].job
+        return of_table(self.ledger.get(number), job, self.jobs[job].world.cell_m)
+
+    def put(self, place: int, found: Outcomes) -> None:
+        """Takes what a span of `left` has found, and keeps its unit if that was the last."""
+        number, span = self.left[place]
+        if span.first == 0 and span.job < FIRSTS:
+            self.firsts[span.job] = found
+        made = self.made.setdefault(number, {})
+        made[place] = piece_of(self.jobs[span.job], span, found)
+        if len(made) == self.needs[number]:
+            piece = _joined(made.values())
+            if self.ledger is not None:
+                self.ledger.put(number, to_table(piece))
+            self.pieces[number] = piece
+
+    def end(self, outcomes: Sequence[Outcomes]) -> None:
+        """Takes, after an interruption, what every span has found, and keeps the units of which there is a part."""
+        for place, found in enumerate(outcomes):
+            number, span = self.left[place]
+            if number not in self.pieces and place not in self.made.setdefault(number, {}):
+                self.made[number][place] = piece_of(self.jobs[span.job], span, found)
+        for number in self.made.keys() - self.pieces.keys():
+            self.pieces[number] = piece = _joined(self.made[number].values())
+            if self.ledger is not None and len(piece.table):
+                is_whole = len(piece.table) == self.cuts[number].n
+                (self.ledger.put if is_whole else self.ledger.put_part)(number, to_table(piece))
 
 
 def run_units(
@@ -267,38 +318,17 @@ def run_units(
       InputError: as `batch.run_jobs`; a unit cannot be written or read.
       KeyboardInterrupt: nothing had been finished.
     """
-    cuts = cut(jobs)
-    wanted = list(range(len(cuts))) if units is None else sorted(units)
-    (pieces, begun), firsts = _kept(jobs, cuts, wanted, ledger), {}
-    resumed = sum(len(piece.table) for piece in (*pieces.values(), *begun.values()))
-    left = {i: _rest(cuts[i], begun.get(i)) for i in wanted if i not in pieces}
-    numbers = list(left)
-
-    def whole(number: int, found: Outcomes) -> Piece:
-        return _joined(begun.get(number), piece_of(jobs[left[number].job], left[number], found))
-
-    def on_job(place: int, found: Outcomes) -> None:
-        number = numbers[place]
-        if left[number].first == 0 and left[number].job < FIRSTS:
-            firsts[left[number].job] = found
-        piece = whole(number, found)
-        if ledger is not None:
-            ledger.put(number, to_table(piece))
-        pieces[number] = piece
-
-    costs = Costs()
-    if left:
-        some = [job_of(jobs[unit.job], unit) for unit in left.values()]
-        progress = None if on_progress is None else (lambda done: on_progress(done + resumed))
+    work, costs = _Work(jobs, units, ledger), Costs()
+    if work.left:
+        some = [job_of(jobs[span.job], span) for _, span in work.left]
+        progress = None if on_progress is None else (lambda done: on_progress(done + work.resumed))
         how: dict[str, Any] = {"engine": engine, "lanes": lanes, "workers": workers, "keep": keep, "alike": alike}
         try:
-            found = batch.run_jobs(some, Lidar(), Rules(), **how, fast=fast, on_progress=progress, on_job=on_job)
+            found = batch.run_jobs(some, Lidar(), Rules(), **how, fast=fast, on_progress=progress, on_job=work.put)
         except KeyboardInterrupt:
-            if not pieces:
+            if not work.pieces and not work.made:
                 raise
             found = batch.Finished([], Costs(interrupted=True))
         costs = found.costs
-        for place, outcomes in enumerate(found.outcomes):
-            if numbers[place] not in pieces:
-                pieces[numbers[place]] = whole(numbers[place], outcomes)
-    return Ran([pieces[i] for i in sorted(pieces)], costs, resumed, firsts)
+        work.end(found.outcomes)
+    return Ran([work.pieces[i] for i in sorted(work.pieces)], costs, work.resumed, work.firsts)

@@ -207,7 +207,7 @@ def run_sweep(
     if ledger is not None:
         tables = {i: ledger.get(i) for i in numbers if i in ledger.done}
         is_here = engine != "ray"  # whose workers make whole units
-        begun = {i: ledger.begun_part(i) for i in numbers if is_here and i in ledger.begun - ledger.done}
+        begun = {i: ledger.get(i) for i in numbers if is_here and i in ledger.parts}
     resumed = sum(map(len, (*tables.values(), *begun.values())))
 
     def on_unit(number, table):

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from jexplore import btm
+from jexplore.arrays.draws import pinned_draws, random_key
 from jexplore.driving import behaviour, events, mission, vehicle
 from jexplore.driving.batch import Driven, room_for
 from jexplore.driving.behaviour import RunMode
@@ -40,7 +41,7 @@ def _numbers(settings):
 
 def _key(plan):
     """The key of run 0."""
-    return jax.random.fold_in(jax.random.key(np.uint32(plan.seed)), 0)
+    return jax.random.fold_in(random_key(np.uint32(plan.seed)), 0)
 
 
 def moved(poses: ArrayLike, origin_m: tuple[float, float]) -> np.ndarray:
@@ -53,6 +54,7 @@ def wall_lines(plan: tracing.TraceJob) -> np.ndarray:
     return segments(plan.building.walls) + np.tile(np.asarray(plan.world.origin_m), 2)
 
 
+@pinned_draws()
 @jax.jit
 def _frame(key, building, robot, tuning, noise, state):
     """One step, and what was seen in it."""

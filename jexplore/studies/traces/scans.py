@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jexplore.arrays.draws import pinned_draws, random_key
 from jexplore.driving import vehicle
 from jexplore.driving.batch import Driven, numbers_of
 from jexplore.studies.traces.job import TraceJob, own_values, with_values
@@ -57,7 +58,7 @@ def measured(plan: TraceJob, steps: np.ndarray, poses: np.ndarray, *, setting: i
     """
     _, noise = with_values(plan.tuning, plan.noise, own_values(plan.swept, setting))
     settings: list[Any] = [jax.tree.map(lambda a: a[0], numbers_of(record, 1)) for record in (plan.robot, noise)]
-    key = jax.random.fold_in(jax.random.key(np.uint32(plan.seed)), run)
+    key = jax.random.fold_in(random_key(np.uint32(plan.seed)), run)
     building, found = jax.device_put(plan.building), []
     for first in range(0, len(steps), TOGETHER):
         own = steps[first : first + TOGETHER], poses[first : first + TOGETHER]
@@ -67,6 +68,7 @@ def measured(plan: TraceJob, steps: np.ndarray, poses: np.ndarray, *, setting: i
     return np.concatenate(found)
 
 
+@pinned_draws()
 @jax.jit
 def _measured(key, building, robot, noise, steps_and_poses):
     def one(of):

@@ -1,0 +1,210 @@
+"""What names of worlds, strategies and files must be, told in a moment: before jax is imported and a world is built.
+
+What the package itself offers is read off its source, for importing a strategy or a generator would load jax. All of it
+is checked once more where it is used; what cannot be told from text alone is left to that.
+"""
+
+import ast
+import functools
+import importlib.machinery
+import importlib.metadata
+import importlib.util
+import os
+import re
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from jexplore.config import InputError, unknown
+from jexplore.worlds import GENERATORS
+from jexplore.worlds import names as grammar
+
+ENTRIES = "jexplore.policies.catalogue.entries"
+UNREAD = object()  # a default that is no plain value
+_FOREIGN = re.compile(r"(?P<module>[A-Za-z_][\w.]*):(?P<name>[A-Za-z_]\w*)(?=$|[+:])")
+
+
+def check_names(command: str, options: Any) -> None:
+    """Refuses names and files among a command's options that can stand for nothing.
+
+    Args:
+      command: its name.
+      options: the record of its options.
+
+    Raises:
+      InputError: naming the first one, and what would be right.
+    """
+    for option in vars(options):
+        check = CHECKS.get(f"{command} {option}") or CHECKS.get(option)
+        given = getattr(options, option)
+        if check is not None and given:
+            for one in [given] if isinstance(given, str) else given:
+                _check_one(check, one, option, is_alone=isinstance(given, str))
+    if getattr(options, "engine", None) == "ray":
+        require_ray()
+
+
+def _check_one(check, text, option, is_alone):
+    """Checks a value; of several in one text, it is told how they are written."""
+    try:
+        check(text)
+    except InputError:
+        pieces = re.split(r"[,;\s]+", text)
+        if len(pieces) == 1 or not all(_passes(check, piece) for piece in pieces):
+            raise
+        right = "must be one of them" if is_alone else f"are given with spaces between, {' '.join(pieces)}"
+        raise InputError(f"{text!r} is no name but several: {option} {right}") from None
+
+
+def _passes(check, text):
+    try:
+        check(text)
+    except InputError:
+        return False
+    return True
+
+
+def check_world(name: str) -> None:
+    """Refuses a name that no world has, a parameter that its generator does not take, a file that is not there."""
+    parsed = grammar.parse(name, generators=tuple(GENERATORS))
+    if parsed.kind == "generator":
+        module, _, function = GENERATORS[parsed.base].partition(":")
+        permitted = signature(module, function)
+        grammar.require_parameters(parsed, [key for key in permitted if key not in ("seed", "cell_m")])
+    else:
+        check_file(parsed.base)
+
+
+def check_file(path: str) -> None:
+    """Refuses the path of a file that is not there."""
+    if not os.path.exists(os.path.expanduser(path)):
+        where = "" if os.path.isabs(path) else f" (looked in {os.getcwd()!r})"
+        raise InputError(f"{path!r}: there is no such file{where}")
+
+
+def check_strategy(text: str) -> None:
+    """Refuses a strategy's name that stands for nothing: no such strategy, module, modifier or parameter."""
+    foreign = _FOREIGN.match(text)
+    if foreign and not foreign["module"].endswith(".py") and foreign["module"] not in known_strategies():
+        name, rest, own = foreign[0], text[foreign.end() :], None
+        _require_module(foreign["module"])
+    else:
+        name = re.split("[+:]", text, maxsplit=1)[0]
+        rest, own = text[len(name) :], known_strategies().get(name, UNREAD)
+        if own is UNREAD:
+            if rest.startswith(":") and "=" not in rest:
+                return  # a file is told how its module is named
+            if os.path.isfile(f"{name}.py"):
+                return
+            raise unknown("strategy", name, known_strategies(), catalogue()["SYNONYMS"])
+    words, _, tail = rest.partition(":")
+    modifiers = [word.partition("=")[0] for word in words.split("+")[1:]]
+    for modifier in modifiers:
+        if modifier not in catalogue()["MODIFIERS"]:
+            raise unknown(f"modifier in {text!r}:", modifier, catalogue()["MODIFIERS"])
+    if isinstance(own, dict) and "segment" not in modifiers:
+        for item in tail.split(",") if tail else ():
+            key, _, value = item.partition("=")
+            if key not in own:
+                raise unknown(f"parameter of {name + words!r}:", key, own)
+            if isinstance(own[key], (int, float)) and not isinstance(own[key], bool) and not _is_number(value):
+                raise InputError(f"expected a number for {key} in {text!r}, got {value!r}")
+
+
+def check_spec(path: str) -> None:
+    """Refuses the file of a sweep that cannot be read, or that names what is not there."""
+    from jexplore.studies.sweeps.spec import read_spec
+
+    spec = read_spec(path)
+    for world in spec.worlds:
+        check_world(os.fspath(world))
+    for name, _ in () if spec.robots else spec.strategy_list():
+        check_strategy(name)
+
+
+def check_robot(name: str) -> None:
+    """Refuses a robot that there is not."""
+    from jexplore.driving.settings import ROBOTS
+
+    base = name.partition(":")[0]
+    if base not in ROBOTS:
+        raise InputError(f"robot must be one of {', '.join(ROBOTS)}, got {base!r}")
+
+
+def require_ray() -> None:
+    """Refuses the engine ray where Ray is not installed."""
+    if importlib.util.find_spec("ray") is None:
+        raise InputError("the engine ray needs Ray: pip install 'jexplore[ray]'")
+
+
+CHECKS: dict[str, Callable[[str], None]] = {
+    **dict.fromkeys(("world", "worlds", "validation", "drive"), check_world),
+    **dict.fromkeys(("strategy", "strategies"), check_strategy),
+    **dict.fromkeys(("map", "model", "truth", "parts"), check_file),
+    "segment maps": check_world,
+    "robot": check_robot,
+    "spec": check_spec,
+}
+"""Name of an option, of one command or of any -> what refuses one of its values."""
+
+
+def known_strategies() -> dict[str, dict[str, Any] | None]:
+    """Strategies that have a name -> their parameters with their defaults; None where these cannot be told."""
+    loaded = sys.modules.get(ENTRIES)
+    others = [point.name for point in importlib.metadata.entry_points(group="jexplore.strategies")]
+    return {**dict.fromkeys((*others, *(loaded.STRATEGIES if loaded else ()))), **catalogue()["STRATEGIES"]}
+
+
+@functools.cache
+def catalogue() -> dict[str, Any]:
+    """The tables of the catalogue: its modifiers and synonyms, and its strategies with their parameters."""
+    tree = _tree(ENTRIES)
+    homes = {alias.name: node.module for node in tree.body if isinstance(node, ast.ImportFrom) for alias in node.names}
+    tables = {}
+    for node in tree.body:
+        match node:
+            case ast.AnnAssign(target=ast.Name(id="MODIFIERS" | "SYNONYMS" as name), value=ast.Dict() as value):
+                tables[name] = ast.literal_eval(value)
+            case ast.AnnAssign(target=ast.Name(id="STRATEGIES" as name), value=ast.Dict(keys=keys, values=values)):
+                makers = [value.args[0].id for value in values]  # type: ignore[attr-defined]
+                names = [ast.literal_eval(key) for key in keys if key is not None]
+                tables[name] = {own: signature(homes[maker], maker) for own, maker in zip(names, makers)}
+    return tables
+
+
+@functools.cache
+def signature(module: str, function: str) -> dict[str, Any]:
+    """Parameters of a function of this package -> their defaults, `UNREAD` where that is no plain value."""
+    (found,) = (node for node in _tree(module).body if isinstance(node, ast.FunctionDef) and node.name == function)
+    plain = found.args.posonlyargs + found.args.args
+    defaults = [None] * (len(plain) - len(found.args.defaults)) + list(found.args.defaults)
+    pairs = [*zip(plain, defaults), *zip(found.args.kwonlyargs, found.args.kw_defaults)]
+    return {argument.arg: _value(default) for argument, default in pairs}
+
+
+def _value(node):
+    try:
+        return UNREAD if node is None else ast.literal_eval(node)
+    except ValueError:
+        return UNREAD
+
+
+def _tree(module):
+    path = Path(__file__).parents[1].joinpath(*module.split(".")[1:])
+    return ast.parse(path.with_suffix(".py").read_text(encoding="utf-8"))
+
+
+def _is_number(text):
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _require_module(module):
+    """Refuses a module that neither lies in the current folder nor is installed."""
+    here, top = os.getcwd(), module.partition(".")[0]
+    if importlib.machinery.PathFinder.find_spec(top, [here]) is None and importlib.util.find_spec(top) is None:
+        raise InputError(f"no module {module!r}, neither installed nor in {here}")
