@@ -220,7 +220,7 @@ def lengthen(path, episodes, **change):
         assert not ledger.is_finished(run, asked, episodes // 2, shorter=shorter(episodes))
         book = ledger.Ledger(run, asked, episodes // 2, resume=True, shorter=shorter(episodes))
         found = {unit: book.get(unit)["value"].tolist() for unit in sorted(book.done)}
-        return found | {unit: book.begun_part(unit)["value"].tolist() for unit in sorted(book.begun - book.done)}
+        return found | {unit: book.get(unit)["value"].tolist() for unit in sorted(book.parts)}
 
 
 def test_a_run_goes_on_with_more_episodes(tmp_path):
