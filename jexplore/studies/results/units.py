@@ -281,24 +281,29 @@ def run_units(
         number = numbers[place]
         if left[number].first == 0 and left[number].job < FIRSTS:
             firsts[left[number].job] = found
-        piece = whole(number, found)
+        pieces[number] = whole(number, found)
         if ledger is not None:
-            ledger.put(number, to_table(piece))
-        pieces[number] = piece
+            ledger.put(number, to_table(pieces[number]))
 
     costs = Costs()
     if left:
         some = [job_of(jobs[unit.job], unit) for unit in left.values()]
         progress = None if on_progress is None else (lambda done: on_progress(done + resumed))
         how: dict[str, Any] = {"engine": engine, "lanes": lanes, "workers": workers, "keep": keep, "alike": alike}
-        try:
-            found = batch.run_jobs(some, Lidar(), Rules(), **how, fast=fast, on_progress=progress, on_job=on_job)
-        except KeyboardInterrupt:
-            if not pieces:
-                raise
-            found = batch.Finished([], Costs(interrupted=True))
+        found = _run(some, {**how, "fast": fast, "on_progress": progress, "on_job": on_job})
         costs = found.costs
-        for place, outcomes in enumerate(found.outcomes):
-            if numbers[place] not in pieces:
-                pieces[numbers[place]] = whole(numbers[place], outcomes)
+        for number, outcomes in zip(numbers, found.outcomes):
+            if number not in pieces:
+                pieces[number] = whole(number, outcomes)
+    pieces = begun | pieces
+    if costs.interrupted and not pieces:
+        raise KeyboardInterrupt
     return Ran([pieces[i] for i in sorted(pieces)], costs, resumed, firsts)
+
+
+def _run(jobs, how):
+    """`batch.run_jobs` of jobs with settings of their own; nothing where it was interrupted before any was finished."""
+    try:
+        return batch.run_jobs(jobs, Lidar(), Rules(), **how)
+    except KeyboardInterrupt:
+        return batch.Finished([], Costs(interrupted=True))
