@@ -12,7 +12,9 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from scipy import ndimage
 
+import jexplore as jx
 from jexplore.config import InputError
+from jexplore.studies.results.provenance import files_of
 from jexplore.worlds.starts import check_start, clear_cells, draw_start, draw_starts, label_components, start_region
 from jexplore.worlds.world import MAX_SIDE, World, checked, occupancy_to_world, pad, with_ring
 
@@ -408,3 +410,27 @@ def test_the_only_clear_cell_is_enclosed_by_definition():
         check_start(room(7, 7), (4, 4, 0), 0.3)
     with pytest.raises(InputError, match="is enclosed"):
         check_start(picture("###", "#.#", "###"), (1, 1, 0), 0)
+
+
+def test_files_of_a_world_are_hashed_whatever_follows_their_names(tmp_path):
+    for name in ("scans.log", "map.png", "run.mcap", "plan.yaml"):
+        (tmp_path / name).write_text("image: map.png\n")
+    recording = tmp_path / "recording"
+    recording.mkdir()
+    (recording / "metadata.yaml").write_text("{}")
+    (recording / "part.db3").write_text("")
+    world = jx.occupancy_to_world(np.zeros((4, 4), bool), name="w")
+    for name, files in (
+        ("scans.log", ["scans.log"]),
+        ("scans.log:range_m=20", ["scans.log"]),
+        ("map.png@0.05", ["map.png"]),
+        ("map.png@0.05:free=150", ["map.png"]),
+        ("run.mcap:topic=/map,message=0", ["run.mcap"]),
+        ("plan.yaml", ["plan.yaml", "map.png"]),
+        ("recording:topic=/map", ["recording/metadata.yaml", "recording/part.db3"]),
+        ("absent.log", []),
+    ):
+        found = files_of(world.replace(name=str(tmp_path / name)))
+        assert list(found) == [str(tmp_path / file) for file in files]
+        assert all(len(digest) == 64 for digest in found.values())
+    assert files_of(world.replace(name="cave#3:width_m=6")) == {}
