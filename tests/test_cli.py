@@ -414,7 +414,8 @@ def interrupted(phase, _):
     if phase == "start":
         os.kill(os.getpid(), signal.SIGINT)
 gc.callbacks.append(interrupted)
-def command(*_):
+def command(_, signals):
+    signals.listen()
     gc.collect()
     gc.callbacks.clear()
     print("went on", flush=True)

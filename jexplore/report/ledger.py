@@ -70,7 +70,8 @@ class Ledger:
         import pyarrow.parquet as pq
 
         try:
-            pq.read_metadata(file)
+            with open(file, "rb") as content:
+                pq.read_metadata(content)
         except Exception:  # pyarrow raises many kinds of errors for a broken file
             self.damaged.append(file.name)
             with contextlib.suppress(OSError):
@@ -103,7 +104,8 @@ class Ledger:
 
         file = self._file(unit, f"-{PART}" if unit in self.parts else "")
         try:
-            return pd.read_parquet(file)
+            with open(file, "rb") as content:
+                return pd.read_parquet(content)
         except Exception as error:  # pyarrow raises many kinds of errors for a broken file
             raise InputError(
                 f"{file} must be a unit of this run: {str(error).splitlines()[0]}; remove it and go on with --resume"
