@@ -93,7 +93,9 @@ def _run(arguments, signals, own):
         if own:
             os._exit(status)  # at once: a program that is being compiled cannot be stopped in another way
         return status
-    except MemoryError:
+    except (MemoryError, RuntimeError) as error:  # XLA's is a RuntimeError
+        if isinstance(error, RuntimeError) and "RESOURCE_EXHAUSTED" not in str(error):
+            raise
         return say("jexplore: error: out of memory; use a larger --cell-m, fewer episodes or fewer --lanes", 1)
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # or the interpreter complains when it ends
