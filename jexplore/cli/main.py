@@ -68,7 +68,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """
     own, signals = argv is None, Signals()
     try:
-        return _run(sys.argv[1:] if own else list(argv), signals, own)
+        return _run(list(sys.argv[1:] if argv is None else argv), signals, own)
     finally:
         signals.end()
 
