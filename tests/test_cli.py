@@ -319,9 +319,10 @@ def test_a_message_stays_on_one_line(capsys, monkeypatch):
     refused(capsys, ["worlds"], "first second")
 
 
-def test_no_memory_and_no_reader(capsys, monkeypatch):
+@pytest.mark.parametrize("error", [MemoryError(), RuntimeError("RESOURCE_EXHAUSTED: Out of memory allocating 8 bytes")])
+def test_memory_that_runs_out_is_one_line(error, capsys, monkeypatch):
     def fails(*_):
-        raise MemoryError
+        raise error
 
     monkeypatch.setattr(main, "_dispatch", fails)
     assert main.main(["worlds"]) == 1
@@ -414,7 +415,8 @@ def interrupted(phase, _):
     if phase == "start":
         os.kill(os.getpid(), signal.SIGINT)
 gc.callbacks.append(interrupted)
-def command(*_):
+def command(_, signals):
+    signals.listen()
     gc.collect()
     gc.callbacks.clear()
     print("went on", flush=True)

@@ -1,6 +1,5 @@
 """Names and files that stand for nothing: refused before jax is imported."""
 
-import inspect
 import subprocess
 import sys
 
@@ -45,7 +44,6 @@ def test_parameters_of_a_generator_are_read_off_its_source(name):
 def test_a_default_that_is_no_plain_value_is_not_guessed():
     (parameter,) = [p for p in names.signature("jexplore.policies.room_wise", "segmented").items() if p[0] == "ratio"]
     assert parameter == ("ratio", names.UNREAD)
-    assert inspect.signature(names.signature.__wrapped__).parameters.keys() == {"module", "function"}
 
 
 REFUSED = [
@@ -128,3 +126,14 @@ def test_a_registered_name_is_known(monkeypatch):
     names.check_strategy("mine+recheck:anything=1")
     with pytest.raises(InputError, match="'mein'; did you mean 'mine'"):
         names.check_strategy("mein")
+
+
+def test_a_name_that_tables_cannot_hold_is_refused():
+    for check in (names.check_world, names.check_strategy):
+        with pytest.raises(InputError, match="must be UTF-8"):
+            check("caf\udce9.png@0.1")
+
+
+def test_a_value_too_many_is_told_with_its_option(capsys):
+    assert main.main(["explore", "--world", "cave", "office"]) == 2
+    assert capsys.readouterr().err == "jexplore: error: unexpected 'office': --world takes fewer values\n"

@@ -317,8 +317,8 @@ def test_a_page_that_cannot_be_read_is_told(tmp_path):
 def test_a_full_disk_leaves_what_was_finished(tmp_path, monkeypatch):
     leave(tmp_path, 0)
 
-    def full(self, path, **options):
-        Path(path).write_bytes(b"half")
+    def full(self, file, **options):
+        file.write(b"half")
         raise OSError(28, "No space left on device")
 
     with claimed(tmp_path, resume=True) as run:

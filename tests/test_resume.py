@@ -145,7 +145,8 @@ import ctypes, signal, sys, types
 from jexplore.cli import main
 from jexplore.cli.output.console import Out
 
-def command(arguments, own):
+def command(arguments, signals):
+    signals.listen()
     options = types.SimpleNamespace(out=arguments[0], overwrite=False)
     with Out(options, "explore") as out:
         out.keep({}, 1)

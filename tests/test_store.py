@@ -15,7 +15,7 @@ import pandas as pd
 import pytest
 
 from jexplore.config import InputError
-from jexplore.report import folders, store
+from jexplore.report import folders, ledger, store
 
 
 def episodes():
@@ -459,3 +459,18 @@ def test_a_run_on_a_full_disk_is_one_line(tmp_path):
     with pytest.raises(InputError, match="No space left on device"):
         write_run(tmp_path / "new", {"run.json": fails})
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="file names are any bytes")
+def test_a_folder_whose_name_is_no_text_holds_a_run(tmp_path):
+    table = pd.DataFrame({"episode": [1, 2]})
+    with folders.claimed(tmp_path / os.fsdecode(b"caf\xe9")) as run:
+        kept = ledger.Ledger(run, {"of": os.fspath(run.path)}, 2)
+        kept.put(1, table)
+        kept.put_part(0, table[:1])
+        again = ledger.Ledger(run, {"of": os.fspath(run.path)}, 2, resume=True)
+        assert (again.done, again.parts) == ({1}, {0})
+        pd.testing.assert_frame_equal(again.get(1), table)
+        assert len(again.get(0)) == 1
+        run.write({"episodes.parquet": lambda path: store.write_parquet(table, path)})
+    pd.testing.assert_frame_equal(store.read_parquet(run.path / "episodes.parquet"), table)

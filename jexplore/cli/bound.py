@@ -13,7 +13,7 @@ from jexplore.cli.output.console import Out, note, say, working
 from jexplore.cli.output.terminal import show_table
 from jexplore.config import InputError, Lidar, Rules
 
-Names = Annotated[tuple[str, ...], tyro.conf.arg(metavar="WORLD [WORLD ...]", help_behavior_hint="")]
+Names = Annotated[tuple[str, ...], tyro.conf.arg(metavar="WORLD [WORLD ...]", help_behavior_hint="(required)")]
 
 
 @dataclasses.dataclass(frozen=True)

@@ -9,7 +9,6 @@ keeps what is finished.
 import contextlib
 import io
 import os
-import signal
 import sys
 from collections.abc import Sequence
 
@@ -67,15 +66,16 @@ def main(argv: Sequence[str] | None = None) -> int:
       The exit status: 0; 2 for wrong input; 1 where there is no route, or memory or the reader of the output is
         gone; 130 if interrupted, 143 by SIGTERM, 129 by SIGHUP.
     """
-    if argv is not None:
-        return _run(list(argv), None)
-    with Signals() as signals:
-        return _run(sys.argv[1:], signals)
+    own, signals = argv is None, Signals()
+    try:
+        return _run(list(sys.argv[1:] if argv is None else argv), signals, own)
+    finally:
+        signals.end()
 
 
-def _run(arguments, signals):
-    """Runs a command of this process, whose `Signals` these are, or without them one of another program."""
-    own, ended_by = signals is not None, [int(signal.SIGINT)] if signals is None else signals.ended_by
+def _run(arguments, signals, own):
+    """Runs a command; `own`: as that of this process, not of a program that calls it."""
+    ended_by = signals.ended_by
     keep_to_cpu()
     keep_compiler_quiet()
     if sys.stdout is None:  # closed by the shell
@@ -84,7 +84,7 @@ def _run(arguments, signals):
         sys.stdout.reconfigure(errors="replace")
     try:
         with plain_warnings():
-            status = _dispatch(arguments, own)
+            status = _dispatch(arguments, signals if own else None)
         return ended_by[-1] + 128 if status == INTERRUPTED else status
     except InputError as error:
         return say(f"jexplore: error: {' '.join(str(error).split())}", 2)
@@ -93,7 +93,9 @@ def _run(arguments, signals):
         if own:
             os._exit(status)  # at once: a program that is being compiled cannot be stopped in another way
         return status
-    except MemoryError:
+    except (MemoryError, RuntimeError) as error:  # XLA's is a RuntimeError
+        if isinstance(error, RuntimeError) and "RESOURCE_EXHAUSTED" not in str(error):
+            raise
         return say("jexplore: error: out of memory; use a larger --cell-m, fewer episodes or fewer --lanes", 1)
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # or the interpreter complains when it ends
@@ -116,7 +118,7 @@ def _share_heap():
             ctypes.CDLL(None).mallopt(M_ARENA_MAX, 1)
 
 
-def _dispatch(arguments, own):
+def _dispatch(arguments, signals):
     if not arguments:
         raise InputError(f"expected a command: {', '.join(COMMANDS)}; see jexplore --help")
     if arguments[0] in ("-h", "--help"):
@@ -128,8 +130,10 @@ def _dispatch(arguments, own):
             options = parse(arguments, COMMANDS)
         except SystemExit:  # help has been printed
             return 0
-        if own and getattr(options, "is_one_run", False):
-            _share_heap()
+        if signals is not None:
+            if getattr(options, "is_one_run", False):
+                _share_heap()
+            signals.listen()
         check_names(arguments[0], options)
         status = options.execute(arguments) or 0
         sys.stdout.flush()

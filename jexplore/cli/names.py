@@ -67,6 +67,7 @@ def _passes(check, text):
 
 def check_world(name: str) -> None:
     """Refuses a name that no world has, a parameter that its generator does not take, a file that is not there."""
+    _require_text(name)
     parsed = grammar.parse(name, generators=tuple(GENERATORS))
     if parsed.kind == "generator":
         module, _, function = GENERATORS[parsed.base].partition(":")
@@ -74,6 +75,14 @@ def check_world(name: str) -> None:
         grammar.require_parameters(parsed, [key for key in permitted if key not in ("seed", "cell_m")])
     else:
         check_file(parsed.base)
+
+
+def _require_text(name):
+    """Refuses a name that tables cannot hold."""
+    try:
+        name.encode()
+    except UnicodeEncodeError:
+        raise InputError(f"{name!r}: the name of a world or strategy must be UTF-8: call the file otherwise") from None
 
 
 def check_file(path: str) -> None:
@@ -85,6 +94,7 @@ def check_file(path: str) -> None:
 
 def check_strategy(text: str) -> None:
     """Refuses a strategy's name that stands for nothing: no such strategy, module, modifier or parameter."""
+    _require_text(text)
     foreign = _FOREIGN.match(text)
     if foreign and not foreign["module"].endswith(".py") and foreign["module"] not in known_strategies():
         name, rest, own = foreign[0], text[foreign.end() :], None

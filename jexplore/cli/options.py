@@ -97,11 +97,20 @@ def parse(arguments: Sequence[str], commands: Mapping[str, type]) -> Any:
             options = read()
     except SystemExit as end:
         if end.code:
-            raise InputError(one_line(said.getvalue()) or f"wrong options for {name}") from None
+            raise InputError(_stray(rest, one_line(said.getvalue())) or f"wrong options for {name}") from None
         _show_help(read)
         raise
     _require_once(rest, commands[name])
     return options
+
+
+def _stray(arguments, line):
+    """What is said of an unknown option; of a value that the option before it does not take, it is told."""
+    word = line.removeprefix("unknown option ").partition(";")[0]
+    if word == line or word.startswith("-") or word not in arguments:
+        return line
+    before = [text for text in arguments[: arguments.index(word)] if text.startswith("--")]
+    return f"unexpected {word!r}: {before[-1]} takes fewer values" if before else f"unexpected {word!r}"
 
 
 def _show_help(read):

@@ -19,7 +19,7 @@ from jexplore.config import InputError
 if TYPE_CHECKING:
     from jexplore.studies.sweeps.run import Swept
 
-Folders = Annotated[tuple[str, ...], tyro.conf.arg(metavar="DIR [DIR ...]", help_behavior_hint="")]
+Folders = Annotated[tuple[str, ...], tyro.conf.arg(metavar="DIR [DIR ...]", help_behavior_hint="(required)")]
 LONG_S = 3600.0  # a sweep that is expected to take longer wants --yes
 SHOWN = 24  # rows of the summary that are printed, and
 REPORTED = 200  # on the page
@@ -37,7 +37,7 @@ class Sweep:
     --resume.
     """
 
-    spec: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="SPEC.yaml", help_behavior_hint="")] = ""
+    spec: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="SPEC.yaml", help_behavior_hint="(required)")] = ""
     """The file that says what is varied."""
     dry_run: bool = False
     """Only say how much work it is: units, compiled programs, time."""

@@ -36,7 +36,8 @@ def _watch_compiler():
         elif event == FOUND:
             _since.pop(threading.get_ident(), None)
 
-    def end(event, _seconds, **_):
+    def end(event, duration_secs, **_):
+        del duration_secs
         if event == MADE:
             _since.pop(threading.get_ident(), None)
 

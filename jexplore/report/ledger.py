@@ -195,7 +195,8 @@ def _is_whole(file):
 def _table_in(file):
     import pandas as pd
 
-    return pd.read_parquet(file, engine="pyarrow", page_checksum_verification=True)
+    with open(file, "rb") as content:  # of a name that need not be UTF-8
+        return pd.read_parquet(content, engine="pyarrow", page_checksum_verification=True)
 
 
 def is_finished(

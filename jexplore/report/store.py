@@ -80,8 +80,8 @@ def write_parquet(episodes: "pd.DataFrame", path: str | os.PathLike[str]) -> Non
     Raises:
       InputError: the file cannot be written.
     """
-    with atomic(path) as part:
-        episodes.to_parquet(part, index=False, write_page_checksum=True)
+    with atomic(path) as part, open(part, "wb") as file:  # of a name that need not be UTF-8, as pyarrow would want it
+        episodes.to_parquet(file, index=False, write_page_checksum=True)
 
 
 def read_parquet(path: str | os.PathLike[str], *, required: Sequence[str] = ()) -> "pd.DataFrame":

@@ -18,7 +18,6 @@ import socket
 import sys
 import threading
 import time
-from typing import Any
 
 from jexplore.cli.output.console import say, tell, under_way
 
@@ -29,7 +28,7 @@ LAST_S = 1.0  # at most, for the last words, however slow the folder or the read
 
 
 class Signals:
-    """Listens for what ends this process, as a context."""
+    """Listens for what ends this process."""
 
     ended_by: list[int]
     """Numbers of signals that have ended this process, the last one at the end."""
@@ -38,7 +37,8 @@ class Signals:
         self.ended_by, self._heard, self._dropped = [int(signal.SIGINT)], None, 0
         self._over = threading.Event()
 
-    def __enter__(self) -> "Signals":
+    def listen(self) -> None:
+        """Begins. What this process shares among its threads must be settled before."""
         for name in ("SIGTERM", "SIGHUP"):
             number = getattr(signal, name, None)
             if number is not None and signal.getsignal(number) == signal.SIG_DFL:  # not under nohup
@@ -47,10 +47,10 @@ class Signals:
         ears, self._mouth = socket.socketpair()
         self._mouth.setblocking(False)
         signal.set_wakeup_fd(self._mouth.fileno(), warn_on_full_buffer=False)
-        threading.Thread(target=self._listen, args=(ears,), daemon=True).start()
-        return self
+        threading.Thread(target=self._hear, args=(ears,), daemon=True).start()
 
-    def __exit__(self, *error: Any) -> None:
+    def end(self) -> None:
+        """Says no more: the command is over."""
         self._over.set()
 
     def _handle(self, number, frame):
@@ -67,29 +67,29 @@ class Signals:
         else:
             sys.__unraisablehook__(unraisable)
 
-    def _listen(self, ears):
+    def _hear(self, ears):
         while True:
             number = ears.recv(1)[0]
             if number == signal.SIGINT:
                 self._interrupt()
             elif number in (getattr(signal, name, None) for name in ("SIGTERM", "SIGHUP")):
-                _later(GRACE_S, self._end, number)
+                _later(GRACE_S, self._quit, number)
 
     def _interrupt(self):
         now = time.monotonic()
         if self._dropped:
             self._dropped -= 1
-        elif self._heard is None or self._over.is_set():
+        elif self._heard is None:
             self._heard = now
             _later(SOON_S, self._answer)
         elif now - self._heard > SOON_S:
-            self._end(int(signal.SIGINT))
+            self._quit(int(signal.SIGINT))
 
     def _answer(self):
         if not self._over.is_set():
             tell("jexplore: interrupted: what is under way comes to its end first; Ctrl-C once more ends at once")
 
-    def _end(self, number):
+    def _quit(self, number):
         """Ends the process, wherever its main thread is."""
         words = threading.Thread(target=_last_words, args=(number,), daemon=True)
         words.start()

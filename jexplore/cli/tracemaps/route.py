@@ -14,9 +14,9 @@ from jexplore.config import InputError
 
 NO_ROUTE = 1  # exit status
 
-File = Annotated[str | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")]
+File = Annotated[str | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(required)")]
 Folder = Annotated[str | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")]
-Goal = Annotated[str | None, tyro.conf.arg(metavar="PLACE", help_behavior_hint="")]
+Goal = Annotated[str | None, tyro.conf.arg(metavar="PLACE", help_behavior_hint="(required)")]
 Start = Annotated[str | None, tyro.conf.arg(name="from", metavar="PLACE", help_behavior_hint="")]
 
 

@@ -234,7 +234,7 @@ def _joined(pieces: Collection[Piece]) -> Piece:
         every = [path for part in parts for path in part.paths or ()]
         paths = [every[i] for i in order]
     if all(part.maps is not None for part in parts):
-        maps = np.concatenate([part.maps for part in parts])[order]
+        maps = np.concatenate([part.maps for part in parts if part.maps is not None])[order]
     return Piece(
         parts[0].job,
         table.iloc[order].reset_index(drop=True),
