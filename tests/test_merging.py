@@ -944,7 +944,7 @@ def test_the_command_refuses(files, capsys):
         (["a.json"], "expected files of two maps or more, got 1"),
         (["a.json", "./a.json"], "expected every map once, got ./a.json again"),
         (["a.json", "far.json"], "far: link 0: expected places and lengths below 1000 km, got 1e+300 m"),
-        (["a.json", "nothing.json"], "nothing.json must be a readable JSON file"),
+        (["a.json", "nothing.json"], "'nothing.json': there is no such file"),
         (["a.json", "b.json", "--out", "a.json", "--overwrite"], "is one of the maps"),
         (["a.json", "b.json", "--out", "no/global.json"], "there is no folder"),
         (["a.json", "b.json", "--out", "."], "must be a file, and is a folder"),

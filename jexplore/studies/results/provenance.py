@@ -14,6 +14,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from jexplore.arrays.files import read_yaml
 from jexplore.exploration.batch import Job
 from jexplore.policies import Strategy
 from jexplore.policies.catalogue import adapt
@@ -48,10 +49,7 @@ def files_of(world: World) -> dict[str, str]:
 def _named_in(path):
     """The picture of a ROS map, if this is one."""
     if path.suffix in (".yaml", ".yml"):
-        import yaml
-
-        with open(path, encoding="utf-8") as file:
-            page = yaml.safe_load(file)
+        page = read_yaml(path)
         if isinstance(page, dict) and isinstance(page.get("image"), str):
             picture = path.parent / page["image"]
             if picture.is_file():
