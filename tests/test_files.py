@@ -67,8 +67,8 @@ def test_json_is_told_with_its_line_and_nests_so_deep_and_no_deeper(tmp_path):
 
 
 def test_yaml_has_the_numbers_of_its_version_1_2():
-    text = "[010, 4:30, 1e-3, 1e3, 0x10, 0o10, .5, 5., -3, +4, .inf, 1_000, true, ~]"
-    wanted = [10, "4:30", 0.001, 1000.0, 16, 8, 0.5, 5.0, -3, 4, np.inf, "1_000", True, None]
+    text = "[010, 4:30, 1e-3, 1e3, 0x10, 0o10, .5, 5., -3, +4, .inf, 1_000, 2026-01-02, no, true, ~]"
+    wanted = [10, "4:30", 0.001, 1000.0, 16, 8, 0.5, 5.0, -3, 4, np.inf, "1_000", "2026-01-02", "no", True, None]
     assert repr(yaml_of(text, "x")) == repr(wanted)
 
 

@@ -567,7 +567,7 @@ def test_bad_ros_maps_are_refused(tmp_path, changes, line):
         ("- 1\n", "is not a ROS map; expected the keys"),
         ("image: [", "is not valid YAML"),
         ("image: !!python/name:os.system\n", "is not valid YAML"),
-        ("image: 2020-13-45\n", "is not valid YAML"),
+        ("image: !!timestamp 2020-13-45\n", "is not valid YAML"),
         ("[" * 20000, "is not valid YAML"),
         ("resolution: !!bool 5\n", "is not valid YAML"),
         ("resolution: !!timestamp x\n", "is not valid YAML"),

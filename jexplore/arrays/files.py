@@ -5,13 +5,11 @@ Plain Python: importing this loads neither numpy nor jax.
 """
 
 import contextlib
-import functools
 import json
 import os
-import re
 import zipfile
 from collections.abc import Iterator, Mapping
-from typing import Any, BinaryIO, ClassVar
+from typing import Any, BinaryIO
 
 from jexplore.config import InputError
 
@@ -133,52 +131,8 @@ def require_shallow(value: Any, told: str) -> None:
         layer = [inner for one in layer for inner in (one.values() if isinstance(one, Mapping) else one)]
 
 
-@functools.cache
-def _yaml_loader() -> Any:
-    import yaml
-
-    class Loader(yaml.SafeLoader):
-        """Plain values, with numbers as YAML 1.2 has them: 010 is ten, 4:30 a text, 1e-3 a number."""
-
-        yaml_implicit_resolvers: ClassVar = {
-            first: [(tag, form) for tag, form in forms if tag not in (_INT, _FLOAT)]
-            for first, forms in yaml.SafeLoader.yaml_implicit_resolvers.items()
-        }
-
-        def compose_node(self, parent, index):
-            if self.check_event(yaml.AliasEvent):  # one may stand for a list of lists of lists that fills the memory
-                what, mark = "aliases are not read: write out what it stands for", self.peek_event().start_mark
-                raise yaml.composer.ComposerError(None, None, what, mark)
-            return super().compose_node(parent, index)
-
-        def construct_mapping(self, node, deep=False):
-            seen = set()
-            for key, _ in node.value:
-                if not isinstance(key.value, str):
-                    raise yaml.constructor.ConstructorError(None, None, "a key must be a plain value", key.start_mark)
-                if key.value in seen:
-                    told = f"the key {key.value!r} is there twice"
-                    raise yaml.constructor.ConstructorError(None, None, told, key.start_mark)
-                seen.add(key.value)
-            return super().construct_mapping(node, deep)
-
-    Loader.add_implicit_resolver(_INT, re.compile(r"[-+]?\d+$|0x[\da-fA-F]+$|0o[0-7]+$"), list("-+0123456789"))
-    number = re.compile(r"[-+]?(\.\d+|\d+\.\d*|\d+(?=[eE]))([eE][-+]?\d+)?$|[-+]?\.(inf|Inf|INF)$|\.(nan|NaN|NAN)$")
-    Loader.add_implicit_resolver(_FLOAT, number, list("-+.0123456789"))
-    Loader.add_constructor(_INT, _whole_of)
-    return Loader
-
-
-_INT, _FLOAT = "tag:yaml.org,2002:int", "tag:yaml.org,2002:float"
-
-
-def _whole_of(loader, node):
-    text = loader.construct_scalar(node)
-    return int(text, 0 if text[:2] in ("0x", "0o") else 10)
-
-
 def yaml_of(text: str, told: str) -> Any:
-    """What a text in YAML holds: plain values, without aliases, and no key twice in one mapping.
+    """What a text in YAML holds, see `plain_yaml.Loader`, nested no deeper than `MOST_LEVELS`.
 
     Args:
       text: what to read.
@@ -189,8 +143,10 @@ def yaml_of(text: str, told: str) -> Any:
     """
     import yaml
 
+    from jexplore.arrays.plain_yaml import Loader
+
     try:
-        found = yaml.load(text, _yaml_loader())
+        found = yaml.load(text, Loader)
     except Exception as error:  # PyYAML raises ValueError, KeyError, AttributeError, RecursionError and more
         mark = getattr(error, "problem_mark", None)
         place = "" if mark is None else f"line {mark.line + 1}, column {mark.column + 1}: "
