@@ -10,7 +10,7 @@ from jexplore.config import InputError, require_number, shown
 from jexplore.driving.settings import Robot, require_robot
 from jexplore.studies.traces.job import robot_of
 from jexplore.tracemap.passable import hindrances, refusals
-from jexplore.tracemap.record import NOWHERE, BtmMap, Link, check, require_near
+from jexplore.tracemap.record import NOWHERE, BtmMap, Link, check
 from jexplore.tracemap.route import Index, Route, Sheet, index_of
 from jexplore.tracemap.shortest import Problem, walks
 
@@ -100,14 +100,13 @@ def checked(btm: BtmMap) -> BtmMap:
     """The map with plain values.
 
     Raises:
-      InputError: it is no proper map, one without a node, or with places or lengths of 1000 km and more.
+      InputError: it is no proper map, or one without a node.
     """
     if not isinstance(btm, BtmMap):
         raise InputError(f'btm must be a jx.BtmMap, such as jx.read_btm("btm.json"), got {shown(btm)}')
     btm = check(btm)
     if not btm.nodes:
         raise InputError("the map has no node: there is nowhere to go")
-    require_near(btm, "the map")
     return btm
 
 
