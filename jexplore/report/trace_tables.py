@@ -16,7 +16,7 @@ NOTED = {
     "dropped": "places that might have been a known node, which the next one contradicted",
     "mistaken": "places taken for a node that truly lies elsewhere",
     "overflow": "warning: nodes and links that did not fit",
-    "scan_overflow": "warning: ends of walls that did not fit into a scan's points",
+    "scan_overflow": "ends of walls beyond the 16 that the robot makes use of in one scan, no fault",
 }
 LEFT = ("angles deg", "type", "obstacle", "status")  # columns of text
 
