@@ -33,7 +33,7 @@ SQUARE = BtmMap(
     (
         node(0, "T", 0, 0, attributes={"victim": True, "radio_dbm": -61}),
         node(1, "D", 5, 0),
-        node(2, "D", 5, 5, attributes={"note": NASTY}),
+        node(2, "D", 5, 5, attributes={"note": NASTY, "__proto__": {"x_m": NASTY}, "constructor": NASTY}),
         node(3, "O", 0, 5, obstacle="stairs", step_m=0.1),
     ),
     (
