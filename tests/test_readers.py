@@ -568,7 +568,7 @@ def test_bad_ros_maps_are_refused(tmp_path, changes, line):
         ("image: [", "is not valid YAML"),
         ("image: !!python/name:os.system\n", "is not valid YAML"),
         ("image: !!timestamp 2020-13-45\n", "is not valid YAML"),
-        ("[" * 20000, "is not valid YAML"),
+        ("[" * 20000, "more than 100 deep"),
         ("resolution: !!bool 5\n", "is not valid YAML"),
         ("resolution: !!timestamp x\n", "is not valid YAML"),
         ("resolution: " + "1" * 9000 + "\n", "is not valid YAML"),
@@ -777,7 +777,7 @@ SQUARE = [[0, 0], [2, 0], [2, 2], [0, 2]]
     [
         ("", "is empty"),
         ("{", "is not valid JSON"),
-        ("[" * 100000, "is not valid JSON"),
+        ("[" * 100000, "more than 100 deep"),
         ("[]", "is not a HouseExpo plan; expected an object with the key 'verts'"),
         ('{"verts": []}', "verts must be at least 3 points"),
         ('{"verts": [[0, 0], [1, 1]]}', "verts must be at least 3 points .* got 2"),

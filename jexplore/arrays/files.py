@@ -16,6 +16,7 @@ from jexplore.config import InputError
 MOST_LEVELS = 100
 """Lists and objects within each other. What walks over them calls itself once or twice a level, and Python ends that
 after 1,000 calls."""
+_TOO_DEEP = f"lists and objects lie in each other more than {MOST_LEVELS} deep"
 MOST_SPEC_BYTES = 2**20
 """Of a YAML file. PyYAML reads about 100 kB in a second."""
 
@@ -102,7 +103,9 @@ def json_of(text: str, told: str) -> Any:
         found = json.loads(text)
     except json.JSONDecodeError as error:
         raise InputError(f"{told}: is not valid JSON (line {error.lineno}: {error.msg})") from None
-    except (ValueError, RecursionError) as error:  # of numbers with thousands of digits; of levels
+    except RecursionError:
+        raise InputError(f"{told}: {_TOO_DEEP}") from None
+    except ValueError as error:  # of numbers with thousands of digits
         raise InputError(f"{told}: is not valid JSON ({first_line(error)})") from None
     require_shallow(found, told)
     return found
@@ -127,7 +130,7 @@ def require_shallow(value: Any, told: str) -> None:
     while layer := [one for one in layer if isinstance(one, kinds)]:
         levels += 1
         if levels > MOST_LEVELS:
-            raise InputError(f"{told}: lists and objects lie in each other more than {MOST_LEVELS} deep")
+            raise InputError(f"{told}: {_TOO_DEEP}")
         layer = [inner for one in layer for inner in (one.values() if isinstance(one, Mapping) else one)]
 
 
@@ -147,7 +150,9 @@ def yaml_of(text: str, told: str) -> Any:
 
     try:
         found = yaml.load(text, Loader)
-    except Exception as error:  # PyYAML raises ValueError, KeyError, AttributeError, RecursionError and more
+    except RecursionError:
+        raise InputError(f"{told}: {_TOO_DEEP}") from None
+    except Exception as error:  # PyYAML raises ValueError, KeyError, AttributeError and more
         mark = getattr(error, "problem_mark", None)
         place = "" if mark is None else f"line {mark.line + 1}, column {mark.column + 1}: "
         what = place + (getattr(error, "problem", None) or first_line(error))
