@@ -30,7 +30,7 @@ class Loader(yaml.SafeLoader):
     def compose_node(self, parent, index):
         if self.check_event(yaml.AliasEvent):  # one may stand for a list of lists of lists that fills the memory
             what, mark = "aliases are not read: write out what it stands for", self.peek_event().start_mark
-            raise yaml.composer.ComposerError(None, None, what, mark)
+            raise yaml.MarkedYAMLError(None, None, what, mark)
         return super().compose_node(parent, index)
 
     def construct_mapping(self, node, deep=False):
@@ -39,7 +39,7 @@ class Loader(yaml.SafeLoader):
             what = "" if isinstance(key.value, str) else "a key must be a plain value"
             what = what or (f"the key {key.value!r} is there twice" if key.value in seen else "")
             if what:
-                raise yaml.constructor.ConstructorError(None, None, what, key.start_mark)
+                raise yaml.MarkedYAMLError(None, None, what, key.start_mark)
             seen.add(key.value)
         return super().construct_mapping(node, deep)
 
