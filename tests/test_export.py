@@ -12,10 +12,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from ref.traces import chain
 
 import jexplore as jx
 from jexplore.config import InputError
 from jexplore.report import store
+from jexplore.studies.traces import station
+from jexplore.tracemap import export, json_form, record
 from jexplore.tracemap.export import geojson, graphml
 from jexplore.tracemap.record import NOWHERE, BtmMap, Link, Node
 
@@ -412,3 +415,31 @@ def test_graphml_keeps_what_xml_can_hold():
 
 def test_graphml_of_nothing():
     assert len(networkx.parse_graphml(graphml(BtmMap((), ())))) == 0
+
+
+def test_links_are_not_gone_through_for_every_node(monkeypatch):
+    passes = []
+
+    class Counted(tuple):
+        def __iter__(self):
+            passes.append(1)
+            return super().__iter__()
+
+    def checked(btm):
+        return BtmMap(btm.nodes, Counted(record.check(btm).links), btm.attributes)
+
+    for module in (export, json_form, station):
+        monkeypatch.setattr(module, "check", checked)
+    for write in (
+        geojson,
+        graphml,
+        json_form.to_json,
+        lambda btm: station.station([btm]),
+        lambda btm: btm._repr_png_(),
+    ):
+        counts = []
+        for n in (20, 60):
+            passes.clear()
+            write(checked(chain("T" * n, [(i, 90) for i in range(n)])))
+            counts.append(len(passes))
+        assert counts[0] == counts[1] > 0

@@ -10,9 +10,10 @@ from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from jexplore.arrays.files import opened, read_json
 from jexplore.config import InputError
 from jexplore.report.folders import RunFolder
-from jexplore.report.store import jsonable, write_json, write_parquet
+from jexplore.report.store import MOST_RECORD_BYTES, jsonable, write_json, write_parquet
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -195,7 +196,7 @@ def _is_whole(file):
 def _table_in(file):
     import pandas as pd
 
-    with open(file, "rb") as content:  # of a name that need not be UTF-8
+    with opened(file) as content:
         return pd.read_parquet(content, engine="pyarrow", page_checksum_verification=True)
 
 
@@ -222,11 +223,9 @@ def is_finished(
 
 def _read(file):
     try:
-        return json.loads(file.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise InputError(
-            f"{os.fspath(file)} must say what the run is asked, and cannot be read: {error}; use --overwrite"
-        ) from error
+        return read_json(file, MOST_RECORD_BYTES)
+    except InputError as error:
+        raise InputError(f"{error}: it must say what the run is asked; use --overwrite") from error
 
 
 def require_same(path: Path, there: Any, here: Mapping[str, Any], *, trust: bool = False) -> None:

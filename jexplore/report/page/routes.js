@@ -1,15 +1,20 @@
 // What a robot may use of a map, and its shortest way: the rules of tracemap/passable.py and studies/traces/routes.py once
 // more, for robots that are typed into the page. Nothing here knows the page.
 //
-// A map: nodes, links (in the order of their ids), and byNode, byLink: Map of id -> item. Measures that are not known are
-// null. Of a link step_m and inclination_deg are those that count, length_mm is whole, metres its length, called its name in
+// A map: nodes, links (in the order of their ids), ends (Map of node -> its ends of links), and byNode, byLink: Map of id ->
+// item. Measures that are not known are null. Of a link step_m and inclination_deg are those that count, length_mm is whole, metres its length, called its name in
 // a sentence, unknown and doubts texts, blocks by whom it could not be passed: words, and width_m, max_step_m, max_slope_deg of
 // the robot that could not, null if not known; of a node unknown. A robot: name, width_m, max_step_m, max_slope_deg.
 const NOWHERE = -1, SLACK = 1e-6, SAME_DEG = 1e-6;
 
 function makeMap({nodes, links}) {
   links = [...links].sort((a, b) => a.id - b.id);
-  return {nodes, links, byNode: new Map(nodes.map((node) => [node.id, node])), byLink: new Map(links.map((link) => [link.id, link]))};
+  const ends = new Map(nodes.map((node) => [node.id, []]));  // of links at a node: [link, whether its first end, bearing]
+  for (const link of links) {
+    ends.get(link.start).push([link, true, link.start_bearing_deg]);
+    if (link.end !== NOWHERE) ends.get(link.end).push([link, false, link.end_bearing_deg]);
+  }
+  return {nodes, links, ends, byNode: new Map(nodes.map((node) => [node.id, node])), byLink: new Map(links.map((link) => [link.id, link]))};
 }
 
 // ---- numbers in sentences, to the same digits as Python's "g": halves go to the even digit
@@ -76,22 +81,34 @@ function useOf(map, robot, knownOnly, known = null) {
 // ---- the shortest way, in whole millimetres; of equal ones that of the fewest links, then of the lowest ids in order
 const otherEnd = (link, node) => link.start === node ? link.end : link.start;
 function shortest(map, use, targets) {
-  const left = new Map(map.nodes.map((node) => [node.id, [Infinity, Infinity]])), open = new Set(left.keys());
+  const left = new Map(map.nodes.map((node) => [node.id, [Infinity, Infinity]])), heap = [];  // of [mm, hops, node]
   const isLess = ([mm, hops], [others, more]) => mm < others || mm === others && hops < more;
+  const put = (way) => {
+    let at = heap.push(way) - 1;
+    for (let up; at && isLess(way, heap[up = (at - 1) >> 1]); at = up) heap[at] = heap[up];
+    heap[at] = way;
+  };
+  const take = () => {
+    const top = heap[0], last = heap.pop();
+    for (let at = 0, next; heap.length; at = next) {
+      next = 2 * at + 1;
+      if (next + 1 < heap.length && isLess(heap[next + 1], heap[next])) next++;
+      if (next >= heap.length || !isLess(heap[next], last)) { heap[at] = last; break; }
+      heap[at] = heap[next];
+    }
+    return top;
+  };
   const usable = map.links.filter((link) => link.end !== NOWHERE && !use.refused.has(link.id));
   const around = new Map(map.nodes.map((node) => [node.id, []]));
   for (const link of usable) for (const end of new Set([link.start, link.end])) around.get(end).push(link);
   const ends = (node) => use.barriers.has(node) && !targets.has(node);  // a way may begin there, not lead on
-  for (const target of targets) left.set(target, [0, 0]);
-  while (open.size) {
-    const here = [...open].reduce((best, node) => isLess(left.get(node), left.get(best)) ? node : best);
-    open.delete(here);
-    const [mm, hops] = left.get(here);
-    if (mm === Infinity) break;
-    if (ends(here)) continue;
+  for (const target of targets) { left.set(target, [0, 0]); put([0, 0, target]); }
+  while (heap.length) {
+    const [mm, hops, here] = take();
+    if (isLess(left.get(here), [mm, hops]) || ends(here)) continue;
     for (const link of around.get(here)) {
       const there = otherEnd(link, here), way = [mm + link.length_mm, hops + 1];
-      if (isLess(way, left.get(there))) left.set(there, way);
+      if (isLess(way, left.get(there))) { left.set(there, way); put([...way, there]); }
     }
   }
   const first = (node) => {  // the link by which the best way leaves a node
@@ -105,11 +122,7 @@ function shortest(map, use, targets) {
 }
 // Which way out of a node a link is, of how many, and its angle; `leaves`, `came`: [link, whether by its first end].
 function counted(map, node, leaves, came) {
-  const ends = [];
-  for (const link of map.links) {
-    if (link.start === node) ends.push([link, true, link.start_bearing_deg]);
-    if (link.end === node) ends.push([link, false, link.end_bearing_deg]);
-  }
+  const ends = map.ends.get(node);
   const isSame = (a, b) => a[0].id === b[0].id && a[1] === b[1];
   if (!came) return {way: null, ways: ends.length, turn_deg: null};
   const back = ends.find((end) => isSame(end, came))[2], others = ends.filter((end) => !isSame(end, came));
@@ -152,15 +165,9 @@ function routeOf(map, use, start, end) {
   return {...about, found: true, end: last, nodes, links: links.map((link) => link.id), steps, onward, length_m, unknown, trouble: ""};
 }
 function troubleOf(map, use, start, end) {
-  const known = new Set([start]);
-  for (let grown = true; grown;) {
-    grown = false;
-    for (const link of map.links) {
-      if (link.end === NOWHERE || known.has(link.start) === known.has(link.end)) continue;
-      known.add(link.start).add(link.end);
-      grown = true;
-    }
-  }
+  const around = new Map(map.nodes.map((node) => [node.id, []])), known = new Set([start]);
+  for (const link of map.links) if (link.end !== NOWHERE) { around.get(link.start).push(link.end); around.get(link.end).push(link.start); }
+  for (const here of known) for (const there of around.get(here)) known.add(there);  // a set goes on with what is added
   const name = use.robot.name, stubs = map.links.filter((link) => link.end === NOWHERE);
   if (end !== null) return known.has(end) ? `${name} cannot get from node ${start} to node ${end}` : `nodes ${start} and ${end} lie in parts of the map that no link joins`;
   if (!stubs.length) return "the map has no un-searched link";

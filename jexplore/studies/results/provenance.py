@@ -13,6 +13,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from jexplore.arrays.files import read_yaml
 from jexplore.arrays.padding import bucket
 from jexplore.config import InputError
 from jexplore.exploration.batch import Job
@@ -53,10 +54,7 @@ def _named_in(path):
         suffixes = tuple(f".{suffix}" for suffix in names.SUFFIXES["ROS bag"])
         yield from sorted(file for file in path.parent.iterdir() if file.name.lower().endswith(suffixes))
     elif path.suffix.lower() in (".yaml", ".yml"):
-        import yaml
-
-        with open(path, encoding="utf-8") as file:
-            page = yaml.safe_load(file)
+        page = read_yaml(path)
         if isinstance(page, dict) and isinstance(page.get("image"), str):
             yield path.parent / page["image"]
 

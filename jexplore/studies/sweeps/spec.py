@@ -5,16 +5,14 @@ import difflib
 import itertools
 import math
 import os
-import re
 from collections.abc import Iterable, Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from jexplore.arrays.files import first_line, read_yaml
 from jexplore.config import MAX_SEED, InputError, Lidar, Rules, require_number, require_whole, unknown
 from jexplore.driving.settings import Noise, Tuning
-from jexplore.report.store import reason
 
 MAX_SETTINGS = 100_000
 MAX_TOTAL = 100_000_000  # episodes
@@ -331,39 +329,14 @@ def read_spec(path: str | os.PathLike[str]) -> Sweep:
     Raises:
       InputError: no such file, broken YAML (with line and column), or what `sweep_from` refuses.
     """
-    import yaml
-
+    path = os.path.expanduser(path)
+    page = read_yaml(path)
     try:
-        text = Path(os.path.expanduser(path)).read_text(encoding="utf-8")
-    except (OSError, ValueError) as error:
-        raise InputError(f"{os.fspath(path)} must be a readable YAML file: {reason(error)}") from error
-
-    class Loader(yaml.SafeLoader):
-        """YAML 1.1 as PyYAML reads it, but for numbers such as 1e-3 and keys that are there twice."""
-
-        def construct_mapping(self, node, deep=False):
-            seen = set()
-            for key, _ in node.value:
-                if key.value in seen:
-                    raise yaml.constructor.ConstructorError(
-                        None, None, f"the key {key.value!r} is there twice", key.start_mark
-                    )
-                seen.add(key.value)
-            return super().construct_mapping(node, deep)
-
-    Loader.add_implicit_resolver(
-        "tag:yaml.org,2002:float", re.compile(r"[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$"), list("-+.0123456789")
-    )
-    try:
-        page = yaml.load(text, Loader)
         return sweep_from(page, os.fspath(path))
     except InputError:
         raise
-    except (yaml.YAMLError, ValueError, TypeError, AttributeError, RecursionError) as error:
-        mark = getattr(error, "problem_mark", None)
-        where = "" if mark is None else f", line {mark.line + 1}, column {mark.column + 1}"
-        what = getattr(error, "problem", None) or str(error).splitlines()[0]
-        raise InputError(f"{os.fspath(path)}{where}: {what}") from error
+    except (ValueError, TypeError, AttributeError) as error:
+        raise InputError(f"{os.fspath(path)}: {first_line(error)}") from error
 
 
 def plain(spec: Sweep) -> dict[str, Any]:

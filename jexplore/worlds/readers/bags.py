@@ -12,9 +12,9 @@ from pathlib import Path
 
 import numpy as np
 
+from jexplore.arrays.files import first_line, opened
 from jexplore.config import InputError, require_number, require_whole
 from jexplore.worlds.names import METADATA
-from jexplore.worlds.readers.files import first_line, opened
 from jexplore.worlds.readers.images import MAX_PIXELS
 from jexplore.worlds.readers.resample import resample
 from jexplore.worlds.world import World

@@ -9,8 +9,8 @@ import os
 
 import numpy as np
 
+from jexplore.arrays.files import read_text
 from jexplore.config import InputError, require_number
-from jexplore.worlds.readers.files import read_text
 from jexplore.worlds.readers.scans import ScanLog, fold_scans
 from jexplore.worlds.world import World
 
