@@ -143,10 +143,9 @@ def _pictures(out, found, record, plan):
 
 def _finish(out: Out, found: "Swept", arguments: Sequence[str], options: Any, plan: Any, **entries: Any) -> int:
     """Writes, prints and draws. Returns the exit status."""
-    import yaml
-
     from jexplore.report import store
     from jexplore.studies.sweeps.spec import plain
+    from jexplore.worlds.readers.plain_yaml import dump
 
     costs = found.costs
     ran = len(found.episodes) - found.resumed
@@ -165,7 +164,7 @@ def _finish(out: Out, found: "Swept", arguments: Sequence[str], options: Any, pl
     files = {
         "episodes.parquet": lambda path: store.write_parquet(found.episodes, path),
         "summary.csv": lambda path: found.summary.to_csv(path, index=False),
-        "asked.yaml": lambda path: path.write_text(yaml.safe_dump(plain(found.spec), sort_keys=False)),
+        "asked.yaml": lambda path: path.write_text(dump(plain(found.spec))),
         "run.json": lambda path: store.write_json(record, path),
     }
     out.write(files, is_finished=not found.missing)

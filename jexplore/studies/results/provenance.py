@@ -50,8 +50,10 @@ def _named_in(path):
     if path.suffix in (".yaml", ".yml"):
         import yaml
 
+        from jexplore.worlds.readers.plain_yaml import Loader
+
         with open(path, encoding="utf-8") as file:
-            page = yaml.safe_load(file)
+            page = yaml.load(file, Loader)
         if isinstance(page, dict) and isinstance(page.get("image"), str):
             picture = path.parent / page["image"]
             if picture.is_file():

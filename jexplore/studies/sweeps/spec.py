@@ -5,7 +5,6 @@ import difflib
 import itertools
 import math
 import os
-import re
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -324,34 +323,20 @@ def _plain(value: Any) -> Any:
 
 
 def read_spec(path: str | os.PathLike[str]) -> Sweep:
-    """A `Sweep` from a YAML file.
+    """A `Sweep` from a YAML file, read as `plain_yaml` reads it: YAML 1.2.
 
     Raises:
       InputError: no such file, broken YAML (with line and column), or what `sweep_from` refuses.
     """
     import yaml
 
+    from jexplore.worlds.readers.plain_yaml import Loader
+
     try:
         text = Path(os.path.expanduser(path)).read_text(encoding="utf-8")
     except (OSError, ValueError) as error:
         raise InputError(f"{os.fspath(path)} must be a readable YAML file: {reason(error)}") from error
 
-    class Loader(yaml.SafeLoader):
-        """YAML 1.1 as PyYAML reads it, but for numbers such as 1e-3 and keys that are there twice."""
-
-        def construct_mapping(self, node, deep=False):
-            seen = set()
-            for key, _ in node.value:
-                if key.value in seen:
-                    raise yaml.constructor.ConstructorError(
-                        None, None, f"the key {key.value!r} is there twice", key.start_mark
-                    )
-                seen.add(key.value)
-            return super().construct_mapping(node, deep)
-
-    Loader.add_implicit_resolver(
-        "tag:yaml.org,2002:float", re.compile(r"[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$"), list("-+.0123456789")
-    )
     try:
         page = yaml.load(text, Loader)
         return sweep_from(page, os.fspath(path))
