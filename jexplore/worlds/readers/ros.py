@@ -236,7 +236,7 @@ def _warn_of_unknown(path, levels, info, free):
     cures = []
     if info.mode == "scale":
         cures.append("write mode: trinary")
-    if info.free_thresh > (255 - _UNKNOWN) / 255:
+    if info.mode == "trinary" or info.free_thresh >= (255 - _UNKNOWN) / 255:
         cures.append("write free_thresh: 0.196")
     warnings.warn(
         f"{path!r}: {share:.0%} of its pixels are grey {_UNKNOWN}, which stands for unknown, and yet free, as in the "
