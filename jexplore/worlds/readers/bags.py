@@ -18,7 +18,7 @@ from jexplore.worlds.readers.files import first_line, opened, told_kind
 from jexplore.worlds.readers.grids import FREE_MAX, free_cells, upright
 from jexplore.worlds.readers.images import MAX_PIXELS
 from jexplore.worlds.readers.resample import resample
-from jexplore.worlds.world import World, with_ring
+from jexplore.worlds.world import World, require_hundred
 
 _TYPE = "nav_msgs/msg/OccupancyGrid"
 _USUAL = "/map"
@@ -106,22 +106,23 @@ def load_bag(
       free_max, occupied_min: see `grids.free_cells`.
 
     Returns:
-      A `World` with an occupied ring and the map's origin: a point has the same metres in ROS. It has no start.
+      A `World` as mapped, with the map's origin: a point has the same metres in ROS. It has no start.
 
     Warns:
       InputWarning: as `grids.free_cells` and `read_bag`.
 
     Raises:
-      InputError: as `read_bag` and `grids.free_cells`, no free cell, or too large a world.
+      InputError: as `read_bag` and `grids.free_cells`, no free cell, a mask of 0 and 1, or too large a world.
     """
     path = os.fspath(path)
     grid = read_bag(path, topic=topic, message=message)
     where = f"{path!r}: the map on {grid.topic}"
+    require_hundred(path, grid.occupancy)
     free = free_cells(where, grid.occupancy, free_max=free_max, occupied_min=occupied_min)
     if not free.any():
         raise InputError(f"{where}: no cell is free (occupancy 0 to {FREE_MAX if free_max is None else free_max})")
     cells = resample(~free, (grid.resolution_m, grid.resolution_m), cell_m, name=path)
-    return with_ring(World(occupied=cells, cell_m=cell_m, name=path, origin_m=grid.origin_m))
+    return World(occupied=cells, cell_m=cell_m, name=path, origin_m=grid.origin_m)
 
 
 def _connections(path, connections, topic):
