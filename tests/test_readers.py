@@ -637,12 +637,41 @@ def test_a_square_room_at_any_angle_by_its_area(tmp_path):
         assert (x_m, y_m) == pytest.approx(middle, abs=0.05)
 
 
-def test_unknown_and_graded_cells_of_a_turned_grid(tmp_path):
-    """The largest occupancy that a cell overlaps, the unknown above all but 100."""
-    with pytest.warns(InputWarning, match="is turned by 45 degrees"):
-        turned, _ = upright("m", np.array([[10, 40, 10, -1, 10, 100, -1]] * 7), math.pi / 4, 1.0, (0, 0))
-    assert set(np.unique(turned)) == {-1, 10, 40, 100}
-    assert turned[[0, -1, 0, -1], [0, 0, -1, -1]].tolist() == [-1] * 4
+@settings(max_examples=60, deadline=None)
+@given(
+    hnp.arrays(np.int8, (4, 5), elements=st.sampled_from([-1, 0, 10, 40, 100])), st.floats(0.2, 1.3), st.integers(0, 3)
+)
+def test_a_cell_of_a_turned_grid_has_the_largest_of_what_it_overlaps(occupancy, rest, quarters):
+    """The unknown ranks above all but 100. Held against points within a cell, and in one a little larger."""
+    yaw = rest + quarters * math.pi / 2
+    with pytest.warns(InputWarning, match="is turned by"):
+        turned, low = upright("m", occupancy, yaw, 1.0, (0.0, 0.0))
+    rank, found = (np.where(grid < 0, 99.5, grid) for grid in (occupancy, turned))
+
+    def largest(reach):
+        at = np.linspace(-reach, reach, 27)
+        x = np.arange(turned.shape[1])[None, :, None, None] + 0.5 + low[0] + at
+        y = np.arange(turned.shape[0])[:, None, None, None] + 0.5 + low[1] + at[:, None]
+        cos, sin = math.cos(yaw), math.sin(yaw)
+        col, row = (np.floor(v).astype(int) for v in (x * cos + y * sin, y * cos - x * sin))
+        inside = (row >= 0) & (row < 4) & (col >= 0) & (col < 5)
+        ranks = np.where(inside, rank[np.clip(row, 0, 3), np.clip(col, 0, 4)], -1)
+        return ranks.max(axis=(2, 3)), inside[..., 13, 13]
+
+    (least, inside), (most, _) = largest(0.499), largest(0.65)
+    assert (turned[~inside] == -1).all()
+    assert (found >= least)[inside].all()
+    assert (found <= most)[inside].all()
+
+
+@pytest.mark.parametrize("deg", range(5, 90, 8))
+def test_a_diagonal_wall_of_one_pixel_parts_a_turned_map(deg):
+    with pytest.warns(InputWarning, match=f"is turned by {deg} degrees"):
+        turned, _ = upright("m", np.eye(40, dtype=int) * 100, math.radians(deg), 1.0, (0, 0))
+    labels, n = ndimage.label(turned == 0)
+    assert n >= 2
+    sizes = np.sort(np.bincount(labels.ravel())[1:])[::-1]
+    assert sizes[:2].min() > 500
 
 
 def test_ros_resamples_to_the_cell(tmp_path):

@@ -136,8 +136,7 @@ def _longest(ranges, longest_m, said_m):
     if longest_m:
         return longest_m
     longest_m = said_m or _FAR_M
-    near = np.isfinite(ranges).all() and ranges.max() <= _NEAR_CODES_M
-    return min(longest_m, _NEAR_M) if near else longest_m
+    return min(longest_m, _NEAR_M) if ranges.max() <= _NEAR_CODES_M else longest_m  # never with inf or NaN among them
 
 
 def _found(path, log):
