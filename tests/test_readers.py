@@ -285,6 +285,11 @@ def test_a_picture_is_turned_as_its_exif_data_say_but_in_a_ros_map(tmp_path, suf
         assert np.array_equal(read_ros(path)[0][::-1] == 0, stored == 255)
 
 
+def test_damaged_exif_data_turn_nothing(tmp_path):
+    Image.fromarray(np.zeros((2, 3), np.uint8)).save(tmp_path / "m.png", exif=b"Exif\0\0something")
+    assert read_pixels(str(tmp_path / "m.png")).shape == (2, 3, 1)
+
+
 @pytest.mark.parametrize(
     ("header", "pixels", "expected"),
     [

@@ -122,7 +122,7 @@ def read_pixels(path: str | os.PathLike[str], *, as_stored: bool = False) -> np.
                 raise Image.DecompressionBombError
             if image.format == "PPM":
                 image = Image.open(io.BytesIO(_with_short_line_end(content, image)), formats=_FORMATS)
-            levels = _levels(path, image if as_stored else ImageOps.exif_transpose(image))
+            levels = _levels(path, image if as_stored else _upright(image))
     except InputError:
         raise
     except Image.DecompressionBombError:
@@ -139,6 +139,15 @@ def read_pixels(path: str | os.PathLike[str], *, as_stored: bool = False) -> np.
     if image.format == "JPEG":
         _warn_of_blur(path, grey(levels))
     return levels
+
+
+def _upright(image):
+    """A picture turned as its EXIF data say; as it is where these are damaged."""
+    image.load()  # raises where the picture itself is damaged
+    try:
+        return ImageOps.exif_transpose(image)
+    except Exception:
+        return image
 
 
 def _with_short_line_end(content, image):
