@@ -14,7 +14,7 @@ from flax import struct
 from jax import Array
 
 from jexplore.arrays.loops import settled
-from jexplore.tracemap.record import NODE_TYPES, NOWHERE, OBSTACLES, STATUS, BtmMap, Link, Node
+from jexplore.tracemap.record import NODE_TYPES, NOWHERE, OBSTACLES, STATUS, BtmMap, Link, Node, direction_deg
 
 TERMINAL, DIVERGENCE, FREE_SPACE, OBSTACLE = range(len(NODE_TYPES))
 SLOPE, STAIRS = range(len(OBSTACLES))
@@ -252,8 +252,8 @@ def to_map(btm: Btm, *, origin_m: tuple[float, float] = (0.0, 0.0), **attributes
     """
     fields = {name: np.asarray(value) for name, value in btm.__dict__.items()}
 
-    def number(name, i, scale=1.0):
-        value = float(fields[name][i]) * scale
+    def number(name, i):
+        value = float(fields[name][i])
         return value if math.isfinite(value) else None
 
     def word(words, name, i):
@@ -285,8 +285,8 @@ def to_map(btm: Btm, *, origin_m: tuple[float, float] = (0.0, 0.0), **attributes
             start=int(fields["start"][i]),
             end=int(fields["end"][i]) if fields["status"][i] == SEARCHED else NOWHERE,
             status=STATUS[fields["status"][i]],
-            start_bearing_deg=number("start_bearing", i, 180 / math.pi) or 0.0,
-            end_bearing_deg=number("end_bearing", i, 180 / math.pi),
+            start_bearing_deg=_bearing_deg(fields["start_bearing"][i]) or 0.0,
+            end_bearing_deg=_bearing_deg(fields["end_bearing"][i]),
             length_m=number("length_m", i),
             min_width_m=number("min_width_m", i),
             posture_deg=number("link_posture_deg", i),
@@ -298,6 +298,11 @@ def to_map(btm: Btm, *, origin_m: tuple[float, float] = (0.0, 0.0), **attributes
         for number_, i in enumerate(kept)
     )
     return BtmMap(nodes, links, {"overflow": int(fields["overflow"]), **attributes})
+
+
+def _bearing_deg(bearing):
+    """A bearing in radians, NaN for none, in degrees."""
+    return direction_deg(math.degrees(bearing)) if math.isfinite(bearing) else None
 
 
 def _moved(fields, i):

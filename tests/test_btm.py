@@ -271,7 +271,7 @@ def test_the_record_by_hand():
                          attributes={"intervention": 2, "profile_variance_m2": 0.001953125}),
         ),
         links=(
-            record.Link(0, 0, 1, "searched", 0.0, pytest.approx(-90), 2.5, None, 12.5),
+            record.Link(0, 0, 1, "searched", 0.0, pytest.approx(270), 2.5, None, 12.5),
             record.Link(1, 1, record.NOWHERE, "un-searched", pytest.approx(90), opening_m=1.25,
                          attributes={"blocked": True}),
         ),

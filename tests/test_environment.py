@@ -173,8 +173,13 @@ def test_ends(env):
     lidar = Lidar(n_beams=37, range_m=1.0)
     closed = jx.Environment(World(occupied=occupied, name="closed"), lidar=lidar, paths=True)
     key = jax.random.key(0)
-    for start, outcome in (([6, 6, 0], "STUCK"), ([17, 17, 90], "COMPLETE"), ([-3, 500, 0], "STUCK")):
-        state, view = jax.jit(closed.reset)(key, jnp.int32(start))  # traced: not refused
+    for start, outcome in (
+        *(([6, 6, 0], "STUCK"), ([17, 17, 90], "COMPLETE"), ([17, 17, -270], "COMPLETE"), ([-3, 500, 0], "BAD_START")),
+        *(([17, 23, 0], "BAD_START"), ([17, 40, 0], "BAD_START"), ([17, 17, 30], "BAD_START")),
+        *(([17, 17, 0, 1], "BAD_START"), ([17, 17, 0, -1], "BAD_START"), ([17, 17, 0, 0], "COMPLETE")),
+    ):
+        start, world = jnp.int32(start[:3]), jnp.int32(start[3] if len(start) > 3 else 0)
+        state, view = jax.jit(closed.reset)(key, start, world)  # traced: not refused
         new, _, reward, done, info = closed.step(key, state, nearest(view))
         assert (bool(done), float(reward), jx.Outcome(int(info["outcome"])).name) == (True, 0.0, outcome)
         same(new, state)
@@ -230,6 +235,15 @@ def test_what_is_refused(env):
 def test_64_bits_are_refused():
     with jax.enable_x64(True), pytest.raises(InputError, match="jexplore computes in 32 bits"):
         jx.Environment(two_rooms())
+
+
+def test_64_bits_switched_on_later_are_refused(env):
+    key = jax.random.key(0)
+    state, view = env.reset(key)
+    with jax.enable_x64(True):
+        for call in (lambda: env.reset(key), lambda: env.step(key, state, nearest(view))):
+            with pytest.raises(InputError, match="jexplore computes in 32 bits"):
+                call()
 
 
 def test_keys_may_be_used_again_and_old_ones_do_as_well(env):

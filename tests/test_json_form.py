@@ -1,6 +1,7 @@
 """Behavioral Trace Maps as JSON: by hand, there and back, refusals with their lines."""
 
 import json
+import re
 
 import pytest
 from hypothesis import given, settings
@@ -8,7 +9,8 @@ from ref.traces import CRAWLER, T_LEFT, changed, maps, node, stub, way
 
 from jexplore.config import InputError
 from jexplore.report import store
-from jexplore.tracemap import json_form
+from jexplore.tracemap import export, json_form
+from jexplore.tracemap.json_form import WANTED
 from jexplore.tracemap.record import BtmMap
 
 
@@ -113,9 +115,10 @@ def line_of(text, mark, count=1):
         ('"x_m": 2.0', '"x_m": null', "node 1: x_m must be a finite number, got None"),
         ('"x_m": 2.0', '"x_m": ' + "9" * 400, "node 1: x_m must be a finite number, got .*"),
         ('"length_m": 2.0', '"length_m": -2', "link 0: length_m must be a finite number of at least 0, got -2"),
-        ('"id": 2,', '"id": "2",', r"nodes\[2\]: id must be an integer of at least 0, got '2'"),
-        ('"id": 2,', '"id": -1,', "node -1: id must be an integer of at least 0, got -1"),
-        ('"end": 2,', '"end": -2,', "link 1: end must be an integer of at least -1, got -2"),
+        ('"id": 2,', '"id": "2",', r"nodes\[2\]: id must be an integer from 0 to 9007199254740991, got '2'"),
+        ('"id": 2,', '"id": -1,', "node -1: id must be an integer from 0 to 9007199254740991, got -1"),
+        ('"id": 2,', '"id": 9007199254740992,', r"node 9007199254740992: id must be an integer from 0 to .*, got 9.*"),
+        ('"end": 2,', '"end": -2,', "link 1: end must be an integer from -1 to 9007199254740991, got -2"),
         ('"end": 2,', '"end": -1,', 'link 1 has no end, so it must be un-searched, got "searched"'),
         ('"end": -1,', '"end": 0,', 'link 2 ends at node 0, so it must be searched, got "un-searched"'),
         ('"end_bearing_deg": 180.0', '"end_bearing_deg": null', "link 0 must have an end_bearing_deg if it has an .*"),
@@ -141,20 +144,24 @@ def test_lines_of_elements_on_one_line_and_of_others():
 def test_a_cut_file_is_refused_wherever_it_is_cut():
     text = text_of(T_LEFT)
     for length in range(len(text)):
-        with pytest.raises(InputError, match=r'^"b": line \d+ must be JSON: ') as caught:
+        with pytest.raises(InputError, match=r'^"b": is not valid JSON \(line \d+: ') as caught:
             json_form.parse(text[:length], "b")
-        assert int(str(caught.value).split()[2]) <= text[:length].count("\n") + 1
-    with pytest.raises(InputError, match=r'^"b": line 5 must be JSON: '):
+        assert int(re.findall(r"line (\d+)", str(caught.value))[0]) <= text[:length].count("\n") + 1
+    with pytest.raises(InputError, match=r'^"b": is not valid JSON \(line 5: '):
         json_form.parse("\n".join(text.split("\n")[:4]) + "\n", "b")
 
 
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("[]", '"b": format must be "behavioral-trace-map", got a list'),
-        ("7", '"b": format must be "behavioral-trace-map", got a int'),
-        ('{"type": "FeatureCollection"}', '"b": format must be "behavioral-trace-map", got None'),
-        ('{\n"format": "x"}', '"b": line 2: format must be "behavioral-trace-map", got \'x\''),
+        ("[]", f'"b": format must be "behavioral-trace-map", got a list; {WANTED}'),
+        ("7", f'"b": format must be "behavioral-trace-map", got a int; {WANTED}'),
+        ("{}", f'"b": format must be "behavioral-trace-map", got None; {WANTED}'),
+        ('{\n"format": "x"}', f'"b": line 2: format must be "behavioral-trace-map", got \'x\'; {WANTED}'),
+        (json.dumps(export.geojson(CRAWLER)), f'"b": is GeoJSON, such as the route graph for Nav2; {WANTED}'),
+        (export.graphml(CRAWLER), f'"b": is XML, such as GraphML; {WANTED}'),
+        ('{"command": ["jexplore", "trace"]}', f'"b": is the record of a run; {WANTED}'),
+        ('{"is_found": true, "links": []}', f'"b": is a route, the result of `jexplore route`; {WANTED}'),
         (text_of(T_LEFT, nodes={}), '"b": line 8: nodes must be a list, got {}'),
         (text_of(T_LEFT, links=None).replace('"links": null', '"link": 0'), '"b": links must be a list, got None'),
         (text_of(T_LEFT, attributes=3), '"b": line 7: attributes must be an object, got 3'),
@@ -167,6 +174,20 @@ def test_foreign_files_are_refused(text, message):
         json_form.parse(text, "b")
     assert "\n" not in str(caught.value)
     assert message is None or str(caught.value) == message
+
+
+@pytest.mark.parametrize("levels", [98, 99, 500, 10_000])
+def test_attributes_nest_so_deep_and_no_deeper(levels):
+    bad = text_of(T_LEFT).replace('"attributes": {}', '"attributes": {"a": ' + "[" * levels + "]" * levels + "}", 1)
+    if levels > 98:  # within the file's object and its attributes
+        with pytest.raises(InputError, match=r'^"b": (lists and objects lie in each other more than 100 deep|is not )'):
+            json_form.parse(bad, "b")
+    else:
+        assert json_form.to_json(json_form.parse(bad, "b"))
+    own = []
+    own.append(own)  # no end of levels
+    with pytest.raises(InputError, match=r"^attributes: lists and objects lie in each other more than 100 deep$"):
+        T_LEFT.with_attributes({"a": own})
 
 
 def test_a_map_that_is_none_is_not_written():
@@ -182,7 +203,9 @@ def test_files(tmp_path):
     assert json_form.read_btm(path) == CRAWLER
     path.write_text(path.read_text()[:300])
     lines = path.read_text().count("\n") + 1
-    with pytest.raises(InputError, match=f"line {lines} must be JSON"):
+    with pytest.raises(InputError, match=rf"is not valid JSON \(line {lines}: "):
         json_form.read_btm(path)
-    with pytest.raises(InputError, match="must be a readable JSON file"):
+    with pytest.raises(InputError, match=r"none.json': there is no such file"):
         json_form.read_btm(tmp_path / "none.json")
+    with pytest.raises(InputError, match=f"is a directory; {WANTED} in it"):
+        json_form.read_btm(tmp_path)

@@ -171,7 +171,7 @@ def test_a_finished_run_is_known(tmp_path):
     with claimed(tmp_path, resume=True) as run, pytest.raises(InputError, match="holds another run"):
         ledger.is_finished(run, ASKED, 4)
     (tmp_path / "run.json").write_text("{")
-    with claimed(tmp_path, resume=True) as run, pytest.raises(InputError, match="cannot be read"):
+    with claimed(tmp_path, resume=True) as run, pytest.raises(InputError, match="is not valid JSON"):
         ledger.is_finished(run, ASKED, 4)
     (tmp_path / "run.json").rename(tmp_path / "compare.png")
     with claimed(tmp_path, resume=True) as run, pytest.raises(InputError, match=r"holds a run \(compare.png\)"):
@@ -201,7 +201,9 @@ def test_a_unit_damaged_inside_is_told(tmp_path):
 def test_a_page_that_cannot_be_read_is_told(tmp_path):
     leave(tmp_path, 0)
     (tmp_path / UNFINISHED / "asked.json").write_text("{")
-    with pytest.raises(InputError, match=r"asked.json must say what the run is asked.*--overwrite"):
+    with pytest.raises(
+        InputError, match=r"asked.json': is not valid JSON .*: it must say what the run is asked; use --overwrite"
+    ):
         begin(tmp_path, resume=True)
 
 

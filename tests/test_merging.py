@@ -783,7 +783,7 @@ def test_merged_maps_are_merged_further_and_keep_whom_they_are_of():
     assert found.nodes["two"][5] == 5
     assert found.nodes["c"][1] == 5
     assert found.notes == ("node 3: victim is True in a and False in b",)
-    with pytest.raises(InputError, match='expected maps with names of their own, got "b" twice'):
+    with pytest.raises(InputError, match="expected maps with names of their own, got 'b' twice"):
         merge_maps([two, third()], ["two", "b"])
 
 
@@ -831,7 +831,7 @@ def test_conflicts_of_a_map_that_was_not_merged():
     [
         (lambda: merge_maps([FIRST]), "expected two maps or more, got 1"),
         (lambda: merge_maps([FIRST, SECOND], ["a"]), "expected a name for each of 2 maps"),
-        (lambda: merge_maps([FIRST, SECOND], ["a", "a"]), 'names of their own, got "a" twice'),
+        (lambda: merge_maps([FIRST, SECOND], ["a", "a"]), "names of their own, got 'a' twice"),
         (lambda: merge_maps([FIRST, SECOND], min_common=0), "min_common must be an integer from 1"),
         (lambda: merge_maps([FIRST, {}]), "a map must be a jx.BtmMap"),
         (lambda: merge_maps([FIRST, BtmMap(FIRST.nodes[:1], FIRST.links)]), "which is not there"),
@@ -874,7 +874,7 @@ def test_a_map_has_one_name_however_its_path_is_typed(files, capsys, monkeypatch
     capsys.readouterr()
     for again in ("btm.json", "../two/btm.json", str(files / "two" / "btm.json")):
         assert main(["merge-maps", "../global.json", again]) == 2
-        assert 'names of their own, got "two" twice' in capsys.readouterr().err
+        assert "names of their own, got 'two' twice" in capsys.readouterr().err
     saved(files / "other" / "one", moved(SECOND, QUARTER))
     both = ["../one/btm.json", "../other/one/btm.json"]
     assert main(["merge-maps", *both]) == 2
@@ -944,7 +944,7 @@ def test_the_command_refuses(files, capsys):
         (["a.json"], "expected files of two maps or more, got 1"),
         (["a.json", "./a.json"], "expected every map once, got ./a.json again"),
         (["a.json", "far.json"], "far: link 0: expected places and lengths below 1000 km, got 1e+300 m"),
-        (["a.json", "nothing.json"], "nothing.json must be a readable JSON file"),
+        (["a.json", "nothing.json"], "'nothing.json': there is no such file"),
         (["a.json", "b.json", "--out", "a.json", "--overwrite"], "is one of the maps"),
         (["a.json", "b.json", "--out", "no/global.json"], "there is no folder"),
         (["a.json", "b.json", "--out", "."], "must be a file, and is a folder"),

@@ -598,7 +598,7 @@ def test_without_a_route_the_command_ends_with_1_and_all_reasons(saved, capsys):
         ("--map btm.json --to there", "to must be a node's id or X,Y in metres, or unsearched, got 'there'"),
         ("--map btm.json --robot hover --to 2", "robot must be one of kamui, wheeled, got 'hover'"),
         ("--map no.json --to 2", '"no.json"'),
-        ("--map gone.json --to 2", "gone.json must be a readable JSON file"),
+        ("--map gone.json --to 2", "'gone.json': there is no such file"),
         ("--map btm.json --to 2 --overwrite", "--overwrite goes with --out DIR"),
     ],
 )

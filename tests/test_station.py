@@ -559,7 +559,7 @@ def test_the_command_writes_a_page(files, capsys):
         (["--out", "page.html"], "station: expected files of one map or more"),
         (["a.json"], "expected --out"),
         (["a.json", "b.json", "./a.json", "--out", "page.html"], "expected every map once, got ./a.json again"),
-        (["nothing.json", "--out", "page.html"], "nothing.json must be a readable JSON file"),
+        (["nothing.json", "--out", "page.html"], "'nothing.json': there is no such file"),
         (["text.json", "--out", "page.html"], 'format must be "behavioral-trace-map", got a list'),
         (["newer.json", "--out", "page.html"], "version must be [1, 0] or a later minor one, got [2, 0]"),
         (["a.json", "--out", "."], "must be a file, and is a folder"),

@@ -10,6 +10,7 @@ import pytest
 import yaml
 
 import jexplore as jx
+from jexplore.arrays.plain_yaml import Loader, dump
 from jexplore.cli import main
 from jexplore.config import InputError, Lidar, Rules
 from jexplore.driving.settings import Tuning
@@ -22,7 +23,6 @@ from jexplore.studies.sweeps.plan import Block, in_shard, prepare_sweep
 from jexplore.studies.sweeps.run import ready, sweep
 from jexplore.studies.sweeps.spec import Range, Sweep, plain, read_spec, sweep_from
 from jexplore.studies.traces import job
-from jexplore.worlds.readers.plain_yaml import Loader, dump
 
 WORLDS = ["rooms:width_m=5,height_m=5", "maze:width_m=5,height_m=5"]
 SMALL = {"n_beams": 31}
@@ -157,12 +157,12 @@ def test_what_a_plan_refuses():
 def test_broken_yaml_is_told_with_its_place(tmp_path):
     path = tmp_path / "s.yaml"
     path.write_text("worlds: [cave\nepisodes: 3\n")
-    with pytest.raises(InputError, match=r"s.yaml, line 2, column 9: "):
+    with pytest.raises(InputError, match=r"s.yaml': is not valid YAML \(line 2, column 9: "):
         read_spec(path)
     path.write_bytes(b"worlds: [\xff]")
-    with pytest.raises(InputError, match=r"s.yaml must be a readable YAML file"):
+    with pytest.raises(InputError, match=r"s.yaml': is not UTF-8 text"):
         read_spec(path)
-    with pytest.raises(InputError, match=r"none.yaml must be a readable YAML file: No such file"):
+    with pytest.raises(InputError, match=r"none.yaml': there is no such file"):
         read_spec(tmp_path / "none.yaml")
 
 
@@ -181,7 +181,9 @@ def test_plain_words_are_those_of_yaml_1_2(tmp_path):
     with pytest.raises(InputError, match=r"seed must be an integer from 0 .* got '4:30'"):
         read_spec(path).records()
     path.write_text("worlds: [cave]\nseed: 1\nseed: 2\n")
-    with pytest.raises(InputError, match=r"s\.yaml, line 3, column 1: the key 'seed' is there twice"):
+    with pytest.raises(
+        InputError, match=r"s\.yaml': is not valid YAML .line 3, column 1: the key 'seed' is there twice"
+    ):
         read_spec(path)
 
 
@@ -456,7 +458,7 @@ def test_odd_yaml_is_one_line(text, tmp_path):
     ("options", "message"),
     [
         ([], "expected a file that says what is varied: jexplore sweep SPEC.yaml"),
-        (["no.yaml"], "no.yaml must be a readable YAML file: No such file or directory"),
+        (["no.yaml"], "'no.yaml': there is no such file"),
         (["s.yaml", "--shard", "0/3"], "--shard must be I/N with I from 1 to N, such as 1/4, got '0/3'"),
         (["s.yaml", "--shard", "4/3"], "--shard must be I/N"),
         (["s.yaml", "--shard", "half"], "--shard must be I/N"),

@@ -143,9 +143,9 @@ def _pictures(out, found, record, plan):
 
 def _finish(out: Out, found: "Swept", arguments: Sequence[str], options: Any, plan: Any, **entries: Any) -> int:
     """Writes, prints and draws. Returns the exit status."""
+    from jexplore.arrays.plain_yaml import dump
     from jexplore.report import store
     from jexplore.studies.sweeps.spec import plain
-    from jexplore.worlds.readers.plain_yaml import dump
 
     costs = found.costs
     ran = len(found.episodes) - found.resumed

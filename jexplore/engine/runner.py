@@ -109,6 +109,16 @@ def faster_engine(devices: Sequence[Any], cores: int, runs: int | None = None, p
     return "serial" if devices[0].platform == "cpu" or few or cores >= CORES_WORTH * len(devices) else "lockstep"
 
 
+def require_32_bits() -> None:
+    """Refuse jax's 64-bit mode, which may be switched on at any time.
+
+    Raises:
+      InputError: saying so.
+    """
+    if jax.config.values["jax_enable_x64"]:
+        raise InputError("jax_enable_x64 is on, and jexplore computes in 32 bits: switch it off")
+
+
 def find_resources(
     *, engine: str | None = None, lanes: int | None = None, workers: int | None = None, runs: int | None = None
 ) -> Resources:
@@ -127,8 +137,7 @@ def find_resources(
       InputError: an engine that does not exist, lanes or workers below 1, lanes for the serial engine, the serial
         engine where `JAX_PLATFORMS` leaves out the CPU, 64-bit mode.
     """
-    if jax.config.values["jax_enable_x64"]:
-        raise InputError("jax_enable_x64 is on, and jexplore computes in 32 bits: switch it off")
+    require_32_bits()
     if engine is not None and engine not in ENGINES:
         raise InputError(f"engine must be one of {', '.join(ENGINES)}, got {engine!r}")
     for name, value in (("lanes", lanes), ("workers", workers)):

@@ -27,6 +27,7 @@ class Outcome(enum.IntEnum):
     PLAN_LIMIT = 4
     STUCK = 5  # the start is enclosed: no clear cell can be reached
     BAD_TARGET = 6  # the strategy chose, three times in a row, a target that no path leads to
+    BAD_START = 7  # a start, heading or world that there is not, given while it is traced: `studies.environment`
 
 
 class Stream(enum.IntEnum):

@@ -10,9 +10,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from jexplore.arrays.files import opened, read_json
 from jexplore.config import InputError
 from jexplore.report.folders import RunFolder
-from jexplore.report.store import jsonable, write_json, write_parquet
+from jexplore.report.store import MOST_RECORD_BYTES, jsonable, write_json, write_parquet
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -65,7 +66,8 @@ class Ledger:
         import pyarrow.parquet as pq
 
         try:
-            pq.read_metadata(file)
+            with opened(file) as content:
+                pq.read_metadata(content)
         except Exception:  # pyarrow raises many kinds of errors for a broken file
             self.damaged.append(file.name)
             with contextlib.suppress(OSError):
@@ -126,11 +128,9 @@ def is_finished(run: RunFolder, asked: Mapping[str, Any], units: int) -> bool:
 
 def _read(file):
     try:
-        return json.loads(file.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise InputError(
-            f"{os.fspath(file)} must say what the run is asked, and cannot be read: {error}; use --overwrite"
-        ) from error
+        return read_json(file, MOST_RECORD_BYTES)
+    except InputError as error:
+        raise InputError(f"{error}: it must say what the run is asked; use --overwrite") from error
 
 
 def require_same(path: Path, there: Any, here: Mapping[str, Any]) -> None:

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from jexplore.arrays.files import opened
 from jexplore.config import InputError
 from jexplore.version import __version__
 
@@ -26,6 +27,12 @@ if TYPE_CHECKING:
     import pandas as pd
 
 _PACKAGES = ("jax", "jaxlib", "numpy", "scipy", "flax", "chex", "pandas", "pyarrow", "matplotlib", "pillow")
+
+
+MOST_RECORD_BYTES = 2**26
+"""Of a run.json that is read: starts and settings of a hundred thousand runs."""
+MOST_VALUES = 2**28
+"""Of a table that is read: 2 GiB of numbers. A few bytes of a Parquet file may stand for as many equal ones."""
 
 
 def reason(error):
@@ -92,18 +99,23 @@ def read_parquet(path: str | os.PathLike[str], *, required: Sequence[str] = ()) 
       required: names of columns that it must have.
 
     Raises:
-      InputError: the file is missing, cannot be read, is no Parquet file, or lacks a required column.
+      InputError: the file is missing, cannot be read, is no Parquet file, has more than `MOST_VALUES`, or lacks a
+        required column.
     """
     import pandas as pd
-    import pyarrow
+    import pyarrow.parquet as pq
 
-    try:
-        with open(path, "rb") as file:
+    with opened(path) as file:
+        try:
+            size = pq.read_metadata(file)
+            if size.num_rows * size.num_columns > MOST_VALUES:
+                raise InputError(f"{path} has {size.num_rows} rows of {size.num_columns} columns, too many to be read")
+            file.seek(0)
             table = pd.read_parquet(file)
-    except OSError as error:
-        raise InputError(f"{path} must be a readable Parquet file: {reason(error)}") from error
-    except pyarrow.ArrowException as error:
-        raise InputError(f"{path} must be a Parquet file: {reason(error)}") from error
+        except InputError:
+            raise
+        except Exception as error:  # pyarrow and pandas raise many kinds of errors for a damaged file
+            raise InputError(f"{path} must be a Parquet file: {reason(error)}") from error
     missing = [name for name in required if name not in table.columns]
     if missing:
         raise InputError(f"{path} must have the column {missing[0]}, got {', '.join(map(str, table.columns))}")

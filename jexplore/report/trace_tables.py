@@ -16,7 +16,7 @@ NOTED = {
     "dropped": "places that might have been a known node, which the next one contradicted",
     "mistaken": "places taken for a node that truly lies elsewhere",
     "overflow": "warning: nodes and links that did not fit",
-    "scan_overflow": "warning: ends of walls that did not fit into a scan's points",
+    "scan_overflow": "ends of walls beyond the 16 that the robot makes use of in one scan, no fault",
 }
 LEFT = ("angles deg", "type", "obstacle", "status")  # columns of text
 
@@ -99,7 +99,7 @@ def tables(found: BtmMap) -> str:
         cells = [str(link.id), str(link.start), "–" if link.end < 0 else str(link.end), link.status]
         cells += [_cell(link.length_m, 2), _cell(link.min_width_m, 2), _cell(link.max_step_m, 3)]
         cells += [_cell(link.posture_deg, 1), _cell(link.max_roll_deg, 1)]
-        cells += [_cell(link.start_bearing_deg, 0), _cell(link.opening_m, 2)]
+        cells += [str(round(link.start_bearing_deg) % 360), _cell(link.opening_m, 2)]
         lines.append(cells)
     return nodes + "\n" + aligned_table(head, lines, left=LEFT)
 

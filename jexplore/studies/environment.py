@@ -20,7 +20,7 @@ from jexplore.arrays.padding import bucket
 from jexplore.config import InputError, Lidar, Rules
 from jexplore.engine.backend import use_compilation_cache
 from jexplore.engine.program import Given
-from jexplore.engine.runner import find_resources
+from jexplore.engine.runner import find_resources, require_32_bits
 from jexplore.exploration import environment
 from jexplore.exploration.site import KERNELS, prepare_site
 from jexplore.exploration.state import Numbers, Outcome, State, Truth, steps_m
@@ -138,14 +138,16 @@ class Environment:
             of episode n of a comparison is `jax.random.fold_in(jax.random.key(seed), n)`.
           start: int32 `[3]`, row, col, heading_deg (a multiple of 45); may be traced. Without it, drawn uniformly from
             the cells that are clear. From an enclosed one the episode is over at once, as STUCK.
-          world: int32, which of `worlds`; may be traced. Without it, drawn.
+          world: int32, which of `worlds`; may be traced. Without it, drawn. Where it or the start is traced and cannot
+            be one, the episode is over at once, as BAD_START.
 
         Returns:
           `(state, view)`.
 
         Raises:
-          InputError: a key, start or world that cannot be one.
+          InputError: a key, start or world that cannot be one; 64-bit mode.
         """
+        require_32_bits()
         _require_key(key)
         drawn = world is None and len(self.worlds) > 1  # a start may then lie in a wall of the one and not of the other
         if world is not None:
@@ -185,8 +187,9 @@ class Environment:
             `known_m2`, float32, known area.
 
         Raises:
-          InputError: a key, state or action of a wrong shape or dtype.
+          InputError: a key, state or action of a wrong shape or dtype; 64-bit mode.
         """
+        require_32_bits()
         _require_key(key)
         self._require_one(state, "step")
         action = _whole("action", action, (2,), "row, col")
@@ -257,9 +260,14 @@ def _seen(setup, given, episode):
 
 def _begun(setup, bank, key, start, world):
     row, col, heading_deg = start
-    _, row, col = _inside(bank.scenes.occupied.shape[1:], row, col)
-    given = _given(bank, key, world, jnp.stack([row, col, heading_deg // 45 % 8]))
+    occupied = bank.scenes.occupied
+    _, row, col = _inside(occupied.shape[1:], row, col)
+    own = jnp.clip(world, 0, len(occupied) - 1)
+    bad = occupied[own, row, col] | (heading_deg % 45 != 0) | (world != own)
+    given = _given(bank, key, own, jnp.stack([row, col, heading_deg // 45 % 8]))
     state = _seen(setup, given, environment.begin(setup, given))
+    outcome = jnp.where(bad, Outcome.BAD_START, state.episode.outcome)
+    state = state.replace(episode=state.episode.replace(outcome=outcome))
     return state, view_of(state.episode.belief, state.known)
 
 

@@ -102,16 +102,11 @@ def _turned(link: Link, turn_deg) -> Link:
     """A link with the bearings, and the move, that it has once the frames of its nodes are turned."""
     end_deg = None
     if link.end_bearing_deg is not None:
-        end_deg = _signed(link.end_bearing_deg + turn_deg[link.end])
-    start_deg = _signed(link.start_bearing_deg + turn_deg[link.start])
+        end_deg = direction_deg(link.end_bearing_deg + turn_deg[link.end])
+    start_deg = direction_deg(link.start_bearing_deg + turn_deg[link.start])
     attributes = dict(link.attributes)
     if link.end != NOWHERE and (moved := _moved(link)) is not None:
         x_m, y_m = Move(turn_deg=turn_deg[link.start]).place(*moved[:2])
         apart_deg = turn_deg[link.start] - turn_deg[link.end]
-        attributes["moved"] = [x_m, y_m, *(_signed(turn + apart_deg) for turn in moved[2:])]
+        attributes["moved"] = [x_m, y_m, *(math.remainder(turn + apart_deg, 360.0) for turn in moved[2:])]
     return dataclasses.replace(link, start_bearing_deg=start_deg, end_bearing_deg=end_deg, attributes=attributes)
-
-
-def _signed(bearing_deg):
-    bearing_deg = direction_deg(bearing_deg)
-    return bearing_deg - 360 if bearing_deg >= 180 else bearing_deg

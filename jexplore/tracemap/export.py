@@ -3,6 +3,7 @@
 Both leave something out; `json_form.to_json` is the form that keeps everything.
 """
 
+import collections
 import json
 import math
 import re
@@ -63,7 +64,10 @@ def geojson(btm: BtmMap, *, frame: str | None = None) -> dict[str, Any]:
     last = first + 2 * len(searched) - 1
     if last >= NAV2_IDS:
         raise InputError(f"ids of a route graph must lie below {NAV2_IDS}, those of this map would reach {last}")
-    features = [_feature("Point", [node.x_m, node.y_m], _node_properties(btm, node, frame)) for node in btm.nodes]
+    bearings = _both_bearings(btm)
+    features = [
+        _feature("Point", [node.x_m, node.y_m], _node_properties(node, frame, bearings(node))) for node in btm.nodes
+    ]
     places = {node.id: [node.x_m, node.y_m] for node in btm.nodes}
     for number, link in enumerate(searched):
         for way, (start, end) in enumerate(((link.start, link.end), (link.end, link.start))):
@@ -77,14 +81,12 @@ def _feature(kind, coordinates, properties):
     return {"type": "Feature", "properties": properties, "geometry": {"type": kind, "coordinates": coordinates}}
 
 
-def _node_properties(btm, node, frame):
+def _node_properties(node, frame, bearings):
     metadata = {"class": node.obstacle or node.type, "type": node.type}
     if node.obstacle:
         metadata["obstacle"] = node.obstacle
     metadata |= _measures(node, _NODE_MEASURES)
-    metadata["angles_deg"] = btm.angles_deg(node.id)
-    metadata["unsearched_bearings_deg"] = _unsearched_deg(btm, node)
-    return {"id": node.id, "frame": frame, "metadata": metadata | _extensions(node.attributes)}
+    return {"id": node.id, "frame": frame, "metadata": metadata | bearings | _extensions(node.attributes)}
 
 
 def _edge_properties(link, chord_m):
@@ -97,8 +99,16 @@ def _measures(record, names):
     return {name: value for name in names if (value := getattr(record, name)) is not None}
 
 
-def _unsearched_deg(btm, node):
-    return [link.start_bearing_deg for link in btm.links if link.start == node.id and link.end == NOWHERE]
+def _both_bearings(btm):
+    """Node -> the angles between its links, and the bearings of its un-searched ones, by their names in files."""
+    unsearched = collections.defaultdict(list)
+    for link in btm.links:
+        if link.end == NOWHERE:
+            unsearched[link.start].append(link.start_bearing_deg)
+    return lambda node: {
+        "angles_deg": btm.angles_deg(node.id),
+        "unsearched_bearings_deg": unsearched.get(node.id, []),
+    }
 
 
 def _extensions(attributes):
@@ -130,7 +140,8 @@ def graphml(btm: BtmMap) -> str:
       InputError: not a proper map; see `record.check`.
     """
     btm = check(btm)
-    nodes = [(str(node.id), {}, _graphml_node(btm, node)) for node in btm.nodes]
+    bearings = _both_bearings(btm)
+    nodes = [(str(node.id), {}, _graphml_node(node, bearings(node))) for node in btm.nodes]
     edges = [
         (str(link.id), {"source": str(link.start), "target": str(link.end)}, _graphml_edge(link))
         for link in btm.links
@@ -157,13 +168,12 @@ def graphml(btm: BtmMap) -> str:
     return '<?xml version="1.0" encoding="UTF-8"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
 
 
-def _graphml_node(btm, node):
+def _graphml_node(node, bearings):
     values = {"x_m": node.x_m, "y_m": node.y_m, "type": node.type}
     if node.obstacle:
         values["obstacle"] = node.obstacle
     values |= _measures(node, _NODE_MEASURES)
-    lists = {"angles_deg": btm.angles_deg(node.id), "unsearched_bearings_deg": _unsearched_deg(btm, node)}
-    texts = {name: " ".join(map(repr, numbers)) for name, numbers in lists.items() if numbers}
+    texts = {name: " ".join(map(repr, numbers)) for name, numbers in bearings.items() if numbers}
     return values | texts | _texts(node.attributes)
 
 

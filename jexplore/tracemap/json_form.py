@@ -6,15 +6,26 @@ import functools
 import json
 import os
 import re
-import reprlib
 from typing import Any
 
-from jexplore.config import InputError
+from jexplore.arrays.files import json_of, read_text
+from jexplore.config import InputError, shown
 from jexplore.tracemap.record import BtmMap, Link, Node, called, check
 
 FORMAT = "behavioral-trace-map"
 VERSION = (1, 1)
 """The first number changes where an older reader would go wrong, the second where it would not."""
+
+
+MOST_BYTES = 2**26
+"""Of a file that is read: that of a hundred thousand nodes and links."""
+WANTED = "give the btm.json that `jexplore trace` writes"
+OTHERS = {
+    "features": "GeoJSON, such as the route graph for Nav2",
+    "command": "the record of a run",
+    "is_found": "a route, the result of `jexplore route`",
+}
+"""What other files hold that lie beside a map, by a member that tells."""
 
 
 def to_json(btm: BtmMap) -> dict[str, Any]:
@@ -53,12 +64,10 @@ def read_btm(path: str | os.PathLike[str]) -> BtmMap:
     Raises:
       InputError: the file cannot be read, is no JSON or no map; with the line.
     """
-    try:
-        with open(path, encoding="utf-8") as file:
-            text = file.read()
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path} must be a readable JSON file: {error}") from error
-    return parse(text, str(path))
+    path = os.fspath(path)
+    if os.path.isdir(path):
+        raise InputError(f"{_quoted(path)}: is a directory; {WANTED} in it")
+    return parse(read_text(path, MOST_BYTES), path)
 
 
 def parse(text: str, name: str) -> BtmMap:
@@ -67,12 +76,9 @@ def parse(text: str, name: str) -> BtmMap:
     Raises:
       InputError: the text is no JSON, or no map.
     """
-    try:
-        obj = json.loads(text)
-    except json.JSONDecodeError as error:
-        raise InputError(f'"{name}": line {error.lineno} must be JSON: {error.msg}') from error
-    except (ValueError, RecursionError) as error:
-        raise InputError(f'"{name}" must be JSON of usual numbers and depth: {error}') from error
+    if text.lstrip().startswith("<"):
+        raise InputError(f"{_quoted(name)}: is XML, such as GraphML; {WANTED}")
+    obj = json_of(text, _quoted(name))
     return _read(obj, functools.partial(_where, name, _lines(text) if isinstance(obj, dict) else {}))
 
 
@@ -91,7 +97,12 @@ def from_json(obj: Any, name: str = "map") -> BtmMap:
 
 def _where(name, lines, member, index=None):
     line = lines.get((member, index), lines.get((member, None)))
-    return f'"{name}": line {line}' if line else f'"{name}"'
+    return f"{_quoted(name)}: line {line}" if line else _quoted(name)
+
+
+def _quoted(name):
+    """A name on one line."""
+    return json.dumps(name, ensure_ascii=False)
 
 
 def _lines(text):
@@ -127,15 +138,17 @@ def _lines(text):
 
 
 def _read(obj, where):
-    got = obj.get("format") if isinstance(obj, dict) else None
-    if got != FORMAT:
-        got = reprlib.repr(got) if isinstance(obj, dict) else f"a {type(obj).__name__}"
-        raise InputError(f'{where("format")}: format must be "{FORMAT}", got {got}')
+    own = obj if isinstance(obj, dict) else {}
+    if own.get("format") != FORMAT:
+        got = shown(own.get("format")) if isinstance(obj, dict) else f"a {type(obj).__name__}"
+        what = next((f"is {other}" for key, other in OTHERS.items() if key in own), None)
+        what = what or f'format must be "{FORMAT}", got {got}'
+        raise InputError(f"{where('format')}: {what}; {WANTED}")
     version = obj.get("version")
     pair = version if isinstance(version, list) and [type(part) for part in version] == [int, int] else (0, -1)
     if pair[0] != VERSION[0] or pair[1] < 0:
         raise InputError(
-            f"{where('version')}: version must be [{VERSION[0]}, 0] or a later minor one, got {reprlib.repr(version)}"
+            f"{where('version')}: version must be [{VERSION[0]}, 0] or a later minor one, got {shown(version)}"
         )
     nodes, links = (_records(kind, obj, member, where) for kind, member in ((Node, "nodes"), (Link, "links")))
     return check(BtmMap(nodes, links, obj.get("attributes", {})), where)
@@ -145,10 +158,10 @@ def _records(kind, obj, member, where):
     """Records with values that are not checked yet."""
     items, made = obj.get(member), []
     if not isinstance(items, list):
-        raise InputError(f"{where(member)}: {member} must be a list, got {reprlib.repr(items)}")
+        raise InputError(f"{where(member)}: {member} must be a list, got {shown(items)}")
     for index, item in enumerate(items):
         if not isinstance(item, dict):
-            raise InputError(f"{where(member, index)}: {member}[{index}] must be an object, got {reprlib.repr(item)}")
+            raise InputError(f"{where(member, index)}: {member}[{index}] must be an object, got {shown(item)}")
         values = {field.name: item[field.name] for field in dataclasses.fields(kind) if field.name in item}
         try:
             made.append(kind(**values))

@@ -3,21 +3,24 @@
 Positions are metres, bearings degrees, counter-clockwise from +x. Plain Python: importing this loads no jax.
 """
 
+import collections
 import dataclasses
+import functools
 import math
 import numbers
-import reprlib
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
+from jexplore.arrays.files import require_shallow
 from jexplore.arrays.pictures import html_of, or_text
-from jexplore.config import InputError
+from jexplore.config import InputError, shown
 from jexplore.tracemap.picture import MARKS, nodes_and_links
 
 NODE_TYPES = ("terminal", "divergence", "free_space", "obstacle")
 OBSTACLES = ("slope", "stairs")
 STATUS = ("un-searched", "searched")
 NOWHERE = -1  # end of a link that has not been followed
+MOST_ID = 2**53 - 1  # whole numbers up to it are the same in every reader of JSON
 FAR_M = 1e6  # what a map says in metres is less, where maps are merged or drawn
 
 
@@ -26,7 +29,7 @@ class Node:
     """A place with a feature (Mano et al., Table I)."""
 
     id: int
-    """Not negative, unique among the nodes."""
+    """From 0 to `MOST_ID`, unique among the nodes."""
     x_m: float
     y_m: float
     type: str
@@ -48,7 +51,7 @@ class Link:
     """A way between two nodes, or out of one (Mano et al., Table II)."""
 
     id: int
-    """Not negative, unique among the links."""
+    """From 0 to `MOST_ID`, unique among the links."""
     start: int
     """Id of a node."""
     end: int
@@ -56,7 +59,7 @@ class Link:
     status: str
     """One of `STATUS`: searched if and only if it has an end."""
     start_bearing_deg: float
-    """Direction in which the link leaves its first node."""
+    """Direction in which the link leaves its first node; what this package writes lies in [0, 360)."""
     end_bearing_deg: float | None = None
     """Direction in which it leaves its last node; every link with an end has one."""
     length_m: float | None = None
@@ -116,9 +119,17 @@ class BtmMap:
 
     def bearings_deg(self, node_id: int) -> list[float]:
         """Bearings of the links of a node: sorted list, degrees in [0, 360). A link to the node itself counts twice."""
-        found = [link.start_bearing_deg for link in self.links if link.start == node_id]
-        ends = (link.end_bearing_deg for link in self.links if link.end == node_id)
-        return sorted(direction_deg(bearing) for bearing in [*found, *ends] if bearing is not None)
+        return list(self._bearings_deg.get(node_id, ()))
+
+    @functools.cached_property
+    def _bearings_deg(self):
+        """Node -> bearings of its links, sorted."""
+        found = collections.defaultdict(list)
+        for link in self.links:
+            for node, bearing in ((link.start, link.start_bearing_deg), (link.end, link.end_bearing_deg)):
+                if bearing is not None:
+                    found[node].append(direction_deg(bearing))
+        return {node: sorted(bearings) for node, bearings in found.items()}
 
     def angles_deg(self, node_id: int) -> list[float]:
         """Angles between adjacent links of a node, counter-clockwise: as many as links, their sum is 360 degrees."""
@@ -147,7 +158,7 @@ class BtmMap:
             return dataclasses.replace(self, attributes={**self.attributes, **own})
         name, number = ("nodes", node) if link is None else ("links", link)
         items = getattr(self, name)
-        if number not in [item.id for item in items]:
+        if number not in {item.id for item in items}:
             raise InputError(f"there is no {name[:-1]} {number}: the map has {len(items)} {name}")
         changed = (
             dataclasses.replace(item, attributes={**item.attributes, **own}) if item.id == number else item
@@ -254,15 +265,15 @@ def _value(field, value, own):
         what = "one of " + ", ".join(_CHOICES[field.name])
     elif field.type is int:
         low = NOWHERE if field.name == "end" else 0
-        if isinstance(value, numbers.Integral) and not isinstance(value, bool) and int(value) >= low:
+        if isinstance(value, numbers.Integral) and not isinstance(value, bool) and low <= int(value) <= MOST_ID:
             return int(value)
-        what = f"an integer of at least {low}"
+        what = f"an integer from {low} to {MOST_ID}"
     else:
         number = _finite(value)
         if number is not None and (number >= 0 or field.name not in _LENGTHS):
             return number
         what = "a finite number" + (" of at least 0" if field.name in _LENGTHS else "")
-    raise InputError(f"{own}: {field.name} must be {what}, got {reprlib.repr(value)}")
+    raise InputError(f"{own}: {field.name} must be {what}, got {shown(value)}")
 
 
 def _finite(value):
@@ -278,7 +289,8 @@ def _finite(value):
 
 def _attributes(value, own):
     if not isinstance(value, Mapping):
-        raise InputError(f"{own} must be an object, got {reprlib.repr(value)}")
+        raise InputError(f"{own} must be an object, got {shown(value)}")
+    require_shallow(value, own)
     return _plain(value, own)
 
 
@@ -295,4 +307,4 @@ def _plain(value, own) -> Any:
         return [_plain(item, own) for item in value]
     if isinstance(value, Mapping) and all(isinstance(key, str) for key in value):
         return {key: _plain(item, own) for key, item in value.items()}
-    raise InputError(f"{own} must be what JSON can hold, with finite numbers, got {reprlib.repr(value)}")
+    raise InputError(f"{own} must be what JSON can hold, with finite numbers, got {shown(value)}")

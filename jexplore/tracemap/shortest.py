@@ -85,9 +85,10 @@ class _Graph:
 
     def __init__(self, index: Index) -> None:
         links = [index.links[own] for own in sorted(index.links) if index.links[own].end != NOWHERE]
-        length = [round(length_of(link, index.nodes) / UNIT_M) for link in links]
-        if sum(length) >= FAR:
+        metres = [length_of(link, index.nodes) for link in links]
+        if sum(metres) >= FAR * UNIT_M:
             raise InputError(f"links must be less than {FAR * UNIT_M / 1000:.0f} km long in all")
+        length = [round(own / UNIT_M) for own in metres]
         self.place = {own: i for i, own in enumerate(index.nodes)}
         self.link_place = {link.id: i for i, link in enumerate(links)}
         self.n, self.m = bucket(len(self.place)), bucket(len(links))

@@ -14,6 +14,7 @@ from jexplore.config import InputWarning
 GAP = 2  # blank columns between two columns of a table
 NARROW = 12  # text is folded to no fewer columns than this while another part of the table can take the rest
 FEW = NARROW // 2  # text that lacks no more than this is rather not folded
+_STEERING = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028-\u202e\u2066-\u2069\ud800-\udfff]")
 _PIECE = re.compile(r"\s+|[,:;+/-]*[^\s,:;+/-]+[,:;+/-]*|[,:;+/-]+")  # text is folded between such pieces
 
 
@@ -61,7 +62,12 @@ def show_table(
 
 
 def show_line(text: str, indent: int = 0) -> None:
-    """Prints a line; on a terminal that is narrower it goes on below, so far to the right."""
+    """Prints a line; on a terminal that is narrower it goes on below, so far to the right.
+
+    Characters that steer a terminal, line ends among them, and halves of characters become U+FFFD: text may be that of
+    somebody else's file.
+    """
+    text = _STEERING.sub("\ufffd", text)
     if sys.stdout is not None and sys.stdout.isatty():
         width = shutil.get_terminal_size().columns
         text = textwrap.fill(text, width, subsequent_indent=" " * indent, break_on_hyphens=False)

@@ -7,7 +7,7 @@ from typing import Annotated
 import tyro
 
 from jexplore.cli.output.console import say
-from jexplore.cli.output.terminal import show_table
+from jexplore.cli.output.terminal import show_line, show_table
 from jexplore.cli.tracemaps.files import Files, Names, comparing, file_out, names_of, require_once
 from jexplore.config import InputError
 from jexplore.tracemap.merging.walk import Limits
@@ -54,7 +54,7 @@ class MergeMaps:
             found = merge_maps(maps, names, **how)
         show_table(*_table(found, dict(zip(names, maps))))
         for note in found.notes:
-            print(note)
+            show_line(note)
         if found.left and not (self.partial and len(found.nodes) > 1):
             return say(f"jexplore: {_reason(found)}; nothing was written", REFUSED)
         if out is not None:

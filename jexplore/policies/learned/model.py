@@ -10,10 +10,12 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from jexplore.config import InputError
+from jexplore.arrays.files import first_line, read_bytes, read_json
+from jexplore.config import InputError, shown
 from jexplore.policies.learned import features, networks
 
 FORMAT = 1  # of the files
+MOST_BYTES = 2**28  # of a file that is read: 64 million weights
 SHIPPED = Path(__file__).parent / "models" / "default.msgpack"
 """The model that comes with the package."""
 
@@ -96,25 +98,24 @@ def load_model(path: str | os.PathLike[str]) -> Model:
     file = Path(os.path.expanduser(path)).with_suffix(".msgpack")
     told = f"model {os.fspath(file)!r}"
     try:
-        page = json.loads(file.with_suffix(".json").read_text(encoding="utf-8"))
-        content = file.read_bytes()
-    except OSError as error:
-        raise InputError(f"{told} cannot be read: {error.strerror or error}: {error.filename!r}") from error
-    except ValueError as error:
-        raise InputError(f"{told}: the JSON file beside it is damaged: {error}") from error
-    if not isinstance(page, dict) or page.get("format") != FORMAT:
-        got = page.get("format") if isinstance(page, dict) else None
+        page = read_json(file.with_suffix(".json"), MOST_BYTES)
+        content = read_bytes(file, MOST_BYTES)
+    except InputError as error:
+        raise InputError(f"{told} cannot be read: {error}") from error
+    page = page if isinstance(page, dict) else {}
+    if page.get("format") != FORMAT:
+        got = shown(page.get("format"))
         raise InputError(f"{told} must be of format {FORMAT}, got {got}: train it again with this version")
     name = page.get("network")
-    if name not in networks.NETWORKS:
-        raise InputError(f"{told}: its network must be one of {', '.join(networks.NETWORKS)}, got {name!r}")
+    if not isinstance(name, str) or name not in networks.NETWORKS:
+        raise InputError(f"{told}: its network must be one of {', '.join(networks.NETWORKS)}, got {shown(name)}")
     if page.get("features") != list(features.NAMES):
         raise InputError(f"{told} was trained with other features than this version has: train it again")
     try:
         weights = serialization.from_bytes(_blank(name), content)
         model = Model(name, jax.tree.map(lambda a: np.asarray(a, np.float32), weights), page)
     except Exception as error:  # msgpack and flax raise many kinds of errors for a file cut short
-        raise InputError(f"{told} is damaged: {str(error).splitlines()[0] if str(error) else error!r}") from error
+        raise InputError(f"{told} is damaged: {first_line(error)}") from error
     require_sound(model, told)
     if digest(model.weights) != page.get("sha256"):
         raise InputError(f"{told}: the weights are not those that its JSON file tells of")

@@ -3,18 +3,19 @@
 pandas is imported by the functions that need it.
 """
 
-import json
+import contextlib
 import os
-import zipfile
-import zlib
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jexplore.config import InputError, Lidar, Rules
+from jexplore.arrays.files import first_line, read_json, read_npz
+from jexplore.config import InputError, Lidar, Rules, shown
 from jexplore.engine.runner import Costs
+from jexplore.exploration.state import MARKS
 from jexplore.report import store
 from jexplore.report.folders import UNFINISHED
 from jexplore.studies.comparison import Comparison
@@ -26,12 +27,14 @@ from jexplore.studies.sweeps.run import Swept, ordered, ready
 from jexplore.studies.sweeps.spec import read_spec
 from jexplore.studies.sweeps.traces import TracePlan
 from jexplore.studies.sweeps.work import typed
+from jexplore.version import __version__
 from jexplore.worlds.world import World
 
 if TYPE_CHECKING:
     pass
 
 DETAILS = "details.npz"
+MOST_DETAILS_BYTES = 2**32  # unpacked; the progress of a million episodes takes a fifth
 MADE_FROM = ("version", "spec", "digests")  # entries of what was asked from which a sweep is made ready again
 CHECKED = (*MADE_FROM, "own")  # that its parts have in common
 
@@ -60,11 +63,7 @@ def write_details(found: Comparison, path: Path) -> None:
 
 def _details(path, episodes):
     """Worlds, first episodes and progress: `(worlds, first, progress)`."""
-    try:
-        with np.load(path) as file:
-            arrays = dict(file)
-    except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile, zlib.error) as error:
-        raise InputError(f"{path} must be a file that jexplore wrote: {store.reason(error)}") from error
+    arrays = read_npz(path, MOST_DETAILS_BYTES)
     worlds, first = [], {}
     while f"world/{len(worlds)}/occupied" in arrays:
         at = f"world/{len(worlds)}"
@@ -88,6 +87,8 @@ def _details(path, episodes):
             first[world.name] = own
     progress, at = {}, 0
     if "progress" in arrays:
+        if arrays["progress"].shape != (len(episodes), MARKS):
+            raise InputError(f"{path} must have the progress of {len(episodes)} episodes")
         for pair, rows in episodes.groupby(["world", "strategy"], sort=False):
             progress[pair] = arrays["progress"][at : at + len(rows)]
             at += len(rows)
@@ -108,10 +109,15 @@ def load(path: str | os.PathLike[str]) -> Any:
     Raises:
       InputError: no folder of a run, a run that was not finished, a file that is gone or damaged.
     """
-    import pandas as pd
-
     folder = Path(os.path.expanduser(path))
     record = record_of(folder)
+    with _as_written(folder, record):
+        return _load(folder, record)
+
+
+def _load(folder, record):
+    import pandas as pd
+
     command = record["command"][1]
     if record.get("asked", {}).get("command") == "sweep":
         return _sweep(folder, record)
@@ -125,8 +131,8 @@ def load(path: str | os.PathLike[str]) -> Any:
             found = record[entry]
             return pd.DataFrame(found if isinstance(found, list) else [found])
     if (folder / "bench.json").is_file():
-        return json.loads((folder / "bench.json").read_text(encoding="utf-8"))
-    raise InputError(f"{os.fspath(path)}: `jexplore {command}` leaves no table to be read")
+        return read_json(folder / "bench.json", store.MOST_RECORD_BYTES)
+    raise InputError(f"{os.fspath(folder)}: `jexplore {command}` leaves no table to be read")
 
 
 def record_of(folder: Path) -> dict[str, Any]:
@@ -136,12 +142,28 @@ def record_of(folder: Path) -> dict[str, Any]:
         is_begun = (folder / UNFINISHED).is_dir()
         hint = "; it holds a run that was not finished: go on with --resume" if is_begun else ""
         raise InputError(f"{os.fspath(folder)} must be the folder of a run, with a run.json{hint}")
-    try:
-        record = json.loads(page.read_text(encoding="utf-8"))
-        assert isinstance(record["command"][1], str)
-    except (OSError, ValueError, KeyError, IndexError, TypeError, AssertionError) as error:
-        raise InputError(f"{page} must be the record of a run: {store.reason(error)}") from error
+    record = read_json(page, store.MOST_RECORD_BYTES)
+    kinds = {"command": list, "environment": dict, "configuration": dict, "asked": dict}
+    parts = {name: kind() for name, kind in kinds.items()} | (record if isinstance(record, dict) else {})
+    wrong = next((name for name, kind in kinds.items() if not isinstance(parts[name], kind)), None)
+    if wrong or len(parts["command"]) < 2 or not all(isinstance(word, str) for word in parts["command"]):
+        wrong = wrong or "command"
+        raise InputError(f"{page} must be the record of a run: its {wrong} is {shown(parts[wrong])}")
     return record
+
+
+@contextlib.contextmanager
+def _as_written(folder, record):
+    """Within the block a file that lacks something, or has what this version does not know, is told in one line."""
+    try:
+        yield
+    except InputError:
+        raise
+    except Exception as error:  # a file may hold anything in anything's place
+        what = f"there is no {error}" if isinstance(error, KeyError) else first_line(error)
+        written = record.get("environment", {}).get("jexplore")
+        by = f"; jexplore {shown(written)} wrote it, this is {__version__}" if written != __version__ else ""
+        raise InputError(f"{os.fspath(folder)} must hold a whole run of this version: {what}{by}") from error
 
 
 def _comparison(folder, record, command):
@@ -168,8 +190,10 @@ def _sweep(folder, record):
 
 def _part_of(asked):
     """Which part of a sweep this is, from 0, and of how many."""
-    i, _, n = asked["shard"].partition("/")
-    return int(i) - 1, int(n)
+    found = re.fullmatch(r"(\d{1,5})/(\d{1,5})", str(asked.get("shard")))
+    if not found:
+        raise InputError(f"the shard of a part must be I/N, got {shown(asked.get('shard'))}")
+    return int(found[1]) - 1, int(found[2])
 
 
 def merge(parts: Sequence[str | os.PathLike[str]]) -> tuple[Swept, Plan | TracePlan]:
@@ -195,7 +219,7 @@ def merge(parts: Sequence[str | os.PathLike[str]]) -> tuple[Swept, Plan | TraceP
         asked = page.get("asked", {})
         if asked.get("command") != "sweep" or not asked.get("shard"):
             raise InputError(f"{part} must hold a part of a sweep, made with --shard")
-        if page["interrupted"]:
+        if page.get("interrupted"):
             raise InputError(f"{part} holds a part that was not finished: go on with --resume")
         first = next(iter(pages.values()), asked)
         for key in CHECKED:
@@ -207,7 +231,8 @@ def merge(parts: Sequence[str | os.PathLike[str]]) -> tuple[Swept, Plan | TraceP
         if i in places:
             raise InputError(f"{part} is part {i + 1}/{n}, and so is {places[i]}")
         pages[part], places[i] = asked, part
-        tables.append(_sweep(folder, page))
+        with _as_written(folder, page):
+            tables.append(_sweep(folder, page))
     n = _part_of(next(iter(pages.values())))[1]
     missing = [f"{i + 1}/{n}" for i in range(n) if i not in places]
     if missing:

@@ -14,6 +14,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from jexplore.arrays.files import read_yaml
 from jexplore.exploration.batch import Job
 from jexplore.policies import Strategy
 from jexplore.policies.catalogue import adapt
@@ -48,12 +49,7 @@ def files_of(world: World) -> dict[str, str]:
 def _named_in(path):
     """The picture of a ROS map, if this is one."""
     if path.suffix in (".yaml", ".yml"):
-        import yaml
-
-        from jexplore.worlds.readers.plain_yaml import Loader
-
-        with open(path, encoding="utf-8") as file:
-            page = yaml.load(file, Loader)
+        page = read_yaml(path)
         if isinstance(page, dict) and isinstance(page.get("image"), str):
             picture = path.parent / page["image"]
             if picture.is_file():

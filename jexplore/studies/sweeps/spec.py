@@ -6,14 +6,13 @@ import itertools
 import math
 import os
 from collections.abc import Iterable, Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from jexplore.arrays.files import first_line, read_yaml
 from jexplore.config import MAX_SEED, InputError, Lidar, Rules, require_number, require_whole, unknown
 from jexplore.driving.settings import Noise, Tuning
-from jexplore.report.store import reason
 
 MAX_SETTINGS = 100_000
 MAX_TOTAL = 100_000_000  # episodes
@@ -328,25 +327,14 @@ def read_spec(path: str | os.PathLike[str]) -> Sweep:
     Raises:
       InputError: no such file, broken YAML (with line and column), or what `sweep_from` refuses.
     """
-    import yaml
-
-    from jexplore.worlds.readers.plain_yaml import Loader
-
+    path = os.path.expanduser(path)
+    page = read_yaml(path)
     try:
-        text = Path(os.path.expanduser(path)).read_text(encoding="utf-8")
-    except (OSError, ValueError) as error:
-        raise InputError(f"{os.fspath(path)} must be a readable YAML file: {reason(error)}") from error
-
-    try:
-        page = yaml.load(text, Loader)
         return sweep_from(page, os.fspath(path))
     except InputError:
         raise
-    except (yaml.YAMLError, ValueError, TypeError, AttributeError, RecursionError) as error:
-        mark = getattr(error, "problem_mark", None)
-        where = "" if mark is None else f", line {mark.line + 1}, column {mark.column + 1}"
-        what = getattr(error, "problem", None) or str(error).splitlines()[0]
-        raise InputError(f"{os.fspath(path)}{where}: {what}") from error
+    except (ValueError, TypeError, AttributeError) as error:
+        raise InputError(f"{os.fspath(path)}: {first_line(error)}") from error
 
 
 def plain(spec: Sweep) -> dict[str, Any]:

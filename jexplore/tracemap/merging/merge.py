@@ -5,7 +5,7 @@ import itertools
 import math
 from collections.abc import Callable, Sequence
 
-from jexplore.config import InputError, require_kind, require_whole
+from jexplore.config import InputError, require_kind, require_whole, shown
 from jexplore.tracemap.merging import notes
 from jexplore.tracemap.merging.join import FROM, join
 from jexplore.tracemap.merging.match import Match, Merging, match
@@ -97,7 +97,7 @@ def merge_maps(
     sources = [source for name in names for source in notes.sources_of(originals[name], name)]
     twice = sorted({source for source in sources if sources.count(source) > 1})
     if twice:
-        raise InputError(f'expected maps with names of their own, got "{twice[0]}" twice')
+        raise InputError(f"expected maps with names of their own, got {shown(twice[0])} twice")
     parts, joins, refused = _merged(_distinct(originals), limits, min_common, on_progress)
     return _result(parts, joins, refused, originals)
 

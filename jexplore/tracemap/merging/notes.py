@@ -67,7 +67,7 @@ def conflicts(btm: BtmMap) -> list[str]:
             if name in OF_A_WRITER:
                 continue
             found.append(
-                f"{what}: {name} is " + " and ".join(f"{t['value']!r} in {', '.join(t['from'])}" for t in told)
+                f"{what}: {name} is " + " and ".join(f"{shown(t['value'])} in {', '.join(t['from'])}" for t in told)
             )
     return found
 

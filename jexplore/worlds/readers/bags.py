@@ -12,9 +12,9 @@ from pathlib import Path
 
 import numpy as np
 
+from jexplore.arrays.files import first_line, opened, told_kind
 from jexplore.config import InputError, require_number, require_whole
 from jexplore.worlds.names import METADATA
-from jexplore.worlds.readers.files import first_line, opened, told_kind
 from jexplore.worlds.readers.grids import FREE_MAX, free_cells, upright
 from jexplore.worlds.readers.images import MAX_PIXELS
 from jexplore.worlds.readers.resample import resample

@@ -12,8 +12,8 @@ import warnings
 
 import numpy as np
 
+from jexplore.arrays.files import read_text
 from jexplore.config import InputError, InputWarning, require_number
-from jexplore.worlds.readers.files import read_text
 from jexplore.worlds.readers.scans import ScanLog, fold_scans
 from jexplore.worlds.world import World
 

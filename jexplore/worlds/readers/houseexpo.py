@@ -5,13 +5,12 @@ Source:
   a wall, which also keeps plans apart whose walls are thinner than a cell.
 """
 
-import json
 import math
 
 import numpy as np
 
+from jexplore.arrays.files import read_json
 from jexplore.config import InputError
-from jexplore.worlds.readers.files import first_line, read_text
 from jexplore.worlds.world import World, require_side
 
 _MAX_BYTES = 16 * 2**20
@@ -58,11 +57,7 @@ def load_houseexpo(path: str, *, cell_m: float = 0.1) -> World:
 
 
 def _read_plan(path):
-    text = read_text(path, _MAX_BYTES)
-    try:
-        plan = json.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{path!r}: is not valid JSON ({first_line(error)})") from None
+    plan = read_json(path, _MAX_BYTES)
     if not isinstance(plan, dict) or "verts" not in plan:
         raise InputError(f"{path!r}: is not a HouseExpo plan; expected an object with the key 'verts'")
     return plan

@@ -11,8 +11,8 @@ import warnings
 import numpy as np
 from PIL import Image, ImageOps
 
+from jexplore.arrays.files import first_line, read_bytes, told_kind
 from jexplore.config import InputError, InputWarning, require_number
-from jexplore.worlds.readers.files import first_line, read_bytes, told_kind
 from jexplore.worlds.readers.resample import resample
 from jexplore.worlds.world import World
 

@@ -6,8 +6,8 @@ Source:
 
 import numpy as np
 
+from jexplore.arrays.files import read_text
 from jexplore.config import InputError
-from jexplore.worlds.readers.files import read_text
 from jexplore.worlds.readers.resample import resample
 from jexplore.worlds.world import World, require_side
 

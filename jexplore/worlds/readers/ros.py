@@ -14,14 +14,12 @@ import warnings
 from pathlib import Path
 
 import numpy as np
-import yaml
 from numpy.typing import ArrayLike
 
+from jexplore.arrays.files import first_line, read_yaml
 from jexplore.config import InputError, InputWarning, require_number, shown
-from jexplore.worlds.readers.files import first_line, read_text
 from jexplore.worlds.readers.grids import free_cells, upright
 from jexplore.worlds.readers.images import grey, read_pixels, transparency
-from jexplore.worlds.readers.plain_yaml import Loader
 from jexplore.worlds.readers.resample import LEAST_PIXEL_M, MOST_PIXEL_M, resample
 from jexplore.worlds.world import World, require_hundred
 
@@ -246,21 +244,8 @@ def _warn_of_unknown(path, levels, info, free):
     )
 
 
-class _Loader(Loader):
-    """Reads plain values. An alias may stand for a list of lists of lists that fills the memory."""
-
-    def compose_node(self, parent, index):
-        if self.check_event(yaml.AliasEvent):
-            raise yaml.YAMLError("a map's yaml has no aliases")
-        return super().compose_node(parent, index)
-
-
 def _read_yaml(path):
-    text = read_text(path, _MAX_YAML)
-    try:
-        content = yaml.load(text, _Loader)
-    except Exception as error:  # PyYAML's constructors raise ValueError, KeyError, AttributeError and more
-        raise InputError(f"{path!r}: is not valid YAML ({first_line(error)})") from None
+    content = read_yaml(path, _MAX_YAML)
     if not isinstance(content, dict):
         raise InputError(f"{path!r}: is not a ROS map; expected the keys image, resolution, origin, ...")
     for key in ("image", "resolution", "origin", "negate", "occupied_thresh", "free_thresh"):

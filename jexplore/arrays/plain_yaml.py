@@ -3,7 +3,7 @@
 PyYAML by itself follows version 1.1, where they are 8, 270 and false.
 
 Source:
-  YAML 1.2.2, section 10.3.2. Kept from version 1.1: the merge key <<.
+  YAML 1.2.2, section 10.3.2. Changed: no aliases; kept from version 1.1: the merge key <<.
 """
 
 import re
@@ -23,17 +23,23 @@ _RESOLVERS = {None: [(_TAG + kind, re.compile(f"(?:{words})$")) for kind, words 
 
 
 class Loader(yaml.SafeLoader):
-    """Reads plain values, and refuses a key that is there twice."""
+    """Reads plain values. Refuses aliases, and keys that are there twice or are no plain values."""
 
     yaml_implicit_resolvers = _RESOLVERS
+
+    def compose_node(self, parent, index):
+        if self.check_event(yaml.AliasEvent):  # one may stand for a list of lists of lists that fills the memory
+            what, mark = "aliases are not read: write out what it stands for", self.peek_event().start_mark
+            raise yaml.composer.ComposerError(None, None, what, mark)
+        return super().compose_node(parent, index)
 
     def construct_mapping(self, node, deep=False):
         seen = set()
         for key, _ in node.value:
-            if key.value in seen:
-                raise yaml.constructor.ConstructorError(
-                    None, None, f"the key {key.value!r} is there twice", key.start_mark
-                )
+            what = "" if isinstance(key.value, str) else "a key must be a plain value"
+            what = what or (f"the key {key.value!r} is there twice" if key.value in seen else "")
+            if what:
+                raise yaml.constructor.ConstructorError(None, None, what, key.start_mark)
             seen.add(key.value)
         return super().construct_mapping(node, deep)
 

@@ -1,0 +1,219 @@
+"""Files that somebody gives, one function for each format: what can go wrong is told in one line, and whatever a file
+holds, reading it takes bounded time and memory.
+
+Plain Python: importing this loads neither numpy nor jax.
+"""
+
+import contextlib
+import json
+import os
+import zipfile
+from collections.abc import Iterator, Mapping
+from typing import Any, BinaryIO
+
+from jexplore.config import InputError
+
+MOST_LEVELS = 100
+"""Lists and objects within each other. What walks over them calls itself once or twice a level, and Python ends that
+after 1,000 calls."""
+MOST_SPEC_BYTES = 2**20
+"""Of a YAML file. PyYAML reads about 100 kB in a second."""
+
+
+@contextlib.contextmanager
+def opened(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
+    """A regular file, open for reading.
+
+    Args:
+      path: the file.
+
+    Returns:
+      What a `with` statement takes; what goes wrong within it is told likewise.
+
+    Raises:
+      InputError: no such file, a directory or another thing that is no file, or not readable.
+    """
+    path = os.fspath(path)
+    try:
+        if os.path.isdir(path):
+            raise InputError(f"{path!r}: is a directory; name a file in it")
+        if os.path.exists(path) and not os.path.isfile(path):
+            raise InputError(f"{path!r}: is not a regular file")
+        with open(path, "rb") as file:
+            yield file
+    except InputError:
+        raise
+    except FileNotFoundError:
+        where = "" if os.path.isabs(path) else f" (looked in {os.getcwd()!r})"
+        raise InputError(f"{path!r}: there is no such file{where}") from None
+    except PermissionError:
+        raise InputError(f"{path!r}: you have no permission to read it") from None
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path!r}: cannot be opened ({first_line(error)})") from None
+
+
+def read_bytes(path: str | os.PathLike[str], max_bytes: int) -> bytes:
+    """The content of a regular file.
+
+    Args:
+      path: the file.
+      max_bytes: a larger file is refused before it is read.
+
+    Returns:
+      `bytes`, at least one.
+
+    Raises:
+      InputError: as `opened`, empty, or too large.
+    """
+    told = repr(os.fspath(path))
+    with opened(path) as file:
+        size = os.fstat(file.fileno()).st_size
+        if size > max_bytes:
+            raise InputError(f"{told}: has {size} bytes; at most {max_bytes} are read")
+        content = file.read(max_bytes)
+    if not content:
+        raise InputError(f"{told}: is empty")
+    return content
+
+
+def told_kind(content: bytes) -> str:
+    """What a file is by its first bytes, and what to do with it; empty where they do not tell."""
+    return next((what for start, what in _KINDS.items() if content.startswith(start)), "")
+
+
+_BAG = "whose name must end in"
+_PICTURE = "a picture, whose name must end as its format has it, with a scale: map.png@0.05"
+_PACKED = "compressed; unpack it"
+_KINDS = {
+    b"#ROSBAG V": f"a bag of ROS 1, {_BAG} .bag",
+    b"\x89MCAP0": f"a recording of ROS 2, {_BAG} .mcap",
+    b"SQLite format 3": "an SQLite database; one that is a recording of ROS 2 has a name that ends in .db3",
+    **dict.fromkeys((b"\x89PNG", b"\xff\xd8\xff", b"GIF8", b"II*\0", b"MM\0*", b"P4", b"P5", b"P6"), _PICTURE),
+    **dict.fromkeys((b"\x1f\x8b", b"PK\3\4", b"BZh", b"\xfd7zXZ", b"\x28\xb5\x2f\xfd"), _PACKED),
+    **dict.fromkeys((b"\xff\xfe", b"\xfe\xff"), "text in UTF-16; save it as UTF-8"),
+}
+
+
+def read_text(path: str | os.PathLike[str], max_bytes: int) -> str:
+    """The content of a text file in UTF-8.
+
+    Raises:
+      InputError: as `read_bytes`, or not UTF-8 text.
+    """
+    content = read_bytes(path, max_bytes)
+    if told_kind(content):
+        raise InputError(f"{os.fspath(path)!r}: is not the text that its name says, but {told_kind(content)}")
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise InputError(f"{os.fspath(path)!r}: is not UTF-8 text (byte {error.start})") from None
+
+
+def json_of(text: str, told: str) -> Any:
+    """What a text in JSON holds, nested no deeper than `MOST_LEVELS`.
+
+    Args:
+      text: what to read.
+      told: what the message calls it.
+
+    Raises:
+      InputError: no JSON, with the line, or of unusual numbers or depth.
+    """
+    try:
+        found = json.loads(text)
+    except json.JSONDecodeError as error:
+        raise InputError(f"{told}: is not valid JSON (line {error.lineno}: {error.msg})") from None
+    except (ValueError, RecursionError) as error:  # of numbers with thousands of digits; of levels
+        raise InputError(f"{told}: is not valid JSON ({first_line(error)})") from None
+    require_shallow(found, told)
+    return found
+
+
+def read_json(path: str | os.PathLike[str], max_bytes: int) -> Any:
+    """What a file in JSON holds.
+
+    Raises:
+      InputError: as `read_text` and `json_of`.
+    """
+    return json_of(read_text(path, max_bytes), repr(os.fspath(path)))
+
+
+def require_shallow(value: Any, told: str) -> None:
+    """Refuse lists and mappings that lie in each other more than `MOST_LEVELS` deep.
+
+    Raises:
+      InputError: saying so.
+    """
+    kinds, layer, levels = (Mapping, list, tuple), [value], 0
+    while layer := [one for one in layer if isinstance(one, kinds)]:
+        levels += 1
+        if levels > MOST_LEVELS:
+            raise InputError(f"{told}: lists and objects lie in each other more than {MOST_LEVELS} deep")
+        layer = [inner for one in layer for inner in (one.values() if isinstance(one, Mapping) else one)]
+
+
+def yaml_of(text: str, told: str) -> Any:
+    """What a text in YAML holds, see `plain_yaml.Loader`, nested no deeper than `MOST_LEVELS`.
+
+    Args:
+      text: what to read.
+      told: what the message calls it.
+
+    Raises:
+      InputError: none of that, with line and column.
+    """
+    import yaml
+
+    from jexplore.arrays.plain_yaml import Loader
+
+    try:
+        found = yaml.load(text, Loader)
+    except Exception as error:  # PyYAML raises ValueError, KeyError, AttributeError, RecursionError and more
+        mark = getattr(error, "problem_mark", None)
+        place = "" if mark is None else f"line {mark.line + 1}, column {mark.column + 1}: "
+        what = place + (getattr(error, "problem", None) or first_line(error))
+        raise InputError(f"{told}: is not valid YAML ({what})") from None
+    require_shallow(found, told)
+    return found
+
+
+def read_yaml(path: str | os.PathLike[str], max_bytes: int = MOST_SPEC_BYTES) -> Any:
+    """What a file in YAML holds.
+
+    Raises:
+      InputError: as `read_text` and `yaml_of`.
+    """
+    return yaml_of(read_text(path, max_bytes), repr(os.fspath(path)))
+
+
+def read_npz(path: str | os.PathLike[str], max_bytes: int) -> dict[str, Any]:
+    """The arrays of a file in numpy's format NPZ, by name; objects of Python are not read.
+
+    Args:
+      path: the file.
+      max_bytes: all arrays together may take so much, unpacked.
+
+    Raises:
+      InputError: as `opened`, no such file of numpy, damaged, or too large.
+    """
+    import numpy as np
+
+    told = repr(os.fspath(path))
+    with opened(path) as file:
+        try:
+            with zipfile.ZipFile(file) as members:
+                size = sum(member.file_size for member in members.infolist())
+            if size > max_bytes:
+                raise InputError(f"{told}: unpacks to {size} bytes; at most {max_bytes} are read")
+            file.seek(0)
+            with np.load(file) as arrays:
+                return dict(arrays)
+        except InputError:
+            raise
+        except Exception as error:  # zipfile, zlib and numpy raise many kinds of errors for a damaged file
+            raise InputError(f"{told}: is damaged or no NPZ file ({first_line(error)})") from None
+
+
+def first_line(error: BaseException) -> str:
+    """What an exception says, on one line."""
+    return " ".join(str(error).split()) or type(error).__name__
