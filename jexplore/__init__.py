@@ -41,6 +41,7 @@ _MODULE_OF = {
     "ScanMap": "worlds.readers.scans",
     "fold_scans": "worlds.readers.scans",
     "read_carmen": "worlds.readers.carmen",
+    "load_bag": "worlds.readers.bags",
     "read_bag": "worlds.readers.bags",
     "Environment": "studies.environment",
     "EnvState": "studies.environment",
@@ -148,6 +149,7 @@ __all__ = [
     "follow",
     "frontier_clusters",
     "load",
+    "load_bag",
     "load_world",
     "merge_maps",
     "metres",
@@ -205,7 +207,7 @@ if TYPE_CHECKING:
     from jexplore.tracemap.record import BtmMap
     from jexplore.tracemap.route import Route
     from jexplore.worlds import GENERATORS, load_world
-    from jexplore.worlds.readers.bags import read_bag
+    from jexplore.worlds.readers.bags import load_bag, read_bag
     from jexplore.worlds.readers.carmen import read_carmen
     from jexplore.worlds.readers.scans import ScanLog, ScanMap, fold_scans
     from jexplore.worlds.world import World, occupancy_to_world

@@ -16,7 +16,7 @@ from PIL import Image
 from scipy import ndimage
 
 from jexplore import raycast
-from jexplore.config import InputError, Lidar
+from jexplore.config import InputError, InputWarning, Lidar
 from jexplore.grid import empty_grid, is_occupied
 from jexplore.worlds import load_world
 from jexplore.worlds.readers import scans
@@ -100,6 +100,76 @@ def test_the_longest_range(tmp_path):
     assert read_carmen(write(tmp_path, LINE.format(heading=0).replace("81.83", "8.21"))).max_range_m == 80
 
 
+@pytest.mark.parametrize(
+    ("parameter", "expected_m"),
+    [
+        ("robot_front_laser_max 30.0 nohost 0", 30),
+        ("robot_front_laser_max 80.99 1071078718.4 merci 1071078718.4", 80.99),
+        ("robot_frontlaser_max 30.0", 30),
+        ("laser_front_laser_max 30.0", 30),
+        ("robot_rear_laser_max 30.0", 80),
+        ("navigator_max_laser_range 50", 80),
+        ("simulator_laser_probability_of_random_max .0001", 80),
+        ("robot_front_laser_max off", 80),
+        ("robot_front_laser_max -1", 80),
+        ("robot_front_laser_max", 80),
+    ],
+)
+def test_a_parameter_of_the_log_says_the_longest_range(tmp_path, parameter, expected_m):
+    path = write(tmp_path, f"PARAM {parameter}", LINE.format(heading=0))
+    assert read_carmen(path).max_range_m == expected_m
+    assert read_carmen(path, max_range_m=50).max_range_m == 50
+
+
+def room_lines(no_echo, *, poses=((2, 2, 0), (3, 3, 180), (5, 3, 0), (5, 2, 90), (6, 4, 45)), step_deg=0.5, door=True):
+    """FLASER lines of a room of 8 x 6 m, and the word that each beam through its door, 1 m in the right wall, gets."""
+    angles = np.arange(-90, 90.1, step_deg)
+    for x, y, heading_deg in poses:
+        turned = np.radians(heading_deg + angles) + 1e-4  # never along a wall
+        to_side = np.where(np.cos(turned) > 0, 8 - x, -x) / np.cos(turned)
+        away = np.minimum(to_side, np.where(np.sin(turned) > 0, 6 - y, -y) / np.sin(turned))
+        out = door & (np.cos(turned) > 0) & (away == to_side) & (np.abs(y + away * np.sin(turned) - 3) < 0.5)
+        words = " ".join(no_echo if gone else f"{reading:.2f}" for gone, reading in zip(out, away))
+        yield f"FLASER {len(angles)} {words} {f'{x} {y} {math.radians(heading_deg)} ' * 2}1 host 1"
+
+
+@pytest.mark.parametrize("no_echo", ["12.00", "20.475", "30.00", "65.533"])
+def test_no_echo_of_any_scanner_is_no_wall_and_told(tmp_path, no_echo):
+    expected = load_world(write(tmp_path, *room_lines("81.91")))
+    assert expected.free_m2 == pytest.approx(46, abs=1)
+    path = write(tmp_path, *room_lines(no_echo))
+    line = rf"of its \d+ readings are {float(no_echo):g} m or little more, .* append :max_range_m=80$"
+    with pytest.warns(InputWarning, match=line):
+        world = load_world(path)
+    np.testing.assert_array_equal(world.occupied, expected.occupied)
+    assert load_world(f"{path}:max_range_m=80").free_m2 > expected.free_m2 + 1
+    with_range = f"{path}:max_range_m={no_echo},range_m=3"
+    assert load_world(with_range).free_m2 < expected.free_m2 - 1
+
+
+@pytest.mark.parametrize("poses", [[(3, 2, 20)] * 30, [(2, 3, deg) for deg in range(0, 90, 3)], [(1, 1, 45)]])
+@pytest.mark.parametrize("step_deg", [0.25, 1])
+def test_the_farthest_corner_is_an_echo_however_often_it_is_seen(tmp_path, poses, step_deg):
+    path = write(tmp_path, *room_lines("", poses=poses, step_deg=step_deg, door=False))
+    assert read_carmen(path).echo.all()  # and no warning
+
+
+def test_readings_that_are_no_distance(tmp_path):
+    """REP 117: inf is no echo, -inf too near, NaN invalid; converted logs have -1 and 0 as well."""
+    known = {
+        word: load_world(write(tmp_path, *room_lines(word)) + ":no_echo_m=6")
+        for word in ("81.91", "inf", "Infinity", "nan", "-inf", "-1", "0", "0.00")
+    }
+    for word in ("inf", "Infinity"):
+        np.testing.assert_array_equal(known[word].occupied, known["81.91"].occupied)
+    for word in ("-inf", "-1", "0", "0.00"):
+        np.testing.assert_array_equal(known[word].occupied, known["nan"].occupied)
+    assert known["inf"].free_m2 > known["nan"].free_m2 + 0.2
+    log = read_carmen(write(tmp_path, *(line.replace("3.00", "nan") for line in room_lines("inf"))))
+    assert log.max_range_m == 80  # inf marks what has no echo: 8 m is no limit
+    assert log.echo.sum() == (np.isfinite(log.ranges) & (log.ranges > 0)).sum() < log.ranges.size
+
+
 GOOD = LINE.format(heading=0)
 ROBOT = "ROBOTLASER1 0 -1.57 3.14 0.0174 80 0.01 0 1 2 0 0 0 0 0 0 0 0 0 0 0 0 1 h 1"
 
@@ -115,9 +185,8 @@ ROBOT = "ROBOTLASER1 0 -1.57 3.14 0.0174 80 0.01 0 1 2 0 0 0 0 0 0 0 0 0 0 0 0 1
         ([GOOD.replace("FLASER 3", "FLASER 0")], "must be the number of readings, got '0'"),
         ([GOOD.replace("FLASER 3", "FLASER -3")], "must be the number of readings, got '-3'"),
         ([GOOD.replace("FLASER 3", "FLASER 1000000")], "must be the number of readings"),
-        ([GOOD.replace("81.83", "nan")], "line 1: has 'nan' where a number must be"),
-        ([GOOD.replace("81.83", "inf")], "has 'inf' where"),
-        ([GOOD.replace("81.83", "-1")], "a reading must be at least 0, got -1"),
+        ([GOOD.replace("0.35", "nan")], "line 1: has 'nan' where a number must be"),
+        ([GOOD.replace("10.5", "inf")], "has 'inf' where"),
         ([GOOD.replace("0.35", "1e9")], r"a pose must lie within 1e\+06 m of 0, got 1e\+09"),
         (
             [GOOD, "FLASER 2 1.5 2 0 0 0 1 2 3 1 h 1"],
@@ -327,7 +396,7 @@ def test_bad_numbers_are_refused(drive, changes, said):
     [
         ({"ranges": np.ones(3)}, r"ranges of a ScanLog must be readings \[N, B\], got float64 \[3\]"),
         ({"ranges": np.empty((0, 3))}, r"must be readings \[N, B\], got float64 \[0, 3\]"),
-        ({"ranges": -np.ones((20, 30))}, "ranges of a ScanLog must be at least 0, got -1"),
+        ({"ranges": np.full((20, 30), "1")}, "ranges of a ScanLog must be finite numbers"),
         ({"poses": np.ones((20, 2))}, r"poses of a ScanLog must be finite numbers of shape \[20, 3\], got float64"),
         ({"poses": np.full((20, 3), np.nan)}, "poses of a ScanLog must be finite"),
         ({"angles_rad": np.ones(29)}, r"angles_rad of a ScanLog must be finite numbers of shape \[30\]"),

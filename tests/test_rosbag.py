@@ -2,11 +2,13 @@
 
 import builtins
 import math
+import shutil
 
 import numpy as np
 import pytest
 
-from jexplore.config import InputError
+import jexplore as jx
+from jexplore.config import InputError, InputWarning
 from jexplore.worlds import load_world
 from jexplore.worlds.readers.bags import read_bag
 
@@ -15,7 +17,7 @@ rosbag2 = pytest.importorskip("rosbags.rosbag2")
 typesys = pytest.importorskip("rosbags.typesys")
 
 GRID = "nav_msgs/msg/OccupancyGrid"
-MAP = np.array([[0, 25, -1], [0, 100, 26]])
+MAP = np.array([[0, 25, -1], [0, 100, 65]])
 LEVEL = (0.0, 0.0, 0.0, 1.0)
 
 
@@ -134,14 +136,47 @@ def test_a_message_that_is_not_there(name, number):
         read_bag(path, message=number)
 
 
-@pytest.mark.parametrize("yaw", [0.3, -math.pi / 2, math.pi])
-def test_a_turned_map_is_refused(name, yaw):
-    path = write(name, {"/map": [MAP]}, turn=(0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2)))
-    with pytest.raises(InputError, match=r"the map on /map: is turned by yaw = -?\d\.\d+; save it by map_saver, turn"):
-        read_bag(path)
+@pytest.mark.parametrize(
+    ("quarters", "expected", "corner"),
+    [
+        (1, [[0, 0], [100, 25], [65, -1]], (0.9, 2.0)),
+        (2, [[65, 100, 0], [-1, 25, 0]], (0.85, 1.9)),
+        (-1, [[-1, 65], [25, 100], [0, 0]], (1.0, 1.85)),
+    ],
+)
+def test_a_map_turned_by_right_angles_is_laid_along_the_axes_cell_for_cell(name, quarters, expected, corner):
+    half = quarters * math.pi / 4
+    path = write(name, {"/map": [MAP]}, turn=(0.0, 0.0, math.sin(half), math.cos(half)))
+    with pytest.warns(InputWarning, match=rf"the map on /map: is turned by {90 * quarters} degrees; .* cell for cell$"):
+        grid = read_bag(path)
+    assert grid.occupancy.tolist() == expected
+    assert grid.origin_m == pytest.approx(corner)
+    with pytest.warns(InputWarning, match="is turned by"):
+        assert load_world(path, cell_m=0.05).free_m2 == pytest.approx(3 * 0.05**2)
 
 
-@pytest.mark.parametrize("turn", [(0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, -1.0), (0.0, 0.0, 1e-8, 1.0)])
+def test_graded_probabilities_are_told_and_divided_where_one_says(name):
+    """As Cartographer publishes them: floor from 5 to 48, walls from 55 to 99."""
+    graded = np.array([[-1, 99, 55, 60], [80, 5, 30, 40], [80, 20, 48, 45]])
+    path = write(name, {"/map": [graded]})
+    line = (
+        r"the map on /map: 55% of its known cells are from 26 to 64, neither free nor occupied, and count as unknown; "
+        r"with :free_max=49,occupied_min=50 in its name 6 cells are free, not 2$"
+    )
+    with pytest.warns(InputWarning, match=line):
+        world = load_world(path, cell_m=0.05)
+    assert world.free_m2 == pytest.approx(2 * 0.05**2)
+    for tail in (":free_max=49,occupied_min=50", ":free_max=54", ":topic=/map,free_max=48,occupied_min=49"):
+        world = load_world(f"{path}{tail}", cell_m=0.05)
+        assert world.free_m2 == pytest.approx(6 * 0.05**2)
+    world = jx.load_bag(path, cell_m=0.05, free_max=49, occupied_min=50)
+    assert (~world.occupied).sum() == 6
+    assert jx.load_bag(path, cell_m=0.05, occupied_min=20).free_m2 == pytest.approx(0.05**2)
+
+
+@pytest.mark.parametrize(
+    "turn", [(0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, -1.0), (0.0, 0.0, 1e-8, 1.0), (1e-4, 0.0, 1e-4, 1.0)]
+)
 def test_what_is_no_turn_is_read(name, turn):
     assert read_bag(write(name, {"/map": [MAP]}, turn=turn)).occupancy.tolist() == MAP.tolist()
 
@@ -149,7 +184,7 @@ def test_what_is_no_turn_is_read(name, turn):
 @pytest.mark.parametrize(
     ("occupancy", "changes", "said"),
     [
-        (MAP, {"turn": (0.1, 0.0, 0.0, 1.0)}, "is tilted; the orientation of its origin must be a yaw of 0"),
+        (MAP, {"turn": (0.1, 0.0, 0.0, 1.0)}, "is tilted; the orientation of its origin must be a turn about z"),
         (MAP, {"turn": (0.0, 0.0, math.nan, 1.0)}, "the orientation of its origin must be finite"),
         (MAP, {"values": [0] * 5}, "is 2 x 3 cells and has 5 values; expected one for each"),
         (np.zeros((0, 3), int), {}, "is 0 x 3 cells and has 0 values"),
@@ -158,7 +193,8 @@ def test_what_is_no_turn_is_read(name, turn):
         (MAP, {"origin": (math.inf, 0.0)}, "origin must be a finite number, got inf"),
         (np.array([[0, 101]]), {}, r"occupancy must lie from -1 \(unknown\) to 100, got 0 to 101"),
         (np.array([[0, -2]]), {}, "got -2 to 0"),
-        (np.array([[-1, 26]]), {}, r"no cell is free \(occupancy 0 to 25\)"),
+        (np.array([[-1, 65]]), {}, r"no cell is free \(occupancy 0 to 25\)"),
+        (np.array([[-1, 26]]), {}, "100% of its known cells are from 26 to 64, .* 1 cells are free, not 0$"),
     ],
 )
 def test_bad_maps_are_refused(name, occupancy, changes, said):
@@ -182,13 +218,38 @@ def test_damaged_files_are_refused(name):
         load_world(name.with_stem("absent"))
 
 
+def test_a_mask_of_0_and_1_has_no_wall_and_is_refused(name):
+    path = write(name, {"/map": [np.array([[0, 1], [-1, 0]])]})
+    with pytest.raises(InputError, match="integers of 0 and 1 alone would have no wall, for 100 is occupied"):
+        load_world(path)
+
+
+def test_a_recording_under_a_name_of_another_kind_is_told_what_it_is(name, tmp_path):
+    path = write(name, {"/map": [MAP]})
+    said = {
+        ".bag": "a bag of ROS 1, whose name must end in .bag",
+        ".db3": "one that is a recording of ROS 2 has a name that ends in .db3",
+        ".mcap": "a recording of ROS 2, whose name must end in .mcap",
+    }[path.suffix]
+    for other in (".log", ".yaml", ".json", ".map", ".png@0.1", ".bag", ".db3", ".mcap"):
+        if other != path.suffix:
+            renamed = shutil.copy(path, tmp_path / f"renamed{other.partition('@')[0]}")
+            with pytest.raises(InputError, match=said) as error:
+                load_world(f"{renamed}{'@0.1' if other.endswith('@0.1') else ''}")
+            assert "\n" not in str(error.value)
+
+
 @pytest.mark.parametrize(
     ("tail", "said"),
     [
         (":message=0.5", "message must be an integer"),
         (":message=last", "message must be an integer"),
         (":topic=3", "topic must be the name of one, as /map, got 3"),
-        (":free=3", "there is no parameter 'free'; it takes topic, message"),
+        (":free=3", "there is no parameter 'free'; it takes topic, message, free_max, occupied_min"),
+        (":free_max=100", "free_max must be an integer from 0 to 99, got 100"),
+        (":free_max=0.5", "free_max must be an integer from 0 to 99, got 0.5"),
+        (":occupied_min=0", "occupied_min must be an integer from 1 to 100, got 0"),
+        (":free_max=50,occupied_min=50", "occupied_min must be above free_max, got 50 and 50"),
         ("@0.1", "a ROS bag file has its own scale"),
     ],
 )

@@ -10,6 +10,7 @@ import pytest
 import yaml
 
 import jexplore as jx
+from jexplore.arrays.plain_yaml import Loader, dump
 from jexplore.cli import main
 from jexplore.config import InputError, Lidar, Rules
 from jexplore.driving.settings import Tuning
@@ -163,6 +164,32 @@ def test_broken_yaml_is_told_with_its_place(tmp_path):
         read_spec(path)
     with pytest.raises(InputError, match=r"none.yaml': there is no such file"):
         read_spec(tmp_path / "none.yaml")
+
+
+def test_plain_words_are_those_of_yaml_1_2(tmp_path):
+    path = tmp_path / "s.yaml"
+    path.write_text(
+        "worlds: [no, 4:30, 2026-01-02, 1_0]\nseed: [010, 0o10, 0x10]\ncell_m: 1e-1\nlidar: {range_m: 5.}\n"
+    )
+    spec = read_spec(path)
+    assert spec.worlds == ("no", "4:30", "2026-01-02", "1_0")
+    assert (spec.seed, spec.cell_m, spec.lidar) == ((10, 8, 16), 0.1, {"range_m": 5.0})
+    asked = dump(plain(spec))
+    path.write_text(asked)
+    assert read_spec(path) == spec
+    path.write_text("worlds: [cave]\nseed: 4:30\n")
+    with pytest.raises(InputError, match=r"seed must be an integer from 0 .* got '4:30'"):
+        read_spec(path).records()
+    path.write_text("worlds: [cave]\nseed: 1\nseed: 2\n")
+    with pytest.raises(
+        InputError, match=r"s\.yaml': is not valid YAML .line 3, column 1: the key 'seed' is there twice"
+    ):
+        read_spec(path)
+
+
+@pytest.mark.parametrize("word", ["010", "0o10", "0x1f", "1e3", "true", "~", "", "no", "4:30", "<<", ".5", 8, 1e-5])
+def test_what_is_written_as_yaml_is_read_back(word):
+    assert yaml.load(dump({"a": [word]}), Loader) == {"a": [word]}
 
 
 def test_units_share_programs_and_miss_nothing(monkeypatch):

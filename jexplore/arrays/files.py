@@ -77,14 +77,35 @@ def read_bytes(path: str | os.PathLike[str], max_bytes: int) -> bytes:
     return content
 
 
+def told_kind(content: bytes) -> str:
+    """What a file is by its first bytes, and what to do with it; empty where they do not tell."""
+    return next((what for start, what in _KINDS.items() if content.startswith(start)), "")
+
+
+_BAG = "whose name must end in"
+_PICTURE = "a picture, whose name must end as its format has it, with a scale: map.png@0.05"
+_PACKED = "compressed; unpack it"
+_KINDS = {
+    b"#ROSBAG V": f"a bag of ROS 1, {_BAG} .bag",
+    b"\x89MCAP0": f"a recording of ROS 2, {_BAG} .mcap",
+    b"SQLite format 3": "an SQLite database; one that is a recording of ROS 2 has a name that ends in .db3",
+    **dict.fromkeys((b"\x89PNG", b"\xff\xd8\xff", b"GIF8", b"II*\0", b"MM\0*", b"P4", b"P5", b"P6"), _PICTURE),
+    **dict.fromkeys((b"\x1f\x8b", b"PK\3\4", b"BZh", b"\xfd7zXZ", b"\x28\xb5\x2f\xfd"), _PACKED),
+    **dict.fromkeys((b"\xff\xfe", b"\xfe\xff"), "text in UTF-16; save it as UTF-8"),
+}
+
+
 def read_text(path: str | os.PathLike[str], max_bytes: int) -> str:
     """The content of a text file in UTF-8.
 
     Raises:
       InputError: as `read_bytes`, or not UTF-8 text.
     """
+    content = read_bytes(path, max_bytes)
+    if told_kind(content):
+        raise InputError(f"{os.fspath(path)!r}: is not the text that its name says, but {told_kind(content)}")
     try:
-        return read_bytes(path, max_bytes).decode("utf-8-sig")
+        return content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise InputError(f"{os.fspath(path)!r}: is not UTF-8 text (byte {error.start})") from None
 

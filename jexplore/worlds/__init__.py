@@ -24,7 +24,11 @@ GENERATORS = {
     "course": "jexplore.worlds.generators.course:course",
 }
 """World name -> "module:function". The function takes a seed and keyword parameters, `cell_m` among them."""
-_PARAMETERS = {"CARMEN": ("p_free", "range_m", "no_echo_m", "max_range_m"), "ROS bag": ("topic", "message")}
+_PARAMETERS = {
+    "CARMEN": ("p_free", "range_m", "no_echo_m", "max_range_m"),
+    "ROS": ("free_max", "occupied_min"),
+    "ROS bag": ("topic", "message", "free_max", "occupied_min"),
+}
 """Kind of file -> what its reader takes in a world name, where it takes anything. Pictures have their own."""
 
 
@@ -109,11 +113,11 @@ def _read(parsed, cell_m):
         return load_movingai(parsed.base, parsed.scale, cell_m=cell_m)
     if parsed.scale is not None:
         raise InputError(f"{parsed.name!r}: a {parsed.kind} file has its own scale; leave out what follows the '@'")
+    parameters: Any = parsed.parameters
     if parsed.kind == "ROS":
         from jexplore.worlds.readers.ros import load_ros
 
-        return load_ros(parsed.base, cell_m=cell_m)
-    parameters: Any = parsed.parameters
+        return load_ros(parsed.base, cell_m=cell_m, **parameters)
     if parsed.kind == "CARMEN":
         from jexplore.worlds.readers.carmen import load_carmen
 

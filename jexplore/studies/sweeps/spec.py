@@ -324,7 +324,7 @@ def _plain(value: Any) -> Any:
 
 
 def read_spec(path: str | os.PathLike[str]) -> Sweep:
-    """A `Sweep` from a YAML file.
+    """A `Sweep` from a YAML file, read as `plain_yaml` reads it: YAML 1.2.
 
     Raises:
       InputError: no such file, broken YAML (with line and column), or what `sweep_from` refuses.

@@ -137,7 +137,7 @@ def _near(points, tree):
 
 def _doubled(log, tree, normals, piece):
     """See `OdometryMap.doubled`."""
-    hit = (log.ranges > 0) & (log.ranges < log.max_range_m)
+    hit = log.echo
     true, drawn = (_ends(log, poses)[hit] for poses in (log.poses, log.odometry))
     off, at = tree.query(true, distance_upper_bound=NEAR_M)
     there = np.isfinite(off)
@@ -151,6 +151,7 @@ def _doubled(log, tree, normals, piece):
 
 
 def _ends(log, poses):
-    """Where beams end, seen from poses: `[N, B, 2]`, metres."""
+    """Where beams end, seen from poses: `[N, B, 2]`, metres; at the poses where a beam has no echo."""
     angle = poses[:, 2:] + log.angles_rad
-    return poses[:, None, :2] + log.ranges[..., None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    length = np.where(log.echo, log.ranges, 0)
+    return poses[:, None, :2] + length[..., None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)

@@ -12,16 +12,17 @@ from pathlib import Path
 
 import numpy as np
 
-from jexplore.arrays.files import first_line, opened
+from jexplore.arrays.files import first_line, opened, told_kind
 from jexplore.config import InputError, require_number, require_whole
 from jexplore.worlds.names import METADATA
+from jexplore.worlds.readers.grids import FREE_MAX, free_cells, upright
 from jexplore.worlds.readers.images import MAX_PIXELS
 from jexplore.worlds.readers.resample import resample
-from jexplore.worlds.world import World
+from jexplore.worlds.world import World, require_hundred
 
 _TYPE = "nav_msgs/msg/OccupancyGrid"
 _USUAL = "/map"
-_NO_TURN_RAD = 1e-6
+_LEVEL = 1e-3  # of the tilt's part of a quaternion; a map so tilted is shorter by less than 1e-5
 
 
 @dataclasses.dataclass(frozen=True)
@@ -47,11 +48,14 @@ def read_bag(path: str | os.PathLike[str], *, topic: str | None = None, message:
       message: which of its messages, counted from 0; a negative one counts from the last, -1.
 
     Returns:
-      `RecordedGrid`.
+      `RecordedGrid`. A map that lies turned in its frame has been laid along x and y: see `grids.upright`.
+
+    Warns:
+      InputWarning: the map has been turned.
 
     Raises:
       InputError: rosbags is not installed; the recording cannot be read, or has no such topic or message; the map is
-        turned (the yaw of its origin is not 0) or tilted, empty, too large, or has values outside -1..100.
+        tilted, empty, too large, or has values outside -1..100.
     """
     path = os.fspath(path)
     message = require_whole(f"{path!r}: message", message, -(10**9), 10**9)
@@ -61,8 +65,10 @@ def read_bag(path: str | os.PathLike[str], *, topic: str | None = None, message:
         path = os.path.dirname(path) or "."
     is_folder = os.path.isfile(os.path.join(path, METADATA))
     if not is_folder:
-        with opened(path):
-            pass
+        with opened(path) as file:
+            what = told_kind(file.read(16))
+        if what and not what.endswith(os.path.splitext(path)[1].lower() or "."):
+            raise InputError(f"{path!r}: is {what}")
     try:
         # Ignored types: an extra that need not be installed.
         from rosbags.highlevel import AnyReader  # type: ignore[import-not-found]
@@ -82,26 +88,40 @@ def read_bag(path: str | os.PathLike[str], *, topic: str | None = None, message:
 
 
 def load_bag(
-    path: str, *, cell_m: float = 0.1, topic: str | None = None, message: int = -1, free_max: int = 25
+    path: str | os.PathLike[str],
+    *,
+    cell_m: float = 0.1,
+    topic: str | None = None,
+    message: int = -1,
+    free_max: int | None = None,
+    occupied_min: int | None = None,
 ) -> World:
     """A world from a map in a recording. What is unknown counts as occupied.
+
+    `load_world("run.bag:topic=/map,free_max=49")` is the same; topics that a name cannot hold are given here.
 
     Args:
       path, topic, message: see `read_bag`.
       cell_m: edge of a cell, metres; the map is resampled to it.
-      free_max: a cell is free if its occupancy is from 0 to this.
+      free_max, occupied_min: see `grids.free_cells`.
 
     Returns:
-      A `World` with the map's origin: a point has the same metres in ROS. It has no start.
+      A `World` as mapped, with the map's origin: a point has the same metres in ROS. It has no start.
+
+    Warns:
+      InputWarning: as `grids.free_cells` and `read_bag`.
 
     Raises:
-      InputError: as `read_bag`, no free cell, or too large a world.
+      InputError: as `read_bag` and `grids.free_cells`, no free cell, a mask of 0 and 1, or too large a world.
     """
+    path = os.fspath(path)
     grid = read_bag(path, topic=topic, message=message)
-    occupied = (grid.occupancy < 0) | (grid.occupancy > free_max)
-    if occupied.all():
-        raise InputError(f"{path!r}: the map on {grid.topic}: no cell is free (occupancy 0 to {free_max})")
-    cells = resample(occupied, (grid.resolution_m, grid.resolution_m), cell_m, name=path)
+    where = f"{path!r}: the map on {grid.topic}"
+    require_hundred(path, grid.occupancy)
+    free = free_cells(where, grid.occupancy, free_max=free_max, occupied_min=occupied_min)
+    if not free.any():
+        raise InputError(f"{where}: no cell is free (occupancy 0 to {FREE_MAX if free_max is None else free_max})")
+    cells = resample(~free, (grid.resolution_m, grid.resolution_m), cell_m, name=path)
     return World(occupied=cells, cell_m=cell_m, name=path, origin_m=grid.origin_m)
 
 
@@ -137,7 +157,7 @@ def _checked(where, topic, grid):
     """A message of rosbags as `RecordedGrid`."""
     info, place = grid.info, grid.info.origin.position
     height, width = int(info.height), int(info.width)
-    _require_level(where, grid.info.origin.orientation)
+    yaw_rad = _yaw(where, grid.info.origin.orientation)
     if not height * width or len(grid.data) != height * width:
         raise InputError(f"{where}: is {height} x {width} cells and has {len(grid.data)} values; expected one for each")
     if height * width > MAX_PIXELS:
@@ -151,19 +171,15 @@ def _checked(where, topic, grid):
     low, high = int(occupancy.min()), int(occupancy.max())
     if low < -1 or high > 100:
         raise InputError(f"{where}: occupancy must lie from -1 (unknown) to 100, got {low} to {high}")
-    return RecordedGrid(topic, occupancy, resolution_m, (x_m, y_m))
+    occupancy, origin_m = upright(where, occupancy, yaw_rad, resolution_m, (x_m, y_m))
+    return RecordedGrid(topic, occupancy, resolution_m, origin_m)
 
 
-def _require_level(where, turn):
-    """Refuses the orientation of a map that is turned; all zeros, as of who leaves it out, is none."""
+def _yaw(where, turn):
+    """The yaw of an orientation; all zeros, as of who leaves it out, is 0."""
     x, y, z, w = (float(v) for v in (turn.x, turn.y, turn.z, turn.w))
     if not all(math.isfinite(v) for v in (x, y, z, w)):
         raise InputError(f"{where}: the orientation of its origin must be finite")
-    if max(abs(x), abs(y)) > _NO_TURN_RAD:
-        raise InputError(f"{where}: is tilted; the orientation of its origin must be a yaw of 0")
-    yaw = math.remainder(2 * math.atan2(z, w), 2 * math.pi) if z or w else 0.0
-    if abs(yaw) > _NO_TURN_RAD:
-        raise InputError(
-            f"{where}: is turned by yaw = {yaw:.6g}; save it by map_saver, turn the picture by that, "
-            "and read it with an origin of yaw 0"
-        )
+    if max(abs(x), abs(y)) > _LEVEL:
+        raise InputError(f"{where}: is tilted; the orientation of its origin must be a turn about z")
+    return math.remainder(2 * math.atan2(z, w), 2 * math.pi) if z or w else 0.0

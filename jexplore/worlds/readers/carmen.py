@@ -1,16 +1,19 @@
 """Logs of the CARMEN toolkit: the laser scans of a real robot, each with its pose.
 
 Source:
-  CARMEN, logger (readlog.c): the words of a line, and what it assumes of a scanner that a line says nothing about.
+  CARMEN 0.7, logger (readlog.c): the words of a line, and what it assumes of a scanner that a line says nothing about.
 """
 
+import dataclasses
 import math
 import os
+import re
+import warnings
 
 import numpy as np
 
 from jexplore.arrays.files import read_text
-from jexplore.config import InputError, require_number
+from jexplore.config import InputError, InputWarning, require_number
 from jexplore.worlds.readers.scans import ScanLog, fold_scans
 from jexplore.worlds.world import World
 
@@ -19,6 +22,11 @@ _STEPS_DEG = {180: 1.0, 181: 1.0, 360: 0.5, 361: 0.5, 400: 0.25, 401: 0.25}
 """Readings of an FLASER line -> degrees from one to the next. A scanner of 180 degrees may leave out the last one."""
 _FAR_M, _NEAR_M, _NEAR_CODES_M = 80.0, 8.0, 8.2  # a SICK's two ranges, and what the codes of the shorter one lie below
 _MAX_POSE = 1e6
+_LONGEST = re.compile(r"(robot|laser)_(front_?)?laser_?1?_max(_?range)?")
+"""Parameters that say how far the scanner reaches that looks forward, metres; CARMEN has robot_front_laser_max."""
+_SAME = 0.999  # of the largest reading: a SICK's nine codes, 8183 to 8191, lie closer together
+_PLACE_M = 0.1  # readings of one value that end in one square of this size count once: a robot may stand still
+_OFTEN = 5  # times the median count of a value; the largest echo of scans recorded in five buildings stays within it
 
 
 def read_carmen(path: str | os.PathLike[str], *, max_range_m: float | None = None) -> ScanLog:
@@ -32,11 +40,16 @@ def read_carmen(path: str | os.PathLike[str], *, max_range_m: float | None = Non
 
     Args:
       path: the log, a text file.
-      max_range_m: a reading of this or more means that nothing was seen, metres. Default: what `ROBOTLASER1` lines say;
-        for `FLASER` 80, or 8 if no reading is above 8.2, as a SICK in its mode of millimetres has it.
+      max_range_m: a reading of this or more means that nothing was seen, metres. Default: the least of what the log
+        gives signs of: what `ROBOTLASER1` lines say; for `FLASER` the last `PARAM robot_front_laser_max`, without one
+        80, and 8 if no reading is above 8.2, as a SICK in its mode of millimetres has it; and the largest reading,
+        where it ends in more than 5 times as many places as a reading does in the median.
 
     Returns:
-      `ScanLog`, scans in the order of the file.
+      `ScanLog`, scans in the order of the file. Readings of inf, NaN and below 0 stay as they are.
+
+    Warns:
+      InputWarning: readings count as no echo because they are the largest and many.
 
     Raises:
       InputError: the file cannot be read, has no scan with a pose, a line of one is cut short or not numbers, or scans
@@ -45,11 +58,12 @@ def read_carmen(path: str | os.PathLike[str], *, max_range_m: float | None = Non
     path = os.fspath(path)
     if max_range_m is not None:
         require_number("max_range_m", max_range_m, low_open=True, high=1000)
-    scans, scanner, first, others = [], None, 0, set()
+    scans, scanner, first, others, said_m = [], None, 0, set(), None
     for number, line in enumerate(read_text(path, _MAX_BYTES).splitlines(), start=1):
         word = line.split(maxsplit=1)[0] if line.strip() else ""
         if word not in _READ:
             others.add(word)
+            said_m = _parameter(line) or said_m
             continue
         own, *scan = _READ[word](f"{path!r}: line {number}", line.split())
         if scanner is None:
@@ -66,10 +80,11 @@ def read_carmen(path: str | os.PathLike[str], *, max_range_m: float | None = Non
         raise InputError(f"{path!r}: has no FLASER or ROBOTLASER1 line, so no scan with a pose{hint}")
     ranges, poses, odometry, times = (np.array(column) for column in zip(*scans))
     n_beams, start_rad, step_rad, longest_m = scanner
-    if max_range_m is None:
-        max_range_m = longest_m or (_NEAR_M if ranges.max() <= _NEAR_CODES_M else _FAR_M)
     angles_rad = start_rad + step_rad * np.arange(n_beams)
-    return ScanLog(poses, odometry, ranges, angles_rad, times, float(max_range_m))
+    if max_range_m is not None:
+        return ScanLog(poses, odometry, ranges, angles_rad, times, float(max_range_m))
+    log = ScanLog(poses, odometry, ranges, angles_rad, times, _longest(ranges, longest_m, said_m))
+    return dataclasses.replace(log, max_range_m=_found(path, log))
 
 
 def load_carmen(
@@ -95,16 +110,65 @@ def load_carmen(
 
     Raises:
       InputError: as `read_carmen` and `fold_scans`, or no free cell.
+
+    Warns:
+      InputWarning: as `read_carmen`.
     """
     log = read_carmen(path, max_range_m=max_range_m)
     scans = fold_scans(log, cell_m=cell_m, range_m=range_m, no_echo_m=no_echo_m, name=path)
     return scans.world(p_free=p_free, name=path)
 
 
+def _parameter(line):
+    """The longest range that a PARAM line says, metres; None for every other line."""
+    words = line.split()[:3]
+    if len(words) < 3 or words[0] != "PARAM" or not _LONGEST.fullmatch(words[1]):
+        return None
+    try:
+        value = float(words[2])
+    except ValueError:
+        return None
+    return value if 0 < value <= 1000 else None
+
+
+def _longest(ranges, longest_m, said_m):
+    """From where on a reading is no echo by what the log and its scanner say, metres. See `read_carmen`."""
+    if longest_m:
+        return longest_m
+    longest_m = said_m or _FAR_M
+    return min(longest_m, _NEAR_M) if ranges.max() <= _NEAR_CODES_M else longest_m  # never with inf or NaN among them
+
+
+def _found(path, log):
+    """The same by the readings themselves: the largest, where too many places of the map would lie so far away."""
+    echo, angle = log.echo, log.poses[:, 2:] + log.angles_rad
+    values, which = np.unique(log.ranges[echo], return_inverse=True)
+    tips = (log.poses[:, None, k] + np.where(echo, log.ranges, 0) * of(angle) for k, of in enumerate((np.cos, np.sin)))
+    x, y = (np.floor(tip[echo] / _PLACE_M).astype(np.int64) for tip in tips)
+    order = np.lexsort([x, y, which])
+    new = np.diff(np.stack([which, x, y])[:, order], prepend=-(2**62)).any(axis=0)
+    places = np.bincount(which[order][new], minlength=len(values))
+    top = values >= _SAME * values.max(initial=0)
+    if top.all():
+        return log.max_range_m
+    often = values[top & (places > _OFTEN * np.median(places[~top]))]
+    if not often.size:
+        return log.max_range_m
+    found_m = float(often[0])
+    warnings.warn(
+        f"{path!r}: {(log.ranges[echo] >= found_m).sum()} of its {echo.sum()} readings are {found_m:g} m or little "
+        "more, the largest and far more than are equal elsewhere, and count as no echo; if they are walls, append "
+        f":max_range_m={log.max_range_m:g}",
+        InputWarning,
+        stacklevel=3,
+    )
+    return found_m
+
+
 def _flaser(where, words):
     """FLASER n, n readings, pose, odometry, time, host, time since the log's beginning."""
     n = _count(where, words, 1)
-    values = _numbers(where, words[2:], n + 7, n + 9)
+    values = _numbers(where, words[2:], n, n + 7, n + 9)
     step_deg = _STEPS_DEG.get(n, 180 / max(n - 1, 1))
     return (n, -math.pi / 2, math.radians(step_deg), None), *_parts(where, values, n, n + 6)
 
@@ -114,9 +178,9 @@ def _robotlaser(where, words):
     remissions, pose, odometry, two speeds, three numbers about safety, time, host, time since the log's beginning."""
     n = _count(where, words, 8)
     m = _count(where, words, 9 + n, least=0)
-    kind = _numbers(where, words[1:8], 7, 7)
+    kind = _numbers(where, words[1:8], 0, 7, 7)
     rest = words[9 : 9 + n] + words[10 + n + m :]
-    values = _numbers(where, rest, n + 12, n + 14)
+    values = _numbers(where, rest, n, n + 12, n + 14)
     start_rad, _, step_rad, longest_m = kind[1:5].tolist()
     if not step_rad > 0 or not longest_m > 0:
         raise InputError(f"{where}: the step and the longest range of a scanner must be above 0")
@@ -133,18 +197,18 @@ def _count(where, words, at, least=1):
     return int(word)
 
 
-def _numbers(where, words, need, most):
-    """The first `need` words as finite numbers."""
+def _numbers(where, words, n, need, most):
+    """The first `need` words as numbers, finite but for the first `n`, which are readings."""
     if not need <= len(words) <= most:
         what = "is cut short" if len(words) < need else "has too many words"
         raise InputError(f"{where}: {what}; the number of readings that it gives does not fit its {len(words)} others")
     values = []
-    for word in words[:need]:
+    for i, word in enumerate(words[:need]):
         try:
             value = float(word)
         except ValueError:
-            value = math.nan
-        if not math.isfinite(value):
+            value = None
+        if value is None or (i >= n and not math.isfinite(value)):
             raise InputError(f"{where}: has {word!r} where a number must be")
         values.append(value)
     return np.array(values)
@@ -153,8 +217,6 @@ def _numbers(where, words, need, most):
 def _parts(where, values, n, at_time):
     """Readings, pose, odometry, time."""
     ranges, poses = values[:n], values[n : n + 6]
-    if ranges.min() < 0:
-        raise InputError(f"{where}: a reading must be at least 0, got {ranges.min():g}")
     if np.abs(poses).max() > _MAX_POSE:
         raise InputError(f"{where}: a pose must lie within {_MAX_POSE:g} m of 0, got {np.abs(poses).max():g}")
     return ranges, poses[:3], poses[3:], values[at_time]

@@ -1,6 +1,7 @@
 """Pictures as worlds: a pixel is free if it is bright enough, everything else is a wall.
 
-A grey that stands for "unknown" counts as occupied, and so does every pixel that is not fully opaque.
+A grey that stands for "unknown" counts as occupied, and so does every pixel that is not fully opaque. A picture is
+read as viewers show it: turned as its EXIF orientation says.
 """
 
 import io
@@ -8,9 +9,9 @@ import os
 import warnings
 
 import numpy as np
-from PIL import Image
+from PIL import Image, ImageOps
 
-from jexplore.arrays.files import first_line, read_bytes
+from jexplore.arrays.files import first_line, read_bytes, told_kind
 from jexplore.config import InputError, InputWarning, require_number
 from jexplore.worlds.readers.resample import resample
 from jexplore.worlds.world import World
@@ -93,11 +94,12 @@ def _occupied(path, levels, free):
     return occupied
 
 
-def read_pixels(path: str | os.PathLike[str]) -> np.ndarray:
+def read_pixels(path: str | os.PathLike[str], *, as_stored: bool = False) -> np.ndarray:
     """The pixels of a picture file, refused by its header if there are too many.
 
     Args:
       path: the file.
+      as_stored: pass over the orientation that EXIF data give, as the map servers of ROS do.
 
     Returns:
       `[h, w, c]` uint8, row 0 at the top; c is 1 (grey), 3 (red, green, blue) or 4 (and opacity). Sixteen bit greys
@@ -118,7 +120,9 @@ def read_pixels(path: str | os.PathLike[str]) -> np.ndarray:
             width, height = image.size
             if width * height > MAX_PIXELS:
                 raise Image.DecompressionBombError
-            levels = _levels(path, image)
+            if image.format == "PPM":
+                image = Image.open(io.BytesIO(_with_short_line_end(content, image)), formats=_FORMATS)
+            levels = _levels(path, image if as_stored else _upright(image))
     except InputError:
         raise
     except Image.DecompressionBombError:
@@ -127,12 +131,38 @@ def read_pixels(path: str | os.PathLike[str]) -> np.ndarray:
             "walls stay a pixel thick"
         ) from None
     except Image.UnidentifiedImageError:
-        raise InputError(f"{path!r}: is no picture in a known format ({', '.join(_FORMATS)})") from None
+        what = told_kind(content)
+        hint = f"; it is {what}" if what else ""
+        raise InputError(f"{path!r}: is no picture in a known format ({', '.join(_FORMATS)}){hint}") from None
     except Exception as error:  # Pillow's decoders raise OSError, SyntaxError, ValueError, struct.error and more
         raise InputError(f"{path!r}: is damaged or cut short ({first_line(error)})") from None
     if image.format == "JPEG":
         _warn_of_blur(path, grey(levels))
     return levels
+
+
+def _upright(image):
+    """A picture turned as its EXIF data say; as it is where these are damaged."""
+    image.load()  # raises where the picture itself is damaged
+    try:
+        return ImageOps.exif_transpose(image)
+    except Exception:
+        return image
+
+
+def _with_short_line_end(content, image):
+    """A PBM, PGM or PPM in binary as its format has it: one character between header and pixels, where CR LF are two.
+
+    The two are told from CR and a first pixel of 10 by the length of the file.
+    """
+    start = image.tile[0][2]
+    header = content[:start]
+    if not header.endswith(b"\r") or content[start : start + 1] != b"\n":
+        return content
+    most = 1 if header.startswith(b"P4") else int(header.split()[-1])
+    bits = most.bit_length() if most == 1 else 8 if most < 256 else 16
+    size = image.height * -(-image.width * bits * len(image.getbands()) // 8)
+    return header[:-1] + content[start:] if len(content) == start + 1 + size else content
 
 
 def _warn_of_blur(path, shade):
@@ -154,16 +184,11 @@ def grey(levels: np.ndarray) -> np.ndarray:
     return np.asarray(Image.fromarray(np.ascontiguousarray(levels[..., :3])).convert("L"))
 
 
-def opacity(levels: np.ndarray) -> np.ndarray:
-    """`[h, w]` uint8 opacities of `[h, w, c]` levels, 255 where the picture has none."""
-    if levels.shape[2] == 4:
-        return levels[..., 3]
-    return np.full(levels.shape[:2], 255, np.uint8)
-
-
 def transparency(levels: np.ndarray) -> np.ndarray:
     """`[h, w]` bool, where `[h, w, c]` levels are not fully opaque."""
-    return opacity(levels) < 255
+    if levels.shape[2] == 4:
+        return levels[..., 3] < 255
+    return np.zeros(levels.shape[:2], bool)
 
 
 def _levels(path, image):

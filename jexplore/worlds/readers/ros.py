@@ -1,14 +1,14 @@
 """ROS maps: a yaml file and its picture, read as map_server (ROS 1) and nav2_map_server (ROS 2) read them.
 
 Source:
-  nav2_map_server, map_io.cpp (occupancy of a pixel in the modes trinary, scale and raw; greys of a saved map) and
-  map_server, image_loader.cpp. Where they differ nav2 is followed: scale runs from 0 to 100 (ROS 1: to 99), raw
-  ignores `negate` and takes values above 100 as unknown.
+  nav2_map_server, map_io.cpp, as it has been since pull request 5071 of 2025 (occupancy of a pixel in the modes
+  trinary, scale and raw; greys of a saved map). Colours count by their luma, pixels on a threshold are free or
+  occupied, and pixels that are not fully opaque are unknown in trinary too. Before that, and in map_server of ROS 1,
+  image_loader.cpp, channels were averaged, opacity among them, and a pixel on a threshold was unknown.
 """
 
 import dataclasses
 import json
-import math
 import os
 import warnings
 from pathlib import Path
@@ -18,7 +18,8 @@ from numpy.typing import ArrayLike
 
 from jexplore.arrays.files import first_line, read_yaml
 from jexplore.config import InputError, InputWarning, require_number, shown
-from jexplore.worlds.readers.images import opacity, read_pixels, transparency
+from jexplore.worlds.readers.grids import free_cells, upright
+from jexplore.worlds.readers.images import grey, read_pixels, transparency
 from jexplore.worlds.readers.resample import LEAST_PIXEL_M, MOST_PIXEL_M, resample
 from jexplore.worlds.world import World, require_hundred
 
@@ -27,6 +28,7 @@ _FREE, _UNKNOWN, _OCCUPIED = 254, 205, 0  # greys of a saved map
 _FAR_M = 1e9  # an origin farther away leaves no digits for cells
 _SUSPECT = 0.01  # share of unknown pixels that may be free without a word
 _MAX_YAML = 2**16
+_BOOLS = {**dict.fromkeys(("y", "yes", "on"), 1), **dict.fromkeys(("n", "no", "off"), 0)}  # of yaml-cpp, beside true
 
 
 @dataclasses.dataclass(frozen=True)
@@ -39,12 +41,14 @@ class RosInfo:
     """Edge of a pixel, metres."""
     origin_m: tuple[float, float]
     """x, y of the lower left corner of the picture, metres."""
+    yaw_rad: float
+    """Turn of the picture about that corner, counter-clockwise."""
     negate: bool
     """Whether white is occupied."""
     occupied_thresh: float
-    """A pixel is occupied if its probability is above this."""
+    """A pixel is occupied if its probability is this or more."""
     free_thresh: float
-    """A pixel is free if its probability is below this."""
+    """A pixel is free if its probability is this or less."""
     mode: str
     """`trinary`, `scale` or `raw`."""
 
@@ -56,11 +60,12 @@ def read_ros(path: str | os.PathLike[str]) -> tuple[np.ndarray, RosInfo]:
       path: the yaml file. Its `image` is relative to it.
 
     Returns:
-      occupancy: `[H, W]` int8, -1 unknown, 0 free to 100 occupied; row 0 is the bottom.
+      occupancy: `[H, W]` int8, -1 unknown, 0 free to 100 occupied; row 0 is the bottom. A map that `info` says is
+        turned is not turned back.
       info: a `RosInfo`.
 
     Raises:
-      InputError: a file cannot be read, a key is missing or wrong, or the map is turned (yaw is not 0).
+      InputError: a file cannot be read, or a key is missing or wrong.
     """
     levels, info = _read(str(path))
     return _occupancy(levels, info), info
@@ -73,45 +78,56 @@ def _read(path):
     """The picture's levels, row 0 at the bottom, and the `RosInfo`."""
     info = _read_yaml(path)
     try:
-        return read_pixels(info.image)[::-1], info
+        return read_pixels(info.image, as_stored=True)[::-1], info
     except InputError as error:
         text = str(error)
         short = text if len(text) <= LONGEST else f"{text[:LONGEST]}..."  # a name may be as long as one likes
         raise InputError(f"{path!r}: its image cannot be read: {short}") from None
 
 
-def load_ros(path: str | os.PathLike[str], *, cell_m: float = 0.1, free_max: int = 25) -> World:
+def load_ros(
+    path: str | os.PathLike[str], *, cell_m: float = 0.1, free_max: int | None = None, occupied_min: int | None = None
+) -> World:
     """A world from a ROS map. What is unknown counts as occupied.
 
     Args:
       path: the yaml file.
       cell_m: edge of a cell, metres; the map is resampled to it.
-      free_max: a pixel is free if its occupancy is from 0 to this.
+      free_max, occupied_min: see `grids.free_cells`; for the modes scale and raw.
 
     Returns:
       A `World` with the map's origin: a point has the same metres in ROS. It has no start.
 
     Warns:
-      InputWarning: pixels that stand for unknown are free by the map's own thresholds, mode or opacity, as they are in
-        the map server; or as `read_pixels`.
+      InputWarning: pixels that stand for unknown are free by the map's own thresholds or mode, as they are in the map
+        server; as `grids.free_cells` and `grids.upright`; or as `read_pixels`.
 
     Raises:
-      InputError: as `read_ros`, no free pixel, a mask of 0 and 1 in mode raw, or too large a world.
+      InputError: as `read_ros` and `grids.free_cells`, no free pixel, a mask of 0 and 1 in mode raw, or too large a
+        world.
     """
-    levels, info = _read(str(path))
+    path = str(path)
+    levels, info = _read(path)
     occupancy = _occupancy(levels, info)
     if info.mode == "raw":
-        require_hundred(str(path), occupancy)
-    occupied = (occupancy < 0) | (occupancy > free_max)
-    if occupied.all():
+        require_hundred(path, occupancy)
+    if info.mode == "trinary" and not free_max is occupied_min is None:
+        raise InputError(
+            f"{path!r}: free_max and occupied_min are for the modes scale and raw; in mode trinary the file's "
+            "free_thresh and occupied_thresh say what is free"
+        )
+    free = free_cells(repr(path), occupancy, free_max=free_max, occupied_min=occupied_min)
+    if not free.any():
         clear = transparency(levels).mean()
         hint = f"; {clear:.0%} of its pixels are transparent: flatten the picture onto white" if clear else ""
         raise InputError(
-            f"{str(path)!r}: no pixel is free at free_thresh {info.free_thresh:g}, negate {info.negate:d}{hint}"
+            f"{path!r}: no pixel is free at free_thresh {info.free_thresh:g}, negate {info.negate:d}{hint}"
         )
-    _warn_of_unknown(str(path), levels, info, ~occupied)
-    cells = resample(occupied, (info.resolution_m, info.resolution_m), cell_m, name=str(path))
-    return World(occupied=cells, cell_m=cell_m, name=str(path), origin_m=info.origin_m)
+    _warn_of_unknown(path, levels, info, free)
+    pixel_m, occupied = info.resolution_m, np.where(free, np.int8(0), np.int8(100))
+    occupied, origin_m = upright(repr(path), occupied, info.yaw_rad, pixel_m, info.origin_m)
+    cells = resample(occupied != 0, (pixel_m, pixel_m), cell_m, name=path)
+    return World(occupied=cells, cell_m=cell_m, name=path, origin_m=origin_m)
 
 
 def write_ros(
@@ -175,8 +191,8 @@ def write_ros(
 
 
 def _decimal(value):
-    """The shortest decimal that reads back as `value`, in a form that every YAML reader takes for a number."""
-    return np.format_float_positional(value, trim="0")
+    """A length without the rounding errors of sums, in a form that every YAML reader takes for a number."""
+    return np.format_float_positional(round(value, 12) + 0.0, trim="0")
 
 
 def _as_occupancy(grid):
@@ -193,43 +209,36 @@ def _as_occupancy(grid):
 
 
 def _occupancy(levels, info):
-    """Occupancy by way of a table over the sum of a pixel's channels. Trinary counts opacity as a channel."""
-    counted = levels if info.mode == "trinary" else levels[..., : min(3, levels.shape[2])]
-    channels = counted.shape[2]
-    shade = np.arange(255 * channels + 1) / channels  # 0..255, brightness for each possible sum
-    p = shade / 255 if info.negate else (255 - shade) / 255
+    """Occupancy by way of a table over greys, in 32 bits as the map server has it."""
+    shade = np.arange(256)
     if info.mode == "raw":
-        value = np.floor(shade + 0.5)
-        table = np.where(value > 100, -1, value)
-    else:
-        between = -1
-        if info.mode == "scale":
-            between = np.rint((p - info.free_thresh) / (info.occupied_thresh - info.free_thresh) * 100)
-        table = np.where(p > info.occupied_thresh, 100, np.where(p < info.free_thresh, 0, between))
-    occupancy = table.astype(np.int8)[counted.sum(axis=2, dtype=np.uint16)]
+        return np.where(shade > 100, -1, shade).astype(np.int8)[grey(levels)]
+    p = shade.astype(np.float32) / np.float32(255)
+    if not info.negate:
+        p = 1 - p
+    free, occupied = p <= np.float32(info.free_thresh), p >= np.float32(info.occupied_thresh)
+    between = -1
     if info.mode == "scale":
-        occupancy[opacity(levels) < 255] = -1
+        span = np.float32(info.occupied_thresh - info.free_thresh)
+        between = np.floor((p - np.float32(info.free_thresh)) / span * np.float32(100) + np.float64(0.5))
+    occupancy = np.select([free, occupied], [0, 100], between).astype(np.int8)[grey(levels)]
+    occupancy[transparency(levels)] = -1
     return occupancy
 
 
 def _warn_of_unknown(path, levels, info, free):
-    """Warns where pixels are free that stand for unknown: the grey that map savers write for it, or nothing at all."""
-    colours = levels[..., : min(3, levels.shape[2])]
-    grey, clear = (colours == _UNKNOWN).all(axis=2) & ~transparency(levels), opacity(levels) == 0
-    share = ((grey | clear) & free).mean()
+    """Warns where pixels are free that have the grey which map savers write for unknown."""
+    share = ((grey(levels) == _UNKNOWN) & free).mean()
     if share < _SUSPECT or info.mode == "raw":  # which has no such grey
         return
     cures = []
     if info.mode == "scale":
         cures.append("write mode: trinary")
-    if info.free_thresh > (255 - _UNKNOWN) / 255:
+    if info.mode == "trinary" or info.free_thresh >= (255 - _UNKNOWN) / 255:
         cures.append("write free_thresh: 0.196")
-    if levels.shape[2] == 4:
-        cures.append("save the picture without its alpha channel, which trinary takes for a colour")
-    what = " or ".join(name for name, pixels in ((f"grey {_UNKNOWN}", grey), ("transparent", clear)) if pixels.any())
     warnings.warn(
-        f"{path!r}: {share:.0%} of its pixels are {what}, which stands for unknown, and yet free, as in the map "
-        f"server; to have them unknown {' and '.join(cures)}",
+        f"{path!r}: {share:.0%} of its pixels are grey {_UNKNOWN}, which stands for unknown, and yet free, as in the "
+        f"map server; to have them unknown {' and '.join(cures)}",
         InputWarning,
         stacklevel=3,
     )
@@ -247,23 +256,18 @@ def _read_yaml(path):
         raise InputError(f"{path!r}: image must be the name of a file, got {shown(image)}")
     if not isinstance(origin, list) or len(origin) != 3:
         raise InputError(f"{path!r}: origin must be [x, y, yaw], got {shown(origin)}")
-    x_m, y_m, yaw = (_float(path, "origin", value, low=-_FAR_M, high=_FAR_M) for value in origin)
-    if yaw != 0:
-        raise InputError(
-            f"{path!r}: the map is turned by yaw = {yaw:g}, and only maps that are not can be read; turn its picture "
-            f"by {math.degrees(yaw):.4g} degrees counter-clockwise, on grey {_UNKNOWN}, and write origin: [x, y, 0], "
-            "the place of its new lower left corner"
-        )
-    if not isinstance(mode, str) or mode not in MODES:
+    x_m, y_m, yaw_rad = (_float(path, "origin", value, low=-_FAR_M, high=_FAR_M) for value in origin)
+    if not isinstance(mode, str) or mode.lower() not in MODES:
         raise InputError(f"{path!r}: mode must be one of {', '.join(MODES)}, got {shown(mode)}")
     info = RosInfo(
         image=os.path.join(os.path.dirname(path), image),
         resolution_m=_float(path, "resolution", content["resolution"], low=LEAST_PIXEL_M, high=MOST_PIXEL_M),
         origin_m=(x_m, y_m),
-        negate=bool(_float(path, "negate", content["negate"], high=1)),
+        yaw_rad=yaw_rad,
+        negate=bool(_float(path, "negate", _BOOLS.get(str(content["negate"]).lower(), content["negate"]), high=1)),
         occupied_thresh=_float(path, "occupied_thresh", content["occupied_thresh"], high=1),
         free_thresh=_float(path, "free_thresh", content["free_thresh"], high=1),
-        mode=mode,
+        mode=mode.lower(),
     )
     if info.free_thresh >= info.occupied_thresh:
         raise InputError(
@@ -273,9 +277,9 @@ def _read_yaml(path):
 
 
 def _float(path, key, value, **bounds):
-    """A number as YAML readers of ROS take it: also `5e-2`, which YAML 1.1 has as a string, and true for 1."""
+    """A number as the map server takes it: also in quotes, and true for 1."""
     try:
-        number = float(value)
+        number = value if "_" in str(value) else float(value)
     except (TypeError, ValueError, OverflowError):
         number = value
     return require_number(f"{path!r}: {key}", number, **bounds)

@@ -26,7 +26,8 @@ class ScanLog:
     odometry: np.ndarray
     """`[N, 3]` float64, likewise, by what the log has as the robot's odometry."""
     ranges: np.ndarray
-    """`[N, B]` float64, readings, metres."""
+    """`[N, B]` float64, readings, metres. As REP 117 of ROS has them: inf is no echo; NaN, invalid, and 0 or less, too
+    near, say nothing."""
     angles_rad: np.ndarray
     """`[B]` float64, directions of the readings relative to the heading, counter-clockwise."""
     times: np.ndarray
@@ -39,12 +40,16 @@ class ScanLog:
         shapes = {"ranges": (n, n_beams), "poses": (n, 3), "odometry": (n, 3), "angles_rad": (n_beams,), "times": (n,)}
         for name, shape in shapes.items():
             array = np.asarray(getattr(self, name))
-            if array.shape != shape or not array.size or array.dtype.kind not in "fiu" or not np.isfinite(array).all():
+            finite = name == "ranges" or (array.dtype.kind in "fiu" and np.isfinite(array).all())
+            if array.shape != shape or not array.size or array.dtype.kind not in "fiu" or not finite:
                 expected = f"finite numbers of shape {list(shape)}" if n * n_beams else "readings [N, B]"
                 raise InputError(f"{name} of a ScanLog must be {expected}, got {array.dtype} {list(array.shape)}")
         require_number("max_range_m of a ScanLog", self.max_range_m, low_open=True, high=1000)
-        if np.min(self.ranges) < 0:
-            raise InputError(f"ranges of a ScanLog must be at least 0, got {np.min(self.ranges):g}")
+
+    @property
+    def echo(self) -> np.ndarray:
+        """`[N, B]` bool, where a reading is the distance of something."""
+        return (self.ranges > 0) & (self.ranges < self.max_range_m)
 
     def __repr__(self) -> str:
         n, n_beams = self.ranges.shape
@@ -94,8 +99,9 @@ def fold_scans(
     before; one that ends in the robot's own cell counts nothing, nor does a reading of 0. A reading of `range_m` or
     more has no hit, and misses only in the cells that the beam enters below `range_m`.
 
-    A reading of the log's `max_range_m` or more says that no echo came back, as from open space, but as well from
-    glass, a mirror or a black wall. Its misses end at `no_echo_m`, by default at once: it counts nothing.
+    A reading of the log's `max_range_m` or more, inf among them, says that no echo came back, as from open space, but
+    as well from glass, a mirror or a black wall. Its misses end at `no_echo_m`, by default at once: it counts nothing.
+    A reading that says nothing, NaN or below 0, counts nothing either.
 
     Args:
       log: `ScanLog`.
@@ -120,9 +126,9 @@ def fold_scans(
     if range_m is not None:
         longest_m = min(longest_m, require_number("range_m", range_m, low_open=True, high=1000))
     at, angle = np.round(log.poses[:, :2] / cell_m, 9), log.poses[:, 2:] + log.angles_rad  # x and y in cells
-    ends = log.ranges < longest_m
+    ends = log.echo & (log.ranges < longest_m)
     # Up to here a beam enters cells: to where it ends, that included, or to where it is no longer believed, exclusive.
-    beyond = np.where(log.ranges < log.max_range_m, longest_m, no_echo_m)
+    beyond = np.select([log.echo, log.ranges >= log.max_range_m], [longest_m, no_echo_m], 0.0)
     limit = np.round(np.where(ends, log.ranges, beyond) / cell_m, 9)
     tips = at[:, None] + limit[..., None] * np.stack([np.cos(angle), np.sin(angle)], axis=2)
     first, shape = _extent(np.concatenate([at, tips[ends]]), name)
