@@ -107,8 +107,6 @@ __all__ = [
     "Episode",
     "Field",
     "Followed",
-    "GymEnv",
-    "GymVectorEnv",
     "InputError",
     "InputWarning",
     "Lidar",
@@ -171,7 +169,10 @@ __all__ = [
     "views",
 ]
 
+_OF_EXTRAS = ("GymEnv", "GymVectorEnv")  # need a package that may be missing: `from jexplore import *` leaves them out
+
 if TYPE_CHECKING:
+    __all__ += ["GymEnv", "GymVectorEnv"]
     from jexplore.config import InputError, InputWarning, Lidar, Rules
     from jexplore.driving.settings import Noise, Robot, Tuning
     from jexplore.exploration.state import Outcome
@@ -216,7 +217,12 @@ if not TYPE_CHECKING:  # a type checker would take this for a promise that every
     def __getattr__(name):
         if name not in _MODULE_OF:
             raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-        value = getattr(importlib.import_module(f"{__name__}.{_MODULE_OF[name]}"), name)
+        try:
+            value = getattr(importlib.import_module(f"{__name__}.{_MODULE_OF[name]}"), name)
+        except ImportError as error:
+            if name not in _OF_EXTRAS:
+                raise
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r} here: {error}") from None
         globals()[name] = value
         return value
 

@@ -6,10 +6,10 @@ import os
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 from jexplore.cli.listings import describe
-from jexplore.cli.options import STRATEGIES, EngineName, OutFolder, OwnNames, default_worlds, is_small
+from jexplore.cli.options import STRATEGIES, EngineName, OutFolder, OwnNames, StartText, default_worlds, is_small
 from jexplore.cli.output.console import Out, note, say, working
 from jexplore.cli.output.terminal import show_table
 from jexplore.config import InputError, Lidar, Rules
@@ -50,8 +50,10 @@ class Compare:
     """Draw starts and all that is random from this seed."""
     cell_m: float = 0.1
     """Make the edge of a cell this long, in metres."""
-    start: Literal["random", "world"] = "random"
-    """Draw the starts from the seed, or take every world's own start for all episodes."""
+    start: StartText = "random"
+    """Draw the starts from the seed (random), or start all episodes at every world's own start (world), in one cell
+    (12,30,90: row, column, heading in degrees) or at one point of the map's frame in metres (2.0m,1.5m,90: x, y, yaw in
+    degrees; 1.57rad: in radians)."""
     league: bool = False
     """Run every strategy in 48 worlds of six kinds (in cells over 0.2 m: 40 of five), unless --worlds and --strategies
     say otherwise. Print who ranks where over all worlds, and what a plan costs, and write league.png instead of the

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import jax
 import numpy as np
 
-from jexplore.config import MAX_SEED, InputError, Lidar, Rules, require_number, require_whole, unknown
+from jexplore.config import MAX_SEED, InputError, checked_names, require_number, require_whole, unknown
 from jexplore.engine.backend import use_compilation_cache
 from jexplore.learn import advantage, es, ppo
 from jexplore.learn.bank import FAILED, TRAINING, VALIDATION, Bank, prepare_bank, require_apart
@@ -24,7 +24,7 @@ from jexplore.policies.learned.model import Model, is_finite, load_model, requir
 from jexplore.policies.learned.model import digest as model_digest
 from jexplore.policies.learned.strategy import policy_of
 from jexplore.report.ledger import Ledger
-from jexplore.studies.checks import LIDAR, RULES, WorldLike
+from jexplore.studies.checks import LIDAR, RULES, LidarLike, RulesLike, WorldLike
 from jexplore.studies.results.provenance import digest
 from jexplore.version import __version__
 
@@ -78,6 +78,7 @@ class Plan(NamedTuple):
         return self.rounds // self.check_every
 
 
+@checked_names
 @dataclasses.dataclass(frozen=True)
 class Trained:
     """What `run_training` found."""
@@ -191,6 +192,7 @@ def _beginning(network, model, seed):
     return Model(network, jax.tree.map(np.asarray, weights))
 
 
+@checked_names
 def train(
     algo: str = "es",
     network: str = "linear",
@@ -205,8 +207,8 @@ def train(
     starts: int = 1,
     seed: int = 0,
     cell_m: float = 0.1,
-    lidar: Lidar = LIDAR,
-    rules: Rules = RULES,
+    lidar: LidarLike = LIDAR,
+    rules: RulesLike = RULES,
     workers: int | None = None,
     on_progress: Callable[[int], object] | None = None,
 ) -> Trained:
@@ -226,8 +228,8 @@ def train(
       starts: on each validation world.
       seed: of all that is random.
       cell_m: edge of a cell of the worlds that are loaded by name, metres.
-      lidar: `Lidar`.
-      rules: `Rules`.
+      lidar: `Lidar`, or a mapping of some of its fields.
+      rules: `Rules`, likewise.
       workers: cores; by default all.
       on_progress: called with the number of rounds made.
 

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from jexplore.arrays.pictures import MOST_ROWS, html_of, or_text, png_of
-from jexplore.config import MAX_SEED, InputError, Lidar, Rules, require_whole
+from jexplore.config import MAX_SEED, InputError, Lidar, Rules, checked_names, require_whole
 from jexplore.engine.backend import use_compilation_cache
 from jexplore.exploration.batch import Job
 from jexplore.exploration.results import to_occupancy
@@ -26,18 +26,22 @@ from jexplore.studies.checks import (
     LIDAR,
     MAX_EPISODES,
     RULES,
+    LidarLike,
+    RulesLike,
+    StartLike,
     StrategyLike,
     WorldLike,
+    ready_settings,
     ready_starts,
     ready_strategies,
     ready_worlds,
     require_memory,
-    require_settings,
 )
 from jexplore.studies.results.units import Piece, Ran, Seen, run_units
 from jexplore.studies.statistics import by_world, figures, sizes, waste
 from jexplore.studies.statistics.league import over_worlds_text, standings
 from jexplore.studies.statistics.paired import MIN_PAIRS
+from jexplore.worlds.poses import read_start
 from jexplore.worlds.world import World
 
 if TYPE_CHECKING:
@@ -45,6 +49,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
+@checked_names
 @dataclasses.dataclass(frozen=True)
 class Comparison:
     """What `compare` found. Tables are pandas DataFrames."""
@@ -261,6 +266,7 @@ def _bounds_met(episodes):
     return lines
 
 
+@checked_names
 def compare(
     worlds: WorldLike | Iterable[WorldLike],
     strategies: StrategyLike | Iterable[StrategyLike],
@@ -268,9 +274,10 @@ def compare(
     episodes: int = 20,
     seed: int = 0,
     cell_m: float = 0.1,
-    start: str = "random",
-    lidar: Lidar = LIDAR,
-    rules: Rules = RULES,
+    start: StartLike = "random",
+    start_m: Sequence[float] | None = None,
+    lidar: LidarLike = LIDAR,
+    rules: RulesLike = RULES,
     engine: str | None = None,
     lanes: int | None = None,
     workers: int | None = None,
@@ -287,9 +294,11 @@ def compare(
       episodes: of each strategy in each world. More episodes leave the earlier ones as they were.
       seed: of starts and draws.
       cell_m: edge of a cell of the worlds that are loaded by name, metres.
-      start: "random", or "world" for every world's own start in every episode.
-      lidar: `Lidar`.
-      rules: `Rules`.
+      start: "random"; "world" for every world's own start in every episode; or in every world and episode
+        `(row, col, heading_deg)`, or a text as `--start` takes it.
+      start_m: such a start in metres of the map's frame instead: `(x_m, y_m, yaw_deg)`.
+      lidar: `Lidar`, or a mapping of those of its fields that are not the defaults: `{"range_m": 4}`.
+      rules: `Rules`, likewise.
       engine: one of `runner.ENGINES`; by default the one that is likely to be faster. Results are equal.
       lanes: episodes at a time on each device in lockstep; by default as many as its memory holds.
       workers: threads of the serial engine; by default one a core.
@@ -323,16 +332,16 @@ def prepare_jobs(
     episodes: int,
     seed: int,
     cell_m: float,
-    start: str,
-    lidar: Lidar,
-    rules: Rules,
+    start: StartLike,
+    start_m: Sequence[float] | None = None,
+    lidar: LidarLike,
+    rules: RulesLike,
 ) -> list[Job]:
     """Everything that `compare` refuses or loads before it runs: a list of `Job`. Arguments as there."""
-    require_settings(lidar, rules)
+    lidar, rules = ready_settings(lidar, rules)
     episodes = require_whole("episodes", episodes, 1, MAX_EPISODES)
     seed = require_whole("seed", seed, 0, MAX_SEED)
-    if start not in ("random", "world"):
-        raise InputError(f"start must be random or world, got {start!r}")
+    start = read_start(start, start_m)
     strategies = ready_strategies(strategies)
     jobs = []
     for world in ready_worlds(worlds, cell_m):

@@ -10,12 +10,12 @@ import os
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
-from jexplore.config import InputError, Lidar, Rules, unknown
+from jexplore.config import InputError, checked_names, unknown
 from jexplore.engine.backend import use_compilation_cache
 from jexplore.exploration.batch import Job
 from jexplore.report import tables
 from jexplore.studies import comparison
-from jexplore.studies.checks import LIDAR, RULES
+from jexplore.studies.checks import LIDAR, RULES, LidarLike, RulesLike
 from jexplore.studies.comparison import Comparison
 from jexplore.studies.papers import PAPERS, Paper
 from jexplore.studies.results.units import Ran, run_units
@@ -75,6 +75,7 @@ def verdict(direction: str, ours: paired.PairedRatio, than: paired.PairedRatio |
     return "holds" if holds else "does not hold" if fails else "undecided"
 
 
+@checked_names
 @dataclasses.dataclass(frozen=True)
 class Reproduction:
     """A paper's tables beside ours. Tables are pandas DataFrames."""
@@ -217,8 +218,8 @@ def prepare_paper(
     episodes: int,
     seed: int,
     cell_m: float,
-    lidar: Lidar,
-    rules: Rules,
+    lidar: LidarLike,
+    rules: RulesLike,
 ) -> list[Job]:
     """Everything that `reproduce` refuses or loads before it runs: a list of `Job`. Arguments as there."""
     paper, jobs = find(name), []
@@ -243,6 +244,7 @@ def assemble(name: str, maps: str | os.PathLike[str] | None, jobs: Sequence[Job]
     return Reproduction(paper, comparison.assemble(jobs, ran), world_names(paper, maps), notes_of(paper, maps))
 
 
+@checked_names
 def reproduce(
     paper: str = "holz2010",
     *,
@@ -250,8 +252,8 @@ def reproduce(
     episodes: int = 100,
     seed: int = 0,
     cell_m: float = 0.1,
-    lidar: Lidar = LIDAR,
-    rules: Rules = RULES,
+    lidar: LidarLike = LIDAR,
+    rules: RulesLike = RULES,
     engine: str | None = None,
     lanes: int | None = None,
     workers: int | None = None,

@@ -9,7 +9,7 @@ import re
 import reprlib
 from typing import Any
 
-from jexplore.config import InputError
+from jexplore.config import InputError, checked_names
 from jexplore.tracemap.record import BtmMap, Link, Node, called, check
 
 FORMAT = "behavioral-trace-map"
@@ -41,6 +41,7 @@ def to_json(btm: BtmMap) -> dict[str, Any]:
     }
 
 
+@checked_names
 def read_btm(path: str | os.PathLike[str]) -> BtmMap:
     """The map in a JSON file, such as `btm.json`.
 

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 from jexplore.arrays.pictures import html_of, or_text
-from jexplore.config import InputError
+from jexplore.config import InputError, checked_names
 from jexplore.tracemap.picture import MARKS, nodes_and_links
 
 NODE_TYPES = ("terminal", "divergence", "free_space", "obstacle")
@@ -106,6 +106,7 @@ def direction_deg(bearing_deg: float) -> float:
     return 0.0 if bearing_deg == 360.0 else bearing_deg
 
 
+@checked_names
 @dataclasses.dataclass(frozen=True)
 class BtmMap:
     """Nodes and links in the order of their making; the first node is where the robot started."""

@@ -9,7 +9,7 @@ import inspect
 import os
 from typing import TYPE_CHECKING, Any
 
-from jexplore.config import InputError, require_number
+from jexplore.config import InputError, checked_names, require_number
 from jexplore.worlds import names
 
 if TYPE_CHECKING:
@@ -28,6 +28,7 @@ _PARAMETERS = {"CARMEN": ("p_free", "range_m", "no_echo_m", "max_range_m"), "ROS
 """Kind of file -> what its reader takes in a world name, where it takes anything. Pictures have their own."""
 
 
+@checked_names
 def load_world(name: str | os.PathLike[str], cell_m: float = 0.1) -> "World":
     """The world of a name: a generated one, or one read from a map file.
 

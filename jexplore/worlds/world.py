@@ -11,7 +11,7 @@ from flax import struct
 from numpy.typing import ArrayLike
 
 from jexplore.arrays.pictures import html_of, or_text
-from jexplore.config import InputError, require_number
+from jexplore.config import InputError, checked_names, require_number
 from jexplore.tracemap.record import BtmMap
 from jexplore.worlds.picture import floor_plan
 
@@ -33,6 +33,7 @@ class Course:
     """The true map, nodes in the order in which the robot meets them; of a course with a goal the part on its way."""
 
 
+@checked_names
 @struct.dataclass
 class World:
     """One floor plan, on the host. Row 0 is the bottom; x runs along columns, y along rows.
@@ -224,6 +225,7 @@ def require_side(name: str, rows: float, cols: float, cell_m: float | None = Non
     raise InputError(f"{name!r}: {size} cells are more than {MAX_SIDE} a side; {larger}, or {cut}")
 
 
+@checked_names
 def occupancy_to_world(
     occupancy: ArrayLike,
     *,

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jexplore.config import InputError, Lidar, Rules
+from jexplore.config import InputError, Lidar, Rules, checked_names
 from jexplore.engine.runner import Costs
 from jexplore.report import store
 from jexplore.report.folders import UNFINISHED
@@ -94,6 +94,7 @@ def _details(path, episodes):
     return tuple(worlds), first, progress
 
 
+@checked_names
 def load(path: str | os.PathLike[str]) -> Any:
     """The results of a run, from the folder that it has written.
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jexplore.config import InputError
+from jexplore.config import InputError, checked_names
 from jexplore.engine.backend import use_compilation_cache
 from jexplore.engine.runner import Costs
 from jexplore.report.ledger import Ledger
@@ -32,6 +32,7 @@ WINDOW_SITES = 32  # worlds made ready at a time
 SHOWN = 24  # rows of the table that is printed
 
 
+@checked_names
 @dataclasses.dataclass(frozen=True)
 class Swept:
     """What a sweep found. Tables are pandas DataFrames."""
@@ -254,6 +255,7 @@ def ordered(table: "pd.DataFrame", plan: Plan | TracePlan) -> "pd.DataFrame":
     return table.iloc[order].reset_index(drop=True)
 
 
+@checked_names
 def sweep(
     spec: Sweep | Mapping[str, Any] | str | os.PathLike[str],
     *,

@@ -126,8 +126,8 @@ def prepare_traces(spec: Sweep) -> TracePlan:
     total = spec.episodes * len(settings) * len(spec.worlds) * len(spec.robots)
     if total > MAX_TOTAL:
         raise InputError(f"a sweep may have {MAX_TOTAL:,} runs, got {total:,}; use fewer settings or runs")
-    if spec.start != "random":
-        raise InputError(f"start is for strategies: a robot starts where its world says, got {spec.start!r}")
+    if spec.start != "random" or spec.start_m is not None:
+        raise InputError("start is for strategies: a robot starts where its world says")
     # What there is to find depends on C1, and on where the robot has its nodes in free space.
     together: dict[tuple[int, float, float, float], list[int]] = {}
     for i, (seed, cell_m, tuning, _) in enumerate(records):

@@ -11,6 +11,7 @@ import jax
 import numpy as np
 
 from jexplore import btm
+from jexplore.config import checked_names
 from jexplore.driving import batch, vehicle
 from jexplore.driving.batch import Driven, numbers_of, outcome_names
 from jexplore.driving.behaviour import RunMode
@@ -35,6 +36,7 @@ FRAME = "odom"  # of a run's map: its places are those of the odometry, correcte
 FIRST = "_first"  # column of a unit's file: map and way of run 0
 
 
+@checked_names
 @dataclasses.dataclass(frozen=True)
 class Traced:
     """What `trace` found."""
@@ -201,6 +203,7 @@ def _read_first(data):
         return found, Driven(*(file[f"way/{name}"] for name in Driven._fields))
 
 
+@checked_names
 def trace(
     world: str | os.PathLike[str] | World = "course",
     *,

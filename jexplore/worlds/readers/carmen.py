@@ -9,7 +9,7 @@ import os
 
 import numpy as np
 
-from jexplore.config import InputError, require_number
+from jexplore.config import InputError, checked_names, require_number
 from jexplore.worlds.readers.files import read_text
 from jexplore.worlds.readers.scans import ScanLog, fold_scans
 from jexplore.worlds.world import World
@@ -21,6 +21,7 @@ _FAR_M, _NEAR_M, _NEAR_CODES_M = 80.0, 8.0, 8.2  # a SICK's two ranges, and what
 _MAX_POSE = 1e6
 
 
+@checked_names
 def read_carmen(path: str | os.PathLike[str], *, max_range_m: float | None = None) -> ScanLog:
     """The scans of a CARMEN log that have a pose.
 
