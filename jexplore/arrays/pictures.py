@@ -56,6 +56,15 @@ def _row(tag, cells):
     return f"<tr>{''.join(f'<{tag}>{html.escape(cell)}</{tag}>' for cell in cells)}</tr>"
 
 
+def axes_of(ax: Any = None) -> Any:
+    """matplotlib `Axes`: those given, else those of a new figure of pyplot, which a notebook shows."""
+    if ax is None:
+        from matplotlib import pyplot
+
+        _, ax = pyplot.subplots(layout="constrained")
+    return ax
+
+
 def png_of(figure: Any, *, dpi: float = 72) -> bytes:
     """A matplotlib `Figure` as the bytes of a small PNG."""
     from PIL import Image
