@@ -51,7 +51,7 @@ _MODULE_OF = {
     "STRATEGIES": "policies",
     "MODIFIERS": "policies",
     "compare": "studies.comparison",
-    "Comparison": "studies.comparison",
+    "Comparison": "studies.results.comparison",
     "explore": "studies.explore",
     "Episode": "studies.explore",
     "reproduce": "studies.reproduction",
@@ -181,12 +181,13 @@ if TYPE_CHECKING:
     from jexplore.planning import Belief, Choice, Field, View, choose, field, metres, nearest_frontier
     from jexplore.policies import MODIFIERS, STRATEGIES, Policy, Strategy, clusters, register, strategy, views
     from jexplore.studies.bounds.bound import Bounds, bound
-    from jexplore.studies.comparison import Comparison, compare
+    from jexplore.studies.comparison import compare
     from jexplore.studies.environment import Environment, EnvState
     from jexplore.studies.explore import Episode, explore
     from jexplore.studies.gym.lanes import GymVectorEnv
     from jexplore.studies.gym.single import GymEnv
     from jexplore.studies.reproduction import Reproduction, reproduce
+    from jexplore.studies.results.comparison import Comparison
     from jexplore.studies.results.loading import load
     from jexplore.studies.segmentation import Segmentation, segment_maps
     from jexplore.studies.sweeps.run import Swept, sweep

@@ -106,14 +106,15 @@ def test_sizes(found):
 
 def test_figures(found):
     ax = Figure().add_subplot()
-    bars = found.plot(ax, "with rooms/two rooms")
+    assert found.plot(ax, "with rooms/two rooms") is ax
+    bars = ax.containers
     assert [bar.lines[0].get_xdata().item() for bar in bars] == found.summary["mean"][3:].tolist()
-    assert found.plot(Figure().add_subplot())[0].lines[0].get_xdata().item() == found.summary["mean"][0]
+    assert found.plot().containers[0].lines[0].get_xdata().item() == found.summary["mean"][0]
     assert len(found.compare_figure().axes) == 4  # of each world paths and ratios
     assert len(found.coverage_figure().axes) == 2
     assert len(found.profile_figure().axes[0].lines) == 3
     assert len(found.paths_figure().axes) == 7  # two worlds of three strategies, and the colour bar
-    with pytest.raises(InputError, match="two rooms, with rooms/two rooms, got 'x'"):
+    with pytest.raises(InputError, match="unknown world of this comparison: 'x' .there are: two rooms, with"):
         found.plot(ax, "x")
 
 

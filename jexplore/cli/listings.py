@@ -123,16 +123,4 @@ def describe(world: "World") -> dict[str, Any]:
     """What a table of worlds says about one."""
     from jexplore.studies.results import provenance
 
-    rows, cols = world.shape
-    rooms = None if world.rooms is None else int(world.rooms.max()) + 1
-    return {
-        "world": world.name,
-        "rows": rows,
-        "cols": cols,
-        "cell_m": world.cell_m,
-        "free_m2": world.free_m2,
-        "rooms": rooms,
-        "start": world.start,
-        "sha256": provenance.digest(world),
-        "files": provenance.files_of(world),
-    }
+    return provenance.describe(world)

@@ -49,3 +49,28 @@ def aligned_table(head: Sequence[str], lines: Iterable[Sequence[str]], *, left: 
         for line in [head, rule, *lines]
     ]
     return "".join("| " + " | ".join(line) + " |\n" for line in text)
+
+
+_LATEX = str.maketrans(
+    {
+        **{sign: f"\\{sign}" for sign in "&%$#_{}"},
+        **{"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"},
+        **{"<": "$<$", ">": "$>$", "±": r"$\pm$", "²": "$^2$", "|": "$|$"},
+    }
+)
+
+
+def latex_table(head: Sequence[str], lines: Iterable[Sequence[str]], *, left: Collection[str]) -> str:
+    """Texts as a LaTeX table with the rules of the package booktabs. Arguments as for `aligned_table`."""
+    columns = "".join("l" if name in left else "r" for name in head)
+    first, *rows = (" & ".join(cell.translate(_LATEX) for cell in line) + r" \\" for line in [head, *lines])
+    rows = [
+        rf"\begin{{tabular}}{{{columns}}}",
+        r"\toprule",
+        first,
+        r"\midrule",
+        *rows,
+        r"\bottomrule",
+        r"\end{tabular}",
+    ]
+    return "\n".join([*rows, ""])

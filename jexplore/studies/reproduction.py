@@ -14,10 +14,10 @@ from jexplore.config import InputError, checked_names, unknown
 from jexplore.engine.backend import use_compilation_cache
 from jexplore.exploration.batch import Job
 from jexplore.report import tables
-from jexplore.studies import comparison
 from jexplore.studies.checks import LIDAR, RULES, LidarLike, RulesLike
-from jexplore.studies.comparison import Comparison
 from jexplore.studies.papers import PAPERS, Paper
+from jexplore.studies.results import comparison
+from jexplore.studies.results.comparison import Comparison
 from jexplore.studies.results.units import Ran, run_units
 from jexplore.studies.statistics import paired
 

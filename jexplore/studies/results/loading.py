@@ -17,9 +17,10 @@ from jexplore.config import InputError, Lidar, Rules, checked_names
 from jexplore.engine.runner import Costs
 from jexplore.report import store
 from jexplore.report.folders import UNFINISHED
-from jexplore.studies.comparison import Comparison
 from jexplore.studies.papers import PAPERS
 from jexplore.studies.reproduction import Reproduction, notes_of, world_names
+from jexplore.studies.results.comparison import Comparison, Made
+from jexplore.studies.results.saving import DETAILS
 from jexplore.studies.results.units import COLUMNS, Seen
 from jexplore.studies.sweeps.plan import Plan
 from jexplore.studies.sweeps.run import Swept, ordered, ready
@@ -31,35 +32,12 @@ from jexplore.worlds.world import World
 if TYPE_CHECKING:
     pass
 
-DETAILS = "details.npz"
 MADE_FROM = ("version", "spec", "digests")  # entries of what was asked from which a sweep is made ready again
 CHECKED = (*MADE_FROM, "own")  # that its parts have in common
 
 
-def write_details(found: Comparison, path: Path) -> None:
-    """Writes what a table of episodes cannot hold: worlds, first episodes, progress."""
-    arrays: dict[str, Any] = {}
-    for i, world in enumerate(found.worlds):
-        arrays[f"world/{i}/occupied"] = world.occupied
-        arrays[f"world/{i}/cell_m"] = np.float64(world.cell_m)
-        arrays[f"world/{i}/origin_m"] = np.asarray(world.origin_m, np.float64)
-        arrays[f"world/{i}/name"] = np.str_(os.fspath(world.name))
-        if world.rooms is not None:
-            arrays[f"world/{i}/rooms"] = world.rooms
-        if world.start is not None:
-            arrays[f"world/{i}/start"] = np.asarray(world.start, np.int64)
-        for k, seen in enumerate(found.first.get(world.name, [])):
-            at = f"first/{i}/{k}"
-            arrays[f"{at}/strategy"] = np.str_(seen.strategy)
-            arrays[f"{at}/state"], arrays[f"{at}/rows"], arrays[f"{at}/cols"] = seen.state, seen.rows, seen.cols
-            arrays[f"{at}/path_m"] = np.float64(seen.path_m)
-    if found.progress:
-        arrays["progress"] = np.concatenate(list(found.progress.values()))
-    np.savez_compressed(path, **arrays)
-
-
 def _details(path, episodes):
-    """Worlds, first episodes and progress: `(worlds, first, progress)`."""
+    """Worlds, first episodes, progress, ways and maps, as fields of a `Comparison`."""
     try:
         with np.load(path) as file:
             arrays = dict(file)
@@ -86,12 +64,16 @@ def _details(path, episodes):
         worlds.append(world)
         if own:
             first[world.name] = own
-    progress, at = {}, 0
+    progress, paths, maps, at = {}, {}, {}, 0
     if "progress" in arrays:
-        for pair, rows in episodes.groupby(["world", "strategy"], sort=False):
+        for k, (pair, rows) in enumerate(episodes.groupby(["world", "strategy"], sort=False)):
             progress[pair] = arrays["progress"][at : at + len(rows)]
             at += len(rows)
-    return tuple(worlds), first, progress
+            if f"ways/{k}" in arrays:
+                paths[pair] = np.split(arrays[f"ways/{k}"], np.cumsum(arrays[f"ways/{k}/length"])[:-1])
+            if f"maps/{k}" in arrays:
+                maps[pair] = arrays[f"maps/{k}"]
+    return {"worlds": tuple(worlds), "first": first, "progress": progress, "paths": paths, "maps": maps}
 
 
 @checked_names
@@ -147,10 +129,11 @@ def record_of(folder: Path) -> dict[str, Any]:
 
 def _comparison(folder, record, command):
     episodes = store.read_parquet(folder / "episodes.parquet", required=COLUMNS)
-    worlds, first, progress = _details(folder / DETAILS, episodes)
     found = Comparison(
-        *(episodes, worlds, first, record["compile_s"], record["run_s"], record["interrupted"], record["resumed"]),
-        progress=progress,
+        episodes,
+        **{name: record[name] for name in ("compile_s", "run_s", "interrupted", "resumed")},
+        **_details(folder / DETAILS, episodes),
+        made=Made(record=record),
         lidar=Lidar(**record["configuration"]["lidar"]),
         rules=Rules(**record["configuration"]["rules"]),
     )
