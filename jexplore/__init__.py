@@ -23,6 +23,7 @@ _MODULE_OF = {
     "Strategy": "policies",
     "register": "policies",
     "strategy": "policies",
+    "strategies": "policies.catalogue.grammar",
     "Belief": "planning",
     "Choice": "planning",
     "Field": "planning",
@@ -162,6 +163,7 @@ __all__ = [
     "segment_maps",
     "station",
     "storage",
+    "strategies",
     "strategy",
     "sweep",
     "trace",
@@ -172,7 +174,7 @@ __all__ = [
 _OF_EXTRAS = ("GymEnv", "GymVectorEnv")  # need a package that may be missing: `from jexplore import *` leaves them out
 
 if TYPE_CHECKING:
-    __all__ += ["GymEnv", "GymVectorEnv"]
+    __all__ += ["GymEnv", "GymVectorEnv", "worlds"]
     from jexplore.config import InputError, InputWarning, Lidar, Rules
     from jexplore.driving.settings import Noise, Robot, Tuning
     from jexplore.exploration.state import Outcome
@@ -180,6 +182,7 @@ if TYPE_CHECKING:
     from jexplore.learn.training import Trained, train
     from jexplore.planning import Belief, Choice, Field, View, choose, field, metres, nearest_frontier
     from jexplore.policies import MODIFIERS, STRATEGIES, Policy, Strategy, clusters, register, strategy, views
+    from jexplore.policies.catalogue.grammar import strategies
     from jexplore.studies.bounds.bound import Bounds, bound
     from jexplore.studies.comparison import compare
     from jexplore.studies.environment import Environment, EnvState
@@ -207,6 +210,7 @@ if TYPE_CHECKING:
     from jexplore.tracemap.record import BtmMap
     from jexplore.tracemap.route import Route
     from jexplore.worlds import GENERATORS, load_world
+    from jexplore.worlds import listing as worlds
     from jexplore.worlds.readers.bags import read_bag
     from jexplore.worlds.readers.carmen import read_carmen
     from jexplore.worlds.readers.scans import ScanLog, ScanMap, fold_scans
@@ -216,6 +220,8 @@ if TYPE_CHECKING:
 if not TYPE_CHECKING:  # a type checker would take this for a promise that every name exists
 
     def __getattr__(name):
+        if name == "worlds":  # the package, which lists worlds when it is called
+            return importlib.import_module(f"{__name__}.worlds")
         if name not in _MODULE_OF:
             raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
         try:
@@ -229,4 +235,4 @@ if not TYPE_CHECKING:  # a type checker would take this for a promise that every
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *_MODULE_OF})
+    return sorted({*globals(), *_MODULE_OF, "worlds"})

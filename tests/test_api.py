@@ -131,5 +131,23 @@ def test_type_checkers_see_the_same_names():
     tree = ast.parse(Path(jexplore.__file__).read_text(encoding="utf-8"))
     (block,) = [node for node in tree.body if isinstance(node, ast.If) and isinstance(node.test, ast.Name)]
     imports = [node for node in block.body if isinstance(node, ast.ImportFrom)]
-    seen = {alias.name: node.module.removeprefix("jexplore.") for node in imports for alias in node.names}
+    seen = {
+        alias.name: node.module.removeprefix("jexplore.")
+        for node in imports
+        for alias in node.names
+        if not alias.asname
+    }
     assert seen == jexplore._MODULE_OF
+
+
+def test_the_packages_names_are_listed():
+    worlds, strategies = jexplore.worlds(), jexplore.strategies()
+    assert worlds.head[0] == "world"
+    assert strategies.head[0] == "strategy"
+    assert {row[0].split(",")[0] for row in worlds} >= {*jexplore.GENERATORS, "map.yaml"}
+    assert {row[0] for row in strategies} >= {"closest", "random"}
+    for found in (worlds, strategies):
+        assert len(found.to_pandas()) == len(found) == len(list(found))
+        assert all(row[0].split(",")[0] in repr(found) for row in found)
+        assert max(map(len, repr(found).splitlines())) <= 120
+        assert found._repr_html_().count("<tr>") == 1 + len(found)

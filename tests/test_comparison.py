@@ -114,7 +114,7 @@ def test_figures(found):
     assert len(found.coverage_figure().axes) == 2
     assert len(found.profile_figure().axes[0].lines) == 3
     assert len(found.paths_figure().axes) == 7  # two worlds of three strategies, and the colour bar
-    with pytest.raises(InputError, match="unknown world of this comparison: 'x' .there are: two rooms, with"):
+    with pytest.raises(InputError, match=r"unknown world of this comparison: 'x' \(there are: two rooms, with"):
         found.plot(ax, "x")
 
 

@@ -94,11 +94,10 @@ class Strategies:
     def execute(self, arguments: Sequence[str]) -> int | None:
         """Runs the command; returns the exit status, None for 0."""
         from jexplore.policies import MODIFIERS
-        from jexplore.policies.catalogue.grammar import listing
+        from jexplore.policies.catalogue.grammar import strategies
 
-        rows = [(one.name, one.summary, one.parameters or "-", one.source) for one in listing()]
-        head = ["strategy", "goes to", "parameters", "source"]
-        show_table(head, rows, left=head)
+        found = strategies()
+        show_table(found.head, found.rows, left=found.head)
         head = ["modifier", "meaning"]
         show_table(head, [(f"+{name}", text) for name, text in MODIFIERS.items()], left=head)
         show_line("Names are put together as strategy+modifier:parameter=value,..., such as closest+recheck")

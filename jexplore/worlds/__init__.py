@@ -7,8 +7,11 @@ import dataclasses
 import importlib
 import inspect
 import os
+import sys
+import types
 from typing import TYPE_CHECKING, Any
 
+from jexplore.arrays.pictures import Listing
 from jexplore.config import InputError, checked_names, require_number
 from jexplore.worlds import names
 
@@ -26,6 +29,35 @@ GENERATORS = {
 """World name -> "module:function". The function takes a seed and keyword parameters, `cell_m` among them."""
 _PARAMETERS = {"CARMEN": ("p_free", "range_m", "no_echo_m", "max_range_m"), "ROS bag": ("topic", "message")}
 """Kind of file -> what its reader takes in a world name, where it takes anything. Pictures have their own."""
+_FILES = {
+    "map.yaml": "a ROS map",
+    "map.png@16x16, map.png@0.05": "a picture, with its sides in metres or its metres a pixel",
+    "map.map@0.1": "a MovingAI map, with its metres a cell",
+    "plan.json": "a HouseExpo plan",
+    "scans.log": "a CARMEN log",
+    "run.bag, run.mcap": "a ROS bag",
+}
+"""Name of a file -> what is read of it."""
+
+
+def listing() -> Listing:
+    """The worlds that `load_world` knows, with what they take, as a table that shows itself: `jx.worlds()`."""
+    rows = []
+    for name in GENERATORS:
+        told = ", ".join(f"{key}={value}" for key, value in generator_parameters(name).items())
+        rows.append((f"{name}, {name}#3", (inspect.getdoc(_function(name)) or "").partition("\n")[0], told))
+    rows += [(name, what, "") for name, what in _FILES.items()]
+    return Listing(("world", "what it is", "parameters"), tuple(rows))
+
+
+class _Package(types.ModuleType):
+    """This package, which lists the worlds when it is called."""
+
+    def __call__(self) -> Listing:
+        return listing()
+
+
+sys.modules[__name__].__class__ = _Package
 
 
 @checked_names

@@ -22,12 +22,16 @@ class ByStrategy:
     """
 
     episodes: "pd.DataFrame"
-    KEY = "strategy"
+
+    @property
+    def _who(self) -> str:
+        """The column of names."""
+        return "strategy"
 
     @property
     def strategies(self) -> tuple[str, ...]:
         """Names of the strategies, in order."""
-        return tuple(dict.fromkeys(self.episodes[self.KEY]))
+        return tuple(dict.fromkeys(self.episodes[self._who]))
 
     def __len__(self) -> int:
         return len(self.strategies)
@@ -38,8 +42,8 @@ class ByStrategy:
     def __getitem__(self, name: str) -> "pd.DataFrame":
         """The episodes of one strategy: those rows of the table of all, counted anew from 0."""
         if name not in self.strategies:
-            raise unknown(f"{self.KEY} of these results:", str(name), self.strategies)
-        own: Any = self.episodes[self.episodes[self.KEY] == name]
+            raise unknown(f"{self._who} of these results:", str(name), self.strategies)
+        own: Any = self.episodes[self.episodes[self._who] == name]
         return own.reset_index(drop=True)
 
     def to_pandas(self) -> "pd.DataFrame":

@@ -248,8 +248,8 @@ def summarise_traces(runs: "pd.DataFrame", columns: Sequence[str]) -> "pd.DataFr
     return pd.DataFrame(rows)
 
 
-def traces_table(summary: Any, varied: Sequence[str]) -> str:
-    """Rows of `summarise_traces` as Markdown."""
+def traces_table(summary: Any, varied: Sequence[str], as_text: Callable[..., str] = aligned_table) -> str:
+    """Rows of `summarise_traces` as Markdown, or as what `as_text` makes of names of columns and texts of rows."""
     head = ["world", "robot", *varied, "n", "reached", "true map", "commonest map", "path m", "contacts"]
     lines = []
     for _, row in summary.iterrows():
@@ -257,4 +257,4 @@ def traces_table(summary: Any, varied: Sequence[str]) -> str:
         shares = ["-" if row[name] != row[name] else f"{100 * row[name]:.0f}%" for name in ("goal", "true", "same")]
         path = [spread_text(row["mean"], row["sd"]), number_text(row["contacts"], 1)]
         lines.append([row["world"], row["robot"], *settings, str(row["n"]), *shares, *path])
-    return aligned_table(head, lines, left=("world", "robot"))
+    return as_text(head, lines, left=("world", "robot"))
