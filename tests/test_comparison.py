@@ -14,8 +14,10 @@ from jexplore.config import InputError, Lidar, Rules
 from jexplore.engine.runner import Costs
 from jexplore.exploration import batch
 from jexplore.exploration.trail import Final
-from jexplore.studies import checks, comparison
-from jexplore.studies.comparison import assemble, compare, prepare_jobs
+from jexplore.studies import checks
+from jexplore.studies.comparison import compare
+from jexplore.studies.results import comparison
+from jexplore.studies.results.comparison import assemble, prepare_jobs
 from jexplore.studies.results.units import COLUMNS, Ran, cut, piece_of
 from jexplore.studies.statistics import by_world, league, sizes
 from jexplore.worlds.world import occupancy_to_world
@@ -211,7 +213,7 @@ def test_warnings_are_told():
         ("cave", "closest", {"seed": -1}, "seed must be an integer from 0"),
         ("cave", "closest", {"seed": 2**32}, "seed must be an integer from 0"),
         ("cave", "closest", {"cell_m": math.nan}, "cell_m must be a number"),
-        ("cave", "closest", {"start": "wrold"}, "start must be random or world"),
+        ("cave", "closest", {"start": "wrold"}, "start must be random, world, cells"),
         ("cave", "closest", {"start": "world"}, "'cave': has no start of its own"),
         ("cave", "closest", {"rules": Rules(clearance_m=9)}, "clearance_m must be below 32 cells"),
         ("cave", "closest", {"rules": Rules(clearance_m=2.9)}, "clearance"),
