@@ -145,9 +145,9 @@ def checked_names(called: _Called, own: str = "") -> _Called:
         return _checked_function(called, own)
     for name, value in list(vars(called).items()):
         if inspect.isfunction(value) and (name == "__init__" or not name.startswith("_")):
-            setattr(called, name, _checked_function(value))
+            setattr(called, name, _checked_function(value, own if name == "__init__" else ""))
         elif name == "__new__" and isinstance(value, staticmethod):  # of a NamedTuple
-            setattr(called, name, staticmethod(_checked_function(value.__func__)))
+            setattr(called, name, staticmethod(_checked_function(value.__func__, own)))
     return called  # type: ignore[return-value]
 
 

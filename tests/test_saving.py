@@ -2,6 +2,7 @@
 
 import json
 import pickle
+import time
 
 import numpy as np
 import pandas as pd
@@ -177,15 +178,17 @@ def test_latex_by_pencil():
     )
 
 
-def test_a_bar_shows_what_is_done(capsys, monkeypatch):
-    monkeypatch.setattr(progress, "PATIENCE_S", 0)
+def test_a_bar_shows_what_is_done(capsys):
     told = []
     with progress.progress_bar(True, 5, "episodes", told.append) as moved:
         assert moved is not None
         moved(2)
+        time.sleep(0.2)  # a bar is drawn ten times a second at most
         moved(5)
     assert told == [2, 5]
-    assert "5/5 episodes" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert "compiling:   0%" in said
+    assert "5/5 episodes" in said
     for wanted in (None, False):  # this is no notebook
         with progress.progress_bar(wanted, 5, "episodes", told.append) as moved:
             assert moved == told.append

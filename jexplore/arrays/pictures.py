@@ -81,7 +81,8 @@ class Listing:
         drawn = table.Table(*self.head, box=box.SIMPLE_HEAD)
         for row in self.rows:
             drawn.add_row(*map(text.Text, row))
-        page = console.Console(file=io.StringIO(), width=shutil.get_terminal_size((120, 24)).columns)
+        width = shutil.get_terminal_size((120, 24)).columns
+        page = console.Console(file=io.StringIO(), width=width, force_jupyter=False, color_system=None)
         page.print(drawn)
         return "\n".join(line.rstrip() for line in page.file.getvalue().strip("\n").splitlines())
 

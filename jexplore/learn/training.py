@@ -25,6 +25,7 @@ from jexplore.policies.learned.model import digest as model_digest
 from jexplore.policies.learned.strategy import policy_of
 from jexplore.report.ledger import Ledger
 from jexplore.studies.checks import LIDAR, RULES, LidarLike, RulesLike, WorldLike
+from jexplore.studies.results.progress import progress_bar
 from jexplore.studies.results.provenance import digest
 from jexplore.version import __version__
 
@@ -211,6 +212,7 @@ def train(
     rules: RulesLike = RULES,
     workers: int | None = None,
     on_progress: Callable[[int], object] | None = None,
+    progress: bool | None = None,
 ) -> Trained:
     """Trains a strategy that scores frontier clusters: `jexplore train` as a function.
 
@@ -232,6 +234,7 @@ def train(
       rules: `Rules`, likewise.
       workers: cores; by default all.
       on_progress: called with the number of rounds made.
+      progress: whether a bar shows that; by default in notebooks.
 
     Returns:
       `Trained`.
@@ -247,7 +250,8 @@ def train(
     begins = model if model is None or isinstance(model, Model) else load_model(model)
     options = {"rounds": rounds, "check_every": check_every, "patience": patience, "starts": starts, "seed": seed}
     plan = prepare_training(algo, network, trained, watched, settings, model=begins, **options)
-    return run_training(plan, workers=workers, on_progress=on_progress)
+    with progress_bar(progress, plan.rounds, "rounds", on_progress) as moved:
+        return run_training(plan, workers=workers, on_progress=moved)
 
 
 def asked(plan: Plan) -> dict[str, Any]:
@@ -276,6 +280,7 @@ def run_training(
     ledger: Ledger | None = None,
     workers: int | None = None,
     on_progress: Callable[[int], object] | None = None,
+    progress: bool | None = None,
 ) -> Trained:
     """Trains, or goes on with training.
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from jexplore.arrays.pictures import html_of, or_text, png_of
+from jexplore.arrays.pictures import axes_of, html_of, or_text, png_of
 from jexplore.config import MAX_SEED, InputError, Lidar, Rules, checked_names, require_whole
 from jexplore.engine.backend import use_compilation_cache
 from jexplore.exploration import batch, replay
@@ -98,6 +98,27 @@ class Episode:
             known_cells=final.known,
             title=self.title,
         )
+
+    def plot(self, ax: Any = None) -> Any:
+        """Draws the last map with the path, in metres of the map's frame.
+
+        Args:
+          ax: matplotlib `Axes`; by default those of a new figure.
+
+        Returns:
+          The `Axes`.
+        """
+        from matplotlib.transforms import Affine2D
+
+        ax, final, world = axes_of(ax), self.final, self.world
+        state = map_state(final.hits, final.misses, self.rules.p_free)
+        drawn = [plot.draw_map(ax, state, world.cell_m), *plot.draw_path(ax, final.rows, final.cols, world.cell_m)]
+        for artist in drawn:  # which lie at metres from the corner of cell (0, 0)
+            artist.set_transform(Affine2D().translate(*world.origin_m) + ax.transData)
+        ends = [(low, low + n * world.cell_m) for low, n in zip(world.origin_m, world.shape[::-1])]
+        ax.set(xlim=ends[0], ylim=ends[1], xlabel="x (m)", ylabel="y (m)")
+        ax.set_title(self.title).set_parse_math(False)
+        return ax
 
     @functools.cached_property
     def _picture(self):

@@ -18,6 +18,7 @@ from jexplore.studies.checks import LIDAR, RULES, LidarLike, RulesLike
 from jexplore.studies.papers import PAPERS, Paper
 from jexplore.studies.results import comparison
 from jexplore.studies.results.comparison import Comparison
+from jexplore.studies.results.progress import progress_bar
 from jexplore.studies.results.units import Ran, run_units
 from jexplore.studies.statistics import paired
 
@@ -258,6 +259,7 @@ def reproduce(
     lanes: int | None = None,
     workers: int | None = None,
     on_progress: Callable[[int], Any] | None = None,
+    progress: bool | None = None,
 ) -> Reproduction:
     """Runs a paper's strategies in its environments, and compares the tables and the claims.
 
@@ -265,7 +267,7 @@ def reproduce(
       paper: a key of `PAPERS`.
       maps: folder of the paper's maps (`Environment.file`); by default built-in counterparts stand in.
       episodes: of each strategy in each environment.
-      seed, cell_m, lidar, rules, engine, lanes, workers, on_progress: as in `comparison.compare`.
+      seed, cell_m, lidar, rules, engine, lanes, workers, on_progress, progress: as in `comparison.compare`.
 
     Returns:
       `Reproduction`.
@@ -275,5 +277,6 @@ def reproduce(
     """
     jobs = prepare_paper(paper, maps=maps, episodes=episodes, seed=seed, cell_m=cell_m, lidar=lidar, rules=rules)
     use_compilation_cache()
-    ran = run_units(jobs, engine=engine, lanes=lanes, workers=workers, on_progress=on_progress)
+    with progress_bar(progress, sum(len(job.starts) for job in jobs), "episodes", on_progress) as moved:
+        ran = run_units(jobs, engine=engine, lanes=lanes, workers=workers, on_progress=moved)
     return assemble(paper, maps, jobs, ran)

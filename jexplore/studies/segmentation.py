@@ -119,8 +119,7 @@ def segment_maps(
       `Segmentation`.
 
     Raises:
-      InputError: a name, number or picture that cannot be used. Raised before anything is compiled.
-      TypeError: a setting that there is not.
+      InputError: a name, number, picture or setting that cannot be used. Raised before anything is compiled.
     """
     chosen: Any = listed("variants", variants)
     numbers = Settings(**settings)

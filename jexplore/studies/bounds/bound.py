@@ -38,6 +38,7 @@ from jexplore.studies.checks import (
     ready_starts,
     ready_worlds,
 )
+from jexplore.studies.results.progress import progress_bar
 from jexplore.studies.results.provenance import digest
 from jexplore.version import __version__
 from jexplore.worlds.world import World
@@ -139,6 +140,7 @@ def bound(
     rules: RulesLike = RULES,
     workers: int = 1,
     on_progress: Callable[[int], object] | None = None,
+    progress: bool | None = None,
 ) -> Bounds:
     """The shortest walks that a robot with the map could drive, from the starts that `compare` has.
 
@@ -154,6 +156,7 @@ def bound(
       rules: `Rules`, likewise.
       workers: processes that work at a time. With more than one a script needs `if __name__ == "__main__":`.
       on_progress: called with the number of starts finished.
+      progress: whether a bar shows that; by default in notebooks.
 
     Returns:
       `Bounds`.
@@ -172,7 +175,8 @@ def bound(
         lidar=lidar,
         rules=rules,
     )
-    return run_bounds(tasks, workers=workers, on_progress=on_progress)
+    with progress_bar(progress, len(tasks), "starts", on_progress) as moved:
+        return run_bounds(tasks, workers=workers, on_progress=moved)
 
 
 def prepare_bounds(

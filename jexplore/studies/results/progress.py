@@ -6,8 +6,6 @@ import warnings
 from collections.abc import Callable, Iterator
 from typing import Any
 
-PATIENCE_S = 2.0  # work that lasts longer shows how far it is
-
 
 def in_notebook() -> bool:
     """Whether this code runs in a cell of a notebook."""
@@ -35,7 +33,7 @@ def progress_bar(
         from tqdm.auto import tqdm
     form = "{l_bar}{bar}| {n_fmt}/{total_fmt}{unit} [{elapsed}<{remaining}, {rate_noinv_fmt}]"
     look: dict[str, Any] = {"bar_format": form, "dynamic_ncols": True, "leave": False}
-    with tqdm(total=total, desc="compiling", unit=f" {unit}", delay=PATIENCE_S, **look) as bar:
+    with tqdm(total=total, desc="compiling", unit=f" {unit}", **look) as bar:
 
         def moved(done):
             bar.set_description_str(None, refresh=False)

@@ -18,6 +18,7 @@ from jexplore.driving.behaviour import RunMode
 from jexplore.engine.runner import Costs
 from jexplore.report import store
 from jexplore.report.ledger import Ledger
+from jexplore.studies.results.progress import progress_bar
 from jexplore.studies.results.provenance import digest
 from jexplore.studies.results.units import LEAST, MOST_UNITS
 from jexplore.studies.traces.job import TraceJob, prepare_trace, with_values
@@ -211,6 +212,7 @@ def trace(
     lanes: int | None = None,
     workers: int | None = None,
     on_progress: Callable[[int], Any] | None = None,
+    progress: bool | None = None,
     **options: Any,
 ) -> Traced:
     """Lets a robot drive through a building and write its Behavioral Trace Map, once or many times.
@@ -219,6 +221,7 @@ def trace(
       world: name or `World`.
       engine, lanes, workers: see `runner.find_resources`; results are equal but for rounding.
       on_progress: called with the number of runs finished so far.
+      progress: whether a bar shows that; by default in notebooks.
       **options: see `prepare_trace`.
 
     Returns:
@@ -228,7 +231,8 @@ def trace(
       InputError: what cannot be run, in one line.
     """
     plan = prepare_trace(world, **options)
-    return execute(plan, engine=engine, lanes=lanes, workers=workers, on_progress=on_progress)
+    with progress_bar(progress, plan.settings * plan.runs, "runs", on_progress) as moved:
+        return execute(plan, engine=engine, lanes=lanes, workers=workers, on_progress=moved)
 
 
 def map_of(plan: TraceJob, result: Any, i: int) -> BtmMap:
