@@ -81,10 +81,9 @@ class Listing:
         drawn = table.Table(*self.head, box=box.SIMPLE_HEAD)
         for row in self.rows:
             drawn.add_row(*map(text.Text, row))
-        width = shutil.get_terminal_size((120, 24)).columns
-        page = console.Console(file=io.StringIO(), width=width, force_jupyter=False, color_system=None)
-        page.print(drawn)
-        return "\n".join(line.rstrip() for line in page.file.getvalue().strip("\n").splitlines())
+        page, width = io.StringIO(), shutil.get_terminal_size((120, 24)).columns
+        console.Console(file=page, width=width, force_jupyter=False, color_system=None).print(drawn)
+        return "\n".join(line.rstrip() for line in page.getvalue().strip("\n").splitlines())
 
     def _repr_html_(self):
         return f"<table>{_row('th', self.head)}{''.join(_row('td', row) for row in self.rows)}</table>"
