@@ -23,6 +23,7 @@ _MODULE_OF = {
     "Strategy": "policies",
     "register": "policies",
     "strategy": "policies",
+    "strategies": "policies.catalogue.grammar",
     "Belief": "planning",
     "Choice": "planning",
     "Field": "planning",
@@ -52,7 +53,7 @@ _MODULE_OF = {
     "STRATEGIES": "policies",
     "MODIFIERS": "policies",
     "compare": "studies.comparison",
-    "Comparison": "studies.comparison",
+    "Comparison": "studies.results.comparison",
     "explore": "studies.explore",
     "Episode": "studies.explore",
     "reproduce": "studies.reproduction",
@@ -108,8 +109,6 @@ __all__ = [
     "Episode",
     "Field",
     "Followed",
-    "GymEnv",
-    "GymVectorEnv",
     "InputError",
     "InputWarning",
     "Lidar",
@@ -166,6 +165,7 @@ __all__ = [
     "segment_maps",
     "station",
     "storage",
+    "strategies",
     "strategy",
     "sweep",
     "trace",
@@ -173,7 +173,10 @@ __all__ = [
     "views",
 ]
 
+_OF_EXTRAS = ("GymEnv", "GymVectorEnv")  # need a package that may be missing: `from jexplore import *` leaves them out
+
 if TYPE_CHECKING:
+    __all__ += ["GymEnv", "GymVectorEnv", "worlds"]
     from jexplore.config import InputError, InputWarning, Lidar, Rules
     from jexplore.driving.settings import Noise, Robot, Tuning
     from jexplore.exploration.state import Outcome
@@ -181,13 +184,15 @@ if TYPE_CHECKING:
     from jexplore.learn.training import Trained, train
     from jexplore.planning import Belief, Choice, Field, View, choose, field, metres, nearest_frontier
     from jexplore.policies import MODIFIERS, STRATEGIES, Policy, Strategy, clusters, register, strategy, views
+    from jexplore.policies.catalogue.grammar import strategies
     from jexplore.studies.bounds.bound import Bounds, bound
-    from jexplore.studies.comparison import Comparison, compare
+    from jexplore.studies.comparison import compare
     from jexplore.studies.environment import Environment, EnvState
     from jexplore.studies.explore import Episode, explore
     from jexplore.studies.gym.lanes import GymVectorEnv
     from jexplore.studies.gym.single import GymEnv
     from jexplore.studies.reproduction import Reproduction, reproduce
+    from jexplore.studies.results.comparison import Comparison
     from jexplore.studies.results.loading import load
     from jexplore.studies.segmentation import Segmentation, segment_maps
     from jexplore.studies.sweeps.run import Swept, sweep
@@ -207,6 +212,7 @@ if TYPE_CHECKING:
     from jexplore.tracemap.record import BtmMap
     from jexplore.tracemap.route import Route
     from jexplore.worlds import GENERATORS, load_world
+    from jexplore.worlds import listing as worlds
     from jexplore.worlds.readers.bags import load_bag, read_bag
     from jexplore.worlds.readers.carmen import read_carmen
     from jexplore.worlds.readers.scans import ScanLog, ScanMap, fold_scans
@@ -216,12 +222,19 @@ if TYPE_CHECKING:
 if not TYPE_CHECKING:  # a type checker would take this for a promise that every name exists
 
     def __getattr__(name):
+        if name == "worlds":  # the package, which lists worlds when it is called
+            return importlib.import_module(f"{__name__}.worlds")
         if name not in _MODULE_OF:
             raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-        value = getattr(importlib.import_module(f"{__name__}.{_MODULE_OF[name]}"), name)
+        try:
+            value = getattr(importlib.import_module(f"{__name__}.{_MODULE_OF[name]}"), name)
+        except ImportError as error:
+            if name not in _OF_EXTRAS:
+                raise
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r} here: {error}") from None
         globals()[name] = value
         return value
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *_MODULE_OF})
+    return sorted({*globals(), *_MODULE_OF, "worlds"})

@@ -6,13 +6,16 @@ metadata is that of the option which switches it off.
 
 import dataclasses
 import difflib
+import functools
+import inspect
 import math
 import numbers
 import operator
+import re
 import reprlib
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from types import MappingProxyType
-from typing import Any, Literal
+from typing import Any, Literal, Self, TypeVar
 
 MAX_SEED = 2**32 - 1
 
@@ -58,6 +61,25 @@ def require_kind(name: str, given: object, kind: type) -> None:
     text = ", ".join(f"{key}={shown(value)}" for key, value in example.items())
     such = "" if dataclasses.MISSING in example.values() else f", such as jx.{kind.__name__}({text}),"
     raise InputError(f"{name} must be a jx.{kind.__name__}{such} got {shown(given)}")
+
+
+_Record = TypeVar("_Record")
+
+
+def as_record(name: str, given: Any, kind: type[_Record]) -> _Record:
+    """A record of settings, which a mapping of some of its fields stands for: `{"range_m": 4}` for `Lidar(range_m=4)`.
+
+    Raises:
+      InputError: neither, a field that the record does not have, or a value that it refuses.
+    """
+    if isinstance(given, Mapping):
+        known = [field.name for field in dataclasses.fields(kind)]  # type: ignore[arg-type]
+        for key in given:
+            if key not in known:
+                raise unknown(f"field of {name}:", str(key), known)
+        return kind(**given)
+    require_kind(name, given, kind)
+    return given
 
 
 def require_whole(name: str, value: Any, low: int, high: int) -> int:
@@ -117,8 +139,79 @@ def unknown(
     return InputError(f"unknown {kind} {word!r}{hint} (there are: {have})")
 
 
+_Called = TypeVar("_Called", bound=Callable[..., Any])
+
+
+def checked_names(called: _Called, own: str = "") -> _Called:
+    """Makes a public function or class refuse keyword arguments that it does not take, with the nearest that it does.
+
+    Of a class that holds for making one and for its own public methods. Signatures stay as they are. `own` is what a
+    message calls it, by default its name.
+    """
+    if not isinstance(called, type):
+        return _checked_function(called, own)
+    for name, value in list(vars(called).items()):
+        if inspect.isfunction(value) and (name == "__init__" or not name.startswith("_")):
+            setattr(called, name, _checked_function(value, own if name == "__init__" else ""))
+        elif name == "__new__" and isinstance(value, staticmethod):  # of a NamedTuple
+            setattr(called, name, staticmethod(_checked_function(value.__func__, own)))
+    return called  # type: ignore[return-value]
+
+
+def _checked_function(function, own=""):
+    """A function whose unknown keyword arguments are an `InputError`."""
+    parameters = inspect.signature(function).parameters
+    kinds = {parameter.kind for parameter in parameters.values()}
+    known = [name for name, parameter in parameters.items() if parameter.kind not in _NAMELESS]
+    known = [name for name in known if name not in ("self", "_cls")]
+    if inspect.Parameter.VAR_KEYWORD in kinds or not known:
+        return function
+
+    @functools.wraps(function)
+    def checked(*args, **kwargs):
+        for name in kwargs:
+            if name not in known:
+                raise _unknown_argument(own or _name_of(function), name, known, parameters)
+        return function(*args, **kwargs)
+
+    return checked
+
+
+ALIKE = 0.65  # share of its letters that a name has in common with one that was meant; resolution and elevation: 0.63
+_NAMELESS = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.VAR_POSITIONAL)
+
+
+def _name_of(function):
+    """What a user calls a function: of one that makes an object the class."""
+    return re.sub(r"\.__(init|new)__$", "", function.__qualname__).rpartition(".")[2]
+
+
+def _unknown_argument(own, name, known, parameters):
+    """The error for an argument that a function does not take; a field of one of its records is told as such."""
+    records = {key: parameters[key].default for key in known if dataclasses.is_dataclass(parameters[key].default)}
+    inside = {field.name: key for key, record in records.items() for field in dataclasses.fields(record)}
+    without_unit = [one for one in (*known, *inside) if one.startswith(f"{name}_")]
+    near = without_unit or difflib.get_close_matches(name, [*known, *inside], n=1, cutoff=ALIKE)
+    meant = [f"{inside[one]}={{{one!r}: ...}}" if one in inside else repr(one) for one in near[:1]]
+    hint = f"; did you mean {meant[0]}?" if meant else ""
+    return InputError(f"unknown argument of {own}: {name!r}{hint} (there are: {', '.join(known)})")
+
+
+class Settings:
+    """What records of settings have in common."""
+
+    def replace(self, **changes: Any) -> Self:
+        """The same settings with some fields changed.
+
+        Raises:
+          InputError: no such field, or a value that it refuses.
+        """
+        return dataclasses.replace(self, **changes)  # type: ignore[type-var]
+
+
+@checked_names
 @dataclasses.dataclass(frozen=True)
-class Lidar:
+class Lidar(Settings):
     """A planar laser scanner that looks forward. The defaults are a SICK LMS 200 as Stage models it."""
 
     n_beams: int = 181
@@ -146,8 +239,9 @@ class Lidar:
         require_number("lidar.dropout", self.dropout, high=1, high_open=True)
 
 
+@checked_names
 @dataclasses.dataclass(frozen=True)
-class Rules:
+class Rules(Settings):
     """The rules of an exploration episode, besides the scanner and the strategy."""
 
     clearance_m: float = 0.30
@@ -186,7 +280,7 @@ class Rules:
 
 
 @dataclasses.dataclass(frozen=True)
-class Assumptions:
+class Assumptions(Settings):
     """What an accelerator is taken to need where a run on it is estimated and not measured."""
 
     sync_us: float = 15.0

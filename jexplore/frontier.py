@@ -10,6 +10,7 @@ from jax import Array, lax
 
 from jexplore.arrays import bits, groups, sparse
 from jexplore.arrays.loops import settled, stored
+from jexplore.config import checked_names
 from jexplore.distance import within, within_packed
 from jexplore.grid import Grid, any_within_one_packed, is_free, is_known, is_occupied
 
@@ -141,6 +142,7 @@ def label_clusters(cells: sparse.Cells) -> Array:
     return settled(hook, lax.iota(jnp.int32, size))
 
 
+@checked_names
 def frontier_clusters(
     frontier: Array,
     cost: Array | None = None,

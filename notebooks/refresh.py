@@ -40,7 +40,8 @@ def executed(path: Path, folder: str | os.PathLike[str], **variables: str) -> nb
         record_timing=False,
         coalesce_streams=True,
     )
-    return client.execute(env={**os.environ, **variables})
+    quiet = {"TQDM_DISABLE": "1"}  # a bar that has ended is nothing to keep
+    return client.execute(env={**os.environ, **quiet, **variables})
 
 
 def stripped(notebook: nbformat.NotebookNode) -> nbformat.NotebookNode:

@@ -246,7 +246,7 @@ def test_no_time_for_a_walk_leaves_a_weak_bound():
         ({"lidar": Lidar(sigma_m=0.1)}, "without noise"),
         ({"lidar": Lidar(dropout=0.1)}, "without noise"),
         ({"lidar": Lidar(no_echo="unknown")}, "no_echo must be free"),
-        ({"start": "here"}, "start must be random or world"),
+        ({"start": "here"}, "start must be random, world, cells"),
         ({"max_floods": 0}, "max_floods must be"),
         ({"workers": 0}, "workers must be"),
         ({"start": "world"}, "has no start of its own"),

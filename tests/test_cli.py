@@ -258,7 +258,10 @@ def test_the_defaults_are_smaller_on_request(monkeypatch):
         ("compare --strategies closest+rechek", "did you mean 'recheck'"),
         ("compare --strategies closest:range=3", "parameter"),
         ("compare --out", "--out needs a value"),
-        ("explore --start 1,2", "--start must be random, world or ROW,COL,HEADING_DEG, got '1,2'"),
+        (
+            "explore --start 1,2",
+            "start must be random, world, cells such as 12,30,90 (row, column, degrees) or metres such as",
+        ),
         ("explore --start 0,0,0", "lies in a wall"),
         ("explore --start 9999,0,0", "lies outside"),
         ("explore --start 80,20,17", "multiple of 45"),

@@ -14,8 +14,10 @@ from jexplore.config import InputError, Lidar, Rules
 from jexplore.engine.runner import Costs
 from jexplore.exploration import batch
 from jexplore.exploration.trail import Final
-from jexplore.studies import checks, comparison
-from jexplore.studies.comparison import assemble, compare, prepare_jobs
+from jexplore.studies import checks
+from jexplore.studies.comparison import compare
+from jexplore.studies.results import comparison
+from jexplore.studies.results.comparison import assemble, prepare_jobs
 from jexplore.studies.results.units import COLUMNS, Ran, cut, piece_of
 from jexplore.studies.statistics import by_world, league, sizes
 from jexplore.worlds.world import occupancy_to_world
@@ -106,14 +108,15 @@ def test_sizes(found):
 
 def test_figures(found):
     ax = Figure().add_subplot()
-    bars = found.plot(ax, "with rooms/two rooms")
+    assert found.plot(ax, "with rooms/two rooms") is ax
+    bars = ax.containers
     assert [bar.lines[0].get_xdata().item() for bar in bars] == found.summary["mean"][3:].tolist()
-    assert found.plot(Figure().add_subplot())[0].lines[0].get_xdata().item() == found.summary["mean"][0]
+    assert found.plot().containers[0].lines[0].get_xdata().item() == found.summary["mean"][0]
     assert len(found.compare_figure().axes) == 4  # of each world paths and ratios
     assert len(found.coverage_figure().axes) == 2
     assert len(found.profile_figure().axes[0].lines) == 3
     assert len(found.paths_figure().axes) == 7  # two worlds of three strategies, and the colour bar
-    with pytest.raises(InputError, match="two rooms, with rooms/two rooms, got 'x'"):
+    with pytest.raises(InputError, match=r"unknown world of this comparison: 'x' \(there are: two rooms, with"):
         found.plot(ax, "x")
 
 
@@ -210,7 +213,7 @@ def test_warnings_are_told():
         ("cave", "closest", {"seed": -1}, "seed must be an integer from 0"),
         ("cave", "closest", {"seed": 2**32}, "seed must be an integer from 0"),
         ("cave", "closest", {"cell_m": math.nan}, "cell_m must be a number"),
-        ("cave", "closest", {"start": "wrold"}, "start must be random or world"),
+        ("cave", "closest", {"start": "wrold"}, "start must be random, world, cells"),
         ("cave", "closest", {"start": "world"}, "'cave': has no start of its own"),
         ("cave", "closest", {"rules": Rules(clearance_m=9)}, "clearance_m must be below 32 cells"),
         ("cave", "closest", {"rules": Rules(clearance_m=2.9)}, "clearance"),

@@ -1,11 +1,13 @@
 """Settings, and messages about values of any kind: one short line, whatever was given."""
 
+import types
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from jexplore.config import InputError, Lidar, Rules, require_kind, require_number, require_whole, shown
+from jexplore.config import InputError, Lidar, Rules, as_record, require_kind, require_number, require_whole, shown
 
 
 @pytest.mark.parametrize(
@@ -71,3 +73,28 @@ def test_a_dict_of_fields_shows_how_the_record_is_written():
     ):
         with pytest.raises(InputError, match=line):
             require_kind("lidar", value, Lidar)
+
+
+def test_a_mapping_stands_for_settings():
+    assert as_record("lidar", {"range_m": 4}, Lidar) == Lidar(range_m=4)
+    assert as_record("lidar", {}, Lidar) == Lidar()
+    assert as_record("lidar", types.MappingProxyType({"n_beams": 7}), Lidar) == Lidar(n_beams=7)
+    assert as_record("rules", Rules(near_m=1), Rules) == Rules(near_m=1)
+    for value, line in (
+        ({"rang_m": 4}, "unknown field of lidar: 'rang_m'; did you mean 'range_m'"),
+        ({4: "range_m"}, "unknown field of lidar: '4'"),
+        ({"range_m": "4"}, "lidar.range_m must be a number"),
+        (None, "lidar must be a jx.Lidar"),
+        (Rules(), "lidar must be a jx.Lidar"),
+        ("range_m=4", "lidar must be a jx.Lidar"),
+    ):
+        with pytest.raises(InputError, match=line):
+            as_record("lidar", value, Lidar)
+
+
+def test_settings_are_replaced_and_stay_checked():
+    assert Lidar(n_beams=7).replace(range_m=4.0) == Lidar(n_beams=7, range_m=4.0)
+    with pytest.raises(InputError, match=r"lidar\.range_m must be"):
+        Lidar().replace(range_m=-1)
+    with pytest.raises(InputError, match="did you mean 'range_m'"):
+        Lidar().replace(range=4)

@@ -9,8 +9,9 @@ from ref.worlds import two_rooms
 
 from jexplore.config import InputError, Lidar, Rules
 from jexplore.exploration.results import to_occupancy
-from jexplore.studies.comparison import Comparison, compare
+from jexplore.studies.comparison import compare
 from jexplore.studies.results import labelled
+from jexplore.studies.results.comparison import Comparison
 from jexplore.studies.sweeps.run import sweep
 from jexplore.worlds.readers.ros import read_ros
 

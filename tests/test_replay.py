@@ -121,6 +121,15 @@ def test_pictures(made, tmp_path):
         assert image.n_frames == 5
     figure = made.figure()
     assert f"{made.measures['path_m']:.1f} m, COMPLETE" in figure._suptitle.get_text()
+    world = made.world.replace(origin_m=(-7.0, 2.0))
+    ax = dataclasses.replace(made, world=world).plot(figure.add_subplot())
+    (rows, cols), (x_m, y_m) = world.shape, world.origin_m
+    assert ax.get_xlim() == pytest.approx((x_m, x_m + cols * world.cell_m))
+    assert ax.get_ylim() == pytest.approx((y_m, y_m + rows * world.cell_m))
+    begin = ax.lines[0].get_transform().transform(ax.lines[0].get_xydata()[0])
+    row, col, _ = made.start
+    at = x_m + (col + 0.5) * world.cell_m, y_m + (row + 0.5) * world.cell_m
+    assert ax.transData.inverted().transform(begin) == pytest.approx(at)
 
 
 def test_a_start_given_by_hand_and_what_is_refused():

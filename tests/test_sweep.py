@@ -94,7 +94,7 @@ def test_parameters_of_strategies_are_axes():
         ({"worlds": ["a"], "cell_m": 0}, "cell_m must be a number above 0"),
         ({"worlds": ["a"], "seed": -1}, "seed must be an integer from 0"),
         ({"worlds": ["a"], "episodes": 0}, "episodes must be an integer from 1"),
-        ({"worlds": ["a"], "start": "here"}, "start must be random or world"),
+        ({"worlds": ["a"], "start": "here"}, "start must be random, world, cells such as"),
         ({"worlds": ["a"], "draws": 3}, "draws goes with a range"),
         ({"worlds": ["a"], "draw": "halton"}, "unknown draw 'halton'"),
         ({"worlds": ["a"], "lidar": {"range_m": {"low": 1, "high": 3}}}, "say how many settings are drawn"),

@@ -15,6 +15,7 @@ from scipy import ndimage
 import jexplore as jx
 from jexplore.config import InputError
 from jexplore.studies.results.provenance import files_of
+from jexplore.worlds import load_world
 from jexplore.worlds.starts import check_start, clear_cells, draw_start, draw_starts, label_components, start_region
 from jexplore.worlds.world import MAX_SIDE, World, checked, occupancy_to_world, pad, with_ring
 
@@ -434,3 +435,65 @@ def test_files_of_a_world_are_hashed_whatever_follows_their_names(tmp_path):
         assert list(found) == [str(tmp_path / file) for file in files]
         assert all(len(digest) == 64 for digest in found.values())
     assert files_of(world.replace(name="cave#3:width_m=6")) == {}
+
+
+def _pencil_world():
+    occupied = np.ones((5, 7), bool)
+    occupied[1:4, 1:6] = False
+    occupied[2, 3] = True
+    return World(occupied, cell_m=0.1, name="pencil_$1", origin_m=(-14.3, 2.7), start=(1, 1, 90))
+
+
+def test_a_world_is_its_occupied_cells_to_numpy():
+    world = _pencil_world()
+    assert np.asarray(world).dtype == bool
+    assert np.asarray(world) is world.occupied
+    np.testing.assert_array_equal(np.asarray(world, dtype=np.int8), world.occupied.astype(np.int8))
+    copied = np.array(world)
+    copied[:] = False
+    assert world.occupied.sum() == 21
+    with pytest.raises(ValueError, match="copy"):
+        np.asarray(world, dtype=float, copy=False)
+
+
+def test_a_world_is_drawn_in_metres_of_its_frame():
+    from matplotlib import pyplot
+    from matplotlib.figure import Figure
+
+    world, ax = _pencil_world(), Figure().add_subplot()
+    assert world.plot(ax) is ax
+    (image,) = ax.images
+    assert image.get_extent() == pytest.approx([-14.3, -13.6, 2.7, 3.2])
+    assert image.origin == "lower"
+    np.testing.assert_array_equal(image.get_array()[..., 0] == 0, world.occupied)
+    assert ax.lines[0].get_xydata().tolist() == [[pytest.approx(-14.15), pytest.approx(2.85)]]
+    before = pyplot.get_fignums()
+    own = world.replace(start=None).plot()
+    assert len(pyplot.get_fignums()) == len(before) + 1
+    assert not own.lines
+    pyplot.close(own.figure)
+    own.figure.canvas.draw()  # `$` in its name is no formula
+    shown = Figure().add_subplot().imshow(world)
+    assert shown.get_array().shape == (5, 7)
+
+
+@pytest.mark.parametrize("origin_m", [(-14.3, 2.7), (0.0, 0.0), (-1 / 3, 1e5)])
+def test_a_world_that_is_saved_is_read_back_equal(tmp_path, origin_m):
+    world = _pencil_world().replace(origin_m=origin_m)
+    path = world.save(tmp_path / "new" / "map.yaml")
+    read = load_world(path, cell_m=world.cell_m)
+    np.testing.assert_array_equal(read.occupied, world.occupied)
+    assert read.origin_m == pytest.approx(origin_m, abs=1e-9)
+
+
+def test_the_origin_of_a_ring_is_written_as_people_write_it(tmp_path):
+    world = occupancy_to_world(np.zeros((3, 4), np.int8), cell_m=0.1, origin_m=(-14.2, 0.1))
+    assert "origin: [-14.3, 0.0, 0.0]" in with_ring(world).save(tmp_path / "map.yaml").read_text()
+
+
+def test_what_is_no_yaml_file_is_not_saved(tmp_path):
+    with pytest.raises(InputError, match=r"must end in \.yaml"):
+        _pencil_world().save(tmp_path / "map.png")
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match="must be a folder"):
+        _pencil_world().save(tmp_path / "file" / "map.yaml")

@@ -4,11 +4,13 @@ Plain Python: importing this loads neither numpy nor Pillow.
 """
 
 import base64
+import dataclasses
 import functools
 import html
 import io
 import math
-from collections.abc import Callable, Iterable, Sequence
+import shutil
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any
 
 LONG_PX = 400
@@ -52,8 +54,59 @@ def html_of(picture: bytes, caption: str, head: Sequence[str] = (), lines: Itera
     return f"<div>{''.join(parts)}</div>"
 
 
+@dataclasses.dataclass(frozen=True, repr=False)
+class Listing:
+    """A table of texts that shows itself, as text as wide as the terminal, in a notebook as HTML."""
+
+    head: tuple[str, ...]
+    """`[K]` names of columns."""
+    rows: tuple[tuple[str, ...], ...]
+    """`[N]` rows of `[K]` texts."""
+
+    def __iter__(self) -> Iterator[tuple[str, ...]]:
+        return iter(self.rows)
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def to_pandas(self) -> Any:
+        """The same as a `pandas.DataFrame`."""
+        import pandas as pd
+
+        return pd.DataFrame(self.rows, columns=list(self.head))
+
+    def __repr__(self) -> str:
+        from rich import box, console, table, text
+
+        drawn = table.Table(*self.head, box=box.SIMPLE_HEAD)
+        for row in self.rows:
+            drawn.add_row(*map(text.Text, row))
+        page, width = io.StringIO(), shutil.get_terminal_size((120, 24)).columns
+        console.Console(file=page, width=width, force_jupyter=False, color_system=None).print(drawn)
+        return "\n".join(line.rstrip() for line in page.getvalue().strip("\n").splitlines())
+
+    def _repr_html_(self):
+        return f"<table>{_row('th', self.head)}{''.join(_row('td', row) for row in self.rows)}</table>"
+
+
 def _row(tag, cells):
     return f"<tr>{''.join(f'<{tag}>{html.escape(cell)}</{tag}>' for cell in cells)}</tr>"
+
+
+def axes_of(ax: Any = None) -> Any:
+    """matplotlib `Axes`: those given, else those of a new figure of pyplot, which a notebook shows."""
+    if ax is None:
+        from matplotlib import pyplot
+
+        _, ax = pyplot.subplots(layout="constrained")
+    return ax
+
+
+def shown_figure(figure: Any) -> Any:
+    """A matplotlib `Figure` that a notebook shows at the end of a cell."""
+    from matplotlib import pyplot  # noqa: F401  (by which a notebook learns how)
+
+    return figure
 
 
 def png_of(figure: Any, *, dpi: float = 72) -> bytes:

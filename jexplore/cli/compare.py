@@ -6,10 +6,9 @@ import os
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
-from jexplore.cli.listings import describe
-from jexplore.cli.options import STRATEGIES, EngineName, OutFolder, OwnNames, default_worlds, is_small
+from jexplore.cli.options import STRATEGIES, EngineName, OutFolder, OwnNames, StartText, default_worlds, is_small
 from jexplore.cli.output.console import Out, note, say, working
 from jexplore.cli.output.terminal import show_table
 from jexplore.config import InputError, Lidar, Rules
@@ -19,10 +18,9 @@ if TYPE_CHECKING:
 
     from jexplore.exploration.batch import Job
     from jexplore.studies.bounds.bound import Task
-    from jexplore.studies.comparison import Comparison
+    from jexplore.studies.results.comparison import Comparison
     from jexplore.studies.results.units import Ran
 
-VECTORS = ("compare.png", "coverage.png", "league.png", "reproduce.png")  # written as SVG as well
 FINISHING = "jexplore: computing statistics and drawing"
 
 
@@ -50,8 +48,10 @@ class Compare:
     """Draw starts and all that is random from this seed."""
     cell_m: float = 0.1
     """Make the edge of a cell this long, in metres."""
-    start: Literal["random", "world"] = "random"
-    """Draw the starts from the seed, or take every world's own start for all episodes."""
+    start: StartText = "random"
+    """Draw the starts from the seed (random), or start all episodes at every world's own start (world), in one cell
+    (12,30,90: row, column, heading in degrees) or at one point of the map's frame in metres (2.0m,1.5m,90: x, y, yaw in
+    degrees; 1.57rad: in radians)."""
     league: bool = False
     """Run every strategy in 48 worlds of six kinds (in cells over 0.2 m: 40 of five), unless --worlds and --strategies
     say otherwise. Print who ranks where over all worlds, and what a plan costs, and write league.png instead of the
@@ -91,7 +91,8 @@ class Compare:
 
     def execute(self, arguments: Sequence[str]) -> int | None:
         """Runs the command; returns the exit status, None for 0."""
-        from jexplore.studies.comparison import assemble, prepare_jobs
+        from jexplore.studies.results.comparison import assemble, prepare_jobs
+        from jexplore.studies.results.saving import figures_of
         from jexplore.studies.statistics.league import LEAGUE_STRATEGIES, league_worlds
 
         worlds, strategies = (
@@ -116,7 +117,7 @@ class Compare:
             tasks, reported = self._bound_tasks(jobs), jobs if self.report else None
             ran = run_with_bar(self, jobs, out, tasks)
             if ran is None:
-                return show_finished(out, _tables, _figures, reported)
+                return show_finished(out, _tables, figures_of, reported)
             with note(FINISHING):
                 found = assemble(jobs, ran)
                 record, text = functools.partial(out.record, arguments, self), found.to_markdown()
@@ -126,7 +127,7 @@ class Compare:
             found, more, files = self._beside(found, [] if ran.costs.interrupted else tasks, out, ran)
             text += more
             with note(FINISHING):
-                return finish(out, found, ran, text, _figures(found, self.league), record, reported, files)
+                return finish(out, found, ran, text, figures_of(found, league=self.league), record, reported, files)
 
     def _bound_tasks(self, jobs):
         """What is to be bounded, if bounds are asked for."""
@@ -180,18 +181,6 @@ def _tables(found, record):
     league = record["configuration"].get("league")
     text = standings_table(found.standings, record.get("plan_ms", {})) if league else found.to_markdown()
     return text + _more_tables(getattr(found, "comparison", found).episodes, league)
-
-
-def _figures(found, league):
-    """Pictures of a comparison: `{name: function}`, which draws it."""
-    from jexplore.report import plot_league
-
-    if league:
-        return {"league.png": lambda: plot_league.figure(found.standings)}
-    figures = {"compare.png": found.compare_figure, "coverage.png": found.coverage_figure}
-    figures |= {"waste.png": found.waste_figure} if found.paths else {}
-    # Without any episode 0, as after an early interruption, there is no path to draw.
-    return figures | ({"paths.png": found.paths_figure} if found.first else {})
 
 
 def _league(found, ran):
@@ -256,7 +245,7 @@ def run_with_bar(options: Any, jobs: "Sequence[Job]", out: Out, starts: "Sequenc
 def show_finished(
     out: Out,
     tables: Callable[[Any, Mapping[str, Any]], str],
-    figures: "Callable[[Any, bool], Mapping[str, Callable[[], Figure]]]",
+    figures: "Callable[..., Mapping[str, Callable[[], Figure]]]",
     jobs: "Sequence[Job] | None" = None,
 ) -> int:
     """What `--resume` says of a run that is finished; pictures that are not there are drawn. Returns the exit status.
@@ -267,12 +256,14 @@ def show_finished(
       figures: called with what was found and whether it is a league's, as for `finish`.
       jobs: of the run, for a report; None for none.
     """
+    from jexplore.studies.results import saving
     from jexplore.studies.results.loading import load, record_of
 
     found, record = load(out.run.path), record_of(out.run.path)
     show_table(tables(found, record))
-    drawn = figures(found, bool(record["configuration"].get("league")))
-    out.draw_missing(_pictures(out, getattr(found, "comparison", found), {}, record, drawn, jobs))
+    drawn = figures(found, league=bool(record["configuration"].get("league")))
+    found = getattr(found, "comparison", found)
+    out.draw_missing(saving.pictures_of(out.run.path, found, {}, record, drawn, jobs))
     return 0
 
 
@@ -298,16 +289,10 @@ def finish(
       jobs: of the run, for a report; None for none.
       more: files besides: name -> what writes it.
     """
-    from jexplore.report import store
-    from jexplore.studies.results import loading
+    from jexplore.studies.results import saving
 
-    costs, record = ran.costs, record(**_entries(found, ran))
-    files = {
-        "episodes.parquet": lambda path: store.write_parquet(found.episodes, path),
-        loading.DETAILS: lambda path: loading.write_details(found, path),
-        **more,
-        "run.json": lambda path: store.write_json(record, path),
-    }
+    costs, made = ran.costs, record(**saving.entries_of(found), **saving.engine_of(ran.costs))
+    files = saving.files_of(dataclasses.replace(found, paths={}), made, more)  # without ways, which take much room
     out.write(files, is_finished=not costs.interrupted)
 
     try:
@@ -317,61 +302,9 @@ def finish(
         sys.stdout.flush()
     finally:  # a reader of the output who goes away costs no pictures
         jobs = None if costs.interrupted else jobs
-        drawn = out.draw(_pictures(out, found, ran.firsts, record, figures, jobs))
+        drawn = out.draw(saving.pictures_of(out.run.path, found, ran.firsts, made, figures, jobs))
     print(f"wrote {', '.join([*files, *drawn])} to {out.run.path}{os.sep}")
     if costs.interrupted:
         out.say_kept()
         return say("jexplore: interrupted, what was finished was written", 130)
     return 0
-
-
-def _pictures(out, found, firsts, record, figures, jobs):
-    """Pictures of a comparison and, with its jobs, its page: name -> what writes it."""
-    drawn = {name: functools.partial(_picture, make) for name, make in figures.items()}
-    if jobs is not None:
-        drawn["report.html"] = functools.partial(_report, out, found, firsts, record, jobs, list(drawn))
-    return drawn
-
-
-def _picture(make, path):
-    from jexplore.report import plot
-
-    figure = make()
-    plot.save_figure(figure, path)
-    if path.name in VECTORS:
-        plot.save_figure(figure, path.with_suffix(".svg"))
-
-
-def _entries(found, ran):
-    """What run.json says of a comparison."""
-    costs = ran.costs
-    return {
-        "episodes_per_s": found.episodes_per_s,
-        "compile_s": found.compile_s,
-        "run_s": found.run_s,
-        "engine": costs.engine,
-        "devices": costs.devices,
-        "lanes": costs.lanes,
-        "useful": costs.useful,
-        "useful_plans": costs.useful_decisions,
-        "interrupted": found.interrupted,
-        "resumed": found.resumed,
-        "worlds": [describe(world) for world in found.worlds],
-        "summary": found.summary.to_dict("records"),
-        "warnings": found.warnings,
-    }
-
-
-def _report(out, found, firsts, record, jobs, names, path):
-    """Writes the page of a comparison, with those of its pictures that are there."""
-    from jexplore.studies.results.report import replays_for, write_report
-    from jexplore.studies.statistics.by_world import markdown_table
-    from jexplore.studies.statistics.league import standings_table
-    from jexplore.studies.statistics.paired import MIN_PAIRS
-
-    replays, notes = replays_for(jobs, firsts)
-    tables = [("In each world", markdown_table(found.summary))]
-    if len(found.worlds) >= MIN_PAIRS:
-        tables.insert(0, ("Over all worlds", standings_table(found.standings)))
-    pictures = out.there(names)
-    write_report(path, f"jexplore {record['command'][1]}", record, tables, pictures, replays, notes)

@@ -3,14 +3,11 @@
 import dataclasses
 import os
 from collections.abc import Sequence
-from typing import Annotated
-
-import tyro
 
 from jexplore.cli.listings import describe
-from jexplore.cli.options import OneStrategy, OneWorld, OutFolder
+from jexplore.cli.options import OneStrategy, OneWorld, OutFolder, StartText
 from jexplore.cli.output.console import Out, compiling, progress_of
-from jexplore.config import InputError, Lidar, Rules, require_whole
+from jexplore.config import Lidar, Rules, require_whole
 
 
 @dataclasses.dataclass(frozen=True)
@@ -32,8 +29,9 @@ class Explore:
     """Run the episode of this number, from 0, of a comparison with the same options."""
     cell_m: float = 0.1
     """Make the edge of a cell this long, in metres."""
-    start: Annotated[str, tyro.conf.arg(metavar="{random,world,ROW,COL,HEADING_DEG}")] = "random"
-    """Start where the seed says, at the world's own start, or in a cell with a heading that is a multiple of 45."""
+    start: StartText = "random"
+    """Start where the seed says (random), at the world's own start (world), in a cell (12,30,90: row, column, heading
+    in degrees) or at a point of the map's frame in metres (2.0m,1.5m,90: x, y, yaw in degrees; 1.57rad: in radians)."""
     frames: int = 300
     """Give the animation at most so many frames, evenly spaced."""
     fast: bool = False
@@ -62,12 +60,12 @@ class Explore:
                 seed=self.seed,
                 episode=self.episode,
                 cell_m=self.cell_m,
-                start=_start(self.start),
+                start=self.start,
                 lidar=self.lidar,
                 rules=self.rules,
             )
             with compiling():
-                found = run_job(job, self.lidar, self.rules, fast=self.fast)
+                found = run_job(job, fast=self.fast)
             measures = {"world": found.world.name, "strategy": found.strategy, **found.measures}
             times = {"compile_s": found.compile_s, "run_s": found.run_s}
             record = out.record(arguments, self, result=measures, worlds=[describe(found.world)], **times)
@@ -108,14 +106,3 @@ class Explore:
         if found.final.plans is not None:
             writers["episode.gif"] = animation
         return out.draw(writers | ({"report.html": page} if self.report else {}))
-
-
-def _start(text):
-    """`random`, `world`, or `row,col,heading_deg` as integers."""
-    if text in ("random", "world"):
-        return text
-    try:
-        row, col, heading = (int(part) for part in text.split(","))
-    except ValueError:
-        raise InputError(f"--start must be random, world or ROW,COL,HEADING_DEG, got {text!r}") from None
-    return row, col, heading

@@ -94,11 +94,10 @@ class Strategies:
     def execute(self, arguments: Sequence[str]) -> int | None:
         """Runs the command; returns the exit status, None for 0."""
         from jexplore.policies import MODIFIERS
-        from jexplore.policies.catalogue.grammar import listing
+        from jexplore.policies.catalogue.grammar import strategies
 
-        rows = [(one.name, one.summary, one.parameters or "-", one.source) for one in listing()]
-        head = ["strategy", "goes to", "parameters", "source"]
-        show_table(head, rows, left=head)
+        found = strategies()
+        show_table(found.head, found.rows, left=found.head)
         head = ["modifier", "meaning"]
         show_table(head, [(f"+{name}", text) for name, text in MODIFIERS.items()], left=head)
         show_line("Names are put together as strategy+modifier:parameter=value,..., such as closest+recheck")
@@ -123,16 +122,4 @@ def describe(world: "World") -> dict[str, Any]:
     """What a table of worlds says about one."""
     from jexplore.studies.results import provenance
 
-    rows, cols = world.shape
-    rooms = None if world.rooms is None else int(world.rooms.max()) + 1
-    return {
-        "world": world.name,
-        "rows": rows,
-        "cols": cols,
-        "cell_m": world.cell_m,
-        "free_m2": world.free_m2,
-        "rooms": rooms,
-        "start": world.start,
-        "sha256": provenance.digest(world),
-        "files": provenance.files_of(world),
-    }
+    return provenance.describe(world)

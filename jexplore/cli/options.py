@@ -46,6 +46,7 @@ OwnNames = Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="NAME [NAME .
 OneWorld = Annotated[str, tyro.conf.arg(metavar="WORLD")]
 OneStrategy = Annotated[str, tyro.conf.arg(metavar="STRATEGY")]
 OwnModel = Annotated[str | None, tyro.conf.arg(metavar="MODEL", help_behavior_hint="(default: closest)")]
+StartText = Annotated[str, tyro.conf.arg(metavar="START")]
 OutFolder = Annotated[
     str | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="(default: runs/<UTC time>-<command>)")
 ]

@@ -69,7 +69,7 @@ class Reproduce:
             ran = run_with_bar(self, jobs, out)
             if ran is None:
                 return show_finished(
-                    out, lambda found, _: found.to_markdown(), lambda found, _: {"reproduce.png": found.figure}
+                    out, lambda found, _: found.to_markdown(), lambda found, league: {"reproduce.png": found.figure}
                 )
             with note(FINISHING):
                 found = reproduction.assemble(self.paper, self.maps, jobs, ran)

@@ -7,11 +7,12 @@ one batch. The docstrings are the command line's help texts.
 import dataclasses
 import math
 
-from jexplore.config import InputError, require_kind, require_number, require_whole
+from jexplore.config import InputError, Settings, checked_names, require_kind, require_number, require_whole
 
 
+@checked_names
 @dataclasses.dataclass(frozen=True)
-class Robot:
+class Robot(Settings):
     """What a robot is and what it can do."""
 
     name: str
@@ -43,8 +44,9 @@ ROBOTS = {
 """Name -> robot. `kamui` is the crawler of Mano et al., Table III; its step height and sensor mounts are ours."""
 
 
+@checked_names
 @dataclasses.dataclass(frozen=True)
-class Noise:
+class Noise(Settings):
     """Errors of the sensors."""
 
     range_m: float = 0.0
@@ -70,8 +72,9 @@ class Noise:
     """The distance of the goal's beacon has this standard deviation, in metres."""
 
 
+@checked_names
 @dataclasses.dataclass(frozen=True)
-class Tuning:
+class Tuning(Settings):
     """Thresholds of perception and behaviour. Letters in brackets are those of Mano et al."""
 
     width_m: float = 0.39

@@ -14,7 +14,10 @@ from jexplore.policies import Strategy, parse_strategy
 from jexplore.studies.checks import (
     LIDAR,
     RULES,
+    LidarLike,
+    RulesLike,
     WorldLike,
+    ready_settings,
     ready_starts,
     ready_worlds,
     require_clearance,
@@ -119,8 +122,8 @@ def prepare_bank(
     worlds: WorldLike | Sequence[WorldLike],
     *,
     cell_m: float = 0.1,
-    lidar: Lidar = LIDAR,
-    rules: Rules = RULES,
+    lidar: LidarLike = LIDAR,
+    rules: RulesLike = RULES,
     start: str = "random",
 ) -> Bank:
     """A `Bank`.
@@ -128,6 +131,7 @@ def prepare_bank(
     Raises:
       InputError: a world that cannot be loaded, or is too large, or in which no robot can stand.
     """
+    lidar, rules = ready_settings(lidar, rules)
     ready = ready_worlds(worlds, cell_m)
     for world in ready:
         require_clearance(world, rules)

@@ -15,7 +15,7 @@ import jax
 import numpy as np
 
 from jexplore.arrays.draws import pinned_draws, random_key
-from jexplore.config import MAX_SEED, InputError, Lidar, Rules, require_number, require_whole, unknown
+from jexplore.config import MAX_SEED, InputError, checked_names, require_number, require_whole, unknown
 from jexplore.engine.backend import use_compilation_cache
 from jexplore.learn import advantage, es, ppo
 from jexplore.learn.bank import FAILED, TRAINING, VALIDATION, Bank, prepare_bank, require_apart
@@ -25,7 +25,8 @@ from jexplore.policies.learned.model import Model, is_finite, load_model, requir
 from jexplore.policies.learned.model import digest as model_digest
 from jexplore.policies.learned.strategy import policy_of
 from jexplore.report.ledger import Ledger
-from jexplore.studies.checks import LIDAR, RULES, WorldLike
+from jexplore.studies.checks import LIDAR, RULES, LidarLike, RulesLike, WorldLike
+from jexplore.studies.results.progress import progress_bar
 from jexplore.studies.results.provenance import digest
 from jexplore.version import __version__
 
@@ -79,6 +80,7 @@ class Plan(NamedTuple):
         return self.rounds // self.check_every
 
 
+@checked_names
 @dataclasses.dataclass(frozen=True)
 class Trained:
     """What `run_training` found."""
@@ -193,6 +195,7 @@ def _beginning(network, model, seed):
     return Model(network, jax.tree.map(np.asarray, weights))
 
 
+@checked_names
 def train(
     algo: str = "es",
     network: str = "linear",
@@ -207,10 +210,11 @@ def train(
     starts: int = 1,
     seed: int = 0,
     cell_m: float = 0.1,
-    lidar: Lidar = LIDAR,
-    rules: Rules = RULES,
+    lidar: LidarLike = LIDAR,
+    rules: RulesLike = RULES,
     workers: int | None = None,
     on_progress: Callable[[int], object] | None = None,
+    progress: bool | None = None,
 ) -> Trained:
     """Trains a strategy that scores frontier clusters: `jexplore train` as a function.
 
@@ -228,10 +232,11 @@ def train(
       starts: on each validation world.
       seed: of all that is random.
       cell_m: edge of a cell of the worlds that are loaded by name, metres.
-      lidar: `Lidar`.
-      rules: `Rules`.
+      lidar: `Lidar`, or a mapping of some of its fields.
+      rules: `Rules`, likewise.
       workers: cores; by default all.
       on_progress: called with the number of rounds made.
+      progress: whether a bar shows that; by default in notebooks.
 
     Returns:
       `Trained`.
@@ -247,7 +252,8 @@ def train(
     begins = model if model is None or isinstance(model, Model) else load_model(model)
     options = {"rounds": rounds, "check_every": check_every, "patience": patience, "starts": starts, "seed": seed}
     plan = prepare_training(algo, network, trained, watched, settings, model=begins, **options)
-    return run_training(plan, workers=workers, on_progress=on_progress)
+    with progress_bar(progress, plan.rounds, "rounds", on_progress) as moved:
+        return run_training(plan, workers=workers, on_progress=moved)
 
 
 def asked(plan: Plan) -> dict[str, Any]:
@@ -276,6 +282,7 @@ def run_training(
     ledger: Ledger | None = None,
     workers: int | None = None,
     on_progress: Callable[[int], object] | None = None,
+    progress: bool | None = None,
 ) -> Trained:
     """Trains, or goes on with training.
 

@@ -18,6 +18,7 @@ from jax import Array, lax
 
 from jexplore.arrays import bits
 from jexplore.arrays.loops import one_kernel, run_if, stored
+from jexplore.config import checked_names
 from jexplore.frontier import Masks, plan_masks
 from jexplore.grid import Grid, count, lowest
 from jexplore.planning.readout import STRIDES, lay_route
@@ -44,6 +45,7 @@ class MapModel:
     coarse: bool = struct.field(pytree_node=False, default=False)  # whether corridors may be only a few cells wide
 
 
+@checked_names
 @struct.dataclass
 class Belief:
     """What the robot knows: its map, and where it believes to be in it."""
@@ -61,6 +63,7 @@ class Belief:
     replace: ClassVar[Callable[..., Self]]
 
 
+@checked_names
 @struct.dataclass
 class Choice:
     """A target and what it costs to get there. One of a cost of FAR is refused."""
@@ -76,6 +79,7 @@ class Choice:
     replace: ClassVar[Callable[..., Self]]
 
 
+@checked_names
 @struct.dataclass
 class Field:
     """The reachability map of a belief, and its frontier."""
@@ -86,6 +90,7 @@ class Field:
     replace: ClassVar[Callable[..., Self]]
 
 
+@checked_names
 @struct.dataclass
 class View:
     """What a strategy sees of a belief.
@@ -100,6 +105,7 @@ class View:
     replace: ClassVar[Callable[..., Self]]
 
 
+@checked_names
 def metres(cost: Array, cell_m: Array | float) -> Array:
     """A path's cost (see `reach`) as a length, metres: float32."""
     return cost.astype(jnp.float32) * (cell_m / STRAIGHT)
@@ -155,6 +161,7 @@ def masks_of(belief: Belief, origin: tuple[Array | int, ...] = (0, 0)) -> Masks:
     return one_kernel(judge, *arguments) if model.reach == "sweeps" else judge(*arguments)
 
 
+@checked_names
 def field(belief: Belief, *, nearest_only: bool = False) -> Field:
     """Costs of the whole map and the frontier cells that can be reached.
 
@@ -185,6 +192,7 @@ def first_at(mask: Array) -> tuple[Array, Array]:
     return at // width, at % width
 
 
+@checked_names
 def choose(belief: Belief, route: Array, known: Field, row: Array, col: Array) -> tuple[Choice, Array]:
     """Makes a cell of a `Field` the target and lays the route to it.
 
@@ -298,6 +306,7 @@ def nearest_in_window(belief: Belief, route: Array, side: int) -> tuple[Array, C
     return ~decided, Choice(target[0], target[1], best, jnp.int32(0)), route
 
 
+@checked_names
 def nearest_frontier(belief: Belief, route: Array) -> tuple[Choice, Array]:
     """The frontier cell with the shortest path, and the route to it.
 

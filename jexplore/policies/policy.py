@@ -5,10 +5,12 @@ from typing import Any, NamedTuple
 
 from jax import Array
 
+from jexplore.config import checked_names
 from jexplore.planning import Belief, Choice
 from jexplore.raycast import Beams
 
 
+@checked_names
 class Policy(NamedTuple):
     """A strategy as a pair of pure functions of one robot's belief, and what it needs besides.
 
@@ -32,6 +34,7 @@ class Policy(NamedTuple):
     (`Choice.is_view`), is worth going to. Without it the robot goes there whatever it sees on its way."""
 
 
+@checked_names
 class Strategy(NamedTuple):
     """A strategy as asked for."""
 

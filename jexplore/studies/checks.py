@@ -1,19 +1,20 @@
 """What is checked, loaded and drawn before anything is compiled: worlds, strategies, starts, memory."""
 
 import os
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any, TypeAlias
 
 import numpy as np
 
 from jexplore.arrays.bits import WORD
 from jexplore.arrays.padding import bucket
-from jexplore.config import InputError, Lidar, Rules, require_kind
+from jexplore.config import InputError, Lidar, Rules, as_record
 from jexplore.exploration.site import LEAST_LIMIT
 from jexplore.grid import in_cells, radius_d2
 from jexplore.policies import Policy, Strategy, strategy
 from jexplore.raycast import HEADINGS, n_steps
 from jexplore.worlds import load_world
+from jexplore.worlds.poses import Pose, cell_of, read_start
 from jexplore.worlds.starts import check_start, draw_start, draw_starts
 from jexplore.worlds.world import World, checked
 
@@ -21,6 +22,12 @@ WorldLike: TypeAlias = str | os.PathLike[str] | World
 """A world, or the name or file of one."""
 StrategyLike: TypeAlias = str | Policy | Strategy | Callable[..., Any]
 """What `policies.strategy` makes a strategy of."""
+LidarLike: TypeAlias = Lidar | Mapping[str, Any]
+"""A scanner, or a mapping of those of its fields that are not the defaults."""
+RulesLike: TypeAlias = Rules | Mapping[str, Any]
+"""Rules, likewise."""
+StartLike: TypeAlias = str | tuple[int, int, int] | Pose
+"""Where episodes start: see `poses.read_start`."""
 LIDAR, RULES = Lidar(), Rules()  # the defaults
 MAX_EPISODES = 1_000_000  # of one strategy in one world
 CELL_BYTES = 120  # of one episode under way and of the world itself, measured on a CPU; a cell of the padded map
@@ -50,10 +57,9 @@ def require_different(kind: str, names: list[str], hint: str = "") -> None:
             raise InputError(f"{kind} must differ, got {name!r} more than once{hint}")
 
 
-def require_settings(lidar: object, rules: object) -> None:
-    """Refuse what is no scanner or no rules."""
-    require_kind("lidar", lidar, Lidar)
-    require_kind("rules", rules, Rules)
+def ready_settings(lidar: LidarLike, rules: RulesLike) -> tuple[Lidar, Rules]:
+    """Scanner and rules, from records or from mappings of some of their fields; refuses what is neither."""
+    return as_record("lidar", lidar, Lidar), as_record("rules", rules, Rules)
 
 
 def ready_worlds(worlds: WorldLike | Iterable[WorldLike], cell_m: float) -> list[World]:
@@ -99,13 +105,13 @@ def ready_strategies(strategies: StrategyLike | Iterable[StrategyLike]) -> list[
     return ready
 
 
-def ready_starts(world: World, start: str | tuple[int, int, int], n: int, *, seed: int, rules: Rules) -> np.ndarray:
+def ready_starts(world: World, start: StartLike, n: int, *, seed: int, rules: Rules) -> np.ndarray:
     """The starts of n episodes in a world.
 
     Args:
       world: `World`.
-      start: "random" (drawn, start i the same for every n), "world" (the world's own, n times), or
-        `(row, col, heading_deg)`, n times.
+      start: "random" (drawn, start i the same for every n), "world" (the world's own, n times), or cells or a `Pose`,
+        n times: see `poses.read_start`.
       n: episodes.
       seed: of the drawing.
       rules: `Rules`.
@@ -117,16 +123,20 @@ def ready_starts(world: World, start: str | tuple[int, int, int], n: int, *, see
       InputError: no clear cell, no start of its own, a start in a wall or enclosed.
     """
     require_clearance(world, rules)
-    if isinstance(start, str) and start not in ("random", "world"):
-        raise InputError(f"start must be random, world or row,col,heading_deg, got {start!r}")
+    start = read_start(start)
     if start == "random":
         check_start(world, draw_start(world, seed, 0, rules.clearance_m), rules.clearance_m, rules.near_m)
         return draw_starts(world, seed, n, rules.clearance_m)
     if start == "world" and world.start is None:
         raise InputError(f"{world.name!r}: has no start of its own; use start random")
-    cell: Any = world.start if isinstance(start, str) else start
-    start = check_start(world, cell, rules.clearance_m, rules.near_m)
-    return np.tile(np.asarray(start, np.int32), (n, 1))
+    cell: Any = world.start if start == "world" else start
+    if isinstance(start, Pose):
+        cell = cell_of(world, start)
+    try:
+        own = check_start(world, cell, rules.clearance_m, rules.near_m)
+    except InputError as error:
+        raise InputError(f"{start} is {error}" if isinstance(start, Pose) else str(error)) from None
+    return np.tile(np.asarray(own, np.int32), (n, 1))
 
 
 def memory_needed(world: World, lidar: Lidar, rules: Rules, workers: int) -> int:
@@ -163,9 +173,8 @@ def require_memory(world: World, lidar: Lidar, rules: Rules) -> None:
     """Refuse what would not fit into the machine's memory.
 
     Raises:
-      InputError: naming the world and the sizes; or as `require_settings`.
+      InputError: naming the world and the sizes.
     """
-    require_settings(lidar, rules)
     have, need = _memory(), memory_needed(world, lidar, rules, os.cpu_count() or 1)
     if have is not None and need > MEMORY_SHARE * have:
         rows, cols = world.shape

@@ -17,7 +17,7 @@ from jax.core import Tracer
 
 from jexplore.arrays.loops import alone_on_cpu, run_if
 from jexplore.arrays.padding import bucket
-from jexplore.config import InputError, Lidar, Rules
+from jexplore.config import InputError, checked_names
 from jexplore.engine.backend import use_compilation_cache
 from jexplore.engine.program import Given
 from jexplore.engine.runner import find_resources, require_32_bits
@@ -29,13 +29,23 @@ from jexplore.planning import Field, View, choose, field, is_live, view_of
 from jexplore.policies.closest import closest
 from jexplore.raycast import Beams
 from jexplore.reach import FAR
-from jexplore.studies.checks import LIDAR, RULES, ready_worlds, require_clearance, require_memory, require_settings
+from jexplore.studies.checks import (
+    LIDAR,
+    RULES,
+    LidarLike,
+    RulesLike,
+    ready_settings,
+    ready_worlds,
+    require_clearance,
+    require_memory,
+)
 from jexplore.worlds.starts import check_start, start_cells
 from jexplore.worlds.world import World
 
 WORLD, START = 2, 3  # streams of random numbers besides those of an episode (`state.Stream`)
 
 
+@checked_names
 @struct.dataclass
 class EnvState:
     """An episode under way, between two decisions."""
@@ -56,6 +66,7 @@ class _Bank:
     recheck: Array  # bool
 
 
+@checked_names
 class Environment:
     """Worlds to be explored by decisions: `reset`, then `step` until done. For one robot; under `vmap` for many.
 
@@ -79,8 +90,8 @@ class Environment:
         worlds: Any,
         *,
         cell_m: float = 0.1,
-        lidar: Lidar = LIDAR,
-        rules: Rules = RULES,
+        lidar: LidarLike = LIDAR,
+        rules: RulesLike = RULES,
         recheck: bool = False,
         paths: bool = False,
     ) -> None:
@@ -89,8 +100,8 @@ class Environment:
         Args:
           worlds: names (`load_world`) or `World`s, one or several with cells of one size.
           cell_m: edge of a cell of the worlds that are loaded by name, metres.
-          lidar: `Lidar`.
-          rules: `Rules`.
+          lidar: `Lidar`, or a mapping of some of its fields.
+          rules: `Rules`, likewise.
           recheck: whether a frontier cell that is driven to is given up as soon as it is no longer live.
           paths: whether a state keeps the whole way, for `path`; that takes 8 bytes for every
             cell of the map, at least 160 kB.
@@ -98,7 +109,7 @@ class Environment:
         Raises:
           InputError: no world, one that cannot be loaded, or one without a clear cell; cells of different sizes.
         """
-        require_settings(lidar, rules)
+        lidar, rules = ready_settings(lidar, rules)
         if not isinstance(recheck, bool):
             raise InputError(f"recheck must be True or False, got {recheck!r}")
         use_compilation_cache()

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from jexplore.arrays.pictures import html_of, or_text, png_of
-from jexplore.config import MAX_SEED, InputError, Lidar, Rules, require_whole
+from jexplore.arrays.pictures import axes_of, html_of, or_text, png_of
+from jexplore.config import MAX_SEED, InputError, Lidar, Rules, checked_names, require_whole
 from jexplore.engine.backend import use_compilation_cache
 from jexplore.exploration import batch, replay
 from jexplore.exploration.batch import Job
@@ -22,14 +22,18 @@ from jexplore.studies.checks import (
     LIDAR,
     MAX_EPISODES,
     RULES,
+    LidarLike,
+    RulesLike,
+    StartLike,
     StrategyLike,
     WorldLike,
+    ready_settings,
     ready_starts,
     ready_strategies,
     ready_worlds,
     require_memory,
-    require_settings,
 )
+from jexplore.worlds.poses import read_start
 from jexplore.worlds.starts import draw_start
 from jexplore.worlds.world import World
 
@@ -52,6 +56,7 @@ class Frame(NamedTuple):
     target: tuple[int, int] | None  # row, col of what it goes to next; None in the end
 
 
+@checked_names
 @dataclasses.dataclass(frozen=True)
 class Episode:
     """What `explore` found."""
@@ -93,6 +98,27 @@ class Episode:
             known_cells=final.known,
             title=self.title,
         )
+
+    def plot(self, ax: Any = None) -> Any:
+        """Draws the last map with the path, in metres of the map's frame.
+
+        Args:
+          ax: matplotlib `Axes`; by default those of a new figure.
+
+        Returns:
+          The `Axes`.
+        """
+        from matplotlib.transforms import Affine2D
+
+        ax, final, world = axes_of(ax), self.final, self.world
+        state = map_state(final.hits, final.misses, self.rules.p_free)
+        drawn = [plot.draw_map(ax, state, world.cell_m), *plot.draw_path(ax, final.rows, final.cols, world.cell_m)]
+        for artist in drawn:  # which lie at metres from the corner of cell (0, 0)
+            artist.set_transform(Affine2D().translate(*world.origin_m) + ax.transData)
+        ends = [(low, low + n * world.cell_m) for low, n in zip(world.origin_m, world.shape[::-1])]
+        ax.set(xlim=ends[0], ylim=ends[1], xlabel="x (m)", ylabel="y (m)")
+        ax.set_title(self.title).set_parse_math(False)
+        return ax
 
     @functools.cached_property
     def _picture(self):
@@ -159,6 +185,7 @@ class Episode:
                 on_progress(1)
 
 
+@checked_names
 def explore(
     world: WorldLike,
     strategy: StrategyLike,
@@ -166,9 +193,10 @@ def explore(
     seed: int = 0,
     episode: int = 0,
     cell_m: float = 0.1,
-    start: str | tuple[int, int, int] = "random",
-    lidar: Lidar = LIDAR,
-    rules: Rules = RULES,
+    start: StartLike = "random",
+    start_m: Sequence[float] | None = None,
+    lidar: LidarLike = LIDAR,
+    rules: RulesLike = RULES,
     fast: bool = False,
 ) -> Episode:
     """Runs one episode and keeps its map and way.
@@ -181,9 +209,10 @@ def explore(
       seed: of the start and the draws.
       episode: its number, from 0.
       cell_m: edge of a cell of a world that is loaded by name, metres.
-      start: "random", "world" for the world's own, or `(row, col, heading_deg)`.
-      lidar: `Lidar`.
-      rules: `Rules`.
+      start: "random"; "world" for the world's own; `(row, col, heading_deg)`; or a text as `--start` takes it.
+      start_m: in metres of the map's frame instead: `(x_m, y_m, yaw_deg)`.
+      lidar: `Lidar`, or a mapping of those of its fields that are not the defaults: `{"range_m": 4}`.
+      rules: `Rules`, likewise.
       fast: as in `comparison.compare`: worth while for an episode of many minutes.
 
     Returns:
@@ -192,8 +221,18 @@ def explore(
     Raises:
       InputError: a name, number, map or start that cannot be used. Raised before anything is compiled.
     """
-    job = prepare_job(world, strategy, seed=seed, episode=episode, cell_m=cell_m, start=start, lidar=lidar, rules=rules)
-    return run_job(job, lidar, rules, fast=fast)
+    job = prepare_job(
+        world,
+        strategy,
+        seed=seed,
+        episode=episode,
+        cell_m=cell_m,
+        start=start,
+        start_m=start_m,
+        lidar=lidar,
+        rules=rules,
+    )
+    return run_job(job, fast=fast)
 
 
 def prepare_job(
@@ -202,26 +241,29 @@ def prepare_job(
     *,
     seed: int,
     cell_m: float,
-    start: str | tuple[int, int, int],
-    lidar: Lidar,
-    rules: Rules,
+    start: StartLike,
+    lidar: LidarLike,
+    rules: RulesLike,
+    start_m: Sequence[float] | None = None,
     episode: int = 0,
 ) -> Job:
     """Everything that `explore` refuses or loads before it runs: a `Job` of as many episodes, all from its start."""
     seed = require_whole("seed", seed, 0, MAX_SEED)
     episode = require_whole("episode", episode, 0, MAX_EPISODES - 1)
     (parsed,), (world,) = ready_strategies(strategy), ready_worlds(world, cell_m)
+    lidar, rules = ready_settings(lidar, rules)
     require_memory(world, lidar, rules)
-    require_settings(lidar, rules)
+    start = read_start(start, start_m)
     (first,) = ready_starts(world, start, 1, seed=seed, rules=rules)
     own = draw_start(world, seed, episode, rules.clearance_m) if start == "random" else first
-    return Job(world, parsed, np.tile(np.asarray(own, np.int32), (episode + 1, 1)), seed)
+    return Job(world, parsed, np.tile(np.asarray(own, np.int32), (episode + 1, 1)), seed, lidar=lidar, rules=rules)
 
 
-def run_job(job: Job, lidar: Lidar, rules: Rules, *, fast: bool = False) -> Episode:
+def run_job(job: Job, *, fast: bool = False) -> Episode:
     """The `Episode` of a job: its last one."""
     use_compilation_cache()
     number = len(job.starts) - 1
+    lidar, rules = job.lidar or LIDAR, job.rules or RULES
     report = batch.run_jobs([job], lidar, rules, only=number, fast=fast)
     ((result, final, _),) = report.outcomes
     assert final is not None  # a run that was interrupted has raised

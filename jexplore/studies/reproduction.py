@@ -10,14 +10,15 @@ import os
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
-from jexplore.config import InputError, Lidar, Rules, unknown
+from jexplore.config import InputError, checked_names, unknown
 from jexplore.engine.backend import use_compilation_cache
 from jexplore.exploration.batch import Job
 from jexplore.report import tables
-from jexplore.studies import comparison
-from jexplore.studies.checks import LIDAR, RULES
-from jexplore.studies.comparison import Comparison
+from jexplore.studies.checks import LIDAR, RULES, LidarLike, RulesLike
 from jexplore.studies.papers import PAPERS, Paper
+from jexplore.studies.results import comparison
+from jexplore.studies.results.comparison import Comparison
+from jexplore.studies.results.progress import progress_bar
 from jexplore.studies.results.units import Ran, run_units
 from jexplore.studies.statistics import paired
 
@@ -75,6 +76,7 @@ def verdict(direction: str, ours: paired.PairedRatio, than: paired.PairedRatio |
     return "holds" if holds else "does not hold" if fails else "undecided"
 
 
+@checked_names
 @dataclasses.dataclass(frozen=True)
 class Reproduction:
     """A paper's tables beside ours. Tables are pandas DataFrames."""
@@ -217,8 +219,8 @@ def prepare_paper(
     episodes: int,
     seed: int,
     cell_m: float,
-    lidar: Lidar,
-    rules: Rules,
+    lidar: LidarLike,
+    rules: RulesLike,
 ) -> list[Job]:
     """Everything that `reproduce` refuses or loads before it runs: a list of `Job`. Arguments as there."""
     paper, jobs = find(name), []
@@ -243,6 +245,7 @@ def assemble(name: str, maps: str | os.PathLike[str] | None, jobs: Sequence[Job]
     return Reproduction(paper, comparison.assemble(jobs, ran), world_names(paper, maps), notes_of(paper, maps))
 
 
+@checked_names
 def reproduce(
     paper: str = "holz2010",
     *,
@@ -250,12 +253,13 @@ def reproduce(
     episodes: int = 100,
     seed: int = 0,
     cell_m: float = 0.1,
-    lidar: Lidar = LIDAR,
-    rules: Rules = RULES,
+    lidar: LidarLike = LIDAR,
+    rules: RulesLike = RULES,
     engine: str | None = None,
     lanes: int | None = None,
     workers: int | None = None,
     on_progress: Callable[[int], Any] | None = None,
+    progress: bool | None = None,
 ) -> Reproduction:
     """Runs a paper's strategies in its environments, and compares the tables and the claims.
 
@@ -263,7 +267,7 @@ def reproduce(
       paper: a key of `PAPERS`.
       maps: folder of the paper's maps (`Environment.file`); by default built-in counterparts stand in.
       episodes: of each strategy in each environment.
-      seed, cell_m, lidar, rules, engine, lanes, workers, on_progress: as in `comparison.compare`.
+      seed, cell_m, lidar, rules, engine, lanes, workers, on_progress, progress: as in `comparison.compare`.
 
     Returns:
       `Reproduction`.
@@ -273,5 +277,6 @@ def reproduce(
     """
     jobs = prepare_paper(paper, maps=maps, episodes=episodes, seed=seed, cell_m=cell_m, lidar=lidar, rules=rules)
     use_compilation_cache()
-    ran = run_units(jobs, engine=engine, lanes=lanes, workers=workers, on_progress=on_progress)
+    with progress_bar(progress, sum(len(job.starts) for job in jobs), "episodes", on_progress) as moved:
+        ran = run_units(jobs, engine=engine, lanes=lanes, workers=workers, on_progress=moved)
     return assemble(paper, maps, jobs, ran)

@@ -10,7 +10,7 @@ import numpy as np
 
 from jexplore import segment
 from jexplore.arrays.padding import bucket, framed
-from jexplore.config import require_number, unknown
+from jexplore.config import checked_names, require_number, unknown
 from jexplore.rooms import watershed
 from jexplore.rooms.baselines import BASELINES
 
@@ -18,6 +18,7 @@ VARIANTS = ("voronoi", *BASELINES, *segment.VARIANTS)
 BEST = "voronoi"  # by left-out scores: `benchmarks/segmentation_left_out.py`
 
 
+@functools.partial(checked_names, own="segment_maps")
 class Settings(NamedTuple):
     """Numbers and choices of all variants."""
 

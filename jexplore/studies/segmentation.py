@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from jexplore.config import InputError, unknown
+from jexplore.config import InputError, checked_names, unknown
 from jexplore.exploration.results import FREE, UNKNOWN
 from jexplore.rooms.doors import Doors, compared
 from jexplore.rooms.scores import AGREEMENT, regions_of, rooms_of, score
@@ -52,6 +52,7 @@ class Picture(NamedTuple):
     cell_m: float
 
 
+@checked_names
 class Segmentation(NamedTuple):
     """Scores and pictures of segmentations."""
 
@@ -85,6 +86,7 @@ def _text(value, whole):
     return "-" if np.isnan(value) else f"{value:.0f}" if whole and value.is_integer() else f"{value:.3f}"
 
 
+@checked_names
 def segment_maps(
     maps: str | os.PathLike[str] | World | Iterable[str | os.PathLike[str] | World],
     *,
@@ -117,8 +119,7 @@ def segment_maps(
       `Segmentation`.
 
     Raises:
-      InputError: a name, number or picture that cannot be used. Raised before anything is compiled.
-      TypeError: a setting that there is not.
+      InputError: a name, number, picture or setting that cannot be used. Raised before anything is compiled.
     """
     chosen: Any = listed("variants", variants)
     numbers = Settings(**settings)
@@ -147,7 +148,7 @@ def _stages(world, job):
     """The maps of a world to be segmented: `(stage, explored, free, unseen)`; the whole one last, only that without a
     job.
     """
-    partial = () if job is None else maps_at(run_job(job, LIDAR, RULES), SHARES)
+    partial = () if job is None else maps_at(run_job(job), SHARES)
     whole = 1.0, 1.0, ~world.occupied, np.zeros_like(world.occupied)
     return [*((*shares, state == FREE, state == UNKNOWN) for *shares, state in partial), whole]
 

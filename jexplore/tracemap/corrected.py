@@ -8,7 +8,7 @@ import numpy as np
 
 from jexplore.arrays.padding import bucket
 from jexplore.arrays.pose_graph import settle
-from jexplore.config import InputError
+from jexplore.config import InputError, checked_names
 from jexplore.tracemap.merging.rigid import Move
 from jexplore.tracemap.record import NOWHERE, BtmMap, Link, check, direction_deg
 
@@ -17,6 +17,7 @@ PLACE = 0.1, 0.03  # standard deviation of a move along a link: metres, and so m
 TURN_DEG = 2.0  # of how far the frame of one end is turned against that of the other
 
 
+@checked_names
 def correct_map(btm: BtmMap) -> BtmMap:
     """The map with places and bearings that fit what the odometry said along all links as well as possible.
 

@@ -9,7 +9,7 @@ import re
 from typing import Any
 
 from jexplore.arrays.files import json_of, read_text
-from jexplore.config import InputError, shown
+from jexplore.config import InputError, checked_names, shown
 from jexplore.tracemap.record import BtmMap, Link, Node, called, check
 
 FORMAT = "behavioral-trace-map"
@@ -52,6 +52,7 @@ def to_json(btm: BtmMap) -> dict[str, Any]:
     }
 
 
+@checked_names
 def read_btm(path: str | os.PathLike[str]) -> BtmMap:
     """The map in a JSON file, such as `btm.json`.
 

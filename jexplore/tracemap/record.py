@@ -13,7 +13,7 @@ from typing import Any
 
 from jexplore.arrays.files import require_shallow
 from jexplore.arrays.pictures import html_of, or_text
-from jexplore.config import InputError, shown
+from jexplore.config import InputError, checked_names, shown
 from jexplore.tracemap.picture import MARKS, nodes_and_links
 
 NODE_TYPES = ("terminal", "divergence", "free_space", "obstacle")
@@ -109,6 +109,7 @@ def direction_deg(bearing_deg: float) -> float:
     return 0.0 if bearing_deg == 360.0 else bearing_deg
 
 
+@checked_names
 @dataclasses.dataclass(frozen=True)
 class BtmMap:
     """Nodes and links in the order of their making; the first node is where the robot started."""

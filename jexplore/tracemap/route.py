@@ -7,6 +7,7 @@ import dataclasses
 import functools
 from collections.abc import Sequence
 
+from jexplore.config import checked_names
 from jexplore.tracemap.passable import called, inclination_of, step_of, unknowns, unknowns_at, width_of
 from jexplore.tracemap.record import NOWHERE, BtmMap, Link, Node, direction_deg, length_of, parts_of
 
@@ -41,6 +42,7 @@ class Step:
     roll_deg: float | None
 
 
+@checked_names
 @dataclasses.dataclass(frozen=True)
 class Route:
     """The shortest way of a robot from node to node, or why there is none."""

@@ -7,9 +7,12 @@ import dataclasses
 import importlib
 import inspect
 import os
+import sys
+import types
 from typing import TYPE_CHECKING, Any
 
-from jexplore.config import InputError, require_number
+from jexplore.arrays.pictures import Listing
+from jexplore.config import InputError, checked_names, require_number
 from jexplore.worlds import names
 
 if TYPE_CHECKING:
@@ -30,8 +33,38 @@ _PARAMETERS = {
     "ROS bag": ("topic", "message", "free_max", "occupied_min"),
 }
 """Kind of file -> what its reader takes in a world name, where it takes anything. Pictures have their own."""
+_FILES = {
+    "map.yaml": "a ROS map",
+    "map.png@16x16, map.png@0.05": "a picture, with its sides in metres or its metres a pixel",
+    "map.map@0.1": "a MovingAI map, with its metres a cell",
+    "plan.json": "a HouseExpo plan",
+    "scans.log": "a CARMEN log",
+    "run.bag, run.mcap": "a ROS bag",
+}
+"""Name of a file -> what is read of it."""
 
 
+def listing() -> Listing:
+    """The worlds that `load_world` knows, with what they take, as a table that shows itself: `jx.worlds()`."""
+    rows = []
+    for name in GENERATORS:
+        told = ", ".join(f"{key}={value}" for key, value in generator_parameters(name).items())
+        rows.append((f"{name}, {name}#3", (inspect.getdoc(_function(name)) or "").partition("\n")[0], told))
+    rows += [(name, what, "") for name, what in _FILES.items()]
+    return Listing(("world", "what it is", "parameters"), tuple(rows))
+
+
+class _Package(types.ModuleType):
+    """This package, which lists the worlds when it is called."""
+
+    def __call__(self) -> Listing:
+        return listing()
+
+
+sys.modules[__name__].__class__ = _Package
+
+
+@checked_names
 def load_world(name: str | os.PathLike[str], cell_m: float = 0.1) -> "World":
     """The world of a name: a generated one, or one read from a map file.
 

@@ -25,11 +25,7 @@ def floor_plan(occupied: np.ndarray, rooms: np.ndarray | None = None, start: Any
     """
     from PIL import Image, ImageDraw
 
-    rooms = None if rooms is None else np.asarray(rooms)
-    colours = np.full((*occupied.shape, 3), 255, np.uint8)
-    if rooms is not None and rooms.max() >= 0:
-        colours[rooms >= 0] = np.array(soft_colours(int(rooms.max()) + 1), np.uint8)[rooms[rooms >= 0]]
-    colours[occupied] = 0
+    colours = _colours(occupied, rooms)
     cells = math.ceil(max(occupied.shape) / (1.5 * LONG_PX))  # to a pixel
     image = Image.fromarray(np.ascontiguousarray(colours[::-1])).reduce(cells)
     pixels = FINE * max(1, LONG_PX // max(image.size))  # of a side of what is left of a cell
@@ -39,6 +35,50 @@ def floor_plan(occupied: np.ndarray, rooms: np.ndarray | None = None, start: Any
         middle = pixels / cells * (col + 0.5), pixels / cells * (occupied.shape[0] - row - 0.5)
         ImageDraw.Draw(image).polygon(list(_arrow(middle, heading_deg)), fill=ROBOT, outline=(0, 0, 0), width=FINE)
     return written(image.reduce(FINE))
+
+
+def draw_plan(
+    ax: Any,
+    occupied: np.ndarray,
+    rooms: np.ndarray | None = None,
+    start: Any = None,
+    title: str = "",
+    *,
+    cell_m: float,
+    origin_m: tuple[float, float] = (0.0, 0.0),
+) -> Any:
+    """A floor plan on matplotlib `Axes`, in metres.
+
+    Args:
+      ax: the axes.
+      occupied, rooms, start: as in `floor_plan`.
+      title: of the axes.
+      cell_m: edge of a cell, metres.
+      origin_m: x, y of the lower left corner of cell (0, 0), metres.
+
+    Returns:
+      `ax`.
+    """
+    (rows, cols), (x_m, y_m) = occupied.shape, origin_m
+    extent = (x_m, x_m + cols * cell_m, y_m, y_m + rows * cell_m)
+    ax.imshow(_colours(occupied, rooms), origin="lower", extent=extent)
+    if start is not None:
+        row, col, heading_deg = start
+        at, colour = (x_m + (col + 0.5) * cell_m, y_m + (row + 0.5) * cell_m), [channel / 255 for channel in ROBOT]
+        ax.plot(*at, marker=(3, 0, heading_deg - 90), markersize=ROBOT_PX, color=colour, markeredgecolor="black")
+    ax.set(xlabel="x (m)", ylabel="y (m)")
+    ax.set_title(title).set_parse_math(False)
+    return ax
+
+
+def _colours(occupied, rooms):
+    """`[H, W, 3]` uint8: walls black, floor white, rooms in soft colours."""
+    rooms = None if rooms is None else np.asarray(rooms)
+    colours = np.full((*occupied.shape, 3), 255, np.uint8)
+    if rooms is not None and rooms.max() >= 0:
+        colours[rooms >= 0] = np.array(soft_colours(int(rooms.max()) + 1), np.uint8)[rooms[rooms >= 0]]
+    colours[occupied] = 0
+    return colours
 
 
 def _arrow(middle, heading_deg):

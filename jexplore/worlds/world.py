@@ -1,19 +1,21 @@
 """A world: the true floor plan that an episode runs in."""
 
 import dataclasses
+import importlib
 import math
 import os
 from collections.abc import Iterable
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from flax import struct
 from numpy.typing import ArrayLike
 
-from jexplore.arrays.pictures import html_of, or_text
-from jexplore.config import InputError, require_number, shown
+from jexplore.arrays.pictures import axes_of, html_of, or_text
+from jexplore.config import InputError, checked_names, require_number, shown
 from jexplore.tracemap.record import BtmMap
-from jexplore.worlds.picture import floor_plan
+from jexplore.worlds.picture import draw_plan, floor_plan
 
 MAX_SIDE = 4096  # cells along the longer side, ring included
 
@@ -33,6 +35,7 @@ class Course:
     """The true map, nodes in the order in which the robot meets them; of a course with a goal the part on its way."""
 
 
+@checked_names
 @struct.dataclass
 class World:
     """One floor plan, on the host. Row 0 is the bottom; x runs along columns, y along rows.
@@ -70,6 +73,47 @@ class World:
     def free_m2(self) -> float:
         """Area of the free cells, square metres."""
         return float((~self.occupied).sum()) * self.cell_m**2
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
+        """`occupied`, for numpy and for `plt.imshow(world, origin="lower")`."""
+        return np.array(self.occupied, dtype, copy=copy)
+
+    def plot(self, ax: Any = None) -> Any:
+        """Draws walls, rooms and start in metres of the map's frame.
+
+        Args:
+          ax: matplotlib `Axes`; by default those of a new figure.
+
+        Returns:
+          The `Axes`.
+        """
+        return draw_plan(
+            axes_of(ax), self.occupied, self.rooms, self.start, self.name, cell_m=self.cell_m, origin_m=self.origin_m
+        )
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Writes walls and origin as a map of ROS's map_server: a yaml file and a PGM beside it.
+
+        `jx.load_world(path, cell_m=world.cell_m)` gives the same cells and origin. Rooms, start and elevation have no
+        place in such a map.
+
+        Args:
+          path: the yaml file; missing folders are made.
+
+        Returns:
+          The path of the yaml file.
+
+        Raises:
+          InputError: another ending, or the files cannot be written.
+        """
+        ros = importlib.import_module("jexplore.worlds.readers.ros")  # by name: readers stand upon worlds
+        path = Path(os.path.expanduser(path))
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise InputError(f"{os.fspath(path.parent)!r} must be a folder: {error.strerror}") from None
+        ros.write_ros(self, path)
+        return path
 
     def __repr__(self) -> str:
         return f"<World {self._told() or repr(self.name)}>"
@@ -179,7 +223,7 @@ def with_ring(world: World) -> World:
         within=None if world.within is None else np.pad(world.within, 1),
         known=None if world.known is None else np.pad(world.known, 1, constant_values=-1),
         start=None if world.start is None else (world.start[0] + 1, world.start[1] + 1, world.start[2]),
-        origin_m=(x_m - world.cell_m, y_m - world.cell_m),
+        origin_m=(round(x_m - world.cell_m, 9), round(y_m - world.cell_m, 9)),  # as people write them, to the nanometre
     )
 
 
@@ -234,6 +278,7 @@ def require_side(name: str, rows: float, cols: float, cell_m: float | None = Non
     raise InputError(f"{name!r}: {size} cells are more than {MAX_SIDE} a side; {larger}, or {cut}")
 
 
+@checked_names
 def occupancy_to_world(
     occupancy: ArrayLike,
     *,

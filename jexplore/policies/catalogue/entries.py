@@ -7,7 +7,7 @@ import re
 from collections.abc import Callable
 from typing import Any, TypeVar, overload
 
-from jexplore.config import InputError
+from jexplore.config import InputError, checked_names
 from jexplore.policies.catalogue.own import first_line, is_replaced, is_score, place_of
 from jexplore.policies.closest import closest
 from jexplore.policies.decision_theoretic import decision_theoretic
@@ -98,6 +98,7 @@ def register(
 ) -> Callable[[_Made], _Made]: ...
 @overload
 def register(name: str, make: _Made, *, summary: str = "", source: str = "", replace: bool = False) -> _Made: ...
+@checked_names
 def register(name: str, make: Any = None, *, summary: str = "", source: str = "", replace: bool = False) -> Any:
     """Give a strategy a name of its own, under which modifiers, tables and the command line know it.
 

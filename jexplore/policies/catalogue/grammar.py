@@ -7,6 +7,7 @@ import re
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from jexplore.arrays.pictures import Listing
 from jexplore.config import InputError, require_number, shown, unknown
 from jexplore.policies.catalogue.adapt import adapted, policy_from, with_exact_numbers
 from jexplore.policies.catalogue.entries import MODIFIERS, SYNONYMS, Entry, entry_of, known_names, source_of
@@ -58,6 +59,12 @@ def listing() -> list[Listed]:
             told = ", ".join(key if value is REQUIRED else f"{key}={value}" for key, value in own.items())
             lines.append(Listed(name, entry.summary, told, source_of(entry)))
     return lines
+
+
+def strategies() -> Listing:
+    """All strategies that have a name, with what they take, as a table that shows itself."""
+    rows = tuple((one.name, one.summary, one.parameters or "-", one.source) for one in listing())
+    return Listing(("strategy", "goes to", "parameters", "source"), rows)
 
 
 def _modifier_parameters(modifiers):

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jexplore.config import MAX_SEED, InputError, Lidar, Rules, require_number, require_whole
+from jexplore.config import MAX_SEED, InputError, Lidar, Rules, checked_names, require_number, require_whole
 from jexplore.engine.backend import start_backend, use_compilation_cache
 from jexplore.engine.runner import own_cores
 from jexplore.report.ledger import Ledger
@@ -30,11 +30,15 @@ from jexplore.studies.checks import (
     LIDAR,
     MAX_EPISODES,
     RULES,
+    LidarLike,
+    RulesLike,
+    StartLike,
     WorldLike,
+    ready_settings,
     ready_starts,
     ready_worlds,
-    require_settings,
 )
+from jexplore.studies.results.progress import progress_bar
 from jexplore.studies.results.provenance import digest
 from jexplore.version import __version__
 from jexplore.worlds.world import World
@@ -48,6 +52,7 @@ JOIN_S = 5.0  # seconds that a process may take to end
 WALK, WITNESSES = "_walk", "_witnesses"  # columns of a unit's file besides
 
 
+@checked_names
 @dataclasses.dataclass(frozen=True)
 class Bounds:
     """What `bound` found. Tables are pandas DataFrames."""
@@ -121,19 +126,21 @@ def bounds_table(table: "pd.DataFrame") -> str:
     return aligned_table(head, lines, left=("world", "start", "status"))
 
 
+@checked_names
 def bound(
     worlds: WorldLike | Iterable[WorldLike],
     *,
     starts: int = 5,
     seed: int = 0,
     cell_m: float = 0.1,
-    start: str = "random",
+    start: StartLike = "random",
     seconds: float = 10.0,
     max_floods: int | None = None,
-    lidar: Lidar = LIDAR,
-    rules: Rules = RULES,
+    lidar: LidarLike = LIDAR,
+    rules: RulesLike = RULES,
     workers: int = 1,
     on_progress: Callable[[int], object] | None = None,
+    progress: bool | None = None,
 ) -> Bounds:
     """The shortest walks that a robot with the map could drive, from the starts that `compare` has.
 
@@ -142,13 +149,14 @@ def bound(
       starts: how many in each world: those of the first episodes.
       seed: of the starts.
       cell_m: edge of a cell of the worlds that are loaded by name, metres.
-      start: "random", or "world" for every world's own start.
+      start: as for `compare`.
       seconds: for each start, compiling apart; a smaller gap takes more.
       max_floods: instead of seconds so many shortest-path maps, for results that are the same on every machine.
-      lidar: `Lidar`, without noise and drop-out.
-      rules: `Rules`.
+      lidar: `Lidar` without noise and drop-out, or a mapping of some of its fields.
+      rules: `Rules`, likewise.
       workers: processes that work at a time. With more than one a script needs `if __name__ == "__main__":`.
       on_progress: called with the number of starts finished.
+      progress: whether a bar shows that; by default in notebooks.
 
     Returns:
       `Bounds`.
@@ -167,7 +175,8 @@ def bound(
         lidar=lidar,
         rules=rules,
     )
-    return run_bounds(tasks, workers=workers, on_progress=on_progress)
+    with progress_bar(progress, len(tasks), "starts", on_progress) as moved:
+        return run_bounds(tasks, workers=workers, on_progress=moved)
 
 
 def prepare_bounds(
@@ -176,21 +185,19 @@ def prepare_bounds(
     starts: int,
     seed: int,
     cell_m: float,
-    start: str,
+    start: StartLike,
     seconds: float,
     max_floods: int | None,
-    lidar: Lidar,
-    rules: Rules,
+    lidar: LidarLike,
+    rules: RulesLike,
 ) -> list[Task]:
     """Everything that `bound` refuses or loads before it runs: a list of `Task`. Arguments as there."""
-    require_settings(lidar, rules)
+    lidar, rules = ready_settings(lidar, rules)
     starts = require_whole("starts", starts, 1, MAX_EPISODES)
     seed = require_whole("seed", seed, 0, MAX_SEED)
     seconds = require_number("seconds", seconds, low_open=True, high=MAX_S)
     if max_floods is not None:
         require_whole("max_floods", max_floods, 1, 10**9)
-    if start not in ("random", "world"):
-        raise InputError(f"start must be random or world, got {start!r}")
     require_perfect(lidar)
     pairs: list[tuple[World, tuple[int, int, int]]] = []
     for world in ready_worlds(worlds, cell_m):

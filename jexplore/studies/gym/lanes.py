@@ -12,13 +12,14 @@ from gymnasium.vector.utils import batch_space  # type: ignore[import-not-found]
 
 from jexplore.arrays.draws import random_key
 from jexplore.arrays.loops import alone_on_cpu, run_if
-from jexplore.config import MAX_SEED, InputError, Lidar, Rules, require_whole
-from jexplore.studies.checks import LIDAR, RULES
+from jexplore.config import MAX_SEED, InputError, checked_names, require_whole
+from jexplore.studies.checks import LIDAR, RULES, LidarLike, RulesLike
 from jexplore.studies.environment import Environment, EnvState
 from jexplore.studies.gym.game import MAX_DECISIONS, Game, copied, drawn_seed, look, mask_of, whole
 from jexplore.studies.gym.single import GymEnv
 
 
+@checked_names
 class GymVectorEnv(VectorEnv):
     """Many environments in step, each with an episode of its own: `jx.GymVectorEnv(["rooms#1", "maze"], num_envs=64)`.
 
@@ -37,8 +38,8 @@ class GymVectorEnv(VectorEnv):
         num_envs: int = 1,
         *,
         cell_m: float = 0.1,
-        lidar: Lidar = LIDAR,
-        rules: Rules = RULES,
+        lidar: LidarLike = LIDAR,
+        rules: RulesLike = RULES,
         recheck: bool = False,
         targets: str = "frontier",
         max_decisions: int = MAX_DECISIONS,

@@ -7,12 +7,13 @@ import jax
 import numpy as np
 
 from jexplore.arrays.draws import random_key
-from jexplore.config import MAX_SEED, InputError, Lidar, Rules, require_whole
-from jexplore.studies.checks import LIDAR, RULES
+from jexplore.config import MAX_SEED, InputError, checked_names, require_whole
+from jexplore.studies.checks import LIDAR, RULES, LidarLike, RulesLike
 from jexplore.studies.environment import Environment, EnvState
 from jexplore.studies.gym.game import MAX_DECISIONS, Game, copied, drawn_seed, look, require_options, whole
 
 
+@checked_names
 class GymEnv(gymnasium.Env):
     """A single environment: `jx.GymEnv("rooms#1")`. The folder's text says what observations, actions and infos are.
 
@@ -32,8 +33,8 @@ class GymEnv(gymnasium.Env):
         worlds: Any,
         *,
         cell_m: float = 0.1,
-        lidar: Lidar = LIDAR,
-        rules: Rules = RULES,
+        lidar: LidarLike = LIDAR,
+        rules: RulesLike = RULES,
         recheck: bool = False,
         targets: str = "frontier",
         max_decisions: int = MAX_DECISIONS,

@@ -13,14 +13,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from jexplore.arrays.files import first_line, read_json, read_npz
-from jexplore.config import InputError, Lidar, Rules, shown
+from jexplore.config import InputError, Lidar, Rules, checked_names, shown
 from jexplore.engine.runner import Costs
 from jexplore.exploration.state import MARKS
 from jexplore.report import store
 from jexplore.report.folders import UNFINISHED
-from jexplore.studies.comparison import Comparison
 from jexplore.studies.papers import PAPERS
 from jexplore.studies.reproduction import Reproduction, notes_of, world_names
+from jexplore.studies.results.comparison import Comparison, Made
+from jexplore.studies.results.saving import DETAILS
 from jexplore.studies.results.units import COLUMNS, Piece, Seen, to_table
 from jexplore.studies.sweeps.plan import Plan
 from jexplore.studies.sweeps.run import Swept, ordered, ready
@@ -33,35 +34,12 @@ from jexplore.worlds.world import World
 if TYPE_CHECKING:
     import pandas as pd
 
-DETAILS = "details.npz"
 MOST_DETAILS_BYTES = 2**32  # unpacked; the progress of a million episodes takes a fifth
 MADE_FROM = ("version", "spec", "digests")  # entries of what was asked from which a sweep is made ready again
 
 
-def write_details(found: Comparison, path: Path) -> None:
-    """Writes what a table of episodes cannot hold: worlds, first episodes, progress."""
-    arrays: dict[str, Any] = {}
-    for i, world in enumerate(found.worlds):
-        arrays[f"world/{i}/occupied"] = world.occupied
-        arrays[f"world/{i}/cell_m"] = np.float64(world.cell_m)
-        arrays[f"world/{i}/origin_m"] = np.asarray(world.origin_m, np.float64)
-        arrays[f"world/{i}/name"] = np.str_(os.fspath(world.name))
-        if world.rooms is not None:
-            arrays[f"world/{i}/rooms"] = world.rooms
-        if world.start is not None:
-            arrays[f"world/{i}/start"] = np.asarray(world.start, np.int64)
-        for k, seen in enumerate(found.first.get(world.name, [])):
-            at = f"first/{i}/{k}"
-            arrays[f"{at}/strategy"] = np.str_(seen.strategy)
-            arrays[f"{at}/state"], arrays[f"{at}/rows"], arrays[f"{at}/cols"] = seen.state, seen.rows, seen.cols
-            arrays[f"{at}/path_m"] = np.float64(seen.path_m)
-    if found.progress:
-        arrays["progress"] = np.concatenate(list(found.progress.values()))
-    np.savez_compressed(path, **arrays)
-
-
 def _details(path, episodes):
-    """Worlds, first episodes and progress: `(worlds, first, progress)`."""
+    """Worlds, first episodes, progress, ways and maps, as fields of a `Comparison`."""
     arrays = read_npz(path, MOST_DETAILS_BYTES)
     worlds, first = [], {}
     while f"world/{len(worlds)}/occupied" in arrays:
@@ -84,16 +62,21 @@ def _details(path, episodes):
         worlds.append(world)
         if own:
             first[world.name] = own
-    progress, at = {}, 0
+    progress, paths, maps, at = {}, {}, {}, 0
     if "progress" in arrays:
         if arrays["progress"].shape != (len(episodes), MARKS):
             raise InputError(f"{path} must have the progress of {len(episodes)} episodes")
-        for pair, rows in episodes.groupby(["world", "strategy"], sort=False):
+        for k, (pair, rows) in enumerate(episodes.groupby(["world", "strategy"], sort=False)):
             progress[pair] = arrays["progress"][at : at + len(rows)]
             at += len(rows)
-    return tuple(worlds), first, progress
+            if f"ways/{k}" in arrays:
+                paths[pair] = np.split(arrays[f"ways/{k}"], np.cumsum(arrays[f"ways/{k}/length"])[:-1])
+            if f"maps/{k}" in arrays:
+                maps[pair] = arrays[f"maps/{k}"]
+    return {"worlds": tuple(worlds), "first": first, "progress": progress, "paths": paths, "maps": maps}
 
 
+@checked_names
 def load(path: str | os.PathLike[str]) -> Any:
     """The results of a run, from the folder that it has written.
 
@@ -167,10 +150,11 @@ def _as_written(folder, record):
 
 def _comparison(folder, record, command):
     episodes = store.read_parquet(folder / "episodes.parquet", required=COLUMNS)
-    worlds, first, progress = _details(folder / DETAILS, episodes)
     found = Comparison(
-        *(episodes, worlds, first, record["compile_s"], record["run_s"], record["interrupted"], record["resumed"]),
-        progress=progress,
+        episodes,
+        **{name: record[name] for name in ("compile_s", "run_s", "interrupted", "resumed")},
+        **_details(folder / DETAILS, episodes),
+        made=Made(record=record),
         lidar=Lidar(**record["configuration"]["lidar"]),
         rules=Rules(**record["configuration"]["rules"]),
     )

@@ -137,3 +137,20 @@ def asked(jobs: Sequence[Job]) -> dict[str, Any]:
         "digests": {name: digest(world) for name, world in worlds.items()},
         "own": own_digests(jobs),
     }
+
+
+def describe(world: World) -> dict[str, Any]:
+    """What a table of worlds says about one."""
+    rows, cols = world.shape
+    rooms = None if world.rooms is None else int(world.rooms.max()) + 1
+    return {
+        "world": world.name,
+        "rows": rows,
+        "cols": cols,
+        "cell_m": world.cell_m,
+        "free_m2": world.free_m2,
+        "rooms": rooms,
+        "start": world.start,
+        "sha256": digest(world),
+        "files": files_of(world),
+    }

@@ -5,7 +5,7 @@ pandas is imported by the function that needs it.
 
 import dataclasses
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -118,12 +118,13 @@ def summarise(episodes: "pd.DataFrame", *, confidence: float = 0.95) -> "pd.Data
     return found
 
 
-def markdown_table(summary: Any, *, confidence: float = 0.95) -> str:
+def markdown_table(summary: Any, *, confidence: float = 0.95, as_text: Callable[..., str] = aligned_table) -> str:
     """A summary as one aligned Markdown table.
 
     Args:
       summary: from `summarise`.
       confidence: that of its intervals, for the heading.
+      as_text: what makes text of the names of columns and the texts of rows.
 
     Returns:
       Text that ends with a newline. Missing values are `-`; bars in names are escaped.
@@ -140,7 +141,7 @@ def markdown_table(summary: Any, *, confidence: float = 0.95) -> str:
         line += [number_text(row.plans, 1), number_text(row.scans, 1), number_text(row.turning_rad, 1)]
         line += [number_text(row.explored_fraction, 3), number_text(row.exhausted, 1), number_text(row.room_entries, 1)]
         lines.append([*line, row.outcomes])
-    return aligned_table(head, lines, left=("world", "strategy", "outcomes"))
+    return as_text(head, lines, left=("world", "strategy", "outcomes"))
 
 
 def path_at_equal_coverage(progress: np.ndarray, reference: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -24,6 +24,7 @@ from jexplore.studies.results.provenance import digest, own_digests
 from jexplore.studies.results.units import CELL_S, LEAST, UNIT_S
 from jexplore.studies.sweeps.spec import MAX_TOTAL, Sweep, plain
 from jexplore.version import __version__
+from jexplore.worlds.poses import read_start
 from jexplore.worlds.world import World
 
 UNIT = 256  # episodes of a unit at most, about; one file each
@@ -190,7 +191,7 @@ class Plan:
 
     def starts(self, world: World, seed: int, clearance_m: float, near_m: float) -> np.ndarray:
         """The starts of all episodes in a world."""
-        return _starts(world.name, world.cell_m, seed, clearance_m, near_m, self.spec.episodes, self.spec.start)
+        return _starts(world.name, world.cell_m, seed, clearance_m, near_m, self.spec.episodes, _start_of(self.spec))
 
     def first_jobs(self, most: int = 12) -> list[tuple[Job, dict[str, Any]]]:
         """Episode 0 of the first settings, worlds and strategies, and the setting of each."""
@@ -222,6 +223,10 @@ def _loaded(name, cell_m):
 def _starts(name, cell_m, seed, clearance_m, near_m, n, start):
     rules = Rules(clearance_m=clearance_m, near_m=near_m)
     return ready_starts(_loaded(name, cell_m), start, n, seed=seed, rules=rules)
+
+
+def _start_of(spec):
+    return read_start(spec.start, spec.start_m)
 
 
 def kind_of(values: Sequence[Any]) -> str:
@@ -266,7 +271,7 @@ def prepare_sweep(spec: Sweep) -> Plan:
             loaded = _loaded(os.fspath(spec.worlds[world]), cell_m)
             if (world, cell_m, seed, rules.clearance_m, rules.near_m) not in checked:
                 checked.add((world, cell_m, seed, rules.clearance_m, rules.near_m))
-                ready_starts(loaded, spec.start, 1, seed=seed, rules=rules)
+                ready_starts(loaded, _start_of(spec), 1, seed=seed, rules=rules)
             if (world, cell_m, lidar, rules.max_steps) not in checked:
                 checked.add((world, cell_m, lidar, rules.max_steps))
                 require_memory(loaded, lidar, rules)

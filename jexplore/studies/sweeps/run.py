@@ -12,11 +12,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jexplore.config import InputError
+from jexplore.arrays.pictures import shown_figure
+from jexplore.config import InputError, checked_names
 from jexplore.engine.backend import use_compilation_cache
 from jexplore.engine.runner import Costs
 from jexplore.report.ledger import Ledger
 from jexplore.report.tables import aligned_table, number_text, ratio_text, spread_text
+from jexplore.studies.results.progress import progress_bar
+from jexplore.studies.results.tables import ByStrategy
 from jexplore.studies.results.units import COLUMNS
 from jexplore.studies.statistics.paired import paired_ratio
 from jexplore.studies.sweeps.plan import Plan, in_shard, prepare_sweep
@@ -26,15 +29,20 @@ from jexplore.studies.sweeps.work import run_block_units, typed
 
 if TYPE_CHECKING:
     import pandas as pd
+    from matplotlib.figure import Figure
 
 WINDOW_EPISODES = 8192  # of units that are run together
 WINDOW_SITES = 32  # worlds made ready at a time
 SHOWN = 24  # rows of the table that is printed
 
 
+@checked_names
 @dataclasses.dataclass(frozen=True)
-class Swept:
-    """What a sweep found. Tables are pandas DataFrames."""
+class Swept(ByStrategy):
+    """What a sweep found. Tables are pandas DataFrames.
+
+    It is iterated over by the names of its strategies, or robots.
+    """
 
     spec: Sweep
     episodes: "pd.DataFrame"
@@ -63,9 +71,22 @@ class Swept:
             else summarise(self.episodes, self.columns, self.reference)
         )
 
-    def to_pandas(self) -> "pd.DataFrame":
-        """The table of episodes."""
-        return self.episodes
+    @property
+    def _who(self):
+        return "robot" if self.spec.robots else "strategy"
+
+    def _summary_text(self, as_text):
+        return (traces_table if self.spec.robots else summary_table)(self.summary, self.varied, as_text)
+
+    def plot(self) -> "Figure":
+        """The first of `figures`, as a matplotlib `Figure`: mean paths along the first number that is varied.
+
+        Raises:
+          InputError: no number is varied.
+        """
+        for make in self.figures().values():
+            return shown_figure(make())
+        raise InputError("a sweep is drawn along a number that is varied, and this one has none: see to_pandas()")
 
     def to_xarray(self) -> Any:
         """The table as an `xarray.Dataset` with labelled dimensions: see `labelled.of_sweep`."""
@@ -149,15 +170,15 @@ def summarise(episodes: "pd.DataFrame", columns: Sequence[str], first: str) -> "
     return pd.DataFrame(rows)
 
 
-def summary_table(summary: Any, varied: Sequence[str]) -> str:
-    """Rows of `Swept.summary` as Markdown."""
+def summary_table(summary: Any, varied: Sequence[str], as_text: Callable[..., str] = aligned_table) -> str:
+    """Rows of `Swept.summary` as Markdown, or as what `as_text` makes of names of columns and texts of rows."""
     head = ["world", *varied, "strategy", "n", "path m", "ratio to the first", "explored", "COMPLETE"]
     lines = []
     for _, row in summary.iterrows():
         line = [row["world"], *(_value_text(row[name]) for name in varied), row["strategy"], str(row["n"])]
         line += [spread_text(row["mean"], row["sd"]), ratio_text(row["ratio"], row["ratio_low"], row["ratio_high"])]
         lines.append([*line, number_text(row["explored_fraction"], 3), f"{100 * row['complete']:.0f}%"])
-    return aligned_table(head, lines, left=("world", "strategy"))
+    return as_text(head, lines, left=("world", "strategy"))
 
 
 def _value_text(value):
@@ -260,6 +281,7 @@ def ordered(table: "pd.DataFrame", plan: Plan | TracePlan) -> "pd.DataFrame":
     return table.iloc[order].reset_index(drop=True)
 
 
+@checked_names
 def sweep(
     spec: Sweep | Mapping[str, Any] | str | os.PathLike[str],
     *,
@@ -268,6 +290,7 @@ def sweep(
     workers: int | None = None,
     gpu: bool = False,
     on_progress: Callable[[int], object] | None = None,
+    progress: bool | None = None,
     fast: bool = False,
 ) -> Swept:
     """Compares strategies over many settings.
@@ -275,6 +298,7 @@ def sweep(
     Args:
       spec: a `Sweep`, a mapping of its fields, or a YAML file. `jexplore sweep` keeps what it finishes; this does not.
       engine, lanes, workers, gpu, on_progress, fast: as in `run_sweep`.
+      progress: whether a bar shows how much is finished; by default in notebooks.
 
     Returns:
       `Swept`.
@@ -289,7 +313,10 @@ def sweep(
     if not isinstance(spec, Sweep):
         raise InputError(f"a sweep must be a jx.Sweep, a mapping or a YAML file, got {spec!r}")
     how: dict[str, Any] = {"engine": engine, "lanes": lanes, "workers": workers, "gpu": gpu}
-    return run_sweep(ready(spec), **how, on_progress=on_progress, fast=fast)
+    plan = ready(spec)
+    total = sum(map(plan.size, range(len(plan.units))))
+    with progress_bar(progress, total, "runs" if spec.robots else "episodes", on_progress) as moved:
+        return run_sweep(plan, **how, on_progress=moved, fast=fast)
 
 
 def ready(spec: Sweep) -> Plan | TracePlan:

@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 
 from jexplore.arrays.files import first_line, read_yaml
-from jexplore.config import MAX_SEED, InputError, Lidar, Rules, require_number, require_whole, unknown
+from jexplore.config import MAX_SEED, InputError, Lidar, Rules, checked_names, require_number, require_whole, unknown
 from jexplore.driving.settings import Noise, Tuning
+from jexplore.worlds.poses import read_start
 
 MAX_SETTINGS = 100_000
 MAX_TOTAL = 100_000_000  # episodes
@@ -22,6 +23,7 @@ PARTS = {"lidar": Lidar, "rules": Rules, "tuning": Tuning, "noise": Noise}
 _FIELDS_OF = {name: {field.name: field for field in dataclasses.fields(kind)} for name, kind in PARTS.items()}
 
 
+@checked_names
 @dataclasses.dataclass(frozen=True)
 class Range:
     """Numbers from low to high that are drawn from."""
@@ -38,6 +40,7 @@ class Range:
         return self.low + share * (self.high - self.low)
 
 
+@checked_names
 @dataclasses.dataclass(frozen=True)
 class Sweep:
     """A sweep of comparisons. A list is an axis of the product; a `Range`, or `{low: 1, high: 4}`, is drawn from."""
@@ -53,19 +56,21 @@ class Sweep:
     """Of starts and draws."""
     cell_m: Any = 0.1
     """Edge of a cell of the worlds, metres."""
-    start: str = "random"
-    """"random", or "world" for every world's own start."""
-    lidar: Mapping[str, Any] = dataclasses.field(default_factory=dict)
-    """Fields of `jx.Lidar`."""
-    rules: Mapping[str, Any] = dataclasses.field(default_factory=dict)
-    """Fields of `jx.Rules`."""
+    start: Any = "random"
+    """"random", or "world" for every world's own; or in all of them `(row, col, heading_deg)` or `2.0m,1.5m,90`."""
+    start_m: Any = None
+    """`(x_m, y_m, yaw_deg)` in all worlds, in metres of the map's frame, instead of `start`."""
+    lidar: Mapping[str, Any] | Lidar = dataclasses.field(default_factory=dict)
+    """A `jx.Lidar`, or fields of it."""
+    rules: Mapping[str, Any] | Rules = dataclasses.field(default_factory=dict)
+    """A `jx.Rules`, or fields of it."""
     robots: tuple[str, ...] = ()
     """Robots that write Behavioral Trace Maps, as `jx.trace` takes them: then runs of these are made instead of
     episodes of strategies, `episodes` of each."""
-    tuning: Mapping[str, Any] = dataclasses.field(default_factory=dict)
-    """Fields of `jx.Tuning`, for robots."""
-    noise: Mapping[str, Any] = dataclasses.field(default_factory=dict)
-    """Fields of `jx.Noise`, for robots."""
+    tuning: Mapping[str, Any] | Tuning = dataclasses.field(default_factory=dict)
+    """A `jx.Tuning`, or fields of it, for robots."""
+    noise: Mapping[str, Any] | Noise = dataclasses.field(default_factory=dict)
+    """A `jx.Noise`, or fields of it, for robots."""
     settings: tuple[Mapping[str, Any], ...] = ()
     """Settings one by one instead of a product: mappings such as `{lidar.range_m: 4, rules.clearance_m: 0.2}`; with the
     product of the rest."""
@@ -92,8 +97,7 @@ class Sweep:
             if not isinstance(world, (str, os.PathLike)):
                 raise InputError(f"worlds must be names or files, got {world!r}")
         require_whole("episodes", self.episodes, 1, MAX_TOTAL)
-        if self.start not in ("random", "world"):
-            raise InputError(f"start must be random or world, got {self.start!r}")
+        read_start(self.start, self.start_m)
         if self.draw not in DRAWS:
             raise unknown("draw", str(self.draw), DRAWS)
         if self.draws is not None:
@@ -105,6 +109,9 @@ class Sweep:
                 raise InputError(f"{name} is for {need}")
         for name, known in _FIELDS_OF.items():
             given = getattr(self, name)
+            if isinstance(given, PARTS[name]):
+                given = dataclasses.asdict(given)
+                object.__setattr__(self, name, given)
             if not isinstance(given, Mapping):
                 raise InputError(f"{name} must be a mapping such as {{{next(iter(known))}: ...}}, got {given!r}")
             for key in given:

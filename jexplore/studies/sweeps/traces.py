@@ -130,8 +130,8 @@ def prepare_traces(spec: Sweep) -> TracePlan:
     total = spec.episodes * len(settings) * len(spec.worlds) * len(spec.robots)
     if total > MAX_TOTAL:
         raise InputError(f"a sweep may have {MAX_TOTAL:,} runs, got {total:,}; use fewer settings or runs")
-    if spec.start != "random":
-        raise InputError(f"start is for strategies: a robot starts where its world says, got {spec.start!r}")
+    if spec.start != "random" or spec.start_m is not None:
+        raise InputError("start is for strategies: a robot starts where its world says")
     # What there is to find depends on C1, and on where the robot has its nodes in free space.
     together: dict[tuple[int, float, float, float], list[int]] = {}
     for i, (seed, cell_m, tuning, _) in enumerate(records):
@@ -252,8 +252,8 @@ def summarise_traces(runs: "pd.DataFrame", columns: Sequence[str]) -> "pd.DataFr
     return pd.DataFrame(rows)
 
 
-def traces_table(summary: Any, varied: Sequence[str]) -> str:
-    """Rows of `summarise_traces` as Markdown."""
+def traces_table(summary: Any, varied: Sequence[str], as_text: Callable[..., str] = aligned_table) -> str:
+    """Rows of `summarise_traces` as Markdown, or as what `as_text` makes of names of columns and texts of rows."""
     head = ["world", "robot", *varied, "n", "reached", "true map", "commonest map", "path m", "contacts"]
     lines = []
     for _, row in summary.iterrows():
@@ -261,4 +261,4 @@ def traces_table(summary: Any, varied: Sequence[str]) -> str:
         shares = ["-" if row[name] != row[name] else f"{100 * row[name]:.0f}%" for name in ("goal", "true", "same")]
         path = [spread_text(row["mean"], row["sd"]), number_text(row["contacts"], 1)]
         lines.append([row["world"], row["robot"], *settings, str(row["n"]), *shares, *path])
-    return aligned_table(head, lines, left=("world", "robot"))
+    return as_text(head, lines, left=("world", "robot"))

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jexplore.config import InputError
+from jexplore.config import InputError, as_record, checked_names
 from jexplore.driving import batch
 from jexplore.driving.batch import Driven, numbers_of
 from jexplore.driving.settings import Noise, require_noise
@@ -49,6 +49,7 @@ class Example:
     drawn: OdometryMap
 
 
+@checked_names
 @dataclasses.dataclass(frozen=True)
 class Drift:
     """What `drift` found."""
@@ -87,12 +88,13 @@ class Drift:
         return plots.figure(self.summary, pictures)
 
 
+@checked_names
 def drift(
     world: str | os.PathLike[str] | World = "course",
     *,
     axes: Mapping[str, Sequence[float]] | None = None,
     runs: int = 8,
-    noise: Noise | None = None,
+    noise: Noise | Mapping[str, Any] | None = None,
     workers: int | None = None,
     on_progress: Callable[[int], Any] | None = None,
     **options: Any,
@@ -106,7 +108,7 @@ def drift(
       world: name or `World`. Structure is judged where there is a true map, as of a course.
       axes: names of errors, fields of `Noise`, and their values; by default `AXES`. Each varies alone.
       runs: of every value; run i draws alike with all of them.
-      noise: `Noise` of what does not vary; by default 1 cm of range noise.
+      noise: `Noise` of what does not vary, or a mapping of some of its fields; by default 1 cm of range noise.
       workers: see `runner.find_resources`.
       on_progress: called with the number of runs finished so far.
       **options: see `prepare_trace`; the grid map has cells as large as the world's.
@@ -118,7 +120,7 @@ def drift(
       InputError: no such error, no value, or one out of range; else as `prepare_trace`.
       KeyboardInterrupt: no run has been finished.
     """
-    noise = noise or Noise(range_m=RANGE_M)
+    noise = as_record("noise", noise or Noise(range_m=RANGE_M), Noise)
     if options.get("sweep"):
         raise InputError("a study of drift varies its axes: sweep thresholds with jx.trace")
     plan = prepare_trace(world, noise=noise, runs=runs, **options)

@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jexplore.config import MAX_SEED, InputError, require_kind, require_whole
+from jexplore.config import MAX_SEED, InputError, as_record, checked_names, require_kind, require_whole
 from jexplore.driving import vehicle
 from jexplore.driving.batch import MAX_STEPS, building_of, numbers_of, outcome_names, pose_in, run_missions
 from jexplore.driving.events import LOOK_M
@@ -37,6 +37,7 @@ STRAIGHT = 0.8  # of its length lie the ends of a link apart at least, if its mi
 ON_IT_M = 1.0  # a robot so near to the middle of a link is on it
 
 
+@checked_names
 @dataclasses.dataclass(frozen=True)
 class Followed:
     """What `follow` found."""
@@ -52,14 +53,15 @@ class Followed:
     """The same in sentences."""
 
 
+@checked_names
 def follow(
     world: str | os.PathLike[str] | World,
     btm: BtmMap,
     found: Sequence[Route],
     robot: str | Robot,
     *,
-    noise: Noise | None = None,
-    tuning: Tuning | None = None,
+    noise: Noise | Mapping[str, Any] | None = None,
+    tuning: Tuning | Mapping[str, Any] | None = None,
     seed: int = 0,
     cell_m: float = 0.1,
     workers: int | None = None,
@@ -77,7 +79,7 @@ def follow(
       btm: the map that the routes are of.
       found: routes of one link or more, from `jx.route` or `jx.routes`.
       robot: name or `Robot`.
-      noise, tuning: `Noise`, `Tuning`.
+      noise, tuning: `Noise`, `Tuning`, or mappings of some of their fields.
       seed: of the noise: route i draws as run i does.
       cell_m: edge of a cell of the world, metres.
       workers: see `runner.find_resources`.
@@ -135,8 +137,8 @@ def _checked(world, btm, found, robot, tuning, noise):
     """`(Robot, Tuning, Noise)`, or a refusal."""
     btm = routes.checked(btm)
     body = routes.robot_of(robot) if isinstance(robot, str) else robot
-    tuning = for_world(tuning or Tuning(), is_course=world.course is not None)
-    noise = noise or Noise()
+    tuning = for_world(as_record("tuning", tuning or {}, Tuning), is_course=world.course is not None)
+    noise = as_record("noise", noise or {}, Noise)
     require_kind("robot", body, Robot)
     require_tuning(tuning)
     require_noise(noise)

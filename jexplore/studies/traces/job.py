@@ -7,12 +7,12 @@ import itertools
 import json
 import math
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from jexplore.config import MAX_SEED, InputError, require_number, require_whole
+from jexplore.config import MAX_SEED, InputError, as_record, checked_names, require_number, require_whole
 from jexplore.driving import vehicle
 from jexplore.driving.batch import MAX_STEPS, building_of, pose_in, require_start
 from jexplore.driving.mission import SIZE
@@ -208,6 +208,7 @@ def attributes_of(texts: Sequence[str]) -> tuple[tuple[str, Any, tuple[float, fl
     return tuple(found)
 
 
+@functools.partial(checked_names, own="trace")
 def prepare_trace(
     world: str | os.PathLike[str] | World = "course",
     *,
@@ -215,8 +216,8 @@ def prepare_trace(
     runs: int | None = None,
     starts: int | None = None,
     seed: int = 0,
-    tuning: Tuning | None = None,
-    noise: Noise | None = None,
+    tuning: Tuning | Mapping[str, Any] | None = None,
+    noise: Noise | Mapping[str, Any] | None = None,
     start: tuple[float, float, float] | None = None,
     sweep: Sequence[str] = (),
     settings: int = 100,
@@ -235,7 +236,7 @@ def prepare_trace(
       runs: of every setting; by default one a start.
       starts: n: run i begins at draw i modulo n of the seed; by default all begin at one place.
       seed: of the draws; run i of every setting draws alike.
-      tuning, noise: `Tuning`, `Noise`.
+      tuning, noise: `Tuning`, `Noise`, or mappings of some of their fields.
       start: x, y, metres; heading, degrees; by default the world's own, else drawn.
       sweep, settings: see `swept_values`. What there is to find is told by the thresholds that are not swept.
       cell_m: edge of a cell, metres.
@@ -288,7 +289,8 @@ def room_for(world: World, truth: Truth, nodes: int | None = None, links: int | 
 def _sound(world, robot, tuning, noise):
     """Robot, thresholds and noise, those that are not given by default."""
     robot = robot_of(robot) if isinstance(robot, str) else robot
-    tuning, noise = for_world(tuning or Tuning(), is_course=world.course is not None), noise or Noise()
+    tuning, noise = as_record("tuning", tuning or {}, Tuning), as_record("noise", noise or {}, Noise)
+    tuning = for_world(tuning, is_course=world.course is not None)
     _require(robot, tuning, noise)
     return robot, tuning, noise
 

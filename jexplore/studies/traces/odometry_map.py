@@ -6,7 +6,7 @@ import math
 import numpy as np
 from scipy.spatial import KDTree
 
-from jexplore.config import require_number
+from jexplore.config import checked_names, require_number
 from jexplore.driving.building.walls import segments, walls_of
 from jexplore.tracemap.merging.rigid import Move, fit
 from jexplore.worlds.readers.scans import ScanLog, ScanMap, fold_scans
@@ -22,6 +22,7 @@ BEGINNINGS = 8  # scans from whose places an alignment begins, besides that of t
 SPACING_M = 0.02  # of the points by which walls are found
 
 
+@checked_names
 @dataclasses.dataclass(frozen=True)
 class OdometryMap:
     """A grid map drawn by odometry, held against the true building."""
@@ -38,6 +39,7 @@ class OdometryMap:
     """That turn and shift."""
 
 
+@checked_names
 def odometry_map(log: ScanLog, world: World, *, cell_m: float = 0.1, p_free: float = 0.25) -> OdometryMap:
     """Draws the grid map of a log by its odometry, by the rule of the reflection map, and holds it against the truth.
 

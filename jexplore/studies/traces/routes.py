@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from jexplore.config import InputError, require_number, shown
+from jexplore.config import InputError, checked_names, require_number, shown
 from jexplore.driving.settings import Robot, require_robot
 from jexplore.studies.traces.job import robot_of
 from jexplore.tracemap.passable import hindrances, refusals
@@ -21,6 +21,7 @@ WITHIN_M = 2.0
 MANY = 12  # ids of nodes that a message lists
 
 
+@checked_names
 def route(
     btm: BtmMap,
     robot: str | Robot,
@@ -49,6 +50,7 @@ def route(
     return routes(btm, [robot], [(start, end)], known_only=known_only, within_m=within_m)[0][0]
 
 
+@checked_names
 def routes(
     btm: BtmMap,
     robots: Sequence[str | Robot],

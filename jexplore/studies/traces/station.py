@@ -5,7 +5,7 @@ Plain Python: importing this loads neither jax nor numpy.
 
 from collections.abc import Callable, Sequence
 
-from jexplore.config import InputError, require_kind
+from jexplore.config import InputError, checked_names, require_kind
 from jexplore.driving.settings import ROBOTS
 from jexplore.report.page.station import Panel, station_page
 from jexplore.tracemap.merging import notes
@@ -27,6 +27,7 @@ NONE = {
 """Why there is no global map."""
 
 
+@checked_names
 def station(maps: Sequence[BtmMap], names: Sequence[str] | None = None, *, title: str | None = None) -> str:
     """Maps of robots as one HTML file that works without a network: the maps drawn, and routes over them.
 

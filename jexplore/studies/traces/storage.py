@@ -8,6 +8,7 @@ import zlib
 import numpy as np
 from scipy import ndimage
 
+from jexplore.config import checked_names
 from jexplore.driving.settings import Tuning, for_world
 from jexplore.driving.vehicle import BEAMS
 from jexplore.extraction.extract import extract
@@ -35,6 +36,7 @@ _LINK = (
 )
 
 
+@checked_names
 def storage(
     world: str | os.PathLike[str] | World,
     btm: BtmMap | None = None,

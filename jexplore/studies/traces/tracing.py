@@ -11,12 +11,14 @@ import jax
 import numpy as np
 
 from jexplore import btm
+from jexplore.config import checked_names
 from jexplore.driving import batch, vehicle
 from jexplore.driving.batch import Driven, numbers_of, outcome_names
 from jexplore.driving.behaviour import RunMode
 from jexplore.engine.runner import Costs
 from jexplore.report import store
 from jexplore.report.ledger import Ledger
+from jexplore.studies.results.progress import progress_bar
 from jexplore.studies.results.provenance import digest
 from jexplore.studies.results.units import LEAST, MOST_UNITS
 from jexplore.studies.traces.job import TraceJob, prepare_trace, with_values
@@ -35,6 +37,7 @@ FRAME = "odom"  # of a run's map: its places are those of the odometry, correcte
 FIRST = "_first"  # column of a unit's file: map and way of run 0
 
 
+@checked_names
 @dataclasses.dataclass(frozen=True)
 class Traced:
     """What `trace` found."""
@@ -201,6 +204,7 @@ def _read_first(data):
         return found, Driven(*(file[f"way/{name}"] for name in Driven._fields))
 
 
+@checked_names
 def trace(
     world: str | os.PathLike[str] | World = "course",
     *,
@@ -208,6 +212,7 @@ def trace(
     lanes: int | None = None,
     workers: int | None = None,
     on_progress: Callable[[int], Any] | None = None,
+    progress: bool | None = None,
     **options: Any,
 ) -> Traced:
     """Lets a robot drive through a building and write its Behavioral Trace Map, once or many times.
@@ -216,6 +221,7 @@ def trace(
       world: name or `World`.
       engine, lanes, workers: see `runner.find_resources`; results are equal but for rounding.
       on_progress: called with the number of runs finished so far.
+      progress: whether a bar shows that; by default in notebooks.
       **options: see `prepare_trace`.
 
     Returns:
@@ -225,7 +231,8 @@ def trace(
       InputError: what cannot be run, in one line.
     """
     plan = prepare_trace(world, **options)
-    return execute(plan, engine=engine, lanes=lanes, workers=workers, on_progress=on_progress)
+    with progress_bar(progress, plan.settings * plan.runs, "runs", on_progress) as moved:
+        return execute(plan, engine=engine, lanes=lanes, workers=workers, on_progress=moved)
 
 
 def map_of(plan: TraceJob, result: Any, i: int) -> BtmMap:

@@ -3,9 +3,10 @@
 import dataclasses
 import itertools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
-from jexplore.config import InputError, require_kind, require_whole, shown
+from jexplore.config import InputError, as_record, checked_names, require_kind, require_whole, shown
 from jexplore.tracemap.merging import notes
 from jexplore.tracemap.merging.join import FROM, join
 from jexplore.tracemap.merging.match import Match, Merging, match
@@ -14,6 +15,7 @@ from jexplore.tracemap.merging.walk import Limits
 from jexplore.tracemap.record import BtmMap, check, require_near
 
 
+@checked_names
 @dataclasses.dataclass(frozen=True)
 class Merged:
     """What `merge_maps` found."""
@@ -46,12 +48,13 @@ class _Part:
     moves: dict[str, Move]
 
 
+@checked_names
 def merge_maps(
     maps: Sequence[BtmMap],
     names: Sequence[str] | None = None,
     *,
     min_common: int = 3,
-    limits: Limits | None = None,
+    limits: Limits | Mapping[str, Any] | None = None,
     on_progress: Callable[[int], object] = lambda compared: None,
 ) -> Merged:
     """Maps of one building, each in a frame of its own, as one map.
@@ -70,7 +73,7 @@ def merge_maps(
       maps: two maps or more.
       names: of the maps; by default their numbers, from "0".
       min_common: least number of nodes that two maps must have in common.
-      limits: how far maps of one place may be apart.
+      limits: how far maps of one place may be apart: `Limits`, or a mapping of some of its fields.
       on_progress: called with the number of pairs of maps that have been compared; all together (n - 1)^2 at most.
 
     Returns:
@@ -85,8 +88,7 @@ def merge_maps(
         raise InputError(f"expected two maps or more, got {len(maps)}")
     if len(names) != len(maps) or not all(isinstance(name, str) for name in names):
         raise InputError(f"expected a name for each of {len(maps)} maps, got {names!r}")
-    limits = Limits() if limits is None else limits
-    require_kind("limits", limits, Limits)
+    limits = as_record("limits", {} if limits is None else limits, Limits)
     min_common = require_whole("min_common", min_common, 1, 10**6)
     originals = {}
     for name, btm in zip(names, maps):

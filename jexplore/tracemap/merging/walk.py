@@ -5,13 +5,14 @@ import itertools
 import math
 from collections.abc import Iterator, Sequence
 
-from jexplore.config import require_number, require_whole
+from jexplore.config import Settings, checked_names, require_number, require_whole
 from jexplore.tracemap.merging.rigid import apart_deg
 from jexplore.tracemap.merging.ways import Places, Way
 
 
+@checked_names
 @dataclasses.dataclass(frozen=True)
-class Limits:
+class Limits(Settings):
     """How far two maps of one place may be apart."""
 
     angle_deg: float = 15.0

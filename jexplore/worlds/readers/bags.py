@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from jexplore.arrays.files import first_line, opened, told_kind
-from jexplore.config import InputError, require_number, require_whole
+from jexplore.config import InputError, checked_names, require_number, require_whole
 from jexplore.worlds.names import METADATA
 from jexplore.worlds.readers.grids import FREE_MAX, free_cells, upright
 from jexplore.worlds.readers.images import MAX_PIXELS
@@ -39,6 +39,7 @@ class RecordedGrid:
     """x, y of the lower left corner of cell (0, 0), metres."""
 
 
+@checked_names
 def read_bag(path: str | os.PathLike[str], *, topic: str | None = None, message: int = -1) -> RecordedGrid:
     """A map that was published while a recording was made.
 

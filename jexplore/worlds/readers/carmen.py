@@ -13,7 +13,7 @@ import warnings
 import numpy as np
 
 from jexplore.arrays.files import read_text
-from jexplore.config import InputError, InputWarning, require_number
+from jexplore.config import InputError, InputWarning, checked_names, require_number
 from jexplore.worlds.readers.scans import ScanLog, fold_scans
 from jexplore.worlds.world import World
 
@@ -29,6 +29,7 @@ _PLACE_M = 0.1  # readings of one value that end in one square of this size coun
 _OFTEN = 5  # times the median count of a value; the largest echo of scans recorded in five buildings stays within it
 
 
+@checked_names
 def read_carmen(path: str | os.PathLike[str], *, max_range_m: float | None = None) -> ScanLog:
     """The scans of a CARMEN log that have a pose.
 

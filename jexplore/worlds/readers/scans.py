@@ -9,7 +9,7 @@ import dataclasses
 import jax.numpy as jnp
 import numpy as np
 
-from jexplore.config import InputError, require_number
+from jexplore.config import InputError, checked_names, require_number
 from jexplore.grid import Grid, is_free
 from jexplore.raycast import advance_beams, beam_geometry, exact_direction, n_steps
 from jexplore.worlds.world import World, require_side
@@ -17,6 +17,7 @@ from jexplore.worlds.world import World, require_side
 _TOGETHER = 2**18  # beams that are traced at a time
 
 
+@checked_names
 @dataclasses.dataclass(frozen=True)
 class ScanLog:
     """What a robot with a planar laser scanner recorded: N scans of B readings."""
@@ -56,6 +57,7 @@ class ScanLog:
         return f"<ScanLog of {n} scans of {n_beams} readings below {self.max_range_m:g} m>"
 
 
+@checked_names
 @dataclasses.dataclass(frozen=True)
 class ScanMap:
     """A reflection map of recorded scans, and where it lies."""
@@ -90,6 +92,7 @@ class ScanMap:
         return World(occupied=occupied, start=start, cell_m=self.cell_m, name=name, origin_m=self.origin_m)
 
 
+@checked_names
 def fold_scans(
     log: ScanLog, *, cell_m: float = 0.1, range_m: float | None = None, no_echo_m: float = 0.0, name: str = "scans"
 ) -> ScanMap:

@@ -1,0 +1,383 @@
+"""A comparison: strategies in worlds, all from the same starts, as a table with statistics and warnings.
+
+pandas and matplotlib are imported by the functions that need them.
+"""
+
+import dataclasses
+import functools
+import itertools
+import os
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from jexplore.arrays.pictures import MOST_ROWS, axes_of, html_of, or_text, png_of
+from jexplore.config import MAX_SEED, InputError, Lidar, Rules, checked_names, require_whole, unknown
+from jexplore.exploration.batch import Job, Outcomes
+from jexplore.exploration.results import to_occupancy
+from jexplore.exploration.state import Outcome
+from jexplore.report.tables import number_text, p_text, ratio_text, spread_text
+from jexplore.studies.checks import (
+    MAX_EPISODES,
+    LidarLike,
+    RulesLike,
+    StartLike,
+    StrategyLike,
+    WorldLike,
+    ready_settings,
+    ready_starts,
+    ready_strategies,
+    ready_worlds,
+    require_memory,
+)
+from jexplore.studies.results.tables import ByStrategy
+from jexplore.studies.results.units import Piece, Ran, Seen
+from jexplore.studies.statistics import by_world, figures, sizes, waste
+from jexplore.studies.statistics.league import over_worlds_text, standings
+from jexplore.studies.statistics.paired import MIN_PAIRS
+from jexplore.worlds.poses import read_start
+from jexplore.worlds.world import World
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.figure import Figure
+
+
+class Made(NamedTuple):
+    """How a comparison was made, for its folder."""
+
+    jobs: tuple[Job, ...] = ()
+    firsts: Mapping[int, Outcomes] = MappingProxyType({})  # number of a job -> what its first episodes left
+    record: Mapping[str, Any] = MappingProxyType({})  # entries of run.json that its tables do not tell
+
+    def __reduce__(self) -> Any:
+        return Made, ((), {}, dict(self.record))  # strategies are functions, which cannot be pickled
+
+
+@checked_names
+@dataclasses.dataclass(frozen=True)
+class Comparison(ByStrategy):
+    """What `compare` found. Tables are pandas DataFrames.
+
+    It is iterated over by the names of its strategies, and `results["closest"]` is the table of that one's episodes.
+    """
+
+    episodes: "pd.DataFrame"
+    """One row an episode, ordered by world, strategy, episode; columns `units.COLUMNS`."""
+    worlds: tuple[World, ...]
+    """The worlds, in order."""
+    first: dict[str, list[Seen]]
+    """Per world name, how episode 0 of every strategy ended."""
+    compile_s: float
+    """Seconds spent compiling, or loading compiled programs."""
+    run_s: float
+    """Seconds in which compiled programs ran."""
+    interrupted: int = 0
+    """Episodes that are missing because the run was interrupted; of the others, those that every strategy finished."""
+    resumed: int = 0
+    """Episodes that an earlier run had finished, with which this one went on."""
+    progress: dict[tuple[str, str], np.ndarray] = dataclasses.field(default_factory=dict)
+    """(world, strategy) -> `[N, 100]` float64: metres driven when each episode in the table first knew 1, 2, ... 100 %
+    of the cells that can be known in its world; NaN where it never did."""
+    paths: dict[tuple[str, str], list[np.ndarray]] = dataclasses.field(default_factory=dict)
+    """With `keep`: (world, strategy) -> a list with an array for each episode in the table, `[n + 1, 3]` int32: row,
+    col and known cells, at the start and after each of n steps."""
+    maps: dict[tuple[str, str], np.ndarray] = dataclasses.field(default_factory=dict)
+    """With `keep="maps"`: (world, strategy) -> `[N, H, W]` uint8, the last map of each episode in the table: 0 unknown,
+    1 free, 2 occupied."""
+    lidar: Lidar | None = None
+    """The scanner; None where it is not known, or there were several."""
+    rules: Rules | None = None
+    """The rules, likewise."""
+    made: Made = dataclasses.field(default=Made(), repr=False, compare=False)
+    """What a folder of it needs besides."""
+
+    @functools.cached_property
+    def summary(self) -> "pd.DataFrame":
+        """One row a world and strategy: see `by_world.summarise`."""
+        return by_world.summarise(self.episodes)
+
+    @functools.cached_property
+    def standings(self) -> "pd.DataFrame":
+        """One row a strategy, over all worlds: see `league.standings`."""
+        return standings(self.episodes)
+
+    @functools.cached_property
+    def wasted(self) -> "pd.DataFrame":
+        """The table of episodes with what of each path was wasted, with `keep="paths"`: see `waste.wasted`."""
+        return waste.wasted(self.episodes, self.paths, {world.name: world.cell_m for world in self.worlds})
+
+    @functools.cached_property
+    def warnings(self) -> list[str]:
+        """What makes the comparison unfair or inexact: a list of lines."""
+        lines = [f"interrupted: {self.interrupted} episodes are missing"] if self.interrupted else []
+        return [*lines, *by_world.warnings_of(self.episodes, self.progress), *_bounds_met(self.episodes)]
+
+    @property
+    def episodes_per_s(self) -> float:
+        """Episodes that were run over the seconds in which compiled programs ran; 0 if none were."""
+        return max(len(self.episodes) - self.resumed, 0) / self.run_s if self.run_s else 0.0
+
+    def to_markdown(self) -> str:
+        """The summary as a Markdown table; with six worlds or more, before it, what all of them say together."""
+        text = by_world.markdown_table(self.summary)
+        together = len(self.worlds) >= MIN_PAIRS and max(self.standings["worlds"], default=0) >= MIN_PAIRS
+        return f"{over_worlds_text(self.standings)}\nIn each world:\n\n{text}" if together else text
+
+    def to_xarray(self) -> Any:
+        """All of it as an `xarray.Dataset` with labelled dimensions: see `labelled.of_comparison`."""
+        from jexplore.studies.results import labelled
+
+        return labelled.of_comparison(self)
+
+    def save_maps(self, folder: str | os.PathLike[str]) -> list[Path]:
+        """Writes the last map of every episode as files of ROS's map_server, with `keep="maps"`.
+
+        Args:
+          folder: where to; it is made. Files are named world-strategy-episode.yaml, with a picture each.
+
+        Returns:
+          Paths of the yaml files; `jx.load_world` reads them, and their cells are those of the maps.
+
+        Raises:
+          InputError: no maps were kept, or a file cannot be written.
+        """
+        from jexplore.worlds.readers.ros import write_ros
+
+        if not self.maps:
+            raise InputError('no maps were kept: compare(..., keep="maps")')
+        Path(folder).mkdir(parents=True, exist_ok=True)
+        of_name, files = {world.name: world for world in self.worlds}, []
+        for (world, strategy), states in self.maps.items():
+            rows = self.episodes[(self.episodes["world"] == world) & (self.episodes["strategy"] == strategy)]
+            for episode, state in zip(rows["episode"], states):
+                name = re.sub(r"[^\w.+=#-]+", "_", f"{Path(world).name}-{strategy}-{episode}")
+                files.append(Path(folder) / f"{name}.yaml")
+                one = of_name[world]
+                write_ros(to_occupancy(state), files[-1], cell_m=one.cell_m, origin_m=one.origin_m)
+        return files
+
+    def sample_sizes(self, *, within: float = 0.02, assurance: float = 0.8) -> "pd.DataFrame":
+        """How many episodes, and how many worlds, would tell every ratio `± within`: see `sizes.sample_sizes`."""
+        return sizes.sample_sizes(self.episodes, within=within, assurance=assurance)
+
+    def _summary_text(self, as_text):
+        return by_world.markdown_table(self.summary, as_text=as_text)
+
+    def save(self, folder: str | os.PathLike[str], *, overwrite: bool = False, report: bool = True) -> Path:
+        """Writes the folder that `jexplore compare` writes: tables, pictures, run.json, report.html.
+
+        `jx.load` reads it, ways and maps included, and `jx.compare(..., out=folder, resume=True)` takes it for done.
+
+        Args:
+          folder: where to; it is made.
+          overwrite: whether it may hold a run, which is then replaced.
+          report: whether report.html is written. That of a comparison that was loaded has no replays.
+
+        Returns:
+          The folder.
+
+        Raises:
+          InputError: it holds a run, or cannot be written.
+        """
+        from jexplore.studies.results import saving
+
+        return saving.save(self, folder, overwrite=overwrite, report=report)
+
+    def plot(self, ax: Any = None, world: str | None = None) -> Any:
+        """Path lengths in one world: every episode as a dot, and the means with their 95 % intervals.
+
+        Args:
+          ax: matplotlib `Axes`; by default those of a new figure.
+          world: its name; by default the first. `compare_figure` shows all of them.
+
+        Returns:
+          The `Axes`.
+
+        Raises:
+          InputError: no such world in this comparison.
+        """
+        world = self.worlds[0].name if world is None else world
+        if world not in self.episodes["world"].to_numpy():
+            raise unknown("world of this comparison:", str(world), [w.name for w in self.worlds])
+        ax = axes_of(ax)
+        figures.draw_world(ax, self.episodes, self.summary, world)
+        return ax
+
+    def compare_figure(self) -> "Figure":
+        """Every episode's path, means, intervals and paired ratios: see `figures.compare_figure`."""
+        table = self.standings if len(self.worlds) > 1 else None
+        return figures.compare_figure(self.episodes, summary=self.summary, table=table)
+
+    def coverage_figure(self) -> "Figure":
+        """The share of what can be known along the path, one panel a world: see `figures.coverage_figure`."""
+        return figures.coverage_figure(self.progress)
+
+    def profile_figure(self, *, over: str = "best") -> "Figure":
+        """Performance profiles of the strategies: see `figures.profile_figure`."""
+        return figures.profile_figure(self.episodes, over=over)
+
+    def waste_figure(self) -> "Figure":
+        """The first paths, coloured by what they were worth, with `keep="paths"`: a matplotlib `Figure`."""
+        from jexplore.report.plots import waste as pictures
+
+        worlds = {world.name: world for world in self.worlds}
+        kinds = [(pair, ways[0], waste.waste_of(ways[0], worlds[pair[0]].cell_m)) for pair, ways in self.paths.items()]
+        return pictures.figure(
+            [
+                (f"{strategy} in {world}", worlds[world].occupied, way[:, :2], found.kinds, worlds[world].cell_m)
+                for (world, strategy), way, found in kinds
+            ]
+        )
+
+    def paths_figure(self) -> "Figure":
+        """The map as each strategy saw it in episode 0, with its path: a matplotlib `Figure`."""
+        from jexplore.report import plot
+
+        return plot.paths_figure(list(self.first.items()))
+
+    def _repr_markdown_(self):
+        return self.to_markdown()
+
+    @functools.cached_property
+    def _picture(self):
+        return png_of(self.compare_figure())
+
+    @or_text
+    def _repr_png_(self):
+        return self._picture
+
+    @or_text
+    def _repr_html_(self):
+        n = len(self.warnings)
+        more = f"; {n} warning{'s' if n > 1 else ''}, see .warnings" if n else ""
+        return html_of(self._picture, repr(self)[1:-1] + more, *self._short_table())
+
+    def _short_table(self):
+        """Names of the columns and rows of text: every world's, or, where they are many, what all say together."""
+        if len(self.worlds) > 1 and len(self.summary) > MOST_ROWS:
+            head = ("strategy", "ratio to the first", "p (Holm)", "best in")
+            rows = self.standings.to_dict("records")
+            return head, [(row["strategy"], *_beside_first(row), f"{row['best']} of {row['worlds']}") for row in rows]
+        lines = []
+        for row in self.summary.to_dict("records"):
+            line = (row["world"], row["strategy"], str(row["n"]), spread_text(row["mean"], row["sd"]))
+            lines.append((*line, *_beside_first(row), number_text(row["explored_fraction"], 3), row["outcomes"]))
+        return ("world", "strategy", "n", "path m", "ratio to the first", "p (Holm)", "explored", "outcomes"), lines
+
+    def __repr__(self) -> str:
+        n, m = len(set(self.episodes["strategy"])), len(self.worlds)
+        strategies, worlds = "strategy" if n == 1 else "strategies", "world" if m == 1 else "worlds"
+        return f"<Comparison of {n} {strategies} in {m} {worlds}, {len(self.episodes)} episodes>"
+
+
+def _beside_first(row):
+    """The ratio to the first strategy with its interval, and the corrected p, as texts."""
+    return ratio_text(row["ratio"], row["ratio_low"], row["ratio_high"]), p_text(row["p_holm"])
+
+
+BOUNDS = {
+    "saturated": "some cells were too far to plan to",
+    "overflow": "a plan had to leave out some frontier clusters, mixed cells, Voronoi nodes or critical points",
+}
+
+
+def _bounds_met(episodes):
+    """Warnings about episodes that met a bound of what a plan can express or has room for."""
+    lines = []
+    for (world, strategy), rows in episodes.groupby(["world", "strategy"], sort=False):
+        for column, what in BOUNDS.items():
+            count = int((rows[column] > 0).sum())
+            if count:
+                lines.append(f"{world}: {strategy}: in {count} of {len(rows)} episodes {what}")
+        refused = int((rows["outcome"] == Outcome.BAD_TARGET.name).sum())
+        if refused:
+            what = "ended because the strategy chose a target that no path leads to, three times in a row"
+            lines.append(f"{world}: {strategy}: {refused} of {len(rows)} episodes {what}")
+    return lines
+
+
+def prepare_jobs(
+    worlds: WorldLike | Iterable[WorldLike],
+    strategies: StrategyLike | Iterable[StrategyLike],
+    *,
+    episodes: int,
+    seed: int,
+    cell_m: float,
+    start: StartLike,
+    start_m: Sequence[float] | None = None,
+    lidar: LidarLike,
+    rules: RulesLike,
+) -> list[Job]:
+    """Everything that `compare` refuses or loads before it runs: a list of `Job`. Arguments as there."""
+    lidar, rules = ready_settings(lidar, rules)
+    episodes = require_whole("episodes", episodes, 1, MAX_EPISODES)
+    seed = require_whole("seed", seed, 0, MAX_SEED)
+    start = read_start(start, start_m)
+    strategies = ready_strategies(strategies)
+    jobs = []
+    for world in ready_worlds(worlds, cell_m):
+        require_memory(world, lidar, rules)
+        starts = ready_starts(world, start, episodes, seed=seed, rules=rules)
+        jobs += [Job(world, strategy, starts, seed, lidar=lidar, rules=rules) for strategy in strategies]
+    return jobs
+
+
+def _the_only(settings: Iterable[Any]) -> Any:
+    """What all of some settings are; None where they differ."""
+    found = set(settings)
+    return found.pop() if len(found) == 1 else None
+
+
+def assemble(jobs: Sequence[Job], ran: Ran) -> Comparison:
+    """The `Comparison` of jobs whose units have run.
+
+    Of a run that was interrupted it holds the episodes that every strategy has finished in a world.
+
+    Raises:
+      KeyboardInterrupt: there are none.
+    """
+    import pandas as pd
+
+    of_job: dict[int, list[Piece]] = {}
+    for piece in sorted(ran.pieces, key=lambda piece: piece.table["episode"].min() if len(piece.table) else 0):
+        of_job.setdefault(piece.job, []).append(piece)
+    have = {i: pd.concat([piece.table for piece in pieces], ignore_index=True) for i, pieces in of_job.items()}
+    finished: dict[Any, set[int]] = {}
+    for i, job in enumerate(jobs):
+        own = set(have[i]["episode"]) if i in have else set()
+        finished[job.world.name] = finished.get(job.world.name, own) & own
+    tables, worlds, first, progress, paths, maps = [], {}, {}, {}, {}, {}
+    for i, job in enumerate(jobs):
+        world, key = job.world, (job.world.name, job.strategy.name)
+        if not finished[world.name]:
+            continue
+        pieces, kept = of_job[i], have[i]["episode"].isin(sorted(finished[world.name])).to_numpy()
+        tables.append(have[i][kept])
+        worlds[world.name] = world
+        progress[key] = np.concatenate([piece.progress for piece in pieces])[kept]
+        if all(piece.paths is not None for piece in pieces):
+            own = itertools.chain.from_iterable(piece.paths or () for piece in pieces)
+            paths[key] = [path for path, is_kept in zip(own, kept) if is_kept]
+        states = [piece.maps for piece in pieces if piece.maps is not None]
+        if states:
+            maps[key] = np.concatenate(states)[kept]
+        if pieces[0].seen is not None and kept[0]:
+            first.setdefault(world.name, []).append(pieces[0].seen)
+    if not tables:
+        raise KeyboardInterrupt
+    table = pd.concat(tables, ignore_index=True)
+    missing = sum(len(job.starts) for job in jobs) - len(table)
+    costs = ran.costs
+    return Comparison(
+        *(table, tuple(worlds.values()), first, costs.compile_s, costs.run_s, missing, ran.resumed),
+        progress=progress,
+        paths=paths,
+        maps=maps,
+        lidar=_the_only(job.lidar for job in jobs),
+        rules=_the_only(job.rules for job in jobs),
+    )

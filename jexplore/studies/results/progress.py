@@ -1,0 +1,44 @@
+"""Progress bars of functions."""
+
+import contextlib
+import sys
+import warnings
+from collections.abc import Callable, Iterator
+from typing import Any
+
+
+def in_notebook() -> bool:
+    """Whether this code runs in a cell of a notebook."""
+    shell = getattr(sys.modules.get("IPython"), "get_ipython", lambda: None)()
+    return shell is not None and "IPKernelApp" in shell.config
+
+
+@contextlib.contextmanager
+def progress_bar(
+    progress: bool | None, total: int, unit: str, on_progress: Callable[[int], object] | None = None
+) -> Iterator[Callable[[int], object] | None]:
+    """The function that work calls with the number of things that are finished. It moves a bar, if there is to be one.
+
+    Args:
+      progress: whether there is to be a bar; None: in a notebook, unless there is an `on_progress`.
+      total: number of things.
+      unit: what they are called.
+      on_progress: called with the same numbers; None for nothing.
+    """
+    if not (in_notebook() and on_progress is None if progress is None else progress):
+        yield on_progress
+        return
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of tqdm: that without ipywidgets the bar is text
+        from tqdm.auto import tqdm
+    form = "{l_bar}{bar}| {n_fmt}/{total_fmt}{unit} [{elapsed}<{remaining}, {rate_noinv_fmt}]"
+    look: dict[str, Any] = {"bar_format": form, "dynamic_ncols": True, "leave": False}
+    with tqdm(total=total, desc="compiling", unit=f" {unit}", **look) as bar:
+
+        def moved(done):
+            bar.set_description_str(None, refresh=False)
+            bar.update(done - bar.n)
+            if on_progress is not None:
+                on_progress(done)
+
+        yield moved

@@ -1,0 +1,179 @@
+"""The folder of a comparison: its files, pictures and page, as the command and the functions write them."""
+
+import contextlib
+import functools
+import os
+import re
+import warnings
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from jexplore.config import InputError, InputWarning
+from jexplore.engine.runner import Costs
+from jexplore.exploration.batch import Job, Outcomes
+from jexplore.report import folders, plot, plot_league, store
+from jexplore.studies.results import provenance
+from jexplore.studies.results.report import replays_for, write_report
+from jexplore.studies.statistics.by_world import markdown_table
+from jexplore.studies.statistics.league import standings_table
+from jexplore.studies.statistics.paired import MIN_PAIRS
+
+DETAILS = "details.npz"
+VECTORS = ("compare.png", "coverage.png", "league.png", "reproduce.png")  # written as SVG as well
+
+
+def write_details(found: Any, path: Path) -> None:
+    """Writes what the table of episodes of a `Comparison` cannot hold: worlds, first episodes, progress, ways, maps."""
+    arrays: dict[str, Any] = {}
+    for i, world in enumerate(found.worlds):
+        arrays[f"world/{i}/occupied"] = world.occupied
+        arrays[f"world/{i}/cell_m"] = np.float64(world.cell_m)
+        arrays[f"world/{i}/origin_m"] = np.asarray(world.origin_m, np.float64)
+        arrays[f"world/{i}/name"] = np.str_(os.fspath(world.name))
+        if world.rooms is not None:
+            arrays[f"world/{i}/rooms"] = world.rooms
+        if world.start is not None:
+            arrays[f"world/{i}/start"] = np.asarray(world.start, np.int64)
+        for k, seen in enumerate(found.first.get(world.name, [])):
+            at = f"first/{i}/{k}"
+            arrays[f"{at}/strategy"] = np.str_(seen.strategy)
+            arrays[f"{at}/state"], arrays[f"{at}/rows"], arrays[f"{at}/cols"] = seen.state, seen.rows, seen.cols
+            arrays[f"{at}/path_m"] = np.float64(seen.path_m)
+    if found.progress:
+        arrays["progress"] = np.concatenate(list(found.progress.values()))
+    for k, pair in enumerate(found.progress):
+        if pair in found.paths:
+            ways = found.paths[pair]
+            arrays[f"ways/{k}"], arrays[f"ways/{k}/length"] = np.concatenate(ways), [len(way) for way in ways]
+        if pair in found.maps:
+            arrays[f"maps/{k}"] = found.maps[pair]
+    np.savez_compressed(path, **arrays)
+
+
+def figures_of(found: Any, *, league: bool = False) -> dict[str, Callable[[], Any]]:
+    """Pictures of a `Comparison`: name of a file -> what draws it."""
+    if league:
+        return {"league.png": lambda: plot_league.figure(found.standings)}
+    figures = {"compare.png": found.compare_figure, "coverage.png": found.coverage_figure}
+    figures |= {"waste.png": found.waste_figure} if found.paths else {}
+    # Without any episode 0, as after an early interruption, there is no path to draw.
+    return figures | ({"paths.png": found.paths_figure} if found.first else {})
+
+
+def files_of(
+    found: Any, record: Mapping[str, Any], more: Mapping[str, Callable[[Path], Any]] = MappingProxyType({})
+) -> dict[str, Callable[[Path], Any]]:
+    """Files of a `Comparison`, and more: name -> what writes it. `record`: what run.json holds."""
+    return {
+        "episodes.parquet": lambda path: store.write_parquet(found.episodes, path),
+        DETAILS: lambda path: write_details(found, path),
+        **more,
+        "run.json": lambda path: store.write_json(record, path),
+    }
+
+
+def pictures_of(
+    folder: Path,
+    found: Any,
+    firsts: Mapping[int, Outcomes],
+    record: Mapping[str, Any],
+    figures: Mapping[str, Callable[[], Any]],
+    jobs: Sequence[Job] | None,
+) -> dict[str, Callable[[Path], Any]]:
+    """Pictures of a `Comparison` and its page: name -> what writes it.
+
+    Args:
+      folder: the run's, in which pictures are when the page is written.
+      found: `Comparison`.
+      firsts: see `report.replays_for`.
+      record: what run.json holds.
+      figures: name -> what draws it.
+      jobs: those whose first episodes the page replays; None: no page.
+    """
+    drawn = {name: functools.partial(_picture, make) for name, make in figures.items()}
+    if jobs is not None:
+        drawn["report.html"] = functools.partial(_page, folder, found, firsts, record, jobs, list(drawn))
+    return drawn
+
+
+def _picture(make, path):
+    figure = make()
+    plot.save_figure(figure, path)
+    if path.name in VECTORS:
+        plot.save_figure(figure, path.with_suffix(".svg"))
+
+
+def _page(folder, found, firsts, record, jobs, names, path):
+    """Writes the page of a comparison, with those of its pictures that are there."""
+    replays, notes = replays_for(jobs, firsts) if jobs else ([], [])
+    tables = [("In each world", markdown_table(found.summary))]
+    if len(found.worlds) >= MIN_PAIRS:
+        tables.insert(0, ("Over all worlds", standings_table(found.standings)))
+    pictures = [folder / name for name in names if (folder / name).is_file()]
+    write_report(path, f"jexplore {record['command'][1]}", record, tables, pictures, replays, notes)
+
+
+def entries_of(found: Any) -> dict[str, Any]:
+    """What run.json says of what a `Comparison` found."""
+    return {
+        "episodes_per_s": found.episodes_per_s,
+        "compile_s": found.compile_s,
+        "run_s": found.run_s,
+        "interrupted": found.interrupted,
+        "resumed": found.resumed,
+        "worlds": [provenance.describe(world) for world in found.worlds],
+        "summary": found.summary.to_dict("records"),
+        "warnings": found.warnings,
+    }
+
+
+def engine_of(costs: Costs) -> dict[str, Any]:
+    """What run.json says of the engine that made a run."""
+    return {
+        "engine": costs.engine,
+        "devices": costs.devices,
+        "lanes": costs.lanes,
+        "useful": costs.useful,
+        "useful_plans": costs.useful_decisions,
+    }
+
+
+def write(run: folders.RunFolder, found: Any, *, report: bool = True) -> Path:
+    """Writes the files and pictures of a `Comparison` into a folder that is claimed. Returns its path.
+
+    Warns:
+      InputWarning: a picture that could not be drawn.
+    """
+    how = {"environment": {**store.environment(), "commit": provenance.commit()}}
+    record = how | dict(found.made.record) | entries_of(found)
+    run.write(files_of(found, record), is_finished=not found.interrupted)
+    jobs = (() if found.interrupted else found.made.jobs) if report else None
+    for name, draw in pictures_of(run.path, found, found.made.firsts, record, figures_of(found), jobs).items():
+        try:
+            run.add(name, draw)
+        except Exception as error:  # a picture less costs no results
+            line = (str(error).splitlines() or [type(error).__name__])[0]
+            warnings.warn(f"{name} could not be drawn: {line}", InputWarning, stacklevel=3)
+    return run.path
+
+
+@contextlib.contextmanager
+def claimed(path: str | os.PathLike[str], *, overwrite: bool, resume: bool = False) -> Iterator[folders.RunFolder]:
+    """As `folders.claimed`, for a function: its errors name arguments instead of options."""
+    try:
+        with folders.claimed(os.path.expanduser(path), overwrite=overwrite, resume=resume) as run:
+            yield run
+    except InputError as error:
+        raise InputError(re.sub(r"--(overwrite|resume)\b", r"\1=True", str(error))) from None
+
+
+def save(found: Any, folder: str | os.PathLike[str], *, overwrite: bool, report: bool) -> Path:
+    """`Comparison.save`."""
+    if not found.made.record:
+        raise InputError("only what jx.compare or jx.load returned can be saved; to_csv() writes the table alone")
+    with claimed(folder, overwrite=overwrite) as run:
+        return write(run, found, report=report)

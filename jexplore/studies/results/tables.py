@@ -1,0 +1,84 @@
+"""What results of several strategies have in common: their episodes by strategy, and tables as text and files."""
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from jexplore.config import checked_names, unknown
+from jexplore.report import store
+from jexplore.report.tables import latex_table
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+@checked_names
+class ByStrategy:
+    """Results that are iterated over by the names of their strategies, each with its own table of episodes.
+
+    for name in results:
+        results[name]["path_m"].mean()
+    """
+
+    episodes: "pd.DataFrame"
+
+    @property
+    def _who(self) -> str:
+        """The column of names."""
+        return "strategy"
+
+    @property
+    def strategies(self) -> tuple[str, ...]:
+        """Names of the strategies, in order."""
+        return tuple(dict.fromkeys(self.episodes[self._who]))
+
+    def __len__(self) -> int:
+        return len(self.strategies)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.strategies)
+
+    def __getitem__(self, name: str) -> "pd.DataFrame":
+        """The episodes of one strategy: those rows of the table of all, counted anew from 0."""
+        if name not in self.strategies:
+            raise unknown(f"{self._who} of these results:", str(name), self.strategies)
+        own: Any = self.episodes[self.episodes[self._who] == name]
+        return own.reset_index(drop=True)
+
+    def to_pandas(self) -> "pd.DataFrame":
+        """The table of episodes."""
+        return self.episodes
+
+    def to_csv(self, path: str | os.PathLike[str] | None = None) -> str | None:
+        """The table of episodes as comma-separated values.
+
+        Args:
+          path: the file to write; without one the text is returned.
+
+        Raises:
+          InputError: the file cannot be written.
+        """
+        return _written(self.episodes.to_csv(index=False), path)
+
+    def to_latex(self, path: str | os.PathLike[str] | None = None) -> str | None:
+        r"""The summary as a LaTeX table, for `\usepackage{booktabs}`.
+
+        Args:
+          path: the file to write; without one the text is returned.
+
+        Raises:
+          InputError: the file cannot be written.
+        """
+        return _written(self._summary_text(latex_table), path)
+
+    def _summary_text(self, as_text):
+        raise NotImplementedError
+
+
+def _written(text, path):
+    if path is None:
+        return text
+    with store.atomic(Path(os.path.expanduser(path))) as part:
+        part.write_text(text, encoding="utf-8")
+    return None

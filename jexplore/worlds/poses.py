@@ -1,0 +1,115 @@
+"""Where episodes start, as a user writes it: in cells, or in metres of the map's frame."""
+
+import dataclasses
+import math
+import re
+import warnings
+from typing import Any
+
+from jexplore.config import InputError, InputWarning, require_number, shown
+from jexplore.worlds.world import World
+
+ROUNDING_DEG = 0.5  # a heading in whole degrees, or in radians with two decimals, is nearer to what was meant
+_SNAP = 6  # decimals of a cell to which a point is rounded: 0.3 m lies at the edge of cells of 0.1 m, not before it
+_NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?"
+_METRES = re.compile(rf"({_NUMBER}) ?m, ?({_NUMBER}) ?m, ?({_NUMBER}) ?(deg|°|rad|)", re.IGNORECASE)
+_CELLS = re.compile(r"([-+]?\d{1,9}), ?([-+]?\d{1,9}), ?([-+]?\d{1,9})")
+
+
+@dataclasses.dataclass(frozen=True)
+class Pose:
+    """A place and a heading in the frame of a map, as ROS has them."""
+
+    x_m: float
+    y_m: float
+    yaw_deg: float
+    """Counter-clockwise from +x."""
+
+    def __str__(self) -> str:
+        return f"{self.x_m:g}m,{self.y_m:g}m,{self.yaw_deg:g}"
+
+
+def read_start(start: Any, start_m: Any = None) -> "str | tuple[Any, ...] | Pose":
+    """A start from what a user gives.
+
+    Args:
+      start: "random"; "world"; cells, `(row, col, heading_deg)` or the text `12,30,90`; or the text
+        `2.0m,1.5m,90`: x and y in metres, marked by their `m`, and the yaw in degrees, or in radians as `1.5708rad`.
+      start_m: `(x_m, y_m, yaw_deg)`, instead of `start`.
+
+    Returns:
+      "random", "world", a tuple for `starts.check_start`, or a `Pose`.
+
+    Raises:
+      InputError: none of these, or both.
+    """
+    if start_m is not None:
+        if start != "random":
+            raise InputError(f"start and start_m say the same in cells and in metres: give one, got {start!r} as well")
+        try:
+            x_m, y_m, yaw_deg = start_m
+        except (TypeError, ValueError):
+            raise InputError(f"start_m must be x_m, y_m, yaw_deg, got {shown(start_m)}") from None
+        return _pose(x_m, y_m, yaw_deg)
+    if isinstance(start, Pose) or (isinstance(start, str) and start in ("random", "world")):
+        return start
+    if isinstance(start, str):
+        metres, cells = _METRES.fullmatch(start.strip()), _CELLS.fullmatch(start.strip())
+        if metres:
+            x_m, y_m, yaw = map(float, metres.groups()[:3])
+            return _pose(x_m, y_m, math.degrees(yaw) if metres[4].lower() == "rad" else yaw)
+        if cells:
+            return tuple(map(int, cells.groups()))
+        raise InputError(
+            "start must be random, world, cells such as 12,30,90 (row, column, degrees) or metres such as "
+            f"2.0m,1.5m,90 (x, y, degrees; radians as 1.57rad), got {shown(start)}"
+        )
+    try:
+        start = tuple(start)
+    except TypeError:
+        raise InputError(f"start must be random, world, or row, col, heading_deg, got {shown(start)}") from None
+    if any(isinstance(value, float) for value in start):
+        raise InputError(f"start must be integers row, col, heading_deg; metres go into start_m, got {shown(start)}")
+    return start
+
+
+def _pose(*values):
+    for name, value in zip(("x", "y", "yaw"), values):
+        require_number(f"{name} of the start", value, low=-1e9, high=1e9)
+    return Pose(*map(float, values))
+
+
+def cell_of(world: World, pose: Pose) -> tuple[int, int, int]:
+    """The cell in which a pose lies, and the heading of the grid next to its own.
+
+    Args:
+      world: a `World`; its `origin_m` is where its frame has the lower left corner.
+      pose: `Pose`.
+
+    Returns:
+      `(row, col, heading_deg)`, for `starts.check_start`.
+
+    Warns:
+      InputWarning: the heading changes by `ROUNDING_DEG` or more.
+
+    Raises:
+      InputError: the place lies outside.
+    """
+    spans = []
+    for value_m, low_m, n in zip((pose.x_m, pose.y_m), world.origin_m, world.shape[::-1]):
+        spans.append((math.floor(round((value_m - low_m) / world.cell_m, _SNAP)), n, low_m))
+    if not all(0 <= i < n for i, n, _ in spans):
+        (x0, x1), (y0, y1) = ((low_m, low_m + n * world.cell_m) for _, n, low_m in spans)
+        raise InputError(
+            f"start {pose} of {world.name or 'world'!r}: lies outside; x is {x0:.6g} to {x1:.6g} m, "
+            f"y {y0:.6g} to {y1:.6g} m"
+        )
+    heading = round(pose.yaw_deg / 45) * 45
+    if abs(pose.yaw_deg - heading) >= ROUNDING_DEG:
+        warnings.warn(
+            f"start {pose}: its yaw of {pose.yaw_deg:g} degrees becomes {heading % 360}, for headings are multiples of "
+            "45 degrees",
+            InputWarning,
+            stacklevel=2,
+        )
+    return spans[1][0], spans[0][0], heading % 360
