@@ -168,7 +168,7 @@ def test_image_of_a_size_stretches_the_box_of_what_is_occupied(tmp_path):
     inner = np.zeros((4, 8), bool)
     inner[3] = True
     inner[0, :2] = True
-    assert np.array_equal(world.occupied[1:-1, 1:-1], inner)
+    assert np.array_equal(world.occupied, inner)
     assert world.shape == (6, 10)
     assert world.origin_m == (-0.1, -0.1)
 
@@ -224,7 +224,7 @@ def test_formats_give_the_same_world(tmp_path, suffix):
     image = Image.fromarray(pixels)
     path = tmp_path / f"m.{suffix}"
     (image.convert("RGB") if suffix == "ppm" else image).save(path)
-    assert np.array_equal(load_world(f"{path}@0.1").occupied[1:-1, 1:-1], pixels[::-1] == 0)
+    assert np.array_equal(load_world(f"{path}@0.1").occupied, pixels[::-1] == 0)
 
 
 def test_a_jpeg_and_a_bitmap(tmp_path):
@@ -232,7 +232,7 @@ def test_a_jpeg_and_a_bitmap(tmp_path):
     pixels[:, 16:] = 255
     for name in ("m.jpg", "m.jpeg"):
         save(tmp_path / name, pixels)
-        assert np.array_equal(load_world(f"{tmp_path / name}@0.1").occupied[1:-1, 1:-1], pixels == 0)
+        assert np.array_equal(load_world(f"{tmp_path / name}@0.1").occupied, pixels == 0)
     thin = np.full((60, 60), 255, np.uint8)
     thin[[3, 30, 57]], thin[:, [5, 44]] = 0, 0
     Image.fromarray(thin).save(tmp_path / "m.jpg", quality=60)
@@ -242,7 +242,7 @@ def test_a_jpeg_and_a_bitmap(tmp_path):
     assert blurred[1:-1, 1:-1][thin[::-1] == 0].all()  # no wall is lost,
     assert blurred.sum() > load_world(f"{save(tmp_path / 'thin.png', thin)}@0.1").occupied.sum()  # but walls grow
     (tmp_path / "m.pbm").write_text("P1\n3 2\n1 0 0\n0 0 1\n")  # 1 is black
-    assert load_world(f"{tmp_path / 'm.pbm'}@0.1").occupied[1:-1, 1:-1].tolist() == [[0, 0, 1], [1, 0, 0]]
+    assert load_world(f"{tmp_path / 'm.pbm'}@0.1").occupied.tolist() == [[0, 0, 1], [1, 0, 0]]
 
 
 def test_sixteen_bits_palettes_and_colours(tmp_path):
@@ -367,7 +367,7 @@ def test_ros_trinary_by_pencil(tmp_path):
     assert occupancy.dtype == np.int8
     assert (info.resolution_m, info.origin_m, info.mode, info.negate) == (0.1, (-1.5, 2.0), "trinary", False)
     world = load_world(path)
-    assert world.occupied[1:-1, 1:-1].tolist() == [[0, 0, 1], [1, 1, 0], [1, 1, 1]]
+    assert world.occupied.tolist() == [[0, 0, 1], [1, 1, 0], [1, 1, 1]]
     assert world.origin_m == pytest.approx((-1.6, 1.9))
     assert world.start is None
     assert world.name == str(path)
@@ -496,7 +496,7 @@ def test_ros_resamples_to_the_cell(tmp_path):
     pixels = np.full((4, 4), 254, np.uint8)
     pixels[0, 0] = 0
     path = ros_map(tmp_path, pixels, resolution=0.05)
-    assert load_world(path).occupied[1:-1, 1:-1].tolist() == [[0, 0], [1, 0]]
+    assert load_world(path).occupied.tolist() == [[0, 0], [1, 0]]
     assert load_world(path, cell_m=0.025).shape == (10, 10)
 
 
@@ -645,16 +645,16 @@ def movingai(path, *rows, header="type octile\nheight {}\nwidth {}\nmap\n"):
 def test_movingai_by_pencil(tmp_path):
     path = movingai(tmp_path / "m.map", ".GS@", "OTW.")
     world = load_world(path)
-    assert world.occupied[1:-1, 1:-1].tolist() == [[1, 1, 1, 0], [0, 0, 0, 1]]  # the first line is the top
+    assert world.occupied.tolist() == [[1, 1, 1, 0], [0, 0, 0, 1]]  # the first line is the top
     assert world.shape == (4, 6)
     assert load_world(path, cell_m=0.3).shape == (4, 6)  # by default a cell of the map is a cell
     finer = load_world(f"{path}@0.2")
-    assert np.array_equal(finer.occupied[1:-1, 1:-1], world.occupied[1:-1, 1:-1].repeat(2, 0).repeat(2, 1))
+    assert np.array_equal(finer.occupied, world.occupied.repeat(2, 0).repeat(2, 1))
 
 
 def test_movingai_takes_other_line_ends_and_header_orders(tmp_path):
     (tmp_path / "m.map").write_bytes(b"type octile\r\nwidth 3\r\nheight 2\r\nmap\r\n..@\r\n@..\r\n\r\n")
-    assert load_world(tmp_path / "m.map").occupied[1:-1, 1:-1].tolist() == [[1, 0, 0], [0, 0, 1]]
+    assert load_world(tmp_path / "m.map").occupied.tolist() == [[1, 0, 0], [0, 0, 1]]
 
 
 @pytest.mark.parametrize(

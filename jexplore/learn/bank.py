@@ -21,7 +21,7 @@ from jexplore.studies.checks import (
     require_memory,
 )
 from jexplore.studies.statistics.league import LEAGUE_KINDS
-from jexplore.worlds.world import World
+from jexplore.worlds.world import World, with_ring
 
 REFERENCE = "closest+recheck"
 FAILED = 3.0  # ratio that an episode counts with that did not see everything
@@ -35,7 +35,7 @@ VALIDATION = tuple(f"{kind}#{seed}" for seed in range(2000, 2004) for kind in LE
 class Bank:
     """Worlds, a scanner and rules."""
 
-    worlds: tuple[World, ...]
+    worlds: tuple[World, ...]  # each `with_ring`
     lidar: Lidar
     rules: Rules
     start: str = "random"
@@ -128,7 +128,7 @@ def prepare_bank(
     Raises:
       InputError: a world that cannot be loaded, or is too large, or in which no robot can stand.
     """
-    ready = ready_worlds(worlds, cell_m)
+    ready = [with_ring(world) for world in ready_worlds(worlds, cell_m)]
     for world in ready:
         require_clearance(world, rules)
         require_memory(world, lidar, rules)

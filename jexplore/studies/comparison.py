@@ -7,7 +7,6 @@ import dataclasses
 import functools
 import itertools
 import os
-import re
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -31,6 +30,7 @@ from jexplore.studies.checks import (
     ready_starts,
     ready_strategies,
     ready_worlds,
+    require_different_buildings,
     require_memory,
     require_settings,
 )
@@ -38,6 +38,7 @@ from jexplore.studies.results.units import Piece, Ran, Seen, run_units
 from jexplore.studies.statistics import by_world, figures, sizes, waste
 from jexplore.studies.statistics.league import over_worlds_text, standings
 from jexplore.studies.statistics.paired import MIN_PAIRS
+from jexplore.worlds.names import file_names, short_names
 from jexplore.worlds.world import World
 
 if TYPE_CHECKING:
@@ -123,7 +124,8 @@ class Comparison:
         """Writes the last map of every episode as files of ROS's map_server, with `keep="maps"`.
 
         Args:
-          folder: where to; it is made. Files are named world-strategy-episode.yaml, with a picture each.
+          folder: where to; it is made. Files are named world-strategy-episode.yaml, with a picture each: of a world's
+            path as much as tells it from the others.
 
         Returns:
           Paths of the yaml files; `jx.load_world` reads them, and their cells are those of the maps.
@@ -136,14 +138,17 @@ class Comparison:
         if not self.maps:
             raise InputError('no maps were kept: compare(..., keep="maps")')
         Path(folder).mkdir(parents=True, exist_ok=True)
-        of_name, files = {world.name: world for world in self.worlds}, []
+        of_name = {
+            one.name: (one, short) for one, short in zip(self.worlds, short_names([w.name for w in self.worlds]))
+        }
+        made = []
         for (world, strategy), states in self.maps.items():
             rows = self.episodes[(self.episodes["world"] == world) & (self.episodes["strategy"] == strategy)]
-            for episode, state in zip(rows["episode"], states):
-                name = re.sub(r"[^\w.+=#-]+", "_", f"{Path(world).name}-{strategy}-{episode}")
-                files.append(Path(folder) / f"{name}.yaml")
-                one = of_name[world]
-                write_ros(to_occupancy(state), files[-1], cell_m=one.cell_m, origin_m=one.origin_m)
+            one, short = of_name[world]
+            made += [(f"{short}-{strategy}-{i}", one, state) for i, state in zip(rows["episode"], states)]
+        files = [Path(folder) / f"{name}.yaml" for name in file_names([text for text, _, _ in made])]
+        for file, (_, one, state) in zip(files, made):
+            write_ros(to_occupancy(state), file, cell_m=one.cell_m, origin_m=one.origin_m)
         return files
 
     def sample_sizes(self, *, within: float = 0.02, assurance: float = 0.8) -> "pd.DataFrame":
@@ -334,8 +339,9 @@ def prepare_jobs(
     if start not in ("random", "world"):
         raise InputError(f"start must be random or world, got {start!r}")
     strategies = ready_strategies(strategies)
-    jobs = []
-    for world in ready_worlds(worlds, cell_m):
+    ready, jobs = ready_worlds(worlds, cell_m), []
+    require_different_buildings(ready)
+    for world in ready:
         require_memory(world, lidar, rules)
         starts = ready_starts(world, start, episodes, seed=seed, rules=rules)
         jobs += [Job(world, strategy, starts, seed, lidar=lidar, rules=rules) for strategy in strategies]

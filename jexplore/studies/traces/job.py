@@ -32,8 +32,9 @@ from jexplore.driving.settings import (
 from jexplore.studies import checks
 from jexplore.studies.traces.truth import Truth, maps_from, truth_of
 from jexplore.tracemap.record import BtmMap
-from jexplore.worlds.starts import draw_starts
-from jexplore.worlds.world import World
+from jexplore.worlds.regions import warn_of_outside
+from jexplore.worlds.starts import draw_starts, start_region
+from jexplore.worlds.world import World, with_ring
 
 MAX_RUNS = 1_000_000
 MOST_STEPS = 100_000
@@ -249,7 +250,10 @@ def prepare_trace(
     Raises:
       InputError: what cannot be run, in one line.
     """
-    (world,) = checks.ready_worlds([world], cell_m)
+    (given,) = checks.ready_worlds([world], cell_m)
+    world = with_ring(given)
+    if start is None and world.course is None and (starts or world.start is None):
+        warn_of_outside(given, start_region(given, CLEARANCE_M))
     if starts is not None and start is not None:
         raise InputError("start and starts exclude each other: give one of them")
     starts = None if starts is None else require_whole("starts", starts, 1, MAX_RUNS)
