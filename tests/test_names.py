@@ -193,12 +193,12 @@ def test_a_generator_gets_its_seed_cell_and_parameters():
 
 
 @pytest.mark.usefixtures("generators")
-def test_a_world_has_a_ring_and_its_name_verbatim():
+def test_a_world_has_its_cells_and_its_name_verbatim():
     world = load_world("bare#3:width_m=2,n_doors=4,loops=true,style=grand,height_m=5", cell_m=0.5)
     assert world.name == "bare#3:width_m=2,n_doors=4,loops=true,style=grand,height_m=5"
-    assert world.shape == (4, 6)
+    assert world.shape == (2, 4)
     assert world.cell_m == 0.5
-    assert world.origin_m == (-0.5, -0.5)
+    assert world.origin_m == (0.0, 0.0)
 
 
 @pytest.mark.usefixtures("generators")

@@ -10,7 +10,6 @@ from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
 
 from jexplore.report.plot import room_colours, wrapped
-from jexplore.worlds.names import short_names
 
 SIDE_IN = 4.2  # of a panel, the longer side
 CRITICAL = "#d00000"
@@ -65,13 +64,11 @@ def figure(pictures: Sequence[Any], scores: Any) -> Figure:
     tallest = max(p.label.shape[0] / max(p.label.shape) for p in pictures)
     page = Figure(figsize=(SIDE_IN * len(variants), (SIDE_IN * tallest + 0.5) * n_rows), layout="constrained")
     axes = page.subplots(n_rows, len(variants), squeeze=False)
-    maps = list(dict.fromkeys(picture.name for picture in pictures))
-    short = dict(zip(maps, short_names(maps)))
     for ax, picture, (_, row) in zip(axes.flat, pictures, scores.iterrows()):
         draw_segments(ax, picture)
         share = "" if picture.explored == 1 else f", {picture.explored:.0%} known"
         agreement = "" if np.isnan(row["mcc"]) else f", MCC {row['mcc']:.2f}, {_doors(row)}"
-        title = f"{wrapped(short[picture.name], 40, max_lines=1)}{share}\n"
+        title = f"{wrapped(picture.name, 40, max_lines=1)}{share}\n"
         ax.set_title(f"{title}{picture.variant}: {int(row['rooms'])} rooms{agreement}", fontsize=8, parse_math=False)
     return page
 

@@ -17,7 +17,6 @@ from jexplore.arrays.pictures import MOST_ROWS, html_of, or_text, png_of
 from jexplore.config import MAX_SEED, InputError, Lidar, Rules, require_whole
 from jexplore.engine.backend import use_compilation_cache
 from jexplore.exploration.batch import Job
-from jexplore.exploration.results import to_occupancy
 from jexplore.exploration.state import Outcome
 from jexplore.exploration.trail import RECORDS
 from jexplore.report.tables import number_text, p_text, ratio_text, spread_text
@@ -34,11 +33,11 @@ from jexplore.studies.checks import (
     require_memory,
     require_settings,
 )
+from jexplore.studies.results.grids import write_maps
 from jexplore.studies.results.units import Piece, Ran, Seen, run_units
 from jexplore.studies.statistics import by_world, figures, sizes, waste
 from jexplore.studies.statistics.league import over_worlds_text, standings
 from jexplore.studies.statistics.paired import MIN_PAIRS
-from jexplore.worlds.names import file_names, short_names
 from jexplore.worlds.world import World
 
 if TYPE_CHECKING:
@@ -133,23 +132,7 @@ class Comparison:
         Raises:
           InputError: no maps were kept, or a file cannot be written.
         """
-        from jexplore.worlds.readers.ros import write_ros
-
-        if not self.maps:
-            raise InputError('no maps were kept: compare(..., keep="maps")')
-        Path(folder).mkdir(parents=True, exist_ok=True)
-        of_name = {
-            one.name: (one, short) for one, short in zip(self.worlds, short_names([w.name for w in self.worlds]))
-        }
-        made = []
-        for (world, strategy), states in self.maps.items():
-            rows = self.episodes[(self.episodes["world"] == world) & (self.episodes["strategy"] == strategy)]
-            one, short = of_name[world]
-            made += [(f"{short}-{strategy}-{i}", one, state) for i, state in zip(rows["episode"], states)]
-        files = [Path(folder) / f"{name}.yaml" for name in file_names([text for text, _, _ in made])]
-        for file, (_, one, state) in zip(files, made):
-            write_ros(to_occupancy(state), file, cell_m=one.cell_m, origin_m=one.origin_m)
-        return files
+        return write_maps(folder, self.maps, self.episodes, self.worlds)
 
     def sample_sizes(self, *, within: float = 0.02, assurance: float = 0.8) -> "pd.DataFrame":
         """How many episodes, and how many worlds, would tell every ratio `± within`: see `sizes.sample_sizes`."""

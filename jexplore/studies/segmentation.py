@@ -44,7 +44,7 @@ class Task(NamedTuple):
 class Picture(NamedTuple):
     """What a variant made of a map."""
 
-    name: str
+    name: str  # of the map, as short as tells it from the others
     variant: str
     explored: float  # share of the map known; 1 for all of it
     label: np.ndarray  # [H, W] int32
@@ -131,12 +131,13 @@ def segment_maps(
         if partial
     ]
     rows, pictures, done = [], [], 0
+    short = short_names([os.fspath(task.world.name) for task in tasks])
     for i, task in enumerate(tasks):
         for stage, explored, free, unseen in _stages(task.world, jobs[i] if partial else None):
             for variant, made in zip(chosen, divided(free, unseen, chosen, numbers, task.world.cell_m)):
                 row, picture = _judged(task, variant, stage, explored, free, made)
                 rows.append(row)
-                pictures.append(picture)
+                pictures.append(picture._replace(name=short[i]))
             done += 1
             if on_progress is not None:
                 on_progress(done)

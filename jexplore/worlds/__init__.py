@@ -52,24 +52,24 @@ def load_world(name: str | os.PathLike[str], cell_m: float = 0.1) -> "World":
         raise InputError(f"world must be a name or a path, got {name!r}") from None
     require_number("cell_m", cell_m, low=0.001, high=100)
     parsed = names.parse(name, generators=tuple(GENERATORS))
-    parsed, inside = _taken(parsed)
+    parsed, chosen = _taken(parsed)
     world = _generate(parsed, cell_m) if parsed.kind == "generator" else _read(parsed, cell_m)
 
     from jexplore.worlds.world import require_side, ringed_shape
 
     world = dataclasses.replace(world, name=name)
     require_side(name, *ringed_shape(world.occupied), cell_m)
-    if inside is not None:
-        from jexplore.worlds.regions import only_region
+    if chosen is not None:
+        from jexplore.worlds.regions import inside
 
-        world = only_region(world, inside)
+        world = inside(world, *chosen)
     if world.occupied.all():
         raise InputError(f"{name!r}: no free cell is left at cell_m = {cell_m:g}; use a smaller cell_m")
     return world
 
 
 def _taken(parsed):
-    """A name without the parameters `names.INSIDE`, and what they choose: True, a point, or None."""
+    """A name without the parameters `names.INSIDE`, and what they choose: the arguments of `inside`, or None."""
     if parsed.kind == "generator":
         return parsed, None
     rest = {key: value for key, value in parsed.parameters.items() if key not in names.INSIDE}
@@ -77,12 +77,12 @@ def _taken(parsed):
     if not isinstance(inside, bool | None):
         raise InputError(f"{parsed.name!r}: inside must be true or false, got {inside!r}")
     if x_m is None and y_m is None:
-        return dataclasses.replace(parsed, parameters=rest), inside or None
+        return dataclasses.replace(parsed, parameters=rest), () if inside else None
     if inside is not None or x_m is None or y_m is None:
         raise InputError(f"{parsed.name!r}: give inside=true, or both inside_x_m and inside_y_m")
     for key, value in (("inside_x_m", x_m), ("inside_y_m", y_m)):
         require_number(f"{parsed.name!r}: {key}", value, low=-math.inf)
-    return dataclasses.replace(parsed, parameters=rest), (x_m, y_m)
+    return dataclasses.replace(parsed, parameters=rest), ((x_m, y_m),)
 
 
 def generator_parameters(base: str) -> dict[str, Any]:

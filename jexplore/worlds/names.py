@@ -38,7 +38,7 @@ _SEEDS = 2**32
 METADATA = "metadata.yaml"
 """The file that makes a folder a recording of ROS 2."""
 INSIDE = ("inside", "inside_x_m", "inside_y_m")
-"""Parameters of every map file: which of its floor is meant, see `regions.only_region`."""
+"""Parameters of every map file: which of its floor is meant, see `regions.inside`."""
 LONGEST_NAME = 200  # characters of a file's name; file systems take 255 bytes with suffixes
 
 

@@ -44,22 +44,24 @@ def _edge(array):
     return np.concatenate([array[0], array[-1], array[1:-1, 0], array[1:-1, -1]])
 
 
-def only_region(world: World, inside: bool | tuple[float, float]) -> World:
-    """The same world with all free floor but that which is chosen as wall.
+def inside(world: World, point_m: tuple[float, float] | None = None) -> World:
+    """The inside of a building: the same world with other free floor as wall.
+
+    Regions are apart where a robot of `GAP_M` clearance does not fit through.
 
     Args:
       world: a `World`.
-      inside: True: what does not touch the edge of the map; or x, y, metres in the world's frame: the region of that
-        point. Regions are apart where a robot of `GAP_M` clearance does not fit through.
+      point_m: x, y, metres in the world's frame: what is left is the region of this point. None: all is left but the
+        regions that touch the edge of the map.
 
     Returns:
-      A `World`; its start and rooms are kept where they are free.
+      A `World` of the same shape; its start and rooms are kept where they are free.
 
     Raises:
       InputError: nothing is enclosed, or no robot can stand round that point.
     """
     name, (floor, _, at_edge) = world.name or "world", _regions(world)
-    if inside is True:
+    if point_m is None:
         keep = ~world.occupied & ~np.append(at_edge, False)[floor]
         if at_edge.all():
             raise InputError(
@@ -67,14 +69,13 @@ def only_region(world: World, inside: bool | tuple[float, float]) -> World:
                 "map to all of it: close the outer wall in the map, or leave inside out"
             )
     else:
-        own = floor[_cell_at(world, inside, name)]
+        own = floor[_cell_at(world, point_m, name)]
         if own < 0:
-            raise InputError(f"{name!r}: inside: no robot fits in round {_point(inside)} m; give another point")
+            raise InputError(f"{name!r}: inside: no robot fits in round {_point(point_m)} m; give another point")
         keep = floor == own
-    occupied = ~keep
     start = world.start if world.start is not None and keep[world.start[:2]] else None
-    rooms = None if world.rooms is None else np.where(occupied, -1, world.rooms)
-    return world.replace(occupied=occupied, rooms=rooms, start=start)
+    rooms = None if world.rooms is None else np.where(keep, world.rooms, -1)
+    return world.replace(occupied=~keep, rooms=rooms, start=start)
 
 
 def _point(point_m):
@@ -116,9 +117,9 @@ def warn_of_outside(world: World, reached: np.ndarray) -> bool:
     enclosed_m2 = m2[~own & ~at_edge & (m2 >= max(SIZEABLE_M2, SIZEABLE * own_m2))].sum()
     if along < ALONG_EDGE or not enclosed_m2:
         return False
-    cure, joint = "for the inside use jx.occupancy_to_world(..., inside=True)", joint_of(str(world.name))
+    cure, joint = "for the inside use jx.inside(world)", joint_of(str(world.name))
     if joint:
-        cure = f"for the inside append {joint}inside=true to the name, or {joint}inside_x_m=X,inside_y_m=Y of a point in it"
+        cure = f"for the inside append {joint}inside=true to the name, or the point {joint}inside_x_m=X,inside_y_m=Y"
     warnings.warn(
         f"{world.name or 'world'}: robots start outside, on {own_m2:.0f} m2 along the edge of the map, and "
         f"{enclosed_m2:.0f} m2 are enclosed; {cure}",

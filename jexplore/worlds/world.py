@@ -243,7 +243,6 @@ def occupancy_to_world(
     name: str = "",
     origin_m: Iterable[Any] = (0.0, 0.0),
     free_max: int = 25,
-    inside: Any = False,
 ) -> World:
     """A world from an occupancy array, as ROS has it in an OccupancyGrid. Unknown counts as occupied.
 
@@ -254,15 +253,13 @@ def occupancy_to_world(
       name: what errors and results call it.
       origin_m: x, y of the lower left corner of cell (0, 0), metres.
       free_max: a cell is free if its occupancy is from 0 to this.
-      inside: True: free floor that touches the edge of the array is wall, as outside a building; or `(x_m, y_m)`: all
-        but the region of that point is, see `regions.only_region`.
 
     Returns:
       A `World`, its cells those of the array.
 
     Raises:
-      InputError: not a matrix, empty, of another dtype, a value outside -1..100, no value that is a wall, no free cell,
-        too large, or nothing inside.
+      InputError: not a matrix, empty, of another dtype, a value outside -1..100, no value that is a wall, no free
+        cell, or too large.
     """
     what = name or "occupancy"
     try:
@@ -287,12 +284,7 @@ def occupancy_to_world(
     if occupied.all():
         raise InputError(f"{what!r}: no cell is free (occupancy 0 to {free_max})")
     require_side(what, *ringed_shape(occupied), cell_m=cell_m)
-    world = World(occupied=occupied, cell_m=float(cell_m), name=name, origin_m=tuple(origin_m))
-    if inside is False:
-        return world
-    from jexplore.worlds.regions import only_region  # which knows starts, and they worlds
-
-    return only_region(world, inside)
+    return World(occupied=occupied, cell_m=float(cell_m), name=name, origin_m=tuple(origin_m))
 
 
 def require_hundred(name: str, occupancy: np.ndarray, free_max: int = 1) -> None:

@@ -250,10 +250,7 @@ def prepare_trace(
     Raises:
       InputError: what cannot be run, in one line.
     """
-    (given,) = checks.ready_worlds([world], cell_m)
-    world = with_ring(given)
-    if start is None and world.course is None and (starts or world.start is None):
-        warn_of_outside(given, start_region(given, CLEARANCE_M))
+    world = _loaded(world, cell_m, start, starts)
     if starts is not None and start is not None:
         raise InputError("start and starts exclude each other: give one of them")
     starts = None if starts is None else require_whole("starts", starts, 1, MAX_RUNS)
@@ -338,6 +335,14 @@ def with_values(tuning, noise, values):
     thresholds = {name: value for name, value in values.items() if not name.startswith(NOISE)}
     errors = {name.removeprefix(NOISE): value for name, value in values.items() if name.startswith(NOISE)}
     return dataclasses.replace(tuning, **thresholds), dataclasses.replace(noise, **errors)
+
+
+def _loaded(world, cell_m, start, starts):
+    """The world of runs, with its ring; says so if starts are drawn outside a building."""
+    (world,) = checks.ready_worlds([world], cell_m)
+    if start is None and world.course is None and (starts or world.start is None):
+        warn_of_outside(world, start_region(world, CLEARANCE_M))
+    return with_ring(world)
 
 
 def _ends(world, start, starts, seed) -> tuple[Any, Any]:
