@@ -24,7 +24,7 @@ LIDAR = Lidar(n_beams=37, range_m=1.0)
 
 
 def room_world(**fields):
-    world = two_rooms("with rooms/two rooms")
+    world = two_rooms("with rooms/two rooms", door=7)
     rooms = np.where(world.occupied, -1, np.arange(world.shape[1])[None] > 17).astype(np.int32)
     return world.replace(rooms=rooms, **fields)
 
@@ -230,7 +230,7 @@ def test_an_enclosed_start_is_refused():
     occupied = np.zeros((30, 30), bool)
     occupied[13:18, 13:18] = True
     occupied[15, 15] = False
-    world = occupancy_to_world(occupied, name="cell").replace(start=(16, 16, 0))
+    world = occupancy_to_world(occupied, name="cell").replace(start=(15, 15, 0))
     with pytest.raises(InputError, match="is enclosed"):
         compare(world, "closest", start="world")
 

@@ -207,7 +207,7 @@ def test_a_coloured_block_marks_the_start(tmp_path):
     assert load_world(f"{path}@0.1:free=190", cell_m=0.2).start == (3, 4, 0)
     pixels[9, 2:] = 127
     stretched = load_world(f"{save(tmp_path / 'box.png', pixels)}@6x2:free=150")  # half a metre by 0.2 m a pixel
-    assert stretched.start == (15, 41, 0)  # 1.4 m up and 4 m along
+    assert stretched.start == (14, 40, 0)  # 1.4 m up and 4 m along
     pixels[0, :10] = 195  # the box begins at column 2
     pixels[0, 11] = 195
     assert load_world(f"{save(tmp_path / 'box.png', pixels)}@5x2:free=150").start == (15, 31, 0)

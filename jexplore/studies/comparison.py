@@ -132,6 +132,8 @@ class Comparison:
         Raises:
           InputError: no maps were kept, or a file cannot be written.
         """
+        if not self.maps:
+            raise InputError('no maps were kept: compare(..., keep="maps")')
         return write_maps(folder, self.maps, self.episodes, self.worlds)
 
     def sample_sizes(self, *, within: float = 0.02, assurance: float = 0.8) -> "pd.DataFrame":

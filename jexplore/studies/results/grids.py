@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from jexplore.config import InputError
 from jexplore.exploration.results import to_occupancy
 from jexplore.worlds.names import file_names, short_names
 from jexplore.worlds.readers.ros import write_ros
@@ -29,10 +28,8 @@ def write_maps(
       Paths of the yaml files.
 
     Raises:
-      InputError: there are no maps, or a file cannot be written.
+      InputError: a file cannot be written.
     """
-    if not maps:
-        raise InputError('no maps were kept: compare(..., keep="maps")')
     short = dict(zip([world.name for world in worlds], short_names([world.name for world in worlds])))
     of_name, texts, made = {world.name: world for world in worlds}, [], []
     for (world, strategy), states in maps.items():
