@@ -23,6 +23,9 @@ from jexplore.worlds.world import occupancy_to_world
 LIDAR = Lidar(n_beams=37, range_m=1.0)
 
 
+SMALL = "cave:width_m=6,height_m=6"
+
+
 def room_world(**fields):
     world = two_rooms("with rooms/two rooms", door=7)
     rooms = np.where(world.occupied, -1, np.arange(world.shape[1])[None] > 17).astype(np.int32)
@@ -199,6 +202,8 @@ def test_warnings_are_told():
         ([], "closest", {}, "worlds must name at least one"),
         ("cave", [], {}, "strategies must name at least one"),
         (["cave", "cave"], "closest", {}, "worlds must differ, got 'cave'"),
+        ([SMALL, SMALL.replace("cave", "cave#0")], "closest", {}, "'cave:.*' and 'cave#0:.*' are the same building"),
+        ([two_rooms(), room_world().replace(occupied=two_rooms().occupied)], "closest", {}, "are the same building"),
         ("cave", ["random", "random"], {}, "strategies must differ, got 'random'"),
         ("cavern", "closest", {}, "did you mean 'cave'"),
         ("cave", "closets", {}, "did you mean 'closest'"),
@@ -224,6 +229,15 @@ def test_what_is_refused(worlds, strategies, options, message, monkeypatch):
     with pytest.raises(InputError, match=message) as error:
         compare(worlds, strategies, **options)
     assert "\n" not in str(error.value)
+
+
+def test_a_building_in_other_cells_or_on_other_ground_is_another():
+    world = two_rooms()
+    slope = np.tile(np.arange(world.shape[1], dtype=np.float32), (world.shape[0], 1))
+    coarse, steep = world.replace(name="coarse", cell_m=0.2), world.replace(name="steep", elevation=slope)
+    checks.require_different_buildings([world, coarse, steep])
+    with pytest.raises(InputError, match="'coarse' and 'again' are the same building, which would count twice"):
+        checks.require_different_buildings([world, coarse, coarse.replace(name="again")])
 
 
 def test_an_enclosed_start_is_refused():

@@ -277,7 +277,7 @@ def test_importing_the_names_loads_no_heavy_library():
         (["map.yaml", "a/map.yaml"], ["map.yaml", "a/map.yaml"]),
         (["/a/map.yaml", "a/map.yaml"], ["/a/map.yaml", "a/map.yaml"]),
         (["a/run.bag:topic=/map", "a/run.bag:topic=/other/map"], ["run.bag:topic=/map", "run.bag:topic=/other/map"]),
-        (["a\\map.yaml", "b\\map.yaml"], ["a/map.yaml", "b/map.yaml"]),
+        (["x\\a\\map.yaml", "x\\b\\map.yaml"], ["a/map.yaml", "b/map.yaml"]),
         (["a\\map.yaml", "a/map.yaml"], ["a\\map.yaml", "a/map.yaml"]),
     ],
 )

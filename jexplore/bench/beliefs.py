@@ -40,7 +40,7 @@ def record(compiler: Compiler, world: World, strategy: Strategy, reach: str) -> 
     starts = draw_starts(world, SEED, 1, RULES.clearance_m)
     run = compiler.serial(world, strategy).run(starts)
     result = jax.tree.map(lambda a: a[0], run.result)
-    final = decode(jax.tree.map(np.asarray, run.last), result, world.shape, 0)
+    final = decode(jax.tree.map(np.asarray, run.last), result, world.shape)
     site, first = prepare_site(world, LIDAR, RULES, KERNELS["serial"]), int(starts[0][2]) // 45
     n = site.setup.first_scans
     row, col = (int(a) for a in starts[0][:2])

@@ -126,7 +126,7 @@ def record_of(result: Result, found: tuple[np.ndarray, ...], shape: tuple[int, .
     return Record(path, within(state[0], inner, ring).copy() if state else None)
 
 
-def decode(found: tuple[np.ndarray, ...], result: Result, shape: tuple[int, int], ring: int) -> Final:
+def decode(found: tuple[np.ndarray, ...], result: Result, shape: tuple[int, int], ring: int = 0) -> Final:
     """`Final` of what was kept of an episode.
 
     Args:
