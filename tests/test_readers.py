@@ -210,7 +210,7 @@ def test_a_coloured_block_marks_the_start(tmp_path):
     assert stretched.start == (14, 40, 0)  # 1.4 m up and 4 m along
     pixels[0, :10] = 195  # the box begins at column 2
     pixels[0, 11] = 195
-    assert load_world(f"{save(tmp_path / 'box.png', pixels)}@5x2:free=150").start == (15, 31, 0)
+    assert load_world(f"{save(tmp_path / 'box.png', pixels)}@5x2:free=150").start == (14, 30, 0)
     pixels[0], pixels[9] = 127, 195
     pixels[5, 5] = (255, 216, 0)
     assert load_world(f"{save(tmp_path / 'two.png', pixels)}@0.1:free=150").start is None

@@ -143,7 +143,7 @@ def stops(
       `Stop`s, one for each number of steps. What one holds is gone when the next is asked for.
     """
     setup, numbers = site.with_strategy(_bare(strategy))
-    (task,) = tasks_of([start], site.ring)
+    (task,) = tasks_of(np.asarray(start)[None], site.ring)
     given = jax.device_put(
         Given(
             key=jax.random.fold_in(jax.random.key(np.uint32(seed)), number),

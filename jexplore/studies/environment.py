@@ -268,7 +268,9 @@ def shown(state: EnvState) -> View:
     view, ring = view_of(state.episode.belief, state.known), state.ring
     if ring is None:
         return view
-    view = jax.tree.map(lambda a: jnp.roll(a, (-ring, -ring), (0, 1)) if a.shape == view.cost.shape else a, view)
+    view = jax.tree.map(
+        lambda a: jnp.roll(a, jnp.stack([-ring, -ring]), (0, 1)) if a.shape == view.cost.shape else a, view
+    )
     belief = view.belief
     return view.replace(
         belief=belief.replace(
