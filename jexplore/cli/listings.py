@@ -9,6 +9,7 @@ import tyro
 from jexplore.cli.options import OutFolder
 from jexplore.cli.output.console import Out, note, working
 from jexplore.cli.output.terminal import show_line, show_table
+from jexplore.config import require_number
 
 if TYPE_CHECKING:
     from jexplore.studies.geometry import Geometry
@@ -60,6 +61,7 @@ class Worlds:
         from jexplore.worlds.starts import start_region
 
         with Out(self, "worlds") as out:
+            require_number("clearance_m", self.clearance_m, high=100)
             with note("jexplore: loading worlds"):
                 worlds = ready_worlds(self.worlds or tuple(GENERATORS), self.cell_m)
             for world in worlds:
