@@ -16,9 +16,11 @@ from jexplore.exploration import batch
 from jexplore.exploration.trail import Final
 from jexplore.studies import checks, comparison
 from jexplore.studies.comparison import assemble, compare, prepare_jobs
+from jexplore.studies.results.grids import write_maps
 from jexplore.studies.results.units import COLUMNS, Ran, cut, piece_of
 from jexplore.studies.statistics import by_world, league, sizes
-from jexplore.worlds.world import occupancy_to_world
+from jexplore.worlds.readers.ros import read_ros
+from jexplore.worlds.world import World, occupancy_to_world
 
 LIDAR = Lidar(n_beams=37, range_m=1.0)
 
@@ -238,6 +240,16 @@ def test_a_building_in_other_cells_or_on_other_ground_is_another():
     checks.require_different_buildings([world, coarse, steep])
     with pytest.raises(InputError, match="'coarse' and 'again' are the same building, which would count twice"):
         checks.require_different_buildings([world, coarse, coarse.replace(name="again")])
+
+
+def test_maps_of_worlds_called_alike_are_files_of_their_own(tmp_path):
+    shapes = {"floor1/map.yaml": (3, 4), "floor2/map.yaml": (5, 2)}
+    worlds = [World(occupied=np.ones(shape, bool), name=name) for name, shape in shapes.items()]
+    maps = {(name, "closest"): np.ones((1, *shape), np.uint8) for name, shape in shapes.items()}
+    episodes = pd.DataFrame({"world": list(shapes), "strategy": "closest", "episode": 0})
+    files = write_maps(tmp_path, maps, episodes, worlds)
+    assert [file.name for file in files] == ["floor1_map.yaml-closest-0.yaml", "floor2_map.yaml-closest-0.yaml"]
+    assert [read_ros(file)[0].shape for file in files] == list(shapes.values())
 
 
 def test_an_enclosed_start_is_refused():

@@ -4,7 +4,6 @@ import dataclasses
 import sys
 
 import numpy as np
-import pandas as pd
 import pytest
 from ref.worlds import two_rooms
 
@@ -12,10 +11,8 @@ from jexplore.config import InputError, Lidar, Rules
 from jexplore.exploration.results import to_occupancy
 from jexplore.studies.comparison import Comparison, compare
 from jexplore.studies.results import labelled
-from jexplore.studies.results.grids import write_maps
 from jexplore.studies.sweeps.run import sweep
 from jexplore.worlds.readers.ros import read_ros
-from jexplore.worlds.world import World
 
 xarray = pytest.importorskip("xarray", reason="needs xarray: pip install 'jexplore[xarray]'")
 WORLDS = [two_rooms("one", 12, 20, 2), two_rooms("two", 14, 16, 2)]
@@ -104,16 +101,6 @@ def test_maps_are_ros_maps_to_the_cell(found, tmp_path):
     for file, state in zip(files, [state for maps in found.maps.values() for state in maps]):
         occupancy, _ = read_ros(file)
         np.testing.assert_array_equal(occupancy, to_occupancy(state))
-
-
-def test_maps_of_worlds_called_alike_are_files_of_their_own(tmp_path):
-    shapes = {"floor1/map.yaml": (3, 4), "floor2/map.yaml": (5, 2)}
-    worlds = [World(occupied=np.ones(shape, bool), name=name) for name, shape in shapes.items()]
-    maps = {(name, "closest"): np.ones((1, *shape), np.uint8) for name, shape in shapes.items()}
-    episodes = pd.DataFrame({"world": list(shapes), "strategy": "closest", "episode": 0})
-    files = write_maps(tmp_path, maps, episodes, worlds)
-    assert [file.name for file in files] == ["floor1_map.yaml-closest-0.yaml", "floor2_map.yaml-closest-0.yaml"]
-    assert [read_ros(file)[0].shape for file in files] == list(shapes.values())
 
 
 def test_no_maps_and_no_xarray(monkeypatch, tmp_path):
