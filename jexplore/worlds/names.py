@@ -165,7 +165,8 @@ def file_names(texts: Sequence[str]) -> list[str]:
     made, taken = [], set()
     for text in texts:
         plain = re.sub(r"[^A-Za-z0-9_.+=#-]+", "_", text).lstrip(".-")[-LONGEST_NAME:] or "_"
-        name = next(n for n in (plain, *(f"{plain}-{i}" for i in itertools.count(2))) if n.lower() not in taken)
+        others = (f"{plain}-{i}" for i in itertools.count(2))
+        name = next(one for one in itertools.chain([plain], others) if one.lower() not in taken)
         taken.add(name.lower())
         made.append(name)
     return made
