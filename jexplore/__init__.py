@@ -47,6 +47,7 @@ _MODULE_OF = {
     "Environment": "studies.environment",
     "EnvState": "studies.environment",
     "World": "worlds.world",
+    "inside": "worlds.regions",
     "occupancy_to_world": "worlds.world",
     "load_world": "worlds",
     "GENERATORS": "worlds",
@@ -147,6 +148,7 @@ __all__ = [
     "fold_scans",
     "follow",
     "frontier_clusters",
+    "inside",
     "load",
     "load_bag",
     "load_world",
@@ -216,6 +218,7 @@ if TYPE_CHECKING:
     from jexplore.worlds.readers.bags import load_bag, read_bag
     from jexplore.worlds.readers.carmen import read_carmen
     from jexplore.worlds.readers.scans import ScanLog, ScanMap, fold_scans
+    from jexplore.worlds.regions import inside
     from jexplore.worlds.world import World, occupancy_to_world
 
 

@@ -18,6 +18,7 @@ from types import MappingProxyType
 from typing import Any, Literal, Self, TypeVar
 
 MAX_SEED = 2**32 - 1
+GENERATOR = "threefry2x32"  # of random numbers, as JAX names it; its draws are partitionable
 
 
 class InputError(ValueError):

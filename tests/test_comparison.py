@@ -18,15 +18,20 @@ from jexplore.studies import checks
 from jexplore.studies.comparison import compare
 from jexplore.studies.results import comparison
 from jexplore.studies.results.comparison import assemble, prepare_jobs
+from jexplore.studies.results.grids import write_maps
 from jexplore.studies.results.units import COLUMNS, Ran, cut, piece_of
 from jexplore.studies.statistics import by_world, league, sizes
-from jexplore.worlds.world import occupancy_to_world
+from jexplore.worlds.readers.ros import read_ros
+from jexplore.worlds.world import World, occupancy_to_world
 
 LIDAR = Lidar(n_beams=37, range_m=1.0)
 
 
+SMALL = "cave:width_m=6,height_m=6"
+
+
 def room_world(**fields):
-    world = two_rooms("with rooms/two rooms")
+    world = two_rooms("with rooms/two rooms", door=7)
     rooms = np.where(world.occupied, -1, np.arange(world.shape[1])[None] > 17).astype(np.int32)
     return world.replace(rooms=rooms, **fields)
 
@@ -202,6 +207,8 @@ def test_warnings_are_told():
         ([], "closest", {}, "worlds must name at least one"),
         ("cave", [], {}, "strategies must name at least one"),
         (["cave", "cave"], "closest", {}, "worlds must differ, got 'cave'"),
+        ([SMALL, SMALL.replace("cave", "cave#0")], "closest", {}, "'cave:.*' and 'cave#0:.*' are the same building"),
+        ([two_rooms(), room_world().replace(occupied=two_rooms().occupied)], "closest", {}, "are the same building"),
         ("cave", ["random", "random"], {}, "strategies must differ, got 'random'"),
         ("cavern", "closest", {}, "did you mean 'cave'"),
         ("cave", "closets", {}, "did you mean 'closest'"),
@@ -229,11 +236,30 @@ def test_what_is_refused(worlds, strategies, options, message, monkeypatch):
     assert "\n" not in str(error.value)
 
 
+def test_a_building_in_other_cells_or_on_other_ground_is_another():
+    world = two_rooms()
+    slope = np.tile(np.arange(world.shape[1], dtype=np.float32), (world.shape[0], 1))
+    coarse, steep = world.replace(name="coarse", cell_m=0.2), world.replace(name="steep", elevation=slope)
+    checks.require_different_buildings([world, coarse, steep])
+    with pytest.raises(InputError, match="'coarse' and 'again' are the same building, which would count twice"):
+        checks.require_different_buildings([world, coarse, coarse.replace(name="again")])
+
+
+def test_maps_of_worlds_called_alike_are_files_of_their_own(tmp_path):
+    shapes = {"floor1/map.yaml": (3, 4), "floor2/map.yaml": (5, 2)}
+    worlds = [World(occupied=np.ones(shape, bool), name=name) for name, shape in shapes.items()]
+    maps = {(name, "closest"): np.ones((1, *shape), np.uint8) for name, shape in shapes.items()}
+    episodes = pd.DataFrame({"world": list(shapes), "strategy": "closest", "episode": 0})
+    files = write_maps(tmp_path, maps, episodes, worlds)
+    assert [file.name for file in files] == ["floor1_map.yaml-closest-0.yaml", "floor2_map.yaml-closest-0.yaml"]
+    assert [read_ros(file)[0].shape for file in files] == list(shapes.values())
+
+
 def test_an_enclosed_start_is_refused():
     occupied = np.zeros((30, 30), bool)
     occupied[13:18, 13:18] = True
     occupied[15, 15] = False
-    world = occupancy_to_world(occupied, name="cell").replace(start=(16, 16, 0))
+    world = occupancy_to_world(occupied, name="cell").replace(start=(15, 15, 0))
     with pytest.raises(InputError, match="is enclosed"):
         compare(world, "closest", start="world")
 

@@ -4,8 +4,8 @@ import jax
 import numpy as np
 import pytest
 
-from jexplore.arrays.draws import GENERATOR, pinned_draws, random_key
 from jexplore.engine.devices import compiled
+from jexplore.engine.draws import GENERATOR, pinned_draws, random_key
 from jexplore.report import store
 
 

@@ -143,6 +143,7 @@ def test_any_cell_of_finite_cost_can_be_gone_to(env):
     assert (float(reward), bool(done), bool(info["valid"])) == (0.0, False, True)  # where it stands already
 
 
+@pytest.mark.filterwarnings("ignore:cluttered. a robot of 0.3 m clearance reaches")
 def test_a_bank_of_worlds():
     occupied, rooms = maps.cluttered(3, 40, 70)
     worlds = [two_rooms(), World(occupied=occupied, rooms=rooms, name="cluttered")]

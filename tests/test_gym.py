@@ -11,7 +11,7 @@ import jexplore as jx
 from jexplore.config import InputError, Lidar, Rules
 from jexplore.exploration.results import map_state
 from jexplore.reach import FAR, STRAIGHT
-from jexplore.worlds.world import occupancy_to_world
+from jexplore.worlds.world import occupancy_to_world, with_ring
 
 gymnasium = pytest.importorskip("gymnasium", reason="gymnasium is not installed (the extra gym)")
 
@@ -189,7 +189,7 @@ def test_an_observation_is_what_the_robot_believes(envs):
 
 def test_by_pencil():
     """A closet that one look all round shows whole: over as it begins, which the first step says."""
-    closet = occupancy_to_world(np.zeros((3, 4), bool), name="closet")
+    closet = with_ring(occupancy_to_world(np.zeros((3, 4), bool), name="closet"))
     rules = Rules(clearance_m=0.1)  # a corner of the closet is no place to look from
     one = GymEnv(closet, lidar=Lidar(n_beams=721, fov_deg=360, range_m=2), rules=rules)
     seen, info = one.reset(options={"start": (2, 2, 90)})

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from jexplore import worlds
 from jexplore.config import InputError
 from jexplore.worlds import GENERATORS, generator_parameters, load_world
-from jexplore.worlds.names import SUFFIXES, parse
+from jexplore.worlds.names import SUFFIXES, file_names, parse, short_names
 from jexplore.worlds.world import World
 
 KNOWN = ("cave", "office", "hospital")
@@ -193,12 +193,12 @@ def test_a_generator_gets_its_seed_cell_and_parameters():
 
 
 @pytest.mark.usefixtures("generators")
-def test_a_world_has_a_ring_and_its_name_verbatim():
+def test_a_world_has_its_cells_and_its_name_verbatim():
     world = load_world("bare#3:width_m=2,n_doors=4,loops=true,style=grand,height_m=5", cell_m=0.5)
     assert world.name == "bare#3:width_m=2,n_doors=4,loops=true,style=grand,height_m=5"
-    assert world.shape == (4, 6)
+    assert world.shape == (2, 4)
     assert world.cell_m == 0.5
-    assert world.origin_m == (-0.5, -0.5)
+    assert world.origin_m == (0.0, 0.0)
 
 
 @pytest.mark.usefixtures("generators")
@@ -262,3 +262,46 @@ def test_importing_the_names_loads_no_heavy_library():
     code = "import sys, jexplore.worlds; print([m for m in ('jax', 'numpy', 'PIL', 'yaml') if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+# --- short names, names of files
+
+
+@pytest.mark.parametrize(
+    ("given", "short"),
+    [
+        (["cave", "office#1"], ["cave", "office#1"]),
+        (["maps/flat.png@0.05"], ["flat.png@0.05"]),
+        (["a/map.yaml", "b/map.yaml", "c/plan.yaml"], ["a/map.yaml", "b/map.yaml", "plan.yaml"]),
+        (["x/1/map.yaml", "y/1/map.yaml", "y/2/map.yaml"], ["x/1/map.yaml", "y/1/map.yaml", "2/map.yaml"]),
+        (["map.yaml", "a/map.yaml"], ["map.yaml", "a/map.yaml"]),
+        (["/a/map.yaml", "a/map.yaml"], ["/a/map.yaml", "a/map.yaml"]),
+        (["a/run.bag:topic=/map", "a/run.bag:topic=/other/map"], ["run.bag:topic=/map", "run.bag:topic=/other/map"]),
+        (["x\\a\\map.yaml", "x\\b\\map.yaml"], ["a/map.yaml", "b/map.yaml"]),
+        (["a\\map.yaml", "a/map.yaml"], ["a\\map.yaml", "a/map.yaml"]),
+    ],
+)
+def test_short_names_tell_apart(given, short):
+    assert short_names(given) == short
+
+
+@pytest.mark.parametrize(
+    ("texts", "names"),
+    [
+        (["flat.png@0.05-closest+recheck-0"], ["flat.png_0.05-closest+recheck-0"]),
+        (["a/map.yaml", "a_map.yaml", "a?map.yaml"], ["a_map.yaml", "a_map.yaml-2", "a_map.yaml-3"]),
+        (["Map", "map"], ["Map", "map-2"]),
+        (["map-2", "Map", "map"], ["map-2", "Map", "map-3"]),
+        (["..", "/", "é"], ["_", "_-2", "_-3"]),
+        (["../up", "-rf"], ["_up", "rf"]),
+    ],
+)
+def test_names_of_files_are_plain_and_different(texts, names):
+    assert file_names(texts) == names
+
+
+def test_names_of_files_are_short_enough():
+    first, second = file_names(["x" * 300 + "-0", "y" * 300 + "-0"])
+    assert max(len(first), len(second)) <= 210
+    assert first != second
+    assert len(set(file_names(["x" * 300, "x" * 301]))) == 2

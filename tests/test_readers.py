@@ -151,15 +151,15 @@ def test_resample_refuses_pixels_beyond_all_measure(pixel_m):
 def test_image_at_metres_a_pixel_by_pencil(tmp_path):
     path = save(tmp_path / "m.png", [[0, 255, 250], [205, 249, 254]])
     world = load_world(f"{path}@0.1")
-    assert world.occupied.tolist() == [[1, 1, 1, 1, 1], [1, 1, 1, 0, 1], [1, 1, 0, 0, 1], [1, 1, 1, 1, 1]]
+    assert world.occupied.tolist() == [[1, 1, 0], [1, 0, 0]]
     assert world.name == f"{path}@0.1"
-    assert world.origin_m == (-0.1, -0.1)
+    assert world.origin_m == (0.0, 0.0)
     assert world.rooms is None
     assert world.start is None
-    assert load_world(path.parent / "m.png@0.1").shape == (4, 5)
-    assert load_world(f"{path}@0.1:free=205").occupied[1, 1:4].tolist() == [False, False, False]
-    assert load_world(f"{path}@0.1:free=255").occupied[2, 1:4].tolist() == [True, False, True]
-    assert load_world(f"{path}@0.2").shape == (6, 8)
+    assert load_world(path.parent / "m.png@0.1").shape == (2, 3)
+    assert load_world(f"{path}@0.1:free=205").occupied[0].tolist() == [False, False, False]
+    assert load_world(f"{path}@0.1:free=255").occupied[1].tolist() == [True, False, True]
+    assert load_world(f"{path}@0.2").shape == (4, 6)
 
 
 def test_image_of_a_size_stretches_the_box_of_what_is_occupied(tmp_path):
@@ -170,9 +170,9 @@ def test_image_of_a_size_stretches_the_box_of_what_is_occupied(tmp_path):
     inner = np.zeros((4, 8), bool)
     inner[3] = True
     inner[0, :2] = True
-    assert np.array_equal(world.occupied[1:-1, 1:-1], inner)
-    assert world.shape == (6, 10)
-    assert world.origin_m == (-0.1, -0.1)
+    assert np.array_equal(world.occupied, inner)
+    assert world.shape == (4, 8)
+    assert world.origin_m == (0.0, 0.0)
 
 
 def test_transparent_is_occupied_whatever_its_colour(tmp_path):
@@ -180,7 +180,7 @@ def test_transparent_is_occupied_whatever_its_colour(tmp_path):
     levels[0, 1, 3] = 254
     levels[0, 2, 3] = 0
     world = load_world(f"{save(tmp_path / 'm.png', levels)}@0.1")
-    assert world.occupied[1].tolist() == [True, False, True, True, False, True]
+    assert world.occupied[0].tolist() == [False, True, True, False]
     levels[..., 3] = 0
     refused("the brightest opaque grey is none", load_world, f"{save(tmp_path / 'n.png', levels)}@0.1")
 
@@ -204,15 +204,15 @@ def test_a_coloured_block_marks_the_start(tmp_path):
     pixels[2:4, 6:10] = (255, 216, 0)
     path = save(tmp_path / "d.png", pixels)
     world = load_world(f"{path}@0.1:free=150")
-    assert world.start == (8, 9, 0)  # row 10 - 3 and column 8 of the picture, one more for the ring
-    assert load_world(f"{path}@0.2:free=150").start == (15, 17, 0)
-    assert load_world(f"{path}@0.1:free=190", cell_m=0.2).start == (4, 5, 0)
+    assert world.start == (7, 8, 0)  # row 10 - 3 and column 8 of the picture
+    assert load_world(f"{path}@0.2:free=150").start == (14, 16, 0)
+    assert load_world(f"{path}@0.1:free=190", cell_m=0.2).start == (3, 4, 0)
     pixels[9, 2:] = 127
     stretched = load_world(f"{save(tmp_path / 'box.png', pixels)}@6x2:free=150")  # half a metre by 0.2 m a pixel
-    assert stretched.start == (15, 41, 0)  # 1.4 m up and 4 m along
+    assert stretched.start == (14, 40, 0)  # 1.4 m up and 4 m along
     pixels[0, :10] = 195  # the box begins at column 2
     pixels[0, 11] = 195
-    assert load_world(f"{save(tmp_path / 'box.png', pixels)}@5x2:free=150").start == (15, 31, 0)
+    assert load_world(f"{save(tmp_path / 'box.png', pixels)}@5x2:free=150").start == (14, 30, 0)
     pixels[0], pixels[9] = 127, 195
     pixels[5, 5] = (255, 216, 0)
     assert load_world(f"{save(tmp_path / 'two.png', pixels)}@0.1:free=150").start is None
@@ -226,7 +226,7 @@ def test_formats_give_the_same_world(tmp_path, suffix):
     image = Image.fromarray(pixels)
     path = tmp_path / f"m.{suffix}"
     (image.convert("RGB") if suffix == "ppm" else image).save(path)
-    assert np.array_equal(load_world(f"{path}@0.1").occupied[1:-1, 1:-1], pixels[::-1] == 0)
+    assert np.array_equal(load_world(f"{path}@0.1").occupied, pixels[::-1] == 0)
 
 
 def test_a_jpeg_and_a_bitmap(tmp_path):
@@ -234,17 +234,17 @@ def test_a_jpeg_and_a_bitmap(tmp_path):
     pixels[:, 16:] = 255
     for name in ("m.jpg", "m.jpeg"):
         save(tmp_path / name, pixels)
-        assert np.array_equal(load_world(f"{tmp_path / name}@0.1").occupied[1:-1, 1:-1], pixels == 0)
+        assert np.array_equal(load_world(f"{tmp_path / name}@0.1").occupied, pixels == 0)
     thin = np.full((60, 60), 255, np.uint8)
     thin[[3, 30, 57]], thin[:, [5, 44]] = 0, 0
     Image.fromarray(thin).save(tmp_path / "m.jpg", quality=60)
     with pytest.warns(InputWarning, match=r"m.jpg': is a JPEG, and blurred .* \d+\.\d% of its .* as PNG") as told:
         blurred = load_world(f"{tmp_path / 'm.jpg'}@0.1").occupied
     assert len(told) == 1
-    assert blurred[1:-1, 1:-1][thin[::-1] == 0].all()  # no wall is lost,
+    assert blurred[thin[::-1] == 0].all()  # no wall is lost,
     assert blurred.sum() > load_world(f"{save(tmp_path / 'thin.png', thin)}@0.1").occupied.sum()  # but walls grow
     (tmp_path / "m.pbm").write_text("P1\n3 2\n1 0 0\n0 0 1\n")  # 1 is black
-    assert load_world(f"{tmp_path / 'm.pbm'}@0.1").occupied[1:-1, 1:-1].tolist() == [[0, 0, 1], [1, 0, 0]]
+    assert load_world(f"{tmp_path / 'm.pbm'}@0.1").occupied.tolist() == [[0, 0, 1], [1, 0, 0]]
 
 
 def test_sixteen_bits_palettes_and_colours(tmp_path):
@@ -316,7 +316,11 @@ def test_images_that_are_no_map_are_refused(tmp_path):
     refused("no pixel is free; the brightest opaque grey is 40 and free is 250", load_world, f"{black}@0.1")
     refused("free must be a number at least 0 and at most 255, got 256", load_world, f"{white}@0.1:free=256")
     refused("free must be a number", load_world, f"{white}@0.1:free=bright")
-    refused("no parameter 'fre'; it takes free .did you mean 'free'", load_world, f"{white}@0.1:fre=1")
+    refused(
+        "no parameter 'fre'; it takes free, inside, inside_x_m, inside_y_m .did you mean 'free'",
+        load_world,
+        f"{white}@0.1:fre=1",
+    )
     refused("30000 x 30000 cells are more than 4096", load_world, f"{white}@1000")
     line = save(tmp_path / "line.png", np.vstack([np.zeros((1, 4)), np.full((3, 4), 255)]))
     refused("no pixel is free within the box round the occupied ones", load_world, f"{line}@4x4")
@@ -433,8 +437,8 @@ def test_ros_trinary_by_pencil(tmp_path):
     assert occupancy.dtype == np.int8
     assert (info.resolution_m, info.origin_m, info.mode, info.negate) == (0.1, (-1.5, 2.0), "trinary", False)
     world = load_world(path)
-    assert world.occupied[1:-1, 1:-1].tolist() == [[0, 0, 1], [1, 1, 0], [1, 1, 1]]
-    assert world.origin_m == pytest.approx((-1.6, 1.9))
+    assert world.occupied.tolist() == [[0, 0, 1], [1, 1, 0], [1, 1, 1]]
+    assert world.origin_m == pytest.approx((-1.5, 2.0))
     assert world.start is None
     assert world.name == str(path)
 
@@ -683,8 +687,8 @@ def test_ros_resamples_to_the_cell(tmp_path):
     pixels = np.full((4, 4), 254, np.uint8)
     pixels[0, 0] = 0
     path = ros_map(tmp_path, pixels, resolution=0.05)
-    assert load_world(path).occupied[1:-1, 1:-1].tolist() == [[0, 0], [1, 0]]
-    assert load_world(path, cell_m=0.025).shape == (10, 10)
+    assert load_world(path).occupied.tolist() == [[0, 0], [1, 0]]
+    assert load_world(path, cell_m=0.025).shape == (8, 8)
 
 
 def test_ros_yaml_is_read_as_written_by_people(tmp_path):
@@ -837,16 +841,16 @@ def movingai(path, *rows, header="type octile\nheight {}\nwidth {}\nmap\n"):
 def test_movingai_by_pencil(tmp_path):
     path = movingai(tmp_path / "m.map", ".GS@", "OTW.")
     world = load_world(path)
-    assert world.occupied[1:-1, 1:-1].tolist() == [[1, 1, 1, 0], [0, 0, 0, 1]]  # the first line is the top
-    assert world.shape == (4, 6)
-    assert load_world(path, cell_m=0.3).shape == (4, 6)  # by default a cell of the map is a cell
+    assert world.occupied.tolist() == [[1, 1, 1, 0], [0, 0, 0, 1]]  # the first line is the top
+    assert world.shape == (2, 4)
+    assert load_world(path, cell_m=0.3).shape == (2, 4)  # by default a cell of the map is a cell
     finer = load_world(f"{path}@0.2")
-    assert np.array_equal(finer.occupied[1:-1, 1:-1], world.occupied[1:-1, 1:-1].repeat(2, 0).repeat(2, 1))
+    assert np.array_equal(finer.occupied, world.occupied.repeat(2, 0).repeat(2, 1))
 
 
 def test_movingai_takes_other_line_ends_and_header_orders(tmp_path):
     (tmp_path / "m.map").write_bytes(b"type octile\r\nwidth 3\r\nheight 2\r\nmap\r\n..@\r\n@..\r\n\r\n")
-    assert load_world(tmp_path / "m.map").occupied[1:-1, 1:-1].tolist() == [[1, 0, 0], [0, 0, 1]]
+    assert load_world(tmp_path / "m.map").occupied.tolist() == [[1, 0, 0], [0, 0, 1]]
 
 
 @pytest.mark.parametrize(
@@ -878,7 +882,7 @@ def test_bad_movingai_maps_are_refused(tmp_path, text, line):
 def test_a_size_or_parameter_for_a_movingai_map_is_refused(tmp_path):
     path = movingai(tmp_path / "m.map", "..")
     refused(r"takes the metres of one cell after the '@', as in @0.1", load_world, f"{path}@2x2")
-    refused("no parameter 'free'; it takes none", load_world, f"{path}@1:free=3")
+    refused("no parameter 'free'; it takes inside, inside_x_m, inside_y_m", load_world, f"{path}@1:free=3")
     (tmp_path / "b.map").write_bytes(b"height 1\nwidth 1\nmap\n\xff\n")
     refused("is not UTF-8 text", load_world, tmp_path / "b.map")
 
@@ -997,7 +1001,7 @@ def test_bad_plans_are_refused(tmp_path, text, line):
 def test_a_scale_for_a_plan_is_refused(tmp_path):
     path = plan(tmp_path / "p.json", SQUARE)
     refused("a HouseExpo file has its own scale", load_world, f"{path}@0.1")
-    refused("no parameter 'free'; it takes none", load_world, f"{path}:free=1")
+    refused("no parameter 'free'; it takes inside, inside_x_m, inside_y_m", load_world, f"{path}:free=1")
 
 
 # --- real maps
@@ -1007,9 +1011,9 @@ def test_a_scale_for_a_plan_is_refused(tmp_path):
 @pytest.mark.parametrize(
     ("name", "shape", "component_m2"),
     [
-        ("stage/cave_filled.png@16x16", (162, 162), 195.5),
-        ("stage/hospital_section.png@49.3x20.1", (203, 495), 689),
-        ("stage/hospital_section.png@40x18", (182, 402), 502),
+        ("stage/cave_filled.png@16x16", (160, 160), 195.5),
+        ("stage/hospital_section.png@49.3x20.1", (201, 493), 689),
+        ("stage/hospital_section.png@40x18", (180, 400), 502),
         ("avz/avz5floor_open.yaml", (241, 449), 330),
         ("avz/avz5floor_closed.yaml", (239, 452), 193),
         ("radish/intel.png@0.05", (424, 444), 513),
@@ -1032,8 +1036,8 @@ def test_the_hospital_does_not_leak_at_its_own_resolution():
     regions, _ = ndimage.label(pixels >= 250)
     world = load_world(f"{MAPS / 'stage/hospital.png'}@0.0454", cell_m=0.05)
     cells, _ = ndimage.label(~world.occupied)
-    row, col = (int((n + 0.5) * 0.0454 / 0.05) + 1 for n in (1189 - 1 - 890, 1340))  # one more for the ring
-    inside = np.argwhere(cells == cells[row, col]) - 1
+    row, col = (int((n + 0.5) * 0.0454 / 0.05) for n in (1189 - 1 - 890, 1340))
+    inside = np.argwhere(cells == cells[row, col])
     assert cells[row, col] > 0
     under = np.minimum(((inside + 0.5) * 0.05 / 0.0454).astype(int), (1188, 3116))
     assert set(regions[under[:, 0], under[:, 1]].tolist()) == {int(regions[1189 - 1 - 890, 1340])}
@@ -1053,7 +1057,7 @@ def test_dungeons_have_their_start(name):
 @real_maps
 def test_movingai_maps_keep_their_rooms():
     world = load_world(MAPS / "movingai" / "maze512-32-0.map")
-    assert world.shape == (514, 514)
+    assert world.shape == (512, 512)
     assert ndimage.label(~world.occupied)[1] == 1
 
 

@@ -89,9 +89,9 @@ def test_a_world_by_its_name(name):
     path = str(write(name, {"/map": [np.zeros((1, 1), int), MAP]}))
     world = load_world(path, cell_m=0.05)
     assert world.name == path
-    assert world.occupied.astype(int).tolist() == [[1] * 5, [1, 0, 0, 1, 1], [1, 0, 1, 1, 1], [1] * 5]
-    np.testing.assert_allclose(world.origin_m, (0.95, 1.95))
-    assert load_world(path, cell_m=0.025).shape == (6, 8)
+    assert world.occupied.astype(int).tolist() == [[0, 0, 1], [0, 1, 1]]
+    np.testing.assert_allclose(world.origin_m, (1.0, 2.0))
+    assert load_world(path, cell_m=0.025).shape == (4, 6)
     for first in ("message=0", "message=-2", "topic=/map,message=0"):
         assert load_world(f"{path}:{first}", cell_m=0.05).free_m2 == pytest.approx(0.0025)
 
@@ -101,7 +101,7 @@ def test_a_folder_of_ros_2_is_its_recording(tmp_path, suffix, monkeypatch):
     folder = write(tmp_path / f"run{suffix}", {"/map": [MAP]}).parent
     monkeypatch.chdir(tmp_path)
     for path in (str(folder), "run", "./run/"):
-        assert load_world(f"{path}:topic=/map", cell_m=0.05).shape == (4, 5)
+        assert load_world(f"{path}:topic=/map", cell_m=0.05).shape == (2, 3)
         assert load_world(path, cell_m=0.05).name == path
     assert read_bag(folder).occupancy.tolist() == read_bag(folder / "metadata.yaml").occupancy.tolist()
     with pytest.raises(InputError, match="a ROS bag file has its own scale"):
@@ -115,7 +115,7 @@ def test_of_several_topics(name):
     other = write(name.with_stem("b"), {"/global": [MAP], "/local": [MAP]})
     with pytest.raises(InputError, match="has maps on /global, /local; append :topic=/global for one of them"):
         read_bag(other)
-    assert load_world(f"{other}:topic=/local", cell_m=0.05).shape == (4, 5)
+    assert load_world(f"{other}:topic=/local", cell_m=0.05).shape == (2, 3)
     with pytest.raises(InputError, match="no map on the topic '/map'; there are maps on /global, /local"):
         load_world(f"{other}:topic=/map")
     one = write(name.with_stem("c"), {"/only": [MAP]})

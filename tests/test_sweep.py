@@ -141,6 +141,7 @@ def test_what_a_plan_refuses():
     for change, message in (
         ({"worlds": ["nowhere"]}, "nowhere"),
         ({"worlds": WORLDS[:1] * 2}, "worlds must differ"),
+        ({"worlds": [WORLDS[0], "rooms#0:width_m=5,height_m=5"]}, "are the same building"),
         ({"strategies": ["closets"]}, "did you mean 'closest'?"),
         ({"strategies": [{"name": "closest", "speed": 3}]}, "speed"),
         ({"rules": {"clearance_m": 3.0}}, "clearance"),
@@ -536,6 +537,7 @@ def test_robots_that_write_maps(tmp_path, capsys, monkeypatch):
         ({"tuning": {"votes": 0}}, "votes"),
         ({"noise": {"range_m": -1}}, "noise.range_m must be"),
         ({"start": "world"}, "start is for strategies"),
+        ({"worlds": ["course", "course#0"]}, "are the same building"),
     ],
 )
 def test_what_robots_are_not_asked(change, message):

@@ -69,7 +69,7 @@ def test_wrong_ground_is_refused(elevation, line):
 
 def test_a_world_of_lists_is_one_of_arrays():
     world = checked(World(occupied=[[True, False, True], [True, False, True]], rooms=[[-1, 0, -1], [-1, 0, -1]]))
-    assert world.occupied.tolist() == [[1] * 5, [1, 1, 0, 1, 1], [1, 1, 0, 1, 1], [1] * 5]
+    assert world.occupied.tolist() == [[1, 0, 1], [1, 0, 1]]
     assert world.occupied.dtype == bool
     assert world.rooms.dtype.kind == "i"
     assert World(occupied=[[True, False]], cell_m=0.5).free_m2 == 0.25
@@ -144,10 +144,10 @@ def test_pad_refuses_another_shape(shape):
 
 def test_occupancy_follows_ros_and_unknown_is_occupied():
     world = occupancy_to_world(np.array([[-1, 0, 25], [26, 100, 0]], np.int8), cell_m=0.2, origin_m=(1.0, 2.0))
-    assert world.occupied[1:-1, 1:-1].tolist() == [[1, 0, 0], [1, 1, 0]]
+    assert world.occupied.tolist() == [[1, 0, 0], [1, 1, 0]]
     assert world.cell_m == 0.2
-    assert world.origin_m == pytest.approx((0.8, 1.8))
-    assert occupancy_to_world([[30, 60]], free_max=50).occupied[1].tolist() == [True, False, True, True]
+    assert world.origin_m == (1.0, 2.0)
+    assert occupancy_to_world([[30, 60]], free_max=50).occupied.tolist() == [[False, True]]
 
 
 def test_occupancy_takes_bool_and_does_not_share_memory():
@@ -172,6 +172,11 @@ def test_occupancy_takes_bool_and_does_not_share_memory():
         ([[0, 1], [1, 0]], "integers of 0 and 1 alone would have no wall, .* use bool, or 0..100: write array == 1"),
         (np.array([[-1, 0, 1]], np.int8), "integers of 0 and 1"),
         (np.eye(3, dtype=np.uint8), "integers of 0 and 1"),
+        (
+            [[0, 1, 2]],
+            "integers up to 2 would have no wall, .* array == N, .* or give a free_max below the walls' values",
+        ),
+        (np.array([[-1, 0], [25, 3]], np.int8), "integers up to 25 would have no wall"),
         ([[0, 1], [0]], "rows of different lengths"),
     ],
 )
@@ -184,10 +189,10 @@ def test_bad_occupancy_is_refused(occupancy, line):
 
 def test_occupancies_of_0_and_1_that_mean_what_they_say_are_taken():
     mask = np.eye(3, dtype=int)
-    assert occupancy_to_world(mask * 100).occupied[1:-1, 1:-1].tolist() == mask.tolist()
-    assert occupancy_to_world(mask, free_max=0).occupied[1:-1, 1:-1].tolist() == mask.tolist()
-    assert not occupancy_to_world(np.zeros((3, 3), int)).occupied[1:-1, 1:-1].any()
-    assert not occupancy_to_world([[0, 1, 2]]).occupied[1, 1:-1].any()  # per cent
+    assert occupancy_to_world(mask * 100).occupied.tolist() == mask.tolist()
+    assert occupancy_to_world(mask, free_max=0).occupied.tolist() == mask.tolist()
+    assert not occupancy_to_world(np.zeros((3, 3), int)).occupied.any()
+    assert occupancy_to_world([[0, 25, 26]]).occupied.tolist() == [[0, 0, 1]]  # per cent
 
 
 @pytest.mark.parametrize("cell_m", [0, -1, float("nan"), float("inf"), "a"])

@@ -28,3 +28,8 @@ def number(value: Any) -> np.ndarray:
 def framed(mask: np.ndarray) -> np.ndarray:
     """A mask padded to sizes of `bucket`, with False cells all round: it begins at row 1, column 1."""
     return np.pad(mask, [(1, bucket(n + 2) - n - 1) for n in mask.shape])
+
+
+def within(array: np.ndarray, shape: tuple[int, ...], ring: int) -> np.ndarray:
+    """The cells of a world of this shape in a padded map, whose indices are larger by `ring`."""
+    return array[ring : ring + shape[0], ring : ring + shape[1]]

@@ -23,7 +23,7 @@ from jexplore.engine.runner import ENGINES, find_resources
 from jexplore.exploration.site import KERNELS
 from jexplore.policies import Strategy, parse_strategy
 from jexplore.studies.checks import MAX_EPISODES, ready_starts, ready_strategies, ready_worlds, require_memory
-from jexplore.worlds.world import World
+from jexplore.worlds.world import World, with_ring
 
 DEFAULT: dict[str, Any] = {
     "worlds": ("cave", "office", "hospital"),
@@ -75,7 +75,7 @@ def _numbers(name, values, low, high):
 
 def _worlds_of(names, cell_m):
     """Worlds that episodes can be run in."""
-    worlds = ready_worlds(names, cell_m)
+    worlds = [with_ring(world) for world in ready_worlds(names, cell_m)]
     for world in worlds:
         require_memory(world, LIDAR, RULES)
         ready_starts(world, "random", 1, seed=engines.SEED, rules=RULES)

@@ -34,7 +34,7 @@ def record(compiler: Compiler, world: World, strategy: Strategy, reach: str) -> 
 
     Args:
       compiler: `Compiler`.
-      world, strategy: `World`, `Strategy`.
+      world, strategy: `World` with a ring, `Strategy`.
       reach: one of `reach.METHODS`, for the beliefs.
     """
     starts = draw_starts(world, SEED, 1, RULES.clearance_m)

@@ -10,13 +10,13 @@ import numpy as np
 from jax import lax
 
 from jexplore import planning
-from jexplore.arrays.draws import random_key
 from jexplore.bench import oracles
 from jexplore.bench.beliefs import Recording, record
 from jexplore.bench.engines import Compiler
 from jexplore.bench.kernels import BELIEF_BYTES, NEVER, microseconds, row_of
 from jexplore.bench.rates import Effort
 from jexplore.bench.timing import compiled, interleaved, speed_clock
+from jexplore.engine.draws import random_key
 from jexplore.exploration.site import KERNELS
 from jexplore.policies import parse_strategy
 from jexplore.raycast import Beams

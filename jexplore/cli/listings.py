@@ -9,6 +9,7 @@ import tyro
 from jexplore.cli.options import OutFolder
 from jexplore.cli.output.console import Out, note, working
 from jexplore.cli.output.terminal import show_line, show_table
+from jexplore.config import require_number
 
 if TYPE_CHECKING:
     from jexplore.studies.geometry import Geometry
@@ -31,7 +32,8 @@ class Worlds:
     geometry: bool = False
     """Also measure rooms, openings, corridors, ways round and furniture; rooms that are not known are found first."""
     clearance_m: float = 0.30
-    """Let --geometry tell the share of the free area that a robot of this clearance reaches, in metres."""
+    """Tell of floor that a robot of this clearance does not reach, and by --geometry the share that it does, in metres.
+    """
     out: OutFolder = None
     """Write into this folder."""
     overwrite: bool = False
@@ -55,10 +57,15 @@ class Worlds:
             return
         from jexplore.report import plot, store
         from jexplore.studies.checks import ready_worlds
+        from jexplore.worlds.regions import warn_of_floor
+        from jexplore.worlds.starts import start_region
 
         with Out(self, "worlds") as out:
+            require_number("clearance_m", self.clearance_m, high=100)
             with note("jexplore: loading worlds"):
                 worlds = ready_worlds(self.worlds or tuple(GENERATORS), self.cell_m)
+            for world in worlds:
+                warn_of_floor(world, start_region(world, self.clearance_m), self.clearance_m, drawn=True)
             described = [describe(world) for world in worlds]
             rows = []
             for world, about in zip(worlds, described):

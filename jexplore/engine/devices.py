@@ -9,7 +9,7 @@ import jax
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
-from jexplore.arrays.draws import pinned_draws
+from jexplore.engine.draws import pinned_draws
 
 AXIS = "device"
 PROGRAMS = 32  # compiled programs that are kept in a process

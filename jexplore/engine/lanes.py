@@ -14,9 +14,9 @@ import jax.numpy as jnp
 from flax import struct
 from jax import Array, lax
 
-from jexplore.arrays.draws import random_key
 from jexplore.arrays.loops import first_lanes, put, put_together, take
 from jexplore.engine import thoughts
+from jexplore.engine.draws import random_key
 from jexplore.engine.program import Given, Program, split
 
 DECIDERS = 8  # one lane in so many decides at a time, and at most so large a share of the runs under way waits

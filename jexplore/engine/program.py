@@ -16,7 +16,7 @@ import numpy as np
 from flax import struct
 from jax import Array
 
-from jexplore.arrays.draws import random_key
+from jexplore.engine.draws import random_key
 
 
 @struct.dataclass

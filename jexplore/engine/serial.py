@@ -14,8 +14,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 
-from jexplore.arrays.draws import random_key
 from jexplore.engine.devices import compiled, on_devices, whole
+from jexplore.engine.draws import random_key
 from jexplore.engine.program import Given, Line, Program
 from jexplore.engine.threads import Pace, Pieces, share_out
 

@@ -17,7 +17,7 @@ from jexplore.exploration.trail import Final, Record, decode
 from jexplore.policies import Strategy
 from jexplore.policies.catalogue.joined import joined
 from jexplore.policies.closest import is_nearest
-from jexplore.worlds.world import World
+from jexplore.worlds.world import World, ring_of
 
 NO_RUN = -1  # number of a run that none has
 
@@ -169,4 +169,5 @@ def _outcomes(job, line):
     if line.kept is None:  # interrupted before
         return Outcomes(line.results, None, line.records)
     one = jax.tree.map(lambda a: a[line.keeps], line.results)
-    return Outcomes(line.results, decode(jax.tree.map(np.asarray, line.kept), one, job.world.shape), line.records)
+    kept, ring = jax.tree.map(np.asarray, line.kept), ring_of(job.world.occupied)
+    return Outcomes(line.results, decode(kept, one, job.world.shape, ring), line.records)

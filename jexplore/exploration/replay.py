@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
-from jexplore.arrays.draws import pinned_draws
+from jexplore.engine.draws import pinned_draws
 from jexplore.engine.program import given_of
 from jexplore.exploration import environment
 from jexplore.exploration.site import Site, line_of
@@ -24,10 +24,10 @@ class Moment(NamedTuple):
     """An episode just after a scan."""
 
     step: int  # steps made before it
-    row: int  # where the scan was made
+    row: int  # where the scan was made, in the world
     col: int
     heading: int  # units of 45 degrees
-    belief: Belief  # after it, at that place; padded
+    belief: Belief  # after it, at that place; with the site's ring and padding
     state: State  # after it, and after the motion that follows
 
 
@@ -87,28 +87,33 @@ def turns(site: Site, strategy: Strategy, start: ArrayLike, seed: int, number: i
     )
     given, setup = jax.device_put(given_of(line, number)), line.program.setup
     state = _begin(setup, given)
-    yield Turn(None, None, iter([_moment(state, state)]))
+    yield Turn(None, None, iter([_moment(state, state, site.ring)]))
 
     def carried_out():
         nonlocal state
         while state.walking:
             before, state = state, _advance(setup, given, state)
-            yield _moment(before, state)
+            yield _moment(before, state, site.ring)
 
     for plan in plans:
         belief, route = state.belief, _route(state, plan.motions)
-        row, col = plan.target or ((0, 0) if plan.is_bad else (-1, -1))
-        state = _commit(
-            setup, given, state, *np.array([row, col], np.int32), np.bool_(plan.is_view), plan.is_bad, route
-        )
+        target = np.array(target_of(plan, site.ring), np.int32)
+        state = _commit(setup, given, state, *target, np.bool_(plan.is_view), plan.is_bad, route)
         yield Turn(belief, plan, carried_out())
 
 
-def _moment(before, state):
+def target_of(plan: Plan, ring: int) -> tuple[int, int]:
+    """The target of a plan in the maps of a site with this ring; some cell for one that was refused, -1 for none."""
+    if plan.target is None:
+        return (0, 0) if plan.is_bad else (-1, -1)
+    return plan.target[0] + ring, plan.target[1] + ring
+
+
+def _moment(before, state, ring):
     row, col, heading, step = (int(a) for a in (before.row, before.col, before.heading, before.steps))
     belief = before.belief
     here = state.belief.replace(row=belief.row, col=belief.col, heading=belief.heading)
-    return Moment(step, row, col, heading, here, state)
+    return Moment(step, row - ring, col - ring, heading, here, state)
 
 
 def _route(state, motions):

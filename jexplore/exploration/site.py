@@ -24,7 +24,7 @@ from jexplore.policies.catalogue import adapt
 from jexplore.policies.policy import Strategy
 from jexplore.raycast import Beams, beam_table, scans_all_round
 from jexplore.spans import spans_of
-from jexplore.worlds.world import World
+from jexplore.worlds.world import World, ring_of, with_ring
 
 LEAST_LIMIT = 20_000  # default bound of steps and plans on small maps
 COARSE_M = 0.15  # cells longer than this are coarse: a corridor is a few of them wide
@@ -66,6 +66,7 @@ class Site(NamedTuple):
     beams: Beams
     setup: Setup  # of no policy yet
     numbers: Numbers  # of no policy yet
+    ring: int  # cells by which indices in these maps are larger than the world's
 
     def with_strategy(self, strategy: Strategy) -> tuple[Setup, Numbers]:
         """The `Setup` and the `Numbers` of a strategy here: `(setup, numbers)`."""
@@ -104,7 +105,7 @@ def prepare_site(
     *,
     alike: Sequence[tuple[Lidar, Rules]] = (),
 ) -> Site:
-    """Pads a world and traces the scanner's beams.
+    """Puts a ring round a world that needs one, pads it and traces the scanner's beams.
 
     Args:
       world: `World`.
@@ -118,9 +119,12 @@ def prepare_site(
     Returns:
       `Site` of numpy arrays.
     """
+    ring, world = ring_of(world.occupied), with_ring(world)
     shape = shape or (bucket(world.shape[0]), bucket(world.shape[1]))
+    truth = _truth(world, shape)
     limit = max(LEAST_LIMIT, math.prod(world.shape))
     everyone = [(lidar, rules), *(pair for pair in alike if pair[0].n_beams == lidar.n_beams)]
+    # Ignored types: numpy on the host, where the record says what it is on the device.
     model = MapModel(
         p_free=np.float32(rules.p_free),  # type: ignore[arg-type]
         near_d2=np.int32(radius_d2(rules.near_m, world.cell_m)),  # type: ignore[arg-type]
@@ -147,22 +151,7 @@ def prepare_site(
     native = None if world.within is not None else kernels.native  # which counts known cells everywhere
     setup = _setup(everyone, world.cell_m, shape, limit, native, glances)
     beams = _beams(everyone, world.cell_m, shape, setup.window - 1 if kernels.in_pieces else None)
-    return Site(_truth_of(world, shape), beams, setup, numbers)
-
-
-def _truth_of(world, shape):
-    """The `Truth` of a world, padded to a shape."""
-    pad = [(0, full - n) for full, n in zip(shape, world.shape)]
-    rooms = world.rooms if world.rooms is not None else np.full(world.shape, -1, np.int32)
-    # Ignored types: numpy on the host, where the record says what it is on the device.
-    return Truth(
-        occupied=np.pad(world.occupied, pad, constant_values=True),  # type: ignore[arg-type]
-        rooms=np.pad(rooms, pad, constant_values=-1),  # type: ignore[arg-type]
-        region=np.pad(_regions(world), pad),  # type: ignore[arg-type]
-        extent=np.asarray(world.shape, np.int32),  # type: ignore[arg-type]
-        within=None if world.within is None else np.pad(world.within, pad),  # type: ignore[arg-type]
-        known=None if world.known is None else np.pad(world.known, pad, constant_values=-1),  # type: ignore[arg-type]
-    )
+    return Site(truth, beams, setup, numbers, ring)
 
 
 def alike(truths: Sequence[Truth]) -> list[Truth]:
@@ -180,6 +169,21 @@ def alike(truths: Sequence[Truth]) -> list[Truth]:
 def cost_of(length_m: float, cell_m: float) -> int:
     """A length as a cost of `reach`, rounded; at most FAR."""
     return round(min(in_cells(length_m, cell_m) * reach.STRAIGHT, reach.FAR))
+
+
+def _truth(world, shape):
+    """The `Truth` of a world with its ring, padded."""
+    pad = [(0, full - n) for full, n in zip(shape, world.shape)]
+    rooms = world.rooms if world.rooms is not None else np.full(world.shape, -1, np.int32)
+    # Ignored types: numpy on the host, where the record says what it is on the device.
+    return Truth(
+        occupied=np.pad(world.occupied, pad, constant_values=True),  # type: ignore[arg-type]
+        rooms=np.pad(rooms, pad, constant_values=-1),  # type: ignore[arg-type]
+        region=np.pad(_regions(world), pad),  # type: ignore[arg-type]
+        extent=np.asarray(world.shape, np.int32),  # type: ignore[arg-type]
+        within=None if world.within is None else np.pad(world.within, pad),  # type: ignore[arg-type]
+        known=None if world.known is None else np.pad(world.known, pad, constant_values=-1),  # type: ignore[arg-type]
+    )
 
 
 def _regions(world):
@@ -224,11 +228,12 @@ def _table(scanner, longest_m, cell_m, width, radius):
     return beams if radius is None else beams.replace(spans=spans_of(beams, radius))
 
 
-def tasks_of(starts: ArrayLike) -> np.ndarray:
-    """What a run is given of a start: `[N, 3]` int32, row, col and heading in units of 45 degrees, of degrees."""
-    starts = np.array(starts, np.int32)
-    starts[:, 2] //= 45
-    return starts
+def tasks_of(starts: ArrayLike, ring: int) -> np.ndarray:
+    """What runs are given of starts in a world: `[N, 3]` int32, row and col in the maps of a site with this ring,
+    heading in units of 45 degrees.
+    """
+    row, col, heading_deg = np.array(starts, np.int32).T
+    return np.stack([row + ring, col + ring, heading_deg // 45], axis=1)
 
 
 def line_of(
@@ -256,7 +261,6 @@ def line_of(
     trim = None
     if keep is not None:
         shape, width = tuple(int(n) for n in site.truth.extent), site.truth.occupied.shape[1]
-        trim = functools.partial(record_of, shape=shape, width=width)
-    return Line(
-        program_of(setup, keep), site.beams, site.truth, numbers, seed, tasks_of(starts), which, keeps, trim=trim
-    )
+        trim = functools.partial(record_of, shape=shape, width=width, ring=site.ring)
+    tasks = tasks_of(starts, site.ring)
+    return Line(program_of(setup, keep), site.beams, site.truth, numbers, seed, tasks, which, keeps, trim=trim)

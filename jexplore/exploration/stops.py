@@ -14,11 +14,12 @@ import numpy as np
 from jax import Array, lax
 from numpy.typing import ArrayLike
 
-from jexplore.arrays.draws import pinned_draws, random_key
 from jexplore.arrays.loops import run_if
+from jexplore.engine.draws import pinned_draws, random_key
 from jexplore.engine.program import Given
 from jexplore.exploration import environment
-from jexplore.exploration.site import Site
+from jexplore.exploration.replay import target_of
+from jexplore.exploration.site import Site, tasks_of
 from jexplore.exploration.state import State
 from jexplore.exploration.trail import CHOICES, Final
 from jexplore.planning import Belief, Choice
@@ -30,10 +31,12 @@ class Stop(NamedTuple):
     """An episode as the robot leaves a place, or ends there."""
 
     step: int  # steps made before
-    row: int
+    row: int  # in the world
     col: int
     heading: int  # units of 45 degrees, at the last scan there
-    belief: Belief  # after that scan; padded, on the device, until the next `Stop` is asked for
+    belief: (
+        Belief  # after that scan; with the site's ring and padding, on the device, until the next `Stop` is asked for
+    )
 
 
 class _Script(NamedTuple):
@@ -64,7 +67,7 @@ def _bare(setup, numbers):
     return setup._replace(policy=Policy(_nothing, _never, (), live)), numbers.replace(params=params)
 
 
-def _script(final, capacity):
+def _script(final, capacity, ring):
     room, steps = -(-capacity // CHOICES), len(final.rows) - 1
     script = _Script(
         motions=np.full(capacity, NO_MOTION, np.int8),  # type: ignore[arg-type]  # numpy on the host, here and below
@@ -79,7 +82,7 @@ def _script(final, capacity):
     script.motions[:steps] = [MOTIONS.index(move) for move in moves]
     for i, plan in enumerate(final.plans):
         after = final.plans[i + 1].step if i + 1 < len(final.plans) else steps
-        script.targets[i] = plan.target or ((0, 0) if plan.is_bad else (-1, -1))
+        script.targets[i] = target_of(plan, ring)
         script.is_view[i], script.is_bad[i], script.until[i] = plan.is_view, plan.is_bad, after
         if len(plan.motions) > after - plan.step:
             script.refused[i] = plan.motions[-1]
@@ -143,7 +146,7 @@ def stops(
       `Stop`s, one for each number of steps. What one holds is gone when the next is asked for.
     """
     setup, numbers = _bare(*site.with_strategy(strategy))
-    row, col, heading_deg = (int(value) for value in np.asarray(start))
+    (task,) = tasks_of(np.asarray(start)[None], site.ring)
     given = jax.device_put(
         Given(
             key=jax.random.fold_in(random_key(np.uint32(seed)), number),
@@ -151,14 +154,14 @@ def stops(
             scenes=jax.tree.map(lambda a: a[None], site.truth),
             scene=np.int32(0),  # type: ignore[arg-type]  # numpy on the host, here and below
             numbers=numbers,
-            task=np.array([row, col, heading_deg // 45], np.int32),  # type: ignore[arg-type]
+            task=task,  # type: ignore[arg-type]
         )
     )
-    script, state = jax.device_put(_script(final, setup.capacity)), _begin(setup, given)
+    script, state = jax.device_put(_script(final, setup.capacity, site.ring)), _begin(setup, given)
     for step in steps:
         state, heading = _go_on(setup, given, script, state, np.int32(step))
         row, col = int(final.rows[step]), int(final.cols[step])
-        yield Stop(step, row, col, int(heading), _at(state, row, col, heading))
+        yield Stop(step, row, col, int(heading), _at(state, row + site.ring, col + site.ring, heading))
 
 
 def _at(state: State, row: int, col: int, heading: Array) -> Belief:

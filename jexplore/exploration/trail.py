@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from jexplore.arrays.padding import within
 from jexplore.exploration.state import Result, State
 from jexplore.grid import is_free, is_occupied
 from jexplore.planning import Choice
@@ -66,7 +67,7 @@ class Plan(NamedTuple):
 
 
 class Final(NamedTuple):
-    """An episode's last map and its way there, on the host, without padding."""
+    """An episode's last map and its way there, on the host, in the world's cells: without ring and padding."""
 
     hits: np.ndarray  # [H, W] int32
     misses: np.ndarray  # [H, W] int32
@@ -104,34 +105,37 @@ class Record(NamedTuple):
     """What is kept of every episode, on the host."""
 
     path: np.ndarray  # [n + 1, 3] int32, row, col and known cells, at the start and after each of n steps
-    state: np.ndarray | None  # [H, W] uint8, the last map: 0 unknown, 1 free, 2 occupied; without padding
+    state: np.ndarray | None  # [H, W] uint8, the last map: 0 unknown, 1 free, 2 occupied; the world's cells
 
 
-def record_of(result: Result, found: tuple[np.ndarray, ...], shape: tuple[int, ...], width: int) -> Record:
+def record_of(result: Result, found: tuple[np.ndarray, ...], shape: tuple[int, ...], width: int, ring: int) -> Record:
     """The `Record` of an episode.
 
     Args:
       result: `Result` of scalars.
       found: what one of `RECORDS` gave, numpy.
-      shape: `(H, W)` of the world.
+      shape: `(H, W)` of the world with its ring.
       width: of the padded maps.
+      ring: of the site.
     """
     trail, *state = found
     trail = trail[: int(result.straight + result.diagonal) + 1]
-    path = np.stack([*np.divmod(trail[:, Trail.SPOT] // LOOKS, width), trail[:, Trail.KNOWN]], axis=1)
-    return Record(path, state[0][: shape[0], : shape[1]].copy() if state else None)
+    rows, cols = np.divmod(trail[:, Trail.SPOT] // LOOKS, width)
+    path = np.stack([rows - ring, cols - ring, trail[:, Trail.KNOWN]], axis=1)
+    inner = shape[0] - 2 * ring, shape[1] - 2 * ring
+    return Record(path, within(state[0], inner, ring).copy() if state else None)
 
 
-def decode(found: tuple[np.ndarray, ...], result: Result, shape: tuple[int, int]) -> Final:
+def decode(found: tuple[np.ndarray, ...], result: Result, shape: tuple[int, int], ring: int = 0) -> Final:
     """`Final` of what was kept of an episode.
 
     Args:
       found: what `kept` gave, numpy.
       result: `Result` of that episode, scalars.
-      shape: of the world, without padding.
+      shape: of the world.
+      ring: of the site.
     """
     hits, misses, trail, choices, bumped = found
-    height, width = shape
     steps, n_plans = int(result.straight + result.diagonal), int(result.plans)
     trail = trail[: steps + 1]
     rows, cols = np.divmod(trail[:, Trail.SPOT] // LOOKS, hits.shape[1])
@@ -139,20 +143,22 @@ def decode(found: tuple[np.ndarray, ...], result: Result, shape: tuple[int, int]
     if n_plans <= len(choices):
         motions = [MOTIONS.index(step) for step in zip(np.diff(rows).tolist(), np.diff(cols).tolist())]
         end = -1, 16 * steps + int(bumped) + 1
-        plans = list(_plans([*choices[:n_plans].tolist(), end], motions, hits.shape[1]))
+        plans = list(_plans([*choices[:n_plans].tolist(), end], motions, hits.shape[1], ring))
     return Final(
-        hits=hits[:height, :width],
-        misses=misses[:height, :width],
-        rows=rows,
-        cols=cols,
+        hits=within(hits, shape, ring),
+        misses=within(misses, shape, ring),
+        rows=rows - ring,
+        cols=cols - ring,
         looked=trail[:, Trail.SPOT] % LOOKS,
         known=trail[:, Trail.KNOWN],
         plans=plans,
     )
 
 
-def _plans(choices, motions, padded):
+def _plans(choices, motions, padded, ring):
     for (code, when), (_, after) in itertools.pairwise(choices):
         first, last, refused = when // 16, after // 16, after % 16 - 1
         way = motions[first:last] + ([] if refused == NO_MOTION else [refused])
-        yield Plan(first, None if code < 0 else divmod(code // 2, padded), code >= 0 and code % 2 == 1, code == -2, way)
+        row, col = divmod(code // 2, padded)
+        target = None if code < 0 else (row - ring, col - ring)
+        yield Plan(first, target, code >= 0 and code % 2 == 1, code == -2, way)

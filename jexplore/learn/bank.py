@@ -24,7 +24,7 @@ from jexplore.studies.checks import (
     require_memory,
 )
 from jexplore.studies.statistics.league import LEAGUE_KINDS
-from jexplore.worlds.world import World
+from jexplore.worlds.world import World, with_ring
 
 REFERENCE = "closest+recheck"
 FAILED = 3.0  # ratio that an episode counts with that did not see everything
@@ -38,7 +38,7 @@ VALIDATION = tuple(f"{kind}#{seed}" for seed in range(2000, 2004) for kind in LE
 class Bank:
     """Worlds, a scanner and rules."""
 
-    worlds: tuple[World, ...]
+    worlds: tuple[World, ...]  # each `with_ring`
     lidar: Lidar
     rules: Rules
     start: str = "random"
@@ -132,7 +132,7 @@ def prepare_bank(
       InputError: a world that cannot be loaded, or is too large, or in which no robot can stand.
     """
     lidar, rules = ready_settings(lidar, rules)
-    ready = ready_worlds(worlds, cell_m)
+    ready = [with_ring(world) for world in ready_worlds(worlds, cell_m)]
     for world in ready:
         require_clearance(world, rules)
         require_memory(world, lidar, rules)

@@ -242,7 +242,7 @@ def give_lessons(
     for number, place, starts in bank.episodes(which, seed):
         site, every = bank.site(number), np.arange(len(starts))
         setup, own = site.with_strategy(strategy)
-        given = site.beams, site.truth, _Numbers(own, *numbers), seed, tasks_of(starts)
+        given = site.beams, site.truth, _Numbers(own, *numbers), seed, tasks_of(starts, site.ring)
         lines.append(Line(_program(setup, model.network), *given, every, NO_RUN))
         places.append(place)
     run_all(lines, find_resources(engine="serial", workers=workers))

@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import jax
 import numpy as np
 
-from jexplore.arrays.draws import pinned_draws, random_key
 from jexplore.config import MAX_SEED, InputError, checked_names, require_number, require_whole, unknown
 from jexplore.engine.backend import use_compilation_cache
+from jexplore.engine.draws import pinned_draws, random_key
 from jexplore.learn import advantage, es, ppo
 from jexplore.learn.bank import FAILED, TRAINING, VALIDATION, Bank, prepare_bank, require_apart
 from jexplore.policies import Strategy

@@ -1,7 +1,6 @@
 """A picture of maps in rooms, with doors found and missed, and the Voronoi graph that the paper's variants cut."""
 
 import math
-import os
 from collections.abc import Sequence
 from typing import Any
 
@@ -79,7 +78,7 @@ def figure(pictures: Sequence[Any], scores: Any) -> Figure:
         draw_segments(ax, picture)
         share = "" if picture.explored == 1 else f", {picture.explored:.0%} known"
         agreement = "" if np.isnan(row["mcc"]) else f", MCC {row['mcc']:.2f}, {_doors(row)}"
-        title = f"{wrapped(os.path.basename(picture.name), 40, max_lines=1)}{share}\n"
+        title = f"{wrapped(picture.name, 40, max_lines=1)}{share}\n"
         ax.set_title(f"{title}{picture.variant}: {int(row['rooms'])} rooms{agreement}", fontsize=8, parse_math=False)
     handles = _handles(pictures)
     legend_below(page, handles, [handle.get_label() for handle in handles])

@@ -189,7 +189,7 @@ def environment() -> dict[str, Any]:
     """
     import jax
 
-    from jexplore.arrays.draws import GENERATOR
+    from jexplore.config import GENERATOR
 
     devices = jax.devices()
     return {

@@ -1,5 +1,6 @@
 """What is checked, loaded and drawn before anything is compiled: worlds, strategies, starts, memory."""
 
+import hashlib
 import os
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any, TypeAlias
@@ -15,8 +16,9 @@ from jexplore.policies import Policy, Strategy, strategy
 from jexplore.raycast import HEADINGS, n_steps
 from jexplore.worlds import load_world
 from jexplore.worlds.poses import Pose, cell_of, read_start
-from jexplore.worlds.starts import check_start, draw_start, draw_starts
-from jexplore.worlds.world import World, checked
+from jexplore.worlds.regions import warn_of_floor
+from jexplore.worlds.starts import check_start, draw_start, draw_starts, reached_from, start_region
+from jexplore.worlds.world import World, checked, ringed_shape
 
 WorldLike: TypeAlias = str | os.PathLike[str] | World
 """A world, or the name or file of one."""
@@ -85,6 +87,27 @@ def ready_worlds(worlds: WorldLike | Iterable[WorldLike], cell_m: float) -> list
     return [checked(world) if isinstance(world, World) else load_world(world, cell_m) for world in worlds]
 
 
+def require_different_buildings(worlds: Iterable[World]) -> None:
+    """Refuse one building under two names, such as `cave` and `cave#0`: statistics would count it as two.
+
+    Buildings are the same whose occupied cells, cell size and ground are.
+
+    Raises:
+      InputError: naming both.
+    """
+    names: dict[Any, str] = {}
+    for world in worlds:
+        digest = hashlib.sha256(world.occupied.tobytes())
+        if world.elevation is not None:
+            digest.update(world.elevation.tobytes())
+        known = names.setdefault((world.shape, world.cell_m, digest.digest()), world.name)
+        if known != world.name:
+            raise InputError(
+                f"worlds {known!r} and {world.name!r} are the same building, which would count twice; leave out one of "
+                "them, or run more episodes in it"
+            )
+
+
 def ready_strategies(strategies: StrategyLike | Iterable[StrategyLike]) -> list[Strategy]:
     """Strategies from what stands for them, in order.
 
@@ -121,27 +144,30 @@ def ready_starts(world: World, start: StartLike, n: int, *, seed: int, rules: Ru
 
     Raises:
       InputError: no clear cell, no start of its own, a start in a wall or enclosed.
+      InputWarning: see `regions.warn_of_floor`.
     """
     require_clearance(world, rules)
-    start = read_start(start)
+    start, clearance_m, near_m = read_start(start), rules.clearance_m, rules.near_m
     if start == "random":
-        check_start(world, draw_start(world, seed, 0, rules.clearance_m), rules.clearance_m, rules.near_m)
-        return draw_starts(world, seed, n, rules.clearance_m)
+        check_start(world, draw_start(world, seed, 0, clearance_m), clearance_m, near_m)
+        warn_of_floor(world, start_region(world, clearance_m), clearance_m, drawn=True)
+        return draw_starts(world, seed, n, clearance_m)
     if start == "world" and world.start is None:
         raise InputError(f"{world.name!r}: has no start of its own; use start random")
     cell: Any = world.start if start == "world" else start
     if isinstance(start, Pose):
         cell = cell_of(world, start)
     try:
-        own = check_start(world, cell, rules.clearance_m, rules.near_m)
+        own = check_start(world, cell, clearance_m, near_m)
     except InputError as error:
         raise InputError(f"{start} is {error}" if isinstance(start, Pose) else str(error)) from None
+    warn_of_floor(world, reached_from(world, *own[:2], clearance_m, near_m), clearance_m, drawn=False)
     return np.tile(np.asarray(own, np.int32), (n, 1))
 
 
 def memory_needed(world: World, lidar: Lidar, rules: Rules, workers: int) -> int:
     """About how many bytes episodes in a world take at a time. An int."""
-    rows, cols = (bucket(side) for side in world.shape)
+    rows, cols = (bucket(side) for side in ringed_shape(world.occupied))
     steps = max(LEAST_LIMIT, rows * cols, rules.max_steps or 0)
     beams = HEADINGS * lidar.n_beams * n_steps(in_cells(lidar.range_m, world.cell_m))
     return workers * (CELL_BYTES * rows * cols + TRAIL_BYTES * steps) + BEAM_BYTES * beams

@@ -39,8 +39,9 @@ from jexplore.studies.checks import (
     require_clearance,
     require_memory,
 )
-from jexplore.worlds.starts import check_start, start_cells
-from jexplore.worlds.world import World
+from jexplore.worlds.regions import warn_of_floor
+from jexplore.worlds.starts import check_start, start_cells, start_region
+from jexplore.worlds.world import World, ringed_shape
 
 WORLD, START = 2, 3  # streams of random numbers besides those of an episode (`state.Stream`)
 
@@ -53,6 +54,7 @@ class EnvState:
     episode: State
     known: Field  # of its belief
     world: Array  # int32, which of the environment's worlds it is in
+    ring: Array | None  # int32, cells by which indices in its maps are larger than its world's; None: 0 in all worlds
     replace: ClassVar[Callable[..., Self]]
 
 
@@ -64,6 +66,7 @@ class _Bank:
     scenes: Truth  # [M, ...]
     numbers: Numbers  # [M, ...]
     recheck: Array  # bool
+    ring: Array | None  # [M] int32, see `EnvState`
 
 
 @checked_names
@@ -81,7 +84,8 @@ class Environment:
     worlds: tuple[World, ...]
     """What may be explored, in order."""
     shape: tuple[int, int]
-    """`(H, W)` of all maps: that of the largest world, padded."""
+    """`(H, W)` of all maps: that of the largest world, padded. Cells of a view, an action and a path are those of the
+    world."""
     cell_m: float
     """Edge of a cell, metres."""
 
@@ -120,7 +124,8 @@ class Environment:
                 f"worlds of one environment must have cells of one size, got {sizes[0]:g} and {sizes[1]:g} m"
             )
         self.cell_m, self._rules = sizes[0], rules
-        rows, cols = (max(bucket(side) for side in sides) for sides in zip(*(world.shape for world in self.worlds)))
+        sizes = zip(*(ringed_shape(world.occupied) for world in self.worlds))
+        rows, cols = (max(bucket(side) for side in sides) for sides in sizes)
         self.shape = rows, cols
         find_resources()  # starts JAX
         kernels = KERNELS["serial" if jax.local_devices()[0].platform == "cpu" else "lockstep"]
@@ -129,6 +134,7 @@ class Environment:
             require_clearance(world, rules)
             require_memory(world, lidar, rules)
             cells.append(start_cells(world, rules.clearance_m))
+            warn_of_floor(world, start_region(world, rules.clearance_m), rules.clearance_m, drawn=True)
             sites.append(prepare_site(world, lidar, rules, kernels, self.shape))
         capacity = max(site.setup.capacity for site in sites) if paths else 1
         self._setup = sites[0].setup._replace(policy=closest(), capacity=capacity)  # which nobody asks
@@ -136,7 +142,8 @@ class Environment:
         scenes, numbers = (
             jax.tree.map(lambda *a: jnp.stack(a), *records) for records in (truths, [site.numbers for site in sites])
         )
-        self._bank = _Bank(jax.tree.map(jnp.asarray, sites[0].beams), scenes, numbers, jnp.bool_(recheck))
+        ring = jnp.asarray([site.ring for site in sites], jnp.int32) if any(site.ring for site in sites) else None
+        self._bank = _Bank(jax.tree.map(jnp.asarray, sites[0].beams), scenes, numbers, jnp.bool_(recheck), ring)
         self._n_cells = jnp.asarray([len(own) for own in cells], jnp.int32)
         most = max(len(own) for own in cells)
         self._cells = jnp.asarray(np.stack([np.resize(own, (most, 2)) for own in cells]), jnp.int32)
@@ -216,7 +223,8 @@ class Environment:
         if self._setup.capacity == 1:
             raise InputError("this environment keeps no paths: jx.Environment(..., paths=True)")
         spots = np.asarray(state.episode.trail)[: int(state.episode.steps) + 1, Trail.SPOT]
-        return np.stack(np.divmod(spots // LOOKS, self.shape[1]), axis=1)
+        ring = 0 if state.ring is None else int(state.ring)
+        return np.stack(np.divmod(spots // LOOKS, self.shape[1]), axis=1) - ring
 
     @property
     def arrays(self) -> Any:
@@ -257,7 +265,7 @@ def _inside(shape, row, col):
     return inside, jnp.where(inside, row, 0), jnp.where(inside, col, 0)
 
 
-def _seen(setup, given, episode):
+def _seen(setup, given, episode, ring):
     """`EnvState` after the last scan of a plan; without a frontier the episode is over."""
     known = field(episode.belief)
     none = ~jnp.any(known.candidates) & (episode.outcome == Outcome.RUNNING)
@@ -266,26 +274,51 @@ def _seen(setup, given, episode):
         nothing, route = choose(episode.belief, episode.route, known, jnp.int32(-1), jnp.int32(-1))
         return environment.commit(setup, given, episode, nothing, route)
 
-    return EnvState(run_if(none, end, episode), known, given.scene)
+    return EnvState(run_if(none, end, episode), known, given.scene, ring)
+
+
+def shown(state: EnvState) -> View:
+    """The `View` of a state, in the cells of its world."""
+    view, ring = view_of(state.episode.belief, state.known), state.ring
+    if ring is None:
+        return view
+    view = jax.tree.map(
+        lambda a: jnp.roll(a, jnp.stack([-ring, -ring]), (0, 1)) if a.shape == view.cost.shape else a, view
+    )
+    belief = view.belief
+    return view.replace(
+        belief=belief.replace(
+            row=belief.row - ring,
+            col=belief.col - ring,
+            start=belief.start - jnp.stack([ring, ring, jnp.int32(0)]),
+            extent=belief.extent - 2 * ring,
+        )
+    )
+
+
+def _ringed(ring, row, col):
+    """A cell of a world in its maps."""
+    return (row, col) if ring is None else (row + ring, col + ring)
 
 
 def _begun(setup, bank, key, start, world):
     row, col, heading_deg = start
     occupied = bank.scenes.occupied
-    _, row, col = _inside(occupied.shape[1:], row, col)
     own = jnp.clip(world, 0, len(occupied) - 1)
+    ring = None if bank.ring is None else bank.ring[own]
+    _, row, col = _inside(occupied.shape[1:], *_ringed(ring, row, col))
     bad = occupied[own, row, col] | (heading_deg % 45 != 0) | (world != own)
     given = _given(bank, key, own, jnp.stack([row, col, heading_deg // 45 % 8]))
-    state = _seen(setup, given, environment.begin(setup, given))
+    state = _seen(setup, given, environment.begin(setup, given), ring)
     outcome = jnp.where(bad, Outcome.BAD_START, state.episode.outcome)
     state = state.replace(episode=state.episode.replace(outcome=outcome))
-    return state, view_of(state.episode.belief, state.known)
+    return state, shown(state)
 
 
 def _driven(setup, bank, key, state, action):
     episode, known = state.episode, state.known
     given = _given(bank, key, state.world, episode.belief.start)
-    inside, row, col = _inside(known.cost.shape, *action)
+    inside, row, col = _inside(known.cost.shape, *_ringed(state.ring, *action))
     valid = inside & (known.cost[row, col] < FAR) & (episode.outcome == Outcome.RUNNING)
 
     def drive(state):
@@ -299,7 +332,7 @@ def _driven(setup, bank, key, state, action):
         def advance(episode):
             return environment.advance(setup, own, episode)
 
-        return _seen(setup, own, lax.while_loop(lambda episode: episode.walking, advance, episode))
+        return _seen(setup, own, lax.while_loop(lambda episode: episode.walking, advance, episode), state.ring)
 
     state = run_if(valid, drive, state)
     now = state.episode
@@ -310,7 +343,7 @@ def _driven(setup, bank, key, state, action):
         "known_m2": now.known * given.numbers.model.cell_m**2,
     }
     reward = -steps_m(now.straight - episode.straight, now.diagonal - episode.diagonal, given.numbers.model.cell_m)
-    return state, view_of(now.belief, state.known), reward, now.outcome != Outcome.RUNNING, info
+    return state, shown(state), reward, now.outcome != Outcome.RUNNING, info
 
 
 @functools.partial(jax.jit, static_argnums=0)

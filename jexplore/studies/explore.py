@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from jexplore.arrays.padding import within
 from jexplore.arrays.pictures import axes_of, html_of, or_text, png_of
 from jexplore.config import MAX_SEED, InputError, Lidar, Rules, checked_names, require_whole
 from jexplore.engine.backend import use_compilation_cache
@@ -35,7 +36,7 @@ from jexplore.studies.checks import (
 )
 from jexplore.worlds.poses import read_start
 from jexplore.worlds.starts import draw_start
-from jexplore.worlds.world import World
+from jexplore.worlds.world import World, ring_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -319,7 +320,7 @@ def frames(episode: Episode, *, max_frames: int = MAX_FRAMES) -> Iterator[Frame]
     """
     final, n = episode.final, len(episode.final.rows) - 1
     chosen = set(np.unique(np.linspace(n, 0, min(max_frames, n + 1)).round().astype(int)).tolist())
-    height, width = episode.world.shape
+    shape, ring = episode.world.shape, ring_of(episode.world.occupied)
     for moment in steps_of(episode):
         if moment.step in chosen:
             hits, misses = _map_of(episode, moment)
@@ -327,7 +328,7 @@ def frames(episode: Episode, *, max_frames: int = MAX_FRAMES) -> Iterator[Frame]
                 step=moment.step,
                 hits=hits,
                 misses=misses,
-                frontier=replay.frontier(moment.belief)[:height, :width],
+                frontier=within(replay.frontier(moment.belief), shape, ring),
                 row=moment.row,
                 col=moment.col,
                 heading_deg=45 * moment.heading,
@@ -336,9 +337,9 @@ def frames(episode: Episode, *, max_frames: int = MAX_FRAMES) -> Iterator[Frame]
 
 
 def _map_of(episode, moment):
-    """Hits and misses after a scan, without padding."""
-    (height, width), grid = episode.world.shape, moment.belief.grid
-    return np.asarray(grid.hits)[:height, :width], np.asarray(grid.misses)[:height, :width]
+    """Hits and misses after a scan, in the world's cells."""
+    shape, ring, grid = episode.world.shape, ring_of(episode.world.occupied), moment.belief.grid
+    return within(np.asarray(grid.hits), shape, ring), within(np.asarray(grid.misses), shape, ring)
 
 
 def maps_at(episode: Episode, shares: Sequence[float]) -> Iterator[tuple[float, float, np.ndarray]]:

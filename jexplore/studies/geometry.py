@@ -29,7 +29,7 @@ from jexplore.rooms.scores import regions_of
 from jexplore.studies.room_variants import segmentations
 from jexplore.studies.segmentation import SMALLEST_M2
 from jexplore.worlds.starts import clear_cells, label_components
-from jexplore.worlds.world import World
+from jexplore.worlds.world import World, with_ring
 
 WALL_M = 1.25  # an obstacle longer than this, its boundary than 2.5 m, is a wall; a shorter one furniture or a column
 LEG_M = 0.3  # an island longer than this is more than a leg
@@ -113,6 +113,7 @@ def geometry(world: World, *, clearance_m: float = 0.30) -> Geometry:
       InputError: the clearance is no number from 0 to 100.
     """
     require_number("clearance_m", clearance_m, high=100)
+    world = with_ring(world)
     cell_m, free = world.cell_m, ~world.occupied
     islands, lengths = _obstacles(world.occupied, cell_m)
     walls, known = world.occupied & ~islands, world.rooms is not None

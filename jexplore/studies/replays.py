@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jexplore.arrays.padding import within
 from jexplore.config import InputError, Lidar, Rules
 from jexplore.engine.backend import use_compilation_cache
 from jexplore.exploration import batch
@@ -20,7 +21,7 @@ from jexplore.planning import field
 from jexplore.policies import Strategy, room_wise
 from jexplore.report.page.replay import FRONTIER, OWN_ROOM, ReplayData, changes_of, evenly
 from jexplore.studies.explore import Episode
-from jexplore.worlds.world import World
+from jexplore.worlds.world import World, ring_of
 
 MAX_PAIRS = 12  # of world and strategy that are replayed on one page
 MAX_FRAMES = 300  # of a replay
@@ -108,14 +109,14 @@ def _has_own_room(strategy):
 
 def _images(world, strategy, found, headings):
     """The codes of all cells at some stops; notes how the robot was turned there."""
-    height, width = world.shape
+    ring = ring_of(world.occupied)
     for stop in found:
         codes = np.array(_codes(stop.belief))
         if _has_own_room(strategy):
             params = strategy.policy.params._replace(inner=())
             codes += np.uint8(OWN_ROOM) * np.asarray(_own_room(params, stop.belief))
         headings.append(45 * stop.heading)
-        yield codes[:height, :width]
+        yield within(codes, world.shape, ring)
 
 
 def _aims(final, shown):

@@ -9,10 +9,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from jexplore import segment
-from jexplore.arrays.padding import bucket, framed
+from jexplore.arrays.padding import bucket, framed, within
 from jexplore.config import checked_names, require_number, unknown
 from jexplore.rooms import watershed
 from jexplore.rooms.baselines import BASELINES
+from jexplore.worlds.world import ring_of
 
 VARIANTS = ("voronoi", *BASELINES, *segment.VARIANTS)
 BEST = "voronoi"  # by left-out scores: `benchmarks/segmentation_left_out.py`
@@ -120,18 +121,19 @@ def segmentations(
     Returns:
       A list of `segment.Segments` of numpy arrays, whose labels are cut to the map and whose flat indices count in it.
     """
-    height, width = free.shape
-    shape = bucket(height), bucket(width)
-    padded = np.pad(free, [(0, full - n) for full, n in zip(shape, free.shape)])
+    (height, width), ring = free.shape, ring_of(~free)
+    shape = bucket(height + 2 * ring), bucket(width + 2 * ring)
+    padded = np.pad(free, [(ring, full - n - ring) for full, n in zip(shape, free.shape)])
     form = segment.form_for(shape, coarse=True, metric=metric, lines=lines)
     stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *settings)
     made = jax.tree.map(np.asarray, _each(padded, stacked, form=form))
 
     def in_map(cell):
-        return np.where(cell < padded.size, cell // shape[1] * width + cell % shape[1], free.size)
+        inside = (cell // shape[1] - ring) * width + cell % shape[1] - ring
+        return np.where(cell < padded.size, inside, free.size)
 
     def cut(one):
         graph = one.graph.replace(cell=in_map(one.graph.cell))
-        return one.replace(label=one.label[:height, :width], graph=graph, seed=in_map(one.seed))
+        return one.replace(label=within(one.label, free.shape, ring), graph=graph, seed=in_map(one.seed))
 
     return [cut(jax.tree.map(lambda a, i=i: a[i], made)) for i in range(len(settings))]

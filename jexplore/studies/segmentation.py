@@ -14,7 +14,10 @@ from jexplore.studies.checks import LIDAR, RULES, listed, ready_worlds, require_
 from jexplore.studies.explore import maps_at, prepare_job, run_job
 from jexplore.studies.room_variants import BEST, VARIANTS, Settings, divided, require
 from jexplore.worlds import GENERATORS, names
+from jexplore.worlds.names import short_names
 from jexplore.worlds.readers.images import load_image, read_pixels
+from jexplore.worlds.regions import warn_of_outside
+from jexplore.worlds.starts import start_region
 from jexplore.worlds.world import World
 
 if TYPE_CHECKING:
@@ -41,7 +44,7 @@ class Task(NamedTuple):
 class Picture(NamedTuple):
     """What a variant made of a map."""
 
-    name: str
+    name: str  # of the map, as short as tells it from the others
     variant: str
     explored: float  # share of the map known; 1 for all of it
     label: np.ndarray  # [H, W] int32
@@ -71,9 +74,7 @@ class Segmentation(NamedTuple):
             shown = rows.drop(columns=["variant", "stage"]).set_index("map")
             whole = [name in COUNTS for name in shown.columns]
             shown = shown.rename(columns={"variation_of_information": "VI bits", "room_count_error": "room error"})
-            lines = [
-                [os.path.basename(name), *map(_text, row, whole)] for name, row in zip(shown.index, shown.to_numpy())
-            ]
+            lines = [[name, *map(_text, row, whole)] for name, row in zip(short_names(shown.index), shown.to_numpy())]
             if len(shown) > 1:
                 lines += [[name, *map(_text, getattr(shown, name)(), whole)] for name in ("mean", "median")]
             table = aligned_table(["map", *(name.replace("_", " ") for name in shown.columns)], lines, left=["map"])
@@ -120,6 +121,7 @@ def segment_maps(
 
     Raises:
       InputError: a name, number, picture or setting that cannot be used. Raised before anything is compiled.
+      InputWarning: the largest region of a map lies outside a building: its rooms are not those of the building.
     """
     chosen: Any = listed("variants", variants)
     numbers = Settings(**settings)
@@ -130,12 +132,13 @@ def segment_maps(
         if partial
     ]
     rows, pictures, done = [], [], 0
+    short = short_names([os.fspath(task.world.name) for task in tasks])
     for i, task in enumerate(tasks):
         for stage, explored, free, unseen in _stages(task.world, jobs[i] if partial else None):
             for variant, made in zip(chosen, divided(free, unseen, chosen, numbers, task.world.cell_m)):
                 row, picture = _judged(task, variant, stage, explored, free, made)
                 rows.append(row)
-                pictures.append(picture)
+                pictures.append(picture._replace(name=short[i]))
             done += 1
             if on_progress is not None:
                 on_progress(done)
@@ -168,6 +171,8 @@ def prepare_maps(
             raise unknown("variant", variant, VARIANTS)
     require(settings)
     worlds = ready_worlds(maps, cell_m)
+    for world in worlds:
+        warn_of_outside(world, start_region(world, RULES.clearance_m))
     if truth is None:
         return [Task(world, world.rooms) for world in worlds]
     truth = listed("truth", truth)
@@ -187,11 +192,7 @@ def _rooms_in(picture, world):
         raise InputError(f"{picture!r}: must be as large as {parsed.base!r}, {width} x {height} pixels, got {w} x {h}")
     free: Any = parsed.parameters.get("free", 250)
     closed = load_image(picture, parsed.scale, cell_m=world.cell_m, free=free).occupied
-    # Either of them may have got a wall all round, where the picture had none.
-    more = [(full - n) // 2 for full, n in zip(world.shape, closed.shape)]
-    closed = np.pad(closed, [(max(n, 0),) * 2 for n in more], constant_values=True)
-    rows, cols = (slice(max(-n, 0), max(-n, 0) + full) for n, full in zip(more, world.shape))
-    found = rooms_of(~closed[rows, cols] & ~world.occupied, min_px=_smallest_px(world.cell_m))
+    found = rooms_of(~closed & ~world.occupied, min_px=_smallest_px(world.cell_m))
     count = int(found.max(initial=-1)) + 1
     if not 0 < count <= MOST_ROOMS:
         raise InputError(f"{picture!r}: must have 1 to {MOST_ROOMS} rooms of more than {SMALLEST_M2} m2, got {count}")

@@ -6,6 +6,7 @@ Importing this loads neither jax nor an image library; `load_world` imports what
 import dataclasses
 import importlib
 import inspect
+import math
 import os
 import sys
 import types
@@ -77,7 +78,7 @@ def load_world(name: str | os.PathLike[str], cell_m: float = 0.1) -> "World":
       cell_m: edge of a cell, metres. A file of another resolution is resampled; that never opens a wall.
 
     Returns:
-      A `World` with an occupied ring and at least one free cell; its `name` is `name` as given.
+      A `World` with at least one free cell; its `name` is `name` as given.
 
     Raises:
       InputError: no such world, a parameter that it does not take, or a file that cannot be read as a map.
@@ -88,14 +89,37 @@ def load_world(name: str | os.PathLike[str], cell_m: float = 0.1) -> "World":
         raise InputError(f"world must be a name or a path, got {name!r}") from None
     require_number("cell_m", cell_m, low=0.001, high=100)
     parsed = names.parse(name, generators=tuple(GENERATORS))
+    parsed, chosen = _taken(parsed)
     world = _generate(parsed, cell_m) if parsed.kind == "generator" else _read(parsed, cell_m)
 
-    from jexplore.worlds.world import with_ring
+    from jexplore.worlds.world import require_side, ringed_shape
 
-    world = with_ring(dataclasses.replace(world, name=name))
+    world = dataclasses.replace(world, name=name)
+    require_side(name, *ringed_shape(world.occupied), cell_m)
+    if chosen is not None:
+        from jexplore.worlds.regions import inside
+
+        world = inside(world, *chosen)
     if world.occupied.all():
         raise InputError(f"{name!r}: no free cell is left at cell_m = {cell_m:g}; use a smaller cell_m")
     return world
+
+
+def _taken(parsed):
+    """A name without the parameters `names.INSIDE`, and what they choose: the arguments of `inside`, or None."""
+    if parsed.kind == "generator":
+        return parsed, None
+    rest = {key: value for key, value in parsed.parameters.items() if key not in names.INSIDE}
+    inside, x_m, y_m = (parsed.parameters.get(key) for key in names.INSIDE)
+    if not isinstance(inside, bool | None):
+        raise InputError(f"{parsed.name!r}: inside must be true or false, got {inside!r}")
+    if x_m is None and y_m is None:
+        return dataclasses.replace(parsed, parameters=rest), () if inside else None
+    if inside is not None or x_m is None or y_m is None:
+        raise InputError(f"{parsed.name!r}: give inside=true, or both inside_x_m and inside_y_m")
+    for key, value in (("inside_x_m", x_m), ("inside_y_m", y_m)):
+        require_number(f"{parsed.name!r}: {key}", value, low=-math.inf)
+    return dataclasses.replace(parsed, parameters=rest), ((x_m, y_m),)
 
 
 def generator_parameters(base: str) -> dict[str, Any]:

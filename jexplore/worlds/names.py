@@ -1,4 +1,4 @@
-"""The grammar of world names. Plain Python: importing this loads neither jax nor numpy.
+"""The grammar of world names, and their short forms. Plain Python: importing this loads neither jax nor numpy.
 
     generator[#seed][:key=value,...]        cave   cave#3   hospital#2:width_m=60,height_m=25
     file[@scale][:key=value,...]            map.yaml   map.png@16x16   map.png@0.05:free=150   map.map@0.1   plan.json
@@ -10,12 +10,14 @@ taken, else the longest path. A folder with a `metadata.yaml` is a recording of 
 generator's.
 """
 
+import collections
 import dataclasses
 import difflib
+import itertools
 import math
 import os
 import re
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 
 from jexplore.config import InputError, require_number
 
@@ -35,6 +37,9 @@ _GENERATOR = re.compile(r"(?P<base>[A-Za-z_][\w-]*)(#(?P<seed>[^:]*))?(:(?P<para
 _SEEDS = 2**32
 METADATA = "metadata.yaml"
 """The file that makes a folder a recording of ROS 2."""
+INSIDE = ("inside", "inside_x_m", "inside_y_m")
+"""Parameters of every map file: which of its floor is meant, see `regions.inside`."""
+LONGEST_NAME = 200  # characters of a file's name; file systems take 255 bytes with suffixes
 
 
 @dataclasses.dataclass(frozen=True)
@@ -73,7 +78,7 @@ def parse(name: str, *, generators: Collection[str]) -> WorldName:
     """
     cuts = [match.end() for match in _CUT.finditer(name)]
     if cuts:
-        return _parse_file(name, max(cuts, key=lambda cut: (os.path.isfile(name[:cut]), cut)))
+        return _parse_file(name, _path_end(name, cuts))
     match = _GENERATOR.fullmatch(name)
     base = match["base"] if match else ""
     if match is None or base not in generators:
@@ -107,12 +112,69 @@ def require_parameters(parsed: WorldName, permitted: Collection[str]) -> None:
     Raises:
       InputError: naming the first such parameter and what there is.
     """
+    if parsed.kind != "generator":
+        permitted = [*permitted, *INSIDE]
     for key in parsed.parameters:
         if key == "cell_m":
             raise InputError(f"{parsed.name!r}: cell_m is an option of its own, not a parameter of the world's name")
         if key not in permitted:
             there_are = f"it takes {_there_are(key, permitted)}" if permitted else "it takes none"
             raise InputError(f"{parsed.name!r}: there is no parameter {key!r}; {there_are}")
+
+
+def joint_of(name: str) -> str | None:
+    """What stands between the name of a map file and one more parameter, `:` or `,`; None for a name of no file."""
+    cuts = [match.end() for match in _CUT.finditer(name)]
+    if not cuts:
+        return None
+    return "," if ":" in name[_path_end(name, cuts) :] else ":"
+
+
+def short_names(names: Sequence[str]) -> list[str]:
+    """Short names that tell worlds, or other files, apart: of a path the shortest end that no other one has.
+
+    Args:
+      names: different names, such as `floor1/map.yaml`.
+
+    Returns:
+      One for each, in order; different from each other.
+    """
+    parts = []
+    for name in names:
+        cuts = [match.end() for match in _CUT.finditer(name)]
+        cut = _path_end(name, cuts) if cuts else len(name.partition(":")[0])
+        *folders, last = re.split(r"[/\\]", name[:cut])
+        parts.append([*folders, last + name[cut:]])
+    ends = collections.Counter(tuple(own[-n:]) for own in parts for n in range(1, len(own) + 1))
+    return [
+        next(("/".join(own[-n:]) for n in range(1, len(own)) if ends[tuple(own[-n:])] == 1), name)
+        for name, own in zip(names, parts)
+    ]
+
+
+def file_names(texts: Sequence[str]) -> list[str]:
+    """Names for files, one for each text, in order: as much of it as every file system takes, and never one twice.
+
+    Args:
+      texts: what the files hold, such as `floor1/map.yaml-closest-0`.
+
+    Returns:
+      Names of letters, digits and `.+=#-_`, up to `LONGEST_NAME` characters, without suffix. No two are equal, upper
+      and lower case not told apart: the second of such a kind ends in `-2`.
+    """
+    made, taken = [], set()
+    for text in texts:
+        plain = re.sub(r"[^A-Za-z0-9_.+=#-]+", "_", text).lstrip(".-")[-LONGEST_NAME:] or "_"
+        others = (f"{plain}-{i}" for i in itertools.count(2))
+        name = next(one for one in itertools.chain([plain], others) if one.lower() not in taken)
+        taken.add(name.lower())
+        made.append(name)
+    return made
+
+
+def _path_end(name, cuts):
+    """Where the path of a file ends: the longest that exists, else the longest."""
+    return max(cuts, key=lambda cut: (os.path.isfile(name[:cut]), cut))
 
 
 def _there_are(word, known):

@@ -10,9 +10,10 @@ from typing import SupportsIndex
 
 import numpy as np
 
+from jexplore.arrays.padding import within
 from jexplore.config import InputError
 from jexplore.grid import radius_d2
-from jexplore.worlds.world import World
+from jexplore.worlds.world import World, ring_of
 
 HEADINGS_DEG = (0, 45, 90, 135, 180, 225, 270, 315)
 
@@ -77,6 +78,14 @@ def label_components(mask: np.ndarray) -> np.ndarray:
     return labels
 
 
+def clear_in(world: World, clearance_m: float) -> np.ndarray:
+    """The clear cells of a world, beyond whose edge is wall: `[H, W]` bool; arguments as for `start_region`."""
+    ring = ring_of(world.occupied)
+    clear = clear_cells(np.pad(world.occupied, ring, constant_values=True), clearance_m, world.cell_m)
+    clear = within(clear, world.shape, ring)
+    return clear if world.within is None else clear & world.within
+
+
 def start_region(world: World, clearance_m: float) -> np.ndarray:
     """The cells that a drawn start may lie in: the largest 4-connected component of the clear cells.
 
@@ -89,9 +98,7 @@ def start_region(world: World, clearance_m: float) -> np.ndarray:
     Returns:
       `[H, W]` bool. Among components of one size, the one with the lowest flat index. All False if no cell is clear.
     """
-    clear = clear_cells(world.occupied, clearance_m, world.cell_m)
-    if world.within is not None:
-        clear &= world.within
+    clear = clear_in(world, clearance_m)
     labels = label_components(clear)
     if world.known is not None:
         clear &= world.known == 0
@@ -192,18 +199,24 @@ def check_start(
         raise InputError(f"{place}: lies in a wall; choose a free cell")
     if heading % 45:
         raise InputError(f"{place}: its heading must be a multiple of 45 degrees, got {heading}")
-    clear = clear_cells(world.occupied, clearance_m, world.cell_m)
-    dy, dx = np.arange(rows)[:, None] - row, np.arange(cols)[None, :] - col
-    near = (dy * dy + dx * dx <= radius_d2(near_m, world.cell_m)) & ~world.occupied
-    if world.within is not None:
-        if not world.within[row, col]:
-            raise InputError(f"{place}: lies outside the region that the robot is to stay in")
-        clear, near = clear & world.within, near & world.within
-    labels = label_components(clear | near)
-    reached = clear & (labels == labels[row, col])
+    if world.within is not None and not world.within[row, col]:
+        raise InputError(f"{place}: lies outside the region that the robot is to stay in")
+    reached = reached_from(world, row, col, clearance_m, near_m)
     reached[row, col] = False
     if not reached.any():
         raise InputError(
             f"{place}: is enclosed; no cell with more than {clearance_m:g} m of clearance can be reached from it"
         )
     return row, col, heading % 360
+
+
+def reached_from(world: World, row: int, col: int, clearance_m: float, near_m: float) -> np.ndarray:
+    """The clear cells that a robot gets to from a free cell: `[H, W]` bool; arguments as of `check_start`."""
+    clear = clear_in(world, clearance_m)
+    rows, cols = world.shape
+    dy, dx = np.arange(rows)[:, None] - row, np.arange(cols)[None, :] - col
+    near = (dy * dy + dx * dx <= radius_d2(near_m, world.cell_m)) & ~world.occupied
+    if world.within is not None:
+        near &= world.within
+    labels = label_components(clear | near)
+    return clear & (labels == labels[row, col])

@@ -40,7 +40,8 @@ class Course:
 class World:
     """One floor plan, on the host. Row 0 is the bottom; x runs along columns, y along rows.
 
-    The outermost rows and columns are always occupied (`with_ring` adds them where they are not).
+    Indices of starts, trails and maps are those of `occupied`. What lies beyond its edge is wall: robots live in the
+    world `with_ring`, and what they return is told in indices without it.
     """
 
     occupied: np.ndarray  # [H, W] bool, True where a wall or obstacle is
@@ -159,7 +160,7 @@ def checked(world: World) -> World:
       world: a `World`.
 
     Returns:
-      The same world `with_ring`, its elevation as float32, its name as text.
+      The same world, its elevation as float32, its name as text.
 
     Raises:
       InputError: arrays of another shape or dtype than `World` says, sizes out of range, or no free cell.
@@ -171,7 +172,7 @@ def checked(world: World) -> World:
     if occupied.ndim != 2 or occupied.dtype != bool or not occupied.size:
         raise InputError(f"{name!r}: occupied must be [H, W] bool, got {occupied.shape} {occupied.dtype}")
     require_number(f"{name!r}: cell_m", world.cell_m, low_open=True, high=100)
-    require_side(name, *occupied.shape, cell_m=world.cell_m)
+    require_side(name, *ringed_shape(occupied), cell_m=world.cell_m)
     if world.rooms is not None:
         rooms = np.asarray(world.rooms)
         if rooms.shape != occupied.shape or not np.issubdtype(rooms.dtype, np.integer):
@@ -192,14 +193,26 @@ def checked(world: World) -> World:
             raise InputError(f"{name!r}: {field} must be {what}, of shape {occupied.shape}, got {shown(array)}")
     if occupied.all():
         raise InputError(f"{name!r}: no cell is free")
-    return with_ring(world)
+    return world
+
+
+def ring_of(occupied: np.ndarray) -> int:
+    """The width of the ring that a map `[H, W]` needs round itself, cells: 0 if all its edge is occupied, else 1."""
+    return 0 if occupied[[0, -1], :].all() and occupied[:, [0, -1]].all() else 1
+
+
+def ringed_shape(occupied: np.ndarray) -> tuple[int, int]:
+    """`(H, W)` of a map with the ring that it needs, cells."""
+    ring = ring_of(occupied)
+    return occupied.shape[0] + 2 * ring, occupied.shape[1] + 2 * ring
 
 
 def with_ring(world: World) -> World:
     """The same world with all four edges occupied: unchanged if they are, else one cell larger on every side.
 
-    Rooms, elevation, start and origin move along, so that every cell keeps its place in metres. No room covers a new
-    cell; its ground is as high as that of the nearest old cell, so that no step arises at the edge.
+    Rooms, elevation, start and origin move along, so that every cell keeps its place in metres; indices grow by
+    `ring_of`. No room covers a new cell; its ground is as high as that of the nearest old cell, so that no step arises
+    at the edge.
 
     Args:
       world: a `World` of at least one cell.
@@ -211,10 +224,9 @@ def with_ring(world: World) -> World:
       InputError: the ring would make a side longer than `MAX_SIDE` cells.
     """
     occupied = world.occupied
-    if occupied[[0, -1], :].all() and occupied[:, [0, -1]].all():
+    if not ring_of(occupied):
         return world
-    rows, cols = (n + 2 for n in occupied.shape)
-    require_side(world.name or "world", rows, cols, world.cell_m)
+    require_side(world.name or "world", *ringed_shape(occupied), world.cell_m)
     x_m, y_m = world.origin_m
     return world.replace(
         occupied=np.pad(occupied, 1, constant_values=True),
@@ -298,10 +310,11 @@ def occupancy_to_world(
       free_max: a cell is free if its occupancy is from 0 to this.
 
     Returns:
-      A `World`, with a ring of occupied cells added if it has none.
+      A `World`, its cells those of the array.
 
     Raises:
-      InputError: not a matrix, empty, of another dtype, a value outside -1..100, no free cell, or too large.
+      InputError: not a matrix, empty, of another dtype, a value outside -1..100, no value that is a wall, no free
+        cell, or too large.
     """
     what = name or "occupancy"
     try:
@@ -321,22 +334,31 @@ def occupancy_to_world(
         low, high = occupancy.min(), occupancy.max()
         if low < -1 or high > 100:
             raise InputError(f"{what!r}: occupancy must lie from -1 (unknown) to 100, got {low} to {high}")
-        if free_max >= 1:
-            require_hundred(what, occupancy)
+        require_hundred(what, occupancy, free_max)
         occupied = (occupancy < 0) | (occupancy > free_max)
     if occupied.all():
         raise InputError(f"{what!r}: no cell is free (occupancy 0 to {free_max})")
-    return with_ring(World(occupied=occupied, cell_m=float(cell_m), name=name, origin_m=tuple(origin_m)))
+    require_side(what, *ringed_shape(occupied), cell_m=cell_m)
+    return World(occupied=occupied, cell_m=float(cell_m), name=name, origin_m=tuple(origin_m))
 
 
-def require_hundred(name: str, occupancy: np.ndarray) -> None:
-    """Refuse integers of 0 and 1, a mask, where 100 is occupied: all its walls would be free.
+def require_hundred(name: str, occupancy: np.ndarray, free_max: int = 1) -> None:
+    """Refuse classes, such as 0, 1 and 2, where 100 is occupied: all walls among them would be free.
+
+    Args:
+      name: what the error calls the array.
+      occupancy: integers.
+      free_max: the largest value that is free.
 
     Raises:
-      InputError: the largest value is 1.
+      InputError: the largest value is from 1 to `free_max`.
     """
-    if occupancy.max() == 1:
-        raise InputError(
-            f"{name!r}: integers of 0 and 1 alone would have no wall, for 100 is occupied; use bool, or 0..100: write "
-            "array == 1 or array * 100"
-        )
+    most = int(occupancy.max())
+    if not 1 <= most <= free_max:
+        return
+    what = "integers of 0 and 1 alone" if most == 1 else f"integers up to {most}"
+    less = "" if most == 1 else ", or give a free_max below the walls' values"
+    raise InputError(
+        f"{name!r}: {what} would have no wall, for 100 is occupied; use bool, or 0..100: write "
+        + ("array == 1 or array * 100" if most == 1 else f"array == N, where N is the class of walls{less}")
+    )

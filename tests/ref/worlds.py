@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from jexplore.worlds.world import occupancy_to_world
+from jexplore.worlds.world import occupancy_to_world, with_ring
 
 
 def two_rooms(name="two rooms", rows=22, cols=34, door=8):
@@ -10,4 +10,4 @@ def two_rooms(name="two rooms", rows=22, cols=34, door=8):
     occupied = np.zeros((rows, cols), bool)
     occupied[:, cols // 2] = True
     occupied[door : door + 8, cols // 2] = False
-    return occupancy_to_world(occupied, name=name)
+    return with_ring(occupancy_to_world(occupied, name=name))

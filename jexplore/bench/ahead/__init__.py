@@ -21,7 +21,7 @@ from jexplore.grid import radius_d2
 from jexplore.planning import windows
 from jexplore.policies import Strategy, parse_strategy
 from jexplore.studies.checks import ready_worlds
-from jexplore.worlds.world import World
+from jexplore.worlds.world import World, with_ring
 
 WORLDS, LANES, EPISODES, STRATEGY = ("cave", "hospital"), (1024, 4096), 16, "closest+recheck"
 CELL_M, MAX_LANES = 0.1, 2**16
@@ -79,7 +79,7 @@ def prepare(
     episodes = require_whole("episodes", EPISODES if episodes is None else episodes, 1, 10_000)
     device = targets.compile_only(place)
     start_backend(1)
-    buildings = ready_worlds(WORLDS if worlds is None else tuple(worlds), CELL_M)
+    buildings = [with_ring(world) for world in ready_worlds(WORLDS if worlds is None else tuple(worlds), CELL_M)]
     options = dict(GRAPHS) if graphs else {}
     return Agenda(
         target, device, buildings, parse_strategy(STRATEGY), counts, episodes, assume or Assumptions(), options

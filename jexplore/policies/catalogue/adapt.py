@@ -11,9 +11,9 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 
-from jexplore.arrays.draws import random_key
 from jexplore.arrays.loops import stored
 from jexplore.config import InputError, shown
+from jexplore.engine.draws import random_key
 from jexplore.planning import Belief, Choice, choose, field, first_at, is_open, nearest_of, view_of
 from jexplore.policies.catalogue import traced
 from jexplore.policies.catalogue.own import bare, call, described, is_score, parameters

@@ -10,9 +10,9 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from jexplore.arrays.draws import random_key
 from jexplore.arrays.files import first_line, read_bytes, read_json
 from jexplore.config import InputError, shown
+from jexplore.engine.draws import random_key
 from jexplore.policies.learned import features, networks
 
 FORMAT = 1  # of the files

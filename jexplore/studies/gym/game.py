@@ -18,7 +18,7 @@ from jexplore.exploration.state import Outcome
 from jexplore.grid import is_free, is_known
 from jexplore.planning import metres
 from jexplore.reach import FAR, STRAIGHT
-from jexplore.studies.environment import Environment, EnvState
+from jexplore.studies.environment import Environment, EnvState, shown
 from jexplore.worlds.starts import check_start
 
 TARGETS = ("frontier", "reachable")
@@ -117,22 +117,23 @@ class Game:
 
 def mask_of(state: EnvState, targets: str) -> Array:
     """The cells that an action may name: `[H, W]` bool; none once the episode is over."""
-    allowed = state.known.candidates if targets == "frontier" else state.known.cost < FAR
+    view = shown(state)
+    allowed = view.frontier if targets == "frontier" else view.cost < FAR
     return allowed & (state.episode.outcome == Outcome.RUNNING)
 
 
 @functools.partial(jax.jit, static_argnames="targets")
 def look(state: EnvState, *, targets: str) -> tuple[dict[str, Array], dict[str, Array]]:
     """Observation and info of a state, before `Game.fetched`."""
-    episode, known = state.episode, state.known
-    belief, shape = episode.belief, known.cost.shape
+    episode, view = state.episode, shown(state)
+    belief, shape = view.belief, view.cost.shape
     rows, cols = (lax.broadcasted_iota(jnp.int32, shape, axis) for axis in (0, 1))
     outside = (rows >= belief.extent[0]) | (cols >= belief.extent[1])
     free = jnp.where(is_free(belief.grid, belief.model.p_free), FREE, OCCUPIED)
     seen = {
         "map": jnp.where(outside, OCCUPIED, jnp.where(is_known(belief.grid), free, UNKNOWN)).astype(jnp.uint8),
-        "frontier": known.candidates.astype(jnp.int8),
-        "path_m": jnp.where(known.cost < FAR, metres(known.cost, belief.model.cell_m), -1.0),
+        "frontier": view.frontier.astype(jnp.int8),
+        "path_m": jnp.where(view.cost < FAR, metres(view.cost, belief.model.cell_m), -1.0),
         "robot": jnp.stack([belief.row, belief.col, belief.heading]).astype(jnp.int32),
     }
     info = {

@@ -6,8 +6,8 @@ import gymnasium  # type: ignore[import-not-found]
 import jax
 import numpy as np
 
-from jexplore.arrays.draws import random_key
 from jexplore.config import MAX_SEED, InputError, checked_names, require_whole
+from jexplore.engine.draws import random_key
 from jexplore.studies.checks import LIDAR, RULES, LidarLike, RulesLike
 from jexplore.studies.environment import Environment, EnvState
 from jexplore.studies.gym.game import MAX_DECISIONS, Game, copied, drawn_seed, look, require_options, whole

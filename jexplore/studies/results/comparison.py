@@ -7,7 +7,6 @@ import dataclasses
 import functools
 import itertools
 import os
-import re
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
@@ -18,7 +17,6 @@ import numpy as np
 from jexplore.arrays.pictures import MOST_ROWS, axes_of, html_of, or_text, png_of
 from jexplore.config import MAX_SEED, InputError, Lidar, Rules, checked_names, require_whole, unknown
 from jexplore.exploration.batch import Job, Outcomes
-from jexplore.exploration.results import to_occupancy
 from jexplore.exploration.state import Outcome
 from jexplore.report.tables import number_text, p_text, ratio_text, spread_text
 from jexplore.studies.checks import (
@@ -32,8 +30,10 @@ from jexplore.studies.checks import (
     ready_starts,
     ready_strategies,
     ready_worlds,
+    require_different_buildings,
     require_memory,
 )
+from jexplore.studies.results.grids import write_maps
 from jexplore.studies.results.tables import ByStrategy
 from jexplore.studies.results.units import Piece, Ran, Seen
 from jexplore.studies.statistics import by_world, figures, sizes, waste
@@ -138,7 +138,8 @@ class Comparison(ByStrategy):
         """Writes the last map of every episode as files of ROS's map_server, with `keep="maps"`.
 
         Args:
-          folder: where to; it is made. Files are named world-strategy-episode.yaml, with a picture each.
+          folder: where to; it is made. Files are named world-strategy-episode.yaml, with a picture each: of a world's
+            path as much as tells it from the others.
 
         Returns:
           Paths of the yaml files; `jx.load_world` reads them, and their cells are those of the maps.
@@ -146,20 +147,9 @@ class Comparison(ByStrategy):
         Raises:
           InputError: no maps were kept, or a file cannot be written.
         """
-        from jexplore.worlds.readers.ros import write_ros
-
         if not self.maps:
             raise InputError('no maps were kept: compare(..., keep="maps")')
-        Path(folder).mkdir(parents=True, exist_ok=True)
-        of_name, files = {world.name: world for world in self.worlds}, []
-        for (world, strategy), states in self.maps.items():
-            rows = self.episodes[(self.episodes["world"] == world) & (self.episodes["strategy"] == strategy)]
-            for episode, state in zip(rows["episode"], states):
-                name = re.sub(r"[^\w.+=#-]+", "_", f"{Path(world).name}-{strategy}-{episode}")
-                files.append(Path(folder) / f"{name}.yaml")
-                one = of_name[world]
-                write_ros(to_occupancy(state), files[-1], cell_m=one.cell_m, origin_m=one.origin_m)
-        return files
+        return write_maps(folder, self.maps, self.episodes, self.worlds)
 
     def sample_sizes(self, *, within: float = 0.02, assurance: float = 0.8) -> "pd.DataFrame":
         """How many episodes, and how many worlds, would tell every ratio `± within`: see `sizes.sample_sizes`."""
@@ -319,8 +309,9 @@ def prepare_jobs(
     seed = require_whole("seed", seed, 0, MAX_SEED)
     start = read_start(start, start_m)
     strategies = ready_strategies(strategies)
-    jobs = []
-    for world in ready_worlds(worlds, cell_m):
+    ready, jobs = ready_worlds(worlds, cell_m), []
+    require_different_buildings(ready)
+    for world in ready:
         require_memory(world, lidar, rules)
         starts = ready_starts(world, start, episodes, seed=seed, rules=rules)
         jobs += [Job(world, strategy, starts, seed, lidar=lidar, rules=rules) for strategy in strategies]

@@ -19,13 +19,20 @@ from jexplore.policies.catalogue.joined import joined
 from jexplore.raycast import scans_all_round
 from jexplore.report.ledger import Shorter
 from jexplore.report.store import read_parquet
-from jexplore.studies.checks import ready_starts, ready_strategies, ready_worlds, require_different, require_memory
+from jexplore.studies.checks import (
+    ready_starts,
+    ready_strategies,
+    ready_worlds,
+    require_different,
+    require_different_buildings,
+    require_memory,
+)
 from jexplore.studies.results.provenance import digest, own_digests
 from jexplore.studies.results.units import CELL_S, LEAST, UNIT_S
 from jexplore.studies.sweeps.spec import MAX_TOTAL, Sweep, plain
 from jexplore.version import __version__
 from jexplore.worlds.poses import read_start
-from jexplore.worlds.world import World
+from jexplore.worlds.world import World, ringed_shape
 
 UNIT = 256  # episodes of a unit at most, about; one file each
 MOST_UNITS = 4096  # larger sweeps have larger units
@@ -59,7 +66,7 @@ class Plan:
     parameters: list[dict[str, Any]]
     """Of every strategy, those of its parameters that are settings."""
     shapes: dict[tuple[int, float], tuple[int, int]]
-    """(world, cell size) -> shape of the world."""
+    """(world, cell size) -> shape of the world with its ring."""
     digests: list[str]
     """Of every world and cell size."""
     units: list[list[Block]]
@@ -263,8 +270,9 @@ def prepare_sweep(spec: Sweep) -> Plan:
     for world in range(len(spec.worlds)):
         for cell_m in dict.fromkeys(cell_m for _, cell_m, _, _ in records):
             loaded = _loaded(os.fspath(spec.worlds[world]), cell_m)
-            shapes[world, cell_m] = loaded.shape
+            shapes[world, cell_m] = ringed_shape(loaded.occupied)
             digests.append(digest(loaded))
+    require_different_buildings(_loaded(os.fspath(spec.worlds[world]), cell_m) for world, cell_m in shapes)
     checked = set()
     for seed, cell_m, lidar, rules in records:
         for world in range(len(spec.worlds)):

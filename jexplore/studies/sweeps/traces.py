@@ -17,7 +17,7 @@ from jexplore.driving.settings import for_world, require_noise, require_tuning
 from jexplore.engine.backend import use_compilation_cache
 from jexplore.engine.runner import Costs
 from jexplore.report.tables import aligned_table, number_text, spread_text
-from jexplore.studies.checks import require_different
+from jexplore.studies.checks import require_different, require_different_buildings
 from jexplore.studies.results.provenance import digest
 from jexplore.studies.sweeps.plan import kind_of
 from jexplore.studies.sweeps.spec import MAX_TOTAL, Sweep, plain
@@ -142,6 +142,7 @@ def prepare_traces(spec: Sweep) -> TracePlan:
             for (seed, cell_m, *_), own in together.items():
                 job = prepare_trace(name, robot=kind, runs=1, seed=seed, tuning=records[own[0]][2], cell_m=cell_m)
                 groups.append(Group(world, robot, own, _with_settings(job, spec, records, own)))
+    require_different_buildings(group.job.world for group in groups)
     size, units = max(UNIT, -(-total // MOST_UNITS)), []
     for i, group in enumerate(groups):
         n = len(group.settings) * spec.episodes

@@ -16,7 +16,7 @@ from jexplore.rooms.watershed import CLUTTER_M
 from jexplore.studies import explore
 from jexplore.studies.explore import Episode
 from jexplore.tracemap.record import BtmMap
-from jexplore.worlds.world import World
+from jexplore.worlds.world import World, ring_of, with_ring
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -45,6 +45,7 @@ class Extracted:
         """The map over the building and the robot's way: a matplotlib `Figure`."""
         world, final = self.episode.world, self.episode.final
         x, y = centre_of(final.rows, final.cols, cell_m=world.cell_m, origin_m=world.origin_m)
+        world = with_ring(world)
         trail = np.stack([x, y, np.zeros(len(x))], axis=1)
         walls = segments(walls_of(world.occupied, world.cell_m)) + np.tile(np.asarray(world.origin_m), 2)
         modes = np.zeros(len(x), int)
@@ -85,18 +86,18 @@ def extracted(
     episode = explore.explore(world, strategy, seed=seed, cell_m=cell_m, start=start)
     final = episode.final
     n = final.hits + final.misses
-    known = n > 0
-    free = known & (final.hits <= episode.rules.p_free * n)
+    free = (n > 0) & (final.hits <= episode.rules.p_free * n)
+    ring = ring_of(episode.world.occupied)  # what lies beyond the edge is known to be wall
     found = extract(
-        free,
-        known,
+        np.pad(free, ring),
+        np.pad(n > 0, ring, constant_values=True),
         cell_m,
-        start_rc=(int(final.rows[0]), int(final.cols[0])),
-        trail=np.stack([final.rows, final.cols], axis=1),
+        start_rc=(int(final.rows[0]) + ring, int(final.cols[0]) + ring),
+        trail=np.stack([final.rows, final.cols], axis=1) + ring,
         width_m=tuning.width_m,
         open_m=tuning.open_m,
         clutter_m=clutter_m,
-        origin_m=episode.world.origin_m,
+        origin_m=with_ring(episode.world).origin_m,
     )
     return Extracted(found, episode)
 

@@ -23,7 +23,7 @@ from jexplore.tracemap.merging.rigid import apart_deg
 from jexplore.tracemap.passable import BLOCKED, BLOCKED_FOR, CONFLICTS, FOUND_BY, blocked_for
 from jexplore.tracemap.record import NOWHERE, STATUS, BtmMap, Link, length_of
 from jexplore.tracemap.route import Route
-from jexplore.worlds.world import World
+from jexplore.worlds.world import World, with_ring
 
 SIZE = 32, 64  # most nodes and links of the map that a robot writes on its way
 PLACES = 8  # a guide has room for places in multiples of this
@@ -91,7 +91,7 @@ def follow(
     Raises:
       InputError: no route, one without a link or of another map, or a start where the robot does not fit.
     """
-    (world,) = checks.ready_worlds([world], cell_m)
+    world = with_ring(*checks.ready_worlds([world], cell_m))
     body, tuning, noise = _checked(world, btm, found, robot, tuning, noise)
     seed = require_whole("seed", seed, 0, MAX_SEED)
     how = {"workers": workers, "on_progress": on_progress}

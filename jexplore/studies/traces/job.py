@@ -32,8 +32,9 @@ from jexplore.driving.settings import (
 from jexplore.studies import checks
 from jexplore.studies.traces.truth import Truth, maps_from, truth_of
 from jexplore.tracemap.record import BtmMap
-from jexplore.worlds.starts import draw_starts
-from jexplore.worlds.world import World
+from jexplore.worlds.regions import warn_of_outside
+from jexplore.worlds.starts import draw_starts, start_region
+from jexplore.worlds.world import World, with_ring
 
 MAX_RUNS = 1_000_000
 MOST_STEPS = 100_000
@@ -250,7 +251,7 @@ def prepare_trace(
     Raises:
       InputError: what cannot be run, in one line.
     """
-    (world,) = checks.ready_worlds([world], cell_m)
+    world = _loaded(world, cell_m, start, starts)
     if starts is not None and start is not None:
         raise InputError("start and starts exclude each other: give one of them")
     starts = None if starts is None else require_whole("starts", starts, 1, MAX_RUNS)
@@ -336,6 +337,14 @@ def with_values(tuning, noise, values):
     thresholds = {name: value for name, value in values.items() if not name.startswith(NOISE)}
     errors = {name.removeprefix(NOISE): value for name, value in values.items() if name.startswith(NOISE)}
     return dataclasses.replace(tuning, **thresholds), dataclasses.replace(noise, **errors)
+
+
+def _loaded(world, cell_m, start, starts):
+    """The world of runs, with its ring; says so if starts are drawn outside a building."""
+    (world,) = checks.ready_worlds([world], cell_m)
+    if start is None and world.course is None and (starts or world.start is None):
+        warn_of_outside(world, start_region(world, CLEARANCE_M))
+    return with_ring(world)
 
 
 def _ends(world, start, starts, seed) -> tuple[Any, Any]:

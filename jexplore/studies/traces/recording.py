@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from jexplore import btm
-from jexplore.arrays.draws import pinned_draws, random_key
 from jexplore.driving import behaviour, events, mission, vehicle
 from jexplore.driving.batch import Driven, room_for
 from jexplore.driving.behaviour import RunMode
 from jexplore.driving.building.walls import segments
 from jexplore.driving.sensing import surround
+from jexplore.engine.draws import pinned_draws, random_key
 from jexplore.report.operator_view import Recording
 from jexplore.studies.traces import tracing
 from jexplore.studies.traces.scans import measured

@@ -6,9 +6,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jexplore.arrays.draws import pinned_draws, random_key
 from jexplore.driving import vehicle
 from jexplore.driving.batch import Driven, numbers_of
+from jexplore.engine.draws import pinned_draws, random_key
 from jexplore.studies.traces.job import TraceJob, own_values, with_values
 from jexplore.worlds.readers.scans import ScanLog
 

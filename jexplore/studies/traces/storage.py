@@ -20,7 +20,7 @@ from jexplore.tracemap.passable import blocks_of
 from jexplore.tracemap.record import NODE_TYPES, NOWHERE, OBSTACLES, STATUS, BtmMap
 from jexplore.tracemap.repairing.repaired import closings_of
 from jexplore.worlds.readers.scans import ScanMap
-from jexplore.worlds.world import World
+from jexplore.worlds.world import World, with_ring
 
 CELLS_A_BYTE = 4  # two bits a cell: unknown, free, occupied
 POSE_EVERY_M = 1.0  # a pose graph has a pose for so much way, with a scan
@@ -61,7 +61,7 @@ def storage(
     Raises:
       InputError: no such world.
     """
-    (world,) = checks.ready_worlds([world], cell_m)
+    world = with_ring(*checks.ready_worlds([world], cell_m))
     free = ~world.occupied
     if btm is None:
         btm = world.course.topology if world.course is not None else _read_off(free, world.cell_m)

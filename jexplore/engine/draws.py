@@ -7,8 +7,7 @@ from typing import Any
 import jax
 from jax import Array
 
-GENERATOR = "threefry2x32"
-"""Name of the generator, as JAX knows it; its draws are partitionable."""
+from jexplore.config import GENERATOR
 
 
 def random_key(seed: Any) -> Array:

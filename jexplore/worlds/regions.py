@@ -1,0 +1,168 @@
+"""Regions of a floor plan: outside and inside, in reach and apart; what is told of them, and how one is chosen.
+
+A region is a 4-connected component of the cells that are clear for some robot, with the free cells beside it.
+"""
+
+import math
+import warnings
+from typing import NamedTuple
+
+import numpy as np
+
+from jexplore.config import InputError, InputWarning, Rules
+from jexplore.rooms.doors import filled
+from jexplore.worlds.names import joint_of
+from jexplore.worlds.starts import clear_in, label_components
+from jexplore.worlds.world import World
+
+GAP_M = Rules().clearance_m  # m, clearance; outside and inside are apart where the default robot does not fit through
+SIZEABLE_M2 = 4.0  # m2 of clear floor, that of a room of 2.6 m by 2.6 m: below are shafts, columns, tables in outline
+SIZEABLE = 0.02  # of the floor in reach; where cells are large, pockets of a few cells have many m2
+ALONG_EDGE = 0.1  # of the cells along the edge; a building that the picture cuts off somewhere touches less of it
+REACHED = 0.5  # of the free floor; below, what an episode tells of explored cells says little about the building
+BESIDE = 2.0  # clearances along free cells from the clear floor into the corner of a room
+
+
+class _Regions(NamedTuple):
+    floor: np.ndarray  # [H, W] int32, number of the region that a free cell belongs to; -1 for none
+    m2: np.ndarray  # [n], its area
+    at_edge: np.ndarray  # [n] bool, whether it touches the edge of the array
+
+
+def _regions(world):
+    """The regions that are apart for the default robot: every free cell goes to the nearest along free cells."""
+    floor = filled(label_components(clear_in(world, GAP_M)), ~world.occupied, world.occupied.size)
+    m2 = np.bincount(floor[floor >= 0]) * world.cell_m**2
+    at_edge = np.zeros(len(m2), bool)
+    edge = _edge(floor)
+    at_edge[edge[edge >= 0]] = True
+    return _Regions(floor, m2, at_edge)
+
+
+def _edge(array):
+    """The cells along the edge of an array, round it once."""
+    return np.concatenate([array[0], array[-1], array[1:-1, 0], array[1:-1, -1]])
+
+
+def inside(world: World, point_m: tuple[float, float] | None = None) -> World:
+    """The inside of a building: the same world with other free floor as wall.
+
+    Regions are apart where a robot of `GAP_M` clearance does not fit through.
+
+    Args:
+      world: a `World`.
+      point_m: x, y, metres in the world's frame: what is left is the region of this point. None: all is left but the
+        regions that touch the edge of the map.
+
+    Returns:
+      A `World` of the same shape; its start and rooms are kept where they are free.
+
+    Raises:
+      InputError: nothing is enclosed, or no robot can stand round that point.
+    """
+    name, (floor, _, at_edge) = world.name or "world", _regions(world)
+    if point_m is None:
+        keep = ~world.occupied & ~np.append(at_edge, False)[floor]
+        if at_edge.all():
+            raise InputError(
+                f"{name!r}: inside: no floor is enclosed; a gap wider than {2 * GAP_M:g} m leads from the edge of the "
+                "map to all of it: close the outer wall in the map, or leave inside out"
+            )
+    else:
+        own = floor[_cell_at(world, point_m, name)]
+        if own < 0:
+            raise InputError(f"{name!r}: inside: no robot fits in round {_point(point_m)} m; give another point")
+        keep = floor == own
+    start = world.start if world.start is not None and keep[world.start[:2]] else None
+    rooms = None if world.rooms is None else np.where(keep, world.rooms, -1)
+    return world.replace(occupied=~keep, rooms=rooms, start=start)
+
+
+def _point(point_m):
+    return "({:g}, {:g})".format(*point_m)
+
+
+def _cell_at(world, point_m, name):
+    x_m, y_m = world.origin_m
+    rows, cols = world.shape
+    row, col = (math.floor(one) for one in ((point_m[1] - y_m) / world.cell_m, (point_m[0] - x_m) / world.cell_m))
+    if not (0 <= row < rows and 0 <= col < cols):
+        raise InputError(
+            f"{name!r}: inside: {_point(point_m)} m lies outside the map, which is x {x_m:g} to "
+            f"{x_m + cols * world.cell_m:g}, y {y_m:g} to {y_m + rows * world.cell_m:g} m"
+        )
+    if world.occupied[row, col]:
+        raise InputError(f"{name!r}: inside: {_point(point_m)} m lies in a wall; give a point of free floor")
+    return row, col
+
+
+def warn_of_outside(world: World, reached: np.ndarray) -> bool:
+    """Say that robots start outside a building: in floor along the edge of the map, while other floor is enclosed.
+
+    Args:
+      world: a `World`.
+      reached: `[H, W]` bool, clear cells that robots get to from where they start.
+
+    Returns:
+      Whether it was said, as an `InputWarning`.
+    """
+    if np.mean(~_edge(world.occupied)) < ALONG_EDGE or not reached.any():
+        return False
+    floor, m2, at_edge = _regions(world)
+    own = np.zeros(len(m2), bool)
+    own[floor[reached & (floor >= 0)]] = True
+    edge = _edge(floor)
+    along = np.mean((edge >= 0) & np.append(own, False)[edge])
+    own_m2 = m2[own].sum()
+    enclosed_m2 = m2[~own & ~at_edge & (m2 >= max(SIZEABLE_M2, SIZEABLE * own_m2))].sum()
+    if along < ALONG_EDGE or not enclosed_m2:
+        return False
+    cure, joint = "for the inside use jx.inside(world)", joint_of(str(world.name))
+    if joint:
+        cure = f"for the inside append {joint}inside=true to the name, or the point {joint}inside_x_m=X,inside_y_m=Y"
+    warnings.warn(
+        f"{world.name or 'world'}: robots start outside, on {own_m2:.0f} m2 along the edge of the map, and "
+        f"{enclosed_m2:.0f} m2 are enclosed; {cure}",
+        InputWarning,
+        stacklevel=3,
+    )
+    return True
+
+
+def warn_of_floor(world: World, reached: np.ndarray, clearance_m: float, *, drawn: bool) -> None:
+    """Say, as one `InputWarning`, that robots start outside, or that free floor is out of their reach.
+
+    The share that is told counts free cells in reach and those beside them, up to `BESIDE` clearances along free
+    cells. Floor along the edge of the map, outside a building in which robots start, is not counted.
+
+    Args:
+      world: a `World`.
+      reached: `[H, W]` bool, clear cells that robots get to from where they start.
+      clearance_m: the robot's.
+      drawn: whether starts are drawn; of one that was chosen it is not said that it lies outside.
+    """
+    if not reached.any() or (drawn and warn_of_outside(world, reached)):
+        return
+    free, cell_m2 = ~world.occupied, world.cell_m**2
+    labels = label_components(clear_in(world, clearance_m))
+    m2 = np.bincount(labels[labels >= 0]) * cell_m2
+    apart = np.ones(len(m2), bool)
+    apart[labels[reached & (labels >= 0)]] = False
+    if np.mean(~_edge(world.occupied)) >= ALONG_EDGE:
+        floor, _, at_edge = _regions(world)
+        if not at_edge[floor[reached & (floor >= 0)]].any():
+            outside = (floor >= 0) & np.append(at_edge, False)[floor]
+            free &= ~outside
+            apart[labels[outside & (labels >= 0)]] = False
+    large = np.flatnonzero(apart & (m2 >= max(SIZEABLE_M2, SIZEABLE * reached.sum() * cell_m2)))
+    if not len(large) and reached.sum() >= REACHED * free.sum():
+        return
+    gap = round(BESIDE * clearance_m / world.cell_m)
+    share = np.count_nonzero(filled(np.where(reached, 0, -1), free, gap) >= 0) / np.count_nonzero(free)
+    if not len(large) and share >= REACHED:
+        return
+    text = f"{world.name or 'world'}: a robot of {clearance_m:g} m clearance reaches {share:.0%} of the free floor"
+    if len(large):
+        row, col = np.argwhere(labels == large[np.argmax(m2[large])])[0]
+        text += f"; no way leads to {m2[large].sum():.0f} m2 where it could stand, such as row {row}, col {col}"
+    warnings.warn(text, InputWarning, stacklevel=3)
