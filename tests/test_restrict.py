@@ -8,6 +8,7 @@ from ref import maps
 
 import jexplore as jx
 from jexplore.config import InputError, Lidar
+from jexplore.studies.results import comparison, provenance
 from jexplore.worlds.readers.ros import write_ros
 from jexplore.worlds.restrict import parse_polygon, stay_within, with_known
 from jexplore.worlds.starts import check_start, draw_start, start_region
@@ -141,6 +142,22 @@ def test_going_on_from_the_end_of_an_episode_there_is_nothing_left(tmp_path):
     assert half_map[half.final.rows[0], half.final.cols[0]] == 0
     assert half.final.known[0] >= (half_map >= 0).sum()
     assert 0 < half.measures["steps"] < whole.measures["steps"]
+
+
+def test_both_are_arguments_of_functions_and_part_of_what_is_asked(tmp_path, monkeypatch):
+    """A run of another region or map is another run."""
+    monkeypatch.chdir(tmp_path)
+    write_ros(np.where(ROOM.occupied, 100, 0), "known.yaml", cell_m=1.0)
+    how = {"episodes": 1, "seed": 0, "cell_m": 1.0, "start": "random", "lidar": LIDAR, "rules": jx.Rules(clearance_m=0)}
+    asked = []
+    for limits in ({}, {"within": "0,0 4,0 4,5 0,5"}, {"from_map": "known.yaml"}):
+        jobs = comparison.prepare_jobs(ROOM, ["closest"], **how, **limits)
+        assert (jobs[0].world.within is None, jobs[0].world.known is None) == (
+            "within" not in limits,
+            "from_map" not in limits,
+        )
+        asked.append(provenance.digest(jobs[0].world))
+    assert len(set(asked)) == 3
 
 
 @pytest.mark.jit

@@ -8,7 +8,17 @@ from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
-from jexplore.cli.options import STRATEGIES, EngineName, OutFolder, OwnNames, StartText, default_worlds, is_small
+from jexplore.cli.options import (
+    STRATEGIES,
+    EngineName,
+    MapFile,
+    OutFolder,
+    OwnNames,
+    PolygonText,
+    StartText,
+    default_worlds,
+    is_small,
+)
 from jexplore.cli.output.console import Out, note, say, working
 from jexplore.cli.output.terminal import show_table
 from jexplore.config import InputError, Lidar, Rules
@@ -52,6 +62,12 @@ class Compare:
     """Draw the starts from the seed (random), or start all episodes at every world's own start (world), in one cell
     (12,30,90: row, column, heading in degrees) or at one point of the map's frame in metres (2.0m,1.5m,90: x, y, yaw in
     degrees; 1.57rad: in radians)."""
+    within: PolygonText = None
+    """Have robots stay within a polygon, corners x,y in metres of the map's frame ('0,0 5,0 5,4'). Beams pass its
+    edge; what lies outside is not to be explored."""
+    from_map: MapFile = None
+    """Go on from a partial map of the same cells, such as explored.yaml of `jexplore explore`: what it shows is known
+    from the beginning, and drawn starts lie where it shows free floor."""
     league: bool = False
     """Run every strategy in 48 worlds of six kinds (in cells over 0.2 m: 40 of five), unless --worlds and --strategies
     say otherwise. Print who ranks where over all worlds, and what a plan costs, and write league.png instead of the
@@ -111,6 +127,8 @@ class Compare:
                 seed=self.seed,
                 cell_m=self.cell_m,
                 start=self.start,
+                within=self.within,
+                from_map=self.from_map,
                 lidar=self.lidar,
                 rules=self.rules,
             )

@@ -5,7 +5,7 @@ import os
 from collections.abc import Sequence
 
 from jexplore.cli.listings import describe
-from jexplore.cli.options import OneStrategy, OneWorld, OutFolder, StartText
+from jexplore.cli.options import MapFile, OneStrategy, OneWorld, OutFolder, PolygonText, StartText
 from jexplore.cli.output.console import Out, compiling, progress_of
 from jexplore.config import Lidar, Rules, require_whole
 
@@ -32,6 +32,12 @@ class Explore:
     start: StartText = "random"
     """Start where the seed says (random), at the world's own start (world), in a cell (12,30,90: row, column, heading
     in degrees) or at a point of the map's frame in metres (2.0m,1.5m,90: x, y, yaw in degrees; 1.57rad: in radians)."""
+    within: PolygonText = None
+    """Have the robot stay within a polygon, corners x,y in metres of the map's frame ('0,0 5,0 5,4'). Beams pass its
+    edge; what lies outside is not to be explored."""
+    from_map: MapFile = None
+    """Go on from a partial map of the same cells, such as explored.yaml of `jexplore explore`: what it shows is known
+    from the beginning, and drawn starts lie where it shows free floor."""
     frames: int = 300
     """Give the animation at most so many frames, evenly spaced."""
     fast: bool = False
@@ -61,6 +67,8 @@ class Explore:
                 episode=self.episode,
                 cell_m=self.cell_m,
                 start=self.start,
+                within=self.within,
+                from_map=self.from_map,
                 lidar=self.lidar,
                 rules=self.rules,
             )

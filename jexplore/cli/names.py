@@ -151,7 +151,7 @@ def require_ray() -> None:
 CHECKS: dict[str, Callable[[str], None]] = {
     **dict.fromkeys(("world", "worlds", "validation", "drive"), check_world),
     **dict.fromkeys(("strategy", "strategies"), check_strategy),
-    **dict.fromkeys(("map", "model", "truth", "parts"), check_file),
+    **dict.fromkeys(("map", "from_map", "model", "truth", "parts"), check_file),
     "segment maps": check_world,
     "robot": check_robot,
     "spec": check_spec,

@@ -47,6 +47,8 @@ OneWorld = Annotated[str, tyro.conf.arg(metavar="WORLD")]
 OneStrategy = Annotated[str, tyro.conf.arg(metavar="STRATEGY")]
 OwnModel = Annotated[str | None, tyro.conf.arg(metavar="MODEL", help_behavior_hint="(default: closest)")]
 StartText = Annotated[str, tyro.conf.arg(metavar="START")]
+PolygonText = Annotated[str | None, tyro.conf.arg(metavar="'X,Y X,Y X,Y'")]
+MapFile = Annotated[str | None, tyro.conf.arg(metavar="MAP.yaml")]
 OutFolder = Annotated[
     str | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="(default: runs/<UTC time>-<command>)")
 ]

@@ -17,6 +17,7 @@ from jexplore.studies.results import loading, provenance, saving
 from jexplore.studies.results.comparison import Comparison, Made, assemble, prepare_jobs
 from jexplore.studies.results.progress import progress_bar
 from jexplore.studies.results.units import cut, recut, run_units
+from jexplore.worlds.restrict import KnownMap, Polygon
 
 
 @checked_names
@@ -24,6 +25,7 @@ def compare(
     worlds: WorldLike | Iterable[WorldLike], strategies: StrategyLike | Iterable[StrategyLike], *,
     episodes: int = 20, seed: int = 0, cell_m: float = 0.1,
     start: StartLike = "random", start_m: Sequence[float] | None = None,
+    within: str | Polygon | None = None, from_map: KnownMap | None = None,
     lidar: LidarLike = LIDAR, rules: RulesLike = RULES,
     engine: str | None = None, lanes: int | None = None, workers: int | None = None,
     on_progress: Callable[[int], object] | None = None, progress: bool | None = None,
@@ -41,6 +43,8 @@ def compare(
       cell_m: edge of a cell of the worlds that are loaded by name, metres.
       start: "random"; "world" for every world's own; `(row, col, heading_deg)` or a text as of `--start` for all.
       start_m: such a start in metres of the map's frame instead: `(x_m, y_m, yaw_deg)`.
+      within: region that robots stay in, corners in metres: see `restrict.stay_within`.
+      from_map: partial map that they have from the beginning: see `restrict.with_known`.
       lidar: `Lidar`, or a mapping of those of its fields that are not the defaults: `{"range_m": 4}`.
       rules: `Rules`, likewise.
       engine: one of `runner.ENGINES`; by default the one that is likely to be faster. Results are equal.
@@ -60,7 +64,10 @@ def compare(
       InputWarning: no compiler for `fast`, or it fails; a scanner with noise, for which `fast` has no kernel.
     """
     settings = {"episodes": episodes, "seed": seed, "cell_m": cell_m, "start": start, "start_m": start_m}
-    jobs = prepare_jobs(worlds, strategies, **settings, lidar=lidar, rules=rules)
+    limits = {"within": within, "from_map": from_map}
+    jobs = prepare_jobs(worlds, strategies, **settings, **limits, lidar=lidar, rules=rules)
+    is_text = from_map is None or isinstance(from_map, (str, os.PathLike))
+    settings |= limits | {"from_map": from_map if is_text else type(from_map).__name__}
     if keep is not None and keep not in tuple(RECORDS):
         raise InputError(f"keep must be None, {' or '.join(RECORDS)}, got {keep!r}")
     how = {"engine": engine, "lanes": lanes, "workers": workers, "keep": keep, "fast": fast}

@@ -35,6 +35,7 @@ from jexplore.studies.checks import (
     require_memory,
 )
 from jexplore.worlds.poses import read_start
+from jexplore.worlds.restrict import KnownMap, Polygon, restricted
 from jexplore.worlds.starts import draw_start
 from jexplore.worlds.world import World, ring_of
 
@@ -196,6 +197,8 @@ def explore(
     cell_m: float = 0.1,
     start: StartLike = "random",
     start_m: Sequence[float] | None = None,
+    within: str | Polygon | None = None,
+    from_map: KnownMap | None = None,
     lidar: LidarLike = LIDAR,
     rules: RulesLike = RULES,
     fast: bool = False,
@@ -212,6 +215,8 @@ def explore(
       cell_m: edge of a cell of a world that is loaded by name, metres.
       start: "random"; "world" for the world's own; `(row, col, heading_deg)`; or a text as `--start` takes it.
       start_m: in metres of the map's frame instead: `(x_m, y_m, yaw_deg)`.
+      within: region that the robot stays in, corners in metres: see `restrict.stay_within`.
+      from_map: partial map that it has from the beginning: see `restrict.with_known`.
       lidar: `Lidar`, or a mapping of those of its fields that are not the defaults: `{"range_m": 4}`.
       rules: `Rules`, likewise.
       fast: as in `comparison.compare`: worth while for an episode of many minutes.
@@ -230,6 +235,8 @@ def explore(
         cell_m=cell_m,
         start=start,
         start_m=start_m,
+        within=within,
+        from_map=from_map,
         lidar=lidar,
         rules=rules,
     )
@@ -246,6 +253,8 @@ def prepare_job(
     lidar: LidarLike,
     rules: RulesLike,
     start_m: Sequence[float] | None = None,
+    within: str | Polygon | None = None,
+    from_map: KnownMap | None = None,
     episode: int = 0,
 ) -> Job:
     """Everything that `explore` refuses or loads before it runs: a `Job` of as many episodes, all from its start."""
@@ -253,6 +262,7 @@ def prepare_job(
     episode = require_whole("episode", episode, 0, MAX_EPISODES - 1)
     (parsed,), (world,) = ready_strategies(strategy), ready_worlds(world, cell_m)
     lidar, rules = ready_settings(lidar, rules)
+    world = restricted(world, within, from_map)
     require_memory(world, lidar, rules)
     start = read_start(start, start_m)
     (first,) = ready_starts(world, start, 1, seed=seed, rules=rules)

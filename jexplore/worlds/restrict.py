@@ -19,6 +19,15 @@ KnownMap = str | os.PathLike[str] | ArrayLike | ScanMap
 FREE_MAX, OCCUPIED_MIN = 25, 65  # per cent of an occupancy: ROS's map_saver calls cells free up to, occupied from this
 
 
+def restricted(world: World, within: str | Polygon | None, from_map: KnownMap | None) -> World:
+    """Return the world with a region to stay in and a partial map, as far as these are given.
+
+    Raises as `stay_within` and `with_known`.
+    """
+    world = world if within is None else stay_within(world, within)
+    return world if from_map is None else with_known(world, from_map)
+
+
 def parse_polygon(text: str) -> list[tuple[float, float]]:
     """Return the corners of a polygon from text, `x,y x,y x,y`, metres.
 

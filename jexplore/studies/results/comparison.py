@@ -40,6 +40,7 @@ from jexplore.studies.statistics import by_world, figures, sizes, waste
 from jexplore.studies.statistics.league import over_worlds_text, standings
 from jexplore.studies.statistics.paired import MIN_PAIRS
 from jexplore.worlds.poses import read_start
+from jexplore.worlds.restrict import KnownMap, Polygon, restricted
 from jexplore.worlds.world import World
 
 if TYPE_CHECKING:
@@ -302,6 +303,8 @@ def prepare_jobs(
     start_m: Sequence[float] | None = None,
     lidar: LidarLike,
     rules: RulesLike,
+    within: str | Polygon | None = None,
+    from_map: KnownMap | None = None,
 ) -> list[Job]:
     """Everything that `compare` refuses or loads before it runs: a list of `Job`. Arguments as there."""
     lidar, rules = ready_settings(lidar, rules)
@@ -311,7 +314,7 @@ def prepare_jobs(
     strategies = ready_strategies(strategies)
     ready, jobs = ready_worlds(worlds, cell_m), []
     require_different_buildings(ready)
-    for world in ready:
+    for world in (restricted(world, within, from_map) for world in ready):
         require_memory(world, lidar, rules)
         starts = ready_starts(world, start, episodes, seed=seed, rules=rules)
         jobs += [Job(world, strategy, starts, seed, lidar=lidar, rules=rules) for strategy in strategies]

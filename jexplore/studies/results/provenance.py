@@ -29,7 +29,8 @@ GIT_S = 5.0  # seconds that git may take
 def digest(world: World) -> str:
     """SHA-256 of everything in a world that an episode depends on, in hexadecimal digits."""
     found = hashlib.sha256(np.float64(world.cell_m).tobytes())
-    for array in (world.occupied, world.rooms, world.elevation, world.start):
+    restrictions = (array for array in (world.within, world.known) if array is not None)
+    for array in (world.occupied, world.rooms, world.elevation, world.start, *restrictions):
         some = np.zeros(0) if array is None else np.ascontiguousarray(array)
         found.update(f"{some.dtype.str}{some.shape}".encode())
         found.update(some.tobytes())
