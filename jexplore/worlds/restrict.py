@@ -10,13 +10,13 @@ from numpy.typing import ArrayLike
 
 from jexplore.config import InputError, shown
 from jexplore.grid import Grid
+from jexplore.worlds.readers.grids import FREE_MAX, OCCUPIED_MIN, upright
 from jexplore.worlds.readers.ros import read_ros
 from jexplore.worlds.readers.scans import ScanMap
 from jexplore.worlds.world import World
 
 Polygon = Sequence[tuple[float, float]]
 KnownMap = str | os.PathLike[str] | ArrayLike | ScanMap
-FREE_MAX, OCCUPIED_MIN = 25, 65  # per cent of an occupancy: ROS's map_saver calls cells free up to, occupied from this
 
 
 def restricted(world: World, within: str | Polygon | None, from_map: KnownMap | None) -> World:
@@ -91,7 +91,8 @@ def with_known(world: World, map_: KnownMap) -> World:
     """
     if isinstance(map_, (str, os.PathLike)):
         occupancy, info = read_ros(map_)
-        name, cell_m, origin_m = os.fspath(map_), info.resolution_m, info.origin_m
+        name, cell_m = os.fspath(map_), info.resolution_m
+        occupancy, origin_m = upright(repr(name), occupancy, info.yaw_rad, cell_m, info.origin_m)
     elif isinstance(map_, ScanMap):
         name, occupancy, cell_m, origin_m = "the map", _occupancy_of(map_.grid), map_.cell_m, map_.origin_m
     else:
