@@ -277,3 +277,22 @@ def test_what_does_not_fit_into_memory_is_refused(monkeypatch):
         compare(world, "closest", lidar=LIDAR)
     monkeypatch.setattr(checks, "_memory", lambda: None)
     checks.require_memory(world, LIDAR, rules)
+
+
+def test_a_container_has_the_memory_of_its_limit(monkeypatch, tmp_path):
+    (tmp_path / "memory.max").write_text("max\n")
+    monkeypatch.setattr(checks, "LIMITS", (str(tmp_path / "memory.max"), str(tmp_path / "absent")))
+    whole = checks._memory()
+    (tmp_path / "memory.max").write_text("1000000\n")
+    assert checks._memory() == 1_000_000 < whole
+
+
+def test_a_limit_on_address_space_is_told(monkeypatch):
+    resource = pytest.importorskip("resource")
+    monkeypatch.setattr(resource, "getrlimit", lambda which: (2_000_000_000, 2_000_000_000))
+    with pytest.raises(
+        InputError, match=r"^the limit on address space \(ulimit -v\) is 1.9 GiB, and this run needs about"
+    ):
+        checks.require_memory(two_rooms(), LIDAR, Rules())
+    monkeypatch.setattr(resource, "getrlimit", lambda which: (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
+    checks.require_memory(two_rooms(), LIDAR, Rules())

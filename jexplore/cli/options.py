@@ -61,7 +61,55 @@ def help_text(commands: Mapping[str, type]) -> str:
     lines += ["A laboratory for mobile-robot exploration.", "", "commands:"]
     lines += [f"  {name:<12}{(command.__doc__ or '').splitlines()[0]}" for name, command in commands.items()]
     lines += ["", "options:", "  -h, --help  Show this, or the options of a command: jexplore compare --help."]
-    return "\n".join([*lines, "  --version   Show the version.", ""])
+    lines += ["  --version   Show the version."]
+    return "\n".join([*lines, "  --completion  Print what completes commands and options in bash and zsh.", ""])
+
+
+EXAMPLES: dict[str, tuple[str, ...]] = {
+    "compare": ("compare --worlds cave#3 office --strategies closest closest+recheck --episodes 40 --out runs/first",),
+    "explore": ("explore --world map.yaml --strategy closest+recheck --start 2.0m,1.5m,90 --lidar.range-m 4",),
+    "sweep": ("sweep spec.yaml --out runs/sweep", "sweep spec.yaml --out runs/sweep --shard 1/4"),
+    "merge": ("merge runs/sweep-1 runs/sweep-2 --out runs/sweep",),
+    "bound": ("bound cave#3 --starts 10 --seconds 30",),
+    "train": ("train --out runs/model",),
+    "reproduce": ("reproduce holz2010 --maps maps --episodes 50",),
+    "segment": ("segment plan.png@0.05 --truth rooms.png",),
+    "trace": ("trace --world course --robot kamui --out runs/trace",),
+    "route": ("route --map runs/trace/btm.json --robot wheeled --from 4 --to 8",),
+    "merge-maps": ("merge-maps a.json b.json --out global.json",),
+    "station": ("station a.json b.json --out page.html",),
+    "worlds": ("worlds", "worlds map.yaml cave#3 --geometry"),
+    "strategies": ("strategies",),
+    "bench": ("bench --quick",),
+}
+"""Command -> command lines that its help shows, without the program's name."""
+
+
+def completion_text(commands: Mapping[str, type]) -> str:
+    """A script by which bash, and zsh after `bashcompinit`, complete commands, options and files."""
+    cases = "\n".join(f'    {name}) words="{" ".join(option_names(kind))}" ;;' for name, kind in commands.items())
+    return f"""_jexplore() {{
+  local words
+  case ${{COMP_WORDS[1]}} in
+{cases}
+  esac
+  [ "$COMP_CWORD" -gt 1 ] || words="{" ".join(commands)} --help --version"
+  COMPREPLY=($(compgen -W "$words" -- "${{COMP_WORDS[COMP_CWORD]}}"))
+}}
+complete -o default -F _jexplore jexplore
+"""
+
+
+def option_names(kind: type, prefix: str = "--") -> list[str]:
+    """The options of a command, in order, those of the records in it as `--lidar.range-m`."""
+    names = []
+    for field in dataclasses.fields(kind):
+        name, own = prefix + field.name.rstrip("_").replace("_", "-"), _hints(kind)[field.name]
+        if dataclasses.is_dataclass(own):
+            names += option_names(own, f"{name}.")
+        elif tyro.conf.Positional not in getattr(own, "__metadata__", ()):
+            names.append(f"{prefix}no-{field.name.replace('_', '-')}" if field.default is True else name)
+    return names
 
 
 def parse(arguments: Sequence[str], commands: Mapping[str, type]) -> Any:
@@ -102,6 +150,7 @@ def parse(arguments: Sequence[str], commands: Mapping[str, type]) -> Any:
         if end.code:
             raise InputError(_stray(rest, one_line(said.getvalue())) or f"wrong options for {name}") from None
         _show_help(read)
+        print("\n".join(["examples:", *(f"  jexplore {line}" for line in EXAMPLES[name])]))
         raise
     _require_once(rest, commands[name])
     return options

@@ -1,8 +1,10 @@
 """What is checked, loaded and drawn before anything is compiled: worlds, strategies, starts, memory."""
 
+import contextlib
 import hashlib
 import os
 from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -36,6 +38,10 @@ CELL_BYTES = 120  # of one episode under way and of the world itself, measured o
 TRAIL_BYTES = 24  # a step
 BEAM_BYTES = 64  # a step of a beam, while the table is made
 MEMORY_SHARE = 0.8  # of the machine's memory that a run may be expected to need
+ADDRESSES = (
+    3 * 10**9
+)  # bytes of address space; below, JAX's threads do not start (2.2e9 ended the smallest run, 3e9 did not)
+LIMITS = ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes")  # of a container: cgroup 2 and 1
 
 
 def listed(kind: str, items: Any) -> list[Any]:
@@ -174,11 +180,27 @@ def memory_needed(world: World, lidar: Lidar, rules: Rules, workers: int) -> int
 
 
 def _memory():
-    """Bytes of memory that the machine has; None where the system does not tell."""
-    try:
-        return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    except (AttributeError, OSError, ValueError):
-        return None
+    """Bytes of memory that the machine, or the container, has; None where the system does not tell."""
+    told = []
+    with contextlib.suppress(AttributeError, OSError, ValueError):
+        told.append(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
+    for file in LIMITS:
+        with contextlib.suppress(OSError, ValueError):  # "max" is no limit
+            told.append(int(Path(file).read_text(encoding="ascii")))
+    return min(told, default=None)
+
+
+def _require_addresses(need):
+    """Refuse a run that the limit on address space would end without a word."""
+    with contextlib.suppress(ImportError):  # Windows has none
+        import resource
+
+        limit, _ = resource.getrlimit(resource.RLIMIT_AS)
+        if limit != resource.RLIM_INFINITY and limit < ADDRESSES + need:
+            raise InputError(
+                f"the limit on address space (ulimit -v) is {limit / 2**30:.1f} GiB, and this run needs about "
+                f"{(ADDRESSES + need) / 2**30:.1f}: raise or lift it"
+            )
 
 
 def require_clearance(world: World, rules: Rules) -> None:
@@ -199,9 +221,10 @@ def require_memory(world: World, lidar: Lidar, rules: Rules) -> None:
     """Refuse what would not fit into the machine's memory.
 
     Raises:
-      InputError: naming the world and the sizes.
+      InputError: naming the world and the sizes, or the limit on address space.
     """
     have, need = _memory(), memory_needed(world, lidar, rules, os.cpu_count() or 1)
+    _require_addresses(need)
     if have is not None and need > MEMORY_SHARE * have:
         rows, cols = world.shape
         raise InputError(
