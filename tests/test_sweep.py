@@ -347,7 +347,7 @@ def test_the_command_and_its_parts(tmp_path, capsys, monkeypatch):
         (["part1", "part3"], "all parts must be given, and 2/3 are not"),
         (["part1", "part1", "part2"], "part1 is part 1/3, and so is part1"),
         (["part1", "whole"], "whole must hold a part of a sweep"),
-        (["nowhere"], "nowhere must be the folder of a run"),
+        (["nowhere"], "'nowhere': there is no such file"),
         ([], "expected the folders of all parts, got none"),
     ):
         capsys.readouterr()

@@ -78,7 +78,7 @@ class Listing:
     def __repr__(self) -> str:
         from rich import box, console, table, text
 
-        drawn = table.Table(*self.head, box=box.SIMPLE_HEAD)
+        drawn = table.Table(table.Column(self.head[0], no_wrap=True), *self.head[1:], box=box.SIMPLE_HEAD)
         for row in self.rows:
             drawn.add_row(*map(text.Text, row))
         page, width = io.StringIO(), shutil.get_terminal_size((120, 24)).columns

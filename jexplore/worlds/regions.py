@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jexplore.config import InputError, InputWarning, Rules
+from jexplore.config import InputError, InputWarning, Rules, checked_names
 from jexplore.rooms.doors import filled
 from jexplore.worlds.names import joint_of
 from jexplore.worlds.starts import clear_in, label_components
@@ -44,6 +44,7 @@ def _edge(array):
     return np.concatenate([array[0], array[-1], array[1:-1, 0], array[1:-1, -1]])
 
 
+@checked_names
 def inside(world: World, point_m: tuple[float, float] | None = None) -> World:
     """The inside of a building: the same world with other free floor as wall.
 

@@ -2,6 +2,7 @@
 
 import heapq
 import itertools
+import warnings
 
 import jax
 import jax.numpy as jnp
@@ -9,6 +10,7 @@ import numpy as np
 
 import jexplore as jx
 from jexplore.arrays import bits
+from jexplore.config import InputWarning
 from jexplore.grid import empty_grid, is_known
 from jexplore.raycast import beam_table, fold, scan
 from jexplore.reach import DIAGONAL, MOTIONS, STRAIGHT
@@ -34,7 +36,9 @@ def seen_all_round(occupied, lidar, cell_m):
 
 def begun(world, start, lidar, rules):
     """What must be seen, and what was seen at the start, by an episode's own state: two `[H, W]` bool."""
-    env = jx.Environment(world, lidar=lidar, rules=rules)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", InputWarning)  # random worlds have floor apart
+        env = jx.Environment(world, lidar=lidar, rules=rules)
     state, _ = env.reset(jax.random.key(0), jnp.asarray(start, jnp.int32))
     height, width = world.shape
     goal = np.asarray(bits.unpack(state.episode.goal))[:height, :width]

@@ -88,6 +88,7 @@ def read_bag(path: str | os.PathLike[str], *, topic: str | None = None, message:
     return _checked(f"{path!r}: the map on {topic}", topic, grid)
 
 
+@checked_names
 def load_bag(
     path: str | os.PathLike[str],
     *,
