@@ -66,7 +66,7 @@ REFUSED = [
     (["route", "--map", "nope.json", "--to", "3"], "there is no such file"),
     (["trace", "--robot", "kamuy"], "robot must be one of kamui, wheeled, got 'kamuy'"),
     (["merge", "nope"], "there is no such file"),
-    (["sweep", "nope.yaml"], "nope.yaml must be a readable YAML file"),
+    (["sweep", "nope.yaml"], "'nope.yaml': there is no such file"),
     (["sweep", "spec.yaml"], "there is no world 'kave'"),
 ]
 

@@ -22,7 +22,7 @@ from jexplore.tracemap import export, json_form, record
 from jexplore.tracemap.export import geojson, graphml
 from jexplore.tracemap.record import NOWHERE, BtmMap, Link, Node
 
-TRACED = Path(__file__).resolve().parents[1] / "docs" / "images" / "trace"
+TRACED = Path(__file__).parent / "ref" / "course_run.json"  # by `jexplore trace --world course --robot kamui`
 FINITE = st.floats(-1e6, 1e6)
 PLAIN = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False) | st.text(max_size=3),
@@ -353,8 +353,8 @@ def test_the_planner_by_hand():
 
 @pytest.mark.jit
 def test_the_map_of_a_run_is_planned_over_alike():
-    btm = jx.read_btm(TRACED / "btm.json")
-    nodes, edges = loaded((TRACED / "btm.geojson").read_text(encoding="utf-8"))
+    btm = jx.read_btm(TRACED)
+    nodes, edges = loaded(json.dumps(geojson(btm)))
     assert {node["frame"] for node in nodes.values()} == {"odom"}  # places of the odometry
     assert len(edges) == 2 * sum(link.end != NOWHERE for link in btm.links)
     for cost_of in (scored, own_cost):

@@ -160,7 +160,7 @@ def test_a_noisy_scanner_is_told_once(target):
     jobs = [job._replace(starts=job.starts[:1]) for job in some_jobs()[:2]]
     noisy = [job._replace(lidar=dataclasses.replace(LIDAR, sigma_m=0.03)) for job in jobs]
     how = {"engine": "serial", "workers": 1, "fast": True}
-    text = r"^fast: the kernels in JAX make the scans where the scanner has noise$"
+    text = r"^fast: the kernels in JAX make the scans where the scanner has noise or robots stay in a region$"
     with pytest.warns(InputWarning, match=text) as told:
         fast = batch.run_jobs(noisy, LIDAR, RULES, **how)
     assert len(told) == 1

@@ -322,6 +322,7 @@ def test_every_option_is_explained_in_whole_sentences(command, capsys, monkeypat
 def test_an_option_that_switches_off_says_what_it_does(capsys, monkeypatch):
     texts, _ = help_of("explore", capsys, monkeypatch)
     negative = {option: text for option, text in texts.items() if ".no-" in option or option.startswith("--no-")}
+    assert negative.pop("--lidar.no-echo").startswith("A beam that nothing stops")  # no switch
     assert negative == {
         "--no-report": "Leave out report.html.",
         "--rules.no-look-around": "A robot that arrives at a live target does not turn to look all round.",

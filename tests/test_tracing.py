@@ -46,7 +46,7 @@ def made(tmp_path_factory, jit_on):
             "--corrected",
         )
         assert main.main(["trace", *options, "--out", str(out)]) == 0
-        assert recording._frame._cache_size() == 1  # the page's steps are one program
+        assert recording._frame.__wrapped__._cache_size() == 1  # the page's steps are one program
     return out, said.getvalue(), drawn
 
 

@@ -47,7 +47,7 @@ OneWorld = Annotated[str, tyro.conf.arg(metavar="WORLD")]
 OneStrategy = Annotated[str, tyro.conf.arg(metavar="STRATEGY")]
 OwnModel = Annotated[str | None, tyro.conf.arg(metavar="MODEL", help_behavior_hint="(default: closest)")]
 StartText = Annotated[str, tyro.conf.arg(metavar="START")]
-PolygonText = Annotated[str | None, tyro.conf.arg(metavar="'X,Y X,Y X,Y'")]
+PolygonText = Annotated[str | None, tyro.conf.arg(metavar="CORNERS")]
 MapFile = Annotated[str | None, tyro.conf.arg(metavar="MAP.yaml")]
 OutFolder = Annotated[
     str | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="(default: runs/<UTC time>-<command>)")
@@ -66,8 +66,8 @@ def help_text(commands: Mapping[str, type]) -> str:
 
 
 EXAMPLES: dict[str, tuple[str, ...]] = {
-    "compare": ("compare --worlds cave#3 office --strategies closest closest+recheck --episodes 40 --out runs/first",),
-    "explore": ("explore --world map.yaml --strategy closest+recheck --start 2.0m,1.5m,90 --lidar.range-m 4",),
+    "compare": ("compare --worlds cave#3 office --strategies closest random --episodes 40",),
+    "explore": ("explore --world map.yaml --start 2.0m,1.5m,90 --lidar.range-m 4",),
     "sweep": ("sweep spec.yaml --out runs/sweep", "sweep spec.yaml --out runs/sweep --shard 1/4"),
     "merge": ("merge runs/sweep-1 runs/sweep-2 --out runs/sweep",),
     "bound": ("bound cave#3 --starts 10 --seconds 30",),

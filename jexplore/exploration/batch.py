@@ -100,7 +100,11 @@ def run_jobs(
     jobs = [_checked(job) for job in jobs]
     lines = _lines_of(jobs, lidar, rules, resources, kernels, only, keep, alike)
     if kernels.native is not None and any(line.program.setup.native is None for line in lines):
-        warnings.warn("fast: the kernels in JAX make the scans where the scanner has noise", InputWarning, stacklevel=3)
+        warnings.warn(
+            "fast: the kernels in JAX make the scans where the scanner has noise or robots stay in a region",
+            InputWarning,
+            stacklevel=3,
+        )
     tell = None if on_job is None else (lambda i: on_job(i, _outcomes(jobs[i], lines[i])))
     costs = run_all(lines, resources, on_progress, tell)
     return Finished([_outcomes(job, line) for job, line in zip(jobs, lines)], costs)

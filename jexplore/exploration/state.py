@@ -48,7 +48,7 @@ class Truth:
 
     occupied: Array  # [H, W] bool; True in padding
     rooms: Array  # [H, W] int32; -1 outside rooms and in padding
-    region: Array  # [H, W] int32, number of each 4-connected region of free cells
+    region: Array  # [H, W] int32, number of each 4-connected region of free cells within
     extent: Array  # [2] int32, height and width without padding
     within: Array | None = None  # [H, W] bool, where the robot may be and what it is to know; None: everywhere
     known: Array | None = None  # [H, W] int8, what it knows before its first scan: -1 unknown, 0 free, 1 occupied

@@ -223,9 +223,13 @@ def is_finished(
 
 def _read(file):
     try:
-        return read_json(file, MOST_RECORD_BYTES)
+        page = read_json(file, MOST_RECORD_BYTES)
     except InputError as error:
         raise InputError(f"{error}: it must say what the run is asked; use --overwrite") from error
+    asked = page.get("asked", {}) if isinstance(page, dict) else None
+    if not isinstance(asked, dict) or not all(isinstance(asked.get(key) or {}, dict) for key in ("own", "spec")):
+        raise InputError(f"{os.fspath(file)!r}: does not say what the run is asked; use --overwrite")
+    return page
 
 
 def require_same(path: Path, there: Any, here: Mapping[str, Any], *, trust: bool = False) -> None:

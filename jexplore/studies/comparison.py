@@ -4,10 +4,11 @@ import dataclasses
 import datetime
 import functools
 import os
+import warnings
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
-from jexplore.config import InputError, checked_names
+from jexplore.config import InputError, InputWarning, checked_names
 from jexplore.engine.backend import use_compilation_cache
 from jexplore.exploration.batch import Job
 from jexplore.exploration.trail import RECORDS
@@ -30,7 +31,7 @@ def compare(
     engine: str | None = None, lanes: int | None = None, workers: int | None = None,
     on_progress: Callable[[int], object] | None = None, progress: bool | None = None,
     keep: str | None = None, fast: bool = False,
-    out: str | os.PathLike[str] | None = None, overwrite: bool = False, resume: bool = False,
+    out: str | os.PathLike[str] | None = None, overwrite: bool = False, resume: bool = False, trust: bool = False,
 ) -> Comparison:  # fmt: skip
     """Runs every strategy in every world, from the same starts. An interruption keeps what is finished.
 
@@ -58,6 +59,7 @@ def compare(
       out: folder to write, as `jexplore compare` does: see `Comparison.save`. What is finished is kept on the way.
       overwrite: whether the folder may hold a run, which is then replaced.
       resume: whether to go on with the run that the folder holds, if there is one.
+      trust: whether that takes strategies of your own for what they were, even where nothing tells.
 
     Raises:
       InputError: what cannot be used. Raised before anything is compiled.
@@ -73,7 +75,7 @@ def compare(
     how = {"engine": engine, "lanes": lanes, "workers": workers, "keep": keep, "fast": fast}
     asked = asked_of(jobs, keep)
     run = functools.partial(_run, jobs, asked, settings, how, (progress, on_progress))
-    return _in_folder(out, jobs, asked, run, overwrite, resume)
+    return _in_folder(out, jobs, asked, run, {"overwrite": overwrite, "resume": resume}, trust)
 
 
 def asked_of(jobs: Sequence[Job], keep: str | None) -> dict[str, Any]:
@@ -103,12 +105,12 @@ def _run(jobs, asked, settings, how, shown, ledger=None):
     return dataclasses.replace(assemble(jobs, ran), made=Made(tuple(jobs), ran.firsts, record))
 
 
-def _in_folder(out, jobs, asked, run, overwrite, resume):
+def _in_folder(out, jobs, asked, run, how, trust):
     """A `Comparison` that a folder keeps while it is made, if there is to be one, and holds in the end."""
-    if overwrite and resume:
+    if all(how.values()):
         raise InputError("resume goes on with a run and overwrite replaces it: give one of them")
     if out is None:
-        if overwrite or resume:
+        if any(how.values()):
             raise InputError("overwrite and resume are for a folder: name it with out")
         return run()
     n, keep = len(jobs[0].starts), asked.get("keep")
@@ -118,11 +120,14 @@ def _in_folder(out, jobs, asked, run, overwrite, resume):
         loading.unit_rows,
         functools.partial(recut, jobs, keep),
     )
-    with saving.claimed(out, overwrite=overwrite, resume=resume) as folder:
+    with saving.claimed(out, **how) as folder:
         units = len(cut(jobs))
-        if resume and is_finished(folder, asked, units, shorter=shorter):
+        if how["resume"] and is_finished(folder, asked, units, trust=trust, shorter=shorter):
             found = loading.load(folder.path)
             return dataclasses.replace(found, made=found.made._replace(jobs=tuple(jobs)))
-        found = run(Ledger(folder, asked, units, resume=resume, shorter=shorter))
+        ledger = Ledger(folder, asked, units, resume=how["resume"], trust=trust, shorter=shorter)
+        for name in ledger.damaged:
+            warnings.warn(f"{name} was damaged, and its unit is made again", InputWarning, stacklevel=4)
+        found = run(ledger)
         saving.write(folder, found)
         return found

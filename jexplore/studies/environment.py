@@ -308,6 +308,8 @@ def _begun(setup, bank, key, start, world):
     ring = None if bank.ring is None else bank.ring[own]
     _, row, col = _inside(occupied.shape[1:], *_ringed(ring, row, col))
     bad = occupied[own, row, col] | (heading_deg % 45 != 0) | (world != own)
+    if bank.scenes.within is not None:
+        bad |= ~bank.scenes.within[own, row, col]
     given = _given(bank, key, own, jnp.stack([row, col, heading_deg // 45 % 8]))
     state = _seen(setup, given, environment.begin(setup, given), ring)
     outcome = jnp.where(bad, Outcome.BAD_START, state.episode.outcome)

@@ -4,10 +4,12 @@ import dataclasses
 import math
 import re
 import warnings
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from jexplore.config import InputError, InputWarning, require_number, shown
-from jexplore.worlds.world import World
+
+if TYPE_CHECKING:
+    from jexplore.worlds.world import World
 
 ROUNDING_DEG = 0.5  # a heading in whole degrees, or in radians with two decimals, is nearer to what was meant
 _SNAP = 6  # decimals of a cell to which a point is rounded: 0.3 m lies at the edge of cells of 0.1 m, not before it
@@ -79,7 +81,7 @@ def _pose(*values):
     return Pose(*map(float, values))
 
 
-def cell_of(world: World, pose: Pose) -> tuple[int, int, int]:
+def cell_of(world: "World", pose: Pose) -> tuple[int, int, int]:
     """The cell in which a pose lies, and the heading of the grid next to its own.
 
     Args:

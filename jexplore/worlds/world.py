@@ -13,7 +13,7 @@ from flax import struct
 from numpy.typing import ArrayLike
 
 from jexplore.arrays.pictures import axes_of, html_of, or_text
-from jexplore.config import InputError, checked_names, require_number, shown
+from jexplore.config import InputError, checked_names, require_number, require_whole, shown
 from jexplore.tracemap.record import BtmMap
 from jexplore.worlds.picture import draw_plan, floor_plan
 
@@ -317,6 +317,8 @@ def occupancy_to_world(
         cell, or too large.
     """
     what = name or "occupancy"
+    if isinstance(occupancy, np.ma.MaskedArray):
+        raise InputError(f"{what!r}: has a mask; write array.filled(-1) for masked cells that are unknown")
     try:
         occupancy = np.asarray(occupancy)
     except ValueError:
@@ -325,8 +327,10 @@ def occupancy_to_world(
         raise InputError(
             f"{what!r}: must be a matrix [H, W] of bool, or of integers from -1 to 100, "
             f"got {occupancy.dtype} of shape {occupancy.shape}"
+            + ("; write np.rint(100 * array).astype(int) for probabilities" if occupancy.dtype.kind == "f" else "")
         )
     require_number("cell_m", cell_m, low_open=True)
+    free_max = require_whole("free_max", free_max, 0, 99)
     require_side(what, *occupancy.shape, cell_m=cell_m)
     if occupancy.dtype.kind == "b":
         occupied = occupancy.copy()

@@ -113,8 +113,12 @@ def count_room_entries(visited, rooms):
 class Robot:
     """The robot in its world, with its map, its odometer and its record."""
 
-    def __init__(self, occupied, start, heading_deg, sense, p_free, scan_every, no_echo, within, known):
-        self.no_echo, self.within = no_echo, within
+    def __init__(
+        self, occupied, start, heading_deg, sense, p_free, scan_every, no_echo="free", within=None, known=None
+    ):
+        self.no_echo = no_echo
+        self.within = np.ones(occupied.shape, bool) if within is None else within
+        known = np.full(occupied.shape, -1) if known is None else known
         self.scan_every, self.unscanned = scan_every, 0  # cost of the way, fixed point
         self.occupied, self.sense, self.p_free = occupied, sense, p_free
         self.cell, self.heading = start, heading_deg % 360
@@ -126,7 +130,7 @@ class Robot:
         self.result = Result(visited=[start], hits=np.zeros(shape, np.int64), misses=np.zeros(shape, np.int64))
         self.result.hits[known == 1] = 1
         self.result.misses[known == 0] = 1
-        self.known_before = int(((known >= 0) & within).sum())
+        self.known_before = int(((known >= 0) & self.within).sum())
 
     def classes(self):
         """`(known, free, occupied)` as the robot believes them."""
@@ -302,11 +306,9 @@ def simulate(
 
     scan_every = round(beams.in_cells(scan_every_m, cell_m) * 65536)
     arrival_r2 = plans.radius2(arrival_m, cell_m)
-    within = np.ones(occupied.shape, bool) if within is None else within
-    known = np.full(occupied.shape, -1) if known is None else known
     heading = int(start_heading_deg)
     robot = Robot(occupied, start, heading, sense or perfect, p_free, scan_every, no_echo, within, known)
-    goal = goal_cells(occupied, start, clear_r2, near_r2, within)
+    goal = goal_cells(occupied, start, clear_r2, near_r2, robot.within)
     elsewhere = goal.copy()
     elsewhere[start] = False
     if occupied[start] or not elsewhere.any():

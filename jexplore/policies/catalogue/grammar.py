@@ -133,6 +133,8 @@ def _unknown(name, rest):
     if re.fullmatch(r":[A-Za-z_]\w*([+:].*)?", rest):
         module = Path(name).stem
         return InputError(f"{name!r} is no module: one in this folder or installed is named like {module}{rest}")
+    if name.endswith(".py"):
+        return InputError(f"unknown strategy {name!r}: a function of {name} is named like {Path(name).stem}:function")
     if os.path.isfile(f"{name}.py"):
         return InputError(f"unknown strategy {name!r}: a function of {name}.py is named like {name}:function")
     return unknown("strategy", name, known_names(), SYNONYMS)

@@ -139,12 +139,12 @@ def _as_written(folder, record):
     """Within the block a file that lacks something, or has what this version does not know, is told in one line."""
     try:
         yield
-    except InputError:
-        raise
     except Exception as error:  # a file may hold anything in anything's place
-        what = f"there is no {error}" if isinstance(error, KeyError) else first_line(error)
         written = record.get("environment", {}).get("jexplore")
         by = f"; jexplore {shown(written)} wrote it, this is {__version__}" if written != __version__ else ""
+        if isinstance(error, InputError):
+            raise (InputError(f"{error}{by}") if by else error) from None
+        what = f"there is no {error}" if isinstance(error, KeyError) else first_line(error)
         raise InputError(f"{os.fspath(folder)} must hold a whole run of this version: {what}{by}") from error
 
 

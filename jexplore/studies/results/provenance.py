@@ -21,7 +21,7 @@ from jexplore.exploration.site import KERNELS, prepare_site
 from jexplore.policies.catalogue import adapt
 from jexplore.version import __version__
 from jexplore.worlds import names
-from jexplore.worlds.world import World
+from jexplore.worlds.world import World, ringed_shape
 
 GIT_S = 5.0  # seconds that git may take
 
@@ -102,9 +102,9 @@ def own_digests(jobs: Iterable[Job]) -> dict[str, str | None]:
     """
     parts: dict[str, dict[Any, str | None]] = {}
     for job in jobs:
-        policy, sides = job.strategy.policy, tuple(bucket(side) for side in job.world.shape)
+        policy, sides = job.strategy.policy, tuple(bucket(side) for side in ringed_shape(job.world.occupied))
         leaves, theirs = jax.tree.leaves(policy.params), adapt.is_theirs(policy)
-        where = sides, job.world.cell_m, job.lidar, job.rules
+        where = sides, job.world.within is None, job.world.cell_m, job.lidar, job.rules
         own = parts.setdefault(job.strategy.name, {}) if theirs or any(map(np.ndim, leaves)) else None
         if own is None or where in own:
             continue

@@ -168,7 +168,7 @@ def claimed(path: str | os.PathLike[str], *, overwrite: bool, resume: bool = Fal
         with folders.claimed(os.path.expanduser(path), overwrite=overwrite, resume=resume) as run:
             yield run
     except InputError as error:
-        raise InputError(re.sub(r"--(overwrite|resume)\b", r"\1=True", str(error))) from None
+        raise InputError(re.sub(r"--(overwrite|resume|trust)\b", r"\1=True", str(error))) from None
 
 
 def save(found: Any, folder: str | os.PathLike[str], *, overwrite: bool, report: bool) -> Path:

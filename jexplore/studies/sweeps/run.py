@@ -31,8 +31,6 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
 
-WINDOW_EPISODES = 8192  # of units that are run together
-WINDOW_SITES = 32  # worlds made ready at a time
 SHOWN = 24  # rows of the table that is printed
 
 
