@@ -104,7 +104,8 @@ def option_names(kind: type, prefix: str = "--") -> list[str]:
     """The options of a command, in order, those of the records in it as `--lidar.range-m`."""
     names = []
     for field in dataclasses.fields(kind):
-        name, own = prefix + field.name.rstrip("_").replace("_", "-"), _hints(kind)[field.name]
+        name = prefix + field.name.rstrip("_").replace("_", "-")
+        own: Any = _hints(kind)[field.name]
         if dataclasses.is_dataclass(own):
             names += option_names(own, f"{name}.")
         elif tyro.conf.Positional not in getattr(own, "__metadata__", ()):
