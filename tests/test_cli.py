@@ -345,7 +345,7 @@ def test_no_option_of_any_command_may_be_repeated(command):
     with contextlib.redirect_stdout(page), pytest.raises(SystemExit):
         options.parse([command, "--help"], main.COMMANDS)
     values = {"INT": ["3"], "FLOAT": ["0.5"], "X": ["1", "2", "3"]}
-    found = re.findall(r"^[│| ]+(--[\w.-]+)(?: (?:')?([A-Z]+|\{\w+))?", page.getvalue(), re.MULTILINE)
+    found = re.findall(r"^[│| ]+(--[\w.-]+)(?: ([A-Z]+|\{\w+))?", page.getvalue(), re.MULTILINE)
     assert len(found) > 1 or command == "strategies"
     for option, kind in found:
         text = values.get(kind, [kind[1:]] if kind.startswith("{") else ["3"] if kind else [])

@@ -167,9 +167,13 @@ def test_a_finished_run_is_known(tmp_path):
         assert ledger.is_finished(run, ASKED, 4)
         with pytest.raises(InputError, match="its units is 4, not 5"):
             ledger.is_finished(run, ASKED, 5)
-    (tmp_path / "run.json").write_text("[1]")  # of something else
-    with claimed(tmp_path, resume=True) as run, pytest.raises(InputError, match="holds another run"):
-        ledger.is_finished(run, ASKED, 4)
+    for page in ([1], {"asked": [1]}, {"asked": {"own": [1]}}, {"asked": {"spec": "x"}, "units": 3}):  # something else
+        (tmp_path / "run.json").write_text(json.dumps(page))
+        with (
+            claimed(tmp_path, resume=True) as run,
+            pytest.raises(InputError, match="does not say what the run is asked"),
+        ):
+            ledger.is_finished(run, ASKED, 4)
     (tmp_path / "run.json").write_text("{")
     with claimed(tmp_path, resume=True) as run, pytest.raises(InputError, match="is not valid JSON"):
         ledger.is_finished(run, ASKED, 4)

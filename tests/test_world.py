@@ -1,6 +1,7 @@
 """World: the ring, padding, clearance, components, starts."""
 
 import itertools
+import math
 
 import jax
 import jax.numpy as jnp
@@ -502,3 +503,14 @@ def test_what_is_no_yaml_file_is_not_saved(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match="must be a folder"):
         _pencil_world().save(tmp_path / "file" / "map.yaml")
+
+
+@pytest.mark.parametrize("free_max", [math.nan, "25", -1, 100, 2.5, True])
+def test_the_bound_of_free_cells_is_a_whole_number_of_per_cent(free_max):
+    with pytest.raises(InputError, match="^free_max must be an integer from 0 to 99, got"):
+        occupancy_to_world(np.array([[0, 100]]), free_max=free_max)
+
+
+def test_masked_cells_are_not_taken_for_free():
+    with pytest.raises(InputError, match=r"write array.filled\(-1\) for masked cells"):
+        occupancy_to_world(np.ma.masked_array(np.zeros((3, 3), int), mask=np.eye(3, dtype=bool)))

@@ -105,9 +105,9 @@ def option_names(kind: type, prefix: str = "--") -> list[str]:
     names = []
     for field in dataclasses.fields(kind):
         name = prefix + field.name.rstrip("_").replace("_", "-")
-        own: Any = _hints(kind)[field.name]
+        own = _hints(kind)[field.name]
         if dataclasses.is_dataclass(own):
-            names += option_names(own, f"{name}.")
+            names += option_names(typing.cast(type, own), f"{name}.")
         elif tyro.conf.Positional not in getattr(own, "__metadata__", ()):
             names.append(f"{prefix}no-{field.name.replace('_', '-')}" if field.default is True else name)
     return names
