@@ -507,7 +507,7 @@ def test_what_is_no_yaml_file_is_not_saved(tmp_path):
 
 @pytest.mark.parametrize("free_max", [math.nan, "25", -1, 100, 2.5, True])
 def test_the_bound_of_free_cells_is_a_whole_number_of_per_cent(free_max):
-    with pytest.raises(InputError, match="^free_max must be an integer from 0 to 99, got"):
+    with pytest.raises(InputError, match=r"^free_max must be an integer from 0 to 99, got"):
         occupancy_to_world(np.array([[0, 100]]), free_max=free_max)
 
 

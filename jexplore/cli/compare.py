@@ -98,8 +98,8 @@ class Compare:
     report: bool = dataclasses.field(default=True, metadata={"off": "Leave out report.html."})
     """Write report.html, the whole run in one page with replays."""
     resume: bool = False
-    """Go on with the run that the folder holds, if there is one: what is finished is not computed again. With more
-    --episodes than it had, the earlier ones are kept."""
+    """Go on with the run that the folder holds, if there is one: what is finished is not computed again. Asked
+    for more episodes than it had, it keeps the earlier ones."""
     trust: bool = False
     """Let --resume take strategies of your own for what they were when the run began, even where nothing tells."""
     lidar: Lidar = dataclasses.field(default_factory=Lidar)
