@@ -198,7 +198,7 @@ def test_floor_too_narrow_for_the_robot_is_told():
 
 def test_outside_is_no_floor_of_a_building_that_one_starts_in():
     world = occupancy_to_world(house(), name="mine")
-    ready_starts(world, (40, 40, 0), 1, seed=0, rules=Rules())  # says nothing
+    assert ready_starts(world, (40, 40, 0), 1, seed=0, rules=Rules()).tolist() == [[40, 40, 0]]  # warns of nothing
 
 
 def test_the_start_region_and_draws_are_those_of_the_same_plan_in_walls():

@@ -45,8 +45,7 @@ def opened(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
     except InputError:
         raise
     except FileNotFoundError:
-        where = "" if os.path.isabs(path) else f" (looked in {os.getcwd()!r})"
-        raise InputError(f"{path!r}: there is no such file{where}") from None
+        raise missing(path) from None
     except PermissionError:
         raise InputError(f"{path!r}: you have no permission to read it") from None
     except (OSError, ValueError) as error:
@@ -219,6 +218,15 @@ def read_npz(path: str | os.PathLike[str], max_bytes: int) -> dict[str, Any]:
             raise InputError(f"{told}: is damaged or no NPZ file ({first_line(error)})") from None
 
 
+def missing(path: str) -> InputError:
+    """The error for the path of a file that is not there."""
+    where = "" if os.path.isabs(path) else f" (looked in {os.getcwd()!r})"
+    return InputError(f"{path!r}: there is no such file{where}")
+
+
 def first_line(error: BaseException) -> str:
-    """What an exception says, on one line."""
-    return " ".join(str(error).split()) or type(error).__name__
+    """The first line of what an exception says, or the name of its type."""
+    try:
+        return next((line.strip() for line in str(error).splitlines() if line.strip()), type(error).__name__)
+    except Exception:  # of a user's class, whose `__str__` raises
+        return type(error).__name__

@@ -233,7 +233,6 @@ def run_with_bar(options: Any, jobs: "Sequence[Job]", out: Out, starts: "Sequenc
       starts: that are bounded afterwards; the last units of the run.
     """
     from jexplore.engine.backend import use_compilation_cache
-    from jexplore.report.ledger import Shorter
     from jexplore.studies.results import loading, provenance, units
 
     use_compilation_cache()
@@ -241,12 +240,11 @@ def run_with_bar(options: Any, jobs: "Sequence[Job]", out: Out, starts: "Sequenc
     more = {"keep": keep} if keep else {}
     more |= {"bound_seconds": starts[0].seconds if starts else None} if hasattr(options, "bounds") else {}
 
-    def asked_of(n):
-        return provenance.asked([job._replace(starts=job.starts[:n]) for job in jobs]) | more
+    def asked_of(jobs):
+        return provenance.asked(jobs) | more
 
-    n = len(jobs[0].starts)
-    shorter = Shorter(n, asked_of, loading.unit_rows, functools.partial(units.recut, jobs, keep))
-    ledger = out.keep(asked_of(n), len(units.cut(jobs)) + len(starts), shorter=shorter)
+    shorter = loading.shorter_of(jobs, keep, asked_of)
+    ledger = out.keep(asked_of(jobs), len(units.cut(jobs)) + len(starts), shorter=shorter)
     if ledger is None:
         return None
     engine = None if options.engine == "auto" else options.engine

@@ -16,6 +16,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from jexplore.arrays.files import missing
 from jexplore.config import InputError, unknown
 from jexplore.worlds import GENERATORS
 from jexplore.worlds import names as grammar
@@ -88,8 +89,7 @@ def _require_text(name):
 def check_file(path: str) -> None:
     """Refuses the path of a file that is not there."""
     if not os.path.exists(os.path.expanduser(path)):
-        where = "" if os.path.isabs(path) else f" (looked in {os.getcwd()!r})"
-        raise InputError(f"{path!r}: there is no such file{where}")
+        raise missing(path)
 
 
 def check_strategy(text: str) -> None:

@@ -66,12 +66,9 @@ def first_tally(setup: Setup, beams: Beams, belief: Belief, *, is_blank: bool) -
     """
     shape, none = belief.driven.shape, jnp.int32(0)
     if beams.spans is not None:
-        words = jnp.zeros((-(-shape[0] // bits.WORD), shape[1]), jnp.uint32)
-        return (
-            (words, none)
-            if is_blank
-            else (bits.pack(is_known(belief.grid)), count(_counted(belief.grid, belief.within)))
-        )
+        if is_blank:
+            return jnp.zeros((-(-shape[0] // bits.WORD), shape[1]), jnp.uint32), none
+        return bits.pack(is_known(belief.grid)), count(_counted(belief.grid, belief.within))
     corner, size = square(belief.row, belief.col, shape, setup.window)
     if is_blank:
         return Square(corner, none), none

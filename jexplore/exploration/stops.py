@@ -34,9 +34,7 @@ class Stop(NamedTuple):
     row: int  # in the world
     col: int
     heading: int  # units of 45 degrees, at the last scan there
-    belief: (
-        Belief  # after that scan; with the site's ring and padding, on the device, until the next `Stop` is asked for
-    )
+    belief: Belief  # after that scan; with the site's ring and padding, on the device, until the next `Stop`
 
 
 class _Script(NamedTuple):

@@ -282,7 +282,6 @@ def run_training(
     ledger: Ledger | None = None,
     workers: int | None = None,
     on_progress: Callable[[int], object] | None = None,
-    progress: bool | None = None,
 ) -> Trained:
     """Trains, or goes on with training.
 

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from jexplore.arrays.files import opened, read_json
+from jexplore.arrays.files import first_line, opened, read_json
 from jexplore.config import InputError
 from jexplore.report.folders import RunFolder
 from jexplore.report.store import MOST_RECORD_BYTES, jsonable, write_json, write_parquet
@@ -178,10 +178,8 @@ def _get(file):
     try:
         return _table_in(file)
     except Exception as error:  # pyarrow raises many kinds of errors for a broken file
-        what = (str(error).splitlines() or [type(error).__name__])[0]
-        raise InputError(
-            f"{file} must be a unit of this run, and was damaged meanwhile: {what}; --resume makes it again"
-        ) from error
+        what = f"was damaged meanwhile: {first_line(error)}"
+        raise InputError(f"{file} must be a unit of this run, and {what}; --resume makes it again") from error
 
 
 def _is_whole(file):

@@ -38,9 +38,8 @@ CELL_BYTES = 120  # of one episode under way and of the world itself, measured o
 TRAIL_BYTES = 24  # a step
 BEAM_BYTES = 64  # a step of a beam, while the table is made
 MEMORY_SHARE = 0.8  # of the machine's memory that a run may be expected to need
-ADDRESSES = (
-    3 * 10**9
-)  # bytes of address space; below, JAX's threads do not start (2.2e9 ended the smallest run, 3e9 did not)
+# Bytes of address space. Below, JAX's threads do not start (2.2e9 ended the smallest run, 3e9 did not).
+ADDRESSES = 3 * 10**9
 LIMITS = ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes")  # of a container: cgroup 2 and 1
 
 

@@ -12,12 +12,12 @@ from jexplore.config import InputError, InputWarning, checked_names
 from jexplore.engine.backend import use_compilation_cache
 from jexplore.exploration.batch import Job
 from jexplore.exploration.trail import RECORDS
-from jexplore.report.ledger import Ledger, Shorter, is_finished
+from jexplore.report.ledger import Ledger, is_finished
 from jexplore.studies.checks import LIDAR, RULES, LidarLike, RulesLike, StartLike, StrategyLike, WorldLike
 from jexplore.studies.results import loading, provenance, saving
 from jexplore.studies.results.comparison import Comparison, Made, assemble, prepare_jobs
 from jexplore.studies.results.progress import progress_bar
-from jexplore.studies.results.units import cut, recut, run_units
+from jexplore.studies.results.units import cut, run_units
 from jexplore.worlds.restrict import KnownMap, Polygon
 
 
@@ -113,13 +113,8 @@ def _in_folder(out, jobs, asked, run, how, trust):
         if any(how.values()):
             raise InputError("overwrite and resume are for a folder: name it with out")
         return run()
-    n, keep = len(jobs[0].starts), asked.get("keep")
-    shorter = Shorter(
-        n,
-        lambda n: asked_of([job._replace(starts=job.starts[:n]) for job in jobs], keep),
-        loading.unit_rows,
-        functools.partial(recut, jobs, keep),
-    )
+    keep = asked.get("keep")
+    shorter = loading.shorter_of(jobs, keep, lambda fewer: asked_of(fewer, keep))
     with saving.claimed(out, **how) as folder:
         units = len(cut(jobs))
         if how["resume"] and is_finished(folder, asked, units, trust=trust, shorter=shorter):

@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from jexplore.arrays.files import first_line
 from jexplore.config import InputError
 
 if TYPE_CHECKING:
@@ -318,8 +319,3 @@ class Out:
         drawn = self.draw({name: write for name, write in writers.items() if name not in have})
         what = f"drew {', '.join(drawn)}" if drawn else "nothing was left to do"
         print(f"{self.run.path}{os.sep} holds all of it: {what}")
-
-
-def first_line(error: BaseException) -> str:
-    """What an error says, in one line."""
-    return (str(error).splitlines() or [type(error).__name__])[0]

@@ -7,8 +7,9 @@ import re
 from collections.abc import Callable
 from typing import Any, TypeVar, overload
 
+from jexplore.arrays.files import first_line
 from jexplore.config import InputError, checked_names
-from jexplore.policies.catalogue.own import first_line, is_replaced, is_score, place_of
+from jexplore.policies.catalogue.own import is_replaced, is_score, place_of
 from jexplore.policies.closest import closest
 from jexplore.policies.decision_theoretic import decision_theoretic
 from jexplore.policies.distance_advantage import distance_advantage, small_first

@@ -18,6 +18,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from jexplore.arrays.files import first_line
 from jexplore.config import InputError
 from jexplore.planning import View
 from jexplore.policies.policy import Policy
@@ -86,14 +87,6 @@ def _hint(error):
     if isinstance(error, AttributeError) and isinstance(error.obj, View):
         return f" (it has {', '.join(field.name for field in dataclasses.fields(View))}; the robot is in its belief)"
     return ""
-
-
-def first_line(error: BaseException) -> str:
-    """What an error says, in a line."""
-    try:
-        return next((line.strip() for line in str(error).splitlines() if line.strip()), "")
-    except Exception:  # it cannot even say what it is
-        return ""
 
 
 _PYTHON = os.path.join(os.path.dirname(os.path.abspath(contextlib.__file__)), "")

@@ -4,9 +4,10 @@ pandas is imported by the functions that need it.
 """
 
 import contextlib
+import functools
 import os
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,14 +16,16 @@ import numpy as np
 from jexplore.arrays.files import first_line, read_json, read_npz
 from jexplore.config import InputError, Lidar, Rules, checked_names, shown
 from jexplore.engine.runner import Costs
+from jexplore.exploration.batch import Job
 from jexplore.exploration.state import MARKS
 from jexplore.report import store
 from jexplore.report.folders import UNFINISHED
+from jexplore.report.ledger import Shorter
 from jexplore.studies.papers import PAPERS
 from jexplore.studies.reproduction import Reproduction, notes_of, world_names
 from jexplore.studies.results.comparison import Comparison, Made
 from jexplore.studies.results.saving import DETAILS
-from jexplore.studies.results.units import COLUMNS, Piece, Seen, to_table
+from jexplore.studies.results.units import COLUMNS, Piece, Seen, recut, to_table
 from jexplore.studies.sweeps.plan import Plan
 from jexplore.studies.sweeps.run import Swept, ordered, ready
 from jexplore.studies.sweeps.spec import read_spec
@@ -177,6 +180,23 @@ def unit_rows(folder: Path) -> "pd.DataFrame":
         table = rows[list(COLUMNS)].reset_index(drop=True)
         tables.append(to_table(Piece(0, table, found.progress[pair], seen, None, None)))
     return pd.concat(tables, ignore_index=True)
+
+
+def shorter_of(
+    jobs: Sequence[Job], keep: str | None, asked_of: Callable[[Sequence[Job]], Mapping[str, Any]]
+) -> Shorter:
+    """The comparisons of the same jobs with fewer episodes: what these go on with.
+
+    Args:
+      jobs: list of `Job`, each with as many starts.
+      keep: as in `batch.run_jobs`.
+      asked_of: jobs -> what a comparison of them is asked.
+    """
+
+    def asked(n):
+        return asked_of([job._replace(starts=job.starts[:n]) for job in jobs])
+
+    return Shorter(len(jobs[0].starts), asked, unit_rows, functools.partial(recut, jobs, keep))
 
 
 def _sweep(folder, record):

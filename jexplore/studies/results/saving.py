@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from jexplore.arrays.files import first_line
 from jexplore.config import InputError, InputWarning
 from jexplore.engine.runner import Costs
 from jexplore.exploration.batch import Job, Outcomes
@@ -156,8 +157,7 @@ def write(run: folders.RunFolder, found: Any, *, report: bool = True) -> Path:
         try:
             run.add(name, draw)
         except Exception as error:  # a picture less costs no results
-            line = (str(error).splitlines() or [type(error).__name__])[0]
-            warnings.warn(f"{name} could not be drawn: {line}", InputWarning, stacklevel=3)
+            warnings.warn(f"{name} could not be drawn: {first_line(error)}", InputWarning, stacklevel=3)
     return run.path
 
 

@@ -1,5 +1,6 @@
 """What results of several strategies have in common: their episodes by strategy, and tables as text and files."""
 
+import abc
 import os
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,7 +15,7 @@ if TYPE_CHECKING:
 
 
 @checked_names
-class ByStrategy:
+class ByStrategy(abc.ABC):
     """Results that are iterated over by the names of their strategies, each with its own table of episodes.
 
     for name in results:
@@ -72,8 +73,9 @@ class ByStrategy:
         """
         return _written(self._summary_text(latex_table), path)
 
-    def _summary_text(self, as_text):
-        raise NotImplementedError
+    @abc.abstractmethod
+    def _summary_text(self, as_text) -> str:
+        """The table of the summary, as `as_text` writes it."""
 
 
 def _written(text, path):

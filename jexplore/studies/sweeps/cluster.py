@@ -16,11 +16,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax
 
+from jexplore.arrays.files import first_line
 from jexplore.config import InputError, require_whole
 from jexplore.engine.backend import start_backend, use_compilation_cache
 from jexplore.engine.runner import Costs
 from jexplore.policies.catalogue.entries import STRATEGIES, offered, register
-from jexplore.policies.catalogue.own import first_line
 from jexplore.studies.checks import ready_strategies
 from jexplore.studies.results.provenance import digest
 from jexplore.studies.sweeps.connection import connected, require_ray

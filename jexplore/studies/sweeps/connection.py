@@ -14,9 +14,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from jexplore.arrays.files import first_line
 from jexplore.config import InputError
 from jexplore.engine.runner import own_cores
-from jexplore.policies.catalogue.own import first_line
 
 ANSWER_S = 5.0  # seconds in which a cluster must answer
 SLOW = "timed out during startup"  # in what Ray says of a cluster that is slow to start
