@@ -382,7 +382,7 @@ def test_a_file_without_permission_is_refused(tmp_path, monkeypatch):
 def test_a_file_of_another_kind_is_told_what_it_is(tmp_path, name, content, said):
     (tmp_path / name).write_bytes(content)
     if (name, said[:9]) in (("m.png", "a picture"), ("m.bag", "a bag of ")):
-        said = "is damaged|is no picture|no pixel is free"
+        said = "is damaged|is no picture|no pixel is free|reading it takes rosbags"
     refused(said, load_world, f"{tmp_path / name}{'@0.1' * (name == 'm.png')}")
 
 
