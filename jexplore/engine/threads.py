@@ -47,7 +47,12 @@ class Pieces:
         return first, n
 
 
-def share_out(kinds: Iterable[Pieces], workers: int, on_progress: Callable[[int], object]) -> None:
+def share_out(
+    kinds: Iterable[Pieces],
+    workers: int,
+    on_progress: Callable[[int], object],
+    give_up: Callable[[], object] = lambda: None,
+) -> None:
     """Does all pieces of some kinds.
 
     Those of a turn are done in rotation, `IN_ROTATION` at a time: what is interrupted has done a part of each, or,
@@ -57,6 +62,7 @@ def share_out(kinds: Iterable[Pieces], workers: int, on_progress: Callable[[int]
       kinds: list of `Pieces`.
       workers: threads.
       on_progress: called with the number of pieces done so far, from the calling thread.
+      give_up: called when it ends early: has the calls under way return.
 
     Raises:
       KeyboardInterrupt: after the calls under way have ended; what they found has been kept.
@@ -84,6 +90,9 @@ def share_out(kinds: Iterable[Pieces], workers: int, on_progress: Callable[[int]
                     waiting.append(pieces)
             done += sum(finish(future) for future in wait(running, return_when=FIRST_COMPLETED).done)
             on_progress(done)
+    except BaseException:
+        give_up()
+        raise
     finally:
         pool.shutdown(wait=True, cancel_futures=True)
         for future in [future for future in running if not future.cancelled() and future.exception() is None]:

@@ -122,7 +122,7 @@ def prepare_site(
     ring, world = ring_of(world.occupied), with_ring(world)
     shape = shape or (bucket(world.shape[0]), bucket(world.shape[1]))
     truth = _truth(world, shape)
-    limit = max(LEAST_LIMIT, math.prod(world.shape))
+    limit = limit_of(world.shape)
     everyone = [(lidar, rules), *(pair for pair in alike if pair[0].n_beams == lidar.n_beams)]
     # Ignored types: numpy on the host, where the record says what it is on the device.
     model = MapModel(
@@ -179,15 +179,20 @@ def _truth(world, shape):
     return Truth(
         occupied=np.pad(world.occupied, pad, constant_values=True),  # type: ignore[arg-type]
         rooms=np.pad(rooms, pad, constant_values=-1),  # type: ignore[arg-type]
-        region=np.pad(_regions(world), pad),  # type: ignore[arg-type]
+        region=np.pad(regions_of(world), pad),  # type: ignore[arg-type]
         extent=np.asarray(world.shape, np.int32),  # type: ignore[arg-type]
         within=None if world.within is None else np.pad(world.within, pad),  # type: ignore[arg-type]
         known=None if world.known is None else np.pad(world.known, pad, constant_values=-1),  # type: ignore[arg-type]
     )
 
 
-def _regions(world):
-    """Number of each 4-connected region of free cells within: `[H, W]` int32."""
+def limit_of(shape: tuple[int, ...]) -> int:
+    """Return the default bound of steps and of plans in a world of a shape, ring included."""
+    return max(LEAST_LIMIT, math.prod(shape))
+
+
+def regions_of(world: World) -> np.ndarray:
+    """Number each 4-connected region of free cells within: `[H, W]` int32."""
     from scipy import ndimage
 
     free = ~world.occupied if world.within is None else ~world.occupied & world.within

@@ -1,0 +1,195 @@
+"""Whole episodes in native code: of the strategies that it knows, by scanners without noise, with equal results."""
+
+import dataclasses
+import time
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import jax
+import numpy as np
+
+from jexplore.config import Lidar, Rules
+from jexplore.engine.threads import Pace, Pieces, share_out
+from jexplore.exploration.site import cost_of, limit_of, regions_of, tasks_of
+from jexplore.exploration.state import MARKS, PERCENTILES, Outcome, Result
+from jexplore.exploration.trail import Final, Record, decode, record_of
+from jexplore.grid import radius_d2
+from jexplore.native import episodes
+from jexplore.native.beams import trace_beams
+from jexplore.policies.closest import is_nearest
+from jexplore.policies.policy import Strategy
+from jexplore.policies.uniform import is_uniform
+from jexplore.raycast import scans_all_round
+from jexplore.worlds.world import World, ring_of, with_ring
+
+MOST = 4096  # episodes in one call
+_WIDTHS = {
+    "straight_at": len(PERCENTILES),
+    "diagonal_at": len(PERCENTILES),
+    "straight_along": MARKS,
+    "diagonal_along": MARKS,
+}
+
+
+def chooser_of(strategy: Strategy) -> int | None:
+    """Return how native code chooses targets as a strategy does; None: it cannot."""
+    if is_nearest(strategy.policy):
+        return episodes.NEAREST
+    return episodes.UNIFORM if is_uniform(strategy.policy) else None
+
+
+def is_native(strategy: Strategy, lidar: Lidar) -> bool:
+    """Tell whether there is native code for a strategy's episodes by a scanner: one without noise."""
+    return chooser_of(strategy) is not None and lidar.sigma_m == 0 and lidar.dropout == 0
+
+
+def native_world(loaded: Any, world: World, strategy: Strategy, lidar: Lidar, rules: Rules) -> episodes.World:
+    """Make a world ready for episodes of a strategy in native code."""
+    world = with_ring(world)
+    cell_m, limit, chooser = world.cell_m, limit_of(world.shape), chooser_of(strategy)
+    assert chooser is not None
+    spec = episodes.Spec(
+        height=world.shape[0],
+        width=world.shape[1],
+        n_beams=lidar.n_beams,
+        first_scans=scans_all_round(lidar.fov_deg),
+        clearance_d2=radius_d2(rules.clearance_m, cell_m),
+        near_d2=radius_d2(rules.near_m, cell_m),
+        arrival_d2=radius_d2(rules.arrival_m, cell_m),
+        scan_every=cost_of(rules.scan_every_m, cell_m),
+        max_steps=rules.max_steps or limit,
+        max_plans=rules.max_plans or limit,
+        look_around=rules.look_around,
+        recheck=strategy.recheck,
+        no_echo_is_free=lidar.no_echo == "free",
+        chooser=chooser,
+        p_free=rules.p_free,
+    )
+    rooms = np.full(world.shape, -1, np.int32) if world.rooms is None else world.rooms
+    beams = trace_beams(lidar.n_beams, lidar.fov_deg, lidar.range_m, cell_m)
+    given = episodes.Given(world.occupied, rooms, regions_of(world), world.within, world.known, beams)
+    return episodes.World(loaded, spec, given)
+
+
+def result_of(table: np.ndarray) -> Result:
+    """Return the `Result` of integers as the library writes them: `[..., RESULT]` int32."""
+    parts, at = {}, 0
+    for field in dataclasses.fields(Result):
+        width = _WIDTHS.get(field.name)
+        parts[field.name] = table[..., at] if width is None else table[..., at : at + width]
+        at += width or 1
+    return Result(**parts)
+
+
+@dataclasses.dataclass
+class NativeRun:
+    """Episodes of one strategy in one world, and what has come back; like `engine.program.Line`."""
+
+    place: episodes.World
+    world: World  # as the user has it
+    starts: np.ndarray  # [N, 3] int, row, col, heading_deg
+    seed: int
+    first: int  # number of the first of these episodes
+    which: np.ndarray  # [n] int32, those that are to be run
+    keeps: int  # number of the one of which map and way are kept whole
+    keep: str | None  # one of `trail.RECORDS`
+    turn: int = 0
+    records: dict[int, Record] = dataclasses.field(default_factory=dict)
+    final: Final | None = None
+    table: np.ndarray = dataclasses.field(init=False)  # [N, RESULT] int32
+    tasks: np.ndarray = dataclasses.field(init=False)
+
+    def __post_init__(self) -> None:
+        n = len(self.starts)
+        self.table = np.zeros((n, episodes.RESULT), np.int32)
+        ring = ring_of(self.world.occupied)
+        self.tasks = self.place.tasks(tasks_of(self.starts, ring), self.seed, np.arange(n, dtype=np.int32) + self.first)
+        self.which = np.sort(self.which)
+
+    @property
+    def results(self) -> Result:
+        """`Result` of numpy arrays with a leading axis N; zeros where an episode has not come back."""
+        return result_of(self.table)
+
+    @property
+    def is_done(self) -> bool:
+        """Whether all episodes have come back."""
+        return bool((self.table[self.which, _OUTCOME] != Outcome.RUNNING).all())
+
+    def play(self, numbers: np.ndarray, stop: np.ndarray) -> episodes.Played:
+        """Run some of the episodes, by numbers, `[k]` int32."""
+        at = np.flatnonzero(numbers == self.keeps)
+        return self.place.play(
+            self.tasks[numbers],
+            stop,
+            paths=self.keep is not None,
+            states=self.keep == "maps",
+            whole=int(at[0]) if at.size else -1,
+        )
+
+    def put(self, numbers: np.ndarray, found: episodes.Played) -> None:
+        """Keep what `play` has returned."""
+        ended = found.results[:, _OUTCOME] != Outcome.RUNNING
+        self.table[numbers[ended]] = found.results[ended]
+        if found.paths is None:  # not asked for, or given up
+            return
+        ring, shape, width = ring_of(self.world.occupied), self.place.shape, self.place.shape[1]
+        if found.counts is not None and found.choices is not None:
+            i = int(np.flatnonzero(numbers == self.keeps)[0])
+            bumped = found.choices[-1, 1] % 16 - 1
+            whole = (*found.counts, found.paths[i], found.choices[:-1], bumped)
+            self.final = decode(whole, result_of(found.results[i]), self.world.shape, ring)
+        if self.keep is not None:
+            for i, number in enumerate(numbers):
+                state = () if found.states is None else (found.states[i],)
+                kept = record_of(result_of(found.results[i]), (found.paths[i], *state), shape, width, ring)
+                self.records[int(number)] = kept
+
+
+_OUTCOME = [field.name for field in dataclasses.fields(Result)].index("outcome")
+
+
+def play_all(
+    runs: Sequence[NativeRun],
+    workers: int,
+    on_progress: Callable[[int], object],
+    on_run: Callable[[int], object] | None = None,
+) -> float:
+    """Run the episodes of some `NativeRun`s on the cores of a CPU, and put the results there.
+
+    Args:
+      runs: list of `NativeRun`.
+      workers: threads.
+      on_progress: called with the number of episodes done so far, from the calling thread.
+      on_run: called, likewise, with the number of a run once all of its episodes have come back.
+
+    Returns:
+      Seconds.
+
+    Raises:
+      KeyboardInterrupt: after what was under way has been given up; what had ended is kept.
+    """
+    began, stop, told = time.perf_counter(), np.zeros(1, np.int32), set()
+
+    def pieces_of(run):
+        def call(first, n):
+            since = time.perf_counter()
+            return run.play(run.which[first : first + n], stop), time.perf_counter() - since
+
+        def keep(first, n, found):
+            run.put(run.which[first : first + n], found)
+
+        return Pieces(total=len(run.which), most=MOST, call=call, keep=keep, turn=run.turn, pace=Pace())
+
+    def progress(done):
+        on_progress(done)
+        for i, run in enumerate(runs):
+            if on_run is not None and i not in told and run.is_done:
+                told.add(i)
+                on_run(i)
+
+    def give_up():
+        stop[0] = 1
+
+    share_out([pieces_of(run) for run in runs], workers, progress, give_up)
+    return time.perf_counter() - began

@@ -1,0 +1,105 @@
+"""Libraries in C++ and CUDA, built once with the compiler that is there.
+
+A library is kept beside compiled programs, under a name that changes with its sources, the machine and the command of
+the compiler.
+"""
+
+import contextlib
+import ctypes
+import functools
+import hashlib
+import os
+import platform
+import shlex
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from jexplore.engine.backend import cache_folder
+
+FOLDER = Path(__file__).parent
+COMPILERS = ("c++", "g++", "clang++")
+FLAGS = ("-std=c++17", "-O2", "-shared", "-fPIC")
+BUILD_S = 300  # seconds that building may take
+
+
+class Library(NamedTuple):
+    """A library, or why there is none."""
+
+    loaded: ctypes.CDLL | None
+    why_not: str = ""  # one line
+    name: str = ""  # tells apart what was built of other sources or by other compilers
+
+
+def find_compiler() -> list[str]:
+    """Return the command of a C++ compiler: `$CXX` if that is set, else the first of `COMPILERS` that is there; or
+    none.
+
+    Raises:
+      ValueError: `$CXX` has an open quote.
+    """
+    own = shlex.split(os.environ.get("CXX", ""))
+    return own or [path for path in map(shutil.which, COMPILERS) if path][:1]
+
+
+def load_library(
+    sources: Sequence[Path], flags: Sequence[str] = (), check: Callable[[ctypes.CDLL], str] | None = None
+) -> Library:
+    """Load a C++ library, built if need be. Once in a process for each compiler.
+
+    Args:
+      sources: what it is made of; the first is compiled, the others are what it includes.
+      flags: of the compiler, besides `FLAGS`.
+      check: returns what is wrong with a library, or "". A library that has just been built and fails is not kept.
+
+    Returns:
+      `Library`. There is none without a compiler, where building fails, or where nothing can be written.
+    """
+    try:
+        compiler = tuple(find_compiler())
+    except ValueError as error:
+        return Library(None, f"CXX must be a command, got {os.environ['CXX']!r}: {str(error).lower()}")
+    if not compiler:
+        return Library(None, f"no C++ compiler was found: expected one of {', '.join(COMPILERS)}, or its name in CXX")
+    return build_library(tuple(sources), (*compiler, *FLAGS, *flags), check)
+
+
+@functools.lru_cache(maxsize=16)
+def build_library(
+    sources: tuple[Path, ...], command: tuple[str, ...], check: Callable[[ctypes.CDLL], str] | None = None
+) -> Library:
+    """Load what a compiler's command makes of sources, as `load_library` does."""
+    what = "|".join((platform.machine(), platform.system(), *command)).encode()
+    digest = hashlib.sha256(what + b"".join(source.read_bytes() for source in sources)).hexdigest()[:16]
+    name = f"{sources[0].stem}_{digest}"
+    try:
+        loaded = _load(sources[0], cache_folder() / f"{name}.so", command, check)
+    except subprocess.CalledProcessError as error:
+        lines = [line for line in error.stderr.splitlines() if "error" in line] or [f"exit status {error.returncode}"]
+        return Library(None, f"{command[0]} could not build {sources[0].name}: {lines[0].strip()}")
+    except (OSError, RuntimeError, AttributeError, subprocess.TimeoutExpired) as error:  # RuntimeError: no home
+        return Library(None, f"{sources[0].name} could not be built by {command[0]} or loaded: {error}")
+    return Library(loaded, name=name)
+
+
+def _load(source, library, command, check):
+    """The library, which is built where there is none, or one that does not load."""
+    if library.is_file():
+        with contextlib.suppress(OSError, AttributeError):  # not whole, or built against other libraries
+            return ctypes.CDLL(str(library))
+    # Built and loaded beside its place, then moved there: whoever else builds it at the same time does no harm.
+    with tempfile.TemporaryDirectory(dir=library.parent) as folder:
+        made = Path(folder) / library.name
+        subprocess.run(
+            [*command, str(source), "-o", str(made)],
+            check=True, capture_output=True, text=True, errors="replace", timeout=BUILD_S,
+        )  # fmt: skip
+        loaded = ctypes.CDLL(str(made))
+        wrong = check(loaded) if check else ""
+        if wrong:
+            raise OSError(wrong)
+        os.replace(made, library)
+    return loaded

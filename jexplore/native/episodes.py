@@ -1,0 +1,168 @@
+"""Batches of whole episodes by the native library: what goes in and comes out of it, as numpy arrays."""
+
+import ctypes
+from ctypes import POINTER, Structure, c_float, c_int32, c_int64, c_void_p
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from jexplore.native.beams import Beams
+from jexplore.native.build import FOLDER, Library, load_library
+
+SOURCES = tuple(FOLDER / name for name in ("cpu.cc", "bytes.h", "world.h", "rules.h"))
+NEAREST, UNIFORM = 0, 1  # how a target is chosen
+RESULT = 222  # int32 of `exploration.state.Result`
+TASK = np.dtype(
+    [("start", np.int32, 3), ("seed", np.uint32), ("draw", np.uint32), ("goal", np.int32), ("region", np.int32)]
+)
+
+
+class Spec(Structure):
+    """What all episodes of a world have in common; `Spec` in rules.h."""
+
+    _fields_ = [
+        *((name, c_int32) for name in (
+            "height", "width", "n_beams", "first_scans", "clearance_d2", "near_d2", "arrival_d2", "scan_every",
+            "max_steps", "max_plans", "look_around", "recheck", "no_echo_is_free", "chooser",
+        )),
+        ("p_free", c_float),
+    ]  # fmt: skip
+
+
+class _Given(Structure):
+    _fields_ = [
+        *((name, c_void_p) for name in ("occupied", "rooms", "region", "within", "prior", "way", "length", "is_row")),
+        ("n_words", c_int32),
+    ]
+
+
+class _Batch(Structure):
+    _fields_ = [
+        ("tasks", c_void_p), ("n", c_int64), ("stop", c_void_p), ("results", c_void_p), ("states", c_void_p),
+        ("paths", POINTER(c_int32)), ("n_steps", c_void_p), ("whole", c_int64), ("hits", c_void_p),
+        ("misses", c_void_p), ("choices", POINTER(c_int32)),
+    ]  # fmt: skip
+
+
+class Given(NamedTuple):
+    """A world with its ring, and the beams of a scanner in it."""
+
+    occupied: np.ndarray  # [H, W] bool
+    rooms: np.ndarray  # [H, W] int32; -1 outside rooms
+    region: np.ndarray  # [H, W] int32, number of each 4-connected region of free cells within
+    within: np.ndarray | None  # [H, W] bool, where the robot may be and what it is to know
+    prior: np.ndarray | None  # [H, W] int8, what it knows before its first scan: -1, 0 free, 1 occupied
+    beams: Beams
+
+
+class Played(NamedTuple):
+    """What some episodes came to."""
+
+    results: np.ndarray  # [n, RESULT] int32
+    paths: list[np.ndarray] | None  # [steps + 1, 2] int32 of each: spot (`trail.Trail.SPOT`), known cells
+    states: np.ndarray | None  # [n, H, W] uint8, the last maps: 0 unknown, 1 free, 2 occupied
+    counts: tuple[np.ndarray, np.ndarray] | None  # [H, W] int32, hits and misses of the episode wanted whole
+    choices: np.ndarray | None  # [plans + 1, 2] int32, its plans (`trail.Choices`), and what they ended with
+
+
+def library() -> Library:
+    """Return the library, built if need be."""
+    found = load_library(SOURCES, check=check)
+    if found.loaded is not None:
+        _declare(found.loaded)
+    return found
+
+
+def _declare(loaded):
+    loaded.jexplore_world.restype = c_void_p
+    loaded.jexplore_forget_world.argtypes = loaded.jexplore_free.argtypes = [c_void_p]
+    loaded.jexplore_goals.argtypes = [c_void_p, c_void_p, c_int64]
+    loaded.jexplore_episodes.argtypes = [c_void_p, POINTER(_Batch)]
+
+
+def _pointer(array: np.ndarray | None, dtype: Any, keep: list[Any]) -> int | None:
+    """The address of an array as a C array of a dtype; `keep` holds what must not be let go."""
+    if array is None:
+        return None
+    keep.append(np.ascontiguousarray(array, dtype))
+    return keep[-1].ctypes.data
+
+
+class World:
+    """A world in the library, in which many threads may run episodes."""
+
+    def __init__(self, loaded: ctypes.CDLL, spec: Spec, given: Given) -> None:
+        self._loaded, self._keep, self.shape = loaded, [], given.occupied.shape
+        types = (np.uint8, np.int32, np.int32, np.uint8, np.int8, np.int32, np.int32, np.uint32)
+        arrays = (*given[:5], *given.beams)
+        pointers = [_pointer(array, dtype, self._keep) for array, dtype in zip(arrays, types)]
+        words = given.beams.is_row.shape[-1]
+        self._handle = loaded.jexplore_world(ctypes.byref(spec), ctypes.byref(_Given(*pointers, words)))
+        if not self._handle:
+            raise MemoryError("no memory for a world")
+
+    def __del__(self) -> None:
+        if getattr(self, "_handle", None):
+            self._loaded.jexplore_forget_world(self._handle)
+
+    def tasks(self, starts: np.ndarray, seed: int, draws: np.ndarray) -> np.ndarray:
+        """Make the tasks of episodes. Not while episodes run here.
+
+        Args:
+          starts: `[N, 3]` int32, row, col and heading (units of 45 degrees), in the world with its ring.
+          seed, draws: what the keys of the episodes are made of; int, `[N]` int32.
+
+        Returns:
+          `[N]` of `TASK`.
+        """
+        tasks = np.zeros(len(starts), TASK)
+        tasks["start"], tasks["seed"], tasks["draw"] = starts, seed, draws
+        if self._loaded.jexplore_goals(self._handle, tasks.ctypes.data, len(tasks)):
+            raise MemoryError("no memory for tasks")
+        return tasks
+
+    def play(
+        self, tasks: np.ndarray, stop: np.ndarray, *, paths: bool = False, states: bool = False, whole: int = -1
+    ) -> Played:
+        """Run episodes, one after the other.
+
+        Args:
+          tasks: `[n]` of `TASK`.
+          stop: `[1]` int32; once it is not 0, the rest is given up: outcomes that are 0.
+          paths, states: whether they are kept.
+          whole: number of the episode of which counts and choices are kept; -1: none. Its path is kept as well.
+
+        Raises:
+          MemoryError: there is too little.
+        """
+        n, tasks = len(tasks), np.ascontiguousarray(tasks)
+        results, steps = np.zeros((n, RESULT), np.int32), np.zeros(n, np.int64)
+        maps = np.zeros((n, *self.shape), np.uint8) if states else None
+        counts = tuple(np.zeros((2, *self.shape), np.int32)) if whole >= 0 else None
+        batch = _Batch(
+            tasks=tasks.ctypes.data, n=n, stop=stop.ctypes.data, results=results.ctypes.data, whole=whole,
+            states=None if maps is None else maps.ctypes.data,
+            n_steps=steps.ctypes.data if paths or whole >= 0 else None,
+            hits=None if counts is None else counts[0].ctypes.data,
+            misses=None if counts is None else counts[1].ctypes.data,
+        )  # fmt: skip
+        try:
+            if self._loaded.jexplore_episodes(self._handle, ctypes.byref(batch)):
+                raise MemoryError("no memory for episodes")
+            kept = None
+            if batch.paths:
+                ends = np.cumsum(steps + 1)
+                all_paths = np.ctypeslib.as_array(batch.paths, (int(ends[-1]), 2)).copy()
+                kept = np.split(all_paths, ends[:-1]) if not stop[0] else None
+            choices = None
+            if batch.choices:
+                choices = np.ctypeslib.as_array(batch.choices, (int(results[whole, 4]) + 1, 2)).copy()
+        finally:
+            self._loaded.jexplore_free(batch.paths)
+            self._loaded.jexplore_free(batch.choices)
+        return Played(results, kept, maps, counts, choices)
+
+
+def check(loaded: ctypes.CDLL) -> str:
+    """Return what is wrong with a library by two small episodes, or ""."""
+    return ""

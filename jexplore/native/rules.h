@@ -1,0 +1,279 @@
+// The rules of an exploration episode for one robot whose scanner is without noise, for any device.
+//
+// `exploration/environment.py` and `exploration/episode.py` are the reference; every number here equals theirs. The maps
+// are a template argument: `bytes.h` holds a byte a cell for a CPU core, `warp.h` a bit a cell for a warp of a GPU.
+// Cells are numbers; what lies beside a cell is a fixed number away.
+
+#pragma once
+
+#include <cstdint>
+
+#ifdef __CUDACC__
+#define DEVICE __device__ __forceinline__
+#else
+#define DEVICE inline
+#endif
+
+namespace jexplore {
+
+constexpr int kStraight = 1 << 16, kDiagonal = 92682, kFar = 1 << 30;  // `reach.STRAIGHT` and so on
+constexpr int kNone = -1, kMarks = 100, kPercentiles = 4, kLooks = 8, kLookAround = 4;
+
+enum Outcome { kRunning, kComplete, kBlocked, kStepLimit, kPlanLimit, kStuck };
+enum Chooser { kNearest, kUniform };
+
+// E, N, W, S, NE, NW, SW, SE, as `reach.MOTIONS`.
+DEVICE int DRow(int motion) { return motion < 4 ? (motion == 1) - (motion == 3) : (motion < 6 ? 1 : -1); }
+DEVICE int DCol(int motion) {
+  return motion < 4 ? (motion == 0) - (motion == 2) : (motion == 4 || motion == 7 ? 1 : -1);
+}
+DEVICE int HeadingOf(int motion) { return motion < 4 ? 2 * motion : 2 * motion - 7; }
+DEVICE int Turn(int from, int to) {
+  const int turn = (to - from) & 7;
+  return turn < 8 - turn ? turn : 8 - turn;
+}
+
+// What all episodes of a batch have in common; in the order of `episodes.Spec`.
+struct Spec {
+  int32_t height, width;                      // of the world with its ring, cells
+  int32_t n_beams, first_scans;               // beams of a scan; scans all round at the start
+  int32_t clearance_d2, near_d2, arrival_d2;  // cells^2
+  int32_t scan_every, max_steps, max_plans;   // cost of the way; steps; plans
+  int32_t look_around, recheck, no_echo_is_free;
+  int32_t chooser;  // `Chooser`
+  float p_free;     // largest reflection probability of a free cell
+};
+
+// What an episode is given.
+struct Task {
+  int32_t row, col, heading;  // start; heading in units of 45 degrees
+  uint32_t seed, draw;        // of which its key is made
+  int32_t goal, region;       // numbers among those of the batch
+};
+
+// What an episode measured: `exploration.state.Result`, in its order.
+struct Result {
+  int32_t straight, diagonal, turns, scans, plans, exhausted, outcome, known, explored, explorable, room_entries;
+  int32_t straight_at[kPercentiles], diagonal_at[kPercentiles];
+  int32_t straight_along[kMarks], diagonal_along[kMarks];
+  int32_t saturated, refused, overflow;
+};
+
+struct Key {
+  uint32_t a, b;
+};
+
+DEVICE uint32_t Rotated(uint32_t x, int by) { return x << by | x >> (32 - by); }
+
+// Threefry-2x32 of 20 rounds (Salmon et al. 2011), as `jax.random` uses it.
+DEVICE Key Threefry(Key key, Key count) {
+  const uint32_t keys[3] = {key.a, key.b, key.a ^ key.b ^ 0x1BD11BDAu};
+  const int rotations[2][4] = {{13, 15, 26, 6}, {17, 29, 16, 24}};
+  uint32_t x = count.a + keys[0], y = count.b + keys[1];
+  for (int i = 0; i < 5; ++i) {
+    for (int k = 0; k < 4; ++k) {
+      x += y;
+      y = Rotated(y, rotations[i % 2][k]) ^ x;
+    }
+    x += keys[(i + 1) % 3];
+    y += keys[(i + 2) % 3] + i + 1;
+  }
+  return {x, y};
+}
+
+// `jax.random.fold_in`.
+DEVICE Key FoldIn(Key key, uint32_t data) { return Threefry(key, {0, data}); }
+
+// `jax.random.randint(key, (), 0, span)` of int32.
+DEVICE uint32_t RandomBelow(Key key, uint32_t span) {
+  const Key high = Threefry(Threefry(key, {0, 0}), {0, 0}), low = Threefry(Threefry(key, {0, 1}), {0, 0});
+  const uint32_t factor = 65536u % span * (65536u % span) % span;
+  return (((high.a ^ high.b) % span) * factor + (low.a ^ low.b) % span) % span;
+}
+
+// The least count that is at least `parts / whole` of n.
+DEVICE int Share(int parts, int whole, int n) {
+  const int quotient = n / whole, rest = n % whole;
+  return parts * quotient + (parts * rest + whole - 1) / whole;
+}
+
+// The first step after which `count` cells were known; `steps` where that many never were.
+template <class Log>
+DEVICE int FirstWith(const Log& log, int steps, int count) {
+  int low = 0, high = steps;
+  while (low < high) {
+    const int middle = (low + high) / 2;
+    if (log.known(middle) >= count) high = middle;
+    else low = middle + 1;
+  }
+  return low;
+}
+
+// An episode, from its first scan to its end. `Maps` holds what the robot knows; `Log` what it did.
+template <class Maps, class Log>
+struct Episode {
+  const Spec& p;
+  Maps& maps;
+  Log& log;
+  Result& out;
+  int at, came, target = kNone, left = 0;  // cells; motions of the way that are still to be made
+  int heading, looking = 0, looked = 0, bumped = kNone, unscanned = 0, room = kNone;
+  bool walking = false;
+  int straight = 0, diagonal = 0, turns = 0, scans = 0, plans = 0, exhausted = 0, refused = 0, entries = 0;
+  int outcome = kRunning, saturated = 0;
+
+  DEVICE Episode(const Spec& p, Maps& maps, Log& log, Result& out) : p(p), maps(maps), log(log), out(out) {}
+
+  DEVICE int Looks() const { return p.first_scans > kLookAround ? p.first_scans : kLookAround; }
+
+  DEVICE void Note() { log.Step(straight + diagonal, maps.known(), diagonal, kLooks * maps.Flat(at) + looked); }
+
+  DEVICE void Scan() {
+    maps.Scan(at, heading);
+    ++scans;
+  }
+
+  DEVICE void Face(int to) {
+    turns += Turn(heading, to);
+    heading = to;
+  }
+
+  // `environment._arrive` and the mark of a target that is exhausted.
+  DEVICE void Arrive(bool arrived, bool live) {
+    if (!arrived) return;
+    walking = live && p.look_around && looked < Looks() - 1;
+    if (walking) {
+      looking = Looks() - 1;
+    } else if (live) {
+      ++exhausted;
+      maps.Exhaust(target);
+    }
+  }
+
+  // `environment._move` and `_limit_plans`: a step along the way, or a turn in place.
+  DEVICE void Move() {
+    came = at;
+    if (walking && looking > 0) {
+      Face((heading + 8 / Looks()) & 7);
+      --looking;
+      ++looked;
+      bumped = kNone;
+    } else if (walking && straight + diagonal >= p.max_steps) {
+      walking = false;
+      outcome = kStepLimit;
+      bumped = kNone;
+    } else if (walking) {
+      Step(maps.Motion(left - 1));
+    }
+    if (outcome == kRunning && !walking && plans >= p.max_plans) outcome = kPlanLimit;
+  }
+
+  DEVICE void Step(int motion) {
+    const int to = at + maps.Offset(motion);
+    Face(HeadingOf(motion));
+    if (!maps.IsOpen(to)) {
+      ++refused;
+      bumped = motion;
+      return;
+    }
+    const bool is_diagonal = motion >= 4;
+    unscanned += is_diagonal ? kDiagonal : kStraight;
+    diagonal += is_diagonal;
+    straight += !is_diagonal;
+    looked = 0;
+    bumped = kNone;
+    at = to;
+    --left;
+    const int here = maps.Room(to);
+    if (here >= 0 && here != room) {
+      room = here;
+      ++entries;
+    }
+  }
+
+  // `environment.decide` and `commit`.
+  DEVICE void Plan(Key key) {
+    log.Decide(plans, straight + diagonal, bumped);
+    target = p.chooser == kNearest ? maps.Nearest(at, left) : maps.Uniform(at, left, FoldIn(key, plans));
+    log.Chosen(plans, target == kNone ? kNone : maps.Flat(target));
+    ++plans;
+    bumped = kNone;
+    walking = target != kNone;
+    if (!walking) {
+      outcome = kComplete;
+      saturated = maps.Saturated();
+      return;
+    }
+    Arrive(at == target, true);
+    Move();
+  }
+
+  // `environment.advance`: the scan that belongs to a motion, what it means for the plan, and the next motion.
+  DEVICE void Advance() {
+    maps.Drive(at);
+    const int dr = maps.Row(at) - maps.Row(came), dc = maps.Col(at) - maps.Col(came);
+    if (dr != 0 && dc != 0) {
+      maps.Drive(came + maps.Offset(2 - dr));  // N is motion 1, S is 3
+      maps.Drive(came + maps.Offset(1 - dc));  // E is motion 0, W is 2
+    }
+    const int y = maps.Row(target) - maps.Row(at), x = maps.Col(target) - maps.Col(at);
+    const bool here = at == target, near = y * y + x * x <= p.arrival_d2, hit = bumped != kNone;
+    if (here || hit || unscanned >= p.scan_every) {
+      unscanned = 0;
+      Scan();
+    }
+    Note();
+    const bool live = maps.IsLive(target);
+    walking = !hit && !((p.recheck || near) && !live && !here);
+    Arrive(here && !hit && looking == 0, live);
+    Move();
+  }
+
+  DEVICE void Run(const Task& task, bool is_stuck) {
+    at = came = maps.Cell(task.row, task.col);
+    heading = task.heading;
+    maps.Begin(at);
+    room = maps.Room(at);
+    entries = room >= 0;
+    if (is_stuck) {
+      outcome = kStuck;
+    } else {
+      for (int i = 0; i < p.first_scans; ++i, heading = (heading + 8 / p.first_scans) & 7) Scan();
+    }
+    Note();
+    const Key key = FoldIn(FoldIn({0, task.seed}, task.draw), 1);  // `engine.serial.chunk`; `Stream.POLICY`
+    while (outcome == kRunning && maps.GoesOn()) {
+      Plan(key);
+      while (walking && outcome == kRunning) Advance();
+    }
+    if (outcome == kComplete && !maps.KnowsGoal(task.goal)) outcome = kBlocked;
+    log.Decide(plans, straight + diagonal, bumped);
+    Finish(task);
+  }
+
+  // `episode.finish`. On a warp each lane fills a part.
+  DEVICE void Finish(const Task& task) {
+    const int steps = straight + diagonal, known = maps.known();
+    const int explored = maps.Explored(task.region), knowable = maps.Knowable(task.region);
+    if (maps.Lane() == 0) {
+      out.straight = straight, out.diagonal = diagonal, out.turns = turns, out.scans = scans, out.plans = plans;
+      out.exhausted = exhausted, out.outcome = outcome, out.known = known, out.explored = explored;
+      out.explorable = maps.Explorable(task.region), out.room_entries = entries;
+      out.saturated = saturated, out.refused = refused, out.overflow = 0;
+    }
+    const int percentiles[kPercentiles] = {50, 90, 95, 99};
+    for (int i = maps.Lane(); i < kPercentiles; i += maps.Lanes()) {
+      const int step = FirstWith(log, steps, Share(percentiles[i], 100, known));
+      out.diagonal_at[i] = log.diagonal(step);
+      out.straight_at[i] = step - out.diagonal_at[i];
+    }
+    for (int i = maps.Lane(); i < kMarks; i += maps.Lanes()) {
+      const int mark = Share(i + 1, kMarks, knowable), step = FirstWith(log, steps, mark);
+      const bool is_reached = mark > 0 && mark <= known;
+      out.diagonal_along[i] = is_reached ? log.diagonal(step) : kNone;
+      out.straight_along[i] = is_reached ? step - log.diagonal(step) : kNone;
+    }
+  }
+};
+
+}  // namespace jexplore
