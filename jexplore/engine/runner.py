@@ -54,6 +54,7 @@ class Costs:
         total = dataclasses.replace(later)
         for name in ("compile_s", "run_s", "advanced", "room", "decided", "group_room"):
             setattr(total, name, getattr(self, name) + getattr(later, name))
+        total.engine = later.engine if self.engine == later.engine or not self.run_s else f"{self.engine}+{later.engine}"
         total.interrupted = self.interrupted or later.interrupted
         return total
 
@@ -119,6 +120,16 @@ def require_32_bits() -> None:
         raise InputError("jax_enable_x64 is on, and jexplore computes in 32 bits: switch it off")
 
 
+def require_workers(workers: int | None) -> None:
+    """Refuse a number of threads below 1.
+
+    Raises:
+      InputError: saying so.
+    """
+    if workers is not None and workers < 1:
+        raise InputError(f"workers must be at least 1, got {workers}")
+
+
 def find_resources(
     *, engine: str | None = None, lanes: int | None = None, workers: int | None = None, runs: int | None = None
 ) -> Resources:
@@ -140,9 +151,9 @@ def find_resources(
     require_32_bits()
     if engine is not None and engine not in ENGINES:
         raise InputError(f"engine must be one of {', '.join(ENGINES)}, got {engine!r}")
-    for name, value in (("lanes", lanes), ("workers", workers)):
-        if value is not None and value < 1:
-            raise InputError(f"{name} must be at least 1, got {value}")
+    require_workers(workers)
+    if lanes is not None and lanes < 1:
+        raise InputError(f"lanes must be at least 1, got {lanes}")
     cores = own_cores()
     start_backend(workers or cores)  # before anything else asks JAX for its devices
     devices, processes = jax.local_devices(), jax.process_count()

@@ -1,6 +1,7 @@
 """Many exploration episodes: strategies in worlds, by either engine, with equal results."""
 
 import dataclasses
+import time
 import warnings
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
@@ -9,11 +10,13 @@ import jax
 import numpy as np
 
 from jexplore.config import MAX_SEED, InputError, InputWarning, Lidar, Rules, require_whole
-from jexplore.engine.runner import Costs, find_resources, run_all
+from jexplore.engine.runner import Costs, find_resources, own_cores, require_32_bits, require_workers, run_all
+from jexplore.exploration.native import NativeRun, chooser_of, is_native, native_world, play_all, result_of
 from jexplore.exploration.sensing import native_kernel
 from jexplore.exploration.site import Kernels, kernels_for, line_of, prepare_site
 from jexplore.exploration.state import Result
 from jexplore.exploration.trail import Final, Record, decode
+from jexplore.native.episodes import RESULT, library
 from jexplore.policies import Strategy
 from jexplore.policies.catalogue.joined import joined
 from jexplore.policies.closest import is_nearest
@@ -92,22 +95,99 @@ def run_jobs(
       InputWarning: no compiler for `fast`, or it fails; a scanner with noise, for which `fast` has no kernel.
       MemoryError: a device's memory does not suffice, not even for half the lanes.
     """
+    require_32_bits()
+    require_workers(workers)
+    jobs = [_checked(job) for job in jobs]
+    plain = engine is None and kernels is None and lanes is None
+    runs = _native_runs(jobs, lidar, rules, only, keep) if plain else {}
+    done = sum(len(run.which) for run in runs.values())
+    costs = _play(runs, workers or own_cores(), on_progress, on_job)
+    rest, lines = [i for i in range(len(jobs)) if i not in runs], []
+    if rest and not costs.interrupted:
+        how = {"engine": engine, "lanes": lanes, "workers": workers, "kernels": kernels, "fast": fast}
+        progress = None if on_progress is None else (lambda n: on_progress(done + n))
+        tell = None if on_job is None else (lambda i, found: on_job(rest[i], found))
+        try:
+            lines, more = _run_in_jax([jobs[i] for i in rest], lidar, rules, only, keep, alike, how, progress, tell)
+            costs = costs.plus(more)
+        except KeyboardInterrupt:
+            if not done:
+                raise
+            costs.interrupted = True
+    found = {i: Outcomes(run.results, run.final, run.records) for i, run in runs.items()}
+    found |= {i: _outcomes(jobs[i], line) for i, line in zip(rest, lines)}
+    return Finished([found.get(i) or _nothing(job) for i, job in enumerate(jobs)], costs)
+
+
+def _nothing(job):
+    """What there is of a job that nothing was done for."""
+    blank = result_of(np.zeros((len(job.starts), RESULT), np.int32))
+    return Outcomes(blank, None, {})
+
+
+def _native_runs(jobs, lidar, rules, only, keep):
+    """A `NativeRun` for every job that native code can do, by its number; says why where there is no such code."""
+    can = [i for i, job in enumerate(jobs) if is_native(job.strategy, job.lidar or lidar)]
+    if not can or jax.config.values["jax_disable_jit"] or jax.process_count() > 1:
+        return {}
+    found = library()
+    if found.loaded is None:
+        warnings.warn(f"{found.why_not}; JAX runs the episodes, more slowly", InputWarning, stacklevel=4)
+        return {}
+    places, runs = {}, {}
+    for i in can:
+        job = jobs[i]
+        own = job.lidar or lidar, job.rules or rules
+        place = id(job.world), job.strategy.policy.select, job.strategy.recheck, *own
+        if place not in places:
+            chooser, recheck = chooser_of(job.strategy), job.strategy.recheck
+            places[place] = native_world(found.loaded, job.world, chooser, *own, recheck=recheck)
+        keeps = only or (0 if job.first == 0 else NO_RUN)
+        which = np.arange(len(job.starts), dtype=np.int32) if only is None else np.array([only], np.int32)
+        runs[i] = NativeRun(
+            places[place], job.world, job.starts, job.seed, job.first, which, keeps, keep, turn=job.turn
+        )
+    return runs
+
+
+def _play(runs, workers, on_progress, on_job):
+    """Runs what native code can do; `Costs`. Raises KeyboardInterrupt where nothing was finished."""
+    numbers, costs = list(runs), Costs(engine="native", lanes=workers)
+    if not runs:
+        return costs
+
+    def tell(i):
+        if on_job is not None:
+            run = runs[numbers[i]]
+            on_job(numbers[i], Outcomes(run.results, run.final, run.records))
+
+    began = time.perf_counter()
+    try:
+        play_all(list(runs.values()), workers, on_progress or (lambda _: None), tell)
+    except KeyboardInterrupt:
+        if not any(run.has_some for run in runs.values()):
+            raise
+        costs.interrupted = True
+    costs.run_s = time.perf_counter() - began
+    return costs
+
+
+def _run_in_jax(jobs, lidar, rules, only, keep, alike, how, on_progress, on_job):
+    """Runs jobs by programs in JAX: `(lines, costs)`."""
     runs = sum(len(job.starts) for job in jobs) if only is None else len(jobs)
-    resources = find_resources(engine=engine, lanes=lanes, workers=workers, runs=runs)
+    resources = find_resources(engine=how["engine"], lanes=how["lanes"], workers=how["workers"], runs=runs)
     if keep is not None and resources.processes > 1:
         raise InputError(f"keep={keep!r} is for one process, and {resources.processes} share the work")
-    kernels = kernels or _kernels_for(resources, fast)
-    jobs = [_checked(job) for job in jobs]
+    kernels = how["kernels"] or _kernels_for(resources, how["fast"])
     lines = _lines_of(jobs, lidar, rules, resources, kernels, only, keep, alike)
     if kernels.native is not None and any(line.program.setup.native is None for line in lines):
         warnings.warn(
             "fast: the kernels in JAX make the scans where the scanner has noise or robots stay in a region",
             InputWarning,
-            stacklevel=3,
+            stacklevel=4,
         )
     tell = None if on_job is None else (lambda i: on_job(i, _outcomes(jobs[i], lines[i])))
-    costs = run_all(lines, resources, on_progress, tell)
-    return Finished([_outcomes(job, line) for job, line in zip(jobs, lines)], costs)
+    return lines, run_all(lines, resources, on_progress, tell)
 
 
 def _programs(jobs, kernels):

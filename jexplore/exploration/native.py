@@ -5,7 +5,6 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Any
 
-import jax
 import numpy as np
 
 from jexplore.config import Lidar, Rules
@@ -38,16 +37,22 @@ def chooser_of(strategy: Strategy) -> int | None:
     return episodes.UNIFORM if is_uniform(strategy.policy) else None
 
 
+def is_exact(lidar: Lidar) -> bool:
+    """Tell whether a scanner is without noise, as native code has it."""
+    return lidar.sigma_m == 0 and lidar.dropout == 0
+
+
 def is_native(strategy: Strategy, lidar: Lidar) -> bool:
-    """Tell whether there is native code for a strategy's episodes by a scanner: one without noise."""
-    return chooser_of(strategy) is not None and lidar.sigma_m == 0 and lidar.dropout == 0
+    """Tell whether there is native code for a strategy's episodes by a scanner."""
+    return chooser_of(strategy) is not None and is_exact(lidar)
 
 
-def native_world(loaded: Any, world: World, strategy: Strategy, lidar: Lidar, rules: Rules) -> episodes.World:
-    """Make a world ready for episodes of a strategy in native code."""
+def native_world(
+    loaded: Any, world: World, chooser: int, lidar: Lidar, rules: Rules, *, recheck: bool
+) -> episodes.World:
+    """Make a world ready for episodes in native code."""
     world = with_ring(world)
-    cell_m, limit, chooser = world.cell_m, limit_of(world.shape), chooser_of(strategy)
-    assert chooser is not None
+    cell_m, limit = world.cell_m, limit_of(world.shape)
     spec = episodes.Spec(
         height=world.shape[0],
         width=world.shape[1],
@@ -60,7 +65,7 @@ def native_world(loaded: Any, world: World, strategy: Strategy, lidar: Lidar, ru
         max_steps=rules.max_steps or limit,
         max_plans=rules.max_plans or limit,
         look_around=rules.look_around,
-        recheck=strategy.recheck,
+        recheck=recheck,
         no_echo_is_free=lidar.no_echo == "free",
         chooser=chooser,
         p_free=rules.p_free,
@@ -115,6 +120,11 @@ class NativeRun:
     def is_done(self) -> bool:
         """Whether all episodes have come back."""
         return bool((self.table[self.which, _OUTCOME] != Outcome.RUNNING).all())
+
+    @property
+    def has_some(self) -> bool:
+        """Whether any episode has come back."""
+        return bool((self.table[:, _OUTCOME] != Outcome.RUNNING).any())
 
     def play(self, numbers: np.ndarray, stop: np.ndarray) -> episodes.Played:
         """Run some of the episodes, by numbers, `[k]` int32."""
@@ -193,3 +203,46 @@ def play_all(
 
     share_out([pieces_of(run) for run in runs], workers, progress, give_up)
     return time.perf_counter() - began
+
+
+def show_episode(
+    world: World,
+    strategy: Strategy,
+    lidar: Lidar,
+    rules: Rules,
+    start: Sequence[int],
+    final: Final,
+    shown: Sequence[int],
+    frontier: int,
+) -> tuple[np.ndarray, np.ndarray] | None:
+    """Show what a robot knew as it left some places of a recorded episode; of any strategy.
+
+    Args:
+      world, strategy, lidar, rules: those of the episode.
+      start: row, col, heading in degrees.
+      final: the record, with its plans.
+      shown: steps made before it left, ascending.
+      frontier: what is added to the codes of frontier cells.
+
+    Returns:
+      `(codes, headings)`: `[F, H, W]` uint8, 0 unknown, 1 free, 2 occupied, `frontier` more where a frontier cell can be
+        reached; `[F]` int32, units of 45 degrees, at the last scan there. None: the scanner has noise, or there is no
+        native code.
+    """
+    found = episodes.library()
+    if not is_exact(lidar) or found.loaded is None or final.plans is None:
+        return None
+    rules = dataclasses.replace(rules, max_steps=max(len(final.rows) - 1, 1), max_plans=None)
+    place = native_world(found.loaded, world, episodes.NEAREST, lidar, rules, recheck=strategy.recheck)
+    ring = ring_of(world.occupied)
+    made = [plan for plan in final.plans if plan.target is not None]
+    script = episodes.Script(
+        targets=np.array([plan.target for plan in made], np.int32).reshape(-1, 2) + ring,
+        is_view=np.array([plan.is_view for plan in made], bool),
+        motions=[plan.motions for plan in made],
+        looked=final.looked,
+    )
+    task = place.tasks(tasks_of(np.asarray([start]), ring), 0, np.zeros(1, np.int32))
+    codes, headings = place.replay(task, script, np.asarray(shown), frontier)
+    height, width = world.shape
+    return codes[:, ring : ring + height, ring : ring + width], headings

@@ -270,6 +270,16 @@ struct ByteMaps {
     return target;
   }
 
+  // Every cell as the robot at `from` knows it: 0 unknown, 1 free, 2 occupied, and `frontier` more where a frontier cell
+  // can be reached; [H, W].
+  void Show(int from, uint8_t frontier, uint8_t* codes) {
+    world.ForAll([&](int flat, int i) { codes[flat] = cell[i] & kSeen; });
+    MarkNear(from, true);
+    Search(
+        from, [&](int i, int) { if (IsFrontier(i)) codes[Flat(i)] += frontier; }, [] { return false; });
+    Lay(from, from);
+  }
+
   bool KnowsGoal(int goal) const {
     for (int number : world.goals[goal])
       for (int i : world.parts[number])
@@ -306,6 +316,7 @@ struct FullLog {
   }
   void Decide(int plan, int step, int bumped) { choices.resize(2 * plan + 2, kNone), choices[2 * plan + 1] = 16 * step + bumped + 1; }
   void Chosen(int plan, int target) { choices[2 * plan] = target == kNone ? kNone : 2 * target; }
+  void Leave(int, int, int) {}
 };
 
 }  // namespace jexplore

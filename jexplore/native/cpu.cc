@@ -1,6 +1,7 @@
 // Batches of whole episodes for Python, by one core of a CPU a call.
 
 #include <cstdlib>
+#include <functional>
 #include <new>
 
 #include "bytes.h"
@@ -63,6 +64,77 @@ void Play(const World& world, Batch& batch, int64_t first, int64_t end, int64_t&
   }
 }
 
+// A recorded episode, and when it is to be seen; in the order of `episodes.Replay`.
+struct Replay {
+  const Task* task;
+  int64_t n_plans;
+  const int32_t* targets;   // [n_plans], flat
+  const uint8_t* is_view;   // [n_plans], whether it is a view point
+  const int64_t* ends;      // [n_plans], where the motions of each end in
+  const int8_t* motions;    // made and refused, in order
+  const int32_t* looked;    // [steps + 1], scans made in place
+  int64_t n_shown;
+  const int32_t* shown;     // [n_shown], steps made, ascending
+  uint8_t frontier;         // is added to the codes of frontier cells
+  uint8_t* codes;           // out: [n_shown, H, W]
+  int32_t* headings;        // out: [n_shown], at the last scan there
+};
+
+// Maps whose owner chooses what a record says. Whether a view point was live is told by what the robot then did.
+template <Counting counting>
+struct ScriptMaps : ByteMaps<counting> {
+  using Base = ByteMaps<counting>;
+  const Replay& script;
+  int64_t plan = -1;
+  const Episode<ScriptMaps, struct ReplayLog>* episode = nullptr;
+
+  ScriptMaps(const World& world, const volatile int32_t* stop, const Replay& script) : Base(world, stop), script(script) {}
+
+  int Nearest(int, int& left) {
+    if (++plan >= script.n_plans) return kNone;
+    const int64_t first = plan ? script.ends[plan - 1] : 0;
+    left = static_cast<int>(script.ends[plan] - first);
+    for (int i = 0; i < left; ++i) this->way[left - 1 - i] = script.motions[first + i];
+    return this->Cell(script.targets[plan] / this->p.width, script.targets[plan] % this->p.width);
+  }
+
+  bool IsLive(int target) const {
+    if (!script.is_view[plan]) return Base::IsLive(target);
+    const bool here = episode->at == target;
+    return here ? script.looked[episode->straight + episode->diagonal] > episode->looked : episode->left > 0;
+  }
+};
+
+struct ReplayLog : FullLog {
+  const Replay& script;
+  std::function<void(int, uint8_t*)> show;  // (cell, codes)
+  int64_t next = 0;
+
+  explicit ReplayLog(const Replay& script) : script(script) {}
+
+  void Leave(int step, int at, int heading) {
+    for (; next < script.n_shown && script.shown[next] <= step; ++next) {
+      show(at, script.codes + next * n_cells);
+      script.headings[next] = heading;
+    }
+  }
+  int64_t n_cells = 0;
+};
+
+template <Counting counting>
+int64_t Show(const World& world, const Replay& script) {
+  const int32_t stop = 0;
+  Result result;
+  ScriptMaps<counting> maps(world, &stop, script);
+  ReplayLog log(script);
+  log.n_cells = static_cast<int64_t>(world.p.height) * world.p.width;
+  log.show = [&](int at, uint8_t* codes) { maps.Show(at, script.frontier, codes); };
+  Episode episode(world.p, maps, log, result);
+  maps.episode = &episode;
+  episode.Run(*script.task, world.IsStuck(world.Cell(script.task->row, script.task->col), script.task->goal));
+  return log.next;
+}
+
 }  // namespace
 }  // namespace jexplore
 
@@ -94,6 +166,14 @@ int jexplore_goals(void* world_, Task* tasks, int64_t n) try {
   return 0;
 } catch (const std::bad_alloc&) {
   return 1;
+}
+
+// Shows a recorded episode once more: how many of its places it came to. -1 without memory.
+int64_t jexplore_replay(const void* world_, const Replay* script) try {
+  const World& world = *static_cast<const World*>(world_);
+  return world.given.prior ? Show<kChanges>(world, *script) : Show<kKnownOnly>(world, *script);
+} catch (const std::bad_alloc&) {
+  return -1;
 }
 
 // Runs episodes. 0, or 1 without memory.

@@ -1,7 +1,7 @@
 """Batches of whole episodes by the native library: what goes in and comes out of it, as numpy arrays."""
 
 import ctypes
-from ctypes import POINTER, Structure, c_float, c_int32, c_int64, c_void_p
+from ctypes import POINTER, Structure, c_float, c_int32, c_int64, c_uint8, c_void_p
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -44,6 +44,23 @@ class _Batch(Structure):
     ]  # fmt: skip
 
 
+class _Replay(Structure):
+    _fields_ = [
+        ("task", c_void_p), ("n_plans", c_int64), ("targets", c_void_p), ("is_view", c_void_p), ("ends", c_void_p),
+        ("motions", c_void_p), ("looked", c_void_p), ("n_shown", c_int64), ("shown", c_void_p), ("frontier", c_uint8),
+        ("codes", c_void_p), ("headings", c_void_p),
+    ]  # fmt: skip
+
+
+class Script(NamedTuple):
+    """A recorded episode."""
+
+    targets: np.ndarray  # [P, 2] int, row and col of each plan, in the world with its ring
+    is_view: np.ndarray  # [P] bool, whether it is a view point
+    motions: list[list[int]]  # of each plan, the one that was refused included
+    looked: np.ndarray  # [steps + 1] int, scans made in place
+
+
 class Given(NamedTuple):
     """A world with its ring, and the beams of a scanner in it."""
 
@@ -77,6 +94,7 @@ def _declare(loaded):
     loaded.jexplore_world.restype = c_void_p
     loaded.jexplore_forget_world.argtypes = loaded.jexplore_free.argtypes = [c_void_p]
     loaded.jexplore_goals.argtypes = [c_void_p, c_void_p, c_int64]
+    loaded.jexplore_replay.argtypes, loaded.jexplore_replay.restype = [c_void_p, POINTER(_Replay)], c_int64
     loaded.jexplore_episodes.argtypes = [c_void_p, POINTER(_Batch)]
 
 
@@ -161,6 +179,40 @@ class World:
             self._loaded.jexplore_free(batch.paths)
             self._loaded.jexplore_free(batch.choices)
         return Played(results, kept, maps, counts, choices)
+
+
+    def replay(self, task: np.ndarray, script: Script, shown: np.ndarray, frontier: int) -> tuple[np.ndarray, np.ndarray]:
+        """Show a recorded episode as the robot leaves some places.
+
+        Args:
+          task: `[1]` of `TASK`.
+          script: `Script`.
+          shown: `[F]` int, steps made before it leaves, ascending, from 0 to those of the episode.
+          frontier: what is added to the codes of frontier cells.
+
+        Returns:
+          `codes`: `[F, H, W]` uint8, 0 unknown, 1 free, 2 occupied, `frontier` more where a frontier cell can be reached.
+          `headings`: `[F]` int32, units of 45 degrees, at the last scan there.
+
+        Raises:
+          MemoryError: there is too little.
+        """
+        keep: list[Any] = []
+        codes, headings = np.zeros((len(shown), *self.shape), np.uint8), np.zeros(len(shown), np.int32)
+        targets = np.asarray(script.targets, np.int32).reshape(-1, 2)
+        motions = np.array([motion for plan in script.motions for motion in plan], np.int8)
+        found = self._loaded.jexplore_replay(self._handle, ctypes.byref(_Replay(
+            task=_pointer(task, TASK, keep), n_plans=len(targets),
+            targets=_pointer(targets[:, 0] * self.shape[1] + targets[:, 1], np.int32, keep),
+            is_view=_pointer(script.is_view, np.uint8, keep),
+            ends=_pointer(np.cumsum([len(plan) for plan in script.motions]), np.int64, keep),
+            motions=_pointer(motions, np.int8, keep), looked=_pointer(script.looked, np.int32, keep),
+            n_shown=len(shown), shown=_pointer(shown, np.int32, keep), frontier=frontier,
+            codes=codes.ctypes.data, headings=headings.ctypes.data,
+        )))  # fmt: skip
+        if found < 0:
+            raise MemoryError("no memory for a replay")
+        return codes, headings
 
 
 def check(loaded: ctypes.CDLL) -> str:

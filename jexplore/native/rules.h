@@ -169,13 +169,14 @@ struct Episode {
   }
 
   DEVICE void Step(int motion) {
-    const int to = at + maps.Offset(motion);
+    const int to = at + maps.Offset(motion), seen_from = heading;
     Face(HeadingOf(motion));
     if (!maps.IsOpen(to)) {
       ++refused;
       bumped = motion;
       return;
     }
+    log.Leave(straight + diagonal, at, seen_from);
     const bool is_diagonal = motion >= 4;
     unscanned += is_diagonal ? kDiagonal : kStraight;
     diagonal += is_diagonal;
@@ -248,6 +249,7 @@ struct Episode {
     }
     if (outcome == kComplete && !maps.KnowsGoal(task.goal)) outcome = kBlocked;
     log.Decide(plans, straight + diagonal, bumped);
+    log.Leave(straight + diagonal, at, heading);
     Finish(task);
   }
 

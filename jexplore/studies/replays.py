@@ -12,6 +12,7 @@ from jexplore.config import InputError, Lidar, Rules
 from jexplore.engine.backend import use_compilation_cache
 from jexplore.exploration import batch
 from jexplore.exploration.batch import Job, Outcomes
+from jexplore.exploration.native import show_episode
 from jexplore.exploration.site import Kernels, prepare_site
 from jexplore.exploration.state import Outcome
 from jexplore.exploration.stops import stops
@@ -78,9 +79,15 @@ def replay_data(
     if final.plans is None:
         raise InputError(f"{strategy.name} in {world.name}: an episode of so many plans cannot be played again")
     shown = evenly(len(final.rows) - 1, max_frames)
-    site = prepare_site(world, lidar, rules, Kernels())
-    found, headings = stops(site, strategy, start, seed, number, final, shown), []
-    changes = tuple(changes_of(_images(world, strategy, found, headings)))
+    seen = None
+    if not _has_own_room(strategy):  # which JAX segments
+        seen = show_episode(world, strategy, lidar, rules, start, final, shown, FRONTIER)
+    if seen is None:
+        headings, site = [], prepare_site(world, lidar, rules, Kernels())
+        images = _images(world, strategy, stops(site, strategy, start, seed, number, final, shown), headings)
+    else:
+        images, headings = iter(seen[0]), 45 * seen[1]
+    changes = tuple(changes_of(images))
     target, until = _aims(final, shown)
     return ReplayData(
         world=world.name,
