@@ -2,6 +2,7 @@
 
     python benchmarks/fuzz.py --cases 1000 --seed 0
     python benchmarks/fuzz.py --first 137 --cases 1    # a case alone
+    python benchmarks/fuzz.py --native --cases 10000   # native code beside JAX, without the oracle
 
 Prints how many cases of each kind were equal, and a line for every one that was not; exit status 1 if there was any.
 """
@@ -24,13 +25,15 @@ SHOWN = 3  # differences of a case that are printed
 EVERY = 50  # cases after which progress is shown
 
 
-def compare(seed, numbers):
-    """Plays cases: `(cases, unequal cases, steps and scans)`, the first two by kind."""
+def compare(seed, numbers, native):
+    """Plays cases: `(cases, unequal cases, steps and scans)`, the first two by kind; `native`: without the oracle."""
     cases, unequal, made = Counter(), Counter(), Counter()
     for i, number in enumerate(numbers, 1):
         case = fuzz.draw_case(seed, number)
+        if native and case.fixed.noisy:
+            continue
         try:
-            verdict = fuzz.compare(case)
+            verdict = fuzz.compare(case, oracle=not native)
         except Exception as error:
             error.add_note(f"in case {number} of seed {seed}: {case.lidar}, {case.rules}, cells of {case.cell_m} m")
             raise
@@ -53,6 +56,7 @@ def parse():
     parser.add_argument("--cases", type=int, default=1000)
     parser.add_argument("--seed", type=int, default=0, help="default %(default)s")
     parser.add_argument("--first", type=int, default=0, help="number of the first case; default %(default)s")
+    parser.add_argument("--native", action="store_true", help="native code beside JAX, cases without noise only")
     return parser.parse_args()
 
 
@@ -63,7 +67,7 @@ def main():
     start_backend(1)
     use_compilation_cache()
     began = time.perf_counter()
-    cases, unequal, made = compare(args.seed, range(args.first, args.first + args.cases))
+    cases, unequal, made = compare(args.seed, range(args.first, args.first + args.cases), args.native)
     took = time.perf_counter() - began
     order = sorted(cases, key=lambda kind: (kind != "all", *kind.partition(": ")[1::-1], -cases[kind]))
     rows = [[kind, cases[kind], cases[kind] - unequal[kind], unequal[kind]] for kind in order]

@@ -76,6 +76,11 @@ def numbers_of(strategy, lidar, rules, cell_m, kernels="serial"):
     )
 
 
+def key_of(seed):
+    """The key of the first episode of a run."""
+    return jax.random.fold_in(jax.random.key(seed), 0)
+
+
 def window_of(lidar, cell_m):
     """Half the width of the square that a scan can change, cells."""
     return math.ceil(in_cells(lidar.range_m, cell_m)) + 1
@@ -143,7 +148,7 @@ def play(
         np.asarray,
         compiled(
             static,
-            jax.random.key(seed),
+            key_of(seed),
             jnp.int32(scans_all_round(lidar.fov_deg)),
             jax.device_put(truth_of(occupied, rooms, shape, within, known)),
             jax.device_put(beams_of(lidar, cell_m, shape[1], beams_as)),
@@ -163,7 +168,7 @@ def _candidate(key, number, n):
 
 def choice_of(seed):
     """The simulator's `choose`: the draws of `random` among the simulator's own candidates."""
-    key = jax.random.fold_in(jax.random.key(seed), Stream.POLICY)
+    key = jax.random.fold_in(key_of(seed), Stream.POLICY)
     return lambda candidates, costs, number: candidates[int(_candidate(key, number, len(candidates)))]
 
 
@@ -179,7 +184,7 @@ def readings_of(occupied, lidar, *, cell_m, shape, seed, beams_as=None):
     beams = beams_of(lidar, cell_m, shape[1], beams_as)
     grow = [(0, full - n) for full, n in zip(shape, occupied.shape)]
     walled, beams_there = jax.device_put((np.pad(occupied, grow, constant_values=True), beams))
-    key, extent = jax.random.fold_in(jax.random.key(seed), Stream.SENSOR), jnp.asarray(occupied.shape)
+    key, extent = jax.random.fold_in(key_of(seed), Stream.SENSOR), jnp.asarray(occupied.shape)
     noise = np.float32(lidar.sigma_m / cell_m), np.float32(lidar.dropout)
     count = iter(range(CAPACITY))
 

@@ -16,7 +16,7 @@ from jexplore.exploration.state import Outcome
 from jexplore.grid import in_cells, radius_d2
 from jexplore.raycast import n_steps
 
-from . import episodes, maps
+from . import episodes, maps, native
 
 SPECIAL_FOV = (30.0, 45.0, 60.0, 90.0, 120.0, 180.0, 270.0, 360.0)
 SPECIAL_CELLS = (0.05, 0.1, 0.3)
@@ -344,20 +344,36 @@ def _restricted(draw, occupied, start):
     return within.reshape(occupied.shape), np.where((known >= 0) & wrong, 1 - known, known).astype(np.int8)
 
 
-def compare(case):
-    """Plays a case by the engine and by the oracle: a `Verdict`."""
+def compare(case, *, oracle=True, loaded=None):
+    """Plays a case by the engine, natively where that can be, and by the oracle: a `Verdict`.
+
+    Args:
+      case: `Case`.
+      oracle: whether the oracle is asked.
+      loaded: the native library; by default that of the package.
+    """
     fixed = case.fixed
     world = {name: getattr(case, name) for name in ("cell_m", "rooms", "within", "known")}
     how = {"shape": fixed.shape, "seed": case.seed, "beams_as": fixed.beams_as}
     episode = case.occupied, case.start, case.strategy, case.lidar, case.rules
     result, state = episodes.play(*episode, window=fixed.window, kernels=fixed.kernels, **world, **how)
-    sense = episodes.readings_of(case.occupied, case.lidar, cell_m=case.cell_m, **how) if fixed.noisy else None
-    choose = episodes.choice_of(case.seed) if fixed.policy == "random" else None
-    want = episodes.replay(*episode, **world, choose=choose, sense=sense)
+    told = []
+    if not fixed.noisy:
+        told = native.differences(native.play(case, loaded), result, state, case.occupied)
+    if oracle:
+        told += _by_oracle(case, episode, world, how, result, state)
     return Verdict(
-        differences=episodes.differences(result, state, want, **world),
+        differences=told,
         outcome=Outcome(int(result.outcome)).name,
         steps=int(result.straight + result.diagonal),
         scans=int(result.scans),
         refused=int(result.refused),
     )
+
+
+def _by_oracle(case, episode, world, how, result, state):
+    fixed = case.fixed
+    sense = episodes.readings_of(case.occupied, case.lidar, cell_m=case.cell_m, **how) if fixed.noisy else None
+    choose = episodes.choice_of(case.seed) if fixed.policy == "random" else None
+    want = episodes.replay(*episode, **world, choose=choose, sense=sense)
+    return episodes.differences(result, state, want, **world)
