@@ -57,7 +57,7 @@ struct ByteMaps {
   int Lanes() const { return 1; }
   int Row(int i) const { return i / world.stride; }
   int Col(int i) const { return i % world.stride; }
-  int Cell(int row, int col) const { return world.Cell(row, col); }
+  int At(int row, int col) const { return world.Cell(row, col); }
   int Flat(int i) const { return world.Flat(i); }
   int Offset(int motion) const { return offsets[motion]; }
   int Room(int i) const { return world.given.rooms[Flat(i)]; }
@@ -317,6 +317,7 @@ struct FullLog {
   void Decide(int plan, int step, int bumped) { choices.resize(2 * plan + 2, kNone), choices[2 * plan + 1] = 16 * step + bumped + 1; }
   void Chosen(int plan, int target) { choices[2 * plan] = target == kNone ? kNone : 2 * target; }
   void Leave(int, int, int) {}
+  bool GoesOn() const { return true; }
 };
 
 }  // namespace jexplore

@@ -95,7 +95,7 @@ struct ScriptMaps : ByteMaps<counting> {
     const int64_t first = plan ? script.ends[plan - 1] : 0;
     left = static_cast<int>(script.ends[plan] - first);
     for (int i = 0; i < left; ++i) this->way[left - 1 - i] = script.motions[first + i];
-    return this->Cell(script.targets[plan] / this->p.width, script.targets[plan] % this->p.width);
+    return this->At(script.targets[plan] / this->p.width, script.targets[plan] % this->p.width);
   }
 
   bool IsLive(int target) const {

@@ -231,7 +231,7 @@ struct Episode {
   }
 
   DEVICE void Run(const Task& task, bool is_stuck) {
-    at = came = maps.Cell(task.row, task.col);
+    at = came = maps.At(task.row, task.col);
     heading = task.heading;
     maps.Begin(at);
     room = maps.Room(at);
@@ -243,11 +243,12 @@ struct Episode {
     }
     Note();
     const Key key = FoldIn(FoldIn({0, task.seed}, task.draw), 1);  // `engine.serial.chunk`; `Stream.POLICY`
-    while (outcome == kRunning && maps.GoesOn()) {
+    while (outcome == kRunning && maps.GoesOn() && log.GoesOn()) {
       Plan(key);
       while (walking && outcome == kRunning) Advance();
     }
     if (outcome == kComplete && !maps.KnowsGoal(task.goal)) outcome = kBlocked;
+    if (!maps.GoesOn() || !log.GoesOn()) outcome = kRunning;  // given up
     log.Decide(plans, straight + diagonal, bumped);
     log.Leave(straight + diagonal, at, heading);
     Finish(task);
