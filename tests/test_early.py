@@ -93,7 +93,7 @@ REFUSED = [
     (["bench", "--repeat", "0"], "repeat must be an integer from 1"),
     (["train", "--rounds", "0"], "rounds must be an integer from 1"),
     (["trace", "--runs", "0"], "runs must be an integer from 1"),
-    (["trace", "--start", "nan", "1", "2"], "start must be a number"),
+    (["trace", "--start", "nan", "1", "2"], "start x must be a number"),
     (["trace", "--sweep", "votes=1.5"], "votes must be integers"),
     (["trace", "--attribute", "victim"], "attribute must be NAME=VALUE@X,Y"),
     (["trace", "--tuning.votes", "99"], "tuning.votes must be an integer from 1 to 9, got 99"),

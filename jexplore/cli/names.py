@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from jexplore.arrays.files import missing
-from jexplore.config import BOUNDS, InputError, require_different, require_number, require_setting, unknown
+from jexplore.config import BOUNDS, InputError, require_different, require_setting, unknown
 from jexplore.driving.settings import for_world, require_noise, require_tuning, robot_of
 from jexplore.worlds import GENERATORS, read_name
 from jexplore.worlds import names as grammar
@@ -157,10 +157,9 @@ def check_trace(options: Any) -> None:
     """Refuses thresholds that a trace cannot have or sweep, and attributes that no node can have."""
     is_course = grammar.parse(options.world, generators=tuple(GENERATORS)).base == "course"
     require_tuning(for_world(options.tuning, is_course=is_course))
-    if not options.sweep and not options.attribute:
-        return
-    from jexplore.studies.traces.options import attributes_of, swept_values
+    from jexplore.studies.traces.options import attributes_of, require_start_pose, swept_values
 
+    require_start_pose(options.start or ())
     swept_values(options.sweep, options.settings, options.seed)
     attributes_of(options.attribute)
 
@@ -172,7 +171,7 @@ CHECKS: dict[str, Callable[[Any], object]] = {
     **dict.fromkeys(("map", "from_map", "model", "truth", "parts"), check_file),
     "segment maps": check_world,
     "start": read_start,
-    "trace start": functools.partial(require_number, "start", low=-1e6, high=1e6),
+    "trace start": lambda coordinate: None,  # see `check_trace`
     "within": read_polygon,
     "robot": robot_of,
     "noise": require_noise,

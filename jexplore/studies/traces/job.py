@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from jexplore.config import BOUNDS, MAX_RUNS, InputError, as_record, checked_names, require_number, require_setting
+from jexplore.config import BOUNDS, MAX_RUNS, InputError, as_record, checked_names, require_setting
 from jexplore.driving import vehicle
 from jexplore.driving.batch import MAX_STEPS, building_of, pose_in, require_start
 from jexplore.driving.mission import SIZE
@@ -27,7 +27,7 @@ from jexplore.driving.settings import (
     robot_of,
 )
 from jexplore.studies import checks
-from jexplore.studies.traces.options import NOISE, attributes_of, swept_values
+from jexplore.studies.traces.options import NOISE, attributes_of, require_start_pose, swept_values
 from jexplore.studies.traces.truth import Truth, maps_from, truth_of
 from jexplore.tracemap.record import BtmMap
 from jexplore.worlds.regions import warn_of_outside
@@ -243,8 +243,7 @@ def _ends(world, start, starts, seed) -> tuple[Any, Any]:
     """Where runs start, a list of poses, and end, in the world's frame."""
     goal = None if world.course is None else world.course.goal_m
     if start is not None:
-        for name, value in zip(("x", "y", "heading"), start):
-            require_number(f"start {name}", value, low=-1e6, high=1e6)
+        require_start_pose(start)
         return [tuple(start)], goal
     if world.course is not None and starts is None:
         return [world.course.start_pose], goal

@@ -10,11 +10,17 @@ from typing import Any
 
 import numpy as np
 
-from jexplore.config import MAX_RUNS, InputError
+from jexplore.config import MAX_RUNS, InputError, require_number
 from jexplore.driving.settings import WHOLE, Noise, Tuning
 from jexplore.tracemap.record import BtmMap
 
 NOISE = "noise."  # names of noise begin so in a sweep
+
+
+def require_start_pose(start: Sequence[float]) -> None:
+    """Refuse a pose in metres and degrees that no map has."""
+    for name, value in zip(("x", "y", "heading"), start):
+        require_number(f"start {name}", value, low=-1e6, high=1e6)
 
 
 def swept_values(sweep: Sequence[str], settings: int, seed: int) -> dict[str, np.ndarray]:
