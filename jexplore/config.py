@@ -13,12 +13,38 @@ import numbers
 import operator
 import re
 import reprlib
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any, Literal, Self, TypeVar
 
 MAX_SEED = 2**32 - 1
 GENERATOR = "threefry2x32"  # of random numbers, as JAX names it; its draws are partitionable
+
+MAX_RUNS = 1_000_000  # episodes of one strategy in one world; runs of a trace
+BOUNDS: dict[str, tuple[float, float]] = {
+    "seed": (0, MAX_SEED),
+    "episodes": (1, MAX_RUNS),
+    "episode": (0, MAX_RUNS - 1),
+    "runs": (1, MAX_RUNS),
+    "starts": (1, MAX_RUNS),
+    "settings": (1, MAX_RUNS),
+    "max_steps": (100, 100_000),
+    "nodes": (2, 512),
+    "links": (2, 1024),
+    "frames": (1, 10_000),
+    "rounds": (1, 10**6),
+    "check_every": (1, 10**6),
+    "patience": (0, 10**6),
+    "workers": (1, 1024),
+    "lanes": (1, 2**20),
+    "batch_sizes": (1, 2**16),
+    "sides": (32, 2048),
+    "repeat": (1, 1000),
+    "seconds": (0.001, 7 * 86400.0),
+    "bound_seconds": (0.001, 7 * 86400.0),
+    "cell_m": (0.001, 100.0),
+}
+"""Name of a number that a user gives -> least and largest value; an integer where these are."""
 
 
 class InputError(ValueError):
@@ -124,6 +150,25 @@ def require_number(
         kind = "a number" if above or below else "a finite number"
         raise InputError(f"{name} must be {kind}{above}{below}, got {shown(value)}")
     return value
+
+
+def require_setting(name: str, value: Any) -> Any:
+    """Return a number that lies within its `BOUNDS`.
+
+    Raises:
+      InputError: not a number, not an integer where it must be one, or outside the bounds.
+    """
+    low, high = BOUNDS[name]
+    if isinstance(low, int):
+        return require_whole(name, value, low, int(high))
+    return require_number(name, value, low=low, high=high)
+
+
+def require_different(kind: str, names: Sequence[str], hint: str = "") -> None:
+    """Refuse a name that is given more than once."""
+    for name in names:
+        if names.count(name) > 1:
+            raise InputError(f"{kind} must differ, got {name!r} more than once{hint}")
 
 
 def unknown(

@@ -19,7 +19,7 @@ from jexplore import raycast
 from jexplore.config import InputError, InputWarning, Lidar
 from jexplore.grid import empty_grid, is_occupied
 from jexplore.worlds import load_world
-from jexplore.worlds.readers import scans
+from jexplore.worlds.readers import carmen, scans
 from jexplore.worlds.readers.carmen import read_carmen
 from jexplore.worlds.readers.scans import ScanLog, fold_scans
 
@@ -77,7 +77,7 @@ def test_lines_by_pencil(tmp_path):
     ("n", "last_deg"), [(180, 89), (181, 90), (360, 89.5), (361, 90), (401, 10), (5, 90), (1, -90)]
 )
 def test_directions_that_a_line_does_not_tell(tmp_path, n, last_deg):
-    log = read_carmen(write(tmp_path, f"FLASER {n} {'2 ' * n} 0 0 0 0 0 0 1 h 1"))
+    log = read_carmen(write(tmp_path, f"FLASER {n} {'2 ' * n} 0 0 0 0 0 0 1 h 1"), max_range_m=8)
     assert math.degrees(log.angles_rad[0]) == pytest.approx(-90)
     assert math.degrees(log.angles_rad[-1]) == pytest.approx(last_deg)
 
@@ -110,14 +110,19 @@ def test_the_longest_range(tmp_path):
         ("robot_rear_laser_max 30.0", 80),
         ("navigator_max_laser_range 50", 80),
         ("simulator_laser_probability_of_random_max .0001", 80),
-        ("robot_front_laser_max off", 80),
-        ("robot_front_laser_max -1", 80),
-        ("robot_front_laser_max", 80),
     ],
 )
 def test_a_parameter_of_the_log_says_the_longest_range(tmp_path, parameter, expected_m):
     path = write(tmp_path, f"PARAM {parameter}", LINE.format(heading=0))
     assert read_carmen(path).max_range_m == expected_m
+    assert read_carmen(path, max_range_m=50).max_range_m == 50
+
+
+@pytest.mark.parametrize("value", ["off", "-1", "nan", "1e4", ""])
+def test_a_parameter_that_is_no_distance_is_told(tmp_path, value):
+    path = write(tmp_path, "# made by hand", f"PARAM robot_front_laser_max {value}", LINE.format(heading=0))
+    with pytest.warns(InputWarning, match=rf"line 2: robot_front_laser_max must be a number .*, got '{value}'; it is"):
+        assert read_carmen(path).max_range_m == 80
     assert read_carmen(path, max_range_m=50).max_range_m == 50
 
 
@@ -145,6 +150,22 @@ def test_no_echo_of_any_scanner_is_no_wall_and_told(tmp_path, no_echo):
     assert load_world(f"{path}:max_range_m=80").free_m2 > expected.free_m2 + 1
     with_range = f"{path}:max_range_m={no_echo},range_m=3"
     assert load_world(with_range).free_m2 < expected.free_m2 - 1
+
+
+@pytest.mark.parametrize("no_echo", [4.095, 5.6])
+@pytest.mark.parametrize("n", [1, 5])
+def test_a_scanner_that_sees_no_wall_anywhere_has_no_echo(tmp_path, no_echo, n):
+    words = " ".join([f"{no_echo:g}"] * 181)
+    lines = [f"FLASER 181 {words} {f'{x} 0 0 ' * 2}1 host 1" for x in range(n)]
+    with pytest.warns(InputWarning, match=rf"{n * 181} of its {n * 181} readings are {no_echo:g} m or little more"):
+        assert read_carmen(write(tmp_path, *lines)).max_range_m == no_echo
+
+
+def test_a_bad_range_is_told_before_the_log_is_read(tmp_path, monkeypatch):
+    monkeypatch.setattr(carmen, "read_carmen", lambda *_, **__: pytest.fail("it read"))
+    for tail in ("range_m=-1", "range_m=far", "max_range_m=0", "no_echo_m=-1", "p_free=1"):
+        with pytest.raises(InputError, match=f"{tail.partition('=')[0]} must be a number"):
+            load_world(f"{write(tmp_path, LINE.format(heading=0))}:{tail}")
 
 
 @pytest.mark.parametrize("poses", [[(3, 2, 20)] * 30, [(2, 3, deg) for deg in range(0, 90, 3)], [(1, 1, 45)]])

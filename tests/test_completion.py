@@ -30,7 +30,13 @@ def test_options_that_complete_are_those_of_the_help(name, capsys):
 @pytest.mark.skipif(not shutil.which("bash"), reason="needs bash")
 @pytest.mark.parametrize(
     ("words", "expected"),
-    [("exp", ["explore"]), ("explore --lidar.r", ["--lidar.range-m"]), ("merge-m", ["merge-maps"]), ("xyz", [])],
+    [
+        ("exp", ["explore"]),
+        ("explore --lidar.r", ["--lidar.range-m"]),
+        ("merge-m", ["merge-maps"]),
+        ("--comp", ["--completion"]),
+        ("xyz", []),
+    ],
 )
 def test_bash_completes(words, expected, capsys):
     assert main.main(["--completion"]) == 0

@@ -1,4 +1,4 @@
-"""Names and files that stand for nothing: refused before jax is imported."""
+"""Names, files and numbers that cannot be: refused before jax is imported."""
 
 import subprocess
 import sys
@@ -68,6 +68,36 @@ REFUSED = [
     (["merge", "nope"], "there is no such file"),
     (["sweep", "nope.yaml"], "'nope.yaml': there is no such file"),
     (["sweep", "spec.yaml"], "there is no world 'kave'"),
+    (["sweep", "cells.yaml"], "cell_m must be a number at least 0.001"),
+    (["sweep", "twice.yaml"], "worlds must differ, got 'cave' more than once"),
+    (["compare", "--workers", "99999999"], "workers must be an integer from 1 to 1024"),
+    (["compare", "--episodes", "0"], "episodes must be an integer from 1 to 1000000, got 0"),
+    (["compare", "--cell-m", "0"], "cell_m must be a number at least 0.001"),
+    (["compare", "--start", "1,2"], "start must be random, world, cells such as 12,30,90"),
+    (["compare", "--within", "0,0"], "within must be three or more corners"),
+    (["compare", "--worlds", "cave", "cave"], "worlds must differ, got 'cave' more than once"),
+    (["compare", "--strategies", "random", "random"], "strategies must differ, got 'random' more than once"),
+    (["compare", "--worlds", "cave:width_m=abc"], "width_m must be a number, got 'abc'"),
+    (["compare", "--worlds", "map.png@0.1:free=abc"], "free must be a number at least 0 and at most 255, got 'abc'"),
+    (["compare", "--worlds", "map.yaml:free_max=100"], "free_max must be an integer from 0 to 99, got 100"),
+    (["compare", "--worlds", "map.png"], "a picture needs a scale"),
+    (["compare", "--worlds", "map.yaml@0.1"], "has its own scale"),
+    (["compare", "--worlds", "map.png@0.1:inside=3"], "inside must be true or false, got 3"),
+    (["compare", "--worlds", "scans.log:range_m=-1"], "range_m must be a number above 0"),
+    (["compare", "--lanes", "0"], "lanes must be an integer from 1"),
+    (["compare", "--bounds", "--bound-seconds", "0"], "bound_seconds must be a number"),
+    (["explore", "--frames", "0"], "frames must be an integer from 1 to 10000, got 0"),
+    (["explore", "--episode", "-1"], "episode must be an integer from 0"),
+    (["explore", "--within", "a,b 1,1 2,0"], "within must be three or more corners"),
+    (["bench", "--sides", "64", "8"], "sides must be an integer from 32 to 2048, got 8"),
+    (["bench", "--repeat", "0"], "repeat must be an integer from 1"),
+    (["train", "--rounds", "0"], "rounds must be an integer from 1"),
+    (["trace", "--runs", "0"], "runs must be an integer from 1"),
+    (["trace", "--start", "nan", "1", "2"], "start x must be a number"),
+    (["trace", "--sweep", "votes=1.5"], "votes must be integers"),
+    (["trace", "--attribute", "victim"], "attribute must be NAME=VALUE@X,Y"),
+    (["trace", "--tuning.votes", "99"], "tuning.votes must be an integer from 1 to 9, got 99"),
+    (["trace", "--robot", "kamui:widht_m=1"], "there is no 'widht_m'"),
 ]
 
 
@@ -75,6 +105,8 @@ REFUSED = [
 def spec(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "spec.yaml").write_text("worlds: [cave, kave]\nstrategies: [closest]\n")
+    (tmp_path / "cells.yaml").write_text("worlds: [cave]\ncell_m: [0.1, 0]\n")
+    (tmp_path / "twice.yaml").write_text("worlds: [cave, cave]\n")
 
 
 @pytest.mark.parametrize(("arguments", "message"), REFUSED, ids=lambda case: " ".join(case)[:40])

@@ -436,8 +436,8 @@ def test_what_is_compiled_for_a_cpu_beside_an_accelerator_is_as_for_a_cpu(want, 
     [
         ({"engine": "warp"}, "engine must be one of serial, lockstep, got 'warp'"),
         ({"engine": "serial", "lanes": 4}, "lanes are for the engine lockstep, got 4 for serial"),
-        ({"lanes": 0}, "lanes must be at least 1, got 0"),
-        ({"workers": -1}, "workers must be at least 1, got -1"),
+        ({"lanes": 0}, "lanes must be an integer from 1 to 1048576, got 0"),
+        ({"workers": -1}, "workers must be an integer from 1 to 1024, got -1"),
     ],
 )
 def test_engines_that_do_not_exist_are_refused(options, says):

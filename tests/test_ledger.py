@@ -5,6 +5,7 @@ import os
 import signal
 import subprocess
 import sys
+import warnings
 from pathlib import Path
 
 import pandas as pd
@@ -106,9 +107,10 @@ def table(*values):
 
 def begin(path, units=4, asked=ASKED, **options):
     """Opens a ledger, and lets go of the folder: `(done, left, damaged, tables)`."""
-    with claimed(path, **options) as run:
+    with claimed(path, **options) as run, warnings.catch_warnings(record=True, action="always") as told:
         book = ledger.Ledger(run, asked, units, resume=options.get("resume", False))
-        return set(book.done), book.left, book.damaged, {unit: book.get(unit)["value"].tolist() for unit in book.done}
+        damaged = [str(one.message).partition(" was damaged, and its unit is made again")[0] for one in told]
+        return set(book.done), book.left, damaged, {unit: book.get(unit)["value"].tolist() for unit in book.done}
 
 
 def leave(path, *units):

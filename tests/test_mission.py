@@ -17,7 +17,7 @@ from jexplore.driving.behaviour import RunMode
 from jexplore.driving.building.terrain import FINER, is_level
 from jexplore.driving.mission import Outcome
 from jexplore.driving.sensing import surround
-from jexplore.driving.settings import MOST_NODES, ROBOTS, Noise, Tuning, for_world
+from jexplore.driving.settings import MOST_NODES, ROBOTS, Noise, Tuning, for_world, robot_of
 from jexplore.driving.vehicle import DT_S
 from jexplore.extraction.extract import extract
 from jexplore.studies.traces import job, tracing
@@ -587,4 +587,4 @@ def test_withdrawn_links_are_left_out():
 
 
 def test_robots_are_told_apart():
-    assert job.robot_of("kamui:width_m=0.6") == dataclasses.replace(KAMUI, name="kamui:width_m=0.6", width_m=0.6)
+    assert robot_of("kamui:width_m=0.6") == dataclasses.replace(KAMUI, name="kamui:width_m=0.6", width_m=0.6)

@@ -350,11 +350,28 @@ def test_files_that_cannot_be_read_are_refused(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     refused("'absent.png': there is no such file .looked in ", load_world, "absent.png@0.1")
     refused("cannot be opened", load_world, "nul\0.png@0.1")
-    Image.fromarray(np.zeros((2, 2), np.float32)).save("float.tif")
-    line = r"'float.tif': has pixels in floating point; save it with 8 bits a pixel, 255 .white. where the floor"
+    Image.fromarray(np.full((2, 2), np.nan, np.float32)).save("float.tif")
+    line = r"'float.tif': has pixels of 32 bits from nan to nan; save it with 8 bits a pixel, 255 .white. where"
     refused(line, load_world, "float.tif@0.1")
-    Image.fromarray(np.full((2, 2), 70000, np.int32)).save("deep.tif")
-    refused("'deep.tif': has more than 16 bits a pixel; save it with 8 bits", load_world, "deep.tif@0.1")
+    for value in (70000, -1):
+        Image.fromarray(np.full((2, 2), value, np.int32)).save("deep.tif")
+        refused(f"'deep.tif': has pixels of 32 bits from {value} to {value}; save it", load_world, "deep.tif@0.1")
+
+
+@pytest.mark.parametrize(
+    ("kind", "white"), [(np.float32, 1), (np.float32, 255), (np.int32, 255), (np.int32, 65535), (np.float32, 65535)]
+)
+def test_white_of_32_bits_is_the_least_usual_one(tmp_path, kind, white):
+    Image.fromarray((np.array([[0, 0.2, 1]]) * white).astype(kind)).save(tmp_path / "m.tif")
+    assert grey(read_pixels(tmp_path / "m.tif")).tolist() == [[0, 51, 255]]
+
+
+@pytest.mark.parametrize("name", ["m.gif", "m.tif", "m.png"])
+def test_of_several_frames_the_first_is_read_and_said(tmp_path, name):
+    frames = [Image.fromarray(np.array(row, np.uint8)) for row in ([[0, 255]], [[255, 0]])]
+    frames[0].save(tmp_path / name, save_all=True, append_images=frames[1:])
+    with pytest.warns(InputWarning, match=f"{name}': has several frames or pages, and the first is read"):
+        assert grey(read_pixels(str(tmp_path / name))).tolist() == [[0, 255]]
 
 
 def test_a_file_without_permission_is_refused(tmp_path, monkeypatch):
@@ -531,6 +548,12 @@ def test_a_mask_of_0_and_1_in_mode_raw_has_no_wall_and_is_refused(tmp_path):
     path = ros_map(tmp_path, [[0, 1]], mode="raw")
     assert read_ros(path)[0].tolist() == [[0, 1]]  # what the map server publishes
     refused("m.yaml': integers of 0 and 1 alone would have no wall, for 100 is occupied", load_ros, path)
+
+
+def test_black_and_white_in_mode_raw_is_told(tmp_path):
+    path = ros_map(tmp_path, [[0, 255]], mode="raw")
+    with pytest.warns(InputWarning, match="in mode raw black is free and white unknown"):
+        assert load_ros(path).occupied.tolist() == [[0, 1]]
 
 
 @pytest.mark.parametrize(

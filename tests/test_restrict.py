@@ -9,8 +9,9 @@ from ref import maps
 import jexplore as jx
 from jexplore.config import InputError, Lidar
 from jexplore.studies.results import comparison, provenance
+from jexplore.worlds.poses import read_polygon
 from jexplore.worlds.readers.ros import write_ros
-from jexplore.worlds.restrict import parse_polygon, stay_within, with_known
+from jexplore.worlds.restrict import stay_within, with_known
 from jexplore.worlds.starts import check_start, draw_start, start_region
 
 ROOM = jx.occupancy_to_world(
@@ -47,10 +48,10 @@ def test_corners_may_go_round_either_way(turned):
 
 
 def test_a_polygon_of_text():
-    assert parse_polygon(" 0,0 5,0.5  -5,4e0") == [(0, 0), (5, 0.5), (-5, 4)]
+    assert read_polygon(" 0,0 5,0.5  -5,4e0") == [(0, 0), (5, 0.5), (-5, 4)]
     for text in ("0,0 5", "0,0,0 1,1,1 2,2,2", "a,b", "0;0"):
-        with pytest.raises(InputError, match=r"^within must be corners in metres, such as '0,0 5,0 5,4', got"):
-            parse_polygon(text)
+        with pytest.raises(InputError, match=r"^within must be three or more corners .* as '0,0 5,0 5,4', got"):
+            read_polygon(text)
 
 
 @pytest.mark.parametrize(

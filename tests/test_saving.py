@@ -100,6 +100,9 @@ def test_ways_and_maps_are_kept(found, tmp_path):
         for pair, ways in made.paths.items():
             assert all(np.array_equal(a, b) for a, b in zip(ways, read.paths[pair], strict=True))
             np.testing.assert_array_equal(read.maps[pair], made.maps[pair])
+    longer = run(9, keep="maps", out=tmp_path / "run", resume=True)
+    assert longer.resumed == 16
+    assert all(len(longer.paths[pair]) == len(longer.maps[pair]) == 9 for pair in made.paths)
 
 
 def test_results_are_saved_afterwards_and_once_more(found, tmp_path):

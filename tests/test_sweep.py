@@ -3,6 +3,8 @@
 import itertools
 import json
 import re
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -15,10 +17,11 @@ from jexplore.cli import main
 from jexplore.config import InputError, Lidar, Rules
 from jexplore.driving.settings import Tuning
 from jexplore.engine import devices
+from jexplore.engine.runner import Costs
 from jexplore.exploration import batch
 from jexplore.studies.results.units import COLUMNS
 from jexplore.studies.sweeps import plan as plans
-from jexplore.studies.sweeps import traces
+from jexplore.studies.sweeps import run, traces
 from jexplore.studies.sweeps.plan import Block, in_shard, prepare_sweep
 from jexplore.studies.sweeps.run import ready, sweep
 from jexplore.studies.sweeps.spec import Range, Sweep, plain, read_spec, sweep_from
@@ -91,7 +94,7 @@ def test_parameters_of_strategies_are_axes():
         ({"worlds": ["a"], "rules": {"clearance_m": []}}, "rules.clearance_m must have at least one value"),
         ({"worlds": ["a"], "rules": {"clearance_m": -1}}, "rules.clearance_m must be a number at least 0"),
         ({"worlds": ["a"], "rules": {"clearance_m": "x"}}, "rules.clearance_m must be a number"),
-        ({"worlds": ["a"], "cell_m": 0}, "cell_m must be a number above 0"),
+        ({"worlds": ["a"], "cell_m": 0}, "cell_m must be a number at least 0.001"),
         ({"worlds": ["a"], "seed": -1}, "seed must be an integer from 0"),
         ({"worlds": ["a"], "episodes": 0}, "episodes must be an integer from 1"),
         ({"worlds": ["a"], "start": "here"}, "start must be random, world, cells such as"),
@@ -309,6 +312,17 @@ def test_interruption_keeps_whole_units(asked, monkeypatch):
     monkeypatch.setattr(batch, "run_jobs", lambda *_, **__: (_ for _ in ()).throw(KeyboardInterrupt))
     with pytest.raises(KeyboardInterrupt):
         sweep(asked)
+
+
+def test_what_was_begun_and_has_not_ended_is_not_counted_as_resumed(monkeypatch):
+    monkeypatch.setattr(plans, "UNIT", 32)
+    plan = ready(Sweep(WORLDS[:1], strategies=["closest"], episodes=64))
+    settings = {**plan.settings[0], "setting": 0, "world": WORLDS[0], "strategy": "closest"}
+    tables = [pd.DataFrame([settings | {"episode": i} for i in range(*span)]) for span in ((0, 32), (32, 37))]
+    ledger: Any = SimpleNamespace(done={0}, parts={1}, get=tables.__getitem__)
+    monkeypatch.setattr(run, "_run_left", lambda *_: Costs(interrupted=True))
+    found = run.run_sweep(plan, ledger=ledger)
+    assert (found.resumed, len(found.episodes), found.missing) == (32, 32, 32)
 
 
 YAML = """

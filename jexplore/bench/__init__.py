@@ -17,12 +17,12 @@ from jax.experimental.compilation_cache import compilation_cache
 from jexplore.bench import beliefs, engines, kernels, plans, rates, shares
 from jexplore.bench.engines import LIDAR, RULES
 from jexplore.bench.timing import one_core, speed_clock, surroundings
-from jexplore.config import InputError, require_whole
+from jexplore.config import InputError, require_setting
 from jexplore.engine.backend import use_compilation_cache
 from jexplore.engine.runner import ENGINES, find_resources
 from jexplore.exploration.site import KERNELS
 from jexplore.policies import Strategy, parse_strategy
-from jexplore.studies.checks import MAX_EPISODES, ready_starts, ready_strategies, ready_worlds, require_memory
+from jexplore.studies.checks import ready_starts, ready_strategies, ready_worlds, require_memory
 from jexplore.worlds.world import World, with_ring
 
 DEFAULT: dict[str, Any] = {
@@ -35,7 +35,6 @@ DEFAULT: dict[str, Any] = {
 }
 BATCHES_ACCELERATOR = (1, 4, 16, 64, 256, 1024, 4096)  # lanes
 QUICK: dict[str, Any] = {"worlds": ("cave",), "batches": (1, 4), "sides": (64, 128), "episodes": 4, "repeat": 2}
-MAX_BATCH, LEAST_SIDE, MAX_SIDE, MAX_REPEAT = 2**16, 32, 2048, 1000
 GENERATOR, LEAST_M, CELL_M = "cave", 6.4, 0.1  # of the worlds of a given side
 
 
@@ -66,8 +65,8 @@ def sized_name(side: int) -> tuple[str, float]:
     return f"{GENERATOR}:width_m={side * cell_m:g},height_m={side * cell_m:g}", cell_m
 
 
-def _numbers(name, values, low, high):
-    values = tuple(require_whole(name, value, low, high) for value in values)
+def _numbers(name, values) -> tuple[int, ...]:
+    values = tuple(require_setting(name, value) for value in values)
     if not values or len(set(values)) < len(values):
         raise InputError(f"{name} must be one or more different integers, got {list(values)}")
     return tuple(sorted(values))
@@ -116,13 +115,10 @@ def prepare_bench(
     for name in engine or ():
         if name not in ENGINES:
             raise InputError(f"engine must be one of {', '.join(ENGINES)}, got {name!r}")
-    given = None if batch_sizes is None else _numbers("batch-sizes", batch_sizes, 1, MAX_BATCH)
-    sides = _numbers("sides", default["sides"] if sides is None else sides, LEAST_SIDE, MAX_SIDE)
-    numbers = {"episodes": (episodes, MAX_EPISODES), "repeat": (repeat, MAX_REPEAT)}
-    counts = {
-        name: require_whole(name, default[name] if value is None else value, 1, high)
-        for name, (value, high) in numbers.items()
-    }
+    given = None if batch_sizes is None else _numbers("batch_sizes", batch_sizes)
+    sides = _numbers("sides", default["sides"] if sides is None else sides)
+    numbers = {"episodes": episodes, "repeat": repeat}
+    counts = {name: require_setting(name, default[name] if value is None else value) for name, value in numbers.items()}
     strategies = ready_strategies(default["strategies"] if strategies is None else strategies)
     worlds = _worlds_of(default["worlds"] if worlds is None else worlds, CELL_M)
     sized = [world for side in sides for world in _worlds_of(*sized_name(side))]

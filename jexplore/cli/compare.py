@@ -149,10 +149,8 @@ class Compare:
 
     def _bound_tasks(self, jobs):
         """What is to be bounded, if bounds are asked for."""
-        from jexplore.config import require_number
-        from jexplore.studies.bounds.bound import MAX_S, tasks_of
+        from jexplore.studies.bounds.bound import tasks_of
 
-        require_number("bound_seconds", self.bound_seconds, low_open=True, high=MAX_S)
         if not self.bounds:
             return []
         pairs = [(job.world, (int(r), int(c), int(h))) for job in jobs for r, c, h in job.starts]

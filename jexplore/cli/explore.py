@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from jexplore.cli.listings import describe
 from jexplore.cli.options import MapFile, OneStrategy, OneWorld, OutFolder, PolygonText, StartText
 from jexplore.cli.output.console import Out, compiling, progress_of
-from jexplore.config import Lidar, Rules, require_whole
+from jexplore.config import Lidar, Rules
 
 
 @dataclasses.dataclass(frozen=True)
@@ -54,12 +54,9 @@ class Explore:
     def execute(self, arguments: Sequence[str]) -> int | None:
         """Runs the command; returns the exit status, None for 0."""
         from jexplore.report import store
-        from jexplore.studies.checks import MAX_EPISODES
         from jexplore.studies.explore import prepare_job, run_job
 
         with Out(self, "explore") as out:
-            require_whole("frames", self.frames, 1, 10_000)
-            require_whole("episode", self.episode, 0, MAX_EPISODES - 1)
             job = prepare_job(
                 self.world,
                 self.strategy,

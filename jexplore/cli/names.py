@@ -1,4 +1,4 @@
-"""What names of worlds, strategies and files must be, told in a moment: before jax is imported and a world is built.
+"""What names, files and numbers must be, told in a moment: before jax is imported and a world is built.
 
 What the package itself offers is read off its source, for importing a strategy or a generator would load jax. All of it
 is checked once more where it is used; what cannot be told from text alone is left to that.
@@ -17,9 +17,13 @@ from pathlib import Path
 from typing import Any
 
 from jexplore.arrays.files import missing
-from jexplore.config import InputError, unknown
-from jexplore.worlds import GENERATORS
+from jexplore.config import BOUNDS, InputError, require_different, require_setting, unknown
+from jexplore.driving.settings import for_world, require_noise, require_tuning, robot_of
+from jexplore.worlds import GENERATORS, read_name
 from jexplore.worlds import names as grammar
+from jexplore.worlds.poses import read_polygon, read_start
+
+DIFFERENT = "worlds", "strategies", "validation"  # options whose values count once each
 
 ENTRIES = "jexplore.policies.catalogue.entries"
 UNREAD = object()  # a default that is no plain value
@@ -27,7 +31,7 @@ _FOREIGN = re.compile(r"(?P<module>[A-Za-z_][\w.]*):(?P<name>[A-Za-z_]\w*)(?=$|[
 
 
 def check_names(command: str, options: Any) -> None:
-    """Refuses names and files among a command's options that can stand for nothing.
+    """Refuses names, files and numbers among a command's options that can stand for nothing.
 
     Args:
       command: its name.
@@ -39,9 +43,15 @@ def check_names(command: str, options: Any) -> None:
     for option in vars(options):
         check = CHECKS.get(f"{command} {option}") or CHECKS.get(option)
         given = getattr(options, option)
-        if check is not None and given:
-            for one in [given] if isinstance(given, str) else given:
-                _check_one(check, one, option, is_alone=isinstance(given, str))
+        if check is None or given in (None, "", ()):
+            continue
+        ones = given if isinstance(given, tuple) else (given,)
+        for one in ones:
+            _check_one(check, one, option, is_alone=ones is not given)
+        if option in DIFFERENT:
+            require_different(option, ones)
+    if command == "trace":
+        check_trace(options)
     if getattr(options, "engine", None) == "ray":
         require_ray()
 
@@ -51,7 +61,7 @@ def _check_one(check, text, option, is_alone):
     try:
         check(text)
     except InputError:
-        pieces = re.split(r"[,;\s]+", text)
+        pieces = re.split(r"[,;\s]+", text) if isinstance(text, str) else [text]
         if len(pieces) == 1 or not all(_passes(check, piece) for piece in pieces):
             raise
         right = "must be one of them" if is_alone else f"are given with spaces between, {' '.join(pieces)}"
@@ -69,13 +79,15 @@ def _passes(check, text):
 def check_world(name: str) -> None:
     """Refuses a name that no world has, a parameter that its generator does not take, a file that is not there."""
     _require_text(name)
-    parsed = grammar.parse(name, generators=tuple(GENERATORS))
-    if parsed.kind == "generator":
-        module, _, function = GENERATORS[parsed.base].partition(":")
-        permitted = signature(module, function)
-        grammar.require_parameters(parsed, [key for key in permitted if key not in ("seed", "cell_m")])
-    else:
+    parsed, _ = read_name(name, _parameters_of)
+    if parsed.kind != "generator":
         check_file(parsed.base)
+
+
+def _parameters_of(generator):
+    """The parameters of a generator with their defaults, read off its source."""
+    module, _, function = GENERATORS[generator].partition(":")
+    return {key: value for key, value in signature(module, function).items() if key not in ("seed", "cell_m")}
 
 
 def _require_text(name):
@@ -127,19 +139,12 @@ def check_spec(path: str) -> None:
     from jexplore.studies.sweeps.spec import read_spec
 
     spec = read_spec(path)
+    spec.records(*(("tuning", "noise") if spec.robots else ()))
+    require_different("worlds", [os.fspath(world) for world in spec.worlds])
     for world in spec.worlds:
         check_world(os.fspath(world))
     for name, _ in () if spec.robots else spec.strategy_list():
         check_strategy(name)
-
-
-def check_robot(name: str) -> None:
-    """Refuses a robot that there is not."""
-    from jexplore.driving.settings import ROBOTS
-
-    base = name.partition(":")[0]
-    if base not in ROBOTS:
-        raise InputError(f"robot must be one of {', '.join(ROBOTS)}, got {base!r}")
 
 
 def require_ray() -> None:
@@ -148,12 +153,28 @@ def require_ray() -> None:
         raise InputError("the engine ray needs Ray: pip install 'jexplore[ray]'")
 
 
-CHECKS: dict[str, Callable[[str], None]] = {
+def check_trace(options: Any) -> None:
+    """Refuses thresholds that a trace cannot have or sweep, and attributes that no node can have."""
+    is_course = grammar.parse(options.world, generators=tuple(GENERATORS)).base == "course"
+    require_tuning(for_world(options.tuning, is_course=is_course))
+    from jexplore.studies.traces.options import attributes_of, require_start_pose, swept_values
+
+    require_start_pose(options.start or ())
+    swept_values(options.sweep, options.settings, options.seed)
+    attributes_of(options.attribute)
+
+
+CHECKS: dict[str, Callable[[Any], object]] = {
+    **{name: functools.partial(require_setting, name) for name in BOUNDS},
     **dict.fromkeys(("world", "worlds", "validation", "drive"), check_world),
     **dict.fromkeys(("strategy", "strategies"), check_strategy),
     **dict.fromkeys(("map", "from_map", "model", "truth", "parts"), check_file),
     "segment maps": check_world,
-    "robot": check_robot,
+    "start": read_start,
+    "trace start": lambda coordinate: None,  # see `check_trace`
+    "within": read_polygon,
+    "robot": robot_of,
+    "noise": require_noise,
     "spec": check_spec,
 }
 """Name of an option, of one command or of any -> what refuses one of its values."""

@@ -93,7 +93,7 @@ def completion_text(commands: Mapping[str, type]) -> str:
   case ${{COMP_WORDS[1]}} in
 {cases}
   esac
-  [ "$COMP_CWORD" -gt 1 ] || words="{" ".join(commands)} --help --version"
+  [ "$COMP_CWORD" -gt 1 ] || words="{" ".join(commands)} --help --version --completion"
   COMPREPLY=($(compgen -W "$words" -- "${{COMP_WORDS[COMP_CWORD]}}"))
 }}
 complete -o default -F _jexplore jexplore

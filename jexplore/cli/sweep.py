@@ -84,8 +84,6 @@ class Sweep:
         if not numbers:
             raise InputError(f"--shard {self.shard}: the sweep has only {len(plan.units)} units; use fewer parts")
         cores = own_cores() if self.workers is None else self.workers
-        if cores < 1:
-            raise InputError(f"workers must be at least 1, got {cores}")
         lines = plans.summary_lines(plan, cores, numbers)
         if self.dry_run:
             print("\n".join(lines))

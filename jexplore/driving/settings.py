@@ -7,7 +7,7 @@ one batch. The docstrings are the command line's help texts.
 import dataclasses
 import math
 
-from jexplore.config import InputError, Settings, checked_names, require_kind, require_number, require_whole
+from jexplore.config import BOUNDS, InputError, Settings, checked_names, require_kind, require_number, require_whole
 
 
 @checked_names
@@ -127,7 +127,7 @@ class Tuning(Settings):
     """The robot turns at this rate for each radian of bearing of the target point [kw], in 1/s."""
 
 
-MOST_NODES = 512
+MOST_NODES = int(BOUNDS["nodes"][1])
 """Of a map, at most; of links twice as many."""
 BY_WORLD = {"open_m": (2.5, 5.0), "far_m": (4.0, 8.0), "coast_m": (0.0, 1.5)}
 """Thresholds whose 0 stands for another number -> that on courses, and in other worlds."""
@@ -220,3 +220,27 @@ def require_robot(robot: Robot) -> None:
             f"robot.scan_pitch_deg must let the scanner see {SEES_M:g} m: {robot.scan_height_m:g} m above the ground, "
             f"{robot.scan_pitch_deg:g} degrees down, it looks into the floor after {floor_m:.1f} m"
         )
+
+
+def robot_of(name: str) -> Robot:
+    """A robot by name, with other measures where they are given: `kamui`, `kamui:width_m=0.6`.
+
+    Raises:
+      InputError: no such robot or measure, or a value out of range.
+    """
+    base, _, rest = name.partition(":")
+    if base not in ROBOTS:
+        raise InputError(f"robot must be one of {', '.join(ROBOTS)}, got {base!r}")
+    changed = {}
+    numbers = [field.name for field in dataclasses.fields(ROBOTS[base]) if field.name != "name"]
+    for part in rest.split(",") if rest else ():
+        key, _, value = part.partition("=")
+        if key not in numbers:
+            raise InputError(f"robot {name!r}: there is no {key!r}; there are {', '.join(numbers)}")
+        try:
+            changed[key] = float(value)
+        except ValueError:
+            raise InputError(f"robot {name!r}: {key} must be a number, got {value!r}") from None
+    robot = dataclasses.replace(ROBOTS[base], name=name, **changed)
+    require_robot(robot)
+    return robot

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from jexplore.config import InputError
+from jexplore.config import InputError, require_setting
 from jexplore.engine import lockstep, serial
 from jexplore.engine.backend import start_backend
 from jexplore.engine.lanes import Usage
@@ -120,16 +120,6 @@ def require_32_bits() -> None:
         raise InputError("jax_enable_x64 is on, and jexplore computes in 32 bits: switch it off")
 
 
-def require_workers(workers: int | None) -> None:
-    """Refuse a number of threads below 1.
-
-    Raises:
-      InputError: saying so.
-    """
-    if workers is not None and workers < 1:
-        raise InputError(f"workers must be at least 1, got {workers}")
-
-
 def find_resources(
     *, engine: str | None = None, lanes: int | None = None, workers: int | None = None, runs: int | None = None
 ) -> Resources:
@@ -145,15 +135,15 @@ def find_resources(
       `Resources`. The serial engine has the CPU, whatever else there is.
 
     Raises:
-      InputError: an engine that does not exist, lanes or workers below 1, lanes for the serial engine, the serial
+      InputError: an engine that does not exist, lanes or workers out of range, lanes for the serial engine, the serial
         engine where `JAX_PLATFORMS` leaves out the CPU, 64-bit mode.
     """
     require_32_bits()
     if engine is not None and engine not in ENGINES:
         raise InputError(f"engine must be one of {', '.join(ENGINES)}, got {engine!r}")
-    require_workers(workers)
-    if lanes is not None and lanes < 1:
-        raise InputError(f"lanes must be at least 1, got {lanes}")
+    for name, value in (("lanes", lanes), ("workers", workers)):
+        if value is not None:
+            require_setting(name, value)
     cores = own_cores()
     start_backend(workers or cores)  # before anything else asks JAX for its devices
     devices, processes = jax.local_devices(), jax.process_count()

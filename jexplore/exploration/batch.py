@@ -9,8 +9,8 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
-from jexplore.config import MAX_SEED, InputError, InputWarning, Lidar, Rules, require_whole
-from jexplore.engine.runner import Costs, find_resources, own_cores, require_32_bits, require_workers, run_all
+from jexplore.config import MAX_SEED, InputError, InputWarning, Lidar, Rules, require_setting, require_whole
+from jexplore.engine.runner import Costs, find_resources, own_cores, require_32_bits, run_all
 from jexplore.exploration.native import NativeRun, chooser_of, is_native, native_world, play_all, result_of
 from jexplore.exploration.sensing import native_kernel
 from jexplore.exploration.site import Kernels, kernels_for, line_of, prepare_site
@@ -96,7 +96,8 @@ def run_jobs(
       MemoryError: a device's memory does not suffice, not even for half the lanes.
     """
     require_32_bits()
-    require_workers(workers)
+    if workers is not None:
+        require_setting("workers", workers)
     jobs = [_checked(job) for job in jobs]
     plain = engine is None and kernels is None and lanes is None
     runs = _native_runs(jobs, lidar, rules, only, keep) if plain else {}

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import jax
 import numpy as np
 
-from jexplore.config import MAX_SEED, InputError, checked_names, require_number, require_whole, unknown
+from jexplore.config import InputError, checked_names, require_number, require_setting, require_whole, unknown
 from jexplore.engine.backend import use_compilation_cache
 from jexplore.engine.draws import pinned_draws, random_key
 from jexplore.learn import advantage, es, ppo
@@ -145,9 +145,8 @@ def prepare_training(
     numbers = _numbers(algo, settings)
     require_apart(training, validation)
     TRAINERS[algo].check(training, numbers)
-    seed = require_whole("seed", seed, 0, MAX_SEED)
-    rounds = require_whole("rounds", rounds, 1, 10**6)
-    check_every = min(require_whole("check_every", check_every, 1, 10**6), rounds)
+    seed, rounds = require_setting("seed", seed), require_setting("rounds", rounds)
+    check_every = min(require_setting("check_every", check_every), rounds)
     if rounds % check_every:
         raise InputError(f"rounds must be a multiple of check_every, {check_every}, got {rounds}")
     return Plan(
@@ -158,8 +157,8 @@ def prepare_training(
         numbers,
         rounds,
         check_every,
-        require_whole("patience", patience, 0, 10**6),
-        require_whole("starts", starts, 1, 10**4),
+        require_setting("patience", patience),
+        require_setting("starts", starts),
         seed,
         _beginning(network, model, seed),
     )

@@ -6,12 +6,13 @@ pandas and pyarrow are imported by the functions that need them.
 import contextlib
 import json
 import os
+import warnings
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from jexplore.arrays.files import first_line, opened, read_json
-from jexplore.config import InputError
+from jexplore.config import InputError, InputWarning
 from jexplore.report.folders import RunFolder
 from jexplore.report.store import MOST_RECORD_BYTES, jsonable, write_json, write_parquet
 
@@ -60,8 +61,6 @@ class Ledger:
     """Numbers of the units that are finished."""
     parts: set[int]
     """Numbers of the units that are not finished, of which a part is kept."""
-    damaged: list[str]
-    """Files that were found damaged; their units are made again."""
 
     def __init__(
         self,
@@ -83,10 +82,13 @@ class Ledger:
           trust: as in `require_same`.
           shorter: runs that can be gone on with besides.
 
+        Warns:
+          InputWarning: the file of a unit is damaged.
+
         Raises:
           InputError: the folder holds a run that is asked something else, or cannot be written.
         """
-        self.folder, self.done, self.parts, self.damaged = run.unfinished, set(), set(), []
+        self.folder, self.done, self.parts = run.unfinished, set(), set()
         self.units, self.first = units, 0
         page = {"asked": jsonable(dict(asked)), "units": units}
         page_file, record = self.folder / ASKED, run.path / "run.json"
@@ -117,7 +119,7 @@ class Ledger:
                 (self.done if number == file.stem else self.parts).add(unit)
                 continue
             if 0 <= unit < self.units:
-                self.damaged.append(file.name)
+                warnings.warn(f"{file.name} was damaged, and its unit is made again", InputWarning, stacklevel=4)
             with contextlib.suppress(OSError):
                 file.unlink()
         self.parts -= self.done

@@ -11,7 +11,7 @@ import numpy as np
 
 from jexplore.arrays.bits import WORD
 from jexplore.arrays.padding import bucket
-from jexplore.config import InputError, Lidar, Rules, as_record
+from jexplore.config import InputError, Lidar, Rules, as_record, require_different
 from jexplore.exploration.site import LEAST_LIMIT
 from jexplore.grid import in_cells, radius_d2
 from jexplore.policies import Policy, Strategy, strategy
@@ -33,7 +33,6 @@ RulesLike: TypeAlias = Rules | Mapping[str, Any]
 StartLike: TypeAlias = str | tuple[int, int, int] | Pose
 """Where episodes start: see `poses.read_start`."""
 LIDAR, RULES = Lidar(), Rules()  # the defaults
-MAX_EPISODES = 1_000_000  # of one strategy in one world
 CELL_BYTES = 120  # of one episode under way and of the world itself, measured on a CPU; a cell of the padded map
 TRAIL_BYTES = 24  # a step
 BEAM_BYTES = 64  # a step of a beam, while the table is made
@@ -56,12 +55,6 @@ def listed(kind: str, items: Any) -> list[Any]:
     if not items:
         raise InputError(f"{kind} must name at least one, got none")
     return items
-
-
-def require_different(kind: str, names: list[str], hint: str = "") -> None:
-    for name in names:
-        if names.count(name) > 1:
-            raise InputError(f"{kind} must differ, got {name!r} more than once{hint}")
 
 
 def ready_settings(lidar: LidarLike, rules: RulesLike) -> tuple[Lidar, Rules]:

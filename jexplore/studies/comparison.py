@@ -4,11 +4,10 @@ import dataclasses
 import datetime
 import functools
 import os
-import warnings
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
-from jexplore.config import InputError, InputWarning, checked_names
+from jexplore.config import InputError, checked_names
 from jexplore.engine.backend import use_compilation_cache
 from jexplore.exploration.batch import Job
 from jexplore.exploration.trail import RECORDS
@@ -121,8 +120,6 @@ def _in_folder(out, jobs, asked, run, how, trust):
             found = loading.load(folder.path)
             return dataclasses.replace(found, made=found.made._replace(jobs=tuple(jobs)))
         ledger = Ledger(folder, asked, units, resume=how["resume"], trust=trust, shorter=shorter)
-        for name in ledger.damaged:
-            warnings.warn(f"{name} was damaged, and its unit is made again", InputWarning, stacklevel=4)
         found = run(ledger)
         saving.write(folder, found)
         return found

@@ -10,7 +10,7 @@ import numpy as np
 
 from jexplore.arrays.padding import within
 from jexplore.arrays.pictures import axes_of, html_of, or_text, png_of
-from jexplore.config import MAX_SEED, InputError, Lidar, Rules, checked_names, require_whole
+from jexplore.config import InputError, Lidar, Rules, checked_names, require_setting
 from jexplore.engine.backend import use_compilation_cache
 from jexplore.exploration import batch, replay
 from jexplore.exploration.batch import Job
@@ -21,7 +21,6 @@ from jexplore.policies import Strategy
 from jexplore.report import animate, plot
 from jexplore.studies.checks import (
     LIDAR,
-    MAX_EPISODES,
     RULES,
     LidarLike,
     RulesLike,
@@ -258,8 +257,7 @@ def prepare_job(
     episode: int = 0,
 ) -> Job:
     """Everything that `explore` refuses or loads before it runs: a `Job` of as many episodes, all from its start."""
-    seed = require_whole("seed", seed, 0, MAX_SEED)
-    episode = require_whole("episode", episode, 0, MAX_EPISODES - 1)
+    seed, episode = require_setting("seed", seed), require_setting("episode", episode)
     (parsed,), (world,) = ready_strategies(strategy), ready_worlds(world, cell_m)
     lidar, rules = ready_settings(lidar, rules)
     world = restricted(world, within, from_map)

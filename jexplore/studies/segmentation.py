@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from jexplore.config import InputError, checked_names, unknown
+from jexplore.config import InputError, checked_names, require_different, unknown
 from jexplore.exploration.results import FREE, UNKNOWN
 from jexplore.rooms.doors import Doors, compared
 from jexplore.rooms.scores import AGREEMENT, regions_of, rooms_of, score
-from jexplore.studies.checks import LIDAR, RULES, listed, ready_worlds, require_different
+from jexplore.studies.checks import LIDAR, RULES, listed, ready_worlds
 from jexplore.studies.explore import maps_at, prepare_job, run_job
 from jexplore.studies.room_variants import BEST, VARIANTS, Settings, divided, require
 from jexplore.worlds import GENERATORS, names

@@ -4,16 +4,18 @@ Importing this loads neither jax nor an image library; `load_world` imports what
 """
 
 import dataclasses
+import functools
 import importlib
 import inspect
 import math
 import os
 import sys
 import types
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
 from jexplore.arrays.pictures import Listing
-from jexplore.config import InputError, checked_names, require_number
+from jexplore.config import InputError, checked_names, require_number, require_setting, require_whole
 from jexplore.worlds import names
 
 if TYPE_CHECKING:
@@ -28,12 +30,29 @@ GENERATORS = {
     "course": "jexplore.worlds.generators.course:course",
 }
 """World name -> "module:function". The function takes a seed and keyword parameters, `cell_m` among them."""
-_PARAMETERS = {
-    "CARMEN": ("p_free", "range_m", "no_echo_m", "max_range_m"),
-    "ROS": ("free_max", "occupied_min"),
-    "ROS bag": ("topic", "message", "free_max", "occupied_min"),
+
+
+def _number(**bounds):
+    return functools.partial(require_number, **bounds)
+
+
+def _whole(low, high):
+    return functools.partial(require_whole, low=low, high=high)
+
+
+_GRID: dict[str, Callable[[str, Any], object]] = {"free_max": _whole(0, 99), "occupied_min": _whole(1, 100)}
+_PARAMETERS: dict[str, dict[str, Callable[[str, Any], object]]] = {
+    "image": {"free": _number(high=255)},
+    "CARMEN": {
+        "p_free": _number(high=1, high_open=True),
+        "range_m": _number(low_open=True, high=1000),
+        "no_echo_m": _number(high=1000),
+        "max_range_m": _number(low_open=True, high=1000),
+    },
+    "ROS": _GRID,
+    "ROS bag": {"topic": lambda *_: None, "message": _whole(-(10**9), 10**9), **_GRID},
 }
-"""Kind of file -> what its reader takes in a world name, where it takes anything. Pictures have their own."""
+"""Kind of file -> what its reader takes in a world name, and what refuses a value of it by name."""
 _FILES = {
     "map.yaml": "a ROS map",
     "map.png@16x16, map.png@0.05": "a picture, with its sides in metres or its metres a pixel",
@@ -87,9 +106,8 @@ def load_world(name: str | os.PathLike[str], cell_m: float = 0.1) -> "World":
         name = os.fspath(name)
     except TypeError:
         raise InputError(f"world must be a name or a path, got {name!r}") from None
-    require_number("cell_m", cell_m, low=0.001, high=100)
-    parsed = names.parse(name, generators=tuple(GENERATORS))
-    parsed, chosen = _taken(parsed)
+    require_setting("cell_m", cell_m)
+    parsed, chosen = read_name(name)
     world = _generate(parsed, cell_m) if parsed.kind == "generator" else _read(parsed, cell_m)
 
     from jexplore.worlds.world import require_side, ringed_shape
@@ -103,6 +121,40 @@ def load_world(name: str | os.PathLike[str], cell_m: float = 0.1) -> "World":
     if world.occupied.all():
         raise InputError(f"{name!r}: no free cell is left at cell_m = {cell_m:g}; use a smaller cell_m")
     return world
+
+
+def read_name(
+    name: str, parameters_of: Callable[[str], Mapping[str, Any]] = lambda base: generator_parameters(base)
+) -> tuple[names.WorldName, tuple[Any, ...] | None]:
+    """Take a world's name apart, and refuse a parameter that its generator or reader does not take or cannot use.
+
+    Args:
+      name: the name.
+      parameters_of: name of a generator -> its parameters with their defaults.
+
+    Returns:
+      parsed: its parameters are of the kinds that the generator or reader takes.
+      chosen: what comes after the world in the arguments of `regions.inside`; None where no region is chosen.
+
+    Raises:
+      InputError: as `names.parse`, or naming the parameter and what would be right.
+    """
+    parsed, chosen = _taken(names.parse(name, generators=tuple(GENERATORS)))
+    if parsed.kind == "generator":
+        defaults = parameters_of(parsed.base)
+        names.require_parameters(parsed, defaults)
+        given = {key: _as_default(parsed, key, value, defaults[key]) for key, value in parsed.parameters.items()}
+        return dataclasses.replace(parsed, parameters=given), chosen
+    bounds = _PARAMETERS.get(parsed.kind, {})
+    names.require_parameters(parsed, bounds)
+    for key, value in parsed.parameters.items():
+        bounds[key](f"{parsed.name!r}: {key}", value)
+    if parsed.kind == "image" and parsed.scale is None:
+        scale = "append @16x16 for its size in metres or @0.05 for metres a pixel"
+        raise InputError(f"{parsed.name!r}: a picture needs a scale; {scale}")
+    if parsed.kind not in ("image", "movingai") and parsed.scale is not None:
+        raise InputError(f"{parsed.name!r}: a {parsed.kind} file has its own scale; leave out what follows the '@'")
+    return parsed, chosen
 
 
 def _taken(parsed):
@@ -141,10 +193,8 @@ def _function(base):
 
 
 def _generate(parsed, cell_m):
-    permitted = generator_parameters(parsed.base)
-    names.require_parameters(parsed, permitted)
-    given = {key: _as_default(parsed, key, value, permitted[key]) for key, value in parsed.parameters.items()}
-    return _function(parsed.base)(parsed.seed, cell_m=cell_m, **given)
+    parameters: Any = parsed.parameters
+    return _function(parsed.base)(parsed.seed, cell_m=cell_m, **parameters)
 
 
 def _as_default(parsed, key, value, default):
@@ -161,15 +211,11 @@ def _read(parsed, cell_m):
     if parsed.kind == "image":
         from jexplore.worlds.readers.images import load_image
 
-        names.require_parameters(parsed, {"free": 250})
         return load_image(parsed.base, parsed.scale, cell_m=cell_m, **parsed.parameters)
-    names.require_parameters(parsed, _PARAMETERS.get(parsed.kind, {}))
     if parsed.kind == "movingai":
         from jexplore.worlds.readers.movingai import load_movingai
 
         return load_movingai(parsed.base, parsed.scale, cell_m=cell_m)
-    if parsed.scale is not None:
-        raise InputError(f"{parsed.name!r}: a {parsed.kind} file has its own scale; leave out what follows the '@'")
     parameters: Any = parsed.parameters
     if parsed.kind == "ROS":
         from jexplore.worlds.readers.ros import load_ros

@@ -1,9 +1,11 @@
-"""Where episodes start, as a user writes it: in cells, or in metres of the map's frame."""
+"""Places as a user writes them: where episodes start, in cells or in metres of the map's frame, and polygons."""
 
 import dataclasses
+import itertools
 import math
 import re
 import warnings
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from jexplore.config import InputError, InputWarning, require_number, shown
@@ -15,6 +17,7 @@ ROUNDING_DEG = 0.5  # a heading in whole degrees, or in radians with two decimal
 _SNAP = 6  # decimals of a cell to which a point is rounded: 0.3 m lies at the edge of cells of 0.1 m, not before it
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?"
 _METRES = re.compile(rf"({_NUMBER}) ?m, ?({_NUMBER}) ?m, ?({_NUMBER}) ?(deg|°|rad|)", re.IGNORECASE)
+Polygon = Sequence[tuple[float, float]]
 _CELLS = re.compile(r"([-+]?\d{1,9}), ?([-+]?\d{1,9}), ?([-+]?\d{1,9})")
 
 
@@ -79,6 +82,24 @@ def _pose(*values):
     for name, value in zip(("x", "y", "yaw"), values):
         require_number(f"{name} of the start", value, low=-1e9, high=1e9)
     return Pose(*map(float, values))
+
+
+def read_polygon(polygon: str | Polygon) -> list[tuple[float, float]]:
+    """Return the corners of a polygon, metres, from pairs or from text: `x,y x,y x,y`.
+
+    Raises:
+      InputError: not pairs of finite numbers, or fewer than three.
+    """
+    try:
+        pairs = [pair.split(",") for pair in polygon.split()] if isinstance(polygon, str) else polygon
+        corners = [(float(x), float(y)) for x, y in pairs]
+    except (TypeError, ValueError):
+        corners = []
+    if len(corners) < 3 or not all(map(math.isfinite, itertools.chain(*corners))):
+        raise InputError(
+            f"within must be three or more corners (x, y) in metres, such as '0,0 5,0 5,4', got {shown(polygon)}"
+        )
+    return corners
 
 
 def cell_of(world: "World", pose: Pose) -> tuple[int, int, int]:

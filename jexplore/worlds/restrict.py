@@ -1,21 +1,18 @@
 """What an episode in a world is limited to, and what its robot knows beforehand: a region to stay in, a partial map."""
 
-import contextlib
 import os
-from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from jexplore.config import InputError, shown
+from jexplore.config import InputError
 from jexplore.grid import Grid
+from jexplore.worlds.poses import Polygon, read_polygon
 from jexplore.worlds.readers.grids import FREE_MAX, OCCUPIED_MIN, upright
 from jexplore.worlds.readers.ros import read_ros
 from jexplore.worlds.readers.scans import ScanMap
 from jexplore.worlds.world import World
 
-Polygon = Sequence[tuple[float, float]]
 KnownMap = str | os.PathLike[str] | ArrayLike | ScanMap
 
 
@@ -28,19 +25,6 @@ def restricted(world: World, within: str | Polygon | None, from_map: KnownMap | 
     return world if from_map is None else with_known(world, from_map)
 
 
-def parse_polygon(text: str) -> list[tuple[float, float]]:
-    """Return the corners of a polygon from text, `x,y x,y x,y`, metres.
-
-    Raises:
-      InputError: not pairs of numbers.
-    """
-    try:
-        pairs = [pair.split(",") for pair in text.split()]
-        return [(float(x), float(y)) for x, y in pairs]
-    except ValueError:
-        raise InputError(f"within must be corners in metres, such as '0,0 5,0 5,4', got {shown(text)}") from None
-
-
 def stay_within(world: World, polygon_m: str | Polygon) -> World:
     """Return the world with a region that its robot stays in.
 
@@ -50,17 +34,12 @@ def stay_within(world: World, polygon_m: str | Polygon) -> World:
     Args:
       world: `World`.
       polygon_m: corners, x and y in metres as `World.origin_m`, in order round the region; three or more. Or text, see
-        `parse_polygon`. A cell is inside if its centre is, by the even-odd rule.
+        `poses.read_polygon`. A cell is inside if its centre is, by the even-odd rule.
 
     Raises:
       InputError: no polygon, or no free cell inside.
     """
-    corners = parse_polygon(polygon_m) if isinstance(polygon_m, str) else polygon_m
-    corner: Any = np.empty(0)
-    with contextlib.suppress(TypeError, ValueError):
-        corner = np.asarray(corners, float)
-    if corner.ndim != 2 or corner.shape[1] != 2 or len(corner) < 3 or not np.isfinite(corner).all():
-        raise InputError(f"within must be three or more corners (x, y) in metres, got {shown(polygon_m)}")
+    corner = np.array(read_polygon(polygon_m))
     x, y = _centres(world)
     inside = np.zeros(world.shape, bool)
     for (x0, y0), (x1, y1) in zip(corner, np.roll(corner, -1, axis=0)):

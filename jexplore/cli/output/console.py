@@ -267,8 +267,6 @@ class Out:
         if self.resume and is_finished(self.run, self.asked, units, **how):
             return None
         self.ledger = Ledger(self.run, self.asked, units, resume=self.resume, **how)
-        for name in self.ledger.damaged:
-            print(f"warning: {name} was damaged, and its unit is made again", file=sys.stderr)
         return self.ledger
 
     def record(self, arguments: Sequence[str], options: Any, **found: Any) -> dict[str, Any]:

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jexplore.config import MAX_SEED, InputError, Lidar, Rules, checked_names, require_number, require_whole
+from jexplore.config import InputError, Lidar, Rules, checked_names, require_setting, require_whole
 from jexplore.engine.backend import start_backend, use_compilation_cache
 from jexplore.engine.runner import own_cores
 from jexplore.report.ledger import Ledger
@@ -28,7 +28,6 @@ from jexplore.studies.bounds.beside import beside
 from jexplore.studies.bounds.start import COLUMNS, Solved, Task, solve
 from jexplore.studies.checks import (
     LIDAR,
-    MAX_EPISODES,
     RULES,
     LidarLike,
     RulesLike,
@@ -47,7 +46,6 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
 
-MAX_S = 7 * 86400.0  # seconds for a start
 JOIN_S = 5.0  # seconds that a process may take to end
 WALK, WITNESSES = "_walk", "_witnesses"  # columns of a unit's file besides
 
@@ -193,9 +191,8 @@ def prepare_bounds(
 ) -> list[Task]:
     """Everything that `bound` refuses or loads before it runs: a list of `Task`. Arguments as there."""
     lidar, rules = ready_settings(lidar, rules)
-    starts = require_whole("starts", starts, 1, MAX_EPISODES)
-    seed = require_whole("seed", seed, 0, MAX_SEED)
-    seconds = require_number("seconds", seconds, low_open=True, high=MAX_S)
+    starts, seed = require_setting("starts", starts), require_setting("seed", seed)
+    seconds = require_setting("seconds", seconds)
     if max_floods is not None:
         require_whole("max_floods", max_floods, 1, 10**9)
     require_perfect(lidar)
@@ -279,7 +276,7 @@ def run_bounds(
     Raises:
       KeyboardInterrupt: none was finished.
     """
-    workers = min(own_cores() if workers is None else require_whole("workers", workers, 1, 2**16), len(tasks))
+    workers = min(own_cores() if workers is None else require_setting("workers", workers), len(tasks))
     done: dict[int, Solved] = {}
     if ledger is not None:
         done = {i: _of_table(ledger.get(first + i)) for i in range(len(tasks)) if first + i in ledger.done}

@@ -15,12 +15,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from jexplore.arrays.pictures import MOST_ROWS, axes_of, html_of, or_text, png_of
-from jexplore.config import MAX_SEED, InputError, Lidar, Rules, checked_names, require_whole, unknown
+from jexplore.config import InputError, Lidar, Rules, checked_names, require_setting, unknown
 from jexplore.exploration.batch import Job, Outcomes
 from jexplore.exploration.state import Outcome
 from jexplore.report.tables import number_text, p_text, ratio_text, spread_text
 from jexplore.studies.checks import (
-    MAX_EPISODES,
     LidarLike,
     RulesLike,
     StartLike,
@@ -308,8 +307,7 @@ def prepare_jobs(
 ) -> list[Job]:
     """Everything that `compare` refuses or loads before it runs: a list of `Job`. Arguments as there."""
     lidar, rules = ready_settings(lidar, rules)
-    episodes = require_whole("episodes", episodes, 1, MAX_EPISODES)
-    seed = require_whole("seed", seed, 0, MAX_SEED)
+    episodes, seed = require_setting("episodes", episodes), require_setting("seed", seed)
     start = read_start(start, start_m)
     strategies = ready_strategies(strategies)
     ready, jobs = ready_worlds(worlds, cell_m), []

@@ -178,7 +178,8 @@ def unit_rows(folder: Path) -> "pd.DataFrame":
         world, strategy = pair
         seen = next((one for one in found.first.get(world, []) if one.strategy == strategy), None)
         table = rows[list(COLUMNS)].reset_index(drop=True)
-        tables.append(to_table(Piece(0, table, found.progress[pair], seen, None, None)))
+        kept = found.paths.get(pair), found.maps.get(pair)
+        tables.append(to_table(Piece(0, table, found.progress[pair], seen, *kept)))
     return pd.concat(tables, ignore_index=True)
 
 

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jexplore.arrays.padding import bucket
-from jexplore.config import InputError, Lidar, Rules
+from jexplore.config import InputError, Lidar, Rules, require_different
 from jexplore.exploration.batch import Job
 from jexplore.exploration.site import COARSE_M
 from jexplore.grid import radius_d2
@@ -23,7 +23,6 @@ from jexplore.studies.checks import (
     ready_starts,
     ready_strategies,
     ready_worlds,
-    require_different,
     require_different_buildings,
     require_memory,
 )

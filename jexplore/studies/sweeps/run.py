@@ -227,7 +227,7 @@ def run_sweep(
         tables = {i: ledger.get(i) for i in numbers if i in ledger.done}
         is_here = engine != "ray"  # whose workers make whole units
         begun = {i: ledger.get(i) for i in numbers if is_here and i in ledger.parts}
-    resumed = sum(map(len, (*tables.values(), *begun.values())))
+    before = {i: len(table) for i, table in (tables | begun).items()}
 
     def on_unit(number, table):
         if ledger is not None:
@@ -235,13 +235,14 @@ def run_sweep(
         tables[number] = table
 
     left = [number for number in numbers if number not in tables]
-    progress = None if on_progress is None else (lambda done: on_progress(done + resumed))
+    progress = None if on_progress is None else (lambda done: on_progress(done + sum(before.values())))
     how: dict[str, Any] = {"engine": engine, "lanes": lanes, "workers": workers}
     costs = _run_left(plan, left, on_unit, how, gpu, fast, progress, begun) if left else Costs()
     if not tables:
         raise KeyboardInterrupt
     table = ordered(typed(pd.concat([tables[i] for i in sorted(tables)], ignore_index=True), plan), plan)
     wanted = sum(plan.size(number) for number in numbers)
+    resumed = sum(n for i, n in before.items() if i in tables)  # what was begun and has not ended is not in the table
     return Swept(plan.spec, table, tuple(plan.columns), costs, wanted - len(table), resumed, plan.reference)
 
 

@@ -11,7 +11,17 @@ from typing import Any
 import numpy as np
 
 from jexplore.arrays.files import first_line, read_yaml
-from jexplore.config import MAX_SEED, InputError, Lidar, Rules, checked_names, require_number, require_whole, unknown
+from jexplore.config import (
+    InputError,
+    Lidar,
+    Rules,
+    checked_names,
+    require_different,
+    require_number,
+    require_setting,
+    require_whole,
+    unknown,
+)
 from jexplore.driving.settings import Noise, Tuning
 from jexplore.worlds.poses import read_start
 
@@ -179,7 +189,7 @@ class Sweep:
         """Draws from the axes, each evenly: a list of `{name: value}`."""
         from scipy.stats import qmc
 
-        seed = 0 if not isinstance(self.seed, int) else require_whole("seed", self.seed, 0, MAX_SEED)
+        seed = 0 if not isinstance(self.seed, int) else require_setting("seed", self.seed)
         if self.draw == "sobol":
             source = qmc.Sobol(len(axes), rng=np.random.default_rng(seed))
             shares = source.random_base2(max(0, (int(self.draws or 1) - 1).bit_length()))[: self.draws]
@@ -195,8 +205,8 @@ class Sweep:
         """
         found = []
         for setting in self.expanded():
-            seed = require_whole("seed", setting["seed"], 0, MAX_SEED)
-            cell_m = require_number("cell_m", setting["cell_m"], low_open=True)
+            seed = require_setting("seed", setting["seed"])
+            cell_m = require_setting("cell_m", setting["cell_m"])
             made = [PARTS[part](**_part(setting, part)) for part in parts or ("lidar", "rules")]
             found.append((seed, float(cell_m), *made))
         return found
@@ -224,9 +234,7 @@ class Sweep:
                 joint = "," if "=" in given["name"] else ":"
                 found.append((given["name"] + (joint + text if text else ""), own))
         names = [name for name, _ in found]
-        for name in names:
-            if names.count(name) > 1:
-                raise InputError(f"strategies must differ, got {name!r} more than once")
+        require_different("strategies", names)
         return found
 
 

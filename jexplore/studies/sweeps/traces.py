@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jexplore.config import InputError
+from jexplore.config import InputError, require_different
 from jexplore.driving import batch
 from jexplore.driving.batch import MAX_STEPS, numbers_of
 from jexplore.driving.settings import for_world, require_noise, require_tuning
 from jexplore.engine.backend import use_compilation_cache
 from jexplore.engine.runner import Costs
 from jexplore.report.tables import aligned_table, number_text, spread_text
-from jexplore.studies.checks import require_different, require_different_buildings
+from jexplore.studies.checks import require_different_buildings
 from jexplore.studies.results.provenance import digest
 from jexplore.studies.sweeps.plan import kind_of
 from jexplore.studies.sweeps.spec import MAX_TOTAL, Sweep, plain

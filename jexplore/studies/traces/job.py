@@ -1,10 +1,7 @@
 """What a trace is asked: a building, a robot, thresholds and noise, and which of them are swept."""
 
-import contextlib
 import dataclasses
 import functools
-import itertools
-import json
 import math
 import os
 from collections.abc import Mapping, Sequence
@@ -12,14 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from jexplore.config import MAX_SEED, InputError, as_record, checked_names, require_number, require_whole
+from jexplore.config import BOUNDS, MAX_RUNS, InputError, as_record, checked_names, require_setting
 from jexplore.driving import vehicle
 from jexplore.driving.batch import MAX_STEPS, building_of, pose_in, require_start
 from jexplore.driving.mission import SIZE
 from jexplore.driving.settings import (
     BY_WORLD,
     MOST_NODES,
-    ROBOTS,
     WHOLE,
     Noise,
     Robot,
@@ -28,21 +24,21 @@ from jexplore.driving.settings import (
     require_noise,
     require_robot,
     require_tuning,
+    robot_of,
 )
 from jexplore.studies import checks
+from jexplore.studies.traces.options import NOISE, attributes_of, require_start_pose, swept_values
 from jexplore.studies.traces.truth import Truth, maps_from, truth_of
 from jexplore.tracemap.record import BtmMap
 from jexplore.worlds.regions import warn_of_outside
 from jexplore.worlds.starts import draw_starts, start_region
 from jexplore.worlds.world import World, with_ring
 
-MAX_RUNS = 1_000_000
-MOST_STEPS = 100_000
+MOST_STEPS = int(BOUNDS["max_steps"][1])
 STEPS_M2 = 100  # steps of 4 cm for each square metre of free area: four metres of way
 CLEARANCE_M = 0.5  # of starts that are drawn
 ROOMY = 128  # most nodes of a map of a building, at least
 SPARE = 2  # nodes that there is room for by default, for each place of the true map that is one
-NOISE = "noise."  # names of noise begin so in a sweep
 
 
 @dataclasses.dataclass(frozen=True)
@@ -106,109 +102,6 @@ def own_values(swept: dict[str, np.ndarray], i: int) -> dict[str, float]:
     return {name: int(v[i]) if name in WHOLE else float(v[i]) for name, v in swept.items()}
 
 
-def robot_of(name: str) -> Robot:
-    """A robot by name, with other measures where they are given: `kamui`, `kamui:width_m=0.6`.
-
-    Raises:
-      InputError: no such robot or measure, or a value out of range.
-    """
-    base, _, rest = name.partition(":")
-    if base not in ROBOTS:
-        raise InputError(f"robot must be one of {', '.join(ROBOTS)}, got {base!r}")
-    changed = {}
-    numbers = [field.name for field in dataclasses.fields(ROBOTS[base]) if field.name != "name"]
-    for part in rest.split(",") if rest else ():
-        key, _, value = part.partition("=")
-        if key not in numbers:
-            raise InputError(f"robot {name!r}: there is no {key!r}; there are {', '.join(numbers)}")
-        try:
-            changed[key] = float(value)
-        except ValueError:
-            raise InputError(f"robot {name!r}: {key} must be a number, got {value!r}") from None
-    robot = dataclasses.replace(ROBOTS[base], name=name, **changed)
-    require_robot(robot)
-    return robot
-
-
-def swept_values(sweep: Sequence[str], settings: int, seed: int) -> dict[str, np.ndarray]:
-    """Values of thresholds to be swept.
-
-    Lists alone make every combination; with a range among them, `settings` draws by Latin hypercube.
-
-    Args:
-      sweep: list of text: `votes=1,3,5` a list, `circle=1.1:2.0` a range.
-      settings: how many draws, where there is a range.
-      seed: of the draws.
-
-    Returns:
-      `{name: [S] values}`, S = 1 without a sweep.
-
-    Raises:
-      InputError: no such threshold, or a value that is none.
-    """
-    known = {field.name: field.type for field in dataclasses.fields(Tuning)} | {
-        f"{NOISE}{field.name}": field.type for field in dataclasses.fields(Noise)
-    }
-    lists, ranges = {}, {}
-    for text in sweep:
-        name, equals, values = text.partition("=")
-        if name in lists or name in ranges:
-            raise InputError(f"sweep names {name} more than once")
-        if name not in known or not equals:
-            names = ", ".join(known)
-            raise InputError(f"sweep must be NAME=A,B,... or NAME=LOW:HIGH, got {text!r}; there are {names}")
-        try:
-            if ":" in values:
-                low, high = (float(v) for v in values.split(":", 1))
-                if not low < high:
-                    raise InputError(f"sweep {text!r}: a range must rise, as in {name}={high:g}:{low:g}")
-                ranges[name] = (low, high)
-            else:
-                lists[name] = [float(v) for v in values.split(",")]
-                if name in WHOLE and any(value != int(value) for value in lists[name]):
-                    raise InputError(f"sweep {text!r}: {name} must be integers")
-        except InputError:
-            raise
-        except (ValueError, OverflowError):
-            raise InputError(f"sweep {text!r}: values must be numbers") from None
-    if not ranges:
-        if math.prod(len(values) for values in lists.values()) > MAX_RUNS:
-            raise InputError(f"sweep: more than {MAX_RUNS} combinations; use fewer values")
-        rows = list(itertools.product(*lists.values()))
-        return {name: np.array([row[i] for row in rows]) for i, name in enumerate(lists)}
-    from scipy.stats import qmc
-
-    names = [*ranges, *lists]
-    draws = qmc.LatinHypercube(len(names), rng=np.random.default_rng(seed)).random(settings)
-    values = {name: low + draws[:, i] * (high - low) for i, (name, (low, high)) in enumerate(ranges.items())}
-    for i, (name, given) in enumerate(lists.items(), len(ranges)):
-        values[name] = np.asarray(given)[np.minimum((draws[:, i] * len(given)).astype(int), len(given) - 1)]
-    return {name: np.round(value) if name in WHOLE else value for name, value in values.items()}
-
-
-def attributes_of(texts: Sequence[str]) -> tuple[tuple[str, Any, tuple[float, float]], ...]:
-    """Attributes that nodes get, each `NAME=VALUE@X,Y`: a value of JSON, else text; a place in metres.
-
-    Raises:
-      InputError: naming what is none.
-    """
-    found = []
-    for text in texts:
-        what, _, place = text.rpartition("@")
-        name, equals, value = what.partition("=")
-        try:
-            x_m, y_m = (float(v) for v in place.split(","))
-        except ValueError:
-            x_m = y_m = math.nan
-        if not (name and equals and math.isfinite(x_m) and math.isfinite(y_m)):
-            raise InputError(f"attribute must be NAME=VALUE@X,Y, as in victim=true@12.5,4, got {text!r}")
-        with contextlib.suppress(ValueError, RecursionError):
-            value = json.loads(value, parse_constant=str)
-        BtmMap((), ()).with_attributes({name: value})
-        found.append((name, value, (x_m, y_m)))
-    return tuple(found)
-
-
 @functools.partial(checked_names, own="trace")
 def prepare_trace(
     world: str | os.PathLike[str] | World = "course",
@@ -254,21 +147,20 @@ def prepare_trace(
     world = _loaded(world, cell_m, start, starts)
     if starts is not None and start is not None:
         raise InputError("start and starts exclude each other: give one of them")
-    starts = None if starts is None else require_whole("starts", starts, 1, MAX_RUNS)
-    runs = require_whole("runs", (starts or 1) if runs is None else runs, 1, MAX_RUNS)
-    seed = require_whole("seed", seed, 0, MAX_SEED)
-    settings = require_whole("settings", settings, 1, MAX_RUNS)
-    max_steps = require_whole("max_steps", _enough(world) if max_steps is None else max_steps, 100, MOST_STEPS)
+    starts = None if starts is None else require_setting("starts", starts)
+    n_runs: int = require_setting("runs", (starts or 1) if runs is None else runs)
+    seed, settings = require_setting("seed", seed), require_setting("settings", settings)
+    most: int = require_setting("max_steps", _enough(world) if max_steps is None else max_steps)
     robot, tuning, noise = _sound(world, robot, tuning, noise)
     swept = _for_world(world, swept_values(sweep, settings, seed))
     count = len(next(iter(swept.values()))) if swept else 1
-    if count * runs > MAX_RUNS:
-        raise InputError(f"{count} settings x {runs} runs are more than {MAX_RUNS}; use fewer")
+    if count * n_runs > MAX_RUNS:
+        raise InputError(f"{count} settings x {n_runs} runs are more than {MAX_RUNS}; use fewer")
     for i in range(count):
         _require(robot, *with_values(tuning, noise, own_values(swept, i)))
     places = _placed(world, _ends(world, start, starts, seed), robot, tuning)
     size = room_for(world, places[1], nodes, links)
-    found = robot, tuning, noise, runs, seed, swept, count, max_steps, size
+    found = robot, tuning, noise, n_runs, seed, swept, count, most, size
     return TraceJob(world, *places, *found, attributes_of(attributes))
 
 
@@ -283,8 +175,8 @@ def room_for(world: World, truth: Truth, nodes: int | None = None, links: int | 
     """
     wanted = max(SPARE * len(truth.map.nodes), ROOMY if world.course is None else SIZE[0])
     room = SIZE[0] if _has_goal(world) else 1 << (min(wanted, MOST_NODES) - 1).bit_length()
-    room = require_whole("nodes", room if nodes is None else nodes, 2, MOST_NODES)
-    return room, require_whole("links", 2 * room if links is None else links, 2, 2 * MOST_NODES)
+    room = require_setting("nodes", room if nodes is None else nodes)
+    return room, require_setting("links", 2 * room if links is None else links)
 
 
 def _sound(world, robot, tuning, noise):
@@ -351,8 +243,7 @@ def _ends(world, start, starts, seed) -> tuple[Any, Any]:
     """Where runs start, a list of poses, and end, in the world's frame."""
     goal = None if world.course is None else world.course.goal_m
     if start is not None:
-        for name, value in zip(("x", "y", "heading"), start):
-            require_number(f"start {name}", value, low=-1e6, high=1e6)
+        require_start_pose(start)
         return [tuple(start)], goal
     if world.course is not None and starts is None:
         return [world.course.start_pose], goal

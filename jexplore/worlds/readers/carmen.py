@@ -13,7 +13,7 @@ import warnings
 import numpy as np
 
 from jexplore.arrays.files import read_text
-from jexplore.config import InputError, InputWarning, checked_names, require_number
+from jexplore.config import InputError, InputWarning, checked_names, require_number, shown
 from jexplore.worlds.readers.scans import ScanLog, fold_scans
 from jexplore.worlds.world import World
 
@@ -44,13 +44,14 @@ def read_carmen(path: str | os.PathLike[str], *, max_range_m: float | None = Non
       max_range_m: a reading of this or more means that nothing was seen, metres. Default: the least of what the log
         gives signs of: what `ROBOTLASER1` lines say; for `FLASER` the last `PARAM robot_front_laser_max`, without one
         80, and 8 if no reading is above 8.2, as a SICK in its mode of millimetres has it; and the largest reading,
-        where it ends in more than 5 times as many places as a reading does in the median.
+        where it ends in more than 5 times as many places as a reading does in the median, and in more than 5 where
+        there is no other.
 
     Returns:
       `ScanLog`, scans in the order of the file. Readings of inf, NaN and below 0 stay as they are.
 
     Warns:
-      InputWarning: readings count as no echo because they are the largest and many.
+      InputWarning: readings count as no echo because they are the largest and many, or a parameter is no distance.
 
     Raises:
       InputError: the file cannot be read, has no scan with a pose, a line of one is cut short or not numbers, or scans
@@ -64,7 +65,7 @@ def read_carmen(path: str | os.PathLike[str], *, max_range_m: float | None = Non
         word = line.split(maxsplit=1)[0] if line.strip() else ""
         if word not in _READ:
             others.add(word)
-            said_m = _parameter(line) or said_m
+            said_m = max_range_m or _parameter(f"{path!r}: line {number}", line) or said_m
             continue
         own, *scan = _READ[word](f"{path!r}: line {number}", line.split())
         if scanner is None:
@@ -120,16 +121,24 @@ def load_carmen(
     return scans.world(p_free=p_free, name=path)
 
 
-def _parameter(line):
-    """The longest range that a PARAM line says, metres; None for every other line."""
+def _parameter(where, line):
+    """The longest range that a PARAM line says, metres; None for every other line, and for a value that is none."""
     words = line.split()[:3]
-    if len(words) < 3 or words[0] != "PARAM" or not _LONGEST.fullmatch(words[1]):
+    if len(words) < 2 or words[0] != "PARAM" or not _LONGEST.fullmatch(words[1]):
         return None
+    text = " ".join(words[2:])
     try:
-        value = float(words[2])
+        value = float(text)
     except ValueError:
-        return None
-    return value if 0 < value <= 1000 else None
+        value = math.nan
+    if 0 < value <= 1000:
+        return value
+    warnings.warn(
+        f"{where}: {words[1]} must be a number above 0 and at most 1000, got {shown(text)}; it is passed over",
+        InputWarning,
+        stacklevel=3,
+    )
+    return None
 
 
 def _longest(ranges, longest_m, said_m):
@@ -150,9 +159,8 @@ def _found(path, log):
     new = np.diff(np.stack([which, x, y])[:, order], prepend=-(2**62)).any(axis=0)
     places = np.bincount(which[order][new], minlength=len(values))
     top = values >= _SAME * values.max(initial=0)
-    if top.all():
-        return log.max_range_m
-    often = values[top & (places > _OFTEN * np.median(places[~top]))]
+    usual = 1 if top.all() else np.median(places[~top])
+    often = values[top & (places > _OFTEN * usual)]
     if not often.size:
         return log.max_range_m
     found_m = float(often[0])

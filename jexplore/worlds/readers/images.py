@@ -24,9 +24,7 @@ _BLACK, _WHITE = 16, 250  # greys up to and from these are no others that have b
 _SATURATED = 128  # largest minus smallest of red, green, blue: a grey has 0, pure yellow 255
 
 
-def load_image(
-    path: str, scale: float | tuple[float, float] | None, *, cell_m: float = 0.1, free: float = 250
-) -> World:
+def load_image(path: str, scale: float | tuple[float, float], *, cell_m: float = 0.1, free: float = 250) -> World:
     """A world from a picture.
 
     A filled rectangle of one saturated colour in an otherwise grey picture, as the dungeon maps have it, marks the
@@ -46,13 +44,9 @@ def load_image(
       InputWarning: most of the picture is transparent; or as `read_pixels`.
 
     Raises:
-      InputError: the file cannot be read, has no free pixel, no scale is given, or the world would be too large.
+      InputError: the file cannot be read, has no free pixel, or the world would be too large.
     """
     require_number(f"{path!r}: free", free, low=0, high=255)
-    if scale is None:
-        raise InputError(
-            f"{path!r}: a picture needs a scale; append @16x16 for its size in metres or @0.05 for metres a pixel"
-        )
     levels = read_pixels(path)[::-1]
     occupied = _occupied(path, levels, free)
     bottom, left = 0, 0
@@ -103,14 +97,15 @@ def read_pixels(path: str | os.PathLike[str], *, as_stored: bool = False) -> np.
 
     Returns:
       `[h, w, c]` uint8, row 0 at the top; c is 1 (grey), 3 (red, green, blue) or 4 (and opacity). Sixteen bit greys
-      are scaled to 0..255.
+      are scaled to 0..255; so are the 32 bits of a TIFF, whose white is the least of 1 (floating point), 255 and 65535
+      that no pixel is above.
 
     Warns:
-      InputWarning: a JPEG that is blurred.
+      InputWarning: a JPEG that is blurred, or several frames or pages, of which the first is read.
 
     Raises:
       InputError: the file cannot be read, is no picture, is cut short, has more than `MAX_PIXELS` pixels, or pixels of
-        more than sixteen bits.
+        32 bits below 0 or above 65535.
     """
     content = read_bytes(path, _MAX_BYTES)
     try:
@@ -122,7 +117,8 @@ def read_pixels(path: str | os.PathLike[str], *, as_stored: bool = False) -> np.
                 raise Image.DecompressionBombError
             if image.format == "PPM":
                 image = Image.open(io.BytesIO(_with_short_line_end(content, image)), formats=_FORMATS)
-            levels = _levels(path, image if as_stored else _upright(image))
+            is_animated = getattr(image, "is_animated", False) and image.format in ("GIF", "PNG", "TIFF")
+            levels = _levels(path, image if as_stored else _upright(image), image.format)
     except InputError:
         raise
     except Image.DecompressionBombError:
@@ -136,6 +132,8 @@ def read_pixels(path: str | os.PathLike[str], *, as_stored: bool = False) -> np.
         raise InputError(f"{path!r}: is no picture in a known format ({', '.join(_FORMATS)}){hint}") from None
     except Exception as error:  # Pillow's decoders raise OSError, SyntaxError, ValueError, struct.error and more
         raise InputError(f"{path!r}: is damaged or cut short ({first_line(error)})") from None
+    if is_animated:
+        warnings.warn(f"{path!r}: has several frames or pages, and the first is read", InputWarning, stacklevel=3)
     if image.format == "JPEG":
         _warn_of_blur(path, grey(levels))
     return levels
@@ -191,18 +189,28 @@ def transparency(levels: np.ndarray) -> np.ndarray:
     return np.zeros(levels.shape[:2], bool)
 
 
-def _levels(path, image):
+def _levels(path, image, form):
     plain = "save it with 8 bits a pixel, 255 (white) where the floor is free and 0 (black) at walls"
+    if form == "TIFF" and image.mode in ("I", "F"):
+        return _levels_of_32_bits(path, np.asarray(image), plain)
     if image.mode.startswith("I"):
         values = np.asarray(image).astype(np.int64)
         if values.min() < 0 or values.max() > 65535:
             raise InputError(f"{path!r}: has more than 16 bits a pixel; {plain}")
         return ((values + 128) // 257).astype(np.uint8)[..., None]
-    if image.mode == "F":
-        raise InputError(f"{path!r}: has pixels in floating point; {plain}")
     plain = "L" if image.mode in ("1", "L") else "RGB"
     pixels = np.array(image.convert("RGBA" if image.has_transparency_data else plain))
     return pixels[..., None] if pixels.ndim == 2 else pixels
+
+
+def _levels_of_32_bits(path, values, plain):
+    """Greys of pixels that say nowhere what white is: the least of 1 (of floats), 255 and 65535 that none is above."""
+    top = values.max()  # NaN is no number at all
+    whites = (1, 255, 65535) if values.dtype.kind == "f" else (255, 65535)
+    white = next((white for white in whites if top <= white), None)
+    if white is None or not values.min() >= 0:
+        raise InputError(f"{path!r}: has pixels of 32 bits from {values.min():g} to {top:g}; {plain}")
+    return np.floor(values * (255 / white) + 0.5).astype(np.uint8)[..., None]
 
 
 def _brightest(shade, clear):

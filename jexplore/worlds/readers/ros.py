@@ -100,7 +100,7 @@ def load_ros(
 
     Warns:
       InputWarning: pixels that stand for unknown are free by the map's own thresholds or mode, as they are in the map
-        server; as `grids.free_cells` and `grids.upright`; or as `read_pixels`.
+        server; mode raw with a picture of black and white; as `grids.free_cells`, `grids.upright` or `read_pixels`.
 
     Raises:
       InputError: as `read_ros` and `grids.free_cells`, no free pixel, a mask of 0 and 1 in mode raw, or too large a
@@ -111,6 +111,13 @@ def load_ros(
     occupancy = _occupancy(levels, info)
     if info.mode == "raw":
         require_hundred(path, occupancy)
+        if np.array_equal(np.unique(grey(levels)), [0, 255]):
+            warnings.warn(
+                f"{path!r}: in mode raw black is free and white unknown, and its picture has nothing else; if black is "
+                "a wall, write mode: trinary",
+                InputWarning,
+                stacklevel=3,
+            )
     if info.mode == "trinary" and not free_max is occupied_min is None:
         raise InputError(
             f"{path!r}: free_max and occupied_min are for the modes scale and raw; in mode trinary the file's "

@@ -9,7 +9,7 @@ import dataclasses
 import jax.numpy as jnp
 import numpy as np
 
-from jexplore.config import InputError, checked_names, require_number
+from jexplore.config import InputError, checked_names, require_number, require_setting
 from jexplore.grid import Grid, is_free
 from jexplore.raycast import advance_beams, beam_geometry, exact_direction, n_steps
 from jexplore.worlds.world import World, require_side
@@ -123,7 +123,7 @@ def fold_scans(
     Source:
       Holz et al. 2010, section 2.1; Amanatides and Woo 1987.
     """
-    require_number("cell_m", cell_m, low=0.001, high=100)
+    require_setting("cell_m", cell_m)
     require_number("no_echo_m", no_echo_m, high=1000)
     longest_m = log.max_range_m
     if range_m is not None:
