@@ -1,41 +1,34 @@
-"""Measure the engines on this machine's GPU: equal results, and episodes/s beside all its CPU cores.
+"""Measure whole episodes on this machine's GPU: equal results, and episodes/s beside all its CPU cores.
 
-    python benchmarks/device.py [--seconds 500] [--small]
+    python benchmarks/device.py [--seconds 400] [--episodes 65536] [--lanes]
 
-Prints one row a measurement as it is made, then all of them as a table. A part for which no time is left is skipped and
-named; one that fails is reported, and the others go on. `--small` makes a tiny run on any machine.
+Builds the CUDA library, checks that 1,000 episodes of each kind have the numbers of the CPU's native code, measures
+rates in the worlds `cave` and `hospital`, occupancy and the share of each part in a warp's time, and, with `--lanes`, the
+JAX lanes. Prints one line a measurement as it is made and a table at the end. What fails is reported, and the rest goes on.
 """
 
 import argparse
+import itertools
 import os
 import subprocess
 import sys
 import time
 
-import jax
+import numpy as np
 
 import jexplore as jx
+from jexplore.config import Lidar, Rules
+from jexplore.exploration.native import NativeRun, chooser_of, native_world, parts_of, play_all
+from jexplore.native import episodes, gpu
+from jexplore.policies import parse_strategy
+from jexplore.worlds.starts import draw_starts
+from jexplore.worlds.world import ring_of
 
-EQUAL = ("path_m", "steps", "plans", "scans")  # columns that devices must agree on, to the bit
-COLUMNS = ("engine", "world", "strategy", "lanes", "episodes", "wall s", "episodes/s", "without compiling")
-
-
-def measure(engine, world, strategy, episodes, lanes=None):
-    """Run episodes once; return a row of `COLUMNS`."""
-    began = time.time()
-    result = jx.compare(world, [strategy], episodes=episodes, seed=2, engine=engine, lanes=lanes)
-    took = time.time() - began
-    return (engine, world, strategy, lanes or "", episodes, f"{took:.2f}", f"{episodes / took:.0f}",
-            f"{result.episodes_per_s:.0f}")  # fmt: skip
-
-
-def compare_devices(episodes):
-    """Run the same episodes in both engines; return the columns of `EQUAL` that differ."""
-    strategies = ["closest", "closest+recheck"]
-    options = {"episodes": episodes, "seed": 5}
-    serial = jx.compare("cave", strategies, engine="serial", **options).to_pandas()
-    lockstep = jx.compare("cave", strategies, engine="lockstep", lanes=episodes, **options).to_pandas()
-    return [c for c in EQUAL if not (serial[c].to_numpy() == lockstep[c].to_numpy()).all()]
+WORLDS = ("cave", "hospital")
+STRATEGIES = ("closest", "closest+recheck", "random")
+CHECKED = 1000  # episodes of each kind that are compared
+DRAWN = 2048  # starts, which are repeated
+COLUMNS = ("world", "strategy", "where", "episodes", "episodes/s", "warps an SM", "views MB", "making views s", "given up", "of the time")
 
 
 def name_of_gpu():
@@ -47,44 +40,117 @@ def name_of_gpu():
         return f"no GPU: {error}"
 
 
-def plan(small, cores):
-    """Return the measurements: (arguments of `measure`, seconds that must be left before it begins)."""
-    if small:
-        return [(("lockstep", "cave", "closest+recheck", 16, 8), 0), (("serial", "cave", "closest+recheck", 8), 0)]
-    parts = []
-    for world, each in (("cave", 32), ("hospital", 8)):
-        parts += [(("lockstep", world, "closest+recheck", 2 * lanes, lanes), 60) for lanes in (1024, 4096)]
-        parts.append((("serial", world, "closest+recheck", each * cores), 40))
-    parts.append((("lockstep", "cave", "closest+recheck", 2 * 16384, 16384), 80))
-    parts.append((("lockstep", "cave", "distance-advantage+recheck", 2 * 4096, 4096), 90))
-    return parts
+class Case:
+    """Episodes of a strategy in a world."""
+
+    def __init__(self, world, strategy, rules=Rules(), lidar=Lidar()):
+        self.world, self.strategy, self.ring = world, parse_strategy(strategy), ring_of(world.occupied)
+        chooser = chooser_of(self.strategy)
+        how = world, chooser, lidar, rules
+        self.parts = parts_of(*how, recheck=self.strategy.recheck)
+        self.place = native_world(episodes.library().loaded, *how, recheck=self.strategy.recheck)
+        self.starts = draw_starts(world, 2, DRAWN, rules.clearance_m)
+
+    def tasks(self, n):
+        """Return n tasks, the starts repeated; each with draws of its own."""
+        repeated = self.starts[np.arange(n) % len(self.starts)]
+        at = repeated + [self.ring, self.ring, 0]
+        at[:, 2] //= 45
+        return self.place.tasks(at, 2, np.arange(n, dtype=np.int32))
+
+    def on_gpu(self, loaded, n, **how):
+        """Run n episodes on the GPU: `gpu.Played`."""
+        return gpu.play(loaded, *self.parts, self.tasks(n), np.zeros(1, np.int32), **how)
+
+    def on_cpu(self, n, workers):
+        """Run n episodes on the CPU: `([n, RESULT], seconds)`."""
+        run = NativeRun(self.place, self.world, self.starts[np.arange(n) % len(self.starts)], 2, 0, np.arange(n), -1, None)
+        took = play_all([run], workers, lambda _: None)
+        return run.table, took
+
+
+def check(loaded, cores):
+    """Compare episodes on both: the number of those that differ."""
+    cases = [(world, strategy, {}, {}) for world, strategy in itertools.product(("cave", "office", "maze", "rooms"), STRATEGIES)]
+    cases.append(("office", "closest", {"scan_every_m": 0.5, "arrival_m": 0.3, "look_around": False}, {"no_echo": "unknown"}))
+    cases.append(("cave", "random", {"clearance_m": 0.2, "near_m": 1.0, "max_plans": 9}, {"fov_deg": 70.0, "n_beams": 90}))
+    unequal = 0
+    for name, strategy, rules, lidar in cases:
+        case = Case(jx.load_world(name), strategy, Rules(**rules), Lidar(**lidar))
+        want, _ = case.on_cpu(CHECKED, cores)
+        for shared in (1, 0):
+            found = case.on_gpu(loaded, CHECKED, shared=shared)
+            differ = (found.results != want).any(axis=1) & (found.results[:, 6] != 0)
+            unequal += int(differ.sum())
+            print(f"{name} {strategy} {rules or ''} {lidar or ''} shared={shared}: {CHECKED - differ.sum()} of {CHECKED} equal,"
+                  f" {found.measured.given_up} given up", flush=True)  # fmt: skip
+    return unequal
+
+
+def share(measured):
+    """Return the share of each part in the time of all warps, as text."""
+    *parts, whole = measured.clocks
+    return ", ".join(f"{name} {100 * part / whole:.0f} %" for name, part in zip(gpu.PARTS, parts)) if whole else "-"
+
+
+def row_of(case, name, found, n, label):
+    """Return a row of `COLUMNS`."""
+    m = found.measured
+    return (case.world.name, name, label, n, f"{n / m.run_s:.0f}", m.warps_per_sm, f"{m.views_bytes / 1e6:.0f}",
+            f"{m.views_s:.2f}", m.given_up, share(m))  # fmt: skip
+
+
+def measure(loaded, clocked, n, cores, end):
+    """Measure rates; yields rows of `COLUMNS`."""
+    for name, strategy in itertools.product(WORLDS, STRATEGIES):
+        if time.time() > end:
+            print("no time left for", name, strategy)
+            continue
+        case, few = Case(jx.load_world(name), strategy), n if name == "cave" else n // 8
+        if strategy == "closest+recheck":
+            _, took = case.on_cpu(few // 32, cores)
+            yield (name, strategy, f"{cores} cores", few // 32, f"{few // 32 / took:.0f}", *[""] * 5)
+            yield row_of(case, strategy, case.on_gpu(loaded, few, shared=1), few, "GPU, shared memory")
+            yield row_of(case, strategy, case.on_gpu(loaded, few, shared=0), few, "GPU, global memory")
+            yield row_of(case, strategy, case.on_gpu(clocked, few // 4, shared=1), few // 4, "GPU, with clocks")
+        else:
+            yield row_of(case, strategy, case.on_gpu(loaded, few), few, "GPU")
+
+
+def lanes(end):
+    """Measure the JAX lanes; yields rows of `COLUMNS`."""
+    for name, strategy, many in (("cave", "closest+recheck", 1024), ("cave", "distance-advantage+recheck", 1024)):
+        if time.time() + 90 > end:
+            print("no time left for lanes", name, strategy)
+            continue
+        found = jx.compare(name, [strategy], episodes=many, seed=2, engine="lockstep", lanes=many)
+        yield (name, strategy, "GPU, JAX lanes", many, f"{found.episodes_per_s:.0f}", *[""] * 5)
 
 
 def main():
     """Measure, and print a Markdown table."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--seconds", type=float, default=500, help="time for everything")
-    parser.add_argument("--small", action="store_true")
+    parser.add_argument("--seconds", type=float, default=400, help="time for everything")
+    parser.add_argument("--episodes", type=int, default=65536, help="episodes a measurement in the cave; an eighth elsewhere")
+    parser.add_argument("--lanes", action="store_true", help="measure the JAX lanes as well")
     options = parser.parse_args()
-    end, cores, failed = time.time() + options.seconds, len(os.sched_getaffinity(0)), 0
-    print(f"{name_of_gpu()}; {jax.devices()}, {cores} cores, jax {jax.__version__}", flush=True)
-    differ = compare_devices(8 if options.small else 64)
-    print("differ between devices:" if differ else "equal on both devices:", *(differ or EQUAL), flush=True)
-    rows = []
-    for arguments, needs_s in plan(options.small, cores):
-        if end - time.time() < needs_s:
-            print("no time left for", *arguments)
-            continue
-        try:
-            rows.append(measure(*arguments))
-            print(*rows[-1], flush=True)
-        except Exception as error:  # the others are worth having
-            failed += 1
-            print("FAILED", *arguments, repr(error), flush=True)
+    end, cores = time.time() + options.seconds, len(os.sched_getaffinity(0))
+    print(f"{name_of_gpu()}; {cores} cores", flush=True)
+    began = time.time()
+    library, clocked = gpu.library(), gpu.library(flags=("-DJEXPLORE_CLOCKS",))
+    if library.loaded is None or clocked.loaded is None:
+        print(library.why_not or clocked.why_not)
+        return 1
+    print(f"built in {time.time() - began:.0f} s, two libraries", flush=True)
+    unequal, rows = check(library.loaded, cores), []
+    for row in itertools.chain(measure(library.loaded, clocked.loaded, options.episodes, cores, end), lanes(end) if options.lanes else ()):
+        rows.append(row)
+        print(*row, flush=True)
     print("\n| " + " | ".join(COLUMNS) + " |\n|" + " --- |" * len(COLUMNS))
     for row in rows:
         print("| " + " | ".join(map(str, row)) + " |")
-    return bool(differ or failed)
+    print(f"\n{unequal} episodes differ")
+    return int(unequal > 0)
 
 
 if __name__ == "__main__":

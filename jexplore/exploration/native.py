@@ -51,6 +51,13 @@ def native_world(
     loaded: Any, world: World, chooser: int, lidar: Lidar, rules: Rules, *, recheck: bool
 ) -> episodes.World:
     """Make a world ready for episodes in native code."""
+    return episodes.World(loaded, *parts_of(world, chooser, lidar, rules, recheck=recheck))
+
+
+def parts_of(
+    world: World, chooser: int, lidar: Lidar, rules: Rules, *, recheck: bool
+) -> tuple[episodes.Spec, episodes.Given]:
+    """Return what native code is given of a world, a scanner and rules."""
     world = with_ring(world)
     cell_m, limit = world.cell_m, limit_of(world.shape)
     spec = episodes.Spec(
@@ -72,8 +79,7 @@ def native_world(
     )
     rooms = np.full(world.shape, -1, np.int32) if world.rooms is None else world.rooms
     beams = trace_beams(lidar.n_beams, lidar.fov_deg, lidar.range_m, cell_m)
-    given = episodes.Given(world.occupied, rooms, regions_of(world), world.within, world.known, beams)
-    return episodes.World(loaded, spec, given)
+    return spec, episodes.Given(world.occupied, rooms, regions_of(world), world.within, world.known, beams)
 
 
 def result_of(table: np.ndarray) -> Result:

@@ -5,6 +5,7 @@
 #include <new>
 
 #include "bytes.h"
+#include "warp_host.h"
 
 namespace jexplore {
 namespace {
@@ -135,6 +136,30 @@ int64_t Show(const World& world, const Replay& script) {
   return log.next;
 }
 
+// Episodes as a warp runs them, its lanes one after the other; `with_views`: scans by views, not by beams.
+template <class Cell>
+void Emulate(HostWorld& host, Result* results, bool with_views) {
+  WarpWorld& w = host.w;
+  std::vector<uint32_t> map_words(host.MapWords()), shared(host.SharedWords<Cell>()), other(host.OtherWords<Cell>()), views, extents, bits;
+  std::vector<int32_t> steps(2 * (static_cast<size_t>(w.p.max_steps) + 1));
+  if (with_views) {
+    views.resize(static_cast<size_t>(host.n_free) * w.view_words), extents.resize(8 * host.n_free), bits.resize(host.LargestBox());
+    for (int cell = 0; cell < w.n_cells; ++cell)
+      for (int heading = 0; heading < 8 && w.view_of[cell] >= 0; ++heading)
+        MakeView(w, cell, heading, bits.data(), &views[static_cast<size_t>(w.view_of[cell]) * w.view_words + w.box[heading].at],
+                 &extents[8 * w.view_of[cell] + heading]);
+    w.views = views.data(), w.extents = extents.data();
+  }
+  const WarpMemory<Cell> memory = Divide<Cell>(w, map_words.data(), shared.data(), other.data());
+  std::fill(memory.cost, memory.cost + w.n_cells, kUnreached);
+  for (size_t i = 0; i < host.tasks.size(); ++i) {
+    WarpMaps<Cell> maps(w, memory);
+    WarpLog log(steps.data(), w.p.max_steps + 1);
+    Episode episode(w.p, maps, log, results[i]);
+    episode.Run(host.tasks[i], host.is_stuck[i]);
+  }
+}
+
 }  // namespace
 }  // namespace jexplore
 
@@ -163,6 +188,17 @@ int jexplore_goals(void* world_, Task* tasks, int64_t n) try {
     tasks[i].goal = known != goal_of.end() ? known->second : goal_of.emplace(start, world.GoalOf(start)).first->second;
     tasks[i].region = world.given.region[tasks[i].row * world.p.width + tasks[i].col];
   }
+  return 0;
+} catch (const std::bad_alloc&) {
+  return 1;
+}
+
+// Runs episodes as a GPU does. 0, 1 without memory, 2 in a world that does not suit.
+int jexplore_emulate(const void* world_, const Batch* batch, int with_views) try {
+  const World& world = *static_cast<const World*>(world_);
+  if (!HostWorld::Suits(world)) return 2;
+  HostWorld host(world, batch->tasks, batch->n);
+  (host.w.n_cells < 1 << 16) ? Emulate<uint16_t>(host, batch->results, with_views) : Emulate<uint32_t>(host, batch->results, with_views);
   return 0;
 } catch (const std::bad_alloc&) {
   return 1;

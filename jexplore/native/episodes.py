@@ -1,7 +1,7 @@
 """Batches of whole episodes by the native library: what goes in and comes out of it, as numpy arrays."""
 
 import ctypes
-from ctypes import POINTER, Structure, c_float, c_int32, c_int64, c_uint8, c_void_p
+from ctypes import POINTER, Structure, c_float, c_int, c_int32, c_int64, c_uint8, c_void_p
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -9,7 +9,7 @@ import numpy as np
 from jexplore.native.beams import Beams
 from jexplore.native.build import FOLDER, Library, load_library
 
-SOURCES = tuple(FOLDER / name for name in ("cpu.cc", "bytes.h", "world.h", "rules.h"))
+SOURCES = tuple(FOLDER / name for name in ("cpu.cc", "bytes.h", "warp_host.h", "warp.h", "world.h", "rules.h"))
 NEAREST, UNIFORM = 0, 1  # how a target is chosen
 RESULT = 222  # int32 of `exploration.state.Result`
 TASK = np.dtype(
@@ -95,6 +95,7 @@ def _declare(loaded):
     loaded.jexplore_forget_world.argtypes = loaded.jexplore_free.argtypes = [c_void_p]
     loaded.jexplore_goals.argtypes = [c_void_p, c_void_p, c_int64]
     loaded.jexplore_replay.argtypes, loaded.jexplore_replay.restype = [c_void_p, POINTER(_Replay)], c_int64
+    loaded.jexplore_emulate.argtypes = [c_void_p, POINTER(_Batch), c_int]
     loaded.jexplore_episodes.argtypes = [c_void_p, POINTER(_Batch)]
 
 
@@ -106,16 +107,19 @@ def _pointer(array: np.ndarray | None, dtype: Any, keep: list[Any]) -> int | Non
     return keep[-1].ctypes.data
 
 
+def as_struct(given: Given, keep: list[Any]) -> Structure:
+    """Return a `Given` as C has it; `keep` holds the arrays, which must not be let go before."""
+    types = (np.uint8, np.int32, np.int32, np.uint8, np.int8, np.int32, np.int32, np.uint32)
+    pointers = [_pointer(array, dtype, keep) for array, dtype in zip((*given[:5], *given.beams), types)]
+    return _Given(*pointers, given.beams.is_row.shape[-1])
+
+
 class World:
     """A world in the library, in which many threads may run episodes."""
 
     def __init__(self, loaded: ctypes.CDLL, spec: Spec, given: Given) -> None:
         self._loaded, self._keep, self.shape = loaded, [], given.occupied.shape
-        types = (np.uint8, np.int32, np.int32, np.uint8, np.int8, np.int32, np.int32, np.uint32)
-        arrays = (*given[:5], *given.beams)
-        pointers = [_pointer(array, dtype, self._keep) for array, dtype in zip(arrays, types)]
-        words = given.beams.is_row.shape[-1]
-        self._handle = loaded.jexplore_world(ctypes.byref(spec), ctypes.byref(_Given(*pointers, words)))
+        self._handle = loaded.jexplore_world(ctypes.byref(spec), ctypes.byref(as_struct(given, self._keep)))
         if not self._handle:
             raise MemoryError("no memory for a world")
 
@@ -180,6 +184,23 @@ class World:
             self._loaded.jexplore_free(batch.choices)
         return Played(results, kept, maps, counts, choices)
 
+
+    def emulate(self, tasks: np.ndarray, *, views: bool) -> np.ndarray | None:
+        """Run episodes as a warp of a GPU does, on the CPU: `[n, RESULT]` int32; an outcome of 0 was given up.
+
+        Args:
+          tasks: `[n]` of `TASK`.
+          views: whether scans are looked up.
+
+        Returns:
+          None where the world does not suit a GPU.
+        """
+        results, tasks = np.zeros((len(tasks), RESULT), np.int32), np.ascontiguousarray(tasks)
+        batch = _Batch(tasks=tasks.ctypes.data, n=len(tasks), results=results.ctypes.data)
+        code = self._loaded.jexplore_emulate(self._handle, ctypes.byref(batch), views)
+        if code == 1:
+            raise MemoryError("no memory for episodes")
+        return None if code else results
 
     def replay(self, task: np.ndarray, script: Script, shown: np.ndarray, frontier: int) -> tuple[np.ndarray, np.ndarray]:
         """Show a recorded episode as the robot leaves some places.

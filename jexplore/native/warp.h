@@ -114,10 +114,11 @@ struct WarpWorld {
   int8_t half[kMaxRadius + 1], near_half[kMaxRadius + 1];  // half their width, row by row from the centre
 };
 
-// Memory of a warp. The first part is fast (shared), the second is read now and then.
+// Memory of a warp: maps, which are shared memory where they fit; what is always shared; what is read now and then.
 template <class Cell>
 struct WarpMemory {
   uint32_t *known, *can, *front;  // [n_words]: known, traversable (but near the robot), frontier cells
+
   uint32_t* stale;                // [ceil(n_words / 32)], words of which the masks must be made again
   Cell* queue;                    // [3, kBucket]
   int* count;                     // [4], cells in each bucket; cells touched
@@ -187,13 +188,28 @@ DEVICE void MakeView(const WarpWorld& w, int cell, int heading, uint32_t* bits, 
   END_LANES
 }
 
-template <class Cell>
+// Parts of an episode of which the time is told.
+enum Part { kScanning, kJudging, kSearching, kLaying, kParts };
+
+// `is_shared`: whether the maps are shared memory. Elsewhere atomics change them behind the back of the first cache.
+template <class Cell, bool is_shared = true>
 struct WarpMaps {
   const WarpWorld& w;
   const Spec& p;
   WarpMemory<Cell> m;
   int n_known = 0, width;
   bool goes_on = true;
+#ifdef JEXPLORE_CLOCKS
+  long long clocks[kParts] = {}, since = 0;
+  DEVICE void Begins() { since = clock64(); }
+  DEVICE void Ends(Part part) { clocks[part] += clock64() - since; }
+#else
+  DEVICE void Begins() {}
+  DEVICE void Ends(Part) {}
+#endif
+
+  DEVICE uint32_t Known(int word) const { return is_shared ? m.known[word] : Fresh(&m.known[word]); }
+  DEVICE bool IsKnown(int i) const { return Known(i >> 5) >> (i & 31) & 1; }
 
   DEVICE WarpMaps(const WarpWorld& w, const WarpMemory<Cell>& m) : w(w), p(w.p), m(m), width(w.row_words * 32) {}
 
@@ -243,7 +259,7 @@ struct WarpMaps {
   }
 
   DEVICE bool IsOpen(int i) const {
-    return !IsSet(w.truth, i) && IsSet(w.inside, i) && (IsSet(m.known, i) || IsSet(m.driven, i));
+    return !IsSet(w.truth, i) && IsSet(w.inside, i) && (IsKnown(i) || IsSet(m.driven, i));
   }
 
   // A target is clear, so that all cells round it are of the world.
@@ -251,14 +267,14 @@ struct WarpMaps {
     PerLane<int> is_unknown;
     LANES(lane)
     const int i = target + Offset(lane & 7);
-    is_unknown[lane] = IsSet(w.inside, i) && !IsSet(m.known, i);
+    is_unknown[lane] = IsSet(w.inside, i) && !IsKnown(i);
     END_LANES
     return Ballot(is_unknown) != 0;
   }
 
   // Adds cells of a word to what is known: how many of them count.
   DEVICE int Learn(int word, uint32_t bits) {
-    const uint32_t fresh = bits & ~m.known[word];
+    const uint32_t fresh = bits & ~Known(word);
     if (!fresh) return 0;
     m.known[word] |= fresh;
     OrAt(&m.stale[word >> 5], 1u << (word & 31));
@@ -266,13 +282,14 @@ struct WarpMaps {
   }
 
   DEVICE void Scan(int from, int heading) {
+    Begins();
     PerLane<int> fresh;
     if (!w.views) {
       LANES(lane)
       fresh[lane] = 0;
       const auto mark = [&](int i) {
         const uint32_t bit = 1u << (i & 31);
-        if (m.known[i >> 5] & bit || OrAt(&m.known[i >> 5], bit) & bit) return;
+        if (Known(i >> 5) & bit || OrAt(&m.known[i >> 5], bit) & bit) return;
         OrAt(&m.stale[i >> 10], 1u << (i >> 5 & 31));
         fresh[lane] += (w.inside[i >> 5] & bit) != 0;
       };
@@ -293,6 +310,7 @@ struct WarpMaps {
       END_LANES
     }
     n_known += Sum(fresh);
+    Ends(kScanning);
   }
 
   // Bits that are set within `half` columns of a bit of `here`; `left` and `right` are the words beside it.
@@ -316,13 +334,13 @@ struct WarpMaps {
       if (y < 0 || y >= p.height) continue;
       const int at = word + dy * w.row_words;
       const bool has_left = col > 0, has_right = col + 1 < w.row_words;
-      const uint32_t left = has_left ? m.known[at - 1] : 0, here = m.known[at], right = has_right ? m.known[at + 1] : 0;
+      const uint32_t left = has_left ? Known(at - 1) : 0, here = Known(at), right = has_right ? Known(at + 1) : 0;
       if (far <= w.radius)
         blocked |= Smeared(has_left ? left & w.truth[at - 1] : 0, here & w.truth[at], has_right ? right & w.truth[at + 1] : 0, w.half[far]);
       if (far <= 1)
         unseen |= Smeared(has_left ? ~left & w.inside[at - 1] : 0, ~here & w.inside[at], has_right ? ~right & w.inside[at + 1] : 0, 1);
     }
-    const uint32_t clear = m.known[word] & ~w.truth[word] & w.inside[word] & ~blocked;
+    const uint32_t clear = Known(word) & ~w.truth[word] & w.inside[word] & ~blocked;
     m.can[word] = clear | m.driven[word];
     m.front[word] = clear & unseen & ~m.exhausted[word];
   }
@@ -380,7 +398,7 @@ struct WarpMaps {
       m.saved[j] = m.can[at];
       if (low > high) continue;
       const uint32_t near = (~0u >> (31 - high)) & (~0u << low);
-      m.can[at] |= near & m.known[at] & ~w.truth[at] & w.inside[at];
+      m.can[at] |= near & Known(at) & ~w.truth[at] & w.inside[at];
     }
     END_LANES
   }
@@ -463,6 +481,7 @@ struct WarpMaps {
 
   // Lays the way to a target and forgets the costs; the number of its motions.
   DEVICE int Lay(int from, int target) {
+    Begins();
     int n = 0;
     for (int i = target; target != kNone && i != from;) {
       PerLane<int> fits;
@@ -480,6 +499,7 @@ struct WarpMaps {
       i -= Offset(k);
     }
     Forget(from);
+    Ends(kLaying);
     return n;
   }
 
@@ -492,19 +512,28 @@ struct WarpMaps {
   }
 
   DEVICE int Nearest(int from, int& left) {
-    Refresh();
-    MarkNear(from, true);
+    Prepare(from);
+    Begins();
     const int target = Search(from, true);
+    Ends(kSearching);
     left = Lay(from, target);
     return target;
   }
 
-  DEVICE int Uniform(int from, int& left, Key key) {
+  DEVICE void Prepare(int from) {
+    Begins();
     Refresh();
     MarkNear(from, true);
+    Ends(kJudging);
+  }
+
+  DEVICE int Uniform(int from, int& left, Key key) {
+    Prepare(from);
+    Begins();
     Search(from, false);
     const int n = goes_on ? CountReached(~0u) : 0;
     const int target = n ? CountReached(RandomBelow(key, n)) : kNone;
+    Ends(kSearching);
     left = Lay(from, target);
     return target;
   }
@@ -554,7 +583,7 @@ struct WarpMaps {
     LANES(lane)
     is_missed[lane] = 0;
     for (int i = lane; i < w.n_words; i += 32)
-      is_missed[lane] |= (w.goals[static_cast<int64_t>(goal) * w.n_words + i] & ~m.known[i]) != 0;
+      is_missed[lane] |= (w.goals[static_cast<int64_t>(goal) * w.n_words + i] & ~Known(i)) != 0;
     END_LANES
     return Ballot(is_missed) == 0;
   }
@@ -564,7 +593,7 @@ struct WarpMaps {
     LANES(lane)
     n[lane] = 0;
     for (int i = lane; i < w.n_words; i += 32)
-      n[lane] += Bits(w.regions[static_cast<int64_t>(region) * w.n_words + i] & m.known[i]);
+      n[lane] += Bits(w.regions[static_cast<int64_t>(region) * w.n_words + i] & Known(i));
     END_LANES
     return Sum(n);
   }

@@ -1,0 +1,98 @@
+"""Batches of whole episodes by an NVIDIA GPU: a warp an episode. Built by nvcc on first use."""
+
+import ctypes
+import os
+import shlex
+import shutil
+from collections.abc import Sequence
+from ctypes import POINTER, Structure, c_char_p, c_double, c_int, c_int32, c_int64, c_void_p
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from jexplore.native.build import FOLDER, Library, build_library
+from jexplore.native.episodes import RESULT, TASK, Given, Spec, as_struct
+
+SOURCES = tuple(FOLDER / name for name in ("gpu.cu", "warp_host.h", "warp.h", "world.h", "rules.h"))
+FLAGS = ("-std=c++17", "-O3", "-shared", "-Xcompiler", "-fPIC", "-cudart", "static")
+PARTS = ("scan", "masks", "search", "way")  # `Part` in warp.h
+
+
+class Measured(Structure):
+    """What a run was like."""
+
+    _fields_ = [
+        ("prepare_s", c_double), ("views_s", c_double), ("run_s", c_double), ("views_bytes", c_int64),
+        ("memory_bytes", c_int64), ("warps_per_sm", c_int32), ("n_sms", c_int32), ("is_shared", c_int32),
+        ("given_up", c_int32), ("clocks", c_int64 * (len(PARTS) + 1)),
+    ]  # fmt: skip
+
+
+class Played(NamedTuple):
+    """What some episodes came to."""
+
+    results: np.ndarray  # [n, RESULT] int32; outcome 0 where an episode was given up, which a CPU then runs
+    measured: Measured
+
+
+def find_nvcc() -> list[str]:
+    """Return the command of CUDA's compiler: `$NVCC` if that is set, else nvcc; or none."""
+    own = shlex.split(os.environ.get("NVCC", ""))
+    places = (shutil.which("nvcc"), "/usr/local/cuda/bin/nvcc")
+    return own or [place for place in places if place and Path(place).is_file()][:1]
+
+
+def library(arch: str = "native", flags: Sequence[str] = ()) -> Library:
+    """Return the library for a kind of GPU, built if need be.
+
+    Args:
+      arch: as nvcc names it, "sm_90"; "native": that of this machine.
+      flags: of nvcc, besides `FLAGS`; "-DJEXPLORE_CLOCKS" has the time of each part told.
+    """
+    try:
+        nvcc = find_nvcc()
+    except ValueError as error:  # an open quote
+        return Library(None, f"NVCC must be a command, got {os.environ['NVCC']!r}: {str(error).lower()}")
+    if not nvcc:
+        return Library(None, "no nvcc was found: expected CUDA's compiler on the path, or its name in NVCC")
+    found = build_library(SOURCES, (*nvcc, *FLAGS, f"-arch={arch}", *flags))
+    if found.loaded is not None:
+        found.loaded.jexplore_gpu_episodes.argtypes = [
+            POINTER(Spec), c_void_p, c_void_p, c_int64, c_void_p, c_void_p, c_int, c_int, POINTER(Measured), c_char_p,
+            c_int64,
+        ]  # fmt: skip
+    return found
+
+
+def play(
+    loaded: ctypes.CDLL, spec: Spec, given: Given, tasks: np.ndarray, stop: np.ndarray, *, shared: int = -1, warps: int = 0
+) -> Played | None:
+    """Run episodes in one world.
+
+    Args:
+      loaded: of `library`.
+      spec, given: what they have in common.
+      tasks: `[n]` of `episodes.TASK`; goal and region are found here.
+      stop: `[1]` int32; once it is not 0, the rest is given up.
+      shared: 1, the robots' maps lie in shared memory; 0, they do not; -1, where they fit.
+      warps: at most so many on a multiprocessor; 0: as many as fit.
+
+    Returns:
+      `Played`; None where the world does not suit.
+
+    Raises:
+      MemoryError: the GPU has too little.
+      RuntimeError: CUDA says what is wrong.
+    """
+    keep, tasks = [], np.ascontiguousarray(tasks, TASK)
+    results, measured, why = np.zeros((len(tasks), RESULT), np.int32), Measured(), ctypes.create_string_buffer(500)
+    code = loaded.jexplore_gpu_episodes(
+        ctypes.byref(spec), ctypes.byref(as_struct(given, keep)), tasks.ctypes.data, len(tasks), results.ctypes.data,
+        stop.ctypes.data, shared, warps, ctypes.byref(measured), why, len(why),
+    )  # fmt: skip
+    if code == 1:
+        raise MemoryError("the GPU has too little memory")
+    if code == 3:
+        raise RuntimeError(why.value.decode(errors="replace"))
+    return None if code == 2 else Played(results, measured)
