@@ -27,7 +27,7 @@ from jexplore.worlds.world import ring_of
 WORLDS = ("cave", "hospital")
 STRATEGIES = ("closest", "closest+recheck", "random")
 CHECKED = 1000  # episodes of each kind that are compared
-DRAWN = 2048  # starts, which are repeated
+DRAWN = 512  # starts, which are repeated
 COLUMNS = ("world", "strategy", "where", "episodes", "episodes/s", "warps an SM", "views MB", "making views s", "given up", "of the time")
 
 
