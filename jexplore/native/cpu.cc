@@ -180,14 +180,7 @@ void jexplore_free(void* memory) { std::free(memory); }
 
 // Fills in what tasks are to know in the end. Not while episodes run in the world. 0, or 1 without memory.
 int jexplore_goals(void* world_, Task* tasks, int64_t n) try {
-  World& world = *static_cast<World*>(world_);
-  std::map<int, int> goal_of;
-  for (int64_t i = 0; i < n; ++i) {
-    const int start = world.Cell(tasks[i].row, tasks[i].col);
-    const auto known = goal_of.find(start);
-    tasks[i].goal = known != goal_of.end() ? known->second : goal_of.emplace(start, world.GoalOf(start)).first->second;
-    tasks[i].region = world.given.region[tasks[i].row * world.p.width + tasks[i].col];
-  }
+  static_cast<World*>(world_)->FindGoals(tasks, n);
   return 0;
 } catch (const std::bad_alloc&) {
   return 1;

@@ -203,33 +203,29 @@ int jexplore_gpus() {
 
 // Runs episodes of a world of its own; those with an outcome of 0 were given up. `shared`: 1, maps are in shared memory;
 // 0, they are not; -1, where they fit. `most_warps` of a multiprocessor; 0: as many as fit. Returns 0, 1 without memory,
-// 2 in a world that does not suit, 3 with an error, in `why`.
+// 2 in a world that does not suit, 3 with an error, in `why`. (nvcc drops functions whose body is a try block.)
 int jexplore_gpu_episodes(const Spec* spec, const Given* given, Task* tasks, int64_t n, Result* results,
-                          const volatile int32_t* stop, int shared, int most_warps, Measured* measured, char* why, int64_t size) try {
-  World world(*spec, *given);
-  if (!HostWorld::Suits(world)) return 2;
-  std::map<int, int> goal_of;
-  for (int64_t i = 0; i < n; ++i) {
-    const int start = world.Cell(tasks[i].row, tasks[i].col);
-    const auto known = goal_of.find(start);
-    tasks[i].goal = known != goal_of.end() ? known->second : goal_of.emplace(start, world.GoalOf(start)).first->second;
-    tasks[i].region = given->region[tasks[i].row * spec->width + tasks[i].col];
+                          const volatile int32_t* stop, int shared, int most_warps, Measured* measured, char* why, int64_t size) {
+  try {
+    World world(*spec, *given);
+    if (!HostWorld::Suits(world)) return 2;
+    world.FindGoals(tasks, n);
+    HostWorld host(world, tasks, n);
+    int most_shared = 0;
+    Check(cudaDeviceGetAttribute(&most_shared, cudaDevAttrMaxSharedMemoryPerBlockOptin, 0), "GPU");
+    const bool is_small = host.w.n_cells < 1 << 16;
+    const size_t words = host.MapWords() + (is_small ? host.SharedWords<uint16_t>() : host.SharedWords<uint32_t>());
+    const bool fits = 4 * words <= static_cast<size_t>(most_shared), is_shared = fits && shared != 0;
+    if (is_small && is_shared) Run<uint16_t, true>(host, results, stop, *measured, most_warps);
+    else if (is_small) Run<uint16_t, false>(host, results, stop, *measured, most_warps);
+    else if (is_shared) Run<uint32_t, true>(host, results, stop, *measured, most_warps);
+    else Run<uint32_t, false>(host, results, stop, *measured, most_warps);
+    return 0;
+  } catch (const std::bad_alloc&) {
+    return 1;
+  } catch (const std::exception& error) {
+    std::snprintf(why, size, "%s", error.what());
+    return 3;
   }
-  HostWorld host(world, tasks, n);
-  int most_shared = 0;
-  Check(cudaDeviceGetAttribute(&most_shared, cudaDevAttrMaxSharedMemoryPerBlockOptin, 0), "GPU");
-  const bool is_small = host.w.n_cells < 1 << 16;
-  const size_t words = host.MapWords() + (is_small ? host.SharedWords<uint16_t>() : host.SharedWords<uint32_t>());
-  const bool fits = 4 * words <= static_cast<size_t>(most_shared), is_shared = fits && shared != 0;
-  if (is_small && is_shared) Run<uint16_t, true>(host, results, stop, *measured, most_warps);
-  else if (is_small) Run<uint16_t, false>(host, results, stop, *measured, most_warps);
-  else if (is_shared) Run<uint32_t, true>(host, results, stop, *measured, most_warps);
-  else Run<uint32_t, false>(host, results, stop, *measured, most_warps);
-  return 0;
-} catch (const std::bad_alloc&) {
-  return 1;
-} catch (const std::exception& error) {
-  std::snprintf(why, size, "%s", error.what());
-  return 3;
 }
 }

@@ -134,6 +134,17 @@ struct World {
     return at->second;
   }
 
+  // Fills in goal and region of some tasks.
+  void FindGoals(Task* tasks, int64_t n) {
+    std::map<int, int> found;
+    for (int64_t i = 0; i < n; ++i) {
+      const int start = Cell(tasks[i].row, tasks[i].col);
+      const auto known = found.find(start);
+      tasks[i].goal = known != found.end() ? known->second : found.emplace(start, GoalOf(start)).first->second;
+      tasks[i].region = given.region[tasks[i].row * p.width + tasks[i].col];
+    }
+  }
+
   bool Holds(int cell) const {
     const int row = cell / stride - margin, col = cell % stride - margin;
     return row >= 0 && row < p.height && col >= 0 && col < p.width;
