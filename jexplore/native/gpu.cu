@@ -10,6 +10,15 @@
 #include "warp_host.h"
 
 namespace jexplore {
+
+// What a run was like; in the order of `gpu.Measured`.
+struct Measured {
+  double prepare_s, views_s, run_s;
+  int64_t views_bytes, memory_bytes;
+  int32_t warps_per_sm, n_sms, is_shared, given_up;
+  int64_t clocks[kParts + 1];
+};
+
 namespace {
 
 constexpr double kLaunchS = 1.0;       // seconds that a launch should take: how long Ctrl-C waits
@@ -100,14 +109,6 @@ __global__ void __launch_bounds__(32) RunEpisodes(const __grid_constant__ WarpWo
 }
 
 double Now() { return std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch()).count(); }
-
-// What a run was like; in the order of `gpu.Measured`.
-struct Measured {
-  double prepare_s, views_s, run_s;
-  int64_t views_bytes, memory_bytes;
-  int32_t warps_per_sm, n_sms, is_shared, given_up;
-  int64_t clocks[kParts + 1];
-};
 
 template <class Cell, bool is_shared>
 void Run(HostWorld& host, Result* results, const volatile int32_t* stop, Measured& measured, int most_warps) {
@@ -203,7 +204,7 @@ int jexplore_gpus() {
 
 // Runs episodes of a world of its own; those with an outcome of 0 were given up. `shared`: 1, maps are in shared memory;
 // 0, they are not; -1, where they fit. `most_warps` of a multiprocessor; 0: as many as fit. Returns 0, 1 without memory,
-// 2 in a world that does not suit, 3 with an error, in `why`. (nvcc drops functions whose body is a try block.)
+// 2 in a world that does not suit, 3 with an error, in `why`.
 int jexplore_gpu_episodes(const Spec* spec, const Given* given, Task* tasks, int64_t n, Result* results,
                           const volatile int32_t* stop, int shared, int most_warps, Measured* measured, char* why, int64_t size) {
   try {
