@@ -78,12 +78,11 @@ def check(loaded, cores):
     for name, strategy, rules, lidar in cases:
         case = Case(jx.load_world(name), strategy, Rules(**rules), Lidar(**lidar))
         want, _ = case.on_cpu(CHECKED, cores)
-        for shared in (1, 0):
-            found = case.on_gpu(loaded, CHECKED, shared=shared)
-            differ = (found.results != want).any(axis=1) & (found.results[:, 6] != 0)
-            unequal += int(differ.sum())
-            print(f"{name} {strategy} {rules or ''} {lidar or ''} shared={shared}: {CHECKED - differ.sum()} of {CHECKED} equal,"
-                  f" {found.measured.given_up} given up", flush=True)  # fmt: skip
+        found = case.on_gpu(loaded, CHECKED)
+        differ = (found.results != want).any(axis=1) & (found.results[:, 6] != 0)
+        unequal += int(differ.sum())
+        print(f"{name} {strategy} {rules or ''} {lidar or ''}: {CHECKED - differ.sum()} of {CHECKED} equal,"
+              f" {found.measured.given_up} given up", flush=True)  # fmt: skip
     return unequal
 
 
@@ -110,11 +109,8 @@ def measure(loaded, clocked, n, cores, end):
         if strategy == "closest+recheck":
             _, took = case.on_cpu(few // 32, cores)
             yield (name, strategy, f"{cores} cores", few // 32, f"{few // 32 / took:.0f}", *[""] * 5)
-            yield row_of(case, strategy, case.on_gpu(loaded, few, shared=1), few, "GPU, shared memory")
-            yield row_of(case, strategy, case.on_gpu(loaded, few, shared=0), few, "GPU, global memory")
-            yield row_of(case, strategy, case.on_gpu(clocked, few // 4, shared=1), few // 4, "GPU, with clocks")
-        else:
-            yield row_of(case, strategy, case.on_gpu(loaded, few), few, "GPU")
+            yield row_of(case, strategy, case.on_gpu(clocked, few // 4), few // 4, "GPU, with clocks")
+        yield row_of(case, strategy, case.on_gpu(loaded, few), few, "GPU")
 
 
 def lanes(end):

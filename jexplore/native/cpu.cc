@@ -140,7 +140,7 @@ int64_t Show(const World& world, const Replay& script) {
 template <class Cell>
 void Emulate(HostWorld& host, Result* results, bool with_views) {
   WarpWorld& w = host.w;
-  std::vector<uint32_t> map_words(host.MapWords()), shared(host.SharedWords<Cell>()), other(host.OtherWords<Cell>()), views, extents, bits;
+  std::vector<uint32_t> shared(host.SharedWords<Cell>()), other(host.OtherWords<Cell>()), views, extents, bits;
   std::vector<int32_t> steps(2 * (static_cast<size_t>(w.p.max_steps) + 1));
   if (with_views) {
     views.resize(static_cast<size_t>(host.n_free) * w.view_words), extents.resize(8 * host.n_free), bits.resize(host.LargestBox());
@@ -150,7 +150,7 @@ void Emulate(HostWorld& host, Result* results, bool with_views) {
                  &extents[8 * w.view_of[cell] + heading]);
     w.views = views.data(), w.extents = extents.data();
   }
-  const WarpMemory<Cell> memory = Divide<Cell>(w, map_words.data(), shared.data(), other.data());
+  const WarpMemory<Cell> memory = Divide<Cell>(w, shared.data(), other.data());
   std::fill(memory.cost, memory.cost + w.n_cells, kUnreached);
   for (size_t i = 0; i < host.tasks.size(); ++i) {
     WarpMaps<Cell> maps(w, memory);

@@ -15,7 +15,7 @@ namespace jexplore {
 struct Measured {
   double prepare_s, views_s, run_s;
   int64_t views_bytes, memory_bytes;
-  int32_t warps_per_sm, n_sms, is_shared, given_up;
+  int32_t warps_per_sm, n_sms, given_up;
   int64_t clocks[kParts + 1];
 };
 
@@ -52,9 +52,9 @@ struct Device {
   ~Device() { cudaFree(data); }
 };
 
-__global__ void Fill(uint32_t* values, int64_t n, int64_t first, int64_t stride, int64_t length) {
+__global__ void Fill(uint32_t* values, int64_t n, int64_t stride, int64_t length) {
   for (int64_t i = blockIdx.x * static_cast<int64_t>(blockDim.x) + threadIdx.x; i < n * length; i += static_cast<int64_t>(gridDim.x) * blockDim.x)
-    values[i / length * stride + first + i % length] = kUnreached;
+    values[i / length * stride + i % length] = kUnreached;
 }
 
 __global__ void MakeViews(const __grid_constant__ WarpWorld w, const int32_t* cells, int n, uint32_t* views, uint32_t* extents) {
@@ -73,19 +73,18 @@ struct Work {
   Result* results;
   int n;
   int* next;
-  uint32_t *maps, *other;
-  int64_t map_words, other_words;
+  uint32_t* other;  // of each warp
+  int64_t other_words;
   int32_t* steps;
   int capacity;
   unsigned long long* clocks;  // [kParts + 1], with JEXPLORE_CLOCKS
 };
 
-template <class Cell, bool is_shared>
-__global__ void __launch_bounds__(32) RunEpisodes(const __grid_constant__ WarpWorld w, const __grid_constant__ Work work, int map_words_shared) {
+template <class Cell>
+__global__ void __launch_bounds__(32) RunEpisodes(const __grid_constant__ WarpWorld w, const __grid_constant__ Work work) {
   extern __shared__ uint32_t shared[];
   const int64_t slot = blockIdx.x;
-  uint32_t* maps = is_shared ? shared : work.maps + slot * work.map_words;
-  const WarpMemory<Cell> memory = Divide<Cell>(w, maps, shared + map_words_shared, work.other + slot * work.other_words);
+  const WarpMemory<Cell> memory = Divide<Cell>(w, shared, work.other + slot * work.other_words);
   for (;;) {
     int i = 0;
     if (threadIdx.x == 0) i = atomicAdd(work.next, 1);
@@ -94,7 +93,7 @@ __global__ void __launch_bounds__(32) RunEpisodes(const __grid_constant__ WarpWo
 #ifdef JEXPLORE_CLOCKS
     const long long began = clock64();
 #endif
-    WarpMaps<Cell, is_shared> own(w, memory);
+    WarpMaps<Cell> own(w, memory);
     WarpLog log(work.steps + 2 * slot * work.capacity, work.capacity);
     Episode episode(w.p, own, log, work.results[i]);
     episode.Run(work.tasks[i], work.is_stuck[i]);
@@ -110,7 +109,7 @@ __global__ void __launch_bounds__(32) RunEpisodes(const __grid_constant__ WarpWo
 
 double Now() { return std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch()).count(); }
 
-template <class Cell, bool is_shared>
+template <class Cell>
 void Run(HostWorld& host, Result* results, const volatile int32_t* stop, Measured& measured, int most_warps) {
   WarpWorld& w = host.w;
   const double began = Now();
@@ -125,8 +124,8 @@ void Run(HostWorld& host, Result* results, const volatile int32_t* stop, Measure
   w.truth = truth.data, w.inside = inside.data, w.goals = goals.data, w.regions = regions.data, w.is_row = is_row.data;
   w.rooms = rooms.data, w.counts = counts.data, w.view_of = view_of.data, w.way = way.data, w.length = length.data;
 
-  const size_t shared_bytes = 4 * ((is_shared ? host.MapWords() : 0) + host.SharedWords<Cell>());
-  const auto kernel = RunEpisodes<Cell, is_shared>;
+  const size_t shared_bytes = 4 * host.SharedWords<Cell>();
+  const auto kernel = RunEpisodes<Cell>;
   Check(cudaFuncSetAttribute(kernel, cudaFuncAttributeMaxDynamicSharedMemorySize, static_cast<int>(shared_bytes)), "shared memory");
   Check(cudaOccupancyMaxActiveBlocksPerMultiprocessor(&per_sm, kernel, 32, shared_bytes), "occupancy");
   if (most_warps > 0) per_sm = std::min(per_sm, most_warps);
@@ -135,15 +134,15 @@ void Run(HostWorld& host, Result* results, const volatile int32_t* stop, Measure
 
   Work work{};
   work.capacity = std::min(w.p.max_steps + 1, kMostSteps);
-  work.map_words = host.MapWords(), work.other_words = host.OtherWords<Cell>();
-  Device<uint32_t> maps(is_shared ? 0 : slots * work.map_words), other(slots * work.other_words);
+  work.other_words = host.OtherWords<Cell>();
+  Device<uint32_t> other(slots * work.other_words);
   Device<int32_t> steps(2 * slots * work.capacity), next(1);
   Device<Task> tasks(host.tasks);
   Device<uint8_t> is_stuck(host.is_stuck);
   Device<Result> found(n_tasks);
   Device<unsigned long long> clocks(kParts + 1);
   Check(cudaMemset(clocks.data, 0, (kParts + 1) * sizeof(unsigned long long)), "clocks");
-  Fill<<<1024, 256>>>(other.data, slots, 2 * w.n_words, work.other_words, w.n_cells);
+  Fill<<<1024, 256>>>(other.data, slots, work.other_words, w.n_cells);
   Check(cudaDeviceSynchronize(), "filling");
   measured.prepare_s = Now() - began;
 
@@ -167,17 +166,17 @@ void Run(HostWorld& host, Result* results, const volatile int32_t* stop, Measure
   measured.views_s = Now() - since;
 
   work.tasks = tasks.data, work.is_stuck = is_stuck.data, work.results = found.data, work.next = next.data;
-  work.maps = maps.data, work.other = other.data, work.steps = steps.data, work.clocks = clocks.data;
+  work.other = other.data, work.steps = steps.data, work.clocks = clocks.data;
   Check(cudaMemGetInfo(&free_bytes, &all_bytes), "memory");
   measured.memory_bytes = all_bytes - free_bytes;
-  measured.warps_per_sm = per_sm, measured.n_sms = device.multiProcessorCount, measured.is_shared = is_shared;
+  measured.warps_per_sm = per_sm, measured.n_sms = device.multiProcessorCount;
   int64_t many = 4 * slots;
   for (int64_t first = 0; first < n_tasks && !*stop;) {
     const double launched = Now();
     work.n = static_cast<int>(std::min(first + many, n_tasks));
     const int from = static_cast<int>(first);
     Check(cudaMemcpy(next.data, &from, sizeof from, cudaMemcpyHostToDevice), "queue");
-    kernel<<<static_cast<int>(slots), 32, shared_bytes>>>(w, work, is_shared ? static_cast<int>(host.MapWords()) : 0);
+    kernel<<<static_cast<int>(slots), 32, shared_bytes>>>(w, work);
     Check(cudaGetLastError(), "launch");
     Check(cudaMemcpy(results + first, found.data + first, (work.n - first) * sizeof(Result), cudaMemcpyDeviceToHost), "episodes");
     const double took = Now() - launched;
@@ -202,25 +201,18 @@ int jexplore_gpus() {
   return cudaGetDeviceCount(&n) == cudaSuccess ? n : 0;
 }
 
-// Runs episodes of a world of its own; those with an outcome of 0 were given up. `shared`: 1, maps are in shared memory;
-// 0, they are not; -1, where they fit. `most_warps` of a multiprocessor; 0: as many as fit. Returns 0, 1 without memory,
-// 2 in a world that does not suit, 3 with an error, in `why`.
+// Runs episodes of a world of its own; those with an outcome of 0 were given up. `most_warps` of a
+// multiprocessor; 0: as many as fit. Returns 0, 1 without memory, 2 in a world that does not suit, 3 with an error, in
+// `why`.
 int jexplore_gpu_episodes(const Spec* spec, const Given* given, Task* tasks, int64_t n, Result* results,
-                          const volatile int32_t* stop, int shared, int most_warps, Measured* measured, char* why, int64_t size) {
+                          const volatile int32_t* stop, int most_warps, Measured* measured, char* why, int64_t size) {
   try {
     World world(*spec, *given);
     if (!HostWorld::Suits(world)) return 2;
     world.FindGoals(tasks, n);
     HostWorld host(world, tasks, n);
-    int most_shared = 0;
-    Check(cudaDeviceGetAttribute(&most_shared, cudaDevAttrMaxSharedMemoryPerBlockOptin, 0), "GPU");
-    const bool is_small = host.w.n_cells < 1 << 16;
-    const size_t words = host.MapWords() + (is_small ? host.SharedWords<uint16_t>() : host.SharedWords<uint32_t>());
-    const bool fits = 4 * words <= static_cast<size_t>(most_shared), is_shared = fits && shared != 0;
-    if (is_small && is_shared) Run<uint16_t, true>(host, results, stop, *measured, most_warps);
-    else if (is_small) Run<uint16_t, false>(host, results, stop, *measured, most_warps);
-    else if (is_shared) Run<uint32_t, true>(host, results, stop, *measured, most_warps);
-    else Run<uint32_t, false>(host, results, stop, *measured, most_warps);
+    if (host.w.n_cells < 1 << 16) Run<uint16_t>(host, results, stop, *measured, most_warps);
+    else Run<uint32_t>(host, results, stop, *measured, most_warps);
     return 0;
   } catch (const std::bad_alloc&) {
     return 1;

@@ -24,8 +24,8 @@ class Measured(Structure):
 
     _fields_ = [
         ("prepare_s", c_double), ("views_s", c_double), ("run_s", c_double), ("views_bytes", c_int64),
-        ("memory_bytes", c_int64), ("warps_per_sm", c_int32), ("n_sms", c_int32), ("is_shared", c_int32),
-        ("given_up", c_int32), ("clocks", c_int64 * (len(PARTS) + 1)),
+        ("memory_bytes", c_int64), ("warps_per_sm", c_int32), ("n_sms", c_int32), ("given_up", c_int32),
+        ("padding", c_int32), ("clocks", c_int64 * (len(PARTS) + 1)),
     ]  # fmt: skip
 
 
@@ -59,14 +59,14 @@ def library(arch: str = "native", flags: Sequence[str] = ()) -> Library:
     found = build_library(SOURCES, (*nvcc, *FLAGS, f"-arch={arch}", *flags))
     if found.loaded is not None:
         found.loaded.jexplore_gpu_episodes.argtypes = [
-            POINTER(Spec), c_void_p, c_void_p, c_int64, c_void_p, c_void_p, c_int, c_int, POINTER(Measured), c_char_p,
+            POINTER(Spec), c_void_p, c_void_p, c_int64, c_void_p, c_void_p, c_int, POINTER(Measured), c_char_p,
             c_int64,
         ]  # fmt: skip
     return found
 
 
 def play(
-    loaded: ctypes.CDLL, spec: Spec, given: Given, tasks: np.ndarray, stop: np.ndarray, *, shared: int = -1, warps: int = 0
+    loaded: ctypes.CDLL, spec: Spec, given: Given, tasks: np.ndarray, stop: np.ndarray, *, warps: int = 0
 ) -> Played | None:
     """Run episodes in one world.
 
@@ -75,7 +75,6 @@ def play(
       spec, given: what they have in common.
       tasks: `[n]` of `episodes.TASK`; goal and region are found here.
       stop: `[1]` int32; once it is not 0, the rest is given up.
-      shared: 1, the robots' maps lie in shared memory; 0, they do not; -1, where they fit.
       warps: at most so many on a multiprocessor; 0: as many as fit.
 
     Returns:
@@ -89,7 +88,7 @@ def play(
     results, measured, why = np.zeros((len(tasks), RESULT), np.int32), Measured(), ctypes.create_string_buffer(500)
     code = loaded.jexplore_gpu_episodes(
         ctypes.byref(spec), ctypes.byref(as_struct(given, keep)), tasks.ctypes.data, len(tasks), results.ctypes.data,
-        stop.ctypes.data, shared, warps, ctypes.byref(measured), why, len(why),
+        stop.ctypes.data, warps, ctypes.byref(measured), why, len(why),
     )  # fmt: skip
     if code == 1:
         raise MemoryError("the GPU has too little memory")

@@ -115,27 +115,25 @@ struct HostWorld {
     w.way = beams.way, w.length = beams.length, w.is_row = beams.is_row, w.beam_words = beams.n_words;
   }
 
-  // Words of memory of a warp: maps; what is always shared; the rest.
-  size_t MapWords() const { return 3 * w.n_words; }
+  // Words of memory of a warp: shared, and the GPU's.
   template <class Cell>
   size_t SharedWords() const {
     return (w.n_words + 31) / 32 + 4 + (3 * kBucket * sizeof(Cell) + 3) / 4;
   }
   template <class Cell>
   size_t OtherWords() const {
-    return 2 * w.n_words + w.n_cells + (w.n_cells * sizeof(Cell) + 3) / 4 + w.n_cells / 4 + 3 * (2 * kMaxRadius + 1);
+    return 5 * w.n_words + w.n_cells + (w.n_cells * sizeof(Cell) + 3) / 4 + w.n_cells / 4 + 3 * (2 * kMaxRadius + 1);
   }
 };
 
 template <class Cell>
-DEVICE WarpMemory<Cell> Divide(const WarpWorld& w, uint32_t* maps, uint32_t* shared, uint32_t* other) {
+DEVICE WarpMemory<Cell> Divide(const WarpWorld& w, uint32_t* shared, uint32_t* other) {
   WarpMemory<Cell> m;
-  m.known = maps, m.can = maps + w.n_words, m.front = maps + 2 * w.n_words;
   m.stale = shared;
   m.count = reinterpret_cast<int*>(shared + (w.n_words + 31) / 32);
   m.queue = reinterpret_cast<Cell*>(m.count + 4);
-  m.driven = other, m.exhausted = other + w.n_words, m.cost = other + 2 * w.n_words;
-  m.saved = m.cost + w.n_cells;
+  m.cost = other, m.known = other + w.n_cells, m.can = m.known + w.n_words, m.front = m.can + w.n_words;
+  m.driven = m.front + w.n_words, m.exhausted = m.driven + w.n_words, m.saved = m.exhausted + w.n_words;
   m.touched = reinterpret_cast<Cell*>(m.saved + 3 * (2 * kMaxRadius + 1));
   m.way = reinterpret_cast<int8_t*>(m.touched + w.n_cells);
   return m;
