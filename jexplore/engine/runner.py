@@ -17,7 +17,6 @@ import numpy as np
 from jexplore.config import InputError
 from jexplore.engine import lockstep, serial
 from jexplore.engine.backend import start_backend
-from jexplore.engine.lanes import Usage
 from jexplore.engine.program import Line
 
 ENGINES = ("serial", "lockstep")
@@ -39,20 +38,11 @@ class Costs:
     interrupted: bool = False  # whether Ctrl-C ended it early; what was finished then is there
     advanced: int = 0  # lanes that advanced, over all turns
     room: int = 0  # lanes that could have
-    decided: int = 0  # lanes in deciding groups; in pieces, in those for a first glance, or without glances in slots
-    group_room: int = 0  # places in these groups
-
-    def add(self, usage: Usage, n_lanes: int, places: int) -> None:
-        """Adds a `lanes.Usage` of so many lanes; `places`: those in a group, see `lanes.Engine.places`."""
-        self.advanced += int(np.sum(usage.advanced))
-        self.decided += int(np.sum(usage.decided))
-        self.room += int(np.sum(usage.turns)) * n_lanes
-        self.group_room += int(np.sum(usage.groups)) * places
 
     def plus(self, later: "Costs") -> "Costs":
         """Those of two runs, one after the other."""
         total = dataclasses.replace(later)
-        for name in ("compile_s", "run_s", "advanced", "room", "decided", "group_room"):
+        for name in ("compile_s", "run_s", "advanced", "room"):
             setattr(total, name, getattr(self, name) + getattr(later, name))
         total.interrupted = self.interrupted or later.interrupted
         return total
@@ -61,11 +51,6 @@ class Costs:
     def useful(self) -> float | None:
         """Share of the lanes that advanced, over all turns; None if none could, as in the serial engine."""
         return self.advanced / self.room if self.room else None
-
-    @property
-    def useful_decisions(self) -> float | None:
-        """Share of the places in deciding groups that were taken; None if there was none."""
-        return self.decided / self.group_room if self.group_room else None
 
 
 class Resources(NamedTuple):
@@ -207,7 +192,7 @@ def run_all(
             costs.lanes = resources.workers
             serial.run_lines(lines, resources.devices, resources.workers, costs, progress)
         else:
-            lockstep.run_lines(lines, resources.devices, resources.lanes, costs, progress, on_line is not None)
+            lockstep.run_lines(lines, resources.devices, resources.lanes, costs, progress)
     except KeyboardInterrupt:
         if resources.processes > 1 or not any(line.finished.any() for line in lines):
             raise

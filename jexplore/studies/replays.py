@@ -12,7 +12,7 @@ from jexplore.config import InputError, Lidar, Rules
 from jexplore.engine.backend import use_compilation_cache
 from jexplore.exploration import batch
 from jexplore.exploration.batch import Job, Outcomes
-from jexplore.exploration.site import Kernels, prepare_site
+from jexplore.exploration.site import prepare_site
 from jexplore.exploration.state import Outcome
 from jexplore.exploration.stops import stops
 from jexplore.exploration.trail import Final
@@ -78,7 +78,7 @@ def replay_data(
     if final.plans is None:
         raise InputError(f"{strategy.name} in {world.name}: an episode of so many plans cannot be played again")
     shown = evenly(len(final.rows) - 1, max_frames)
-    site = prepare_site(world, lidar, rules, Kernels())
+    site = prepare_site(world, lidar, rules)
     found, headings = stops(site, strategy, start, seed, number, final, shown), []
     changes = tuple(changes_of(_images(world, strategy, found, headings)))
     target, until = _aims(final, shown)
