@@ -85,7 +85,6 @@ def test_both_engines_give_the_same(report):
         assert serial["useful"] is None
         assert lockstep["lanes"] == 2
         assert 0 < lockstep["useful"] <= 1
-        assert 0 < lockstep["useful_plans"] <= 1
         assert lockstep["episodes"] == 4
         for row in rows:
             assert row["quality"]["complete"] == 1
