@@ -268,27 +268,13 @@ class Accelerator:
     platform = "gpu"
 
 
-def test_the_engine_that_is_likely_to_be_faster():
-    cpu, gpu, cores = jax.local_devices(backend="cpu")[:1], [Accelerator()], runner.CORES_WORTH
-    assert runner.faster_engine(cpu, 1, 10**6) == "serial"
-    assert runner.faster_engine(gpu, cores - 1) == "lockstep"
-    assert runner.faster_engine(gpu, cores) == "serial"
-    assert runner.faster_engine(gpu * 2, 2 * cores - 1, 2 * runner.FILLING) == "lockstep"
-    assert runner.faster_engine(gpu * 2, 1, 2 * runner.FILLING - 1) == "serial"
-    # Each of three processes has two of the devices.
-    assert runner.faster_engine(gpu * 2, 1, 6 * runner.FILLING, processes=3) == "lockstep"
-    assert runner.faster_engine(gpu * 2, 1, 6 * runner.FILLING - 1, processes=3) == "serial"
-    assert runner.FILLING == lockstep.LANES
-
-
 def test_beside_an_accelerator_the_serial_engine_has_the_cpu(monkeypatch):
     found = jax.local_devices
     monkeypatch.setattr(jax, "local_devices", lambda backend=None: found(backend="cpu") if backend else [Accelerator()])
     monkeypatch.setattr(runner, "own_cores", lambda: 2)
-    assert runner.find_resources().engine == "lockstep"
-    assert runner.find_resources(runs=1).engine == "serial"
-    assert runner.find_resources(runs=1, lanes=1).engine == "lockstep"
-    for how in ({"engine": "serial"}, {"workers": runner.CORES_WORTH}, {"runs": 1}):
+    assert runner.find_resources(lanes=1).engine == "lockstep"
+    assert runner.find_resources(engine="lockstep").engine == "lockstep"
+    for how in ({}, {"engine": "serial"}, {"workers": 2}):
         resources = runner.find_resources(**how)
         assert (resources.engine, resources.devices) == ("serial", found(backend="cpu"))
     with pytest.raises(InputError, match="lanes are for the engine lockstep, got 4 for serial"):
@@ -304,26 +290,10 @@ def test_where_jax_has_no_cpu_the_serial_engine_is_none(monkeypatch):
         return [Accelerator()]
 
     monkeypatch.setattr(jax, "local_devices", devices_of)
-    for how in ({"runs": 1}, {"workers": runner.CORES_WORTH}, {"engine": "lockstep"}):
+    for how in ({}, {"workers": 96}, {"engine": "lockstep"}):
         assert runner.find_resources(**how).engine == "lockstep"
     with pytest.raises(InputError, match=r"^JAX_PLATFORMS must list cpu for the engine serial, got "):
         runner.find_resources(engine="serial")
-
-
-def test_one_episode_of_many_is_one_run(monkeypatch):
-    """And not as many as have a start."""
-
-    class Asked(Exception):
-        pass
-
-    def ask(*, runs, **_):
-        raise Asked(runs)
-
-    monkeypatch.setattr(batch, "find_resources", ask)
-    jobs = some_jobs()
-    for only, runs in ((None, sum(len(job.starts) for job in jobs)), (1, len(jobs))):
-        with pytest.raises(Asked, match=f"^{runs}$"):
-            run_jobs(jobs, LIDAR, RULES, only=only)
 
 
 @pytest.mark.jit

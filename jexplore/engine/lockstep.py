@@ -101,7 +101,8 @@ class Group:
         program, setup, state = self.program, self.program.setup, lanes.state
         if program.decide is not None:
             alive = lanes.busy & ~self._done(lanes)
-            waits = alive & jax.vmap(program.must_decide)(state)
+            must_decide: Any = program.must_decide
+            waits = alive & jax.vmap(must_decide)(state)
             waits &= SHARE * _count(waits) >= _count(alive)
 
             def decide(given, state, waits):
@@ -163,9 +164,8 @@ class Group:
         if all(memory):
             free = min(m["bytes_limit"] - m["bytes_in_use"] for m in memory if m)
             most = min(most, int(MEMORY_SHARE * max(free, 0)) // self.lane_bytes())
-        return min(
-            2 ** max(0, most.bit_length() - 1), -(-sum(len(line.left) for line in self.lines) // len(self.devices))
-        )
+        left = sum(len(line.left) for line in self.lines)
+        return min(2 ** max(0, most.bit_length() - 1), -(-left // len(self.devices)))
 
     def compile(self, n_lanes: int, compiled: Callable[..., tuple[Any, Any]] = compiled) -> tuple[Any, ...]:
         """`(make, fill, go_on, found)`: what makes `empty` lanes, `fill` and `go_on`, compiled for so many lanes on

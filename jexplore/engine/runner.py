@@ -20,10 +20,6 @@ from jexplore.engine.backend import start_backend
 from jexplore.engine.program import Line
 
 ENGINES = ("serial", "lockstep")
-# CPU cores that do the work of one H100 in lockstep at 4,096 lanes, by `closest+recheck`: 97 of its own machine's in a
-# hospital, 160 in a cave (`benchmarks/device.py`).
-CORES_WORTH = 96
-FILLING = 4096  # runs a device from which lockstep is chosen; measured at this many lanes
 
 
 @dataclasses.dataclass
@@ -81,19 +77,6 @@ def cpu_devices() -> list[Any]:
         return []
 
 
-def faster_engine(devices: Sequence[Any], cores: int, runs: int | None = None, processes: int = 1) -> str:
-    """The engine that is likely to be the faster one, by what an H100 and the cores beside it were measured to do.
-
-    Args:
-      devices: list of JAX devices.
-      cores: CPU cores there are instead.
-      runs: to be made, by all processes together; None: many.
-      processes: that share the runs, each with as many devices and cores.
-    """
-    few = runs is not None and runs < FILLING * len(devices) * processes
-    return "serial" if devices[0].platform == "cpu" or few or cores >= CORES_WORTH * len(devices) else "lockstep"
-
-
 def require_32_bits() -> None:
     """Refuse jax's 64-bit mode, which may be switched on at any time.
 
@@ -104,16 +87,13 @@ def require_32_bits() -> None:
         raise InputError("jax_enable_x64 is on, and jexplore computes in 32 bits: switch it off")
 
 
-def find_resources(
-    *, engine: str | None = None, lanes: int | None = None, workers: int | None = None, runs: int | None = None
-) -> Resources:
+def find_resources(*, engine: str | None = None, lanes: int | None = None, workers: int | None = None) -> Resources:
     """What there is to run with, and what is asked of it. Starts JAX.
 
     Args:
-      engine: one of `ENGINES`; by default `faster_engine`, and lockstep where lanes are asked for, or JAX has no CPU.
+      engine: one of `ENGINES`; by default serial; lockstep where lanes are asked for on an accelerator, or JAX has no CPU.
       lanes: lanes on each device in lockstep; by default as many as its memory holds, at most 4096.
       workers: threads of the serial engine on one device; by default the CPU cores that this process may use.
-      runs: that are to be made; None: many.
 
     Returns:
       `Resources`. The serial engine has the CPU, whatever else there is.
@@ -133,8 +113,7 @@ def find_resources(
     devices, processes = jax.local_devices(), jax.process_count()
     on_cpu = devices[0].platform == "cpu"
     if engine is None:
-        must_have_lanes = not on_cpu and (lanes is not None or not cpu_devices())
-        engine = "lockstep" if must_have_lanes else faster_engine(devices, workers or cores, runs, processes)
+        engine = "lockstep" if not on_cpu and (lanes is not None or not cpu_devices()) else "serial"
     if lanes is not None and engine == "serial":
         raise InputError(f"lanes are for the engine lockstep, got {lanes} for serial")
     if engine == "serial" and not on_cpu:

@@ -68,7 +68,7 @@ def run_jobs(
       jobs: list of `Job`, each with at least one start. In every process the same.
       lidar: `Lidar`.
       rules: `Rules`.
-      engine: one of `runner.ENGINES`; by default the one that is likely to be faster, `runner.faster_engine`.
+      engine: one of `runner.ENGINES`; by default serial, see `runner.find_resources`.
       lanes: lanes on each device in lockstep; by default as many as its memory holds, at most 4096.
       workers: threads of the serial engine on one device; by default the CPU cores that this process may use.
       on_progress: called with the number of episodes finished so far, now and then, from the calling thread.
@@ -89,8 +89,7 @@ def run_jobs(
       InputWarning: no compiler for `fast`, or it fails; a scanner with noise, for which `fast` has no kernel.
       MemoryError: a device's memory does not suffice, not even for half the lanes.
     """
-    runs = sum(len(job.starts) for job in jobs) if only is None else len(jobs)
-    resources = find_resources(engine=engine, lanes=lanes, workers=workers, runs=runs)
+    resources = find_resources(engine=engine, lanes=lanes, workers=workers)
     if keep is not None and resources.processes > 1:
         raise InputError(f"keep={keep!r} is for one process, and {resources.processes} share the work")
     native = _native_for(resources, fast)
