@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from ref import maps
@@ -18,7 +19,7 @@ from jexplore.arrays import loops
 from jexplore.bench import engines
 from jexplore.config import InputError
 from jexplore.engine import devices, lockstep, runner, serial
-from jexplore.exploration import batch
+from jexplore.engine.program import given_of
 from jexplore.exploration.batch import Job, run_jobs
 from jexplore.exploration.site import line_of, prepare_site
 from jexplore.exploration.state import Outcome
@@ -61,6 +62,23 @@ def test_lanes_in_lockstep_give_what_one_after_the_other_does(want, n_lanes):
     costs = report.costs
     assert (costs.engine, costs.devices, costs.lanes) == ("lockstep", 1, min(n_lanes, 20))
     assert 0 < costs.useful <= 1
+
+
+@pytest.mark.jit
+def test_whole_episodes_under_vmap_give_the_same(want):
+    job = some_jobs()[0]
+    site = prepare_site(job.world, LIDAR, RULES)
+    line = line_of(site, site.with_strategy(job.strategy), job.starts, job.seed, np.arange(len(job.starts)))
+    program, numbers = line.program, range(len(job.starts))
+    given = jax.tree.map(jnp.asarray, given_of(line))
+
+    def episode(key, task):
+        own = given.replace(key=key, task=task)
+        return program.finish(program.setup, own, serial.run_one(program, own))
+
+    keys = jnp.stack([given_of(line, i).key for i in numbers])
+    found = jax.jit(jax.vmap(episode))(keys, line.tasks)
+    jax.tree.map(np.testing.assert_array_equal, found, want.outcomes[0].result)
 
 
 @pytest.mark.jit

@@ -91,7 +91,7 @@ def find_resources(*, engine: str | None = None, lanes: int | None = None, worke
     """What there is to run with, and what is asked of it. Starts JAX.
 
     Args:
-      engine: one of `ENGINES`; by default serial; lockstep where lanes are asked for on an accelerator, or JAX has no CPU.
+      engine: one of `ENGINES`; by default serial, or lockstep for lanes on an accelerator and without a CPU in JAX.
       lanes: lanes on each device in lockstep; by default as many as its memory holds, at most 4096.
       workers: threads of the serial engine on one device; by default the CPU cores that this process may use.
 
