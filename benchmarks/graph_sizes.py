@@ -18,7 +18,7 @@ from jexplore.bench.tables import markdown
 from jexplore.config import InputError
 from jexplore.engine.backend import use_compilation_cache
 from jexplore.exploration import batch, replay
-from jexplore.exploration.site import COARSE_M, KERNELS, prepare_site
+from jexplore.exploration.site import COARSE_M, prepare_site
 from jexplore.grid import any_within_one, is_free, is_known
 from jexplore.policies import parse_strategy
 from jexplore.rooms import watershed
@@ -58,9 +58,8 @@ def measure(world, seed=5):
     """The most of `WHAT` in one episode of `closest+recheck`: `(padded shape, *most)`."""
     lidar, rules, strategy = Lidar(), Rules(), parse_strategy("closest+recheck")
     starts = draw_starts(world, seed, 1, rules.clearance_m)
-    kernels = KERNELS["serial"]
-    site = prepare_site(world, lidar, rules, kernels)
-    found = batch.run_jobs([batch.Job(world, strategy, starts, seed)], lidar, rules, kernels=kernels)
+    site = prepare_site(world, lidar, rules)
+    found = batch.run_jobs([batch.Job(world, strategy, starts, seed)], lidar, rules)
     plans, shape = found.outcomes[0].first.plans, site.truth.occupied.shape
     form = form_for(shape, nodes=shape[0] * shape[1] // 4, splits=2048)
     every, most = max(1, len(plans) // PLANS), (0,) * len(WHAT)

@@ -67,7 +67,7 @@ def _ahead(key, params, carry, belief, beams, route):
     def evaluate(state):
         i, best, cell, scratch = state
         one = jax.tree.map(lambda a: a[heading[i]][None] if a.ndim else a, beams)
-        told, scratch = look(ahead, row[i], col[i], one, scratch, method=belief.model.scan)
+        told, scratch = look(ahead, row[i], col[i], one, scratch)
         worth = views.gain_for_path(view, told.gain, path_m[i])
         better = (i < n) & (told.unknown >= view.min_gain) & (worth > best)
         new = jnp.where(better, worth, best), jnp.where(better, row[i] * width + col[i], cell)

@@ -19,7 +19,7 @@ from jexplore.bench.tables import markdown
 from jexplore.bench.timing import timed
 from jexplore.engine import serial
 from jexplore.engine.backend import start_backend
-from jexplore.exploration.site import KERNELS, line_of, prepare_site
+from jexplore.exploration.site import line_of, prepare_site
 from jexplore.studies.checks import ready_strategies, ready_worlds
 from jexplore.worlds.starts import draw_starts
 
@@ -30,7 +30,7 @@ def episode(world, strategy, side, repeat):
     Returns:
       its result, the padded shape, and processor ms of its first step with all that begins and ends it, and of it all.
     """
-    site = prepare_site(world, LIDAR, RULES, KERNELS["serial"], (side, side) if side else None)
+    site = prepare_site(world, LIDAR, RULES, (side, side) if side else None)
     tasks = np.zeros((serial.CHUNK, 3), np.int32)
     tasks[0] = draw_starts(world, SEED, 1, RULES.clearance_m)[0] // [1, 1, 45]
     line = line_of(site, site.with_strategy(strategy), tasks, SEED, np.arange(1))

@@ -83,9 +83,8 @@ def played(belief, walls, beams, choice, route):
     outside = belief.driven.shape[0]
 
     def seen(belief, heading, when):
-        found = scan(walls, belief.row, belief.col, heading, beams, method=belief.model.scan)
-        how = {"when": when, "method": belief.model.scan}
-        return belief.replace(grid=fold(belief.grid, belief.row, belief.col, heading, found, beams, **how))
+        found = scan(walls, belief.row, belief.col, heading, beams)
+        return belief.replace(grid=fold(belief.grid, belief.row, belief.col, heading, found, beams, when=when))
 
     def plan(play):
         choice, route = nearest_frontier(play.belief, play.route)

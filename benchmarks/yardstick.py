@@ -6,7 +6,6 @@ See README.md in this folder for the columns.
 """
 
 import argparse
-import dataclasses
 import importlib.util
 import sys
 from pathlib import Path
@@ -22,7 +21,6 @@ from jexplore.config import InputError, require_whole
 from jexplore.engine.backend import start_backend
 from jexplore.exploration.results import path_m
 from jexplore.exploration.sensing import native_kernel
-from jexplore.exploration.site import KERNELS
 from jexplore.exploration.state import Outcome
 from jexplore.report import store
 from jexplore.studies.checks import ready_strategies, ready_worlds
@@ -50,12 +48,12 @@ def load_yardstick(path):
     return module
 
 
-def beside(compiler, world, strategy, kernels, yardstick, episodes, repeat):
+def beside(compiler, world, strategy, native, yardstick, episodes, repeat):
     """Times one case on one core in turns with the yardstick, from the same starts: a dict for the report.
 
     The yardstick's starts have any heading; ours are rounded to 45 degrees. Its world is ours, cell by cell.
     """
-    program = compiler.serial(world, strategy, kernels)
+    program = compiler.serial(world, strategy, native)
     rows, cols, headings, _ = yardstick.pick_starts(world.occupied, episodes, 0, WALL_M / world.cell_m)
     starts = np.stack([rows, cols, np.rint(np.degrees(headings) / 45).astype(int) % 8 * 45], axis=1).astype(np.int32)
     explorer = yardstick.Explorer(
@@ -85,7 +83,7 @@ def beside(compiler, world, strategy, kernels, yardstick, episodes, repeat):
     return {
         "world": world.name,
         "strategy": strategy.name,
-        "fast": kernels.native is not None,
+        "fast": native is not None,
         "shape": list(world.shape),
         "s_per_episode": {name: spread(values) for name, values in wall.items()},
         "cpu_s_per_episode": {name: spread(values) for name, values in cpu.items()},
@@ -143,12 +141,12 @@ def main():
             raise InputError(f"--strategies must be among {', '.join(STRATEGIES)}, got {strategy.name!r}")
     if importlib.util.find_spec("numba") is None:
         raise InputError(f"--yardstick {args.yardstick}: needs numba, which the extra bench installs")
-    yardstick, kernels = load_yardstick(args.yardstick), [KERNELS["serial"]]
+    yardstick, targets = load_yardstick(args.yardstick), [None]
     if args.fast:
         native = native_kernel()
         if native.target is None:
             raise InputError(f"--fast: {native.why_not}")
-        kernels.append(dataclasses.replace(kernels[0], native=native.target))
+        targets.append(native.target)
     worlds = ready_worlds(args.worlds or [str(SHARED / "maps" / "stage" / name) for name in MAPS], 0.1)
     start_backend(1)
     jax.config.update("jax_enable_compilation_cache", False)
@@ -161,7 +159,7 @@ def main():
         beside(compiler, world, strategy, own, yardstick, args.episodes, args.repeat)
         for world in worlds
         for strategy in strategies
-        for own in kernels
+        for own in targets
     ]
     report["programs"] = compiler.programs
     print(table(report["cases"]))

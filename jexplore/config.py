@@ -323,31 +323,3 @@ class Rules(Settings):
             value = getattr(self, name)
             if value is not None:
                 require_whole(f"rules.{name}", value, low=1, high=2**24)
-
-
-@dataclasses.dataclass(frozen=True)
-class Assumptions(Settings):
-    """What an accelerator is taken to need where a run on it is estimated and not measured."""
-
-    sync_us: float = 15.0
-    """The host waits this long for the device to tell whether a loop goes on, in microseconds."""
-    launch_us: float = 3.0
-    """A kernel or a copy is started within this, in microseconds."""
-    graph_us: float = 7.0
-    """A graph of kernels and copies is started within this, in microseconds."""
-    node_us: float = 1.3
-    """Each kernel or copy of a graph needs this besides, in microseconds."""
-    bandwidth_tb_s: float | None = None
-    """Memory is read and written at this rate, in TB/s (default: 84 % of the data sheet's)."""
-    atomics_g_s: float = 60.0
-    """So many elements are added or set one by one in a second, in thousand millions."""
-    instructions_t_s: float = 20.0
-    """So many instructions of threads are executed in a second, in million millions."""
-
-    def __post_init__(self) -> None:
-        for name in ("sync_us", "launch_us", "graph_us", "node_us"):
-            require_number(f"assume.{name}", getattr(self, name), high=1e6)
-        if self.bandwidth_tb_s is not None:
-            require_number("assume.bandwidth_tb_s", self.bandwidth_tb_s, low_open=True, high=1e6)
-        require_number("assume.atomics_g_s", self.atomics_g_s, low_open=True, high=1e6)
-        require_number("assume.instructions_t_s", self.instructions_t_s, low_open=True, high=1e6)

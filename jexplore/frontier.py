@@ -66,7 +66,6 @@ def plan_masks(
     p_free: Array | float,
     near_d2: Array | float,
     clearance_d2: int,
-    packing: str = "sum",
     stays_inside: bool = False,
 ) -> Masks:
     """Traversable and frontier cells at once, packed.
@@ -81,7 +80,6 @@ def plan_masks(
       row, col: int32, the robot's cell, inside the arrays.
       p_free, near_d2: scalars.
       clearance_d2: cells^2. Static.
-      packing: method of `bits.pack`. Static.
       stays_inside: whether cells outside are left out of both, whatever they are. Static.
 
     Returns:
@@ -94,7 +92,7 @@ def plan_masks(
 
     def pack_all():
         cells = is_occupied(grid, p_free), is_known(grid), driven, exhausted, inside, disc(shape, row, col, near_d2)
-        return [bits.pack(mask, method=packing) for mask in cells]
+        return [bits.pack(mask) for mask in cells]
 
     occupied, known, driven, exhausted, inside, near = stored(row >= 0, pack_all)
 
@@ -149,7 +147,7 @@ def frontier_clusters(
     *,
     max_clusters: int,
     max_cells: int | None = None,
-    part: int | None = groups.PART,
+    part: int = groups.PART,
 ) -> Clusters:
     """Groups of frontier cells that touch each other along edges or corners.
 
@@ -160,8 +158,7 @@ def frontier_clusters(
       max_clusters: M, slots. Static. Clusters beyond it are counted in `overflow`, not kept.
       max_cells: frontier cells that are looked at, the first in (row, col) order; by default one in 16 of the map, at
         least 256. Static.
-      part: frontier cells that are worked on at a time; None for all, which is for many maps in lockstep. The clusters
-        are the same. Static.
+      part: frontier cells that are worked on at a time; the clusters are the same. Static.
 
     Returns:
       `Clusters`. Among members that are equally good, the one with the lowest flat index stands for all.

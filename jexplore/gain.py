@@ -105,13 +105,13 @@ def most(prospect: Prospect, row: Array, col: Array, beams: Beams) -> Array:
     return inside * (1 + 1e-4) + 1  # more than what float32 loses
 
 
-def _passed(prospect, row, col, beams, scratch, method):
+def _passed(prospect, row, col, beams, scratch):
     """A look all round on a scratch: the scratch, the corner of the window that it can reach, and in that window what
     its beams passed and what is unknown.
     """
     shape, zero = prospect.stops.shape, jnp.int32(0)
-    found = scan(prospect.stops, row, col, zero, beams, method=method)
-    scratch = fold(scratch, row, col, zero, found, beams, method=method)
+    found = scan(prospect.stops, row, col, zero, beams)
+    scratch = fold(scratch, row, col, zero, found, beams)
     size = window_of(beams, shape)
     corner = _corner(row, col, size, shape)
     passed, unknown = (lax.dynamic_slice(a, corner, size) for a in (scratch.misses, prospect.unknown))
@@ -124,9 +124,7 @@ def _wiped(scratch, corner, size):
     return Grid(*(lax.dynamic_update_slice(a, blank, corner) for a in (scratch.hits, scratch.misses)))
 
 
-def look(
-    prospect: Prospect, row: Array | int, col: Array | int, beams: Beams, scratch: Grid, *, method: str = "blocks"
-) -> tuple[ViewGain, Grid]:
+def look(prospect: Prospect, row: Array | int, col: Array | int, beams: Beams, scratch: Grid) -> tuple[ViewGain, Grid]:
     """What a look all round from a cell would tell.
 
     Args:
@@ -134,7 +132,6 @@ def look(
       row, col: int32, the cell.
       beams: `Beams` from `raycast.all_round`.
       scratch: `Grid` of zeros, `[H, W]`.
-      method: one of `raycast.METHODS`. Static.
 
     Returns:
       `(ViewGain, scratch)`; the scratch is zeros again.
@@ -142,7 +139,7 @@ def look(
     Source:
       Holz et al. 2010, section 3.2, where the sign of the difference is a misprint.
     """
-    scratch, corner, passed, unknown = _passed(prospect, row, col, beams, scratch, method)
+    scratch, corner, passed, unknown = _passed(prospect, row, col, beams, scratch)
     seen = count(passed & unknown)
     known = count(passed) - seen
 
@@ -191,18 +188,18 @@ def unknown_near(
 
 
 def unknown_within(
-    prospect: Prospect, row: Array | int, col: Array | int, beams: Beams, scratch: Grid, d2: Array, *, method: str
+    prospect: Prospect, row: Array | int, col: Array | int, beams: Beams, scratch: Grid, d2: Array
 ) -> tuple[Array, Grid]:
     """How many unknown cells a look all round from a cell would show within some distances.
 
     Args:
-      prospect, row, col, beams, scratch, method: as for `look`.
+      prospect, row, col, beams, scratch: as for `look`.
       d2: `[R]` float32, squared distances, cells^2.
 
     Returns:
       `([R] int32, scratch)`; the scratch is zeros again.
     """
-    scratch, corner, passed, unknown = _passed(prospect, row, col, beams, scratch, method)
+    scratch, corner, passed, unknown = _passed(prospect, row, col, beams, scratch)
     rows, cols = (lax.broadcasted_iota(jnp.int32, passed.shape, axis) + corner[axis] for axis in (0, 1))
     off = (rows - row) ** 2 + (cols - col) ** 2
     counts = jnp.stack([count(passed & unknown & (off <= d2[i])) for i in range(d2.shape[0])])
@@ -217,17 +214,15 @@ def unknown_seen(
     col: Array | int,
     beams: Beams,
     within: Array | None = None,
-    *,
-    method: str = "blocks",
 ) -> Array:
     """How many unknown cells a look all round from a cell would show: int32, the `unknown` of a `look`.
 
     Args:
       grid, extent, p_free, within: as for `stops_and_unknown`.
-      row, col, beams, method: as for `look`.
+      row, col, beams: as for `look`.
     """
     stops, unknown = stops_and_unknown(grid, extent, p_free, within)
     zero = jnp.int32(0)
-    found = scan(stops, row, col, zero, beams, method=method)
-    passed = fold(empty_grid(stops.shape), row, col, zero, found, beams, method=method).misses
+    found = scan(stops, row, col, zero, beams)
+    passed = fold(empty_grid(stops.shape), row, col, zero, found, beams).misses
     return count((passed > 0) & unknown)

@@ -19,9 +19,6 @@ from jexplore.config import Lidar
 from jexplore.grid import Grid, in_cells
 
 BLOCK = 8  # steps of a beam looked at together, before asking whether all beams have ended
-BESIDE = BLOCK // 2  # steps that method "whole" looks at side by side
-UNROLLED = 512  # steps up to which it does, by code for each: it compiles in a second; 5,664 steps would take 15 s
-METHODS = ("blocks", "whole")
 NOT_ENDED = 2**30  # step number of a beam that is still under way
 HEADINGS = 8  # lattice headings, 45 degrees apart
 
@@ -41,7 +38,6 @@ class Beams:
     length: Array  # [K, B] int32, cells entered at a distance below the range
     reach: Array  # float32, the range, cells
     around: int = struct.field(pytree_node=False, default=1)  # scans, evenly turned, that see all round
-    spans: Any = None  # `spans.Spans` of these beams, where scans are counted by them
     replace: ClassVar[Callable[..., Self]]
 
 
@@ -207,15 +203,8 @@ def beam_table(lidar: Lidar, cell_m: float, width: int, longest_m: float = 0.0) 
     )
 
 
-def _known_method(method):
-    if method not in METHODS:
-        raise ValueError(f"expected method: one of {', '.join(METHODS)}, got {method!r}")
-
-
-@functools.partial(jax.jit, static_argnames=("method",))
-def scan(
-    occupied: Array, row: Array | int, col: Array | int, heading: Array | int, beams: Beams, *, method: str = "blocks"
-) -> Scan:
+@jax.jit
+def scan(occupied: Array, row: Array | int, col: Array | int, heading: Array | int, beams: Beams) -> Scan:
     """Where beams end in a true map.
 
     Args:
@@ -223,16 +212,10 @@ def scan(
       row, col: int32, the robot's cell.
       heading: int32, which of the K headings of `beams`.
       beams: `Beams`.
-      method: one of `METHODS`; the beams' ends are the same. "blocks" looks at a few steps of all beams at a time
-        until all have ended and is for one robot on a CPU, "whole" at all steps, for many in lockstep. Static.
 
     Returns:
       `Scan`. The first occupied cell that a beam enters stops it; the robot's own cell stops none.
-
-    Raises:
-      ValueError: while tracing, if the method is not known.
     """
-    _known_method(method)
     flat, here = occupied.reshape(-1), row * occupied.shape[1] + col
     length = lax.dynamic_index_in_dim(beams.length, heading, keepdims=False)
 
@@ -255,21 +238,11 @@ def scan(
         offset = lax.dynamic_slice(beams.offset, (heading, j * BLOCK, 0), (1, BLOCK, length.shape[0]))[0]
         return j + 1, jnp.minimum(end, first_stop(offset, j * BLOCK))
 
-    if method == "blocks":
-        _, end = lax.while_loop(not_ended, look, (jnp.int32(0), jnp.full(length.shape, NOT_ENDED, jnp.int32)))
-    elif (offset := lax.dynamic_index_in_dim(beams.offset, heading, keepdims=False)).shape[0] > UNROLLED:
-        end = first_stop(offset, 0)
-    else:
-        # On an accelerator a thread looks at every fourth step, from the last to the first: the first that is blocked
-        # is noted over those behind it.
-        end = jnp.full((BESIDE, length.shape[0]), NOT_ENDED, jnp.int32)
-        for i in reversed(range(0, offset.shape[0], BESIDE)):
-            end = jnp.where(blocked(offset[i : i + BESIDE]), i + lax.broadcasted_iota(jnp.int32, end.shape, 0), end)
-        end = jnp.minimum(jnp.min(end, axis=0), length)
+    _, end = lax.while_loop(not_ended, look, (jnp.int32(0), jnp.full(length.shape, NOT_ENDED, jnp.int32)))
     return Scan(end=end, hit=end < length)
 
 
-@functools.partial(jax.jit, static_argnames=("method",))
+@jax.jit
 def fold(
     grid: Grid,
     row: Array | int,
@@ -279,7 +252,6 @@ def fold(
     beams: Beams,
     *,
     when: Array | bool = True,
-    method: str = "blocks",
 ) -> Grid:
     """Counts one scan into the map: a miss for every cell passed, a hit where a beam was stopped.
 
@@ -289,19 +261,13 @@ def fold(
       seen: `Scan`, which stays inside the map.
       beams: `Beams`.
       when: bool scalar; if False, nothing is counted.
-      method: one of `METHODS`; the counts are the same. "blocks" stops where the longest beam ends and is for one
-        map on a CPU, "whole" counts all steps of all beams at once and is for many maps in lockstep. Static.
 
     Returns:
       `Grid`. The robot's own cell gets one miss, whatever the number of beams.
 
-    Raises:
-      ValueError: while tracing, if the method is not known.
-
     Source:
       Holz et al. 2010, section 2.1.
     """
-    _known_method(method)
     height, width = grid.hits.shape
     here, outside = row * width + col, height * width
     end, hit = jnp.where(when, seen.end, 0), seen.hit & when
@@ -310,8 +276,6 @@ def fold(
     def cells(offset, first):
         """Cells that some blocks of steps pass; a cell that is not there where the beam has ended."""
         step = first + lax.broadcasted_iota(jnp.int32, offset.shape, offset.ndim - 1)
-        for i in range(offset.ndim - 2):
-            step += BLOCK * lax.broadcasted_iota(jnp.int32, offset.shape, i)
         return jnp.where(step < end[:, None], here + offset, outside)
 
     def counted(state):
@@ -319,12 +283,8 @@ def fold(
         offset = lax.dynamic_slice(beams.by_beam, (heading, j, 0, 0), (1, 1, *beams.by_beam.shape[2:]))[0, 0]
         return j + 1, misses.at[cells(offset, j * BLOCK)].add(1, mode="drop")
 
-    if method == "blocks":
-        last = jnp.max(end)
-        _, misses = lax.while_loop(lambda s: s[0] * BLOCK < last, counted, (jnp.int32(0), misses))
-    else:
-        offset = lax.dynamic_index_in_dim(beams.by_beam, heading, keepdims=False)
-        misses = misses.at[cells(offset, 0)].add(1, mode="drop", wrap_negative_indices=False)
+    last = jnp.max(end)
+    _, misses = lax.while_loop(lambda s: s[0] * BLOCK < last, counted, (jnp.int32(0), misses))
     step = jnp.minimum(end, beams.offset.shape[1] - 1)
     stop = here + beams.offset[heading, step, lax.iota(jnp.int32, step.shape[0])]
     hits = grid.hits.reshape(-1).at[jnp.where(hit, stop, outside)].add(1, mode="drop")

@@ -4,21 +4,17 @@ Costs are int32 fixed point, so that every algorithm, batch and device gives the
 round(sqrt(2) * 2**16) a diagonal one. A diagonal step needs both cells beside it traversable.
 """
 
-import functools
-from collections.abc import Callable
-
 import jax
 import jax.numpy as jnp
 from jax import Array, lax
 
 from jexplore.arrays import bits
-from jexplore.arrays.loops import one_kernel, repeat, settled, stored
-from jexplore.grid import beside, bordered, count, lowest
+from jexplore.arrays.loops import one_kernel, stored
+from jexplore.grid import bordered, count
 
 STRAIGHT = 2**16
 DIAGONAL = 92682  # round(sqrt(2) * 2**16)
 FAR = 2**30  # not reached; larger than every cost. FAR + DIAGONAL fits int32, FAR + FAR does not and is never formed
-ROUNDS = 4  # relaxations between two looks at what they changed
 # Motions in the order that settles ties between equal predecessors: E, N, W, S, NE, NW, SW, SE.
 MOTIONS = ((0, 1), (1, 0), (0, -1), (-1, 0), (1, 1), (1, -1), (-1, -1), (-1, 1))
 HEADING = (0, 2, 4, 6, 1, 3, 5, 7)  # heading of each motion, in units of 45 degrees, counter-clockwise from east
@@ -32,28 +28,6 @@ def motions_into(words):
     """
     diagonal = [words & bits.shifted(words, -drow, 0) & bits.shifted(words, 0, -dcol) for drow, dcol in MOTIONS[4:]]
     return [words] * 4 + diagonal
-
-
-def _motion_bits(motions):
-    """`motions_into` as bits of one byte a cell, from the lowest: a straight motion, and each diagonal one."""
-    return sum(bits.unpack(words).astype(jnp.uint8) << i for i, words in enumerate(motions[3:]))
-
-
-def _relax(cost, ways_in, steps):
-    """The cheapest cost of every cell after at most one more motion, like `cost`; `ways_in` from `_motion_bits`."""
-    # Of which nobody can tell that it is the same in every round: an accelerator would else take the bits apart once,
-    # and store and read a byte for each of them.
-    ways_in = ways_in ^ (cost >> (8 * cost.dtype.itemsize - 1)).astype(jnp.uint8)
-    # What cannot be entered has a floor of `FAR`, and it is no summand: two of them would overflow.
-    floors = [jnp.where(ways_in >> i & 1 != 0, cost.dtype.type(0), cost.dtype.type(FAR)) for i in range(5)]
-    b = bordered(cost, FAR)
-    straight = jnp.minimum(
-        jnp.minimum(beside(b, 0, -1), beside(b, 0, 1)), jnp.minimum(beside(b, -1, 0), beside(b, 1, 0))
-    )
-    best = jnp.maximum(straight + steps[0], floors[0])
-    for (drow, dcol), floor in zip(MOTIONS[4:], floors[1:]):
-        best = jnp.minimum(best, jnp.maximum(beside(b, -drow, -dcol) + steps[1], floor))
-    return jnp.minimum(cost, best)
 
 
 def source(shape, row, col):
@@ -118,36 +92,32 @@ def _lowest_change(cost, motions, goals, rows, steps):
     return lows[0], jnp.int32(FAR) if goals is None else lows[1]
 
 
-@functools.partial(jax.jit, static_argnames=("method",))
-def reach(
-    traversable: Array, row: Array | int, col: Array | int, goals: Array | None = None, *, method: str = "sweeps"
-) -> Array:
+@jax.jit
+def reach(traversable: Array, row: Array | int, col: Array | int, goals: Array | None = None) -> Array:
     """Cost of the shortest path from a cell to every cell: the reachability map.
 
     Args:
       traversable: `[H, W]` bool; the start need not be.
       row, col: int32, start, inside the map.
       goals: `[H, W]` bool, or None. If given, only the cheapest goals are wanted: costs above theirs may not be final.
-      method: one of `METHODS`; the costs are the same. "sweeps" is for one map on a CPU, "wave" for many maps in
-        lockstep. Static.
 
     Returns:
       `[H, W]` int32, 2**16 a straight step; FAR where no path leads, or none cheaper than FAR (16,384 straight steps;
       see `saturated`).
 
     Raises:
-      ValueError: while tracing, if `traversable` is not a bool matrix, or the method is not known.
+      ValueError: while tracing, if `traversable` is not a bool matrix.
 
     Source:
       Holz et al. 2010, section 2.2 (Dijkstra without a goal). Changed: relaxed to the fixpoint, exact because costs are
-      integers: row by row (sweeps), or everywhere at once, motion by motion (wave: Bellman and Ford).
+      integers, row by row.
     """
     if traversable.ndim != 2 or traversable.dtype != bool:
         raise ValueError(f"expected traversable: [H, W] bool, got {traversable.shape} {traversable.dtype}")
     words = bits.pack(traversable)
     if goals is not None:
         goals = jnp.pad(goals, ((0, bits.WORD * words.shape[0] - goals.shape[0]), (0, 0)))
-    return reach_packed(words, row, col, goals, method=method)[: traversable.shape[0]]
+    return reach_packed(words, row, col, goals)[: traversable.shape[0]]
 
 
 def reach_packed(
@@ -157,7 +127,6 @@ def reach_packed(
     goals: Array | None = None,
     *,
     limit: Array | int = FAR,
-    method: str = "sweeps",
 ) -> Array:
     """`reach` with packed traversable cells.
 
@@ -166,93 +135,31 @@ def reach_packed(
       row, col: int32, start.
       goals: `[32 K, W]` bool, or None.
       limit: int32, costs above it may not be final either.
-      method: one of `METHODS`. Static.
 
     Returns:
       `[32 K, W]` int32.
     """
-    if method not in METHODS:
-        raise ValueError(f"expected method: one of {', '.join(METHODS)}, got {method!r}")
-    return METHODS[method](words, None, (row, col), goals, jnp.int32(limit), STEPS)
+    return spread(words, None, (row, col), goals, jnp.int32(limit), STEPS)
 
 
-def nearest_source(words: Array, sources: Array, n: int, *, method: str = "sweeps") -> Array:
+def nearest_source(words: Array, sources: Array, n: int) -> Array:
     """Which of many sources is the nearest, along paths.
 
     Args:
       words: `[K, W]` uint32, packed traversable cells.
       sources: `[32 K, W]` int32, number of the source in each cell, at least 0 and less than n; -1 where there is none.
       n: sources, at most 4096. Static.
-      method: one of `METHODS`. Static.
 
     Returns:
       `[32 K, W]` int32, number of the nearest source; -1 where no path leads. Equally near ones: the lowest. Lengths
         are in units of which a straight step has 70 and a diagonal one 99 (sqrt(2) to 1 in 10,000); a path of more than
         2**30 / 70 / n straight steps, n rounded up to a power of two, does not count.
     """
-    if method not in METHODS:
-        raise ValueError(f"expected method: one of {', '.join(METHODS)}, got {method!r}")
     # A cost and a source in one number: its lowest bits are the source's.
     scale = 2 ** max(n - 1, 1).bit_length()
     start = jnp.where(sources >= 0, sources, FAR)
-    cost = METHODS[method](words, start, (0, 0), None, jnp.int32(FAR), (70 * scale, 99 * scale))
+    cost = spread(words, start, (0, 0), None, jnp.int32(FAR), (70 * scale, 99 * scale))
     return jnp.where(cost < FAR, cost % scale, -1)
-
-
-def _relaxed(cost, ways_in, steps, rounds):
-    """Costs after so many rounds of `_relax`, a multiple of `ROUNDS`, in a loop whose length is known."""
-
-    def some(_, cost):
-        for _ in range(ROUNDS):  # unrolled: a kernel each on an accelerator, which a loop would copy between
-            cost = _relax(cost, ways_in, steps)
-        return cost
-
-    return lax.fori_loop(0, rounds // ROUNDS, some, cost)
-
-
-def spread(
-    motions: list[Array],
-    wave: tuple[Array, Array],
-    goals: Array | None,
-    limit: Array | int = FAR,
-    *,
-    steps: tuple[int, int] = STEPS,
-    rounds: int = ROUNDS,
-) -> tuple[Array, Array]:
-    """Some rounds of a wave: relaxations of all cells at once.
-
-    Args:
-      motions: from `motions_into`.
-      wave: `(settled, cost)`: int32, costs up to it are final, FAR once the wave has ended; `[32 K, W]` int32.
-      goals, limit, steps: as for `reach_packed`, and what a straight and a diagonal step cost (static).
-      rounds: a multiple of `ROUNDS`; by t of them costs are final up to t straight steps more, at least. Static.
-
-    Returns:
-      the wave after that. One that has ended may run on: costs only ever get closer to what is final.
-    """
-    (settled, cost), ways_in = wave, lax.optimization_barrier(_motion_bits(motions))
-    new = before = cost if rounds == ROUNDS else _relaxed(cost, ways_in, steps, rounds - ROUNDS)
-    for _ in range(ROUNDS):
-        before, new = new, _relax(new, ways_in, steps)
-    # The cheapest that the last round changed, and the cheapest goal, in as few passes over the map as can be.
-    values = [jnp.where(new != before, new, FAR)] + ([] if goals is None else [jnp.where(goals, new, FAR)])
-    low = jnp.min(lax.optimization_barrier(jnp.stack([jnp.min(a, axis=0) for a in values])), axis=1)
-    horizon = limit if goals is None else jnp.minimum(limit, low[1])
-    # What changes later follows from what has changed last, and so costs a step more than that.
-    settled = jnp.minimum(jnp.maximum(settled + rounds * steps[0], low[0] + steps[0] - 1), FAR)
-    return jnp.where((low[0] < FAR) & (settled <= horizon), settled, FAR), new
-
-
-def _wave(words, start, at, goals, limit, steps):
-    """`_sweeps`, all cells at once."""
-    motions = stored(words[0, 0] >= 0, lambda: motions_into(words))
-    cost = source((bits.WORD * words.shape[0], words.shape[1]), *at) if start is None else start
-    with jax.named_scope("wave"):
-        horizon = limit if goals is None else jnp.minimum(limit, lowest(jnp.where(goals, cost, FAR)))
-        settled = jnp.where(horizon >= 0, 0, FAR)
-        return repeat(
-            lambda wave: wave[0] < FAR, lambda wave: spread(motions, wave, goals, limit, steps=steps), (settled, cost)
-        )[1]
 
 
 def _sweeps(words, start, at, goals, limit, steps):
@@ -304,7 +211,14 @@ def _sweeps(words, start, at, goals, limit, steps):
     return lax.while_loop(lambda s: s[2] & (s[3] < height * width), sweep, state)[0][1:-1, 1:-1]
 
 
-def _sweeps_as_one(words, start, at, goals, limit, steps):
+def spread(
+    words: Array,
+    start: Array | None,
+    at: tuple[Array | int, Array | int],
+    goals: Array | None,
+    limit: Array | int,
+    steps: tuple[int, int],
+) -> Array:
     """`_sweeps` as one piece of code: the rows are many small operations."""
 
     def run(words, start, at, goals, limit):
@@ -313,17 +227,12 @@ def _sweeps_as_one(words, start, at, goals, limit, steps):
     return one_kernel(run, words, start, at, goals, limit)
 
 
-METHODS: dict[str, Callable[..., Array]] = {"sweeps": _sweeps_as_one, "wave": _wave}
-
-
-def flood(words: Array, row: Array | int, col: Array | int, *, method: str = "sweeps") -> Array:
+def flood(words: Array, row: Array | int, col: Array | int) -> Array:
     """The cells to which a path leads, however long.
 
     Args:
       words: `[K, W]` uint32, packed traversable cells; the start need not be one.
       row, col: int32, start.
-      method: one of `METHODS`; the cells are the same: "sweeps" fills row by row, "wave" all cells at once, which is
-        less for an accelerator to start. Static.
 
     Returns:
       `[K, W]` uint32, packed; the start is among them.
@@ -332,20 +241,7 @@ def flood(words: Array, row: Array | int, col: Array | int, *, method: str = "sw
     here = (at[0] == row // bits.WORD) & (at[1] == col)
     start = jnp.where(here, jnp.uint32(1) << jnp.uint32(row % bits.WORD), jnp.uint32(0))
     # Straight motions do: a diagonal one needs both cells beside it.
-    if method == "sweeps":
-        return one_kernel(bits.filled, words | start, start)
-
-    def step(before):
-        reached = before
-        for drow, dcol in MOTIONS[:4]:
-            reached = reached | (words & bits.shifted(before, -drow, -dcol))
-        return reached
-
-    def some(reached):  # unrolled, as in `_relaxed`
-        return functools.reduce(lambda reached, _: step(reached), range(2 * ROUNDS), reached)
-
-    with jax.named_scope("flood"):
-        return settled(some, start)
+    return one_kernel(bits.filled, words | start, start)
 
 
 def _extent(words):
@@ -355,18 +251,17 @@ def _extent(words):
     return jnp.min(jnp.where(used, at, width)), jnp.max(jnp.where(used, at, -1))
 
 
-def saturated(cost: Array, traversable: Array, *, packing: str = "sum") -> Array:
+def saturated(cost: Array, traversable: Array) -> Array:
     """Cells one motion beyond those with a cost that hold FAR, because their cost would not fit.
 
     Args:
       cost: `[H, W]` int32, from `reach`.
       traversable: `[H, W]` bool.
-      packing: method of `bits.pack`. Static.
 
     Returns:
       int32. 0 unless some path has 16,384 straight steps or more; what lies beyond is then out of reach.
     """
-    reached, left, can = (bits.pack(mask, method=packing) for mask in (cost < FAR, cost == FAR, traversable))
+    reached, left, can = (bits.pack(mask) for mask in (cost < FAR, cost == FAR, traversable))
     entered = jnp.zeros_like(left)
     for (drow, dcol), possible in zip(MOTIONS, motions_into(can)):
         entered = entered | (left & possible & bits.shifted(reached, -drow, -dcol))

@@ -41,7 +41,6 @@ class Form(NamedTuple):
     splits: int  # critical points, at most
     metric: str = "geodesic"  # one of METRICS: what "closest segment" means
     lines: bool = False  # split along the line between the two nearest obstacles (Thrun 1998)
-    reach: str = "sweeps"  # one of `reach.METHODS`
 
 
 @struct.dataclass
@@ -357,7 +356,7 @@ def segment(free: Array, criteria: Criteria, *, form: Form) -> Segments:
         passable = free & ~_line_cells(drow, dcol, sparse.at(graph.cell, node, none))
     if form.metric == "geodesic":
         sources = jnp.where((at_seed < n) & free, at_seed, -1)
-        label = nearest_source(bits.pack(passable), _padded(sources, -1), n, method=form.reach)[:height]
+        label = nearest_source(bits.pack(passable), _padded(sources, -1), n)[:height]
     else:
         site = nearest_site(at_seed < n)[1]
         label = jnp.where(passable & (site >= 0), at_seed.reshape(-1)[jnp.maximum(site, 0)], -1)

@@ -16,7 +16,7 @@ from jexplore.engine.serial import run_one
 from jexplore.exploration.batch import Job, run_jobs
 from jexplore.exploration.episode import program_of
 from jexplore.exploration.results import length_along_m, progress_m
-from jexplore.exploration.site import Kernels, prepare_site
+from jexplore.exploration.site import prepare_site
 from jexplore.exploration.state import Numbers, Outcome, Setup, Truth
 from jexplore.planning import MapModel
 from jexplore.policies import parse_strategy
@@ -45,7 +45,7 @@ def test_buckets_waste_little_and_keep_the_order():
 
 def test_a_world_is_padded_with_walls():
     occupied, rooms = maps.cluttered(1, 40, 70)
-    site = prepare_site(World(occupied=occupied, rooms=rooms), LIDAR, Rules(near_m=0.4, max_steps=9), Kernels())
+    site = prepare_site(World(occupied=occupied, rooms=rooms), LIDAR, Rules(near_m=0.4, max_steps=9))
     assert site.truth.occupied.shape == (64, 96)
     np.testing.assert_array_equal(site.truth.occupied[:40, :70], occupied)
     assert site.truth.occupied[40:].all()
@@ -69,8 +69,8 @@ def test_a_world_is_padded_with_walls():
 
 def test_the_trail_has_room_for_as_many_steps_as_are_asked_for():
     world = World(occupied=maps.walls("### #.# ###"))
-    assert prepare_site(world, LIDAR, Rules(max_steps=30_000), Kernels()).setup.capacity >= 30_000
-    assert prepare_site(world, LIDAR, Rules(), Kernels()).setup.capacity >= 20_000
+    assert prepare_site(world, LIDAR, Rules(max_steps=30_000)).setup.capacity >= 30_000
+    assert prepare_site(world, LIDAR, Rules()).setup.capacity >= 20_000
 
 
 @pytest.fixture(scope="module")

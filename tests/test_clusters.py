@@ -20,7 +20,7 @@ from jexplore.policies.mcdm import choquet, relative
 from jexplore.policies.tour import improved, inserted
 from jexplore.reach import FAR, STRAIGHT, reach
 
-ONE_METRE = {"cell_m": 1.0, "reach": "wave", "scan": "whole"}
+ONE_METRE = {"cell_m": 1.0}
 CROSS = Lidar(n_beams=4, fov_deg=360, range_m=4.0)  # in cells of one metre: four cells back, right, ahead, left
 STAR = Lidar(n_beams=8, fov_deg=360, range_m=1.5)  # the eight cells around
 
@@ -102,7 +102,7 @@ def test_three_niches(name, numbers):
         assert beliefs.target_of(f"{name}:{text}".rstrip(":"), beliefs.belief_of(NICHES, **ONE_METRE), STAR) == want
 
 
-BETWEEN = jax.jit(clusters.costs_between, static_argnames="method")
+BETWEEN = jax.jit(clusters.costs_between)
 
 
 @jax.jit
@@ -141,9 +141,8 @@ def test_the_best_of_some_targets():
 
 
 @pytest.mark.jit
-@pytest.mark.parametrize("scan", ["blocks", "whole"])
 @pytest.mark.parametrize("enough", [0, 1, 3, 12, 2**30])
-def test_what_shows_less_than_enough_is_counted(scan, enough):
+def test_what_shows_less_than_enough_is_counted(enough):
     shape, lidar, short = (60, 70), Lidar(n_beams=61, fov_deg=270, range_m=1.6), 0
     run = jax.jit(lambda belief, beams: (
         at := clusters.targets(belief, field(belief)),
@@ -152,14 +151,13 @@ def test_what_shows_less_than_enough_is_counted(scan, enough):
     ))  # fmt: skip
     for seed in range(3):
         belief = beliefs.but_for_spots(seed, shape, clearance_d2=1)
-        belief = belief.replace(model=belief.model.replace(scan=scan))
         at, exact, shown = jax.tree.map(np.asarray, run(belief, beliefs.table(lidar, belief)))
         assert ((shown >= enough) == (exact >= enough)).all()
         assert (shown <= exact).all()
         assert (shown == exact)[exact < enough].all()
         assert not shown[~at.used].any()
         short += int((shown < exact).sum())
-    assert (short > 0) == (scan == "blocks" and enough in (0, 1, 3))
+    assert (short > 0) == (enough in (0, 1, 3))
 
 
 @pytest.mark.jit
@@ -175,9 +173,8 @@ def test_costs_between_cells_are_those_from_each(seed, n):
     np.fill_diagonal(want, 0)
     for i in range(n):
         want[i, :n] = reach(passable, row[i], col[i])[row[:n], col[:n]]
-    for method in ("sweeps", "wave"):
-        got = np.array(BETWEEN(passable, row, col, np.int32(n), method))
-        np.testing.assert_array_equal(got[:n, :n], want[:n, :n])
+    got = np.array(BETWEEN(passable, row, col, np.int32(n)))
+    np.testing.assert_array_equal(got[:n, :n], want[:n, :n])
 
 
 # ---------------------------------------------------------------- how far targets lie apart

@@ -1,7 +1,6 @@
 """One result, whichever way episodes run: engines, batch sizes, kernels, devices, processes; runs that end early."""
 
 import dataclasses
-import functools
 import json
 import os
 import socket
@@ -10,22 +9,21 @@ import sys
 from pathlib import Path
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from ref import maps
 from ref.jobs import LIDAR, RULES, digest, few, some_jobs
 
-from jexplore import planning
 from jexplore.arrays import loops
 from jexplore.bench import engines
-from jexplore.config import InputError, Lidar
+from jexplore.config import InputError
 from jexplore.engine import devices, lockstep, runner, serial
-from jexplore.exploration import batch
+from jexplore.engine.program import given_of
 from jexplore.exploration.batch import Job, run_jobs
-from jexplore.exploration.site import KERNELS, Kernels, kernels_for, line_of, prepare_site
+from jexplore.exploration.site import line_of, prepare_site
 from jexplore.exploration.state import Outcome
 from jexplore.policies import parse_strategy
-from jexplore.studies.checks import ready_worlds
 from jexplore.worlds.starts import draw_starts
 from jexplore.worlds.world import World
 
@@ -64,7 +62,23 @@ def test_lanes_in_lockstep_give_what_one_after_the_other_does(want, n_lanes):
     costs = report.costs
     assert (costs.engine, costs.devices, costs.lanes) == ("lockstep", 1, min(n_lanes, 20))
     assert 0 < costs.useful <= 1
-    assert 0 < costs.useful_decisions <= 1
+
+
+@pytest.mark.jit
+def test_whole_episodes_under_vmap_give_the_same(want):
+    job = some_jobs()[0]
+    site = prepare_site(job.world, LIDAR, RULES)
+    line = line_of(site, site.with_strategy(job.strategy), job.starts, job.seed, np.arange(len(job.starts)))
+    program, numbers = line.program, range(len(job.starts))
+    given = jax.tree.map(jnp.asarray, given_of(line))
+
+    def episode(key, task):
+        own = given.replace(key=key, task=task)
+        return program.finish(program.setup, own, serial.run_one(program, own))
+
+    keys = jnp.stack([given_of(line, i).key for i in numbers])
+    found = jax.jit(jax.vmap(episode))(keys, line.tasks)
+    jax.tree.map(np.testing.assert_array_equal, found, want.outcomes[0].result)
 
 
 @pytest.mark.jit
@@ -72,39 +86,6 @@ def test_lanes_in_lockstep_give_what_one_after_the_other_does(want, n_lanes):
 def test_calls_of_any_size_give_the_same(want, size, monkeypatch):
     monkeypatch.setattr(serial, "CHUNK", size)
     assert_equal(run_jobs(some_jobs(), LIDAR, RULES, engine="serial", workers=2), want)
-
-
-@pytest.mark.jit
-@pytest.mark.parametrize(
-    ("engine", "kernels"), [("serial", Kernels("wave", "whole")), ("lockstep", Kernels("sweeps", "blocks"))]
-)
-def test_kernels_give_the_same_in_either_engine(want, engine, kernels):
-    assert_equal(run_jobs(some_jobs(), LIDAR, RULES, engine=engine, kernels=kernels), want)
-
-
-@pytest.mark.jit
-@pytest.mark.parametrize(("n_lanes", "windows"), [(7, (16, 32)), (64, ())])
-def test_planning_in_pieces_gives_the_same(want, n_lanes, windows, monkeypatch):
-    monkeypatch.setattr(planning, "WINDOWS", {0: windows})
-    kernels = kernels_for("lockstep", "gpu")
-    assert kernels == dataclasses.replace(KERNELS["lockstep"], in_pieces=True)
-    report = run_jobs(some_jobs(), LIDAR, RULES, engine="lockstep", lanes=n_lanes, kernels=kernels)
-    assert_equal(report, want)
-    assert 0 < report.costs.useful_decisions <= 1
-
-
-def test_only_accelerators_plan_in_pieces():
-    assert kernels_for("lockstep", "cpu") == KERNELS["lockstep"]
-    assert kernels_for("serial", "gpu") == KERNELS["serial"]
-
-
-@pytest.mark.jit
-def test_what_plans_in_pieces_keeps_its_program_beside_others():
-    (job, *_), kernels = some_jobs(), kernels_for("lockstep", "gpu")
-    jobs = [job._replace(strategy=parse_strategy(name), starts=job.starts[:2]) for name in ("closest", "random")]
-    both = [run_jobs(jobs, LIDAR, RULES, engine="lockstep", kernels=own) for own in (kernels, KERNELS["lockstep"])]
-    assert_equal(*both)
-    assert both[0].outcomes[0].result.plans.tolist() != both[0].outcomes[1].result.plans.tolist()
 
 
 @pytest.mark.jit
@@ -235,11 +216,11 @@ def test_a_run_stopped_before_anything_is_finished_says_so(engine, monkeypatch):
 def test_memory_that_runs_out_halves_the_lanes_once(want, monkeypatch):
     whole_run, tried = lockstep.Group.run, []
 
-    def run(self, n_lanes, costs, on_progress, collect):
+    def run(self, n_lanes, costs, on_progress):
         tried.append(n_lanes)
         if n_lanes > 7:
             raise jax.errors.JaxRuntimeError("RESOURCE_EXHAUSTED: Out of memory while trying to allocate 1 bytes.")
-        return whole_run(self, n_lanes, costs, on_progress, collect)
+        return whole_run(self, n_lanes, costs, on_progress)
 
     monkeypatch.setattr(lockstep.Group, "run", run)
     with pytest.warns(UserWarning, match="out of device memory with 14 lanes: going on with 7"):
@@ -276,7 +257,7 @@ def test_memory_that_runs_out_half_way_costs_nothing_that_was_finished(want, mon
 @pytest.mark.jit
 def test_lanes_fit_the_memory(monkeypatch):
     job = some_jobs()[0]
-    site = prepare_site(job.world, LIDAR, RULES, KERNELS["lockstep"])
+    site = prepare_site(job.world, LIDAR, RULES)
     line = line_of(site, site.with_strategy(job.strategy), np.zeros((9999, 3)), 0, np.arange(9999))
     group = lockstep.Group([line], jax.local_devices()[:1])
 
@@ -301,62 +282,17 @@ def test_lanes_fit_the_memory(monkeypatch):
     assert fitting(2**40) == 20
 
 
-def estimated(side_m, lidar):
-    """A `Line` on an accelerator, and a function that estimates the bytes of one of so many lanes."""
-    world = ready_worlds([f"cave:width_m={side_m},height_m={side_m}"], 0.1)[0]
-    site = prepare_site(world, lidar, RULES, kernels_for("lockstep", "gpu"))
-    line = line_of(site, site.with_strategy(parse_strategy("closest")), np.zeros((9999, 3)), 0, np.arange(9999))
-    group = lockstep.Group([line], jax.local_devices()[:1])
-    queue = jax.tree.map(lambda a: a[0], group.queue())
-
-    def estimate(n_lanes):
-        lanes = jax.eval_shape(functools.partial(group.engine.empty, n_lanes=n_lanes), queue, group.common)
-        return group.engine.lane_bytes(lanes, line.shared)
-
-    return line, estimate
-
-
-@pytest.mark.jit
-@pytest.mark.parametrize(("side_m", "glances"), [(6.4, 0), (9.6, 1), (16, 2)])
-def test_a_lane_is_estimated_with_its_share_of_a_slot(side_m, glances):
-    """Asked for one lane, which has a slot of its own, the estimate is that for thousands."""
-    line, estimate = estimated(side_m, LIDAR)
-    assert len(line.program.pieces.glances) == glances
-    assert estimate(1) == pytest.approx(estimate(4096), rel=0.01)
-
-
-@pytest.mark.jit
-def test_a_lane_is_estimated_with_what_its_scans_store():
-    """Compiled for an H100 a lane takes 1.01 MB in a cave with so many and long beams, 0.43 of it between two turns."""
-    _, estimate = estimated(16, Lidar(n_beams=1080, fov_deg=270, range_m=30))
-    assert estimate(4096) == pytest.approx(1.01e6, rel=0.1)
-
-
 class Accelerator:
     platform = "gpu"
-
-
-def test_the_engine_that_is_likely_to_be_faster():
-    cpu, gpu, cores = jax.local_devices(backend="cpu")[:1], [Accelerator()], runner.CORES_WORTH
-    assert runner.faster_engine(cpu, 1, 10**6) == "serial"
-    assert runner.faster_engine(gpu, cores - 1) == "lockstep"
-    assert runner.faster_engine(gpu, cores) == "serial"
-    assert runner.faster_engine(gpu * 2, 2 * cores - 1, 2 * runner.FILLING) == "lockstep"
-    assert runner.faster_engine(gpu * 2, 1, 2 * runner.FILLING - 1) == "serial"
-    # Each of three processes has two of the devices.
-    assert runner.faster_engine(gpu * 2, 1, 6 * runner.FILLING, processes=3) == "lockstep"
-    assert runner.faster_engine(gpu * 2, 1, 6 * runner.FILLING - 1, processes=3) == "serial"
-    assert runner.FILLING == lockstep.LANES
 
 
 def test_beside_an_accelerator_the_serial_engine_has_the_cpu(monkeypatch):
     found = jax.local_devices
     monkeypatch.setattr(jax, "local_devices", lambda backend=None: found(backend="cpu") if backend else [Accelerator()])
     monkeypatch.setattr(runner, "own_cores", lambda: 2)
-    assert runner.find_resources().engine == "lockstep"
-    assert runner.find_resources(runs=1).engine == "serial"
-    assert runner.find_resources(runs=1, lanes=1).engine == "lockstep"
-    for how in ({"engine": "serial"}, {"workers": runner.CORES_WORTH}, {"runs": 1}):
+    assert runner.find_resources(lanes=1).engine == "lockstep"
+    assert runner.find_resources(engine="lockstep").engine == "lockstep"
+    for how in ({}, {"engine": "serial"}, {"workers": 2}):
         resources = runner.find_resources(**how)
         assert (resources.engine, resources.devices) == ("serial", found(backend="cpu"))
     with pytest.raises(InputError, match="lanes are for the engine lockstep, got 4 for serial"):
@@ -372,31 +308,15 @@ def test_where_jax_has_no_cpu_the_serial_engine_is_none(monkeypatch):
         return [Accelerator()]
 
     monkeypatch.setattr(jax, "local_devices", devices_of)
-    for how in ({"runs": 1}, {"workers": runner.CORES_WORTH}, {"engine": "lockstep"}):
+    for how in ({}, {"workers": 96}, {"engine": "lockstep"}):
         assert runner.find_resources(**how).engine == "lockstep"
     with pytest.raises(InputError, match=r"^JAX_PLATFORMS must list cpu for the engine serial, got "):
         runner.find_resources(engine="serial")
 
 
-def test_one_episode_of_many_is_one_run(monkeypatch):
-    """And not as many as have a start."""
-
-    class Asked(Exception):
-        pass
-
-    def ask(*, runs, **_):
-        raise Asked(runs)
-
-    monkeypatch.setattr(batch, "find_resources", ask)
-    jobs = some_jobs()
-    for only, runs in ((None, sum(len(job.starts) for job in jobs)), (1, len(jobs))):
-        with pytest.raises(Asked, match=f"^{runs}$"):
-            run_jobs(jobs, LIDAR, RULES, only=only)
-
-
 @pytest.mark.jit
 def test_engines_are_measured_as_they_are_used(monkeypatch):
-    """Beside an accelerator too: what is serial is compiled for the CPU, and lockstep plans in pieces."""
+    """Beside an accelerator too: what is serial is compiled for the CPU."""
     world, strategy, cpu = some_jobs()[0].world, parse_strategy("closest"), jax.local_devices()[0]
     monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
     traced, placed = [], []
@@ -405,19 +325,6 @@ def test_engines_are_measured_as_they_are_used(monkeypatch):
     engines.Compiler().serial(world, strategy)
     assert set(traced) == {True}
     assert placed == [(cpu,)]
-
-    class Prepared(Exception):
-        pass
-
-    def prepare(world, lidar, rules, kernels):
-        raise Prepared(kernels)
-
-    monkeypatch.setattr(engines, "prepare_site", prepare)
-    monkeypatch.setattr(jax, "local_devices", lambda backend=None: [cpu if backend else Accelerator()])
-    for engine in ("serial", "lockstep"):
-        with pytest.raises(Prepared) as told:
-            engines.program_of(engines.Compiler(), engine, world, strategy, 2, 2)
-        assert told.value.args == (kernels_for(engine, "gpu"),)
 
 
 @pytest.mark.jit
@@ -443,10 +350,3 @@ def test_what_is_compiled_for_a_cpu_beside_an_accelerator_is_as_for_a_cpu(want, 
 def test_engines_that_do_not_exist_are_refused(options, says):
     with pytest.raises(InputError, match=says):
         run_jobs(some_jobs(), LIDAR, RULES, **options)
-
-
-def test_kernels_that_do_not_exist_are_refused():
-    with pytest.raises(InputError, match="kernel reach must be one of sweeps, wave, got 'dijkstra'"):
-        Kernels(reach="dijkstra")
-    with pytest.raises(InputError, match="kernel scan must be one of blocks, whole, got 'x'"):
-        Kernels(scan="x")

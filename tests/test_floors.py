@@ -19,7 +19,7 @@ FLOORS = (
     {"cli"},
 )
 """Folders and modules of the package, from the ground up; what stands on one floor does not know each other."""
-KERNELS = {"grid", "distance", "raycast", "spans", "reach", "skeleton", "frontier", "gain", "segment", "rooms"}
+KERNELS = {"grid", "distance", "raycast", "reach", "skeleton", "frontier", "gain", "segment", "rooms"}
 NEVER = {
     **{("engine", other): "the engine runs any program" for other in ("kernels", "worlds", "planning")},
     **{(low, "report"): "only studies, benchmarks and commands show anything" for low in (
@@ -124,7 +124,7 @@ def test_the_test_finds_what_it_looks_for():
         "config",
         "grid",
         "reach",
-        "engine.lanes",
+        "engine.runner",
         "engine.serial",
         "exploration.site",
         "driving.vehicle",
@@ -133,7 +133,7 @@ def test_the_test_finds_what_it_looks_for():
     }
     for name, source, expected in [
         ("reach", "import jexplore.grid, jax", []),
-        ("engine.serial", "from jexplore import config\nfrom jexplore.engine import lanes", []),
+        ("engine.serial", "from jexplore import config\nfrom jexplore.engine import runner", []),
         ("engine.serial", "from jexplore.grid import x", ["engine.serial -> grid: the engine runs any program"]),
         ("exploration.site", "from jexplore.engine.serial import x", []),
         ("exploration.site", "from jexplore.driving import vehicle", ["exploration.site -> driving.vehicle"]),

@@ -1,6 +1,5 @@
 """What a look all round would tell: by hand, and beside the whole map's entropy computed cell by cell."""
 
-import functools
 import math
 
 import jax
@@ -29,12 +28,12 @@ def grid_of(text, grow=(0, 0)):
     return Grid(jnp.asarray(hits), jnp.asarray(misses)), jnp.asarray(cells.shape, jnp.int32)
 
 
-def told_of(grid, extent, row, col, lidar, cell_m=1.0, method="blocks"):
+def told_of(grid, extent, row, col, lidar, cell_m=1.0):
     """`(ViewGain, scratch)` of a look."""
     shape = grid.hits.shape
     beams = all_round(jax.device_put(beam_table(lidar, cell_m, shape[1])))
     where = jnp.int32(row), jnp.int32(col)
-    return look(prospect(grid, extent, jnp.float32(0.25)), *where, beams, empty_grid(shape), method=method)
+    return look(prospect(grid, extent, jnp.float32(0.25)), *where, beams, empty_grid(shape))
 
 
 # ---------------------------------------------------------------- by hand
@@ -140,19 +139,18 @@ def random_counts(seed, shape, grow):
     return *(np.pad(a, [(0, n) for n in grow]) for a in (hits, misses)), tuple(int(v) for v in where)
 
 
-@functools.partial(jax.jit, static_argnames=("method",))
-def everything(grid, extent, row, col, beams, *, method):
+@jax.jit
+def everything(grid, extent, row, col, beams):
     beams, p_free = all_round(beams), jnp.float32(0.25)
     ahead = prospect(grid, extent, p_free)
-    told, scratch = look(ahead, row, col, beams, empty_grid(grid.hits.shape), method=method)
+    told, scratch = look(ahead, row, col, beams, empty_grid(grid.hits.shape))
     limit = most(ahead, row[None], col[None], beams)[0]
-    return told, scratch, limit, unknown_seen(grid, extent, p_free, row, col, beams, method=method)
+    return told, scratch, limit, unknown_seen(grid, extent, p_free, row, col, beams)
 
 
 @pytest.mark.jit
-@pytest.mark.parametrize("method", ["blocks", "whole"])
 @pytest.mark.parametrize("case", CASES)
-def test_random_looks_tell_what_the_whole_map_tells(case, method):
+def test_random_looks_tell_what_the_whole_map_tells(case):
     lidar, shape, grow = CASES[case]
     beams = jax.device_put(beam_table(lidar, 0.1, shape[1] + grow[1]))
 
@@ -162,7 +160,7 @@ def test_random_looks_tell_what_the_whole_map_tells(case, method):
         hits, misses, where = random_counts(seed, shape, grow)
         args = *map(jnp.int32, where), beams
         grid = Grid(jnp.asarray(hits, jnp.int32), jnp.asarray(misses, jnp.int32))
-        told, scratch, limit, seen = everything(grid, jnp.asarray(shape, jnp.int32), *args, method=method)
+        told, scratch, limit, seen = everything(grid, jnp.asarray(shape, jnp.int32), *args)
         gain, unknown, known = oracle.look(
             hits, misses, shape, *where, lidar.n_beams, lidar.fov_deg, lidar.range_m * 10
         )

@@ -16,7 +16,7 @@ from jexplore.policies.learned import features, model, networks
 from jexplore.policies.learned.strategy import is_forced, policy_of
 from jexplore.raycast import beam_table
 
-ONE_METRE = {"cell_m": 1.0, "reach": "wave", "scan": "whole"}
+ONE_METRE = {"cell_m": 1.0}
 STAR = Lidar(n_beams=8, fov_deg=360, range_m=1.5)  # in cells of one metre: the eight cells around
 NICHES = """
     ##################

@@ -9,11 +9,9 @@ import pytest
 
 from jexplore.arrays.loops import (
     SHARE,
-    at_a_time,
     first_lanes,
     one_kernel,
     put,
-    put_together,
     repeat,
     run_if,
     stored,
@@ -56,10 +54,6 @@ def test_many_at_a_time_are_as_many_alone(function, n):
         jax.tree.map(lambda many, one, i=i: np.testing.assert_array_equal(many[i], one), together, plain)
 
 
-def test_of_many_lanes_a_larger_share_is_worked_on():
-    assert [at_a_time(n) for n in (1, SHARE, 64, 65, 128)] == [1, 1, 8, 17, 32]
-
-
 @pytest.mark.jit
 def test_a_condition_may_be_common_to_all():
     both = [jax.vmap(lambda x, c=c: run_if(c, lambda x: x + 1, x))(jnp.arange(4)) for c in (jnp.bool_(False), True)]
@@ -91,22 +85,6 @@ def test_lanes_are_taken_and_put_back():
     new = put(tree, at, jax.tree.map(lambda a: -a, take(tree, at)))
     assert new["a"].tolist() == [0, -1, -2, 3, -4]
     assert new["b"][:, 1].tolist() == [1, -3, -5, 7, -9]
-
-
-def test_little_arrays_are_put_together_as_one_by_one():
-    """Empty ones as well; and values become what their array is before any two meet: a float has fewer bits."""
-    odd = 2**24 + 1
-    arrays = [jnp.full(4, odd, jnp.int32), jnp.zeros((4, 0)), jnp.zeros((4, 2), jnp.int32)]
-    arrays += [jnp.zeros((4, 5), jnp.int32), jax.random.split(jax.random.key(0), 4)]
-    values = [jnp.full(2, odd + 2, jnp.int32), jnp.zeros((2, 0)), jnp.ones((2, 2)), jnp.ones((2, 5))]
-    values += [jax.random.split(jax.random.key(1), 2)]
-    at = jnp.asarray([1, 4])
-    whole = put_together(arrays, at, values)
-    assert [a.dtype for a in whole] == [a.dtype for a in arrays]
-    assert whole[0].tolist() == [odd, odd + 2, odd, odd]
-    for together, array, value in zip(whole, arrays, values):
-        value = value if value.dtype == array.dtype else value.astype(array.dtype)
-        assert (together == put(array, at, value)).all()
 
 
 def small_steps(grid, at, by, unused):

@@ -22,7 +22,7 @@ from ref.worlds import two_rooms
 import jexplore as jx
 from jexplore.config import InputError, Lidar
 from jexplore.engine import serial
-from jexplore.exploration.site import KERNELS, prepare_site
+from jexplore.exploration.site import prepare_site
 from jexplore.exploration.state import Outcome
 from jexplore.policies import STRATEGIES, parse_strategy, strategy
 from jexplore.policies.catalogue import adapt, entries, own
@@ -63,7 +63,7 @@ def equal(table, one, other):
 
 @functools.cache
 def site():
-    return prepare_site(two_rooms(), LIDAR, jx.Rules(), KERNELS["serial"])
+    return prepare_site(two_rooms(), LIDAR, jx.Rules())
 
 
 def program(one):

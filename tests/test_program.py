@@ -11,13 +11,11 @@ import pytest
 from flax import struct
 from jax import Array
 
-from jexplore.engine import thoughts
-from jexplore.engine.lanes import Engine
 from jexplore.engine.lockstep import Group
-from jexplore.engine.program import Line, Pieces, Program, given_of, split
+from jexplore.engine.program import Line, Program, given_of, split
 from jexplore.engine.runner import find_resources, run_all
 
-ROOM = 2000  # a large array: more than the engine restores
+ROOM = 2000  # a large array
 
 
 class Setup(NamedTuple):
@@ -68,41 +66,6 @@ def finish(setup, given, state):
 WALKS = Program(Setup(2), begin, advance, is_done, finish, lambda state: state.way, decide, must_decide)
 
 
-def noted(setup, given, state):
-    """`decide`, and how many decisions there have been, to be written behind the way."""
-    new = decide(setup, given, state)
-    return new, new.decisions
-
-
-def write(states, lane, notes):
-    """What is noted, if it is no search's, which notes nothing."""
-    if notes is None:
-        return states
-    return states.replace(way=states.way.at[lane, ROOM - 1].set(notes, mode="drop", unique_indices=True))
-
-
-def glance(setup, given, state, seen):
-    """Settles it in every second place."""
-    return state.at % 2 == 0, *noted(setup, given, state), state.at
-
-
-def second_glance(setup, given, state, seen):
-    """Settles it at every second step, if what the first one has seen is this run's."""
-    return (state.n % 2 == 0) & (seen == state.at), *noted(setup, given, state), 2 * state.at
-
-
-# A search takes one to three pieces; what it has seen tells that it comes back to its own run.
-PIECES = Pieces(
-    glances=(glance, second_glance),
-    begin=lambda setup, given, state, seen: {"left": 1 + state.n % 3, "at": seen // 2},
-    go_on=lambda search: ({**search, "left": jnp.maximum(search["left"] - 1, 0)}, None),
-    is_done=lambda search: search["left"] == 0,
-    conclude=lambda setup, given, state, search: noted(setup, given, state.replace(at=search["at"])),
-    write=write,
-)
-AT_ONCE = PIECES._replace(glances=(), begin=lambda setup, given, state, seen: {"left": 1 + state.n % 3, "at": state.at})
-
-
 def some_lines(program=WALKS):
     """Two scenes, two bonuses, and one line with other weights."""
     shared, lines = {"unused": np.zeros(3, np.float32)}, []
@@ -136,13 +99,6 @@ def by_hand(line, number):
         {"engine": "serial", "workers": 2},
         {"engine": "lockstep", "lanes": 4},
         {"engine": "lockstep", "lanes": 64},
-        {"engine": "lockstep", "lanes": 4, "program": WALKS._replace(pieces=PIECES)},
-        {
-            "engine": "lockstep",
-            "lanes": 16,
-            "program": WALKS._replace(pieces=AT_ONCE._replace(glances=(glance, glance))),
-        },
-        {"engine": "lockstep", "lanes": 7, "program": WALKS._replace(pieces=AT_ONCE)},
     ],
 )
 def test_engines_make_the_runs_that_a_loop_makes(how):
@@ -157,59 +113,28 @@ def test_engines_make_the_runs_that_a_loop_makes(how):
             if number == 0:
                 n = int(state.n)
                 np.testing.assert_array_equal(line.kept[:n], state.way[:n])
-                in_pieces = how.get("program", WALKS).pieces is not None
-                assert line.kept[-1] == (state.decisions if in_pieces else 0)
     assert len({tuple(line.results["at"].tolist()) for line in lines}) == 3
     assert (costs.useful is None) == (how["engine"] == "serial")
 
 
-def logging(size, leaves_alone, small):
-    """Runs of as many steps as their tasks say, each of which adds 1 to all of a log of some size."""
-
-    def advance(setup, given, state):
-        goes_on = state["left"] > 0 if leaves_alone else True
-        return {"left": state["left"] - 1, "log": state["log"] + jnp.where(goes_on, 1, 0)}
-
-    return Program(
+@pytest.mark.jit
+def test_arrays_of_a_run_that_is_done_are_kept():
+    """Whatever `advance` would make of them. A run ends in every turn, and waits for another."""
+    program = Program(
         None,
-        lambda setup, given: {"left": given.task, "log": jnp.zeros(size, jnp.int32)},
-        advance,
+        lambda setup, given: {"left": given.task, "log": jnp.zeros(ROOM, jnp.int32)},
+        lambda setup, given, state: {"left": state["left"] - 1, "log": state["log"] + 1},
         lambda state: state["left"] <= 0,
         lambda setup, given, state: {"least": state["log"].min(), "most": state["log"].max()},
         lambda state: state["log"],
-        small=small,
     )
-
-
-SMALL = Program._field_defaults["small"]
-
-
-@pytest.mark.jit
-@pytest.mark.parametrize(
-    ("size", "leaves_alone", "small"),
-    [(SMALL, False, SMALL), (SMALL + 1, True, SMALL), (SMALL + 1, False, SMALL), (SMALL + 1, False, SMALL + 1)],
-)
-def test_arrays_of_a_run_that_is_done_are_kept_if_they_are_small(size, leaves_alone, small):
-    """Larger ones are so only where `advance` leaves them alone. A run ends in every turn, and waits for another."""
     tasks = np.random.default_rng(0).permutation(32).astype(np.int32)
-    for engine in ("serial", "lockstep"):
-        line = Line(logging(size, leaves_alone, small), (), np.zeros(1), (), 0, tasks, np.arange(len(tasks)))
-        run_all([line], find_resources(engine=engine, **({"lanes": 32} if engine == "lockstep" else {"workers": 1})))
-        is_kept = engine == "serial" or size <= small or leaves_alone
+    for how in ({"engine": "serial", "workers": 1}, {"engine": "lockstep", "lanes": 32}):
+        line = Line(program, (), np.zeros(1), (), 0, tasks, np.arange(len(tasks)))
+        run_all([line], find_resources(**how))
         for found in line.results.values():
-            assert (found >= tasks).all()
-            assert (found == tasks).all() == is_kept
-        assert (line.kept == tasks[0]).all() or not is_kept
-
-
-@pytest.mark.parametrize("glances", [(), (glance,), (glance, second_glance)])
-def test_use_is_counted_by_the_places_that_there_are(glances, monkeypatch):
-    """Whatever the sizes of groups: by those that decide, that are given a first glance, or, with none, by slots."""
-    monkeypatch.setattr(thoughts, "GLANCERS", (4, 16))
-    monkeypatch.setattr(thoughts, "SEEKERS", (2, 3))
-    assert Engine(WALKS, ()).places(33) == 5
-    engine = Engine(WALKS._replace(pieces=PIECES._replace(glances=glances)), ())
-    assert engine.places(33) == (9 if glances else 17)
+            assert (found == tasks).all()
+        assert (line.kept == tasks[0]).all()
 
 
 @pytest.mark.jit
@@ -225,18 +150,13 @@ def test_one_run_of_many_can_be_made_alone():
         np.testing.assert_array_equal(line.kept[:n], by_hand(line, 7).way[:n])
 
 
-def test_what_lanes_share_is_not_gathered_and_what_deciding_hands_on_is_not_copied():
+def test_what_lanes_share_is_not_gathered():
     lines = some_lines()[:2]
     with jax.disable_jit(False):
         group = Group(lines, jax.local_devices()[:1])
-        queue = jax.tree.map(lambda a: jnp.asarray(a[0]), group.queue())
-        engine = Engine(WALKS, lines[0].numbers)
-        lanes = jax.eval_shape(lambda q, c: engine.empty(q, c, n_lanes=8), queue, group.common)
-        blank = jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), lanes)
-        text = str(jax.make_jaxpr(lambda n: engine._decide(queue, group.common, n, 2))(blank))
-    assert not re.search(r"i32\[[28],4\]", text)  # the weights of some lanes, or of all
-    assert not re.search(rf"i32\[8,{ROOM}\] = scatter", text)
-    assert re.search(r"i32\[8,2\] = scatter", text)  # both numbers that change, together
+        lanes = jax.tree.map(jnp.asarray, group.empty(group.queue()[2], group.common, 8))
+        text = str(jax.make_jaxpr(lambda lanes: group.go_on(lanes, 9, group.common))(lanes))
+    assert not re.search(r"i32\[[128],4\]", text)  # the weights of some lanes, or of all
 
 
 def test_scalars_and_arrays_are_told_apart():

@@ -30,15 +30,11 @@ ROOM = maps.walls("""
 
 
 def sense(occupied, row, col, heading, lidar, cell_m=1.0):
-    """One scan, folded into an empty map: `(hits, misses)`, by every method."""
+    """One scan, folded into an empty map: `(hits, misses)`."""
     table = raycast.beam_table(lidar, cell_m, occupied.shape[1])
-    found = []
-    for method in raycast.METHODS:
-        seen = raycast.scan(jnp.asarray(occupied), row, col, heading, table, method=method)
-        grid = raycast.fold(empty_grid(occupied.shape), row, col, heading, seen, table, method=method)
-        found.append((seen.end, seen.hit, np.asarray(grid.hits), np.asarray(grid.misses)))
-    jax.tree.map(np.testing.assert_array_equal, *found)
-    return found[0][2:]
+    seen = raycast.scan(jnp.asarray(occupied), row, col, heading, table)
+    grid = raycast.fold(empty_grid(occupied.shape), row, col, heading, seen, table)
+    return np.asarray(grid.hits), np.asarray(grid.misses)
 
 
 def expected(occupied, row, col, heading, lidar, cell_m=1.0):
@@ -209,30 +205,6 @@ def test_a_scan_of_default_size_is_the_oracles():
         np.testing.assert_array_equal(got, want)
 
 
-@pytest.mark.parametrize("lidar", LIDARS, ids=lambda lidar: f"{lidar.n_beams} beams")
-def test_long_beams_end_where_those_that_are_unrolled_do(lidar, monkeypatch):
-    occupied, _ = maps.cluttered(5, 20, 25)
-    table = raycast.beam_table(lidar, 0.3, 25)
-    steps = table.offset.shape[1]
-    assert steps < raycast.UNROLLED
-    for heading, at in enumerate(np.argwhere(~occupied)[::20][:8].tolist()):
-        for unrolled in (steps, steps - 1):
-            monkeypatch.setattr(raycast, "UNROLLED", unrolled)
-            want, seen = (raycast.scan(jnp.asarray(occupied), *at, heading, table, method=m) for m in raycast.METHODS)
-            np.testing.assert_array_equal(seen.end, want.end)
-            np.testing.assert_array_equal(seen.hit, want.hit)
-
-
-def test_programs_of_long_beams_are_bounded():
-    def size(range_m):
-        table = raycast.beam_table(Lidar(n_beams=1, range_m=range_m), 0.1, 30)
-        scan = functools.partial(raycast.scan.__wrapped__, method="whole")
-        return len(jax.make_jaxpr(scan)(jnp.ones((30, 30), bool), 1, 1, 0, table).jaxpr.eqns)
-
-    assert size(8) < size(20) < size(35)
-    assert size(400) < size(8)
-
-
 @pytest.mark.jit
 @pytest.mark.parametrize("heading", range(8))
 def test_the_general_form_agrees_with_the_table_on_the_lattice(heading):
@@ -370,18 +342,11 @@ def test_folding_counts_every_scan():
     np.testing.assert_array_equal(grid.misses, 3 * misses)
 
 
-@pytest.mark.parametrize("method", raycast.METHODS)
-def test_nothing_is_counted_when_nothing_is_to_be(method):
+def test_nothing_is_counted_when_nothing_is_to_be():
     table = raycast.beam_table(RIGHT_ANGLES, 1.0, ROOM.shape[1])
     seen = raycast.scan(jnp.asarray(ROOM), 1, 2, 0, table)
-    grid = raycast.fold(empty_grid(ROOM.shape), 1, 2, 0, seen, table, when=jnp.bool_(False), method=method)
+    grid = raycast.fold(empty_grid(ROOM.shape), 1, 2, 0, seen, table, when=jnp.bool_(False))
     assert not np.asarray(grid.hits | grid.misses).any()
-
-
-def test_a_method_that_does_not_exist_is_refused():
-    table = raycast.beam_table(RIGHT_ANGLES, 1.0, ROOM.shape[1])
-    with pytest.raises(ValueError, match="one of blocks, whole, got 'half'"):
-        raycast.scan(jnp.asarray(ROOM), 1, 2, 0, table, method="half")
 
 
 # ---------------------------------------------------------------- noise

@@ -9,7 +9,7 @@ from ref.worlds import two_rooms
 
 from jexplore.config import InputError, Lidar, Rules
 from jexplore.exploration import replay
-from jexplore.exploration.site import Kernels, prepare_site
+from jexplore.exploration.site import prepare_site
 from jexplore.policies import parse_strategy
 from jexplore.raycast import scans_all_round
 from jexplore.studies import explore
@@ -42,7 +42,7 @@ VIEWS = "decision-theoretic+recheck:samples=20,min_gain=3"
 def test_the_replay_is_the_episode(strategy, lidar, rules, number):
     """Every scan, every map on the way, every count, refused steps and exhausted targets included."""
     episode = explore.explore(two_rooms(), strategy, seed=3, episode=number, lidar=lidar, rules=rules)
-    site = prepare_site(episode.world, lidar, rules, Kernels())
+    site = prepare_site(episode.world, lidar, rules)
     plans = episode.final.plans
     moments = list(replay.moments(site, parse_strategy(strategy), episode.start, 3, number, plans))
     last, measures = moments[-1], episode.measures

@@ -156,7 +156,7 @@ def test_the_kinds_share_a_program():
 
 
 def test_a_modified_strategy_asks_the_strategy_whether_a_view_point_is_live():
-    belief = beliefs.belief_of("###### #.R.?# ######", cell_m=1.0, reach="wave", scan="whole")
+    belief = beliefs.belief_of("###### #.R.?# ######", cell_m=1.0)
     beams = beliefs.table(beliefs.Lidar(n_beams=4, fov_deg=360, range_m=2.0), belief)
     for min_gain in (1, 2):
         policy = parse_strategy(f"gain-rate+segment:min_gain={min_gain}").policy

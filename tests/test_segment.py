@@ -476,7 +476,7 @@ def test_jit_changes_nothing():
 @pytest.mark.jit
 def test_splits_that_do_not_fit_are_counted():
     free, thrun = jnp.asarray(parts(RING) >= 0), criteria("thrun", prominence=0.5)
-    few, whole = segment(free, thrun, form=FORM._replace(splits=3, reach="wave")), segment(free, thrun, form=FORM)
+    few, whole = segment(free, thrun, form=FORM._replace(splits=3)), segment(free, thrun, form=FORM)
     assert (int(few.count), int(few.overflow)) == (4, 1)
     np.testing.assert_array_equal(few.seed, whole.seed[:6])
     assert ((few.label >= 0) == free).all()

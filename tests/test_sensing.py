@@ -20,7 +20,7 @@ from jexplore.cli import main
 from jexplore.config import InputError, InputWarning, Lidar
 from jexplore.engine import native
 from jexplore.exploration import batch, sensing
-from jexplore.exploration.site import KERNELS, Kernels, prepare_site
+from jexplore.exploration.site import prepare_site
 from jexplore.grid import Grid, empty_grid, is_known
 
 RIGHT_ANGLES = Lidar(n_beams=4, fov_deg=360, range_m=3)  # looks back, right, ahead, left
@@ -170,10 +170,9 @@ def test_a_noisy_scanner_is_told_once(target):
 @needs_compiler
 def test_a_noisy_scanner_keeps_the_kernels_in_jax(target):
     world = some_jobs()[0].world
-    fast = dataclasses.replace(KERNELS["serial"], native=target)
     for sigma_m, own in ((0.0, target), (0.03, None)):
-        assert prepare_site(world, Lidar(sigma_m=sigma_m), RULES, fast).setup.native == own
-    assert prepare_site(world, LIDAR, RULES, Kernels()).setup.native is None
+        assert prepare_site(world, Lidar(sigma_m=sigma_m), RULES, native=target).setup.native == own
+    assert prepare_site(world, LIDAR, RULES).setup.native is None
 
 
 def test_it_is_for_the_serial_engine():
@@ -230,8 +229,7 @@ def test_no_compiler_is_told_and_the_run_goes_on(monkeypatch, tmp_path):
     monkeypatch.delenv("CXX", raising=False)
     text = r"^fast: no C\+\+ compiler was found: expected one of c\+\+, .* in CXX; the kernels in JAX make the scans$"
     with pytest.warns(InputWarning, match=text):
-        kernels = batch._kernels_for(batch.find_resources(engine="serial"), True)
-    assert kernels == KERNELS["serial"]
+        assert batch._native_for(batch.find_resources(engine="serial"), True) is None
 
 
 @pytest.mark.skipif(os.name != "posix", reason="needs a shell")
@@ -283,7 +281,7 @@ def test_nothing_is_built_unless_asked():
     """Nor is a compiler looked for."""
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        assert batch._kernels_for(batch.find_resources(engine="serial"), False).native is None
+        assert batch._native_for(batch.find_resources(engine="serial"), False) is None
 
 
 # ---------------------------------------------------------------- known cells
@@ -292,26 +290,22 @@ def test_nothing_is_built_unless_asked():
 def test_known_cells_of_a_square_by_hand():
     hits, misses = np.zeros((2, 5, 6), np.int32)
     hits[1, 1] = misses[1, 1] = misses[2, 3] = hits[4, 5] = 1  # one twice, the last one outside
-    for method in raycast.METHODS:
-        corner = jnp.asarray([1, 1])
-        assert int(sensing.known_in(Grid(jnp.asarray(hits), jnp.asarray(misses)), corner, (3, 4), method=method)) == 2
-        assert (
-            int(sensing.known_in(Grid(jnp.asarray(hits), jnp.asarray(misses)), corner * 0, (5, 6), method=method)) == 3
-        )
+    grid, corner = Grid(jnp.asarray(hits), jnp.asarray(misses)), jnp.asarray([1, 1])
+    for within in (None, jnp.ones((5, 6), bool)):
+        assert int(sensing.known_in(grid, corner, (3, 4), within)) == 2
+        assert int(sensing.known_in(grid, corner * 0, (5, 6), within)) == 3
+    assert int(sensing.known_in(grid, corner, (3, 4), jnp.zeros((5, 6), bool))) == 0
 
 
 @pytest.mark.jit
-@pytest.mark.parametrize("method", raycast.METHODS)
 @given(seed=st.integers(0, 2**30), shape=st.sampled_from(((1, 1), (5, 9), (40, 70))))
 @settings(max_examples=50, deadline=None)
-def test_known_cells_are_numpys(method, seed, shape):
+def test_known_cells_are_numpys(seed, shape):
     rng = np.random.default_rng(seed)
     hits, misses = rng.integers(0, 3, (2, *shape)) * (rng.random((2, *shape)) < 0.3)
     size = tuple((n + 1) // 2 for n in shape)
     corner = [int(rng.integers(0, n - m + 1)) for n, m in zip(shape, size)]
     square = (hits + misses)[corner[0] : corner[0] + size[0], corner[1] : corner[1] + size[1]]
     grid = Grid(jnp.asarray(hits, jnp.int32), jnp.asarray(misses, jnp.int32))
-    known = jax.jit(sensing.known_in, static_argnames=("size", "method"))(
-        grid, jnp.asarray(corner), size, method=method
-    )
+    known = jax.jit(sensing.known_in, static_argnames=("size",))(grid, jnp.asarray(corner), size)
     assert int(known) == np.count_nonzero(square)

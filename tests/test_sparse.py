@@ -77,11 +77,6 @@ def test_a_list_is_numpys(mask):
     np.testing.assert_array_equal(cells.near, near)
 
 
-def test_ways_to_pack_that_are_not_known_are_refused():
-    with pytest.raises(ValueError, match="one of sum, halves, got 'sums'"):
-        bits.pack(jnp.ones((2, 3), bool), method="sums")
-
-
 PACK, NTH = jax.jit(bits.pack), jax.jit(bits.nth_cells)
 FIRST = jax.jit(bits.first_cells, static_argnames="size")
 

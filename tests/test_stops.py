@@ -5,7 +5,7 @@ import pytest
 from ref.worlds import two_rooms
 
 from jexplore.config import Lidar, Rules
-from jexplore.exploration.site import Kernels, prepare_site
+from jexplore.exploration.site import prepare_site
 from jexplore.exploration.stops import stops
 from jexplore.studies import explore
 
@@ -15,7 +15,7 @@ VIEWS = "decision-theoretic+recheck:samples=20,min_gain=3"
 
 
 def stops_of(episode, steps):
-    site = prepare_site(episode.world, episode.lidar, episode.rules, Kernels())
+    site = prepare_site(episode.world, episode.lidar, episode.rules)
     return stops(site, episode.asked, episode.start, episode.seed, episode.number, episode.final, steps)
 
 

@@ -27,7 +27,7 @@ CORRIDOR = """
 NEAR, FAR_OFF = (1, 2), (1, 9)
 
 
-ONE_METRE = {"cell_m": 1.0, "reach": "wave", "scan": "whole"}
+ONE_METRE = {"cell_m": 1.0}
 
 
 # ---------------------------------------------------------------- by hand

@@ -10,34 +10,20 @@ import jax.numpy as jnp
 from jax import Array, lax
 
 WORD = 32  # rows a word
-METHODS = ("sum", "halves")  # of packing
 
 
-def pack(mask: Array, *, method: str = "sum") -> Array:
+def pack(mask: Array) -> Array:
     """A mask as words: bit i of word (k, c) is the cell at row 32 k + i, column c.
 
     Args:
       mask: `[H, W]` bool.
-      method: one of `METHODS`; the words are the same: "sum" adds up rows, which a CPU does many columns at a time;
-        "halves" joins neighbouring rows, then pairs of them, and so on, so that a thread of an accelerator makes a
-        whole word. Static.
 
     Returns:
       `[ceil(H / 32), W]` uint32; bits beyond the last row are 0.
-
-    Raises:
-      ValueError: while tracing, if the method is not known.
     """
-    if method not in METHODS:
-        raise ValueError(f"expected method: one of {', '.join(METHODS)}, got {method!r}")
     height, width = mask.shape
     n = -(-height // WORD)
     rows = jnp.pad(mask, ((0, n * WORD - height), (0, 0))).reshape(n, WORD, width)
-    if method == "halves":
-        rows = rows.astype(jnp.uint32)
-        for k in range(WORD.bit_length() - 1):
-            rows = rows[:, 0::2] | rows[:, 1::2] << jnp.uint32(2**k)
-        return rows[:, 0]
     # One bit a row: the sum is the union. A loop over rows, unrolled, was a third of an episode's equations.
     return jnp.sum(rows.astype(jnp.uint32) << lax.broadcasted_iota(jnp.uint32, rows.shape, 1), axis=1, dtype=jnp.uint32)
 

@@ -64,13 +64,13 @@ def write(values: Array, slot: Array, used: Array, new: Array) -> Array:
     return lax.dynamic_update_slice_in_dim(values, new, slot[0], axis=values.ndim - 1)
 
 
-def grouped(mask: Array, size: int, *, part: int | None = PART) -> Groups:
+def grouped(mask: Array, size: int, *, part: int = PART) -> Groups:
     """`Groups` of a mask.
 
     Args:
       mask: `[H, W]` bool.
       size: cells that there is room for; K is that, rounded up to whole parts. Static.
-      part: cells at a time; None for all, which is for many maps in lockstep. Static.
+      part: cells at a time. Static.
 
     Source:
       Zhang, Azad and Buluc 2020 (FastSV): rounds that grow with the logarithm of a group's longest way, not with it.
@@ -78,7 +78,7 @@ def grouped(mask: Array, size: int, *, part: int | None = PART) -> Groups:
     """
     height, width = mask.shape
     none = height * width
-    part = size if part is None else min(part, size)
+    part = min(part, size)
     room = -(-size // part) * part
     order = bits.in_order(bits.pack(mask))
     total = order.until[-1]

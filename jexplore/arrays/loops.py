@@ -8,21 +8,17 @@ with a copy of its state, they are written by hand: `run_if` works on the lanes 
 time; `repeat` lets finished lanes run on idly.
 """
 
-import math
 from collections.abc import Callable
 from typing import Any
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import Array, lax
 from jax.custom_batching import custom_vmap
 from jax.experimental.xla_metadata import set_xla_metadata
 from jax.extend.core import jaxpr_as_fun
 
 SHARE = 8  # a condition under vmap is worked off by groups of one lane in so many
-LITTLE = 4  # elements of a lane's array, up to which many are written as one
-MANY = 64  # lanes, more of which only an accelerator has: there of one in half as many
 
 
 def _hoisted(function, *examples):
@@ -68,26 +64,6 @@ def put(tree: Any, at: Array, values: Any) -> Any:
     return jax.tree.map(lambda a, new: a.at[at].set(new, mode="drop", unique_indices=True), tree, values)
 
 
-def put_together(arrays: list[Array], at: Array, values: list[Array]) -> list[Array]:
-    """`put` of a list, with little arrays of one kind side by side: fewer kernels. Values are cast to their array's."""
-    values = [new if new.dtype == a.dtype else new.astype(a.dtype) for a, new in zip(arrays, values)]
-    kinds, out = {}, list(arrays)
-    for i, array in enumerate(arrays):
-        if 0 < math.prod(array.shape[1:]) <= LITTLE:
-            kinds.setdefault(array.dtype, []).append(i)
-        else:
-            out[i] = put(array, at, values[i])
-    for own in kinds.values():
-        sizes = [math.prod(arrays[i].shape[1:]) for i in own]
-        before, new = (
-            jnp.concatenate([a[i].reshape(-1, size) for i, size in zip(own, sizes)], axis=1) for a in (arrays, values)
-        )
-        together = put(before, at, new)
-        for i, part in zip(own, jnp.split(together, np.cumsum(sizes)[:-1], axis=1)):
-            out[i] = part.reshape(arrays[i].shape)
-    return out
-
-
 def first_lanes(mask: Array, m: int) -> Array:
     """The first m lanes of a mask: `[m]` int32; the number of lanes where there are fewer."""
     n = mask.shape[0]
@@ -97,19 +73,10 @@ def first_lanes(mask: Array, m: int) -> Array:
     return jnp.full(m, n, jnp.int32).at[at].set(lane, mode="drop", unique_indices=True)
 
 
-def at_a_time(n: int) -> int:
-    """Lanes, of n, on which `run_if` works at a time under `vmap`.
-
-    A few at a time waste little on lanes that do not need it, which is what counts on a CPU; on an accelerator a loop
-    costs the same whatever the number of lanes, while there are few (estimated: `jexplore bench --target h100`).
-    """
-    return -(-n // (SHARE if n <= MANY else SHARE // 2))
-
-
 def run_if(predicate: Array | bool, function: Callable[[Any], Any], otherwise: Any) -> Any:
     """`function(otherwise)` if a condition holds, else `otherwise`.
 
-    Under `vmap` the lanes for which it holds are gathered, `at_a_time` of them, until none is left.
+    Under `vmap` the lanes for which it holds are gathered, one in `SHARE` of all at a time, until none is left.
 
     Args:
       predicate: bool scalar.
@@ -141,7 +108,7 @@ def run_if(predicate: Array | bool, function: Callable[[Any], Any], otherwise: A
 
         def turn(carry):
             left, state = carry
-            at = first_lanes(left, at_a_time(n))
+            at = first_lanes(left, -(-n // SHARE))
             some = jax.tree.map(lambda a, b: take(a, at) if b else a, closed, batched[1])
             new = jax.vmap(pure, axes)(some, take(state, at))
             return put(left, at, jnp.zeros(at.shape, bool)), put(state, at, new)

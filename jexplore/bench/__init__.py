@@ -20,7 +20,6 @@ from jexplore.bench.timing import one_core, speed_clock, surroundings
 from jexplore.config import InputError, require_setting
 from jexplore.engine.backend import use_compilation_cache
 from jexplore.engine.runner import ENGINES, find_resources
-from jexplore.exploration.site import KERNELS
 from jexplore.policies import Strategy, parse_strategy
 from jexplore.studies.checks import ready_starts, ready_strategies, ready_worlds, require_memory
 from jexplore.worlds.world import World, with_ring
@@ -218,13 +217,12 @@ def _episodes(plan: Agenda, compiler, report, one_more):
 
 def _parts(plan, compiler, report, one_more):
     """Kernels along the way of an episode of `closest` in the first world, and, on a CPU, shares of every episode."""
-    own = KERNELS["serial" if speed_clock() == "cpu" else "lockstep"]
-    seen = beliefs.record(compiler, plan.worlds[0], parse_strategy("closest+recheck"), own.reach)
+    seen = beliefs.record(compiler, plan.worlds[0], parse_strategy("closest+recheck"))
     report["kernels"] += [kernels.measure_kernel(kernel, plan.repeat) for kernel in kernels.scans(seen)]
     report["kernels"].append(plans.measure_nearest(seen, shares.cells_of(seen.beliefs), plan.repeat))
     one_more()
     for world, strategy in itertools.product(plan.worlds, plan.strategies):
         if jax.default_backend() == "cpu":
-            seen = beliefs.record(compiler, world, strategy, KERNELS["serial"].reach)
+            seen = beliefs.record(compiler, world, strategy)
             report["shares"].append(shares.measure_shares(compiler, seen, strategy, plan.repeat))
         one_more()

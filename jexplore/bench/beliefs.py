@@ -1,6 +1,5 @@
 """An episode that was run, and what its kernels saw: every scan, and the belief at every plan."""
 
-import dataclasses
 from typing import NamedTuple
 
 import jax
@@ -8,7 +7,7 @@ import numpy as np
 
 from jexplore.bench.engines import LIDAR, RULES, SEED, Compiler
 from jexplore.exploration import replay
-from jexplore.exploration.site import KERNELS, Site, prepare_site
+from jexplore.exploration.site import Site, prepare_site
 from jexplore.exploration.trail import decode
 from jexplore.planning import Belief
 from jexplore.policies import Strategy
@@ -29,19 +28,18 @@ class Recording(NamedTuple):
     targets: list[tuple[int, int] | None]  # (row, col) chosen there; None for the last
 
 
-def record(compiler: Compiler, world: World, strategy: Strategy, reach: str) -> Recording:
+def record(compiler: Compiler, world: World, strategy: Strategy) -> Recording:
     """Runs episode 0 of a strategy in a world and keeps its scans, and its belief at every plan: a `Recording`.
 
     Args:
       compiler: `Compiler`.
       world, strategy: `World` with a ring, `Strategy`.
-      reach: one of `reach.METHODS`, for the beliefs.
     """
     starts = draw_starts(world, SEED, 1, RULES.clearance_m)
     run = compiler.serial(world, strategy).run(starts)
     result = jax.tree.map(lambda a: a[0], run.result)
     final = decode(jax.tree.map(np.asarray, run.last), result, world.shape)
-    site, first = prepare_site(world, LIDAR, RULES, KERNELS["serial"]), int(starts[0][2]) // 45
+    site, first = prepare_site(world, LIDAR, RULES), int(starts[0][2]) // 45
     n = site.setup.first_scans
     row, col = (int(a) for a in starts[0][:2])
     poses = [(row, col, (first + 8 // n * k) % 8) for k in range(n)]
@@ -50,7 +48,6 @@ def record(compiler: Compiler, world: World, strategy: Strategy, reach: str) -> 
         moments = [(moment.row, moment.col, moment.heading) for moment in turn.moments]
         if turn.belief is not None:
             poses += moments
-            model = dataclasses.replace(turn.belief.model, reach=reach)
-            beliefs.append(dataclasses.replace(turn.belief, model=model))
+            beliefs.append(turn.belief)
             targets.append(turn.plan and turn.plan.target)
     return Recording(world, strategy.name, site, final.hits, final.misses, np.array(poses, np.int32), beliefs, targets)

@@ -18,7 +18,7 @@ from jexplore.engine import serial
 from jexplore.engine.lockstep import Group
 from jexplore.engine.runner import Costs, find_resources
 from jexplore.exploration.results import path_m
-from jexplore.exploration.site import KERNELS, Kernels, kernels_for, line_of, prepare_site
+from jexplore.exploration.site import line_of, prepare_site
 from jexplore.exploration.state import Outcome, Result
 from jexplore.policies import Strategy
 from jexplore.worlds.starts import draw_starts
@@ -37,7 +37,6 @@ class Run(NamedTuple):
     result: object  # `Result`, numpy, `[N]`
     last: object = None  # what `trail.kept` has of the last episode; serial engine only
     useful: float | None = None  # as in `runner.Costs`
-    useful_plans: float | None = None
 
 
 class Compiled(NamedTuple):
@@ -100,9 +99,9 @@ class Compiler:
             self.made[key] = program, about
         return self.made[key]
 
-    def serial(self, world: World, strategy: Strategy, kernels: Kernels = KERNELS["serial"]) -> Compiled:
-        """The serial engine's `Compiled` of a world and a strategy."""
-        site, line = _line(world, strategy, kernels, np.zeros((1, 3), np.int32))
+    def serial(self, world: World, strategy: Strategy, native: str | None = None) -> Compiled:
+        """The serial engine's `Compiled` of a world and a strategy; `native` as for `prepare_site`."""
+        site, line = _line(world, strategy, native, np.zeros((1, 3), np.int32))
         n, scenes = serial.CHUNK, jax.tree.map(lambda a: a[None], line.scene)
         device = find_resources(engine="serial", workers=1).devices[0]
         shared = jax.device_put((scenes, line.shared, line.numbers), device)
@@ -140,45 +139,32 @@ class Compiler:
     def lockstep(self, world: World, strategy: Strategy, n_lanes: int, episodes: int) -> Compiled:
         """The lockstep engine's `Compiled` for so many episodes in so many lanes, or as many as the memory holds."""
         device = jax.local_devices()[0]
-        kernels = kernels_for("lockstep", device.platform)
-        site, line = _line(world, strategy, kernels, np.zeros((episodes, 3), np.int32))
+        site, line = _line(world, strategy, None, np.zeros((episodes, 3), np.int32))
         group = Group([line], [device])
-        engine, common = group.engine, group.common
-
-        def queue_of(starts):
-            line.tasks = _headings(starts)
-            return jax.tree.map(lambda a: a[0], group.queue())
-
-        queue = queue_of(np.zeros((episodes, 3), np.int32))
-        one = jax.eval_shape(functools.partial(engine.empty, n_lanes=1), queue, common)
-        estimate, free = int(engine.lane_bytes(one, line.shared)), free_bytes()
+        estimate, free = group.lane_bytes(), free_bytes()
         if free is not None:
             n_lanes = max(1, min(n_lanes, int(MEMORY_SHARE * free / estimate)))
-        empty = functools.partial(engine.empty, n_lanes=n_lanes)
-        blank = jax.eval_shape(empty, queue, common)
-        not_lanes = size_of((blank.results, blank.kept))
-        step = jax.jit(engine.go_on, donate_argnums=0)
-        kind = str((line.program, n_lanes, episodes, jax.tree.map(np.shape, common)))
         about = {**_about("lockstep", world, strategy, site), "lanes": n_lanes, "lane_bytes_estimate": estimate}
-        begin, _ = self._untold(("begin", kind), lambda: jax.jit(empty).lower(queue, common))
-        call, about = self._program(
-            ("lockstep", kind),
-            about,
-            lambda: step.lower(blank, queue, np.int32(1), common),
-            lambda memory: (memory["temp"] + memory["output"] - not_lanes) / n_lanes,
-            device,
-            line.program.cpu_options,
-        )
+
+        def compile_one(function, name, arguments, devices, donate=(), cpu_options=()):
+            def lowering():
+                return jax.jit(function, donate_argnums=donate).lower(*arguments)
+
+            if name[0] != "go_on":
+                program, _ = self._untold(str((name, n_lanes)), lowering)
+            else:
+                of_lane = functools.partial(_lane_of, n_lanes)
+                program, own = self._program(str((name, n_lanes)), about, lowering, of_lane, device, cpu_options)
+                about.update(own)
+            return program, program.out_info
+
+        programs = group.compile(n_lanes, compile_one)
 
         def run(starts):
-            queue, costs = jax.device_put(queue_of(starts)), Costs()
-            state, done = begin(queue, common), 0
-            while done < len(starts):
-                state, usage = call(state, queue, np.int32(TURNS), common)
-                done = int(state.done)
-                costs.add(usage, n_lanes, engine.places(n_lanes))
-            results, _ = jax.tree.map(np.asarray, state.results)
-            return Run(results, useful=costs.useful, useful_plans=costs.useful_decisions)
+            line.tasks, costs = _headings(starts), Costs()
+            line.finished[:] = False
+            group.run(n_lanes, costs, lambda done: None, programs)
+            return Run(jax.tree.map(np.array, line.results), useful=costs.useful)
 
         return Compiled(run, about, n_lanes, episodes)
 
@@ -189,10 +175,14 @@ class Compiler:
         return self.made[key]
 
 
-def _line(world, strategy, kernels, starts):
+def _line(world, strategy, native, starts):
     """A world's `Site` and the `Line` of a strategy's episodes in it."""
-    site = prepare_site(world, LIDAR, RULES, kernels)
+    site = prepare_site(world, LIDAR, RULES, native=native)
     return site, line_of(site, site.with_strategy(strategy), starts, SEED, np.arange(len(starts)))
+
+
+def _lane_of(n_lanes, memory):
+    return (memory["temp"] + memory["output"]) / n_lanes
 
 
 def _about(engine, world, strategy, site):
@@ -264,7 +254,7 @@ def measure_episodes(
             "engine": engine, "batch": batch, "lanes": program.lanes, "episodes": n,
             "wall_s": spread(wall), "cpu_s": spread(cpu), "episodes_per_s": 1 / seconds,
             **{f"{name}_per_s": found[name] / seconds for name in ("steps", "scans", "plans")},
-            "useful": runs[i][0][0].useful, "useful_plans": runs[i][0][0].useful_plans,
+            "useful": runs[i][0][0].useful,
             "lane_bytes": program.about["lane_bytes"], "lane_bytes_estimate": program.about["lane_bytes_estimate"],
             "quality": found, "equal": equal,
         })  # fmt: skip

@@ -20,9 +20,8 @@ from jexplore.bench.timing import Seconds, compiled, interleaved, ratio, speed_c
 from jexplore.distance import nearest_site
 from jexplore.frontier import frontier_clusters, plan_masks
 from jexplore.grid import Grid, empty_grid, radius_d2
-from jexplore.raycast import METHODS as SCAN_METHODS
 from jexplore.raycast import fold, scan
-from jexplore.reach import METHODS, flood, reach
+from jexplore.reach import flood, reach
 from jexplore.worlds.starts import clear_cells, draw_start
 from jexplore.worlds.world import World
 
@@ -168,21 +167,14 @@ def scans(recording: Recording) -> list[Kernel]:
         end, visited = oracles.walk(occupied.reshape(-1), offset, length, cells, heading, hits, misses, update)
         return end, hits.reshape(shape), misses.reshape(shape), visited
 
-    def ranges(method):
-        def step(i, ends, arguments):
-            truth, beams, poses = arguments
-            end = scan(truth, *poses[i], beams, method=method).end
-            return lax.dynamic_update_slice(ends, end[None], (i, jnp.int32(0)))
+    def ranges(i, ends, arguments):
+        truth, beams, poses = arguments
+        end = scan(truth, *poses[i], beams).end
+        return lax.dynamic_update_slice(ends, end[None], (i, jnp.int32(0)))
 
-        return step
-
-    def update(method):
-        def step(i, grid, arguments):
-            truth, beams, poses = arguments
-            seen = scan(truth, *poses[i], beams, method=method)
-            return fold(grid, *poses[i], seen, beams, method=method)
-
-        return step
+    def update(i, grid, arguments):
+        truth, beams, poses = arguments
+        return fold(grid, *poses[i], scan(truth, *poses[i], beams), beams)
 
     def same_map(grid, expected):
         height, width = recording.world.shape
@@ -203,15 +195,10 @@ def scans(recording: Recording) -> list[Kernel]:
         numba[0], lambda: answer(False), lambda ends, expected: np.array_equal(ends, expected[0]), numba[1]
     )
     of_map = Reference(numba[0], answer, same_map, numba[1])
-    made = []
-    for method in SCAN_METHODS:
-        made += [
-            Kernel(f"scan, {method}", step=ranges(method), start=ends, references=[of_ranges], work=only, **shared),
-            Kernel(
-                f"scan and fold, {method}", step=update(method), start=grid, references=[of_map], work=both, **shared
-            ),
-        ]
-    return made
+    return [
+        Kernel("scan", step=ranges, start=ends, references=[of_ranges], work=only, **shared),
+        Kernel("scan and fold", step=update, start=grid, references=[of_map], work=both, **shared),
+    ]
 
 
 def half_known(world: World) -> tuple[Any, ...]:
@@ -288,7 +275,7 @@ def _first_cell_never(never, mask):
     return mask.at[0, 0].set(mask[0, 0] ^ never)
 
 
-def _reach_kernels(world, shared):
+def _reach_kernel(world, shared):
     """The whole reachability map of a world's clear cells by each method."""
     row, col, _ = draw_start(world, SEED, 0, RULES.clearance_m)
     clear = clear_cells(world.occupied, RULES.clearance_m, world.cell_m)
@@ -304,15 +291,12 @@ def _reach_kernels(world, shared):
         )
         references.append(heap)
 
-    def by(method):
-        return lambda _, out, arguments: reach(*arguments, method=method)
-
-    return [
-        Kernel(f"reach, {method}", step=by(method), vary=lambda never, a: (_first_cell_never(never, a[0]), *a[1:]),
-               start=np.zeros(clear.shape, np.int32), arguments=(clear, np.int32(row), np.int32(col)),
-               references=references, work=Effort(bytes=5 * clear.size, ops=reached), **shared)
-        for method in METHODS
-    ]  # fmt: skip
+    return Kernel(
+        "reach", step=lambda _, out, arguments: reach(*arguments),
+        vary=lambda never, a: (_first_cell_never(never, a[0]), *a[1:]),
+        start=np.zeros(clear.shape, np.int32), arguments=(clear, np.int32(row), np.int32(col)),
+        references=references, work=Effort(bytes=5 * clear.size, ops=reached), **shared,
+    )  # fmt: skip
 
 
 def _flood_kernel(world, shared):
@@ -355,6 +339,6 @@ def whole_map(world: World) -> list[Kernel]:
     height, width = world.shape
     shared = {"on": f"{world.name.partition(':')[0]}, {height} x {width}", "shape": world.shape, "units": 1}
     return [
-        _mask_kernel(world, shared), _cluster_kernel(world, shared), *_reach_kernels(world, shared),
+        _mask_kernel(world, shared), _cluster_kernel(world, shared), _reach_kernel(world, shared),
         _flood_kernel(world, shared), _site_kernel(world, shared),
     ]  # fmt: skip

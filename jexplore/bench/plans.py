@@ -17,7 +17,6 @@ from jexplore.bench.kernels import BELIEF_BYTES, NEVER, microseconds, row_of
 from jexplore.bench.rates import Effort
 from jexplore.bench.timing import compiled, interleaved, speed_clock
 from jexplore.engine.draws import random_key
-from jexplore.exploration.site import KERNELS
 from jexplore.policies import parse_strategy
 from jexplore.raycast import Beams
 from jexplore.reach import FAR, NO_MOTION
@@ -70,7 +69,7 @@ def plan_costs(
     Returns:
       `{name: milliseconds}`; the median over turns of the mean over beliefs.
     """
-    recording = record(Compiler(), world, parse_strategy(RECORDED), KERNELS["serial"].reach)
+    recording = record(Compiler(), world, parse_strategy(RECORDED))
     site, n = recording.site, len(recording.beliefs)
     chosen = np.unique(np.linspace(0, n - 1, min(n, BELIEFS)).round().astype(int))
     beliefs = jax.device_put([recording.beliefs[i] for i in chosen])
@@ -166,5 +165,5 @@ def measure_nearest(recording: Recording, cells: float, repeat: int) -> dict[str
     times = microseconds(interleaved(tasks, repeat), units)
     reference = "masks given, Dijkstra up to the first frontier, numba", equal, times.get("other")
     on = f"{recording.world.name}, {len(beliefs)} plans"
-    return row_of(f"plan, {beliefs[0].model.reach}", on, recording.world.shape, took, times[""], [reference],
+    return row_of("plan", on, recording.world.shape, took, times[""], [reference],
                 Effort(bytes=BELIEF_BYTES * cells))  # fmt: skip

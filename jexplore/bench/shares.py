@@ -16,7 +16,6 @@ from jexplore.bench.engines import RULES, SEED, Compiler
 from jexplore.bench.kernels import NEVER, blank, never, vary_masks
 from jexplore.bench.plans import plan_program
 from jexplore.bench.timing import interleaved, speed_clock
-from jexplore.exploration.site import KERNELS
 from jexplore.frontier import plan_masks
 from jexplore.grid import Grid, empty_grid
 from jexplore.planning import Belief, bound_of, windows
@@ -53,12 +52,12 @@ def _masks(passes, arguments, p_free, near_d2, *, clearance_d2):
     return lax.fori_loop(0, passes, body, (start, arguments))[0]
 
 
-@functools.partial(jax.jit, static_argnames=("method",))
-def _costs(passes, words, row, col, goals, limit, *, method):
+@jax.jit
+def _costs(passes, words, row, col, goals, limit):
     def body(_, state):
         cost, words = state
         words = words.at[0, 0].set(words[0, 0] ^ (cost[-1, -1] == NEVER))
-        return reach_packed(words, row, col, goals, limit=limit, method=method), words
+        return reach_packed(words, row, col, goals, limit=limit), words
 
     start = jnp.zeros((bits.WORD * words.shape[0], words.shape[1]), jnp.int32)
     return lax.fori_loop(0, passes, body, (start, words))[0]
@@ -95,7 +94,7 @@ def _look(belief, side, nearest_only):
         words = words & np.asarray(bits.pack(jnp.asarray(central)))
         goals = goals & np.pad(central, ((0, len(goals) - shape[0]), (0, 0)))
         limit = radius * STRAIGHT if goals.any() else -1
-        cost = np.asarray(_costs(np.int32(1), words, row, col, goals, np.int32(limit), method=belief.model.reach))
+        cost = np.asarray(_costs(np.int32(1), words, row, col, goals, np.int32(limit)))
         decided = limit >= 0 and int(cost[goals].min()) <= limit
     return Look(cut, words, goals if nearest_only else None, limit, decided)
 
@@ -128,7 +127,7 @@ def _scan_programs(recording):
     @jax.jit
     def ranges(truth, beams, poses):
         def step(i, ended):
-            seen = scan(truth, *poses[i], beams, method=KERNELS["serial"].scan)
+            seen = scan(truth, *poses[i], beams)
             return Scan(ended.end.at[i].set(seen.end), ended.hit.at[i].set(seen.hit))
 
         blank = jnp.zeros((n, beams.length.shape[1]), jnp.int32)
@@ -137,7 +136,7 @@ def _scan_programs(recording):
     @jax.jit
     def update(beams, poses, seen):
         def step(i, grid):
-            return fold(grid, *poses[i], jax.tree.map(lambda a: a[i], seen), beams, method=KERNELS["serial"].scan)
+            return fold(grid, *poses[i], jax.tree.map(lambda a: a[i], seen), beams)
 
         return lax.fori_loop(0, n, step, empty_grid(shape))
 
@@ -176,7 +175,7 @@ def measure_shares(compiler: Compiler, recording: Recording, strategy: Strategy,
 
     def spread_costs(look):
         at = look["masks"][4:]
-        return _costs(passes, look["words"], *at, look["goals"], jnp.int32(look["limit"]), method=model.reach)
+        return _costs(passes, look["words"], *at, look["goals"], jnp.int32(look["limit"]))
 
     tasks = {
         "episode": lambda: program.run(starts),

@@ -66,13 +66,13 @@ def episodes(rows: Iterable[Mapping[str, Any]]) -> str:
     """Whole episodes: a row each."""
     header = [
         "world", "cells", "strategy", "engine", "batch", "lanes", "episodes", "ms/episode", "CPU ms", "episodes/s",
-        "steps/s", "useful", "useful plans", "path m", "explored", "COMPLETE", "MiB", "estimated", "equal",
+        "steps/s", "useful", "path m", "explored", "COMPLETE", "MiB", "estimated", "equal",
     ]  # fmt: skip
     return markdown(header, [
         [
             row["world"].rpartition("/")[2], "{} x {}".format(*row["shape"]), row["strategy"], row["engine"],
             row["batch"], row["lanes"], row["episodes"], 1e3 * row["wall_s"]["median"], 1e3 * row["cpu_s"]["median"],
-            row["episodes_per_s"], row["steps_per_s"], percent(row["useful"]), percent(row["useful_plans"]),
+            row["episodes_per_s"], row["steps_per_s"], percent(row["useful"]),
             plus_minus(row["quality"]["path_m"]), f"{row['quality']['explored_fraction']:.3f}",
             percent(row["quality"]["complete"]), _mib(row["lane_bytes"]), _mib(row["lane_bytes_estimate"]),
             row["equal"],

@@ -2,16 +2,10 @@
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Annotated
-
-import tyro
 
 from jexplore.cli.options import Number, Numbers, OutFolder, OwnNames
 from jexplore.cli.output.console import Out, progress_of
 from jexplore.cli.output.terminal import show_table
-from jexplore.config import Assumptions, InputError
-
-Target = Annotated[str | None, tyro.conf.arg(metavar="DEVICE", help_behavior_hint="")]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -42,13 +36,6 @@ class Bench:
     """Take smaller defaults: the cave, batches of 1 and 4, sides 64 and 128, 4 episodes, 2 turns."""
     cache: bool = False
     """Use compiled programs that earlier commands have kept: times of compiling are then those of loading."""
-    target: Target = None
-    """Measure nothing, but compile the lockstep engine for this accelerator, which need not be there: h100, h200 or
-    a100. Counts what it would launch and wait for, and estimates its speed. --batch-sizes are lanes then (default: 1024
-    4096), --episodes those recorded on this machine. Needs the extra gpu-compile."""
-    graphs: bool = False
-    """With --target: put loops over data into CUDA graphs."""
-    assume: Assumptions = dataclasses.field(default_factory=Assumptions)
     out: OutFolder = None
     """Write into this folder."""
     overwrite: bool = False
@@ -56,11 +43,6 @@ class Bench:
 
     def execute(self, arguments: Sequence[str]) -> int | None:
         """Runs the command; returns the exit status, None for 0."""
-        if self.target is not None:
-            self._compile(arguments)
-            return None
-        if self.graphs or self.assume != Assumptions():
-            raise InputError("--graphs and --assume are for --target, got none")
         from jexplore import bench
         from jexplore.bench import plots, tables
         from jexplore.report import plot, store
@@ -89,36 +71,4 @@ class Bench:
                 }
             )
             show_table(tables.tables(report))
-            print(f"\n{wrote}")
-
-    def _compile(self, arguments):
-        """What `--target` does."""
-        for name in ("strategies", "sides", "engine", "repeat"):
-            if getattr(self, name) is not None:
-                raise InputError(f"--{name} is for measurements, got it with --target")
-        if self.cache or self.quick:
-            raise InputError("--cache and --quick are for measurements, got one with --target")
-        from jexplore.bench import ahead
-        from jexplore.report import store
-
-        with Out(self, "bench") as out:
-            plan = ahead.prepare(
-                self.target or "",
-                worlds=self.worlds,
-                lanes=self.batch_sizes,
-                episodes=self.episodes,
-                assume=self.assume,
-                graphs=self.graphs,
-            )
-            with progress_of(plan.total, "programs") as progress:
-                progress.update(0)
-                report = ahead.run(plan, progress.update)
-            record = out.record(arguments, self, measured=report["settings"])
-            wrote = out.write(
-                {
-                    "bench.json": lambda path: store.write_json(report, path),
-                    "run.json": lambda path: store.write_json(record, path),
-                }
-            )
-            show_table(ahead.tables(report))
             print(f"\n{wrote}")

@@ -258,7 +258,7 @@ class _Page(io.StringIO):
 
 
 _REWORDED = (
-    (r"^Error parsing [\w.-]*(lidar|rules|tuning|noise|limits|assume): ", ""),
+    (r"^Error parsing [\w.-]*(lidar|rules|tuning|noise|limits): ", ""),
     (r"^Error parsing (\S+): invalid literal for int\(\).*?: (.*)$", r"\1 must be an integer, got \2"),
     (r"^Error parsing (\S+): could not convert string to float: (.*)$", r"\1 must be a number, got \2"),
     (

@@ -173,7 +173,7 @@ def run_missions(
       MemoryError: a device's memory does not suffice, not even for half the lanes.
     """
     draws = np.asarray(draws, np.int32)
-    resources = find_resources(engine=engine, lanes=lanes, workers=workers, runs=draws.size)
+    resources = find_resources(engine=engine, lanes=lanes, workers=workers)
     # A name would make another program.
     settings = dataclasses.replace(robots, name=""), tunings, noises, np.asarray(starts, np.float32), guides
     program = program_of(Setup(room_for(max_steps), *size))._replace(cpu_options=CPU_OPTIONS)

@@ -27,7 +27,7 @@ from jexplore.driving.mapping import Writer
 from jexplore.driving.sensing import matching, steadying, surround
 from jexplore.driving.sensing.matching import Key
 from jexplore.driving.sensing.surround import Surround
-from jexplore.driving.settings import MOST_NODES, Noise, Robot, Tuning
+from jexplore.driving.settings import Noise, Robot, Tuning
 from jexplore.driving.vehicle import (
     BEAMS,
     Body,
@@ -397,4 +397,4 @@ def program_of(setup: Setup) -> Program:
     Source:
       Mano et al., sections 2 and 3.
     """
-    return Program(setup, begin, advance, _is_done, finish, _keep, small=2 * MOST_NODES)
+    return Program(setup, begin, advance, _is_done, finish, _keep)

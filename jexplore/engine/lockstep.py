@@ -1,27 +1,274 @@
-"""The lockstep engine: lines that share a compiled program run together, in as many lanes as the memory holds."""
+"""The lockstep engine: runs of one program in lanes that advance together, as an accelerator wants it.
+
+A `vmap` of lanes. In every turn those advance that are under way; those that must decide wait until they are an eighth
+of all and then decide together. When enough runs are done they are measured and their lanes filled again.
+"""
 
 import functools
 import math
 import time
 import warnings
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import Array, lax
 
+from jexplore.arrays.loops import SHARE, put, run_if, take
 from jexplore.engine.devices import compiled, on_devices, parted, whole
-from jexplore.engine.lanes import Common, Engine, Queue, Table
-from jexplore.engine.program import Line, split
+from jexplore.engine.draws import random_key
+from jexplore.engine.program import Given, Line, split
 
 LANES = 4096  # most lanes on a device
 CPU_LANES = 64  # on a CPU, which lockstep is not made for
+FILLED = 16  # one lane in so many is measured and filled at a time
 MEMORY_SHARE = 0.8  # of the device's free memory that lanes may take
+COPIES = 4  # of a lane's state that there may be at a time; an estimate
 CALL_S = 1.0  # seconds that a call should take: how often progress moves, and how long Ctrl-C waits
 FIRST_TURNS = 16  # turns of the first call; later ones follow the clock
 GROWTH = 4  # by how much longer a call may be than the one before
-COLLECT_S = 20.0  # seconds between two times that results are taken to the host, where somebody waits for them
+
+
+class Runs(NamedTuple):
+    """What makes runs differ: of N runs, or of those in L lanes."""
+
+    seed: Any  # [N] uint32
+    draw: Any  # [N] int32, with the seed it makes the run's key
+    scene: Any  # [N] int32, which of the M scenes
+    scalars: Any  # list of `[N]`, the scalars among the numbers
+    task: Any  # pytree of `[N, ...]`
+
+
+class Lanes(NamedTuple):
+    """L lanes."""
+
+    runs: Runs
+    busy: Array  # [L] bool, whether there is a run
+    state: Any  # [L, ...]
+
+
+class Group:
+    """Lines of one kind on some devices: of one program, with equal `shared` and arrays."""
+
+    def __init__(self, lines: Sequence[Line], devices: Sequence[Any]) -> None:
+        self.lines, self.devices, self.program = lines, devices, lines[0].program
+        scenes = {id(line.scene): line.scene for line in lines}
+        self._place = {key: i for i, key in enumerate(scenes)}
+        _, arrays, self._join = split(lines[0].numbers)
+        stacked = jax.tree.map(lambda *a: np.stack(a), *scenes.values())
+        self.common: Any = whole((lines[0].shared, stacked, arrays), devices)
+
+    # ---- on a device: pure functions
+
+    def _each(self, function, common, runs, *own):
+        """`function(given, *own)` of some runs; what they share, `common`, is not copied."""
+        shared, scenes, arrays = common
+
+        def one(run, *own):
+            key = jax.random.fold_in(random_key(run.seed), run.draw)
+            return function(Given(key, shared, scenes, run.scene, self._join(run.scalars, arrays), run.task), *own)
+
+        return jax.vmap(one)(runs, *own)
+
+    def _begun(self, common, runs):
+        return self._each(functools.partial(self.program.begin, self.program.setup), common, runs)
+
+    def _done(self, lanes):
+        return lanes.busy & jax.vmap(self.program.is_done)(lanes.state)
+
+    def empty(self, runs: Runs, common: Any, n_lanes: int) -> Lanes:
+        """So many `Lanes` without a run; `runs` are looked at for shapes only."""
+        shapes = runs, jax.eval_shape(self._begun, common, runs)
+        runs, state = jax.tree.map(lambda a: jnp.zeros((n_lanes, *a.shape[1:]), a.dtype), shapes)
+        return Lanes(runs, jnp.zeros(n_lanes, bool), state)
+
+    def fill(self, lanes: Lanes, which: Array, runs: Runs, real: Array, common: Any) -> tuple[Lanes, Any]:
+        """Measures the runs in lanes `which`, `[m]` int32, and begins `runs` there where they are `real`, `[m]` bool.
+
+        Returns:
+          `(lanes, found)`: of the m lanes what `Program.measure` and `keep` return; something where there is no run.
+        """
+        state = take(lanes.state, which)
+        found = self._each(self.program.measure, common, take(lanes.runs, which), state)
+        kept, begins = jax.vmap(self.program.keep)(state), jnp.where(real, which, lanes.busy.size)
+        state = put(lanes.state, begins, self._begun(common, runs))
+        return Lanes(put(lanes.runs, begins, runs), put(lanes.busy, which, real), state), (found, kept)
+
+    def _turn(self, common, lanes):
+        """A turn of all lanes: `(lanes, how many advanced)`."""
+        program, setup, state = self.program, self.program.setup, lanes.state
+        if program.decide is not None:
+            alive = lanes.busy & ~self._done(lanes)
+            must_decide: Any = program.must_decide
+            waits = alive & jax.vmap(must_decide)(state)
+            waits &= SHARE * _count(waits) >= _count(alive)
+
+            def decide(given, state, waits):
+                return run_if(waits, functools.partial(program.decide, setup, given), state)
+
+            state = self._each(decide, common, lanes.runs, state, waits)
+        goes = lanes.busy & jax.vmap(program.is_under_way)(state)
+        new = self._each(functools.partial(program.advance, setup), common, lanes.runs, state)
+        keep = jax.vmap(lambda goes, new, old: jax.tree.map(lambda a, b: jnp.where(goes, a, b), new, old))
+        return lanes._replace(state=keep(goes, new, state)), _count(goes)
+
+    def go_on(self, lanes: Lanes, turns: Array, common: Any) -> tuple[Lanes, Array, Array]:
+        """So many turns, int32, or as many as it takes until enough runs are done, or all.
+
+        Returns:
+          `(lanes, done, use)`: `[L]` bool, whether a lane's run is done; `[2]` int32, turns, and lanes that advanced.
+        """
+
+        def goes_on(state):
+            n, n_busy = _count(self._done(state[0])), _count(state[0].busy)
+            return (state[1][0] < turns) & (n < jnp.minimum(n_busy, _part(lanes.busy.size)))
+
+        def turn(state):
+            lanes, n = self._turn(common, state[0])
+            return lanes, state[1] + jnp.stack([jnp.int32(1), n])
+
+        lanes, use = lax.while_loop(goes_on, turn, (lanes, jnp.zeros(2, jnp.int32)))
+        return lanes, self._done(lanes), use
+
+    # ---- on the host
+
+    def queue(self) -> tuple[np.ndarray, np.ndarray, Runs]:
+        """What is left: `[N]` int, the line of each run, its number there, and `Runs` of numpy arrays.
+
+        By their draws, so that what is interrupted has pairs.
+        """
+        left = [line.left for line in self.lines]
+        draw = np.concatenate([line.draws[which] for line, which in zip(self.lines, left)])
+        order = np.argsort(draw, kind="stable")
+        line = np.repeat(np.arange(len(left)), [len(which) for which in left])[order]
+        seed, scene = zip(*((one.seed, self._place[id(one.scene)]) for one in self.lines))
+        scalars = [np.array(values)[line] for values in zip(*(split(one.numbers)[0] for one in self.lines))]
+        task = jax.tree.map(
+            lambda *a: np.concatenate([some[which] for some, which in zip(a, left)])[order],
+            *(one.tasks for one in self.lines),
+        )
+        runs = Runs(np.array(seed, np.uint32)[line], draw[order], np.array(scene, np.int32)[line], scalars, task)
+        return line, np.concatenate(left)[order], runs
+
+    def lane_bytes(self) -> int:
+        """An estimate of what a lane needs on a device."""
+        lanes = jax.eval_shape(functools.partial(self.empty, n_lanes=1), self.queue()[2], self.common)
+        return COPIES * sum(math.prod(a.shape) * a.dtype.itemsize for a in jax.tree.leaves(lanes))
+
+    def fitting_lanes(self) -> int:
+        """Lanes that a device's memory holds: a power of two; fewer if there are not so many runs."""
+        most = LANES if self.devices[0].platform != "cpu" else CPU_LANES
+        memory = [device.memory_stats() for device in self.devices]
+        if all(memory):
+            free = min(m["bytes_limit"] - m["bytes_in_use"] for m in memory if m)
+            most = min(most, int(MEMORY_SHARE * max(free, 0)) // self.lane_bytes())
+        left = sum(len(line.left) for line in self.lines)
+        return min(2 ** max(0, most.bit_length() - 1), -(-left // len(self.devices)))
+
+    def compile(self, n_lanes: int, compiled: Callable[..., tuple[Any, Any]] = compiled) -> tuple[Any, ...]:
+        """`(make, fill, go_on, found)`: what makes `empty` lanes, `fill` and `go_on`, compiled for so many lanes on
+        each device; and the shapes of what `fill` finds of a run.
+
+        `compiled`: as `devices.compiled`.
+        """
+        kind, devices, options = self.lines[0].kind, self.devices, self.program.cpu_options
+        d, m = len(devices), _part(n_lanes)
+        some = jax.tree.map(lambda a: np.zeros((d, m, *a.shape[1:]), a.dtype), self.queue()[2])
+        runs, which, real = parted((some, np.zeros((d, m), np.int32), np.zeros((d, m), bool)), devices)
+        empty = on_devices(functools.partial(self.empty, n_lanes=n_lanes), devices, 1)
+        make, _ = compiled(empty, ("empty", kind, n_lanes), (runs, self.common), devices)
+        lanes = make(runs, self.common)
+        made = []
+        for function, own in (
+            (self.fill, (which, runs, real)),
+            (self.go_on, (parted(np.zeros(d, np.int32), devices),)),
+        ):
+            arguments, name = (lanes, *own, self.common), (function.__name__, kind)
+            local = on_devices(function, devices, 1 + len(own))
+            made.append(compiled(local, name, arguments, devices, donate=(0,), cpu_options=options))
+        found = jax.tree.map(lambda a: jax.ShapeDtypeStruct(a.shape[2:], a.dtype), made[0][1][1])
+        return functools.partial(make, runs, self.common), made[0][0], made[1][0], found
+
+    def run(
+        self, n_lanes: int, costs: Any, on_progress: Callable[[int], object], programs: tuple[Any, ...] | None = None
+    ) -> None:
+        """Makes what is left in so many lanes on each device, by what `compile` returns."""
+        began = time.perf_counter()
+        make, fill, go_on, shapes = programs or self.compile(n_lanes)
+        for one in self.lines:
+            one.make_room(shapes[0])
+        costs.compile_s += time.perf_counter() - began
+        costs.lanes, began = max(costs.lanes, n_lanes), time.perf_counter()
+        (line, number, runs), lanes, turns, first, finished = self.queue(), make(), FIRST_TURNS, 0, 0
+        at = np.full((len(self.devices), n_lanes), -1)  # place in the queue of each lane's run; -1: none
+        done = np.zeros(at.shape, bool)
+        try:
+            while True:
+                while True:
+                    which, new = _to_fill(at, done, first, len(line))
+                    if (which < 0).all():
+                        break
+                    ended = (which >= 0) & (np.take_along_axis(at, which, 1) >= 0)
+                    place = np.take_along_axis(at, which, 1)[ended]
+                    own = jax.tree.map(lambda a, new=new: a[new], runs)
+                    arguments = parted((np.where(which < 0, n_lanes, which), own, new >= 0), self.devices)
+                    lanes, found = fill(lanes, *arguments, self.common)
+                    self._collect(line[place], number[place], ended, found)
+                    for d, lane in enumerate(which):
+                        at[d, lane[lane >= 0]], done[d, lane[lane >= 0]] = new[d, lane >= 0], False
+                    first, finished = max(first, int(new.max()) + 1), finished + len(place)
+                on_progress(finished)
+                if finished == len(line):
+                    return
+                called = time.perf_counter()
+                lanes, done, use = go_on(lanes, parted(np.full(len(at), turns, np.int32), self.devices), self.common)
+                done, use = np.array(done), np.asarray(use)
+                rate = int(use[:, 0].max()) / max(time.perf_counter() - called, 1e-3)
+                turns = max(1, int(min(GROWTH * turns, CALL_S * rate)))
+                costs.advanced += int(use[:, 1].sum())
+                costs.room += int(use[:, 0].sum()) * n_lanes
+        finally:
+            costs.run_s += time.perf_counter() - began
+
+    def _collect(self, line, number, ended, found):
+        """Hands what was found to its lines, of runs whose line and number these are, at `ended` among `[D, m]`."""
+        found, kept = jax.tree.map(np.asarray, found[0]), found[1]
+        where = np.argwhere(ended)
+        for i in np.unique(line):
+            own, mine = line == i, self.lines[i]
+            for d, j in where[own & (number == mine.keeps)]:
+                mine.kept = jax.tree.map(lambda a, d=d, j=j: np.asarray(a[d, j]), kept)
+            mine.put(number[own], jax.tree.map(lambda a, own=own: a[ended][own], found))
+
+
+def _to_fill(at, done, first, total):
+    """The lanes to be measured or filled next, those whose runs are done first, and the runs to begin there.
+
+    Args:
+      at, done: `[D, L]`, of each lane the place of its run in the queue, -1 for none, and whether that is done.
+      first: place of the next run to begin, of `total`.
+
+    Returns:
+      `(which, new)`: `[D, m]` int each; -1 for no lane, and for no run.
+    """
+    which, new = np.full((2, len(at), _part(at.shape[1])), -1)
+    for d in range(len(at)):
+        idle = np.flatnonzero(at[d] < 0)[: total - first]
+        lanes = np.concatenate([np.flatnonzero(done[d]), idle])[: which.shape[1]]
+        n = min(len(lanes), total - first)
+        which[d, : len(lanes)], new[d, :n] = lanes, first + np.arange(n)
+        first += n
+    return which, new
+
+
+def _part(n_lanes):
+    return -(-n_lanes // FILLED)
+
+
+def _count(mask):
+    return jnp.sum(mask, dtype=jnp.int32)
 
 
 def run_lines(
@@ -30,7 +277,6 @@ def run_lines(
     n_lanes: int | None,
     costs: Any,
     on_progress: Callable[[int], object],
-    collect: bool = False,
 ) -> None:
     """Makes every run of some lines.
 
@@ -40,36 +286,28 @@ def run_lines(
       n_lanes: lanes on every device; None for as many as its memory holds, at most `LANES`.
       costs: `Costs`, added to.
       on_progress: called with the number of runs finished so far.
-      collect: whether results are put there every now and then, and not only at the end.
 
     Raises:
-      KeyboardInterrupt: after the call under way has ended; what it found has been kept.
+      KeyboardInterrupt: what calls before it found has been kept.
     """
     groups = {}
     for line in lines:
         if len(line.which):
             arrays = [(a.shape, np.asarray(a).tobytes()) for a in split(line.numbers)[1]]
             groups.setdefault((line.kind, id(line.shared), tuple(arrays)), []).append(line)
-    done = 0
+    before = 0
     for group in groups.values():
-        done += _run_group(group, devices, n_lanes, costs, lambda n, done=done: on_progress(done + n), collect)
+        before += _run_group(group, devices, n_lanes, costs, lambda n, before=before: on_progress(before + n))
 
 
-def _run_group(lines, devices, n_lanes, costs, on_progress, collect):
+def _run_group(lines, devices, n_lanes, costs, on_progress):
     """Lines of one kind: how many runs they were. Memory that runs out halves the lanes, once."""
-    total = sum(len(line.which) for line in lines)
-    group, seen, left = Group(lines, devices), 0, total
+    group, total = Group(lines, devices), sum(len(line.which) for line in lines)
     n_lanes = min(n_lanes or group.fitting_lanes(), -(-total // len(devices)))
-
-    def progress(done):
-        nonlocal seen
-        seen = max(seen, total - left + done)
-        on_progress(seen)
-
     for n in (n_lanes, n_lanes // 2):
-        left = sum(len(line.left) for line in lines)
+        before = total - sum(len(line.left) for line in lines)
         try:
-            group.run(n, costs, progress, collect)
+            group.run(n, costs, lambda done, before=before: on_progress(before + done))
             break
         except jax.errors.JaxRuntimeError as error:
             if "RESOURCE_EXHAUSTED" not in str(error) or n < n_lanes or n < 2:
@@ -77,135 +315,3 @@ def _run_group(lines, devices, n_lanes, costs, on_progress, collect):
         # Out here the lanes that did not fit are forgotten.
         warnings.warn(f"out of device memory with {n} lanes: going on with {n // 2}", stacklevel=2)
     return total
-
-
-def _rounded(n):
-    """The next power of two: what is compiled for so many serves all below."""
-    return 1 << max(0, n - 1).bit_length()
-
-
-class Group:
-    """Lines of one kind on some devices: of one program, with equal `shared` and arrays."""
-
-    def __init__(self, lines: Sequence[Line], devices: Sequence[Any]) -> None:
-        self.lines = lines
-        self.devices = devices
-        self.engine: Engine = Engine(lines[0].program, lines[0].numbers)
-        scenes = {id(line.scene): line.scene for line in lines}
-        place = {key: i for i, key in enumerate(scenes)}
-        rows = [*range(len(lines))] + [0] * (_rounded(len(lines)) - len(lines))
-        scalars = [split(lines[i].numbers)[0] for i in rows]
-        with_slot = [i for i, line in enumerate(lines) if line.keeps >= 0]
-        with_slot += [0] * (_rounded(len(with_slot)) - len(with_slot))
-        self.slot: dict[int, int] = {i: slot for slot, i in enumerate(with_slot) if lines[i].keeps >= 0}
-        # Ignored types: numpy on the host, where the record says what it is on the device.
-        table = Table(
-            scene=np.array([place[id(lines[i].scene)] for i in rows], np.int32),  # type: ignore[arg-type]
-            seed=np.array([lines[i].seed for i in rows], np.uint32),  # type: ignore[arg-type]
-            keeps=np.array([lines[i].keeps for i in rows], np.int32),  # type: ignore[arg-type]
-            slot=np.array([self.slot.get(i, len(with_slot)) for i in rows], np.int32),  # type: ignore[arg-type]
-            slots=np.array(with_slot, np.int32),  # type: ignore[arg-type]
-            scalars=[np.stack(values) for values in zip(*scalars)],
-        )
-        stacked = jax.tree.map(lambda *a: np.stack(a), *scenes.values())
-        arrays = split(lines[0].numbers)[1]
-        self.common: Common = whole(Common(table, lines[0].shared, stacked, arrays), devices)
-
-    def queue(self) -> Queue:
-        """What is left as a `Queue` with a leading axis of the devices, dealt out in turn."""
-        left, d = [line.left for line in self.lines], len(self.devices)
-        number = np.concatenate(left)
-        drawn = np.concatenate([line.draws[which] for line, which in zip(self.lines, left)])
-        n, order = (
-            _rounded(-(-len(number) // d)),
-            np.argsort(drawn, kind="stable"),
-        )  # so that what is interrupted has pairs
-
-        def deal(values):
-            values = np.asarray(values)[order]
-            out = np.zeros((d, n, *values.shape[1:]), values.dtype)
-            for i in range(d):
-                out[i, : len(values[i::d])] = values[i::d]
-            return out
-
-        def of_lines(arrays):
-            return deal(np.concatenate([array[which] for array, which in zip(arrays, left)]))
-
-        # Ignored types: numpy on the host, where the record says what it is on the device.
-        return Queue(
-            line=deal(np.repeat(np.arange(len(left), dtype=np.int32), [len(which) for which in left])),  # type: ignore[arg-type]
-            number=deal(number),  # type: ignore[arg-type]
-            draw=deal(drawn),  # type: ignore[arg-type]
-            task=jax.tree.map(lambda *a: of_lines(a), *(line.tasks for line in self.lines)),
-            count=np.array([len(number[i::d]) for i in range(d)], np.int32),  # type: ignore[arg-type]
-        )
-
-    def _empty(self, n_lanes):
-        return on_devices(functools.partial(self.engine.empty, n_lanes=n_lanes), self.devices, 1)
-
-    def fitting_lanes(self) -> int:
-        """Lanes that a device's memory holds: a power of two; fewer if there are not so many runs."""
-        queue = self.queue()
-        lanes = jax.eval_shape(self._empty(1), queue, self.common)
-        most = LANES if self.devices[0].platform != "cpu" else CPU_LANES
-        memory = [device.memory_stats() for device in self.devices]
-        if all(memory):
-            free = min(m["bytes_limit"] - m["bytes_in_use"] for m in memory if m)
-            lanes = jax.tree.map(lambda a: a.update(shape=a.shape[1:]), lanes)
-            free -= sum(math.prod(a.shape) * a.dtype.itemsize for a in jax.tree.leaves((lanes.results, lanes.kept)))
-            most = min(most, int(MEMORY_SHARE * max(free, 0) / self.engine.lane_bytes(lanes, self.common.shared)))
-        return min(2 ** max(0, most.bit_length() - 1), int(queue.count.max()))
-
-    def run(self, n_lanes: int, costs: Any, on_progress: Callable[[int], object], collect: bool = False) -> None:
-        """Makes what is left in so many lanes; results are taken to the host at the end, and, to `collect`, now and
-        then.
-        """
-        began = time.perf_counter()
-        queue, kind, devices = parted(self.queue(), self.devices), self.lines[0].kind, self.devices
-        begin, shapes = compiled(self._empty(n_lanes), ("empty", kind, n_lanes), (queue, self.common), devices)
-        lanes, turns = begin(queue, self.common), jnp.full(len(devices), FIRST_TURNS, jnp.int32)
-        function = on_devices(self.engine.go_on, devices, 3)
-        arguments = lanes, queue, parted(turns, devices), self.common
-        options = self.engine.program.cpu_options
-        step, _ = compiled(function, ("go on", kind), arguments, devices, donate=(0,), cpu_options=options)
-        for line in self.lines:
-            line.make_room(jax.tree.map(lambda a: jax.ShapeDtypeStruct(a.shape[2:], a.dtype), shapes.results))
-        costs.compile_s += time.perf_counter() - began
-        costs.lanes = max(costs.lanes, n_lanes)
-        count, turns = int(np.asarray(queue.count).sum()), FIRST_TURNS
-        began = collected = time.perf_counter()
-        try:
-            while True:
-                called = time.perf_counter()
-                how_many = parted(np.full(len(devices), turns, np.int32), devices)
-                lanes, usage = step(lanes, queue, how_many, self.common)
-                done = int(np.sum(lanes.done))
-                seconds = time.perf_counter() - called
-                costs.add(usage, n_lanes, self.engine.places(n_lanes))
-                if collect and time.perf_counter() - collected > COLLECT_S:
-                    self._collect(queue, lanes)
-                    collected = time.perf_counter()
-                on_progress(done)
-                if done == count:
-                    break
-                turns = max(1, int(turns * min(GROWTH, CALL_S / max(seconds, 1e-3))))
-        finally:
-            self._collect(queue, lanes)
-            costs.run_s += time.perf_counter() - began
-
-    def _collect(self, queue, lanes):
-        """Hands the results so far to their lines."""
-        if any(a.is_deleted() for a in jax.tree.leaves(lanes)):  # lost in a call that failed
-            return
-        # All of it to the host before any of it is handed on: an interruption in between must leave no half.
-        queue, results, kept, ended = jax.tree.map(np.asarray, (queue, lanes.results, lanes.kept, lanes.ended))
-        for device in range(len(self.devices)):
-            for i, line in enumerate(self.lines):
-                of_line = ended[device] & (queue.line[device] == i)
-                of_line[of_line] = ~line.finished[queue.number[device][of_line]]
-                which = queue.number[device][of_line]
-                if not len(which):
-                    continue
-                if (which == line.keeps).any():
-                    line.kept = jax.tree.map(lambda a, d=device, i=self.slot[i]: a[d, i], kept)
-                line.put(which, jax.tree.map(lambda a, d=device, m=of_line: a[d][m], results))

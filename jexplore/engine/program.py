@@ -39,36 +39,12 @@ class Given:
         return jax.tree.map(lambda a: a[self.scene], self.scenes)
 
 
-class Pieces(NamedTuple):
-    """Deciding as work of a fixed size in every turn: in lockstep on an accelerator nothing then waits for the host.
-
-    A run that must decide is given a first glance, and if that does not settle it the next: in every turn a group of
-    lanes each. What no glance settles is searched for in a slot, a piece in every turn, while the others go on. What a
-    glance has seen is kept for what comes after it. What is to be written into large arrays is noted, and written
-    afterwards: these are neither gathered nor copied.
-    """
-
-    # each (setup, given, state, seen by the one before) -> (settled, state, notes, seen): state and notes where it is
-    # settled; what the first one is given is ()
-    glances: tuple[Callable[[Any, Given, Any, Any], Any], ...]
-    begin: Callable[[Any, Given, Any, Any], Any]  # (setup, given, state, seen by the last) -> search, a pytree
-    # (search) -> (search, notes) after one more piece; of one that is done, what `is_done` and `conclude` read stays as
-    # it is, and nothing is noted
-    go_on: Callable[[Any], Any]
-    is_done: Callable[[Any], Any]  # (search) -> bool
-    conclude: Callable[[Any, Given, Any, Any], Any]  # (setup, given, state, search) -> (state that has decided, notes)
-    # (states, lane, notes) -> states: of L lanes, with notes of m (`[m]` int32, none twice, beyond the last: dropped)
-    write: Callable[[Any, Any, Any], Any]
-
-
 class Program(NamedTuple):
     """The life of one robot as pure functions. Hashable: equal programs share what is compiled.
 
     A run begins, and then decides and advances until it is done. Deciding is what few robots do at a time and costs
-    much: in lockstep those that must are gathered. Every function is called on runs that it does not concern as well:
-    `advance` must leave the large arrays of a state alone where the run is done or must decide (nothing tells if it
-    does not: results in lockstep are then others); the engine takes care of those up to `small`. Arrays that `decide`
-    does not change it must hand on as they are: they are then neither gathered nor copied.
+    much: in lockstep those that must are gathered. There every function is called on runs that it does not concern as
+    well, and what it makes of them is left out.
     """
 
     setup: Hashable  # what is fixed before compiling; the first argument of the functions
@@ -79,15 +55,9 @@ class Program(NamedTuple):
     keep: Callable[[Any], Any]  # (state) -> pytree of arrays: what is kept of one run besides its result
     decide: Callable[[Any, Given, Any], Any] | Any = None  # (setup, given, state) -> state; or None
     must_decide: Callable[[Any], Any] | None = None  # (state) -> bool, for runs that are not done
-    pieces: Pieces | Any = None  # what lockstep does instead of `decide`, with the same outcome
     # (state) -> pytree of arrays: what is kept of every run besides its result
     record: Callable[[Any], Any] | None = None
-    # elements of an array up to which the engine keeps the old one of a run that does not advance. That is a pass more
-    # over the arrays of all lanes in every turn: 256 spare it packed masks of maps of more than 64 x 128 cells
-    small: int = 256
     cpu_options: tuple[tuple[str, Any], ...] = ()  # pairs of name and value: options of XLA's compiler on a CPU
-    # bytes that deciding and advancing need, a lane; for an estimate
-    scratch: Callable[[Any, Any], tuple[int, int]] = lambda shared, state: (0, 0)
 
     def measure(self, given: Given, state: Any) -> tuple[Any, Any]:
         """What a run that is done found, and what is kept of every run: `(result, record)`."""

@@ -17,14 +17,9 @@ import numpy as np
 from jexplore.config import InputError, require_setting
 from jexplore.engine import lockstep, serial
 from jexplore.engine.backend import start_backend
-from jexplore.engine.lanes import Usage
 from jexplore.engine.program import Line
 
 ENGINES = ("serial", "lockstep")
-# CPU cores that do the work of one H100 in lockstep at 4,096 lanes, by `closest+recheck`: 97 of its own machine's in a
-# hospital, 160 in a cave (`benchmarks/device.py`).
-CORES_WORTH = 96
-FILLING = 4096  # runs a device from which lockstep is chosen; measured at this many lanes
 
 
 @dataclasses.dataclass
@@ -39,20 +34,11 @@ class Costs:
     interrupted: bool = False  # whether Ctrl-C ended it early; what was finished then is there
     advanced: int = 0  # lanes that advanced, over all turns
     room: int = 0  # lanes that could have
-    decided: int = 0  # lanes in deciding groups; in pieces, in those for a first glance, or without glances in slots
-    group_room: int = 0  # places in these groups
-
-    def add(self, usage: Usage, n_lanes: int, places: int) -> None:
-        """Adds a `lanes.Usage` of so many lanes; `places`: those in a group, see `lanes.Engine.places`."""
-        self.advanced += int(np.sum(usage.advanced))
-        self.decided += int(np.sum(usage.decided))
-        self.room += int(np.sum(usage.turns)) * n_lanes
-        self.group_room += int(np.sum(usage.groups)) * places
 
     def plus(self, later: "Costs") -> "Costs":
         """Those of two runs, one after the other."""
         total = dataclasses.replace(later)
-        for name in ("compile_s", "run_s", "advanced", "room", "decided", "group_room"):
+        for name in ("compile_s", "run_s", "advanced", "room"):
             setattr(total, name, getattr(self, name) + getattr(later, name))
         total.engine = later.engine if self.engine == later.engine or not self.run_s else f"{self.engine}+{later.engine}"
         total.interrupted = self.interrupted or later.interrupted
@@ -62,11 +48,6 @@ class Costs:
     def useful(self) -> float | None:
         """Share of the lanes that advanced, over all turns; None if none could, as in the serial engine."""
         return self.advanced / self.room if self.room else None
-
-    @property
-    def useful_decisions(self) -> float | None:
-        """Share of the places in deciding groups that were taken; None if there was none."""
-        return self.decided / self.group_room if self.group_room else None
 
 
 class Resources(NamedTuple):
@@ -97,19 +78,6 @@ def cpu_devices() -> list[Any]:
         return []
 
 
-def faster_engine(devices: Sequence[Any], cores: int, runs: int | None = None, processes: int = 1) -> str:
-    """The engine that is likely to be the faster one, by what an H100 and the cores beside it were measured to do.
-
-    Args:
-      devices: list of JAX devices.
-      cores: CPU cores there are instead.
-      runs: to be made, by all processes together; None: many.
-      processes: that share the runs, each with as many devices and cores.
-    """
-    few = runs is not None and runs < FILLING * len(devices) * processes
-    return "serial" if devices[0].platform == "cpu" or few or cores >= CORES_WORTH * len(devices) else "lockstep"
-
-
 def require_32_bits() -> None:
     """Refuse jax's 64-bit mode, which may be switched on at any time.
 
@@ -120,16 +88,13 @@ def require_32_bits() -> None:
         raise InputError("jax_enable_x64 is on, and jexplore computes in 32 bits: switch it off")
 
 
-def find_resources(
-    *, engine: str | None = None, lanes: int | None = None, workers: int | None = None, runs: int | None = None
-) -> Resources:
+def find_resources(*, engine: str | None = None, lanes: int | None = None, workers: int | None = None) -> Resources:
     """What there is to run with, and what is asked of it. Starts JAX.
 
     Args:
-      engine: one of `ENGINES`; by default `faster_engine`, and lockstep where lanes are asked for, or JAX has no CPU.
+      engine: one of `ENGINES`; by default serial, or lockstep for lanes on an accelerator and without a CPU in JAX.
       lanes: lanes on each device in lockstep; by default as many as its memory holds, at most 4096.
       workers: threads of the serial engine on one device; by default the CPU cores that this process may use.
-      runs: that are to be made; None: many.
 
     Returns:
       `Resources`. The serial engine has the CPU, whatever else there is.
@@ -149,8 +114,7 @@ def find_resources(
     devices, processes = jax.local_devices(), jax.process_count()
     on_cpu = devices[0].platform == "cpu"
     if engine is None:
-        must_have_lanes = not on_cpu and (lanes is not None or not cpu_devices())
-        engine = "lockstep" if must_have_lanes else faster_engine(devices, workers or cores, runs, processes)
+        engine = "lockstep" if not on_cpu and (lanes is not None or not cpu_devices()) else "serial"
     if lanes is not None and engine == "serial":
         raise InputError(f"lanes are for the engine lockstep, got {lanes} for serial")
     if engine == "serial" and not on_cpu:
@@ -208,7 +172,7 @@ def run_all(
             costs.lanes = resources.workers
             serial.run_lines(lines, resources.devices, resources.workers, costs, progress)
         else:
-            lockstep.run_lines(lines, resources.devices, resources.lanes, costs, progress, on_line is not None)
+            lockstep.run_lines(lines, resources.devices, resources.lanes, costs, progress)
     except KeyboardInterrupt:
         if resources.processes > 1 or not any(line.finished.any() for line in lines):
             raise

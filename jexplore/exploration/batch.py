@@ -1,6 +1,5 @@
 """Many exploration episodes: strategies in worlds, by either engine, with equal results."""
 
-import dataclasses
 import time
 import warnings
 from collections.abc import Callable, Sequence
@@ -13,13 +12,12 @@ from jexplore.config import MAX_SEED, InputError, InputWarning, Lidar, Rules, re
 from jexplore.engine.runner import Costs, find_resources, own_cores, require_32_bits, run_all
 from jexplore.exploration.native import NativeRun, chooser_of, is_native, native_world, play_all, result_of
 from jexplore.exploration.sensing import native_kernel
-from jexplore.exploration.site import Kernels, kernels_for, line_of, prepare_site
+from jexplore.exploration.site import line_of, prepare_site
 from jexplore.exploration.state import Result
 from jexplore.exploration.trail import Final, Record, decode
 from jexplore.native.episodes import RESULT, library
 from jexplore.policies import Strategy
 from jexplore.policies.catalogue.joined import joined
-from jexplore.policies.closest import is_nearest
 from jexplore.worlds.world import World, ring_of
 
 NO_RUN = -1  # number of a run that none has
@@ -55,7 +53,7 @@ class Finished(NamedTuple):
 
 
 def run_jobs(
-    jobs: Sequence[Job], lidar: Lidar, rules: Rules, *, engine: str | None = None, kernels: Kernels | None = None,
+    jobs: Sequence[Job], lidar: Lidar, rules: Rules, *, engine: str | None = None,
     lanes: int | None = None, workers: int | None = None, on_progress: Callable[[int], object] | None = None,
     only: int | None = None, keep: str | None = None, on_job: Callable[[int, Outcomes], object] | None = None,
     alike: Sequence[tuple[Lidar, Rules]] = (), fast: bool = False,
@@ -63,7 +61,7 @@ def run_jobs(
     """Runs every episode of every job.
 
     An episode's result depends on its world, start, strategy, seed and number, not on what else runs, nor on the
-    engine, the kernels, or the number of lanes, cores, devices or processes. Between kinds of devices that holds for a
+    engine, or the number of lanes, cores, devices or processes. Between kinds of devices that holds for a
     scanner without noise and strategies that compare whole numbers (`closest`, `random`): noise is drawn, and the
     others choose, in floating point, which devices may round differently.
 
@@ -73,8 +71,7 @@ def run_jobs(
       jobs: list of `Job`, each with at least one start. In every process the same.
       lidar: `Lidar`.
       rules: `Rules`.
-      engine: one of `runner.ENGINES`; by default the one that is likely to be faster, `runner.faster_engine`.
-      kernels: `Kernels`; by default those that suit the engine.
+      engine: one of `runner.ENGINES`; by default serial, see `runner.find_resources`.
       lanes: lanes on each device in lockstep; by default as many as its memory holds, at most 4096.
       workers: threads of the serial engine on one device; by default the CPU cores that this process may use.
       on_progress: called with the number of episodes finished so far, now and then, from the calling thread.
@@ -83,7 +80,7 @@ def run_jobs(
       on_job: called with the number of a job and its `Outcomes` once all its episodes have ended, soon after, from the
         calling thread.
       alike: scanners and rules of other runs that are to share this one's programs, see `site.prepare_site`.
-      fast: whether a kernel in C++ scans and counts, unless `kernels` are given; see `sensing`.
+      fast: whether a kernel in C++ scans and counts; see `sensing`.
 
     Returns:
       `Finished`.
@@ -99,13 +96,13 @@ def run_jobs(
     if workers is not None:
         require_setting("workers", workers)
     jobs = [_checked(job) for job in jobs]
-    plain = engine is None and kernels is None and lanes is None
+    plain = engine is None and lanes is None
     runs = _native_runs(jobs, lidar, rules, only, keep) if plain else {}
     done = sum(len(run.which) for run in runs.values())
     costs = _play(runs, workers or own_cores(), on_progress, on_job)
     rest, lines = [i for i in range(len(jobs)) if i not in runs], []
     if rest and not costs.interrupted:
-        how = {"engine": engine, "lanes": lanes, "workers": workers, "kernels": kernels, "fast": fast}
+        how = {"engine": engine, "lanes": lanes, "workers": workers, "fast": fast}
         progress = None if on_progress is None else (lambda n: on_progress(done + n))
         tell = None if on_job is None else (lambda i, found: on_job(rest[i], found))
         try:
@@ -175,13 +172,12 @@ def _play(runs, workers, on_progress, on_job):
 
 def _run_in_jax(jobs, lidar, rules, only, keep, alike, how, on_progress, on_job):
     """Runs jobs by programs in JAX: `(lines, costs)`."""
-    runs = sum(len(job.starts) for job in jobs) if only is None else len(jobs)
-    resources = find_resources(engine=how["engine"], lanes=how["lanes"], workers=how["workers"], runs=runs)
+    resources = find_resources(engine=how["engine"], lanes=how["lanes"], workers=how["workers"])
     if keep is not None and resources.processes > 1:
         raise InputError(f"keep={keep!r} is for one process, and {resources.processes} share the work")
-    kernels = how["kernels"] or _kernels_for(resources, how["fast"])
-    lines = _lines_of(jobs, lidar, rules, resources, kernels, only, keep, alike)
-    if kernels.native is not None and any(line.program.setup.native is None for line in lines):
+    native = _native_for(resources, how["fast"])
+    lines = _lines_of(jobs, lidar, rules, resources, native, only, keep, alike)
+    if native is not None and any(line.program.setup.native is None for line in lines):
         warnings.warn(
             "fast: the kernels in JAX make the scans where the scanner has noise or robots stay in a region",
             InputWarning,
@@ -191,36 +187,28 @@ def _run_in_jax(jobs, lidar, rules, only, keep, alike, how, on_progress, on_job)
     return lines, run_all(lines, resources, on_progress, tell)
 
 
-def _programs(jobs, kernels):
-    """The strategy of every job as one that shares its program; but for what plans in pieces on its own."""
-    alone = [kernels.in_pieces and is_nearest(job.strategy.policy) for job in jobs]
-    shared = iter(joined([job.strategy for job, own in zip(jobs, alone) if not own]))
-    return [job.strategy if own else next(shared) for job, own in zip(jobs, alone)]
-
-
-def _kernels_for(resources, fast):
-    """The `Kernels` that suit the engine, the one in C++ among them if asked for; says why where there is none."""
+def _native_for(resources, fast):
+    """The target of the kernel in C++ if asked for; None, and why, where there is none."""
     kind = resources.devices[0].platform
-    kernels = kernels_for(resources.engine, kind)
     if not fast:
-        return kernels
+        return None
     if resources.engine != "serial" or kind != "cpu":
         raise InputError(f"fast is for the engine serial on a CPU, got {resources.engine} on a {kind.upper()}")
     native = native_kernel()
     if native.target is None:
         warnings.warn(f"fast: {native.why_not}; the kernels in JAX make the scans", InputWarning, stacklevel=4)
-    return dataclasses.replace(kernels, native=native.target)
+    return native.target
 
 
-def _lines_of(jobs, lidar, rules, resources, kernels, only, keep, alike):
+def _lines_of(jobs, lidar, rules, resources, native, only, keep, alike):
     """A `Line` for every job. What jobs have in common is made once."""
     settings = [(job.lidar or lidar, job.rules or rules) for job in jobs]
     alike = [*alike, *dict.fromkeys(settings)]
     sites, fitted, lines = {}, {}, []
-    for job, strategy, own in zip(jobs, _programs(jobs, kernels), settings):
+    for job, strategy, own in zip(jobs, joined([job.strategy for job in jobs]), settings):
         place = id(job.world), own
         if place not in sites:
-            sites[place] = prepare_site(job.world, *own, kernels, alike=alike)
+            sites[place] = prepare_site(job.world, *own, native=native, alike=alike)
         if (place, id(job.strategy)) not in fitted:
             fitted[place, id(job.strategy)] = sites[place].with_strategy(strategy)
         which = resources.own(len(job.starts)) if only is None else [only] * (resources.process == 0)

@@ -187,28 +187,10 @@ def commit(setup: Setup, given: Given, state: State, choice: Choice, route: Arra
     Returns:
       `State`.
     """
-    plan = state.plans
-    state, spent, entry = settle(setup, given, state, choice, route[state.belief.row, state.belief.col], live)
-    return _mark_exhausted(state, spent).replace(route=route, choices=state.choices.at[plan].set(entry, mode="drop"))
-
-
-def settle(
-    setup: Setup, given: Given, state: State, choice: Choice, motion: Array, live: Array | bool = True
-) -> tuple[State, Array, Array]:
-    """`commit`, but for what is written into large arrays.
-
-    Args:
-      setup, given, state, choice, live: as for `commit`.
-      motion: int32, the first of the route.
-
-    Returns:
-      `(state, spent, entry)`: without the route; bool, whether the target is to be marked as exhausted; `[2]` int32,
-        the plan's entry in the record.
-    """
     none = choice.row < 0
     bad = ~none & (choice.cost >= FAR)
     bad_targets = jnp.where(bad, state.bad_targets + 1, 0)
-    entry = trail.choice_of(state, choice, bad)
+    plan, entry = state.plans, trail.choice_of(state, choice, bad)
     state = state.replace(
         target=jnp.stack([choice.row, choice.col]),
         is_view=jnp.asarray(choice.is_view),
@@ -225,7 +207,8 @@ def settle(
     # A path of length 0 is an arrival.
     here = (state.belief.row == choice.row) & (state.belief.col == choice.col) & ~bad
     state, spent = _arrive(setup, state, here, live, given.numbers)
-    return _limit_plans(given.numbers, _move(setup, given, state, motion)), spent, entry
+    state = _limit_plans(given.numbers, _move(setup, given, state, route[state.belief.row, state.belief.col]))
+    return _mark_exhausted(state, spent).replace(route=route, choices=state.choices.at[plan].set(entry, mode="drop"))
 
 
 def _find_goal(given, row, col):
@@ -244,7 +227,7 @@ def _find_goal(given, row, col):
     if given.scenes.within is not None:
         free &= bits.pack(given.scenes.within[given.scene])
     clear = free & ~within_packed(walls, model.clearance_d2)
-    goal = clear & flood(clear | (free & near), row, col, method=model.reach)
+    goal = clear & flood(clear | (free & near), row, col)
     rows, cols = (lax.broadcasted_iota(jnp.int32, shape, axis) for axis in (0, 1))
     return goal, occupied[row, col] | ~jnp.any(goal & bits.pack((rows != row) | (cols != col)))
 
@@ -296,7 +279,7 @@ def begin(setup: Setup, given: Given) -> State:
     shape = truth.occupied.shape[1:]
     goal, stuck = _find_goal(given, row, col)
     belief = blank_belief(given)
-    tally, known = first_tally(setup, given.shared, belief, is_blank=truth.known is None)
+    tally, known = first_tally(setup, belief, is_blank=truth.known is None)
     rooms, base = stacked(given, truth.rooms)
     room = rooms[base + row, col]
     steps, choices = trail.blank(setup.capacity)

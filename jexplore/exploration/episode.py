@@ -1,22 +1,13 @@
 """An exploration episode as a program of the engine: from the first scan to a named outcome, and what it measured."""
 
-import math
-
 import jax.numpy as jnp
 from jax import lax
 
 from jexplore.engine.program import Given, Program
 from jexplore.exploration import environment
-from jexplore.exploration.pieces import pieces_of
 from jexplore.exploration.state import MARKS, PERCENTILES, Outcome, Result, Setup, State
 from jexplore.exploration.trail import LOOKS, RECORDS, Trail, kept
 from jexplore.grid import beside, bordered, count, is_known
-from jexplore.policies.closest import is_nearest
-
-# Bytes besides the state, an estimate: of a cell for a plan, where a quarter of a group looks at whole maps at a time;
-# of a beam's step for a scan, which stores what each look finds.
-PLANNING_BYTES, SCAN_BYTES = 10, 1
-
 
 # A tenth of the time of compiling, and nothing gained by it: loops here store what they would compute anew.
 CPU_OPTIONS = (("xla_disable_hlo_passes", "while-loop-invariant-code-motion"),)
@@ -105,10 +96,6 @@ def _must_plan(state):
     return ~state.walking
 
 
-def _scratch(beams, state):
-    return PLANNING_BYTES * state.route.size, SCAN_BYTES * math.prod(beams.offset.shape[-2:])
-
-
 def program_of(setup: Setup, keep: str | None = None) -> Program:
     """Exploration as a `Program`; its `Setup` has a policy.
 
@@ -128,8 +115,6 @@ def program_of(setup: Setup, keep: str | None = None) -> Program:
         keep=kept,
         decide=plan,
         must_decide=_must_plan,
-        pieces=None if setup.windows is None or not is_nearest(setup.policy) else pieces_of(setup.windows),
         record=None if keep is None else RECORDS[keep],
         cpu_options=CPU_OPTIONS,
-        scratch=_scratch,
     )

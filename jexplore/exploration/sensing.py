@@ -11,8 +11,6 @@ import jax
 import jax.numpy as jnp
 from jax import Array, lax
 
-from jexplore import spans
-from jexplore.arrays import bits
 from jexplore.arrays.loops import one_kernel, run_if
 from jexplore.engine.native import Native, load_kernel
 from jexplore.engine.program import Given
@@ -52,28 +50,23 @@ class Square(NamedTuple):
     outside: Array  # int32, known cells outside
 
 
-def first_tally(setup: Setup, beams: Beams, belief: Belief, *, is_blank: bool) -> tuple[Square | Array, Array]:
+def first_tally(setup: Setup, belief: Belief, *, is_blank: bool) -> tuple[Square, Array]:
     """Known cells of a belief before its first scan, and by what they are counted from then on.
 
     Args:
-      setup, beams: as for `sense`.
+      setup: as for `sense`.
       belief: `Belief`.
       is_blank: whether nothing is known. Static.
 
     Returns:
-      `tally`: a `Square`; or, by the beams' `Spans`, the known cells, `[ceil(H / 32), W]` uint32, packed.
-      `known`: int32.
+      `(tally, known)`: `Square`; int32.
     """
     shape, none = belief.driven.shape, jnp.int32(0)
-    if beams.spans is not None:
-        if is_blank:
-            return jnp.zeros((-(-shape[0] // bits.WORD), shape[1]), jnp.uint32), none
-        return bits.pack(is_known(belief.grid)), count(_counted(belief.grid, belief.within))
     corner, size = square(belief.row, belief.col, shape, setup.window)
     if is_blank:
         return Square(corner, none), none
     known = count(_counted(belief.grid, belief.within))
-    return Square(corner, known - known_in(belief.grid, corner, size, belief.within, method=belief.model.scan)), known
+    return Square(corner, known - known_in(belief.grid, corner, size, belief.within)), known
 
 
 def _counted(grid, within):
@@ -81,9 +74,7 @@ def _counted(grid, within):
     return is_known(grid) if within is None else is_known(grid) & within
 
 
-def known_in(
-    grid: Grid, corner: Array, size: tuple[int, ...], within: Array | None = None, *, method: str = "blocks"
-) -> Array:
+def known_in(grid: Grid, corner: Array, size: tuple[int, ...], within: Array | None = None) -> Array:
     """Known cells in a square.
 
     Args:
@@ -91,12 +82,11 @@ def known_in(
       corner: `[2]` int32, row and col where it begins.
       size: its height and width, inside the map. Static.
       within: `[H, W]` bool, the cells that count; None: all.
-      method: one of `raycast.METHODS`; the number is the same. "blocks" adds row to row. Static.
 
     Returns:
       int32.
     """
-    if method != "blocks" or within is not None:
+    if within is not None:
         grid, within = jax.tree.map(lambda a: lax.dynamic_slice(a, corner, size), (grid, within))
         return count(_counted(grid, within))
 
@@ -161,25 +151,18 @@ def without_silent(seen: Scan, no_echo_is_free: Array | bool) -> Scan:
 def _told(setup, state, seen, beams, when):
     """A scan counted into the map: `(grid, tally, known)`."""
     belief = state.belief
-    pose, method = (belief.row, belief.col, belief.heading), belief.model.scan
-    if beams.spans is not None:
-        grid, tally = spans.fold(belief.grid, state.tally, pose, seen, beams, when)
-        counts = tally if belief.within is None else tally & bits.pack(belief.within)
-        known = jnp.sum(lax.population_count(counts).astype(jnp.int32), axis=0, dtype=jnp.int32)
-        return grid, tally, jnp.sum(lax.optimization_barrier(known), dtype=jnp.int32)
     corner, size = square(belief.row, belief.col, state.shape, setup.window)
     # Known cells outside the square, counted before the update. The number is added where it changes nothing (it is
     # never negative), so that it is made first, and the update can then be made in place.
     moved = jnp.any(corner != state.tally.corner)
 
     def recounted(_):
-        return state.known - known_in(belief.grid, corner, size, belief.within, method=method)
+        return state.known - known_in(belief.grid, corner, size, belief.within)
 
-    with jax.named_scope("recount"):
-        outside = run_if(moved, recounted, state.tally.outside)
+    outside = run_if(moved, recounted, state.tally.outside)
     pose = belief.row + jnp.minimum(outside, 0), belief.col, belief.heading
-    grid = fold(belief.grid, *pose, seen, beams, when=when, method=method)
-    return grid, Square(corner, outside), outside + known_in(grid, corner, size, belief.within, method=method)
+    grid = fold(belief.grid, *pose, seen, beams, when=when)
+    return grid, Square(corner, outside), outside + known_in(grid, corner, size, belief.within)
 
 
 def sense(setup: Setup, given: Given, state: State, when: Array) -> State:
@@ -201,7 +184,7 @@ def sense(setup: Setup, given: Given, state: State, when: Array) -> State:
         grid, fresh = look(setup.native, belief.grid, occupied, stands, believes, beams, when, free)
         state = state.replace(scans=state.scans + when, known=state.known + fresh)
         return state.replace(belief=belief.replace(grid=grid))
-    seen = scan(occupied, *stands, beams, method=belief.model.scan)
+    seen = scan(occupied, *stands, beams)
     if setup.noisy:
         key = jax.random.fold_in(jax.random.fold_in(given.key, Stream.SENSOR), state.scans)
         noise = {"sigma_cells": given.numbers.sigma_cells, "dropout": given.numbers.dropout}

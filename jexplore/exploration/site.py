@@ -1,6 +1,5 @@
 """A world made ready for episodes: padded, with the scanner's beams traced, and all numbers of the rules, once."""
 
-import dataclasses
 import functools
 import math
 from collections.abc import Sequence
@@ -10,7 +9,7 @@ import jax
 import numpy as np
 from numpy.typing import ArrayLike
 
-from jexplore import raycast, reach
+from jexplore import reach
 from jexplore.arrays.padding import bucket, number
 from jexplore.config import InputError, Lidar, Rules
 from jexplore.engine.program import Given, Line
@@ -19,44 +18,14 @@ from jexplore.exploration.episode import program_of
 from jexplore.exploration.state import Numbers, Setup, Truth
 from jexplore.exploration.trail import record_of
 from jexplore.grid import in_cells, radius_d2
-from jexplore.planning import MapModel, windows
+from jexplore.planning import MapModel
 from jexplore.policies.catalogue import adapt
 from jexplore.policies.policy import Strategy
 from jexplore.raycast import Beams, beam_table, scans_all_round
-from jexplore.spans import spans_of
 from jexplore.worlds.world import World, ring_of, with_ring
 
 LEAST_LIMIT = 20_000  # default bound of steps and plans on small maps
 COARSE_M = 0.15  # cells longer than this are coarse: a corridor is a few of them wide
-
-
-@dataclasses.dataclass(frozen=True)
-class Kernels:
-    """Which form of the kernels is used. Results are the same."""
-
-    reach: str = "sweeps"
-    """One of `reach.METHODS`."""
-    scan: str = "blocks"
-    """One of `raycast.METHODS`."""
-    native: str | None = None
-    """Target of the kernel in C++ that scans and counts, see `sensing`; None: those in JAX. For one robot on a CPU;
-    a noisy scanner has none."""
-    in_pieces: bool = False
-    """Whether lockstep plans in pieces, with `reach` "wave", for strategies of which it knows how."""
-
-    def __post_init__(self) -> None:
-        for name, known in (("reach", reach.METHODS), ("scan", raycast.METHODS)):
-            if getattr(self, name) not in known:
-                raise InputError(f"kernel {name} must be one of {', '.join(known)}, got {getattr(self, name)!r}")
-
-
-KERNELS = {"serial": Kernels(), "lockstep": Kernels(reach="wave", scan="whole")}
-"""Engine -> the kernels that suit it."""
-
-
-def kernels_for(engine: str, platform: str) -> Kernels:
-    """The kernels that suit an engine on devices of a platform: on accelerators the host is not to be waited for."""
-    return dataclasses.replace(KERNELS[engine], in_pieces=engine == "lockstep" and platform != "cpu")
 
 
 class Site(NamedTuple):
@@ -100,9 +69,9 @@ def prepare_site(
     world: World,
     lidar: Lidar,
     rules: Rules,
-    kernels: Kernels,
     shape: tuple[int, int] | None = None,
     *,
+    native: str | None = None,
     alike: Sequence[tuple[Lidar, Rules]] = (),
 ) -> Site:
     """Puts a ring round a world that needs one, pads it and traces the scanner's beams.
@@ -111,8 +80,9 @@ def prepare_site(
       world: `World`.
       lidar: `Lidar`.
       rules: `Rules`.
-      kernels: `Kernels`.
       shape: `(H, W)` to which the world is padded; by default the next that many worlds share.
+      native: target of the kernel in C++ that scans and counts, see `sensing`, for one robot on a CPU; None: those in
+        JAX. A noisy scanner, and a world of which only a part is to be known, have none.
       alike: scanners and rules of other runs. What is fixed before compiling then suits all of them whose scanner has
         as many beams, so that they share a program; results are the same.
 
@@ -130,8 +100,6 @@ def prepare_site(
         near_d2=np.int32(radius_d2(rules.near_m, world.cell_m)),  # type: ignore[arg-type]
         cell_m=np.float32(world.cell_m),  # type: ignore[arg-type]
         clearance_d2=radius_d2(rules.clearance_m, world.cell_m),
-        reach=kernels.reach,
-        scan=kernels.scan,
         coarse=world.cell_m > COARSE_M,
     )
     numbers = Numbers(
@@ -147,11 +115,9 @@ def prepare_site(
         no_echo_is_free=np.bool_(lidar.no_echo == "free"),  # type: ignore[arg-type]
         params=(),
     )
-    glances = tuple(windows(shape, model.clearance_d2, glances=True)) if kernels.in_pieces else None
-    native = None if world.within is not None else kernels.native  # which counts known cells everywhere
-    setup = _setup(everyone, world.cell_m, shape, limit, native, glances)
-    beams = _beams(everyone, world.cell_m, shape, setup.window - 1 if kernels.in_pieces else None)
-    return Site(truth, beams, setup, numbers, ring)
+    native = None if world.within is not None else native  # which counts known cells everywhere
+    setup = _setup(everyone, world.cell_m, shape, limit, native)
+    return Site(truth, _beams(everyone, world.cell_m, shape), setup, numbers, ring)
 
 
 def alike(truths: Sequence[Truth]) -> list[Truth]:
@@ -199,7 +165,7 @@ def regions_of(world: World) -> np.ndarray:
     return ndimage.label(free)[0].astype(np.int32)  # type: ignore[index]  # scipy says too little
 
 
-def _setup(everyone, cell_m, shape, limit, native, glances):
+def _setup(everyone, cell_m, shape, limit, native):
     """What is fixed before compiling, such that it suits several scanners and rules, those of the site first."""
     lidar, _ = everyone[0]
     max_steps = max(rules.max_steps or limit for _, rules in everyone)
@@ -212,25 +178,14 @@ def _setup(everyone, cell_m, shape, limit, native, glances):
         noisy=noisy,
         capacity=max(LEAST_LIMIT, shape[0] * shape[1]) if max_steps <= limit else max_steps,
         native=None if noisy else native,
-        windows=glances,
     )
 
 
-def _beams(everyone, cell_m, shape, radius):
-    """The same table for all rules and noise: megabytes. `radius`: how far beams come, for `Spans`; None: without.
-
-    `Setup.window` is a cell more.
-    """
+def _beams(everyone, cell_m, shape):
+    """The same table for all rules and noise: megabytes."""
     lidar, _ = everyone[0]
     scanner, longest_m = (lidar.n_beams, lidar.fov_deg, lidar.range_m), max(one.range_m for one, _ in everyone)
-    return _table(scanner, longest_m, cell_m, shape[1], None if radius is None else min(radius, max(shape)))
-
-
-@functools.lru_cache(maxsize=8)
-def _table(scanner, longest_m, cell_m, width, radius):
-    """Beams with their `Spans`, unless the radius of these is None."""
-    beams = beam_table(Lidar(*scanner), cell_m, width, longest_m)
-    return beams if radius is None else beams.replace(spans=spans_of(beams, radius))
+    return beam_table(Lidar(*scanner), cell_m, shape[1], longest_m)
 
 
 def tasks_of(starts: ArrayLike, ring: int) -> np.ndarray:

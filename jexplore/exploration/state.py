@@ -64,7 +64,6 @@ class Setup(NamedTuple):
     noisy: bool  # whether the scanner's noise is simulated
     capacity: int  # T, steps that the trail has room for; at least max_steps
     native: str | None = None  # target of the kernel in C++ that scans and counts, see `sensing`; None: those in JAX
-    windows: tuple[int, ...] | None = None  # that planning in pieces glances at, sides; None: it does not
 
 
 @struct.dataclass

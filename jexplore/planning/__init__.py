@@ -10,7 +10,6 @@ import math
 from collections.abc import Callable, Sequence
 from typing import Any, ClassVar, Self
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from flax import struct
@@ -21,7 +20,7 @@ from jexplore.arrays.loops import one_kernel, run_if, stored
 from jexplore.config import checked_names
 from jexplore.frontier import Masks, plan_masks
 from jexplore.grid import Grid, count, lowest
-from jexplore.planning.readout import STRIDES, lay_route
+from jexplore.planning.readout import lay_route
 from jexplore.reach import DIAGONAL, FAR, STRAIGHT, reach_packed, saturated
 
 # Longest side of a map, at least -> sides of the windows that are searched first, cells. In the largest they must hold
@@ -29,19 +28,14 @@ from jexplore.reach import DIAGONAL, FAR, STRAIGHT, reach_packed, saturated
 WINDOWS = {0: (64, 128), 1024: (64, 256), 2048: (64, 256, 512)}
 
 
-PACKING = {"sweeps": "sum", "wave": "halves"}  # for `bits.pack` beside each method of `reach`
-
-
 @struct.dataclass
 class MapModel:
-    """By what a robot tells from counts what is free, clear and near, and which form of the kernels does so."""
+    """By what a robot tells from counts what is free, clear and near."""
 
     p_free: Array  # float32, largest reflection probability of a free cell
     near_d2: Array  # int32, cells^2, free cells this near to the robot are traversable
     cell_m: Array  # float32, edge of a cell, metres
     clearance_d2: int = struct.field(pytree_node=False)  # cells^2, a clear cell has no occupied one this near
-    reach: str = struct.field(pytree_node=False, default="sweeps")  # one of `reach.METHODS`
-    scan: str = struct.field(pytree_node=False, default="blocks")  # one of `raycast.METHODS`
     coarse: bool = struct.field(pytree_node=False, default=False)  # whether corridors may be only a few cells wide
 
 
@@ -153,12 +147,11 @@ def masks_of(belief: Belief, origin: tuple[Array | int, ...] = (0, 0)) -> Masks:
 
     def judge(grid, driven, exhausted, inside, row, col, p_free, near_d2):
         numbers = {"p_free": p_free, "near_d2": near_d2, "clearance_d2": model.clearance_d2}
-        numbers["packing"] = PACKING[model.reach]
         numbers["stays_inside"] = belief.within is not None
         return plan_masks(grid, driven, exhausted, inside, row, col, **numbers)
 
     arguments = belief.grid, belief.driven, belief.exhausted, inside, row, col, model.p_free, model.near_d2
-    return one_kernel(judge, *arguments) if model.reach == "sweeps" else judge(*arguments)
+    return one_kernel(judge, *arguments)
 
 
 @checked_names
@@ -178,9 +171,7 @@ def field(belief: Belief, *, nearest_only: bool = False) -> Field:
     height = belief.driven.shape[0]
     masks = masks_of(belief)
     traversable, frontier = bits.unpack(masks.traversable), bits.unpack(masks.frontier)
-    cost = reach_packed(
-        masks.traversable, belief.row, belief.col, frontier if nearest_only else None, method=belief.model.reach
-    )
+    cost = reach_packed(masks.traversable, belief.row, belief.col, frontier if nearest_only else None)
     return Field(traversable[:height], cost[:height], (frontier & (cost < FAR))[:height])
 
 
@@ -208,16 +199,12 @@ def choose(belief: Belief, route: Array, known: Field, row: Array, col: Array) -
     none = row < 0
     start = (belief.row, belief.col)
     target = (jnp.where(none, belief.row, row), jnp.where(none, belief.col, col))
-    route = lay_route(route, known.cost, known.traversable, start, target, (0, 0), stride=STRIDES[belief.model.reach])
+    route = lay_route(route, known.cost, known.traversable, start, target, (0, 0))
     cost = jnp.where(none, FAR, known.cost[target])
 
     # Only beside cells whose cost hardly fits can there be some whose cost does not.
     dear = lowest(jnp.where(known.cost < FAR, -known.cost, 0)) <= DIAGONAL - FAR
-    with jax.named_scope("saturated"):
-        packing = PACKING[belief.model.reach]
-        out_of_reach = run_if(
-            none & dear, lambda _: saturated(known.cost, known.traversable, packing=packing), jnp.int32(0)
-        )
+    out_of_reach = run_if(none & dear, lambda _: saturated(known.cost, known.traversable), jnp.int32(0))
     return Choice(row, col, cost, out_of_reach), route
 
 
@@ -235,15 +222,13 @@ def _nearest_in_map(belief, route):
     return choose(belief, route, known, *nearest_of(known))
 
 
-def windows(shape: Sequence[int], clearance_d2: int, *, glances: bool = False) -> list[int]:
+def windows(shape: Sequence[int], clearance_d2: int) -> list[int]:
     """Sides of the windows that are searched first, in maps of a shape `(H, W)`.
 
-    A window must be larger than the clearance, and pays only where the whole map is much more work. Those that are
-    glanced at (`planning.glances`) are small in maps of any size.
+    A window must be larger than the clearance, and pays only where the whole map is much more work.
     """
-    sides = WINDOWS[0 if glances else max(least for least in WINDOWS if least <= max(shape))]
-    most = max(shape) - 1 if glances else max(shape) // 2
-    return [side for side in sides if 4 * math.isqrt(clearance_d2) < side <= most]
+    sides = WINDOWS[max(least for least in WINDOWS if least <= max(shape))]
+    return [side for side in sides if 4 * math.isqrt(clearance_d2) < side <= max(shape) // 2]
 
 
 def bound_of(side: int, clearance_d2: int) -> int:
@@ -295,14 +280,13 @@ def nearest_in_window(belief: Belief, route: Array, side: int) -> tuple[Array, C
     central = stored(row >= 0, lambda: bits.pack((rows <= radius) & (cols <= radius)))
     words, frontier = masks.traversable & central, bits.unpack(masks.frontier & central)
     limit = jnp.where(count((masks.frontier & central) != 0) > 0, bound, -1)  # nothing to look for: not at all
-    cost = reach_packed(words, row, col, frontier, limit=limit, method=belief.model.reach)
+    cost = reach_packed(words, row, col, frontier, limit=limit)
     best = lowest(jnp.where(frontier, cost, FAR))
     decided = best <= bound
     at_row, at_col = first_at(frontier & (cost == best))
     target = (jnp.where(decided, at_row + origin[0], belief.row), jnp.where(decided, at_col + origin[1], belief.col))
     start = (belief.row, belief.col)
-    stride = STRIDES[belief.model.reach]
-    route = lay_route(route, cost, bits.unpack(words), start, target, origin, stride=stride)
+    route = lay_route(route, cost, bits.unpack(words), start, target, origin)
     return ~decided, Choice(target[0], target[1], best, jnp.int32(0)), route
 
 
@@ -327,8 +311,6 @@ def nearest_frontier(belief: Belief, route: Array) -> tuple[Choice, Array]:
         def search(state, side=side):
             return nearest_in_window(belief, state[2], side)
 
-        with jax.named_scope(f"window{side}"):
-            state = run_if(state[0], search, state)
-    with jax.named_scope("map"):
-        _, choice, route = run_if(state[0], lambda state: (False, *_nearest_in_map(belief, state[2])), state)
+        state = run_if(state[0], search, state)
+    _, choice, route = run_if(state[0], lambda state: (False, *_nearest_in_map(belief, state[2])), state)
     return choice, route

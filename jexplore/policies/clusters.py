@@ -13,18 +13,17 @@ from flax import struct
 from jax import Array, lax
 
 from jexplore.arrays import bits
-from jexplore.arrays.groups import PART
 from jexplore.arrays.loops import first_lanes, repeat, run_if
 from jexplore.frontier import clear_cells, frontier_clusters
 from jexplore.gain import look, prospect, unknown_near, unknown_within
 from jexplore.grid import Grid, empty_grid
 from jexplore.planning import Belief, Choice, Field, choose, metres
 from jexplore.raycast import Beams, all_round
-from jexplore.reach import FAR, METHODS, STEPS
+from jexplore.reach import FAR, STEPS, spread
 
 CLUSTERS = 128  # most clusters that are told apart
 COARSEST = 4  # cells a side, of the blocks that paths between clusters are measured in
-ACROSS = {"sweeps": 3, "wave": 1}  # how often a map stands beside itself, each way, while these are measured
+ACROSS = 3  # how often a map stands beside itself, each way, while these are measured
 
 
 @struct.dataclass
@@ -42,8 +41,7 @@ class Targets:
 
 def targets(belief: Belief, known: Field) -> Targets:
     """`Targets` of a belief and its `Field`."""
-    part = PART if belief.model.reach == "sweeps" else None
-    found = frontier_clusters(known.candidates, known.cost, max_clusters=CLUSTERS, part=part)
+    found = frontier_clusters(known.candidates, known.cost, max_clusters=CLUSTERS)
     used = found.row >= 0
     cost = known.cost[jnp.maximum(found.row, 0), jnp.maximum(found.col, 0)]
     path_m = jnp.where(used, metres(cost, belief.model.cell_m), jnp.inf)
@@ -64,7 +62,7 @@ def seen_from(belief: Belief, at: Targets, beams: Beams) -> tuple[Array, Array]:
     """
 
     def tell(ahead, row, col, beams, scratch):
-        told, scratch = look(ahead, row, col, beams, scratch, method=belief.model.scan)
+        told, scratch = look(ahead, row, col, beams, scratch)
         return jnp.stack([told.unknown, told.known]), scratch
 
     seen = from_each(belief, at, beams, tell, 2)
@@ -74,7 +72,7 @@ def seen_from(belief: Belief, at: Targets, beams: Beams) -> tuple[Array, Array]:
 def shown_from(belief: Belief, at: Targets, beams: Beams, enough: Array | int) -> Array:
     """How many unknown cells looks all round from every target would show, as far as that matters.
 
-    For one robot on a CPU a look ends beside the target where that alone shows enough.
+    A look ends beside the target where that alone shows enough.
 
     Args:
       belief: `Belief`.
@@ -87,11 +85,9 @@ def shown_from(belief: Belief, at: Targets, beams: Beams, enough: Array | int) -
     """
 
     def tell(ahead, row, col, beams, scratch):
-        told, scratch = look(ahead, row, col, beams, scratch, method=belief.model.scan)
+        told, scratch = look(ahead, row, col, beams, scratch)
         return told.unknown[None], scratch
 
-    if belief.model.scan != "blocks":
-        return from_each(belief, at, beams, tell, 1)[0]
     n, m = jnp.sum(at.used, dtype=jnp.int32), at.row.shape[0]
 
     def near(state):
@@ -126,7 +122,7 @@ def unknown_from(belief: Belief, at: Targets, beams: Beams, radii_m: Sequence[fl
     d2 = (jnp.asarray(radii_m, jnp.float32) / belief.model.cell_m) ** 2
 
     def tell(ahead, row, col, beams, scratch):
-        return unknown_within(ahead, row, col, beams, scratch, d2, method=belief.model.scan)
+        return unknown_within(ahead, row, col, beams, scratch, d2)
 
     return from_each(belief, at, beams, tell, len(radii_m))
 
@@ -183,12 +179,12 @@ def apart(belief: Belief, at: Targets) -> Array:
     blocks = jnp.pad(clear, pad).reshape(-(-height // side), side, -(-width // side), side).any(axis=(1, 3))
     row, col = jnp.maximum(at.row, 0) // side, jnp.maximum(at.col, 0) // side
     n = jnp.sum(at.used, dtype=jnp.int32)
-    table = costs_between(blocks, row, col, n, belief.model.reach)
+    table = costs_between(blocks, row, col, n)
     table = jnp.where(at.used[None] & at.used[:, None], table, FAR)
     return jnp.where(table < FAR, metres(table, side * belief.model.cell_m), jnp.inf)
 
 
-def costs_between(passable: Array, row: Array, col: Array, n: Array | int, method: str) -> Array:
+def costs_between(passable: Array, row: Array, col: Array, n: Array | int) -> Array:
     """Costs of the paths between the first n of some cells.
 
     The map stands side by side with itself, up to `ACROSS` times each way, with a wall between: so many sources are
@@ -198,36 +194,34 @@ def costs_between(passable: Array, row: Array, col: Array, n: Array | int, metho
       passable: `[h, w]` bool.
       row, col: `[M]` int32, the cells, all of them passable.
       n: int32.
-      method: one of `reach.METHODS`. Static.
 
     Returns:
       `[M, M]` int32, as of `reach.reach`, symmetric, 0 on the diagonal; arbitrary where not both are of the first n.
     """
     height, width = (size + 1 for size in passable.shape)
-    across = ACROSS[method]
     # From the corner outwards: few maps fill a small square, and the sweeps end at its edges.
-    tiles = np.array(sorted(np.ndindex(across, across), key=lambda tile: (max(tile), tile)), np.int32)
+    tiles = np.array(sorted(np.ndindex(ACROSS, ACROSS), key=lambda tile: (max(tile), tile)), np.int32)
     tile = lax.iota(jnp.int32, len(tiles))
     top, left = jnp.asarray(tiles[:, 0] * height), jnp.asarray(tiles[:, 1] * width)
     m, alone = row.shape[0], jnp.pad(passable, ((0, 1), (0, 1)))
 
-    def spread(state):
+    def measure(state):
         first, table = state
         source = first + tile
         on = source < n - 1  # the last one's are known from the others
-        used = jnp.zeros((across, across), bool).at[tiles[:, 0], tiles[:, 1]].set(on)
+        used = jnp.zeros((ACROSS, ACROSS), bool).at[tiles[:, 0], tiles[:, 1]].set(on)
         walls = jnp.where(used[:, None, :, None], alone[None, :, None, :], False)
-        words = bits.pack(walls.reshape(across * height, across * width))
+        words = bits.pack(walls.reshape(ACROSS * height, ACROSS * width))
         here = jnp.minimum(source, m - 1)
         begin = jnp.full((bits.WORD * words.shape[0], words.shape[1]), FAR, jnp.int32)
         begin = begin.at[jnp.where(on, top + row[here], begin.shape[0]), left + col[here]].set(0, mode="drop")
-        cost = METHODS[method](words, begin, (0, 0), None, jnp.int32(FAR), STEPS)
+        cost = spread(words, begin, (0, 0), None, jnp.int32(FAR), STEPS)
         cost = cost[top[:, None] + row, left[:, None] + col]
         going = first < n - 1
         return first + jnp.where(going, len(tiles), 0), table.at[jnp.where(on, source, m)].set(cost, mode="drop")
 
     start = jnp.int32(0), jnp.where(jnp.eye(m, dtype=bool), 0, FAR)
-    _, table = repeat(lambda state: state[0] < n - 1, spread, start)
+    _, table = repeat(lambda state: state[0] < n - 1, measure, start)
     return jnp.minimum(table, table.T)
 
 

@@ -45,7 +45,7 @@ class OfGraph(NamedTuple):
     def divide(self, free, belief):
         """`(label, door_d2, overflow)`: `[H, W]` int32; `[n]` int32, by label that of the narrowest way out; int32."""
         model = belief.model
-        form = form_for(free.shape, coarse=model.coarse, reach=model.reach)
+        form = form_for(free.shape, coarse=model.coarse)
         found = segment(
             free,
             Criteria(

@@ -130,7 +130,7 @@ def best_view(
     def evaluate(state):
         i, best, cell, scratch = state
         on, i_ = going(state), jnp.minimum(i, SAMPLES - 1)
-        told, scratch = look(ahead, row[i_], col[i_], beams, scratch, method=belief.model.scan)
+        told, scratch = look(ahead, row[i_], col[i_], beams, scratch)
         worth, here = utility(params, told.gain, path_m[i_]), row[i_] * width + col[i_]
         better = on & (told.unknown >= params.min_gain) & ((worth > best) | ((worth == best) & (here < cell)))
         return i + on, jnp.where(better, worth, best), jnp.where(better, here, cell), scratch
@@ -167,8 +167,8 @@ SELECT = functools.partial(select, gain_for_path)
 
 def live(params: Views, belief: Belief, beams: Beams, row: Array, col: Array) -> Array:
     """The `live` of such a strategy: a look from the view point would still show enough."""
-    where, method = (row, col, all_round(beams), belief.within), belief.model.scan
-    seen = unknown_seen(belief.grid, belief.extent, belief.model.p_free, *where, method=method)
+    where = row, col, all_round(beams), belief.within
+    seen = unknown_seen(belief.grid, belief.extent, belief.model.p_free, *where)
     return seen >= params.min_gain
 
 

@@ -47,7 +47,7 @@ def compare(
       from_map: partial map that they have from the beginning: see `restrict.with_known`.
       lidar: `Lidar`, or a mapping of those of its fields that are not the defaults: `{"range_m": 4}`.
       rules: `Rules`, likewise.
-      engine: one of `runner.ENGINES`; by default the one that is likely to be faster. Results are equal.
+      engine: one of `runner.ENGINES`; by default serial. Results are equal.
       lanes: episodes at a time on each device in lockstep; by default as many as its memory holds.
       workers: threads of the serial engine; by default one a core.
       on_progress: called now and then with the number of episodes finished.

@@ -22,7 +22,7 @@ from jexplore.engine.backend import use_compilation_cache
 from jexplore.engine.program import Given
 from jexplore.engine.runner import find_resources, require_32_bits
 from jexplore.exploration import environment
-from jexplore.exploration.site import KERNELS, alike, prepare_site
+from jexplore.exploration.site import alike, prepare_site
 from jexplore.exploration.state import Numbers, Outcome, State, Truth, steps_m
 from jexplore.exploration.trail import LOOKS, Trail
 from jexplore.planning import Field, View, choose, field, is_live, view_of
@@ -128,14 +128,13 @@ class Environment:
         rows, cols = (max(bucket(side) for side in sides) for sides in sizes)
         self.shape = rows, cols
         find_resources()  # starts JAX
-        kernels = KERNELS["serial" if jax.local_devices()[0].platform == "cpu" else "lockstep"]
         sites, cells = [], []
         for world in self.worlds:
             require_clearance(world, rules)
             require_memory(world, lidar, rules)
             cells.append(start_cells(world, rules.clearance_m))
             warn_of_floor(world, start_region(world, rules.clearance_m), rules.clearance_m, drawn=True)
-            sites.append(prepare_site(world, lidar, rules, kernels, self.shape))
+            sites.append(prepare_site(world, lidar, rules, self.shape))
         capacity = max(site.setup.capacity for site in sites) if paths else 1
         self._setup = sites[0].setup._replace(policy=closest(), capacity=capacity)  # which nobody asks
         truths = alike([site.truth for site in sites])

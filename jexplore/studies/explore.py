@@ -15,7 +15,7 @@ from jexplore.engine.backend import use_compilation_cache
 from jexplore.exploration import batch, replay
 from jexplore.exploration.batch import Job
 from jexplore.exploration.results import columns, length_along_m, map_state
-from jexplore.exploration.site import Kernels, prepare_site
+from jexplore.exploration.site import prepare_site
 from jexplore.exploration.trail import Final
 from jexplore.policies import Strategy
 from jexplore.report import animate, plot
@@ -307,7 +307,7 @@ def steps_of(episode: Episode) -> Iterator[replay.Moment]:
     """
     if episode.final.plans is None:
         raise InputError(f"{episode.title}: an episode of {episode.measures['plans']} plans cannot be played again")
-    site = prepare_site(episode.world, episode.lidar, episode.rules, Kernels())
+    site = prepare_site(episode.world, episode.lidar, episode.rules)
     last: Any = None
     for moment in replay.moments(site, episode.asked, episode.start, episode.seed, episode.number, episode.final.plans):
         if last is not None and last.step != moment.step:

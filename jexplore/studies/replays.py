@@ -13,7 +13,7 @@ from jexplore.engine.backend import use_compilation_cache
 from jexplore.exploration import batch
 from jexplore.exploration.batch import Job, Outcomes
 from jexplore.exploration.native import show_episode
-from jexplore.exploration.site import Kernels, prepare_site
+from jexplore.exploration.site import prepare_site
 from jexplore.exploration.state import Outcome
 from jexplore.exploration.stops import stops
 from jexplore.exploration.trail import Final
@@ -83,7 +83,7 @@ def replay_data(
     if not _has_own_room(strategy):  # which JAX segments
         seen = show_episode(world, strategy, lidar, rules, start, final, shown, FRONTIER)
     if seen is None:
-        headings, site = [], prepare_site(world, lidar, rules, Kernels())
+        headings, site = [], prepare_site(world, lidar, rules)
         images = _images(world, strategy, stops(site, strategy, start, seed, number, final, shown), headings)
     else:
         images, headings = iter(seen[0]), 45 * seen[1]

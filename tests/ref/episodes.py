@@ -12,7 +12,7 @@ from jexplore.engine.program import Given
 from jexplore.engine.serial import run_one
 from jexplore.exploration.episode import program_of
 from jexplore.exploration.results import progress_m
-from jexplore.exploration.site import KERNELS, cost_of
+from jexplore.exploration.site import cost_of
 from jexplore.exploration.state import Numbers, Outcome, Setup, Stream, Truth
 from jexplore.exploration.trail import decode, kept
 from jexplore.grid import in_cells, radius_d2
@@ -52,16 +52,14 @@ def truth_of(occupied, rooms, shape, within=None, known=None):
     )
 
 
-def numbers_of(strategy, lidar, rules, cell_m, kernels="serial"):
-    """`Numbers`; `kernels`: the engine whose kernels are meant."""
+def numbers_of(strategy, lidar, rules, cell_m):
+    """`Numbers`."""
     return Numbers(
         model=MapModel(
             p_free=np.float32(rules.p_free),
             near_d2=np.int32(radius_d2(rules.near_m, cell_m)),
             cell_m=np.float32(cell_m),
             clearance_d2=radius_d2(rules.clearance_m, cell_m),
-            reach=KERNELS[kernels].reach,
-            scan=KERNELS[kernels].scan,
         ),
         look_around=np.bool_(rules.look_around),
         recheck=np.bool_(strategy.recheck),
@@ -132,7 +130,6 @@ def play(
     seed=0,
     window=None,
     beams_as=None,
-    kernels="serial",
 ):
     """`(Result, State)` of the kernel, of numpy arrays."""
     strategy = parse_strategy(strategy)
@@ -152,7 +149,7 @@ def play(
             jnp.int32(scans_all_round(lidar.fov_deg)),
             jax.device_put(truth_of(occupied, rooms, shape, within, known)),
             jax.device_put(beams_of(lidar, cell_m, shape[1], beams_as)),
-            numbers_of(strategy, lidar, rules, cell_m, kernels),
+            numbers_of(strategy, lidar, rules, cell_m),
             jnp.asarray([start[0], start[1], start[2] // 45], jnp.int32),
         ),
     )

@@ -32,7 +32,6 @@ class Fixed(NamedTuple):
     noisy: bool = False
     window: int = 82  # half the width of the square that a scan can change, cells
     beams_as: tuple[int, int] = (120, 181)  # most steps and most beams
-    kernels: str = "serial"  # the engine whose kernels there are
     restricted: bool = False  # whether the robot stays within a region and knows a part of the map
 
 
@@ -59,9 +58,9 @@ MANY = (
     Fixed(WIDE, clearance_d2=1, noisy=True, window=22, beams_as=(40, 361)),
     Fixed(TALL, clearance_d2=4),
     Fixed(TALL, policy="random", clearance_d2=0, noisy=True),
-    Fixed(clearance_d2=1, kernels="lockstep"),
-    Fixed(policy="random", clearance_d2=0, kernels="lockstep", restricted=True),
-    Fixed(WIDE, clearance_d2=4, noisy=True, kernels="lockstep"),
+    Fixed(clearance_d2=1),
+    Fixed(policy="random", clearance_d2=0, restricted=True),
+    Fixed(WIDE, clearance_d2=4, noisy=True),
 )
 """Twenty programs."""
 
@@ -295,7 +294,6 @@ def kinds_of(case, verdict):
         "no look around": not case.rules.look_around,
         "scans now and then": case.rules.scan_every_m > 0,
         "arrives before the target": case.rules.arrival_m > 0,
-        "kernels of lockstep": case.fixed.kernels == "lockstep",
         "rooms": case.rooms is not None,
         "refused steps": verdict.refused > 0,
     }
@@ -356,7 +354,7 @@ def compare(case, *, oracle=True, loaded=None):
     world = {name: getattr(case, name) for name in ("cell_m", "rooms", "within", "known")}
     how = {"shape": fixed.shape, "seed": case.seed, "beams_as": fixed.beams_as}
     episode = case.occupied, case.start, case.strategy, case.lidar, case.rules
-    result, state = episodes.play(*episode, window=fixed.window, kernels=fixed.kernels, **world, **how)
+    result, state = episodes.play(*episode, window=fixed.window, **world, **how)
     told = []
     if not fixed.noisy:
         told = native.differences(native.play(case, loaded), result, state, case.occupied)

@@ -15,7 +15,7 @@ from jexplore.studies.bounds.scene import Scene
 
 @jax.jit
 def _flood(words, start):
-    return reach.METHODS["sweeps"](words, start, (0, 0), None, jnp.int32(FAR), reach.STEPS)
+    return reach.spread(words, start, (0, 0), None, jnp.int32(FAR), reach.STEPS)
 
 
 class Floor:

@@ -17,7 +17,7 @@ from jexplore.arrays.files import read_yaml
 from jexplore.arrays.padding import bucket
 from jexplore.config import InputError
 from jexplore.exploration.batch import Job
-from jexplore.exploration.site import KERNELS, prepare_site
+from jexplore.exploration.site import prepare_site
 from jexplore.policies.catalogue import adapt
 from jexplore.version import __version__
 from jexplore.worlds import names
@@ -112,7 +112,7 @@ def own_digests(jobs: Iterable[Job]) -> dict[str, str | None]:
         if theirs:
             assert job.lidar is not None
             assert job.rules is not None
-            site = prepare_site(job.world, job.lidar, job.rules, KERNELS["serial"])
+            site = prepare_site(job.world, job.lidar, job.rules)
             own[where] = adapt.digest_of(site.with_strategy(job.strategy)[0].policy)
     told = {name: list(own.values()) for name, own in parts.items()}
     return {name: None if None in own else hashlib.sha256(repr(own).encode()).hexdigest() for name, own in told.items()}

@@ -139,7 +139,6 @@ def engine_of(costs: Costs) -> dict[str, Any]:
         "devices": costs.devices,
         "lanes": costs.lanes,
         "useful": costs.useful,
-        "useful_plans": costs.useful_decisions,
     }
 
 
