@@ -1,16 +1,13 @@
 """Many exploration episodes: strategies in worlds, by either engine, with equal results."""
 
-import dataclasses
-import warnings
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import jax
 import numpy as np
 
-from jexplore.config import MAX_SEED, InputError, InputWarning, Lidar, Rules, require_whole
+from jexplore.config import MAX_SEED, InputError, Lidar, Rules, require_whole
 from jexplore.engine.runner import Costs, find_resources, run_all
-from jexplore.exploration.sensing import native_kernel
 from jexplore.exploration.site import Kernels, kernels_for, line_of, prepare_site
 from jexplore.exploration.state import Result
 from jexplore.exploration.trail import Final, Record, decode
@@ -55,7 +52,7 @@ def run_jobs(
     jobs: Sequence[Job], lidar: Lidar, rules: Rules, *, engine: str | None = None, kernels: Kernels | None = None,
     lanes: int | None = None, workers: int | None = None, on_progress: Callable[[int], object] | None = None,
     only: int | None = None, keep: str | None = None, on_job: Callable[[int, Outcomes], object] | None = None,
-    alike: Sequence[tuple[Lidar, Rules]] = (), fast: bool = False,
+    alike: Sequence[tuple[Lidar, Rules]] = (),
 ) -> Finished:  # fmt: skip
     """Runs every episode of every job.
 
@@ -80,31 +77,24 @@ def run_jobs(
       on_job: called with the number of a job and its `Outcomes` once all its episodes have ended, soon after, from the
         calling thread.
       alike: scanners and rules of other runs that are to share this one's programs, see `site.prepare_site`.
-      fast: whether a kernel in C++ scans and counts, unless `kernels` are given; see `sensing`.
 
     Returns:
       `Finished`.
 
     Raises:
       InputError: a start that is no cell of its world or no multiple of 45 degrees, a seed outside 0 to `MAX_SEED`; an
-        engine that does not exist, lanes or workers below 1, lanes for the serial engine, `fast` for another; a
-        strategy of a user's that does not return what it should; `keep` where several processes share the work.
-      InputWarning: no compiler for `fast`, or it fails; a scanner with noise, for which `fast` has no kernel.
+        engine that does not exist, lanes or workers below 1, lanes for the serial engine; a strategy of a user's that
+        does not return what it should; `keep` where several processes share the work.
+      InputWarning: robots are driven by JAX, because native code cannot be built; once in a process.
       MemoryError: a device's memory does not suffice, not even for half the lanes.
     """
     runs = sum(len(job.starts) for job in jobs) if only is None else len(jobs)
     resources = find_resources(engine=engine, lanes=lanes, workers=workers, runs=runs)
     if keep is not None and resources.processes > 1:
         raise InputError(f"keep={keep!r} is for one process, and {resources.processes} share the work")
-    kernels = kernels or _kernels_for(resources, fast)
+    kernels = kernels or kernels_for(resources.engine, resources.devices[0].platform)
     jobs = [_checked(job) for job in jobs]
     lines = _lines_of(jobs, lidar, rules, resources, kernels, only, keep, alike)
-    if kernels.native is not None and any(line.program.setup.native is None for line in lines):
-        warnings.warn(
-            "fast: the kernels in JAX make the scans where the scanner has noise or robots stay in a region",
-            InputWarning,
-            stacklevel=3,
-        )
     tell = None if on_job is None else (lambda i: on_job(i, _outcomes(jobs[i], lines[i])))
     costs = run_all(lines, resources, on_progress, tell)
     return Finished([_outcomes(job, line) for job, line in zip(jobs, lines)], costs)
@@ -115,20 +105,6 @@ def _programs(jobs, kernels):
     alone = [kernels.in_pieces and is_nearest(job.strategy.policy) for job in jobs]
     shared = iter(joined([job.strategy for job, own in zip(jobs, alone) if not own]))
     return [job.strategy if own else next(shared) for job, own in zip(jobs, alone)]
-
-
-def _kernels_for(resources, fast):
-    """The `Kernels` that suit the engine, the one in C++ among them if asked for; says why where there is none."""
-    kind = resources.devices[0].platform
-    kernels = kernels_for(resources.engine, kind)
-    if not fast:
-        return kernels
-    if resources.engine != "serial" or kind != "cpu":
-        raise InputError(f"fast is for the engine serial on a CPU, got {resources.engine} on a {kind.upper()}")
-    native = native_kernel()
-    if native.target is None:
-        warnings.warn(f"fast: {native.why_not}; the kernels in JAX make the scans", InputWarning, stacklevel=4)
-    return dataclasses.replace(kernels, native=native.target)
 
 
 def _lines_of(jobs, lidar, rules, resources, kernels, only, keep, alike):

@@ -128,6 +128,7 @@ def program_of(setup: Setup, keep: str | None = None) -> Program:
         keep=kept,
         decide=plan,
         must_decide=_must_plan,
+        drive=None if setup.native is None else environment.drive,
         pieces=None if setup.windows is None or not is_nearest(setup.policy) else pieces_of(setup.windows),
         record=None if keep is None else RECORDS[keep],
         cpu_options=CPU_OPTIONS,

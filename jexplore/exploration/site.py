@@ -19,6 +19,7 @@ from jexplore.exploration.episode import program_of
 from jexplore.exploration.state import Numbers, Setup, Truth
 from jexplore.exploration.trail import record_of
 from jexplore.grid import in_cells, radius_d2
+from jexplore.native.drive import find_target
 from jexplore.planning import MapModel, windows
 from jexplore.policies.catalogue import adapt
 from jexplore.policies.policy import Strategy
@@ -39,8 +40,8 @@ class Kernels:
     scan: str = "blocks"
     """One of `raycast.METHODS`."""
     native: str | None = None
-    """Target of the kernel in C++ that scans and counts, see `sensing`; None: those in JAX. For one robot on a CPU;
-    a noisy scanner has none."""
+    """Target of JAX's FFI that drives, see `native.drive`; None: JAX does. For one robot on a CPU; one with a noisy
+    scanner is driven by JAX."""
     in_pieces: bool = False
     """Whether lockstep plans in pieces, with `reach` "wave", for strategies of which it knows how."""
 
@@ -51,12 +52,19 @@ class Kernels:
 
 
 KERNELS = {"serial": Kernels(), "lockstep": Kernels(reach="wave", scan="whole")}
-"""Engine -> the kernels that suit it."""
+"""Engine -> the kernels in JAX that suit it."""
 
 
 def kernels_for(engine: str, platform: str) -> Kernels:
-    """The kernels that suit an engine on devices of a platform: on accelerators the host is not to be waited for."""
-    return dataclasses.replace(KERNELS[engine], in_pieces=engine == "lockstep" and platform != "cpu")
+    """The kernels that suit an engine on devices of a platform: on accelerators the host is not to be waited for; one
+    robot on a CPU is driven by native code, which is built if need be.
+
+    Warns:
+      InputWarning: there is none, once in a process.
+    """
+    is_lone = engine == "serial" and platform == "cpu" and not jax.config.values["jax_disable_jit"]
+    in_pieces = engine == "lockstep" and platform != "cpu"
+    return dataclasses.replace(KERNELS[engine], in_pieces=in_pieces, native=find_target() if is_lone else None)
 
 
 class Site(NamedTuple):
@@ -148,8 +156,7 @@ def prepare_site(
         params=(),
     )
     glances = tuple(windows(shape, model.clearance_d2, glances=True)) if kernels.in_pieces else None
-    native = None if world.within is not None else kernels.native  # which counts known cells everywhere
-    setup = _setup(everyone, world.cell_m, shape, limit, native, glances)
+    setup = _setup(everyone, world.cell_m, shape, limit, kernels.native, glances)
     beams = _beams(everyone, world.cell_m, shape, setup.window - 1 if kernels.in_pieces else None)
     return Site(truth, beams, setup, numbers, ring)
 

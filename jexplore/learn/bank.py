@@ -8,7 +8,7 @@ import numpy as np
 from jexplore.config import InputError, Lidar, Rules
 from jexplore.exploration.batch import Job, run_jobs
 from jexplore.exploration.results import path_m
-from jexplore.exploration.site import KERNELS, Site, prepare_site
+from jexplore.exploration.site import Site, kernels_for, prepare_site
 from jexplore.exploration.state import Outcome
 from jexplore.policies import Strategy, parse_strategy
 from jexplore.studies.checks import (
@@ -101,7 +101,9 @@ class Bank:
     def site(self, number: int) -> Site:
         """A world made ready, once."""
         if number not in self._sites:
-            self._sites[number] = prepare_site(self.worlds[number], self.lidar, self.rules, KERNELS["serial"])
+            self._sites[number] = prepare_site(
+                self.worlds[number], self.lidar, self.rules, kernels_for("serial", "cpu")
+            )
         return self._sites[number]
 
 
