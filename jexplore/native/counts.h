@@ -9,8 +9,7 @@
 
 namespace jexplore {
 
-// Cells are flat indices. Nothing leaves the map, whose outermost rows and columns are walls; nothing beyond it is
-// touched even if something did.
+// Cells are flat indices. Nothing leaves the map: its outermost rows and columns are walls, which `IsWalled` tells.
 struct CountMaps {
   int height, width;
   int32_t *hits, *misses;      // [H, W]
@@ -27,9 +26,7 @@ struct CountMaps {
   float p_free;                // largest reflection probability of a free cell
   int n_known = 0;             // known cells within
 
-  bool IsInside(int64_t i) const { return static_cast<uint64_t>(i) < static_cast<uint64_t>(height) * width; }
   bool IsWithin(int i) const { return !within || within[i]; }
-  bool IsWall(int64_t i) const { return !IsInside(i) || occupied[i]; }
   int Row(int i) const { return i / width; }
   int Col(int i) const { return i % width; }
   int Flat(int i) const { return i; }
@@ -37,16 +34,20 @@ struct CountMaps {
   int Room(int i) const { return rooms[i]; }
   int Motion(int at, int) const { return route[at] & 7; }
   int known() const { return n_known; }
-  void Drive(int i) {
-    if (IsInside(i)) driven[i] = true;
-  }
-  void Exhaust(int i) {
-    if (IsInside(i)) exhausted[i] = true;
+  void Drive(int i) { driven[i] = true; }
+  void Exhaust(int i) { exhausted[i] = true; }
+
+  bool IsWalled() const {
+    const int last = (height - 1) * width;
+    bool walled = height > 0 && width > 0;
+    for (int col = 0; walled && col < width; ++col) walled = occupied[col] && occupied[last + col];
+    for (int i = 0; walled && i <= last; i += width) walled = occupied[i] && occupied[i + width - 1];
+    return walled;
   }
 
   // `planning.is_open`, of a cell that is no wall.
   bool IsOpen(int i) const {
-    if (IsWall(i) || !IsWithin(i)) return false;
+    if (occupied[i] || !IsWithin(i)) return false;
     const int n = hits[i] + misses[i];
     return driven[i] || (n > 0 && static_cast<float>(hits[i]) <= p_free * static_cast<float>(n));
   }
@@ -62,40 +63,43 @@ struct CountMaps {
     return false;
   }
 
-  void Count(int32_t* counts, int64_t i) {
-    if ((hits[i] | misses[i]) == 0) n_known += IsWithin(static_cast<int>(i));
-    ++counts[i];
-  }
-
-  bool Echoes(int64_t from, const int32_t* steps, int left) const {
-    for (const int64_t next = static_cast<int64_t>(n_beams) * block; left > 0; left -= block, steps += next)
-      for (int step = 0; step < std::min(left, block); ++step)
-        if (IsWall(from + steps[step])) return true;
-    return false;
-  }
-
-  // Counts the cells that a beam enters.
-  void Follow(int64_t from, const int32_t* steps, int left) {
-    for (const int64_t next = static_cast<int64_t>(n_beams) * block; left > 0; left -= block, steps += next)
-      for (int step = 0; step < std::min(left, block); ++step) {
-        const int64_t i = from + steps[step];
-        if (IsWall(i)) {
-          if (IsInside(i)) Count(hits, i);
-          return;
-        }
-        Count(misses, i);
-      }
-  }
-
-  // `raycast.scan`, `sensing.without_silent` and `raycast.fold`.
+  // `raycast.scan`, `sensing.without_silent` and `raycast.fold`. What the loops use has names of its own: to the
+  // compiler a count that is written might be a member.
   void Scan(int from, int heading) {
-    Count(misses, from);
-    const int32_t* table = by_beam + static_cast<int64_t>(heading) * n_blocks * n_beams * block;
-    for (int beam = 0; beam < n_beams; ++beam) {
-      const int n = length[heading * n_beams + beam];
-      const int32_t* steps = table + static_cast<int64_t>(beam) * block;
-      if (no_echo_is_free || Echoes(from, steps, n)) Follow(from, steps, n);
+    const bool* walls = occupied + from;
+    int32_t *hit = hits + from, *missed = misses + from;
+    const int beams = n_beams, part = block, next = n_beams * block;
+    const int32_t *ends = length + heading * beams, *table = by_beam + static_cast<int64_t>(heading) * n_blocks * next;
+    const bool says_nothing = !no_echo_is_free;  // without an echo
+    int fresh = 0;
+    auto count = [&](int32_t* counts, const int32_t* others, int i) {
+      if (counts[i]++ == 0 && others[i] == 0) fresh += IsWithin(from + i);
+    };
+    count(missed, hit, 0);
+    for (int beam = 0; beam < beams; ++beam) {
+      const int32_t* first = table + static_cast<int64_t>(beam) * part;
+      if (says_nothing && !Echoes(walls, first, ends[beam])) continue;
+      bool stopped = false;
+      for (int left = ends[beam]; left > 0 && !stopped; left -= part, first += next) {
+        const int32_t* end = first + std::min(left, part);
+        for (const int32_t* step = first; step < end; ++step) {
+          stopped = walls[*step];
+          if (stopped) {
+            count(hit, missed, *step);
+            break;
+          }
+          count(missed, hit, *step);
+        }
+      }
     }
+    n_known += fresh;
+  }
+
+  bool Echoes(const bool* walls, const int32_t* first, int left) const {
+    for (; left > 0; left -= block, first += n_beams * block)
+      for (const int32_t *step = first, *end = first + std::min(left, block); step < end; ++step)
+        if (walls[*step]) return true;
+    return false;
   }
 };
 

@@ -68,6 +68,10 @@ Changed Saved(const Drive& episode, bool asks) {
           episode.refused, maps.Row(episode.came), maps.Col(episode.came), asks};
 }
 
+bool IsOn(const CountMaps& maps, int row, int col) {
+  return 0 <= row && row < maps.height && 0 <= col && col < maps.width;
+}
+
 // Drives on; whether the strategy must be asked before it can go on.
 bool GoOn(Drive& episode, const Terms& terms, bool may_ask) {
   if (terms.stage == kFirstScans) {
@@ -113,6 +117,8 @@ ffi::Error Run(Counts hits, Counts misses, Flags driven, Flags exhausted, Counts
                  length.typed_data(), static_cast<int>(beams[1]), static_cast<int>(beams[2]),
                  static_cast<int>(beams[3]), {own.height, own.width}, own.no_echo_is_free != 0, *p_free.typed_data(),
                  now.known};
+  if (!maps.IsWalled() || !IsOn(maps, now.row, now.col) || !IsOn(maps, now.came_row, now.came_col))
+    return ffi::Error::InvalidArgument("a robot must be on a map with walls all round");
   TrailLog log{InPlace(trail, trail_out), trail.dimensions()[0]};
   Spec spec{};
   spec.first_scans = own.first_scans, spec.arrival_d2 = own.arrival_d2, spec.scan_every = own.scan_every;
@@ -121,9 +127,7 @@ ffi::Error Run(Counts hits, Counts misses, Flags driven, Flags exhausted, Counts
   Result unused;
   Drive episode(spec, maps, log, unused);
   Restore(episode, now, own);
-  bool asks = false;
-  if (maps.IsInside(episode.at)) asks = GoOn(episode, own, may_ask && own.is_view);
-  now = Saved(episode, asks);
+  now = Saved(episode, GoOn(episode, own, may_ask && own.is_view));
   std::memcpy(changed_out->typed_data(), &now, sizeof now);
   return ffi::Error::Success();
 }
