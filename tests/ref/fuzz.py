@@ -34,6 +34,7 @@ class Fixed(NamedTuple):
     beams_as: tuple[int, int] = (120, 181)  # most steps and most beams
     kernels: str = "serial"  # the engine whose kernels there are
     restricted: bool = False  # whether the robot stays within a region and knows a part of the map
+    native: bool = False  # whether native code drives
 
 
 WIDE, TALL = (64, 256), (224, 64)
@@ -41,16 +42,20 @@ FEW = (
     Fixed(),
     Fixed(policy="random"),
     Fixed(clearance_d2=0, noisy=True),
-    Fixed(clearance_d2=1, restricted=True),
-    Fixed(WIDE, clearance_d2=1, window=22, beams_as=(40, 181)),
+    Fixed(clearance_d2=1, restricted=True, native=True),
+    Fixed(WIDE, clearance_d2=1, window=22, beams_as=(40, 181), native=True),
     Fixed(WIDE, clearance_d2=0, noisy=True),
+    Fixed(policy="random", native=True),
 )
-"""Six programs; tests of episodes have the first three as well."""
+"""Seven programs; tests of episodes have the first three as well."""
 MANY = (
     *FEW,
     Fixed(clearance_d2=1, window=10, beams_as=(16, 361)),
     Fixed(clearance_d2=0),
     Fixed(clearance_d2=25),
+    Fixed(clearance_d2=0, native=True),
+    Fixed(clearance_d2=1, restricted=True),
+    Fixed(TALL, clearance_d2=1, window=242, beams_as=(344, 361), native=True),
     Fixed(policy="random", clearance_d2=0, noisy=True),
     Fixed(clearance_d2=4, noisy=True, window=10, beams_as=(16, 181)),
     Fixed(WIDE),
@@ -63,7 +68,7 @@ MANY = (
     Fixed(policy="random", clearance_d2=0, kernels="lockstep", restricted=True),
     Fixed(WIDE, clearance_d2=4, noisy=True, kernels="lockstep"),
 )
-"""Twenty programs."""
+"""Twenty-four programs."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -296,6 +301,7 @@ def kinds_of(case, verdict):
         "scans now and then": case.rules.scan_every_m > 0,
         "arrives before the target": case.rules.arrival_m > 0,
         "kernels of lockstep": case.fixed.kernels == "lockstep",
+        "driven by native code": case.fixed.native,
         "rooms": case.rooms is not None,
         "refused steps": verdict.refused > 0,
     }
@@ -350,7 +356,8 @@ def compare(case):
     world = {name: getattr(case, name) for name in ("cell_m", "rooms", "within", "known")}
     how = {"shape": fixed.shape, "seed": case.seed, "beams_as": fixed.beams_as}
     episode = case.occupied, case.start, case.strategy, case.lidar, case.rules
-    result, state = episodes.play(*episode, window=fixed.window, kernels=fixed.kernels, **world, **how)
+    kernels = {"kernels": fixed.kernels, "native": fixed.native}
+    result, state = episodes.play(*episode, window=fixed.window, **kernels, **world, **how)
     sense = episodes.readings_of(case.occupied, case.lidar, cell_m=case.cell_m, **how) if fixed.noisy else None
     choose = episodes.choice_of(case.seed) if fixed.policy == "random" else None
     want = episodes.replay(*episode, **world, choose=choose, sense=sense)
