@@ -209,7 +209,7 @@ def program_of(
 ) -> Compiled:
     """The `Compiled` for a batch: so many episodes of the serial engine, so many lanes in lockstep."""
     if engine == "serial":
-        return compiler.serial(world, strategy)._replace(episodes=batch)
+        return compiler.serial(world, strategy, kernels_for("serial", "cpu"))._replace(episodes=batch)
     return compiler.lockstep(world, strategy, batch, max(episodes, REFILLS * batch))
 
 
