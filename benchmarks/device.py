@@ -3,8 +3,8 @@
     python benchmarks/device.py [--seconds 400] [--episodes 65536] [--lanes]
 
 Builds the CUDA library, checks that 1,000 episodes of each kind have the numbers of the CPU's native code, measures
-rates in the worlds `cave` and `hospital`, occupancy and the share of each part in a warp's time, and, with `--lanes`, the
-JAX lanes. Prints one line a measurement as it is made and a table at the end. What fails is reported, and the rest goes on.
+rates in the worlds `cave` and `hospital`, occupancy and the share of each part in a warp's time, and, with `--lanes`,
+the JAX lanes. Prints one line a measurement as it is made and a table at the end.
 """
 
 import argparse
@@ -26,9 +26,21 @@ from jexplore.worlds.world import ring_of
 
 WORLDS = ("cave", "hospital")
 STRATEGIES = ("closest", "closest+recheck", "random")
+RULES, LIDAR = Rules(), Lidar()
 CHECKED = 1000  # episodes of each kind that are compared
 DRAWN = 512  # starts, which are repeated
-COLUMNS = ("world", "strategy", "where", "episodes", "episodes/s", "warps an SM", "views MB", "making views s", "given up", "of the time")
+COLUMNS = (
+    "world",
+    "strategy",
+    "where",
+    "episodes",
+    "episodes/s",
+    "warps an SM",
+    "views MB",
+    "making views s",
+    "given up",
+    "of the time",
+)
 
 
 def name_of_gpu():
@@ -43,7 +55,7 @@ def name_of_gpu():
 class Case:
     """Episodes of a strategy in a world."""
 
-    def __init__(self, world, strategy, rules=Rules(), lidar=Lidar()):
+    def __init__(self, world, strategy, rules=RULES, lidar=LIDAR):
         self.world, self.strategy, self.ring = world, parse_strategy(strategy), ring_of(world.occupied)
         chooser = chooser_of(self.strategy)
         how = world, chooser, lidar, rules
@@ -54,7 +66,7 @@ class Case:
     def tasks(self, n):
         """Return n tasks, the starts repeated; each with draws of its own."""
         repeated = self.starts[np.arange(n) % len(self.starts)]
-        at = repeated + [self.ring, self.ring, 0]
+        at = repeated + np.array([self.ring, self.ring, 0])
         at[:, 2] //= 45
         return self.place.tasks(at, 2, np.arange(n, dtype=np.int32))
 
@@ -64,16 +76,25 @@ class Case:
 
     def on_cpu(self, n, workers):
         """Run n episodes on the CPU: `([n, RESULT], seconds)`."""
-        run = NativeRun(self.place, self.world, self.starts[np.arange(n) % len(self.starts)], 2, 0, np.arange(n), -1, None)
+        run = NativeRun(
+            self.place, self.world, self.starts[np.arange(n) % len(self.starts)], 2, 0, np.arange(n), -1, None
+        )
         took = play_all([run], workers, lambda _: None)
         return run.table, took
 
 
 def check(loaded, cores):
     """Compare episodes on both: the number of those that differ."""
-    cases = [(world, strategy, {}, {}) for world, strategy in itertools.product(("cave", "office", "maze", "rooms"), STRATEGIES)]
-    cases.append(("office", "closest", {"scan_every_m": 0.5, "arrival_m": 0.3, "look_around": False}, {"no_echo": "unknown"}))
-    cases.append(("cave", "random", {"clearance_m": 0.2, "near_m": 1.0, "max_plans": 9}, {"fov_deg": 70.0, "n_beams": 90}))
+    cases = [
+        (world, strategy, {}, {})
+        for world, strategy in itertools.product(("cave", "office", "maze", "rooms"), STRATEGIES)
+    ]
+    cases.append(
+        ("office", "closest", {"scan_every_m": 0.5, "arrival_m": 0.3, "look_around": False}, {"no_echo": "unknown"})
+    )
+    cases.append(
+        ("cave", "random", {"clearance_m": 0.2, "near_m": 1.0, "max_plans": 9}, {"fov_deg": 70.0, "n_beams": 90})
+    )
     unequal = 0
     for name, strategy, rules, lidar in cases:
         case = Case(jx.load_world(name), strategy, Rules(**rules), Lidar(**lidar))
@@ -127,7 +148,9 @@ def main():
     """Measure, and print a Markdown table."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--seconds", type=float, default=400, help="time for everything")
-    parser.add_argument("--episodes", type=int, default=65536, help="episodes a measurement in the cave; an eighth elsewhere")
+    parser.add_argument(
+        "--episodes", type=int, default=65536, help="episodes a measurement in the cave; an eighth elsewhere"
+    )
     parser.add_argument("--lanes", action="store_true", help="measure the JAX lanes as well")
     options = parser.parse_args()
     end, cores = time.time() + options.seconds, len(os.sched_getaffinity(0))
@@ -139,7 +162,9 @@ def main():
         return 1
     print(f"built in {time.time() - began:.0f} s, two libraries", flush=True)
     unequal, rows = check(library.loaded, cores), []
-    for row in itertools.chain(measure(library.loaded, clocked.loaded, options.episodes, cores, end), lanes(end) if options.lanes else ()):
+    for row in itertools.chain(
+        measure(library.loaded, clocked.loaded, options.episodes, cores, end), lanes(end) if options.lanes else ()
+    ):
         rows.append(row)
         print(*row, flush=True)
     print("\n| " + " | ".join(COLUMNS) + " |\n|" + " --- |" * len(COLUMNS))

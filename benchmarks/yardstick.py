@@ -20,7 +20,7 @@ from jexplore.bench.timing import interleaved, mean_and_se, one_core, ratio, spr
 from jexplore.config import InputError, require_whole
 from jexplore.engine.backend import start_backend
 from jexplore.exploration.results import path_m
-from jexplore.exploration.sensing import native_kernel
+from jexplore.exploration.site import drive_for
 from jexplore.exploration.state import Outcome
 from jexplore.report import store
 from jexplore.studies.checks import ready_strategies, ready_worlds
@@ -83,7 +83,7 @@ def beside(compiler, world, strategy, native, yardstick, episodes, repeat):
     return {
         "world": world.name,
         "strategy": strategy.name,
-        "fast": native is not None,
+        "native": native is not None,
         "shape": list(world.shape),
         "s_per_episode": {name: spread(values) for name, values in wall.items()},
         "cpu_s_per_episode": {name: spread(values) for name, values in cpu.items()},
@@ -100,12 +100,12 @@ def beside(compiler, world, strategy, native, yardstick, episodes, repeat):
 def table(cases):
     """The cases as Markdown."""
     header = [
-        "one core", "strategy", "scans by", "ours, CPU ms", "yardstick", "ratio", "ratio by the clock",
+        "one core", "strategy", "driven by", "ours, CPU ms", "yardstick", "ratio", "ratio by the clock",
         "path m", "yardstick", "paired difference", "plans", "yardstick", "scans", "yardstick", "equal",
     ]  # fmt: skip
     return markdown(header, [
         [
-            case["world"].rpartition("/")[2], case["strategy"], "C++" if case["fast"] else "JAX",
+            case["world"].rpartition("/")[2], case["strategy"], "C++" if case["native"] else "JAX",
             *(1e3 * case["cpu_s_per_episode"][who]["median"] for who in ("ours", "yardstick")),
             case["cpu_time_ratio"], case["time_ratio"],
             *(plus_minus(case["path_m"][who]) for who in ("ours", "yardstick")),
@@ -122,7 +122,6 @@ def parse():
     parser.add_argument("--yardstick", type=Path, default=YARDSTICK, help="numba simulator; default %(default)s")
     parser.add_argument("--worlds", nargs="+", help=f"default: Stage's {' and '.join(MAPS)}")
     parser.add_argument("--strategies", nargs="+", default=["closest+recheck"], help=f"among {', '.join(STRATEGIES)}")
-    parser.add_argument("--fast", action="store_true", help="ours also with the kernel in C++ that makes the scans")
     parser.add_argument("--episodes", type=int, default=16, help="of each strategy in each world")
     parser.add_argument("--repeat", type=int, default=5, help="turns of ours and the yardstick")
     parser.add_argument("--out", type=Path, help="JSON file")
@@ -141,12 +140,8 @@ def main():
             raise InputError(f"--strategies must be among {', '.join(STRATEGIES)}, got {strategy.name!r}")
     if importlib.util.find_spec("numba") is None:
         raise InputError(f"--yardstick {args.yardstick}: needs numba, which the extra bench installs")
-    yardstick, targets = load_yardstick(args.yardstick), [None]
-    if args.fast:
-        native = native_kernel()
-        if native.target is None:
-            raise InputError(f"--fast: {native.why_not}")
-        targets.append(native.target)
+    yardstick = load_yardstick(args.yardstick)
+    targets = list(dict.fromkeys([None, drive_for("serial", "cpu")]))
     worlds = ready_worlds(args.worlds or [str(SHARED / "maps" / "stage" / name) for name in MAPS], 0.1)
     start_backend(1)
     jax.config.update("jax_enable_compilation_cache", False)

@@ -12,7 +12,7 @@ FLOORS = (
     {"arrays"},
     {"kernels", "tracemap"},
     {"engine", "btm", "worlds", "planning", "report"},
-    {"policies"},
+    {"policies", "native"},
     {"exploration", "driving", "extraction"},
     {"studies"},
     {"bench", "learn"},

@@ -17,7 +17,7 @@ from jexplore.driving.behaviour import RunMode
 from jexplore.driving.building.terrain import FINER, is_level
 from jexplore.driving.mission import Outcome
 from jexplore.driving.sensing import surround
-from jexplore.driving.settings import ROBOTS, Noise, Tuning, for_world
+from jexplore.driving.settings import ROBOTS, Noise, Tuning, for_world, robot_of
 from jexplore.driving.vehicle import DT_S
 from jexplore.extraction.extract import extract
 from jexplore.studies.traces import job, tracing

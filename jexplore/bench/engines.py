@@ -18,7 +18,7 @@ from jexplore.engine import serial
 from jexplore.engine.lockstep import Group
 from jexplore.engine.runner import Costs, find_resources
 from jexplore.exploration.results import path_m
-from jexplore.exploration.site import line_of, prepare_site
+from jexplore.exploration.site import drive_for, line_of, prepare_site
 from jexplore.exploration.state import Outcome, Result
 from jexplore.policies import Strategy
 from jexplore.worlds.starts import draw_starts
@@ -199,7 +199,7 @@ def program_of(
 ) -> Compiled:
     """The `Compiled` for a batch: so many episodes of the serial engine, so many lanes in lockstep."""
     if engine == "serial":
-        return compiler.serial(world, strategy)._replace(episodes=batch)
+        return compiler.serial(world, strategy, drive_for("serial", "cpu"))._replace(episodes=batch)
     return compiler.lockstep(world, strategy, batch, max(episodes, REFILLS * batch))
 
 

@@ -88,9 +88,6 @@ class Compare:
     """Run so many episodes at a time in lockstep; by default as many as the memory holds."""
     workers: int | None = None
     """Run episodes on so many cores, one each, with the engine serial; by default on all that this process may use."""
-    fast: bool = False
-    """Make scans by a kernel in C++, built once by the compiler that is there, with the engine serial on a CPU. The
-    results are equal."""
     out: OutFolder = None
     """Write into this folder."""
     overwrite: bool = False
@@ -250,7 +247,6 @@ def run_with_bar(options: Any, jobs: "Sequence[Job]", out: Out, starts: "Sequenc
         "engine": engine,
         "lanes": options.lanes,
         "workers": options.workers,
-        "fast": getattr(options, "fast", False),
     }
     with working(sum(len(job.starts) for job in jobs), "episodes") as on_progress:
         return units.run_units(jobs, ledger=ledger, **how, on_progress=on_progress, keep=keep)

@@ -40,8 +40,6 @@ class Explore:
     from the beginning, and drawn starts lie where it shows free floor."""
     frames: int = 300
     """Give the animation at most so many frames, evenly spaced."""
-    fast: bool = False
-    """Make scans by a kernel in C++, as for `jexplore compare`: worth while for an episode of many minutes."""
     out: OutFolder = None
     """Write into this folder."""
     overwrite: bool = False
@@ -70,7 +68,7 @@ class Explore:
                 rules=self.rules,
             )
             with compiling():
-                found = run_job(job, fast=self.fast)
+                found = run_job(job)
             measures = {"world": found.world.name, "strategy": found.strategy, **found.measures}
             times = {"compile_s": found.compile_s, "run_s": found.run_s}
             record = out.record(arguments, self, result=measures, worlds=[describe(found.world)], **times)

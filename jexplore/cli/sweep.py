@@ -51,8 +51,6 @@ class Sweep:
     """Episodes at a time in lockstep; by default as many as the memory holds."""
     workers: int | None = None
     """Cores that run episodes, one each, with the engine serial; by default all that this process may use."""
-    fast: bool = False
-    """Make scans by a kernel in C++, as for `jexplore compare`."""
     gpu: bool = False
     """Give every task of the engine ray a GPU, instead of the cores that --workers says (default: one)."""
     out: OutFolder = None
@@ -101,7 +99,6 @@ class Sweep:
                 "lanes": self.lanes,
                 "workers": self.workers,
                 "gpu": self.gpu,
-                "fast": self.fast,
             }
             total = sum(plan.size(number) for number in numbers)
             with working(total, "runs" if spec.robots else "episodes") as on_progress:

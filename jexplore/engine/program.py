@@ -55,6 +55,9 @@ class Program(NamedTuple):
     keep: Callable[[Any], Any]  # (state) -> pytree of arrays: what is kept of one run besides its result
     decide: Callable[[Any, Given, Any], Any] | Any = None  # (setup, given, state) -> state; or None
     must_decide: Callable[[Any], Any] | None = None  # (state) -> bool, for runs that are not done
+    # (setup, given, state that has decided) -> state that must decide or is done: what `advance` makes of it turn by
+    # turn, for one run on a CPU; None: `advance` does
+    drive: Callable[[Any, Given, Any], Any] | None = None
     # (state) -> pytree of arrays: what is kept of every run besides its result
     record: Callable[[Any], Any] | None = None
     cpu_options: tuple[tuple[str, Any], ...] = ()  # pairs of name and value: options of XLA's compiler on a CPU

@@ -40,7 +40,9 @@ class Costs:
         total = dataclasses.replace(later)
         for name in ("compile_s", "run_s", "advanced", "room"):
             setattr(total, name, getattr(self, name) + getattr(later, name))
-        total.engine = later.engine if self.engine == later.engine or not self.run_s else f"{self.engine}+{later.engine}"
+        total.engine = (
+            later.engine if self.engine == later.engine or not self.run_s else f"{self.engine}+{later.engine}"
+        )
         total.interrupted = self.interrupted or later.interrupted
         return total
 

@@ -29,7 +29,10 @@ def run_one(program: Program, given: Given) -> Any:
         return program.advance(program.setup, given, state)
 
     def turn(state):
-        return lax.while_loop(program.is_under_way, advance, program.decide(program.setup, given, state))
+        state = program.decide(program.setup, given, state)
+        if program.drive is not None:
+            return program.drive(program.setup, given, state)
+        return lax.while_loop(program.is_under_way, advance, state)
 
     state = program.begin(program.setup, given)
     return lax.while_loop(lambda s: ~program.is_done(s), advance if program.decide is None else turn, state)

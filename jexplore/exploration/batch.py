@@ -11,8 +11,7 @@ import numpy as np
 from jexplore.config import MAX_SEED, InputError, InputWarning, Lidar, Rules, require_setting, require_whole
 from jexplore.engine.runner import Costs, find_resources, own_cores, require_32_bits, run_all
 from jexplore.exploration.native import NativeRun, chooser_of, is_native, native_world, play_all, result_of
-from jexplore.exploration.sensing import native_kernel
-from jexplore.exploration.site import line_of, prepare_site
+from jexplore.exploration.site import drive_for, line_of, prepare_site
 from jexplore.exploration.state import Result
 from jexplore.exploration.trail import Final, Record, decode
 from jexplore.native.episodes import RESULT, library
@@ -56,7 +55,7 @@ def run_jobs(
     jobs: Sequence[Job], lidar: Lidar, rules: Rules, *, engine: str | None = None,
     lanes: int | None = None, workers: int | None = None, on_progress: Callable[[int], object] | None = None,
     only: int | None = None, keep: str | None = None, on_job: Callable[[int, Outcomes], object] | None = None,
-    alike: Sequence[tuple[Lidar, Rules]] = (), fast: bool = False,
+    alike: Sequence[tuple[Lidar, Rules]] = (),
 ) -> Finished:  # fmt: skip
     """Runs every episode of every job.
 
@@ -80,16 +79,15 @@ def run_jobs(
       on_job: called with the number of a job and its `Outcomes` once all its episodes have ended, soon after, from the
         calling thread.
       alike: scanners and rules of other runs that are to share this one's programs, see `site.prepare_site`.
-      fast: whether a kernel in C++ scans and counts; see `sensing`.
 
     Returns:
       `Finished`.
 
     Raises:
       InputError: a start that is no cell of its world or no multiple of 45 degrees, a seed outside 0 to `MAX_SEED`; an
-        engine that does not exist, lanes or workers below 1, lanes for the serial engine, `fast` for another; a
-        strategy of a user's that does not return what it should; `keep` where several processes share the work.
-      InputWarning: no compiler for `fast`, or it fails; a scanner with noise, for which `fast` has no kernel.
+        engine that does not exist, lanes or workers below 1, lanes for the serial engine; a strategy of a user's that
+        does not return what it should; `keep` where several processes share the work.
+      InputWarning: robots are driven by JAX, because native code cannot be built; once in a process.
       MemoryError: a device's memory does not suffice, not even for half the lanes.
     """
     require_32_bits()
@@ -102,7 +100,7 @@ def run_jobs(
     costs = _play(runs, workers or own_cores(), on_progress, on_job)
     rest, lines = [i for i in range(len(jobs)) if i not in runs], []
     if rest and not costs.interrupted:
-        how = {"engine": engine, "lanes": lanes, "workers": workers, "fast": fast}
+        how = {"engine": engine, "lanes": lanes, "workers": workers}
         progress = None if on_progress is None else (lambda n: on_progress(done + n))
         tell = None if on_job is None else (lambda i, found: on_job(rest[i], found))
         try:
@@ -175,29 +173,10 @@ def _run_in_jax(jobs, lidar, rules, only, keep, alike, how, on_progress, on_job)
     resources = find_resources(engine=how["engine"], lanes=how["lanes"], workers=how["workers"])
     if keep is not None and resources.processes > 1:
         raise InputError(f"keep={keep!r} is for one process, and {resources.processes} share the work")
-    native = _native_for(resources, how["fast"])
+    native = drive_for(resources.engine, resources.devices[0].platform)
     lines = _lines_of(jobs, lidar, rules, resources, native, only, keep, alike)
-    if native is not None and any(line.program.setup.native is None for line in lines):
-        warnings.warn(
-            "fast: the kernels in JAX make the scans where the scanner has noise or robots stay in a region",
-            InputWarning,
-            stacklevel=4,
-        )
     tell = None if on_job is None else (lambda i: on_job(i, _outcomes(jobs[i], lines[i])))
     return lines, run_all(lines, resources, on_progress, tell)
-
-
-def _native_for(resources, fast):
-    """The target of the kernel in C++ if asked for; None, and why, where there is none."""
-    kind = resources.devices[0].platform
-    if not fast:
-        return None
-    if resources.engine != "serial" or kind != "cpu":
-        raise InputError(f"fast is for the engine serial on a CPU, got {resources.engine} on a {kind.upper()}")
-    native = native_kernel()
-    if native.target is None:
-        warnings.warn(f"fast: {native.why_not}; the kernels in JAX make the scans", InputWarning, stacklevel=4)
-    return native.target
 
 
 def _lines_of(jobs, lidar, rules, resources, native, only, keep, alike):

@@ -2,7 +2,7 @@
 
 `decide` asks the strategy, `commit` makes its choice the plan and makes the first motion, `advance` makes the scan that
 belongs to a motion, judges what it means for the plan, and makes the next one. An episode, a replay and whoever steps
-by hand all call these.
+by hand all call these. `drive` advances until a plan is done, in native code where there is some: the same bits.
 """
 
 from typing import Any
@@ -17,10 +17,12 @@ from jexplore.distance import within_packed
 from jexplore.engine.program import Given
 from jexplore.exploration import trail
 from jexplore.exploration.motion import motion_step, turn_between
-from jexplore.exploration.sensing import first_tally, sense, stacked
+from jexplore.exploration.sensing import first_tally, sense, stacked, uncounted
 from jexplore.exploration.state import Outcome, Setup, State, Stream, no_counts
 from jexplore.frontier import disc
 from jexplore.grid import Grid, empty_grid, is_known
+from jexplore.native.drive import Stage
+from jexplore.native.drive import drive as drive_natively
 from jexplore.planning import Belief, Choice, is_live, is_open
 from jexplore.reach import DIAGONAL, FAR, NO_MOTION, STRAIGHT, flood
 
@@ -158,6 +160,34 @@ def advance(setup: Setup, given: Given, state: State) -> State:
     state = _mark_exhausted(state, spent)
     motion = state.route[state.belief.row, state.belief.col]
     return _limit_plans(numbers, _move(setup, given, state, motion))
+
+
+def drive(setup: Setup, given: Given, state: State) -> State:
+    """Advances until the plan under way is done.
+
+    Args:
+      setup, given, state: as for `advance`.
+
+    Returns:
+      `State`.
+    """
+    if not _is_native(setup):
+        return lax.while_loop(lambda state: state.walking, lambda state: advance(setup, given, state), state)
+    state, asks = drive_natively(setup, given, uncounted(state), Stage.NEXT_SCAN)
+    if setup.policy.live is None:
+        return state
+
+    def answer(both):
+        state, _ = both
+        live = setup.policy.live(given.numbers.params, state.belief, given.shared, *state.target)
+        return drive_natively(setup, given, state, Stage.ANSWERED, live)
+
+    return lax.while_loop(lambda both: both[1], answer, (state, asks))[0]
+
+
+def _is_native(setup):
+    """Whether native code drives; not where every operation runs by itself, which is for finding faults."""
+    return setup.native is not None and not jax.config.values["jax_disable_jit"]
 
 
 def decide(setup: Setup, given: Given, state: State) -> tuple[Any, Choice, Array]:
@@ -304,6 +334,9 @@ def begin(setup: Setup, given: Given) -> State:
         room_entries=(room >= 0).astype(jnp.int32),
         **no_counts() | {"known": known},
     )
+
+    if _is_native(setup):
+        return drive_natively(setup, given, uncounted(state), Stage.FIRST_SCANS)[0]
 
     def look_round(_, state):
         state, belief = sense(setup, given, state, ~stuck), state.belief

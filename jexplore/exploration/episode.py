@@ -115,6 +115,7 @@ def program_of(setup: Setup, keep: str | None = None) -> Program:
         keep=kept,
         decide=plan,
         must_decide=_must_plan,
+        drive=None if setup.native is None else environment.drive,
         record=None if keep is None else RECORDS[keep],
         cpu_options=CPU_OPTIONS,
     )

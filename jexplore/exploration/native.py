@@ -231,8 +231,8 @@ def show_episode(
       frontier: what is added to the codes of frontier cells.
 
     Returns:
-      `(codes, headings)`: `[F, H, W]` uint8, 0 unknown, 1 free, 2 occupied, `frontier` more where a frontier cell can be
-        reached; `[F]` int32, units of 45 degrees, at the last scan there. None: the scanner has noise, or there is no
+      `(codes, headings)`: `[F, H, W]` uint8, 0 unknown, 1 free, 2 occupied, `frontier` more where a frontier cell can
+        be reached; `[F]` int32, units of 45 degrees, at the last scan there. None: the scanner has noise, or there is no
         native code.
     """
     found = episodes.library()

@@ -1,10 +1,8 @@
 """What a scan tells a robot: it is made where the robot stands, and counted into its map where it believes to be.
 
-Known cells are counted as they come to be known. `sensing.cpp` does all of it in one pass over the cells that beams
-enter, for one robot on a CPU whose scanner is without noise; every bit is the same.
+Known cells are counted as they come to be known.
 """
 
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
@@ -12,20 +10,13 @@ import jax.numpy as jnp
 from jax import Array, lax
 
 from jexplore.arrays.loops import one_kernel, run_if
-from jexplore.engine.native import Native, load_kernel
 from jexplore.engine.program import Given
 from jexplore.exploration.state import Setup, State, Stream
 from jexplore.grid import Grid, count, is_known
 from jexplore.planning import Belief
-from jexplore.raycast import Beams, Scan, disturb, fold, scan
+from jexplore.raycast import Scan, disturb, fold, scan
 
-SOURCE, SYMBOL = Path(__file__).with_suffix(".cpp"), "jexplore_look"
 STRIDE = 16  # cells by which the square moves in which known cells are counted
-
-
-def native_kernel() -> Native:
-    """The kernel in C++, built if need be."""
-    return load_kernel(SOURCE, SYMBOL)
 
 
 def stacked(given: Given, maps: Array) -> tuple[Array, Array]:
@@ -69,6 +60,11 @@ def first_tally(setup: Setup, belief: Belief, *, is_blank: bool) -> tuple[Square
     return Square(corner, known - known_in(belief.grid, corner, size, belief.within)), known
 
 
+def uncounted(state: State) -> State:
+    """A `State` whose map is about to change otherwise than by `sense`, which will then count known cells anew."""
+    return state.replace(tally=Square(jnp.full(2, -1, jnp.int32), jnp.int32(0)))
+
+
 def _counted(grid, within):
     """The known cells that count: those that are to be known."""
     return is_known(grid) if within is None else is_known(grid) & within
@@ -99,40 +95,6 @@ def known_in(grid: Grid, corner: Array, size: tuple[int, ...], within: Array | N
 
     # In one piece: as operations of their own, which store the square between them, it took nearly twice the time.
     return one_kernel(run, grid.hits, grid.misses, corner[0], corner[1])
-
-
-def look(
-    target: str,
-    grid: Grid,
-    occupied: Array,
-    stands: Any,
-    believes: Any,
-    beams: Beams,
-    when: Array | bool = True,
-    no_echo_is_free: Array | bool = True,
-) -> tuple[Grid, Array]:
-    """`raycast.scan`, `without_silent` and `raycast.fold` by the kernel in C++, in place where the map is used no more.
-
-    Args:
-      target: `Native.target`.
-      grid: `Grid`, `[H, W]`.
-      occupied: `[H', W]` bool, as for `scan`.
-      stands: int32 row, col and heading of the scan.
-      believes: int32 row, col and heading of where it is counted.
-      beams: `Beams`.
-      when: bool scalar; if False, nothing is counted.
-      no_echo_is_free: bool scalar, as for `without_silent`.
-
-    Returns:
-      `(grid, fresh)`: the map, and how many of its cells have come to be known, int32.
-    """
-    pose = jnp.stack([jnp.asarray(n, jnp.int32) for n in (*stands, *believes, when, no_echo_is_free)])
-    counts = jax.ShapeDtypeStruct(grid.hits.shape, jnp.int32)
-    results = counts, counts, jax.ShapeDtypeStruct((), jnp.int32)
-    call = jax.ffi.ffi_call(target, results, input_output_aliases={0: 0, 1: 1})
-    # As matrices: a reshape around a call that works in place copies both maps.
-    hits, misses, fresh = call(grid.hits, grid.misses, occupied, beams.by_beam, beams.length, pose)
-    return Grid(hits=hits, misses=misses), fresh
 
 
 def without_silent(seen: Scan, no_echo_is_free: Array | bool) -> Scan:
@@ -178,13 +140,7 @@ def sense(setup: Setup, given: Given, state: State, when: Array) -> State:
       `State`.
     """
     belief, beams, occupied, base = state.belief, given.shared, *stacked(given, given.scenes.occupied)
-    stands, believes = (base + state.row, state.col, state.heading), (belief.row, belief.col, belief.heading)
-    if setup.native is not None:
-        free = given.numbers.no_echo_is_free
-        grid, fresh = look(setup.native, belief.grid, occupied, stands, believes, beams, when, free)
-        state = state.replace(scans=state.scans + when, known=state.known + fresh)
-        return state.replace(belief=belief.replace(grid=grid))
-    seen = scan(occupied, *stands, beams)
+    seen = scan(occupied, base + state.row, state.col, state.heading, beams)
     if setup.noisy:
         key = jax.random.fold_in(jax.random.fold_in(given.key, Stream.SENSOR), state.scans)
         noise = {"sigma_cells": given.numbers.sigma_cells, "dropout": given.numbers.dropout}

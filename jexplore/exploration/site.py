@@ -18,6 +18,7 @@ from jexplore.exploration.episode import program_of
 from jexplore.exploration.state import Numbers, Setup, Truth
 from jexplore.exploration.trail import record_of
 from jexplore.grid import in_cells, radius_d2
+from jexplore.native.drive import find_target
 from jexplore.planning import MapModel
 from jexplore.policies.catalogue import adapt
 from jexplore.policies.policy import Strategy
@@ -26,6 +27,20 @@ from jexplore.worlds.world import World, ring_of, with_ring
 
 LEAST_LIMIT = 20_000  # default bound of steps and plans on small maps
 COARSE_M = 0.15  # cells longer than this are coarse: a corridor is a few of them wide
+
+
+def drive_for(engine: str, platform: str) -> str | None:
+    """Return the target of JAX's FFI that drives one robot on a CPU, built if need be; None: JAX drives.
+
+    Args:
+      engine: one of `runner.ENGINES`.
+      platform: of the devices that it runs on.
+
+    Warns:
+      InputWarning: there is no native code, once in a process.
+    """
+    is_lone = engine == "serial" and platform == "cpu" and not jax.config.values["jax_disable_jit"]
+    return find_target() if is_lone else None
 
 
 class Site(NamedTuple):
@@ -115,7 +130,6 @@ def prepare_site(
         no_echo_is_free=np.bool_(lidar.no_echo == "free"),  # type: ignore[arg-type]
         params=(),
     )
-    native = None if world.within is not None else native  # which counts known cells everywhere
     setup = _setup(everyone, world.cell_m, shape, limit, native)
     return Site(truth, _beams(everyone, world.cell_m, shape), setup, numbers, ring)
 

@@ -63,7 +63,7 @@ class Setup(NamedTuple):
     window: int  # half width of the square that one scan can change, cells
     noisy: bool  # whether the scanner's noise is simulated
     capacity: int  # T, steps that the trail has room for; at least max_steps
-    native: str | None = None  # target of the kernel in C++ that scans and counts, see `sensing`; None: those in JAX
+    native: str | None = None  # target of JAX's FFI that drives, see `native.drive`; None: JAX does
 
 
 @struct.dataclass

@@ -8,7 +8,7 @@ import numpy as np
 from jexplore.config import InputError, Lidar, Rules
 from jexplore.exploration.batch import Job, run_jobs
 from jexplore.exploration.results import path_m
-from jexplore.exploration.site import Site, prepare_site
+from jexplore.exploration.site import Site, drive_for, prepare_site
 from jexplore.exploration.state import Outcome
 from jexplore.policies import Strategy, parse_strategy
 from jexplore.studies.checks import (
@@ -101,7 +101,8 @@ class Bank:
     def site(self, number: int) -> Site:
         """A world made ready, once."""
         if number not in self._sites:
-            self._sites[number] = prepare_site(self.worlds[number], self.lidar, self.rules)
+            native = drive_for("serial", "cpu")
+            self._sites[number] = prepare_site(self.worlds[number], self.lidar, self.rules, native=native)
         return self._sites[number]
 
 

@@ -112,6 +112,10 @@ def _advance(setup, given, lesson):
     return lesson.replace(state=environment.advance(setup.setup, _episode(given), lesson.state))
 
 
+def _drive(setup, given, lesson):
+    return lesson.replace(state=environment.drive(setup.setup, _episode(given), lesson.state))
+
+
 def _has_ended(given, lesson):
     """Whether a try has ended."""
     cut = _driven_m(lesson) > lesson.best_m + given.numbers.margin_m
@@ -200,6 +204,7 @@ def _program(setup, network):
         keep=_keep,
         decide=_decide,
         must_decide=_must_decide,
+        drive=None if setup.native is None else _drive,
         cpu_options=CPU_OPTIONS,
     )
 

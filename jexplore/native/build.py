@@ -14,10 +14,12 @@ import shlex
 import shutil
 import subprocess
 import tempfile
+import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+from jexplore.config import InputWarning
 from jexplore.engine.backend import cache_folder
 
 FOLDER = Path(__file__).parent
@@ -32,6 +34,16 @@ class Library(NamedTuple):
     loaded: ctypes.CDLL | None
     why_not: str = ""  # one line
     name: str = ""  # tells apart what was built of other sources or by other compilers
+
+
+@functools.cache
+def warn_once(why_not: str) -> None:
+    """Say, once in a process, why there is no library.
+
+    Warns:
+      InputWarning: saying so in a line.
+    """
+    warnings.warn(f"{why_not}: JAX does without native code, with the same results", InputWarning, stacklevel=3)
 
 
 def find_compiler() -> list[str]:

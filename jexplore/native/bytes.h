@@ -61,7 +61,7 @@ struct ByteMaps {
   int Flat(int i) const { return world.Flat(i); }
   int Offset(int motion) const { return offsets[motion]; }
   int Room(int i) const { return world.given.rooms[Flat(i)]; }
-  int Motion(int left) const { return left < 0 ? 0 : way[left]; }
+  int Motion(int, int left) const { return left < 0 ? 0 : way[left]; }
   int known() const { return n_known; }
   bool GoesOn() const { return *stop == 0; }
   bool IsLive(int i) const { return unknown[i] > 0; }

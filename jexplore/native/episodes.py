@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jexplore.native.beams import Beams
+from jexplore.native.beams import Beams, trace_beams
 from jexplore.native.build import FOLDER, Library, load_library
 
 SOURCES = tuple(FOLDER / name for name in ("cpu.cc", "bytes.h", "warp_host.h", "warp.h", "world.h", "rules.h"))
@@ -184,7 +184,6 @@ class World:
             self._loaded.jexplore_free(batch.choices)
         return Played(results, kept, maps, counts, choices)
 
-
     def emulate(self, tasks: np.ndarray, *, views: bool) -> np.ndarray | None:
         """Run episodes as a warp of a GPU does, on the CPU: `[n, RESULT]` int32; an outcome of 0 was given up.
 
@@ -202,7 +201,9 @@ class World:
             raise MemoryError("no memory for episodes")
         return None if code else results
 
-    def replay(self, task: np.ndarray, script: Script, shown: np.ndarray, frontier: int) -> tuple[np.ndarray, np.ndarray]:
+    def replay(
+        self, task: np.ndarray, script: Script, shown: np.ndarray, frontier: int
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Show a recorded episode as the robot leaves some places.
 
         Args:
@@ -212,7 +213,8 @@ class World:
           frontier: what is added to the codes of frontier cells.
 
         Returns:
-          `codes`: `[F, H, W]` uint8, 0 unknown, 1 free, 2 occupied, `frontier` more where a frontier cell can be reached.
+          `codes`: `[F, H, W]` uint8, 0 unknown, 1 free, 2 occupied, `frontier` more where a frontier cell can be
+            reached.
           `headings`: `[F]` int32, units of 45 degrees, at the last scan there.
 
         Raises:
@@ -236,6 +238,23 @@ class World:
         return codes, headings
 
 
+# A room with a pillar and a niche, and what an episode from (2, 2) comes to there, as JAX has it: the first entries of its
+# result and the sum of all.
+_ROOM = ("##########", "#........#", "#..##....#", "#..##....#", "#......###", "#........#", "##########")
+_EXPECTED = {NEAREST: (19, 6, 45, 42, 14, 5, 1, 65, 810), UNIFORM: (35, 4, 63, 56, 13, 5, 1, 65, 875)}
+
+
 def check(loaded: ctypes.CDLL) -> str:
-    """Return what is wrong with a library by two small episodes, or ""."""
+    """Return what is wrong with a library by a small episode of each kind, or ""."""
+    _declare(loaded)
+    occupied = np.array([[cell == "#" for cell in row] for row in _ROOM])
+    region = np.where(occupied, 0, 1).astype(np.int32)
+    beams = trace_beams(37, 180.0, 3.0, 1.0)
+    given = Given(occupied, np.full(occupied.shape, -1, np.int32), region, None, None, beams)
+    for chooser, expected in _EXPECTED.items():
+        spec = Spec(*occupied.shape, 37, 2, 0, 1, 0, 0, 100, 100, 1, 1, 1, chooser, 0.25)
+        place = World(loaded, spec, given)
+        found = place.play(place.tasks(np.array([[2, 2, 1]]), 7, np.zeros(1, np.int32)), np.zeros(1, np.int32)).results[0]
+        if (*found[:8].tolist(), int(found.sum())) != expected:
+            return f"an episode in it came to {found[:8].tolist()}, not to what it should"
     return ""

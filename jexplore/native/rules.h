@@ -1,7 +1,8 @@
 // The rules of an exploration episode for one robot whose scanner is without noise, for any device.
 //
 // `exploration/environment.py` and `exploration/episode.py` are the reference; every number here equals theirs. The maps
-// are a template argument: `bytes.h` holds a byte a cell for a CPU core, `warp.h` a bit a cell for a warp of a GPU.
+// are a template argument: `bytes.h` holds a byte a cell for a CPU core, `warp.h` a bit a cell for a warp of a GPU,
+// `counts.h` the arrays of a state in JAX.
 // Cells are numbers; what lies beside a cell is a fixed number away.
 
 #pragma once
@@ -163,7 +164,7 @@ struct Episode {
       outcome = kStepLimit;
       bumped = kNone;
     } else if (walking) {
-      Step(maps.Motion(left - 1));
+      Step(maps.Motion(at, left - 1));
     }
     if (outcome == kRunning && !walking && plans >= p.max_plans) outcome = kPlanLimit;
   }
@@ -209,25 +210,43 @@ struct Episode {
     Move();
   }
 
-  // `environment.advance`: the scan that belongs to a motion, what it means for the plan, and the next motion.
-  DEVICE void Advance() {
+  DEVICE bool IsNear() const {
+    const int y = maps.Row(target) - maps.Row(at), x = maps.Col(target) - maps.Col(at);
+    return y * y + x * x <= p.arrival_d2;
+  }
+
+  // `environment.advance`, its first half: the scan that belongs to a motion.
+  DEVICE void Look() {
     maps.Drive(at);
     const int dr = maps.Row(at) - maps.Row(came), dc = maps.Col(at) - maps.Col(came);
     if (dr != 0 && dc != 0) {
       maps.Drive(came + maps.Offset(2 - dr));  // N is motion 1, S is 3
       maps.Drive(came + maps.Offset(1 - dc));  // E is motion 0, W is 2
     }
-    const int y = maps.Row(target) - maps.Row(at), x = maps.Col(target) - maps.Col(at);
-    const bool here = at == target, near = y * y + x * x <= p.arrival_d2, hit = bumped != kNone;
-    if (here || hit || unscanned >= p.scan_every) {
+    if (at == target || bumped != kNone || unscanned >= p.scan_every) {
       unscanned = 0;
       Scan();
     }
     Note();
-    const bool live = maps.IsLive(target);
-    walking = !hit && !((p.recheck || near) && !live && !here);
+  }
+
+  // The other half: what it means for the plan, and the next motion.
+  DEVICE void Judge(bool live) {
+    const bool here = at == target, hit = bumped != kNone;
+    walking = !hit && !((p.recheck || IsNear()) && !live && !here);
     Arrive(here && !hit && looking == 0, live);
     Move();
+  }
+
+  DEVICE void Advance() {
+    Look();
+    Judge(maps.IsLive(target));
+  }
+
+  // The scans at the start, of `environment.begin`.
+  DEVICE void LookRound(bool is_stuck) {
+    for (int i = 0; i < p.first_scans && !is_stuck; ++i, heading = (heading + 8 / p.first_scans) & 7) Scan();
+    Note();
   }
 
   DEVICE void Run(const Task& task, bool is_stuck) {
@@ -236,12 +255,8 @@ struct Episode {
     maps.Begin(at);
     room = maps.Room(at);
     entries = room >= 0;
-    if (is_stuck) {
-      outcome = kStuck;
-    } else {
-      for (int i = 0; i < p.first_scans; ++i, heading = (heading + 8 / p.first_scans) & 7) Scan();
-    }
-    Note();
+    if (is_stuck) outcome = kStuck;
+    LookRound(is_stuck);
     const Key key = FoldIn(FoldIn({0, task.seed}, task.draw), 1);  // `engine.serial.chunk`; `Stream.POLICY`
     while (outcome == kRunning && maps.GoesOn() && log.GoesOn()) {
       Plan(key);

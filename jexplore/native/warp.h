@@ -226,7 +226,7 @@ struct WarpMaps {
   DEVICE int Flat(int i) const { return i; }
   DEVICE int Offset(int motion) const { return DRow(motion) * width + DCol(motion); }
   DEVICE int Room(int i) const { return w.rooms ? w.rooms[i] : kNone; }
-  DEVICE int Motion(int left) const { return left < 0 ? 0 : m.way[left]; }
+  DEVICE int Motion(int, int left) const { return left < 0 ? 0 : m.way[left]; }
   DEVICE int known() const { return n_known; }
   DEVICE bool GoesOn() const { return goes_on; }
   DEVICE int Knowable(int region) const { return w.counts[2 * region]; }

@@ -19,3 +19,8 @@ def _select(key, params, carry, belief, beams, route):
 def closest() -> Policy:
     """The policy. Carry: `()`. Parameters: none."""
     return Policy(_init, _select)
+
+
+def is_nearest(policy: Policy) -> bool:
+    """Whether a policy chooses as this one does, and by nothing else."""
+    return policy.select is _select

@@ -29,7 +29,7 @@ def compare(
     lidar: LidarLike = LIDAR, rules: RulesLike = RULES,
     engine: str | None = None, lanes: int | None = None, workers: int | None = None,
     on_progress: Callable[[int], object] | None = None, progress: bool | None = None,
-    keep: str | None = None, fast: bool = False,
+    keep: str | None = None,
     out: str | os.PathLike[str] | None = None, overwrite: bool = False, resume: bool = False, trust: bool = False,
 ) -> Comparison:  # fmt: skip
     """Runs every strategy in every world, from the same starts. An interruption keeps what is finished.
@@ -53,8 +53,6 @@ def compare(
       on_progress: called now and then with the number of episodes finished.
       progress: whether a bar shows that; by default in notebooks.
       keep: "paths" for the way of every episode, 12 bytes a step, "maps" for its last map as well, a byte a cell.
-      fast: whether scans are made by a kernel in C++, which takes a compiler; for the engine serial on a CPU. Results
-        are equal. Where there is no compiler, or the scanner is noisy, scans are made as ever.
       out: folder to write, as `jexplore compare` does: see `Comparison.save`. What is finished is kept on the way.
       overwrite: whether the folder may hold a run, which is then replaced.
       resume: whether to go on with the run that the folder holds, if there is one.
@@ -62,7 +60,7 @@ def compare(
 
     Raises:
       InputError: what cannot be used. Raised before anything is compiled.
-      InputWarning: no compiler for `fast`, or it fails; a scanner with noise, for which `fast` has no kernel.
+      InputWarning: as `batch.run_jobs`.
     """
     settings = {"episodes": episodes, "seed": seed, "cell_m": cell_m, "start": start, "start_m": start_m}
     limits = {"within": within, "from_map": from_map}
@@ -71,7 +69,7 @@ def compare(
     settings |= limits | {"from_map": from_map if is_text else type(from_map).__name__}
     if keep is not None and keep not in tuple(RECORDS):
         raise InputError(f"keep must be None, {' or '.join(RECORDS)}, got {keep!r}")
-    how = {"engine": engine, "lanes": lanes, "workers": workers, "keep": keep, "fast": fast}
+    how = {"engine": engine, "lanes": lanes, "workers": workers, "keep": keep}
     asked = asked_of(jobs, keep)
     run = functools.partial(_run, jobs, asked, settings, how, (progress, on_progress))
     return _in_folder(out, jobs, asked, run, {"overwrite": overwrite, "resume": resume}, trust)

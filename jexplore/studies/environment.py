@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from flax import struct
-from jax import Array, lax
+from jax import Array
 from jax.core import Tracer
 
 from jexplore.arrays.loops import alone_on_cpu, run_if
@@ -22,7 +22,7 @@ from jexplore.engine.backend import use_compilation_cache
 from jexplore.engine.program import Given
 from jexplore.engine.runner import find_resources, require_32_bits
 from jexplore.exploration import environment
-from jexplore.exploration.site import alike, prepare_site
+from jexplore.exploration.site import alike, drive_for, prepare_site
 from jexplore.exploration.state import Numbers, Outcome, State, Truth, steps_m
 from jexplore.exploration.trail import LOOKS, Trail
 from jexplore.planning import Field, View, choose, field, is_live, view_of
@@ -128,13 +128,14 @@ class Environment:
         rows, cols = (max(bucket(side) for side in sides) for sides in sizes)
         self.shape = rows, cols
         find_resources()  # starts JAX
+        native = drive_for("serial", jax.local_devices()[0].platform)
         sites, cells = [], []
         for world in self.worlds:
             require_clearance(world, rules)
             require_memory(world, lidar, rules)
             cells.append(start_cells(world, rules.clearance_m))
             warn_of_floor(world, start_region(world, rules.clearance_m), rules.clearance_m, drawn=True)
-            sites.append(prepare_site(world, lidar, rules, self.shape))
+            sites.append(prepare_site(world, lidar, rules, self.shape, native=native))
         capacity = max(site.setup.capacity for site in sites) if paths else 1
         self._setup = sites[0].setup._replace(policy=closest(), capacity=capacity)  # which nobody asks
         truths = alike([site.truth for site in sites])
@@ -329,11 +330,7 @@ def _driven(setup, bank, key, state, action):
         own = given.replace(numbers=numbers)
         choice, route = choose(episode.belief, episode.route, known, row, col)
         episode = environment.commit(setup, own, episode, choice, route, is_live(episode.belief, row, col))
-
-        def advance(episode):
-            return environment.advance(setup, own, episode)
-
-        return _seen(setup, own, lax.while_loop(lambda episode: episode.walking, advance, episode), state.ring)
+        return _seen(setup, own, environment.drive(setup, own, episode), state.ring)
 
     state = run_if(valid, drive, state)
     now = state.episode

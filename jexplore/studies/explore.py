@@ -200,7 +200,6 @@ def explore(
     from_map: KnownMap | None = None,
     lidar: LidarLike = LIDAR,
     rules: RulesLike = RULES,
-    fast: bool = False,
 ) -> Episode:
     """Runs one episode and keeps its map and way.
 
@@ -218,7 +217,6 @@ def explore(
       from_map: partial map that it has from the beginning: see `restrict.with_known`.
       lidar: `Lidar`, or a mapping of those of its fields that are not the defaults: `{"range_m": 4}`.
       rules: `Rules`, likewise.
-      fast: as in `comparison.compare`: worth while for an episode of many minutes.
 
     Returns:
       `Episode`.
@@ -239,7 +237,7 @@ def explore(
         lidar=lidar,
         rules=rules,
     )
-    return run_job(job, fast=fast)
+    return run_job(job)
 
 
 def prepare_job(
@@ -268,12 +266,12 @@ def prepare_job(
     return Job(world, parsed, np.tile(np.asarray(own, np.int32), (episode + 1, 1)), seed, lidar=lidar, rules=rules)
 
 
-def run_job(job: Job, *, fast: bool = False) -> Episode:
+def run_job(job: Job) -> Episode:
     """The `Episode` of a job: its last one."""
     use_compilation_cache()
     number = len(job.starts) - 1
     lidar, rules = job.lidar or LIDAR, job.rules or RULES
-    report = batch.run_jobs([job], lidar, rules, only=number, fast=fast)
+    report = batch.run_jobs([job], lidar, rules, only=number)
     ((result, final, _),) = report.outcomes
     assert final is not None  # a run that was interrupted has raised
     has_rooms, cell_m = job.world.rooms is not None, job.world.cell_m

@@ -16,6 +16,7 @@ from jexplore.exploration.site import cost_of
 from jexplore.exploration.state import Numbers, Outcome, Setup, Stream, Truth
 from jexplore.exploration.trail import decode, kept
 from jexplore.grid import in_cells, radius_d2
+from jexplore.native.drive import find_target
 from jexplore.planning import MapModel
 from jexplore.policies import parse_strategy
 from jexplore.raycast import Beams, beam_table, by_beam, disturb, scan, scans_all_round
@@ -130,8 +131,9 @@ def play(
     seed=0,
     window=None,
     beams_as=None,
+    native=False,
 ):
-    """`(Result, State)` of the kernel, of numpy arrays."""
+    """`(Result, State)` of the kernel, of numpy arrays; `native`: whether native code drives, where it can be built."""
     strategy = parse_strategy(strategy)
     shape = shape or occupied.shape
     static = Setup(
@@ -140,6 +142,7 @@ def play(
         window_of(lidar, cell_m) if window is None else window,
         lidar.sigma_m > 0 or lidar.dropout > 0,
         CAPACITY,
+        find_target() if native else None,
     )
     return jax.tree.map(
         np.asarray,

@@ -33,6 +33,7 @@ class Fixed(NamedTuple):
     window: int = 82  # half the width of the square that a scan can change, cells
     beams_as: tuple[int, int] = (120, 181)  # most steps and most beams
     restricted: bool = False  # whether the robot stays within a region and knows a part of the map
+    native: bool = False  # whether native code drives
 
 
 WIDE, TALL = (64, 256), (224, 64)
@@ -40,16 +41,20 @@ FEW = (
     Fixed(),
     Fixed(policy="random"),
     Fixed(clearance_d2=0, noisy=True),
-    Fixed(clearance_d2=1, restricted=True),
-    Fixed(WIDE, clearance_d2=1, window=22, beams_as=(40, 181)),
+    Fixed(clearance_d2=1, restricted=True, native=True),
+    Fixed(WIDE, clearance_d2=1, window=22, beams_as=(40, 181), native=True),
     Fixed(WIDE, clearance_d2=0, noisy=True),
+    Fixed(policy="random", native=True),
 )
-"""Six programs; tests of episodes have the first three as well."""
+"""Seven programs; tests of episodes have the first three as well."""
 MANY = (
     *FEW,
     Fixed(clearance_d2=1, window=10, beams_as=(16, 361)),
     Fixed(clearance_d2=0),
     Fixed(clearance_d2=25),
+    Fixed(clearance_d2=0, native=True),
+    Fixed(clearance_d2=1, restricted=True),
+    Fixed(TALL, clearance_d2=1, window=242, beams_as=(344, 361), native=True),
     Fixed(policy="random", clearance_d2=0, noisy=True),
     Fixed(clearance_d2=4, noisy=True, window=10, beams_as=(16, 181)),
     Fixed(WIDE),
@@ -62,7 +67,7 @@ MANY = (
     Fixed(policy="random", clearance_d2=0, restricted=True),
     Fixed(WIDE, clearance_d2=4, noisy=True),
 )
-"""Twenty programs."""
+"""Twenty-four programs."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -294,6 +299,7 @@ def kinds_of(case, verdict):
         "no look around": not case.rules.look_around,
         "scans now and then": case.rules.scan_every_m > 0,
         "arrives before the target": case.rules.arrival_m > 0,
+        "driven by native code": case.fixed.native,
         "rooms": case.rooms is not None,
         "refused steps": verdict.refused > 0,
     }
@@ -354,7 +360,7 @@ def compare(case, *, oracle=True, loaded=None):
     world = {name: getattr(case, name) for name in ("cell_m", "rooms", "within", "known")}
     how = {"shape": fixed.shape, "seed": case.seed, "beams_as": fixed.beams_as}
     episode = case.occupied, case.start, case.strategy, case.lidar, case.rules
-    result, state = episodes.play(*episode, window=fixed.window, **world, **how)
+    result, state = episodes.play(*episode, window=fixed.window, native=fixed.native, **world, **how)
     told = []
     if not fixed.noisy:
         told = native.differences(native.play(case, loaded), result, state, case.occupied)

@@ -31,7 +31,9 @@ def play(case, loaded=None):
 def differences(run, result, state, occupied):
     """Everything in which a `NativeRun` of one episode differs from `(Result, State)` of the JAX program."""
     found, final = jax.tree.map(lambda a: a[0], run.results), decode(kept(state), result, occupied.shape)
-    pairs = {field.name: (getattr(found, field.name), getattr(result, field.name)) for field in dataclasses.fields(Result)}
+    pairs = {
+        field.name: (getattr(found, field.name), getattr(result, field.name)) for field in dataclasses.fields(Result)
+    }
     pairs |= {name: (getattr(run.final, name), getattr(final, name)) for name in final._fields if name != "plans"}
     unequal = [f"native {name}: {a}, in JAX {b}" for name, (a, b) in pairs.items() if not np.array_equal(a, b)]
     if final.plans is not None and run.final.plans != final.plans:

@@ -301,7 +301,6 @@ def run_units(
     on_progress: Callable[[int], object] | None = None,
     keep: str | None = None,
     alike: Sequence[tuple[Lidar, Rules]] = (),
-    fast: bool = False,
 ) -> Ran:
     """Runs every episode of every job that the ledger does not have.
 
@@ -309,7 +308,7 @@ def run_units(
       jobs: list of `Job`, each with its scanner and rules.
       ledger: where units are kept as soon as they are finished.
       units: numbers of the units to be run or read; by default all.
-      engine, lanes, workers, on_progress, keep, alike, fast: as in `batch.run_jobs`; progress counts earlier ones too.
+      engine, lanes, workers, on_progress, keep, alike: as in `batch.run_jobs`; progress counts earlier ones too.
 
     Returns:
       `Ran`. After Ctrl-C it holds what had been finished.
@@ -324,7 +323,7 @@ def run_units(
         progress = None if on_progress is None else (lambda done: on_progress(done + work.resumed))
         how: dict[str, Any] = {"engine": engine, "lanes": lanes, "workers": workers, "keep": keep, "alike": alike}
         try:
-            found = batch.run_jobs(some, Lidar(), Rules(), **how, fast=fast, on_progress=progress, on_job=work.put)
+            found = batch.run_jobs(some, Lidar(), Rules(), **how, on_progress=progress, on_job=work.put)
         except KeyboardInterrupt:
             if not work.pieces and not work.made:
                 raise

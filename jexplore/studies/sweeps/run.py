@@ -195,7 +195,6 @@ def run_sweep(
     workers: int | None = None,
     gpu: bool = False,
     on_progress: Callable[[int], object] | None = None,
-    fast: bool = False,
 ) -> Swept:
     """Runs the units of a sweep that the ledger does not have.
 
@@ -208,7 +207,6 @@ def run_sweep(
         default.
       gpu: whether every task of a Ray cluster takes a GPU.
       on_progress: called with the number of episodes finished, those that were there before included.
-      fast: as in `batch.run_jobs`, for strategies on this machine.
 
     Returns:
       `Swept`. After Ctrl-C it holds the units that were finished.
@@ -220,8 +218,6 @@ def run_sweep(
 
     if gpu and engine != "ray":
         raise InputError("gpu is for the engine ray: others take the GPUs that they find")
-    if fast and (engine == "ray" or isinstance(plan, TracePlan)):
-        raise InputError("fast is for strategies by the engine serial on this machine's CPU, not for robots or ray")
     numbers, tables, begun = in_shard(len(plan.units), shard), {}, {}
     if ledger is not None:
         tables = {i: ledger.get(i) for i in numbers if i in ledger.done}
@@ -237,7 +233,7 @@ def run_sweep(
     left = [number for number in numbers if number not in tables]
     progress = None if on_progress is None else (lambda done: on_progress(done + sum(before.values())))
     how: dict[str, Any] = {"engine": engine, "lanes": lanes, "workers": workers}
-    costs = _run_left(plan, left, on_unit, how, gpu, fast, progress, begun) if left else Costs()
+    costs = _run_left(plan, left, on_unit, how, gpu, progress, begun) if left else Costs()
     if not tables:
         raise KeyboardInterrupt
     table = ordered(typed(pd.concat([tables[i] for i in sorted(tables)], ignore_index=True), plan), plan)
@@ -246,7 +242,7 @@ def run_sweep(
     return Swept(plan.spec, table, tuple(plan.columns), costs, wanted - len(table), resumed, plan.reference)
 
 
-def _run_left(plan, left, on_unit, how, gpu, fast, on_progress, begun):
+def _run_left(plan, left, on_unit, how, gpu, on_progress, begun):
     """Runs some units of a sweep by whatever engine: `Costs`."""
     if isinstance(plan, TracePlan):
         if how["engine"] == "ray":
@@ -254,7 +250,7 @@ def _run_left(plan, left, on_unit, how, gpu, fast, on_progress, begun):
         return run_traces(plan, left, on_unit, **how, on_progress=on_progress)
     if how["engine"] != "ray":
         use_compilation_cache()
-        return run_block_units(plan, left, on_unit, **how, fast=fast, on_progress=on_progress, begun=begun)
+        return run_block_units(plan, left, on_unit, **how, on_progress=on_progress, begun=begun)
     from jexplore.studies.sweeps import cluster
 
     if how["lanes"] is not None:
@@ -290,13 +286,12 @@ def sweep(
     gpu: bool = False,
     on_progress: Callable[[int], object] | None = None,
     progress: bool | None = None,
-    fast: bool = False,
 ) -> Swept:
     """Compares strategies over many settings.
 
     Args:
       spec: a `Sweep`, a mapping of its fields, or a YAML file. `jexplore sweep` keeps what it finishes; this does not.
-      engine, lanes, workers, gpu, on_progress, fast: as in `run_sweep`.
+      engine, lanes, workers, gpu, on_progress: as in `run_sweep`.
       progress: whether a bar shows how much is finished; by default in notebooks.
 
     Returns:
@@ -315,7 +310,7 @@ def sweep(
     plan = ready(spec)
     total = sum(map(plan.size, range(len(plan.units))))
     with progress_bar(progress, total, "runs" if spec.robots else "episodes", on_progress) as moved:
-        return run_sweep(plan, **how, on_progress=moved, fast=fast)
+        return run_sweep(plan, **how, on_progress=moved)
 
 
 def ready(spec: Sweep) -> Plan | TracePlan:

@@ -32,7 +32,6 @@ def run_block_units(
     lanes: int | None = None,
     workers: int | None = None,
     on_progress: Callable[[int], object] | None = None,
-    fast: bool = False,
     begun: Mapping[int, "pd.DataFrame"] = MappingProxyType({}),
 ) -> Costs:
     """Runs units of a sweep.
@@ -41,7 +40,7 @@ def run_block_units(
       plan: `Plan`.
       numbers: of the units, in order.
       on_unit: called with the number of a unit and its table, once all its episodes have ended.
-      engine, lanes, workers, on_progress, fast: as in `batch.run_jobs`.
+      engine, lanes, workers, on_progress: as in `batch.run_jobs`.
       begun: number of a unit -> its first episodes, which are there already.
 
     Returns:
@@ -66,7 +65,7 @@ def run_block_units(
                 on_unit(number, typed(pd.concat([*parts, table_of(rows)], ignore_index=True), plan))
 
         progress = None if on_progress is None else (lambda n, done=done: on_progress(done + n))
-        how: dict[str, Any] = {"engine": engine, "lanes": lanes, "workers": workers, "fast": fast, "alike": plan.alike}
+        how: dict[str, Any] = {"engine": engine, "lanes": lanes, "workers": workers, "alike": plan.alike}
         try:
             found = batch.run_jobs(jobs, Lidar(), Rules(), **how, on_progress=progress, on_job=on_job).costs
         except KeyboardInterrupt:

@@ -1,0 +1,106 @@
+// What a robot knows, as the arrays of a state in JAX (`exploration.state.State`): hits and misses of every cell.
+
+#pragma once
+
+#include <algorithm>
+#include <cstdint>
+
+#include "rules.h"
+
+namespace jexplore {
+
+// Cells are flat indices. Nothing leaves the map: its outermost rows and columns are walls, which `IsWalled` tells.
+struct CountMaps {
+  int height, width;
+  int32_t *hits, *misses;      // [H, W]
+  bool *driven, *exhausted;    // [H, W]
+  const int8_t* route;         // [H, W], the motion in every cell of the way
+  const bool* occupied;        // [H, W], the true world
+  const int32_t* rooms;        // [H, W]
+  const bool* within;          // [H, W], where the robot may be and what it is to know; null: everywhere
+  const int32_t* by_beam;      // [8, n_blocks, n_beams, block], `raycast.Beams`
+  const int32_t* length;       // [8, n_beams]
+  int n_blocks, n_beams, block;
+  int extent[2];               // height and width of the world without padding
+  bool no_echo_is_free;
+  float p_free;                // largest reflection probability of a free cell
+  int n_known = 0;             // known cells within
+
+  bool IsWithin(int i) const { return !within || within[i]; }
+  int Row(int i) const { return i / width; }
+  int Col(int i) const { return i % width; }
+  int Flat(int i) const { return i; }
+  int Offset(int motion) const { return DRow(motion) * width + DCol(motion); }
+  int Room(int i) const { return rooms[i]; }
+  int Motion(int at, int) const { return route[at] & 7; }
+  int known() const { return n_known; }
+  void Drive(int i) { driven[i] = true; }
+  void Exhaust(int i) { exhausted[i] = true; }
+
+  bool IsWalled() const {
+    const int last = (height - 1) * width;
+    bool walled = height > 0 && width > 0;
+    for (int col = 0; walled && col < width; ++col) walled = occupied[col] && occupied[last + col];
+    for (int i = 0; walled && i <= last; i += width) walled = occupied[i] && occupied[i + width - 1];
+    return walled;
+  }
+
+  // `planning.is_open`, of a cell that is no wall.
+  bool IsOpen(int i) const {
+    if (occupied[i] || !IsWithin(i)) return false;
+    const int n = hits[i] + misses[i];
+    return driven[i] || (n > 0 && static_cast<float>(hits[i]) <= p_free * static_cast<float>(n));
+  }
+
+  // `planning.is_live`.
+  bool IsLive(int i) const {
+    const int row = Row(i), col = Col(i);
+    for (int motion = 0; motion < 8; ++motion) {
+      const int r = row + DRow(motion), c = col + DCol(motion), j = r * width + c;
+      if (r < 0 || r >= extent[0] || c < 0 || c >= extent[1] || !IsWithin(j)) continue;
+      if ((hits[j] | misses[j]) == 0) return true;
+    }
+    return false;
+  }
+
+  // `raycast.scan`, `sensing.without_silent` and `raycast.fold`. What the loops use has names of its own: to the
+  // compiler a count that is written might be a member.
+  void Scan(int from, int heading) {
+    const bool* walls = occupied + from;
+    int32_t *hit = hits + from, *missed = misses + from;
+    const int beams = n_beams, part = block, next = n_beams * block;
+    const int32_t *ends = length + heading * beams, *table = by_beam + static_cast<int64_t>(heading) * n_blocks * next;
+    const bool says_nothing = !no_echo_is_free;  // without an echo
+    int fresh = 0;
+    auto count = [&](int32_t* counts, const int32_t* others, int i) {
+      if (counts[i]++ == 0 && others[i] == 0) fresh += IsWithin(from + i);
+    };
+    count(missed, hit, 0);
+    for (int beam = 0; beam < beams; ++beam) {
+      const int32_t* first = table + static_cast<int64_t>(beam) * part;
+      if (says_nothing && !Echoes(walls, first, ends[beam])) continue;
+      bool stopped = false;
+      for (int left = ends[beam]; left > 0 && !stopped; left -= part, first += next) {
+        const int32_t* end = first + std::min(left, part);
+        for (const int32_t* step = first; step < end; ++step) {
+          stopped = walls[*step];
+          if (stopped) {
+            count(hit, missed, *step);
+            break;
+          }
+          count(missed, hit, *step);
+        }
+      }
+    }
+    n_known += fresh;
+  }
+
+  bool Echoes(const bool* walls, const int32_t* first, int left) const {
+    for (; left > 0; left -= block, first += n_beams * block)
+      for (const int32_t *step = first, *end = first + std::min(left, block); step < end; ++step)
+        if (walls[*step]) return true;
+    return false;
+  }
+};
+
+}  // namespace jexplore

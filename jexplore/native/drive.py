@@ -1,0 +1,122 @@
+"""Driving until the strategy must be asked, as one call of native code inside a program of JAX's: for one robot on a
+CPU whose scanner is without noise. What it does is what `exploration.environment.advance` does, bit by bit.
+"""
+
+import enum
+from importlib.metadata import version
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from jexplore.native.build import FOLDER, Library, load_library, warn_once
+
+SOURCES = tuple(FOLDER / name for name in ("drive.cc", "counts.h", "rules.h"))
+SYMBOL = "jexplore_drive"
+CHANGED = (
+    "row", "col", "heading", "looking", "looked", "walking", "bumped", "unscanned", "known", "room", "straight",
+    "diagonal", "turns", "scans", "exhausted", "outcome", "room_entries", "refused",
+)  # fmt: skip
+"""Numbers of a state that driving changes, in the order of `Changed` in drive.cc."""
+
+
+class Stage(enum.IntEnum):
+    """Where driving sets in."""
+
+    FIRST_SCANS = 0  # with those at the start, and no other
+    NEXT_SCAN = 1  # with that which belongs to the last motion
+    ANSWERED = 2  # after it: the strategy has said whether its target is live
+
+
+def library() -> Library:
+    """Return the library, built if need be; its name is a target of JAX's FFI."""
+    flags = f"-I{jax.ffi.include_dir()}", f'-DJAXLIB="{version("jaxlib")}"'
+    found = load_library(SOURCES, flags, _check)
+    if found.loaded is None:
+        return found
+    try:
+        _register(found.name, getattr(found.loaded, SYMBOL))
+    except AttributeError as error:
+        return Library(None, f"{SOURCES[0].name} could not be loaded: {error}")
+    return found
+
+
+def _check(loaded):
+    return "" if hasattr(loaded, SYMBOL) else f"it has no {SYMBOL}"
+
+
+_registered: set[str] = set()
+
+
+def _register(name, handler):
+    if name not in _registered:
+        jax.ffi.register_ffi_target(name, jax.ffi.pycapsule(handler), platform="cpu")
+        _registered.add(name)
+
+
+def find_target() -> str | None:
+    """Return the target of JAX's FFI that drives; None: there is none, which is said once in a process.
+
+    Warns:
+      InputWarning: no compiler, one that fails, or nowhere to keep what it makes.
+    """
+    found = library()
+    if found.loaded is not None:
+        return found.name
+    warn_once(found.why_not)
+    return None
+
+
+def drive(setup: Any, given: Any, state: Any, stage: Stage, live: Array | bool = False) -> tuple[Any, Array]:
+    """Drive a robot until its plan is done or its strategy must be asked.
+
+    Maps and trail change in place where they are used no more.
+
+    Args:
+      setup: `exploration.state.Setup` with a native target. Static.
+      given: `engine.program.Given` of an episode.
+      state: `exploration.state.State`.
+      stage: Static.
+      live: bool, what the strategy has said.
+
+    Returns:
+      `(state, asks)`: bool, whether the strategy must say whether its target is live before the robot goes on.
+    """
+    belief, truth, beams = state.belief, given.scenes, given.shared
+    numbers = _numbers([getattr(state, name) for name in CHANGED])
+    changed = jnp.concatenate([numbers, state.came_from, jnp.zeros(1, jnp.int32)])
+    within = jnp.zeros((1, 1), bool) if belief.within is None else belief.within
+    maps = belief.grid.hits, belief.grid.misses, belief.driven, belief.exhausted, state.trail
+    places = state.route, truth.occupied, truth.rooms, within, beams.by_beam, beams.length
+    results = [jax.ShapeDtypeStruct(a.shape, a.dtype) for a in (*maps, changed)]
+    call = jax.ffi.ffi_call(
+        setup.native, results, input_output_aliases={i: i for i in range(len(results))}, vmap_method="sequential"
+    )
+    terms = _terms(setup, given, state, stage, live)
+    p_free = jnp.asarray(belief.model.p_free, jnp.float32)
+    *maps, new = call(*maps, changed, *places, terms, p_free, may_ask=setup.policy.live is not None)
+    *numbers, row, col, asks = jnp.unstack(new)
+    state = state.replace(**dict(zip(CHANGED, numbers)), came_from=jnp.stack([row, col]), trail=maps.pop())
+    hits, misses, driven, exhausted = maps
+    where = {"row": state.row, "col": state.col, "heading": state.heading}
+    grid = belief.grid.replace(hits=hits, misses=misses)
+    belief = belief.replace(grid=grid, driven=driven, exhausted=exhausted, **where)
+    return state.replace(belief=belief, walking=state.walking != 0), asks != 0
+
+
+def _numbers(values):
+    """Scalars as one array of int32."""
+    return jnp.stack([jnp.asarray(value, jnp.int32) for value in values])
+
+
+def _terms(setup, given, state, stage, live):
+    """What driving reads of numbers, in the order of `Terms` in drive.cc."""
+    rules = given.numbers
+    return _numbers(
+        [
+            *state.target, state.is_view, state.plans, stage, live, given.scene, *state.belief.extent,
+            setup.first_scans, rules.arrival_d2, rules.scan_every, rules.max_steps, rules.max_plans, rules.look_around,
+            rules.recheck, rules.no_echo_is_free,
+        ]
+    )  # fmt: skip
