@@ -77,7 +77,15 @@ class Case:
     def on_cpu(self, n, workers):
         """Run n episodes on the CPU: `([n, RESULT], seconds)`."""
         run = NativeRun(
-            self.place, self.world, self.starts[np.arange(n) % len(self.starts)], 2, 0, np.arange(n), -1, None
+            self.place,
+            self.parts,
+            self.world,
+            self.starts[np.arange(n) % len(self.starts)],
+            2,
+            0,
+            np.arange(n),
+            -1,
+            None,
         )
         took = play_all([run], workers, lambda _: None)
         return run.table, took

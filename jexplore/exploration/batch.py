@@ -1,20 +1,21 @@
 """Many exploration episodes: strategies in worlds, by either engine, with equal results."""
 
 import time
-import warnings
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import jax
 import numpy as np
 
-from jexplore.config import MAX_SEED, InputError, InputWarning, Lidar, Rules, require_setting, require_whole
+from jexplore.config import MAX_SEED, InputError, Lidar, Rules, require_setting, require_whole
 from jexplore.engine.runner import Costs, find_resources, own_cores, require_32_bits, run_all
-from jexplore.exploration.native import NativeRun, chooser_of, is_native, native_world, play_all, result_of
+from jexplore.exploration.native import NativeRun, chooser_of, is_native, parts_of, play_all, result_of
 from jexplore.exploration.site import drive_for, line_of, prepare_site
 from jexplore.exploration.state import Result
 from jexplore.exploration.trail import Final, Record, decode
+from jexplore.native.build import warn_once
 from jexplore.native.episodes import RESULT, library
+from jexplore.native.episodes import World as NativeWorld
 from jexplore.policies import Strategy
 from jexplore.policies.catalogue.joined import joined
 from jexplore.worlds.world import World, ring_of
@@ -128,7 +129,7 @@ def _native_runs(jobs, lidar, rules, only, keep):
         return {}
     found = library()
     if found.loaded is None:
-        warnings.warn(f"{found.why_not}; JAX runs the episodes, more slowly", InputWarning, stacklevel=4)
+        warn_once(found.why_not)
         return {}
     places, runs = {}, {}
     for i in can:
@@ -137,11 +138,12 @@ def _native_runs(jobs, lidar, rules, only, keep):
         place = id(job.world), job.strategy.policy.select, job.strategy.recheck, *own
         if place not in places:
             chooser, recheck = chooser_of(job.strategy), job.strategy.recheck
-            places[place] = native_world(found.loaded, job.world, chooser, *own, recheck=recheck)
+            parts = parts_of(job.world, chooser, *own, recheck=recheck)
+            places[place] = NativeWorld(found.loaded, *parts), parts
         keeps = only or (0 if job.first == 0 else NO_RUN)
         which = np.arange(len(job.starts), dtype=np.int32) if only is None else np.array([only], np.int32)
         runs[i] = NativeRun(
-            places[place], job.world, job.starts, job.seed, job.first, which, keeps, keep, turn=job.turn
+            *places[place], job.world, job.starts, job.seed, job.first, which, keeps, keep, turn=job.turn
         )
     return runs
 

@@ -3,6 +3,7 @@
 import dataclasses
 import time
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
@@ -13,8 +14,9 @@ from jexplore.exploration.site import cost_of, limit_of, regions_of, tasks_of
 from jexplore.exploration.state import MARKS, PERCENTILES, Outcome, Result
 from jexplore.exploration.trail import Final, Record, decode, record_of
 from jexplore.grid import radius_d2
-from jexplore.native import episodes
+from jexplore.native import episodes, gpu
 from jexplore.native.beams import trace_beams
+from jexplore.native.build import warn_once
 from jexplore.policies.closest import is_nearest
 from jexplore.policies.policy import Strategy
 from jexplore.policies.uniform import is_uniform
@@ -22,6 +24,10 @@ from jexplore.raycast import scans_all_round
 from jexplore.worlds.world import World, ring_of, with_ring
 
 MOST = 4096  # episodes in one call
+# Episodes of a strategy in a world from which a GPU runs them: an H100 takes a second to begin, in which 16 cores make
+# 1,300 in a cave, and makes 100,000 a second (`benchmarks/device.py`).
+GPU_FROM = 4096
+ON_CPU = "the CPU's cores run the episodes"
 _WIDTHS = {
     "straight_at": len(PERCENTILES),
     "diagonal_at": len(PERCENTILES),
@@ -97,6 +103,7 @@ class NativeRun:
     """Episodes of one strategy in one world, and what has come back; like `engine.program.Line`."""
 
     place: episodes.World
+    parts: tuple[episodes.Spec, episodes.Given]  # of which it is made
     world: World  # as the user has it
     starts: np.ndarray  # [N, 3] int, row, col, heading_deg
     seed: int
@@ -123,9 +130,14 @@ class NativeRun:
         return result_of(self.table)
 
     @property
+    def left(self) -> np.ndarray:
+        """`[m]` int32, numbers of the episodes that have not come back."""
+        return self.which[self.table[self.which, _OUTCOME] == Outcome.RUNNING]
+
+    @property
     def is_done(self) -> bool:
         """Whether all episodes have come back."""
-        return bool((self.table[self.which, _OUTCOME] != Outcome.RUNNING).all())
+        return not self.left.size
 
     @property
     def has_some(self) -> bool:
@@ -162,6 +174,35 @@ class NativeRun:
                 self.records[int(number)] = kept
 
 
+def _play_on_gpu(runs, stop, progress):
+    """Runs on a GPU what is worth it; what it gives up, and what is to be kept whole, is left for the CPU."""
+    runs = [run for run in runs if run.keep is None and len(run.which) >= GPU_FROM]
+    if not runs or not gpu.device_count():
+        return
+    found = gpu.library()
+    if found.loaded is None:
+        warn_once(found.why_not, ON_CPU)
+        return
+    with ThreadPoolExecutor(1) as pool:  # the calling thread hears Ctrl-C
+        for run in runs:
+            numbers = run.left[run.left != run.keeps]
+            future = pool.submit(gpu.play, found.loaded, *run.parts, run.tasks[numbers], stop)
+            try:
+                played = future.result()
+            except (MemoryError, RuntimeError) as error:
+                warn_once(str(error), ON_CPU)
+                return
+            except BaseException:
+                stop[0] = 1
+                played = future.result()
+                if played is not None:
+                    run.put(numbers, episodes.Played(played.results, None, None, None, None))
+                raise
+            if played is not None:
+                run.put(numbers, episodes.Played(played.results, None, None, None, None))
+            progress(0)
+
+
 _OUTCOME = [field.name for field in dataclasses.fields(Result)].index("outcome")
 
 
@@ -188,17 +229,19 @@ def play_all(
     began, stop, told = time.perf_counter(), np.zeros(1, np.int32), set()
 
     def pieces_of(run):
+        left = run.left
+
         def call(first, n):
             since = time.perf_counter()
-            return run.play(run.which[first : first + n], stop), time.perf_counter() - since
+            return run.play(left[first : first + n], stop), time.perf_counter() - since
 
         def keep(first, n, found):
-            run.put(run.which[first : first + n], found)
+            run.put(left[first : first + n], found)
 
-        return Pieces(total=len(run.which), most=MOST, call=call, keep=keep, turn=run.turn, pace=Pace())
+        return Pieces(total=len(left), most=MOST, call=call, keep=keep, turn=run.turn, pace=Pace())
 
-    def progress(done):
-        on_progress(done)
+    def progress(_):
+        on_progress(sum(len(run.which) - len(run.left) for run in runs))
         for i, run in enumerate(runs):
             if on_run is not None and i not in told and run.is_done:
                 told.add(i)
@@ -207,6 +250,7 @@ def play_all(
     def give_up():
         stop[0] = 1
 
+    _play_on_gpu(runs, stop, progress)
     share_out([pieces_of(run) for run in runs], workers, progress, give_up)
     return time.perf_counter() - began
 
@@ -232,8 +276,8 @@ def show_episode(
 
     Returns:
       `(codes, headings)`: `[F, H, W]` uint8, 0 unknown, 1 free, 2 occupied, `frontier` more where a frontier cell can
-        be reached; `[F]` int32, units of 45 degrees, at the last scan there. None: the scanner has noise, or there is no
-        native code.
+        be reached; `[F]` int32, units of 45 degrees, at the last scan there. None: the scanner has noise, or there is
+        no native code.
     """
     found = episodes.library()
     if not is_exact(lidar) or found.loaded is None or final.plans is None:

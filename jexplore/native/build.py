@@ -37,13 +37,13 @@ class Library(NamedTuple):
 
 
 @functools.cache
-def warn_once(why_not: str) -> None:
+def warn_once(why_not: str, instead: str = "JAX does without native code") -> None:
     """Say, once in a process, why there is no library.
 
     Warns:
       InputWarning: saying so in a line.
     """
-    warnings.warn(f"{why_not}: JAX does without native code, with the same results", InputWarning, stacklevel=3)
+    warnings.warn(f"{why_not}: {instead}, with the same results", InputWarning, stacklevel=3)
 
 
 def find_compiler() -> list[str]:

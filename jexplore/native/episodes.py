@@ -238,8 +238,8 @@ class World:
         return codes, headings
 
 
-# A room with a pillar and a niche, and what an episode from (2, 2) comes to there, as JAX has it: the first entries of its
-# result and the sum of all.
+# A room with a pillar and a niche, and what an episode from (2, 2) comes to there, as JAX has it: the first entries of
+# its result and the sum of all.
 _ROOM = ("##########", "#........#", "#..##....#", "#..##....#", "#......###", "#........#", "##########")
 _EXPECTED = {NEAREST: (19, 6, 45, 42, 14, 5, 1, 65, 810), UNIFORM: (35, 4, 63, 56, 13, 5, 1, 65, 875)}
 
@@ -254,7 +254,9 @@ def check(loaded: ctypes.CDLL) -> str:
     for chooser, expected in _EXPECTED.items():
         spec = Spec(*occupied.shape, 37, 2, 0, 1, 0, 0, 100, 100, 1, 1, 1, chooser, 0.25)
         place = World(loaded, spec, given)
-        found = place.play(place.tasks(np.array([[2, 2, 1]]), 7, np.zeros(1, np.int32)), np.zeros(1, np.int32)).results[0]
+        found = place.play(place.tasks(np.array([[2, 2, 1]]), 7, np.zeros(1, np.int32)), np.zeros(1, np.int32)).results[
+            0
+        ]
         if (*found[:8].tolist(), int(found.sum())) != expected:
             return f"an episode in it came to {found[:8].tolist()}, not to what it should"
     return ""

@@ -1,6 +1,7 @@
 """Batches of whole episodes by an NVIDIA GPU: a warp an episode. Built by nvcc on first use."""
 
 import ctypes
+import functools
 import os
 import shlex
 import shutil
@@ -63,6 +64,16 @@ def library(arch: str = "native", flags: Sequence[str] = ()) -> Library:
             c_int64,
         ]  # fmt: skip
     return found
+
+
+@functools.cache
+def device_count() -> int:
+    """Return how many GPUs NVIDIA's driver has; 0 without one. Nothing is built for that."""
+    try:
+        driver, n = ctypes.CDLL("libcuda.so.1"), c_int(0)
+        return n.value if not (driver.cuInit(0) or driver.cuDeviceGetCount(ctypes.byref(n))) else 0
+    except (OSError, AttributeError):
+        return 0
 
 
 def play(

@@ -5,7 +5,7 @@ import dataclasses
 import jax
 import numpy as np
 
-from jexplore.exploration.native import NativeRun, chooser_of, native_world, play_all
+from jexplore.exploration.native import NativeRun, chooser_of, parts_of, play_all
 from jexplore.exploration.state import Result
 from jexplore.exploration.trail import decode, kept
 from jexplore.native import episodes
@@ -22,8 +22,18 @@ def play(case, loaded=None):
     limits = {name: getattr(case.rules, name) or CAPACITY for name in ("max_steps", "max_plans")}
     rules, strategy = dataclasses.replace(case.rules, **limits), parse_strategy(case.strategy)
     chooser = chooser_of(strategy)
-    place = native_world(loaded, world, chooser, case.lidar, rules, recheck=strategy.recheck)
-    run = NativeRun(place, world, np.array([case.start]), case.seed, 0, np.zeros(1, np.int32), 0, "maps")
+    parts = parts_of(world, chooser, case.lidar, rules, recheck=strategy.recheck)
+    run = NativeRun(
+        episodes.World(loaded, *parts),
+        parts,
+        world,
+        np.array([case.start]),
+        case.seed,
+        0,
+        np.zeros(1, np.int32),
+        0,
+        "maps",
+    )
     play_all([run], 1, lambda _: None)
     return run
 
