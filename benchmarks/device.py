@@ -13,11 +13,13 @@ import os
 import subprocess
 import sys
 import time
+import unittest.mock
 
 import numpy as np
 
 import jexplore as jx
 from jexplore.config import Lidar, Rules
+from jexplore.exploration import native
 from jexplore.exploration.native import NativeRun, chooser_of, native_world, parts_of, play_all
 from jexplore.native import episodes, gpu
 from jexplore.policies import parse_strategy
@@ -76,18 +78,10 @@ class Case:
 
     def on_cpu(self, n, workers):
         """Run n episodes on the CPU: `([n, RESULT], seconds)`."""
-        run = NativeRun(
-            self.place,
-            self.parts,
-            self.world,
-            self.starts[np.arange(n) % len(self.starts)],
-            2,
-            0,
-            np.arange(n),
-            -1,
-            None,
-        )
-        took = play_all([run], workers, lambda _: None)
+        starts = self.starts[np.arange(n) % len(self.starts)]
+        run = NativeRun(self.place, self.parts, self.world, starts, 2, 0, np.arange(n), -1, None)
+        with unittest.mock.patch.object(native, "GPU_FROM", n + 1):
+            took = play_all([run], workers, lambda _: None)
         return run.table, took
 
 

@@ -3,7 +3,7 @@
 import dataclasses
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 from typing import Any
 
 import numpy as np
@@ -176,31 +176,44 @@ class NativeRun:
 
 def _play_on_gpu(runs, stop, progress):
     """Runs on a GPU what is worth it; what it gives up, and what is to be kept whole, is left for the CPU."""
-    runs = [run for run in runs if run.keep is None and len(run.which) >= GPU_FROM]
-    if not runs or not gpu.device_count():
+    groups = {}
+    for run in runs:
+        if run.keep is None:
+            groups.setdefault(id(run.place), []).append(run)
+    groups = [group for group in groups.values() if sum(len(run.which) for run in group) >= GPU_FROM]
+    if not groups or not gpu.device_count():
         return
     found = gpu.library()
     if found.loaded is None:
         warn_once(found.why_not, ON_CPU)
         return
     with ThreadPoolExecutor(1) as pool:  # the calling thread hears Ctrl-C
-        for run in runs:
-            numbers = run.left[run.left != run.keeps]
-            future = pool.submit(gpu.play, found.loaded, *run.parts, run.tasks[numbers], stop)
+        for group in groups:
+            numbers = [run.left[run.left != run.keeps] for run in group]
+            tasks = np.concatenate([run.tasks[own] for run, own in zip(group, numbers)])
+            future = pool.submit(gpu.play, found.loaded, *group[0].parts, tasks, stop)
             try:
-                played = future.result()
-            except (MemoryError, RuntimeError) as error:
-                warn_once(str(error), ON_CPU)
-                return
+                wait([future])
             except BaseException:
                 stop[0] = 1
-                played = future.result()
-                if played is not None:
-                    run.put(numbers, episodes.Played(played.results, None, None, None, None))
                 raise
-            if played is not None:
-                run.put(numbers, episodes.Played(played.results, None, None, None, None))
+            finally:
+                _put_all(group, numbers, future)
             progress(0)
+
+
+def _put_all(group, numbers, future):
+    """Keeps what a GPU has found for some runs, once it has; where it cannot go on, a line says why."""
+    try:
+        played = future.result()
+    except (MemoryError, RuntimeError) as error:
+        warn_once(str(error), ON_CPU)
+        return
+    at = 0
+    for run, own in zip(group, numbers):
+        if played is not None:
+            run.put(own, episodes.Played(played.results[at : at + len(own)], None, None, None, None))
+        at += len(own)
 
 
 _OUTCOME = [field.name for field in dataclasses.fields(Result)].index("outcome")

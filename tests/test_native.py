@@ -1,0 +1,229 @@
+"""Whole episodes in native code: by hand, the bits of JAX, as a GPU runs them, broken builds, interruptions."""
+
+import ctypes
+import dataclasses
+import threading
+import time
+
+import jax
+import numpy as np
+import pytest
+from ref import fuzz, maps, native
+
+import jexplore as jx
+from jexplore.config import InputWarning, Lidar, Rules
+from jexplore.exploration import native as runs
+from jexplore.exploration.batch import Job, run_jobs
+from jexplore.native import build, episodes, gpu
+from jexplore.native.beams import trace_beams
+from jexplore.policies import parse_strategy
+from jexplore.raycast import beam_table
+from jexplore.studies import replays
+from jexplore.worlds.starts import draw_starts
+from jexplore.worlds.world import World
+
+needs_compiler = pytest.mark.skipif(not build.find_compiler(), reason="no C++ compiler")
+needs_nvcc = pytest.mark.skipif(not gpu.find_nvcc(), reason="no nvcc")
+LIDAR, RULES = Lidar(n_beams=37, range_m=2.0), Rules()
+ROOMS = "rooms:width_m=6,height_m=5"
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _folder(tmp_path_factory):
+    """A folder of its own for what is built."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("native")))
+        yield
+
+
+@pytest.fixture
+def forgetful():
+    """Libraries are looked for anew, and warnings said again; afterwards as well."""
+    caches = build.build_library, build.warn_once
+    for cache in caches:
+        cache.cache_clear()
+    yield
+    for cache in caches:
+        cache.cache_clear()
+
+
+def job_of(name, n=4, world=ROOMS, seed=3):
+    world = jx.load_world(world) if isinstance(world, str) else world
+    return Job(world, parse_strategy(name), draw_starts(world, 5, n, RULES.clearance_m), seed=seed)
+
+
+def assert_equal(one, other):
+    jax.tree.map(np.testing.assert_array_equal, one, other)
+
+
+@needs_compiler
+@pytest.mark.jit
+def test_an_episode_by_hand():
+    """A corridor one cell wide: the robot sees along and across, and drives until it has seen both walls everywhere."""
+    occupied = np.ones((3, 7), bool)
+    occupied[1, 1:6] = False
+    job = Job(World(occupied=occupied, cell_m=1.0, name="corridor"), parse_strategy("closest"), np.array([[1, 2, 0]]))
+    rules = Rules(clearance_m=0, near_m=1.0)
+    found = run_jobs([job], Lidar(n_beams=4, fov_deg=360, range_m=9), rules).outcomes[0]
+    assert found.result.outcome.tolist() == [1]
+    assert found.result.known.tolist() == [5 + 2 + 10]  # the floor, both ends, and the walls at its sides
+    assert maps.picture(found.first.hits, found.first.misses) == ["?#####?", "#.....#", "?#####?"]
+
+
+@needs_compiler
+@pytest.mark.jit
+@pytest.mark.parametrize("name", ["closest", "closest+recheck", "random", "random+recheck"])
+def test_episodes_have_the_bits_of_jax(name):
+    job = job_of(name)
+    ours, theirs = (
+        run_jobs([job], LIDAR, RULES, engine=engine, keep="maps").outcomes[0] for engine in (None, "serial")
+    )
+    assert_equal(dataclasses.asdict(ours.result), dataclasses.asdict(theirs.result))
+    assert_equal(ours.first._replace(plans=None), theirs.first._replace(plans=None))
+    assert ours.first.plans == theirs.first.plans
+    assert_equal(ours.records, theirs.records)
+
+
+@needs_compiler
+@pytest.mark.parametrize("number", range(30))
+def test_a_warp_comes_to_the_same(number):
+    """As a GPU runs it, its lanes one after the other; scans by their beams, and looked up."""
+    case = fuzz.draw_case(3, number, [one for one in fuzz.MANY if not one.noisy and not one.restricted])
+    run = native.play(case)
+    for views in (False, True):
+        found = run.place.emulate(run.tasks, views=views)
+        np.testing.assert_array_equal(found[0], run.table[0])
+
+
+@needs_compiler
+def test_a_map_from_the_beginning_is_for_a_cpu():
+    world = jx.load_world(ROOMS)
+    known = np.where(np.arange(world.shape[1]) < 5, world.occupied, -1).astype(np.int8)
+    parts = runs.parts_of(world.replace(known=known), episodes.NEAREST, LIDAR, RULES, recheck=False)
+    place = episodes.World(episodes.library().loaded, *parts)
+    tasks = place.tasks(np.array([[3, 3, 0]]), 0, np.zeros(1, np.int32))
+    assert place.emulate(tasks, views=False) is None
+
+
+@needs_compiler
+@pytest.mark.jit
+def test_a_gpu_runs_what_it_can_and_the_cpu_the_rest(monkeypatch):
+    """The GPU by emulation, which gives up one episode; episode 0 is kept whole, by the CPU."""
+    asked = []
+
+    def play(loaded, spec, given, tasks, stop):
+        place = episodes.World(episodes.library().loaded, spec, given)
+        own = np.concatenate([place.tasks(t["start"][None], t["seed"], t["draw"][None]) for t in tasks])
+        results = place.emulate(own, views=False)
+        results[2] = 0
+        asked.append(len(tasks))
+        return gpu.Played(results, gpu.Measured())
+
+    job = job_of("random", 12)
+    monkeypatch.setattr(runs, "GPU_FROM", 10)
+    monkeypatch.setattr(gpu, "device_count", lambda: 1)
+    monkeypatch.setattr(gpu, "library", lambda: build.Library(ctypes.CDLL(None)))
+    monkeypatch.setattr(gpu, "play", play)
+    ours = run_jobs([job], LIDAR, RULES).outcomes[0]
+    assert asked == [11]
+    theirs = run_jobs([job], LIDAR, RULES, engine="serial").outcomes[0]
+    assert_equal(dataclasses.asdict(ours.result), dataclasses.asdict(theirs.result))
+    np.testing.assert_array_equal(ours.first.hits, theirs.first.hits)
+
+
+@needs_nvcc
+@pytest.mark.parametrize("arch", ["sm_80", "sm_90", "sm_100"])
+def test_the_cuda_library_is_built(arch):
+    found = gpu.library(arch)
+    assert found.loaded is not None, found.why_not
+    assert found.loaded.jexplore_gpus() >= 0
+
+
+def test_beams_enter_the_cells_of_the_table():
+    for lidar, cell_m in (
+        (Lidar(), 0.1),
+        (Lidar(90, 70, 3.0), 0.07),
+        (Lidar(8, 360, 5.0), 0.5),
+        (Lidar(1, 90, 2.0), 0.2),
+    ):
+        beams, table = trace_beams(lidar.n_beams, lidar.fov_deg, lidar.range_m, cell_m), beam_table(lidar, cell_m, 1000)
+        np.testing.assert_array_equal(beams.length, table.length)
+        for heading, beam in np.ndindex(*beams.length.shape):
+            n = beams.length[heading, beam]
+            is_row = beams.is_row[heading, beam, np.arange(n) // 32] >> (np.arange(n) % 32).astype(np.uint32) & 1
+            rows, cols = np.cumsum(is_row), np.cumsum(1 - is_row.astype(int))
+            np.testing.assert_array_equal(rows * beams.way[heading, beam, 1], table.drow[heading, :n, beam])
+            np.testing.assert_array_equal(cols * beams.way[heading, beam, 0], table.dcol[heading, :n, beam])
+
+
+# ---------------------------------------------------------------- replays
+
+
+@needs_compiler
+@pytest.mark.jit
+@pytest.mark.parametrize("name", ["closest+recheck", "gain-rate+recheck:samples=60", "random"])
+def test_a_replay_shows_what_jax_does(name, monkeypatch):
+    """Of a strategy with view points as well, whose choices are on the record."""
+    job = job_of(name, 1)
+    final = run_jobs([job], LIDAR, RULES).outcomes[0].first
+    how = {"start": tuple(job.starts[0].tolist()), "seed": job.seed, "number": 0, "lidar": LIDAR, "rules": RULES}
+    ours = replays.replay_data(job.world, job.strategy, final, **how)
+    monkeypatch.setattr(replays, "show_episode", lambda *args: None)
+    theirs = replays.replay_data(job.world, job.strategy, final, **how)
+    assert_equal(*(jax.tree.leaves(data.changes) for data in (ours, theirs)))
+    np.testing.assert_array_equal(ours.heading_deg, theirs.heading_deg)
+
+
+# ---------------------------------------------------------------- building, interrupting
+
+
+@pytest.mark.usefixtures("forgetful")
+@pytest.mark.jit
+def test_without_a_compiler_jax_runs_and_says_so_once(monkeypatch, tmp_path):
+    job = job_of("closest", 2)
+    want = run_jobs([job], LIDAR, RULES, engine="serial").outcomes[0].result
+    monkeypatch.setenv("PATH", str(tmp_path))
+    monkeypatch.delenv("CXX", raising=False)
+    build.warn_once.cache_clear()
+    with pytest.warns(InputWarning, match=r"^no C\+\+ compiler was found") as told:
+        found = run_jobs([job], LIDAR, RULES).outcomes[0].result
+    assert len(told) == 1
+    assert_equal(dataclasses.asdict(found), dataclasses.asdict(want))
+
+
+@needs_compiler
+@pytest.mark.usefixtures("forgetful")
+def test_a_library_that_counts_wrongly_is_not_used(monkeypatch):
+    monkeypatch.setitem(episodes._EXPECTED, episodes.NEAREST, (0,) * 9)
+    monkeypatch.setenv("CXX", "c++ -DNOTHING")  # another library than the one that is built
+    found = episodes.library()
+    assert found.loaded is None
+    assert "an episode in it came to" in found.why_not
+
+
+@needs_compiler
+@pytest.mark.jit
+def test_an_interruption_keeps_what_has_ended(monkeypatch):
+    """Ctrl-C while native code runs: the calls under way return at once, and what had ended is there."""
+    job, interrupted = job_of("random", 2000, world="office"), threading.Event()
+
+    def on_progress(done):
+        if done > 3 and not interrupted.is_set():
+            interrupted.set()
+            raise KeyboardInterrupt
+
+    began = time.monotonic()
+    found = run_jobs([job], Lidar(), RULES, workers=1, on_progress=on_progress)
+    assert found.costs.interrupted
+    assert time.monotonic() - began < 60
+    ended = found.outcomes[0].result.outcome != 0
+    assert 3 < ended.sum() < 2000
+    again = run_jobs([job._replace(starts=job.starts[:1])], Lidar(), RULES).outcomes[0].result
+    assert again.known[0] == found.outcomes[0].result.known[0]
+
+
+def test_a_strategy_or_scanner_of_which_there_is_none():
+    assert runs.is_native(parse_strategy("closest"), LIDAR)
+    assert not runs.is_native(parse_strategy("gain-rate"), LIDAR)
+    assert not runs.is_native(parse_strategy("closest+segment"), LIDAR)
+    assert not runs.is_native(parse_strategy("closest"), dataclasses.replace(LIDAR, dropout=0.1))
