@@ -138,12 +138,20 @@ def _native_runs(jobs, lidar, rules, only, keep):
         place = id(job.world), job.strategy.policy.select, job.strategy.recheck, *own
         if place not in places:
             chooser, recheck = chooser_of(job.strategy), job.strategy.recheck
+            assert chooser is not None
             parts = parts_of(job.world, chooser, *own, recheck=recheck)
             places[place] = NativeWorld(found.loaded, *parts), parts
-        keeps = only or (0 if job.first == 0 else NO_RUN)
-        which = np.arange(len(job.starts), dtype=np.int32) if only is None else np.array([only], np.int32)
         runs[i] = NativeRun(
-            *places[place], job.world, job.starts, job.seed, job.first, which, keeps, keep, turn=job.turn
+            place=places[place][0],
+            parts=places[place][1],
+            world=job.world,
+            starts=job.starts,
+            seed=job.seed,
+            first=job.first,
+            which=np.arange(len(job.starts), dtype=np.int32) if only is None else np.array([only], np.int32),
+            keeps=only or (0 if job.first == 0 else NO_RUN),
+            keep=keep,
+            turn=job.turn,
         )
     return runs
 

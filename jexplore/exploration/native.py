@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from jexplore.config import Lidar, Rules
-from jexplore.engine.threads import Pace, Pieces, share_out
+from jexplore.engine.threads import Pieces, share_out
 from jexplore.exploration.site import cost_of, limit_of, regions_of, tasks_of
 from jexplore.exploration.state import MARKS, PERCENTILES, Outcome, Result
 from jexplore.exploration.trail import Final, Record, decode, record_of
@@ -251,7 +251,7 @@ def play_all(
         def keep(first, n, found):
             run.put(left[first : first + n], found)
 
-        return Pieces(total=len(left), most=MOST, call=call, keep=keep, turn=run.turn, pace=Pace())
+        return Pieces(total=len(left), most=MOST, call=call, keep=keep, turn=run.turn)
 
     def progress(_):
         on_progress(sum(len(run.which) - len(run.left) for run in runs))

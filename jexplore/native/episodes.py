@@ -160,7 +160,7 @@ class World:
         n, tasks = len(tasks), np.ascontiguousarray(tasks)
         results, steps = np.zeros((n, RESULT), np.int32), np.zeros(n, np.int64)
         maps = np.zeros((n, *self.shape), np.uint8) if states else None
-        counts = tuple(np.zeros((2, *self.shape), np.int32)) if whole >= 0 else None
+        counts = (np.zeros(self.shape, np.int32), np.zeros(self.shape, np.int32)) if whole >= 0 else None
         batch = _Batch(
             tasks=tasks.ctypes.data, n=n, stop=stop.ctypes.data, results=results.ctypes.data, whole=whole,
             states=None if maps is None else maps.ctypes.data,
