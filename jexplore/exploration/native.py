@@ -189,9 +189,9 @@ def _play_on_gpu(runs, stop, progress):
         return
     with ThreadPoolExecutor(1) as pool:  # the calling thread hears Ctrl-C
         for group in groups:
-            numbers = [run.left[run.left != run.keeps] for run in group]
+            (spec, given), numbers = group[0].parts, [run.left[run.left != run.keeps] for run in group]
             tasks = np.concatenate([run.tasks[own] for run, own in zip(group, numbers)])
-            future = pool.submit(gpu.play, found.loaded, *group[0].parts, tasks, stop)
+            future = pool.submit(gpu.play, found.loaded, spec, given, tasks, stop)
             try:
                 wait([future])
             except BaseException:
