@@ -108,7 +108,8 @@ def test_two_workers_and_another_order_give_the_same(jobs, one_worker):
     for got, want in zip(report.outcomes[::-1], one_worker):
         assert_equal(got, want)
     assert report.costs.run_s > 0
-    assert report.costs.compile_s > 0
+    engines = {job.strategy.name.split("+")[0] in ("closest", "random") for job in jobs}
+    assert report.costs.engine == {(True,): "native", (False,): "serial"}.get(tuple(engines), "native+serial")
 
 
 @pytest.mark.jit

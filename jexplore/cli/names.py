@@ -157,7 +157,7 @@ def check_trace(options: Any) -> None:
     """Refuses thresholds that a trace cannot have or sweep, and attributes that no node can have."""
     is_course = grammar.parse(options.world, generators=tuple(GENERATORS)).base == "course"
     require_tuning(for_world(options.tuning, is_course=is_course))
-    from jexplore.studies.traces.options import attributes_of, require_start_pose, swept_values
+    from jexplore.studies.trace_options import attributes_of, require_start_pose, swept_values
 
     require_start_pose(options.start or ())
     swept_values(options.sweep, options.settings, options.seed)

@@ -1,5 +1,6 @@
 """Many exploration episodes: strategies in worlds, by either engine, with equal results."""
 
+import dataclasses
 import time
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
@@ -97,23 +98,29 @@ def run_jobs(
     jobs = [_checked(job) for job in jobs]
     plain = engine is None and lanes is None
     runs = _native_runs(jobs, lidar, rules, only, keep) if plain else {}
-    done = sum(len(run.which) for run in runs.values())
+    rest = [i for i in range(len(jobs)) if i not in runs]
+    how, lines = {"engine": engine, "lanes": lanes, "workers": workers}, []
+    if rest:  # made before anything runs, as a user's strategy may be refused
+        resources, lines = _in_jax([jobs[i] for i in rest], lidar, rules, only, keep, alike, how)
     costs = _play(runs, workers or own_cores(), on_progress, on_job)
-    rest, lines = [i for i in range(len(jobs)) if i not in runs], []
-    if rest and not costs.interrupted:
-        how = {"engine": engine, "lanes": lanes, "workers": workers}
-        progress = None if on_progress is None else (lambda n: on_progress(done + n))
-        tell = None if on_job is None else (lambda i, found: on_job(rest[i], found))
-        try:
-            lines, more = _run_in_jax([jobs[i] for i in rest], lidar, rules, only, keep, alike, how, progress, tell)
-            costs = costs.plus(more)
-        except KeyboardInterrupt:
-            if not done:
-                raise
-            costs.interrupted = True
+    if lines and not costs.interrupted:
+        costs = _run_rest(jobs, rest, lines, resources, costs, on_progress, on_job)
     found = {i: Outcomes(run.results, run.final, run.records) for i, run in runs.items()}
-    found |= {i: _outcomes(jobs[i], line) for i, line in zip(rest, lines)}
+    found |= {i: _outcomes(jobs[i], line) for i, line in zip(rest, lines) if line.results is not None}
     return Finished([found.get(i) or _nothing(job) for i, job in enumerate(jobs)], costs)
+
+
+def _run_rest(jobs, rest, lines, resources, costs, on_progress, on_job):
+    """Runs what there is no native code for; `Costs` of all."""
+    done = sum(len(job.starts) for i, job in enumerate(jobs) if i not in rest)
+    progress = None if on_progress is None else (lambda n: on_progress(done + n))
+    tell = None if on_job is None else (lambda i: on_job(rest[i], _outcomes(jobs[rest[i]], lines[i])))
+    try:
+        return costs.plus(run_all(lines, resources, progress, tell))
+    except KeyboardInterrupt:
+        if not done:
+            raise
+        return dataclasses.replace(costs, interrupted=True)
 
 
 def _nothing(job):
@@ -178,15 +185,13 @@ def _play(runs, workers, on_progress, on_job):
     return costs
 
 
-def _run_in_jax(jobs, lidar, rules, only, keep, alike, how, on_progress, on_job):
-    """Runs jobs by programs in JAX: `(lines, costs)`."""
-    resources = find_resources(engine=how["engine"], lanes=how["lanes"], workers=how["workers"])
+def _in_jax(jobs, lidar, rules, only, keep, alike, how):
+    """What runs jobs in JAX: `(resources, lines)`."""
+    resources = find_resources(**how)
     if keep is not None and resources.processes > 1:
         raise InputError(f"keep={keep!r} is for one process, and {resources.processes} share the work")
     native = drive_for(resources.engine, resources.devices[0].platform)
-    lines = _lines_of(jobs, lidar, rules, resources, native, only, keep, alike)
-    tell = None if on_job is None else (lambda i: on_job(i, _outcomes(jobs[i], lines[i])))
-    return lines, run_all(lines, resources, on_progress, tell)
+    return resources, _lines_of(jobs, lidar, rules, resources, native, only, keep, alike)
 
 
 def _lines_of(jobs, lidar, rules, resources, native, only, keep, alike):

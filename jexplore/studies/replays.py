@@ -79,15 +79,7 @@ def replay_data(
     if final.plans is None:
         raise InputError(f"{strategy.name} in {world.name}: an episode of so many plans cannot be played again")
     shown = evenly(len(final.rows) - 1, max_frames)
-    seen = None
-    if not _has_own_room(strategy):  # which JAX segments
-        seen = show_episode(world, strategy, lidar, rules, start, final, shown, FRONTIER)
-    if seen is None:
-        headings, site = [], prepare_site(world, lidar, rules)
-        images = _images(world, strategy, stops(site, strategy, start, seed, number, final, shown), headings)
-    else:
-        images, headings = iter(seen[0]), 45 * seen[1]
-    changes = tuple(changes_of(images))
+    changes, headings = _seen(world, strategy, final, start, seed, number, lidar, rules, shown)
     target, until = _aims(final, shown)
     return ReplayData(
         world=world.name,
@@ -112,6 +104,17 @@ def replay_data(
 
 def _has_own_room(strategy):
     return isinstance(strategy.policy.params, room_wise.Params)
+
+
+def _seen(world, strategy, final, start, seed, number, lidar, rules, shown):
+    """What `changes_of` makes of the maps at some steps, and the headings there, degrees."""
+    if not _has_own_room(strategy):  # which JAX segments
+        seen = show_episode(world, strategy, lidar, rules, start, final, shown, FRONTIER)
+        if seen is not None:
+            return tuple(changes_of(iter(seen[0]))), 45 * seen[1]
+    headings, site = [], prepare_site(world, lidar, rules)
+    found = stops(site, strategy, start, seed, number, final, shown)
+    return tuple(changes_of(_images(world, strategy, found, headings))), headings
 
 
 def _images(world, strategy, found, headings):
