@@ -5,12 +5,36 @@ XLA lets go of the interpreter lock while a program runs.
 
 import collections
 import dataclasses
+import time
 from collections.abc import Callable, Iterable
 from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
 from typing import Any
 
 CALL_S = 1.0  # seconds that a call should take: how often progress moves, and how long Ctrl-C waits
+LOST_S = 0.5  # seconds after which an interruption that was heard, but has not come as an exception, is taken for lost
 IN_ROTATION = 64  # kinds that are under way at a time: each ends, and can be kept, before many others begin
+
+
+class Interruption:
+    """When a process was last interrupted. The exception that Python raises for it is lost where it falls into C code."""
+
+    since: float | None = None
+
+    def hear(self) -> None:
+        """Note an interruption, from any thread."""
+        self.since = time.monotonic()
+
+    def raise_if_lost(self) -> None:
+        """Raise what was heard and has not come.
+
+        Raises:
+          KeyboardInterrupt: it was heard `LOST_S` ago.
+        """
+        if self.since is not None and time.monotonic() - self.since > LOST_S:
+            raise KeyboardInterrupt
+
+
+interruption = Interruption()
 
 
 @dataclasses.dataclass
@@ -90,7 +114,9 @@ def share_out(
                     waiting.append(pieces)
             done += sum(finish(future) for future in wait(running, return_when=FIRST_COMPLETED).done)
             on_progress(done)
+            interruption.raise_if_lost()
     except BaseException:
+        interruption.since = None
         give_up()
         raise
     finally:

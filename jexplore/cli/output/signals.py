@@ -20,6 +20,7 @@ import threading
 import time
 
 from jexplore.cli.output.console import say, tell, under_way
+from jexplore.engine.threads import interruption
 
 INTERRUPTED = 130  # exit status of a run that was ended by Ctrl-C
 SOON_S = 0.3  # what has ended by then needs no answer; interruptions closer than this are one: some tools send two
@@ -81,6 +82,7 @@ class Signals:
             self._dropped -= 1
         elif self._heard is None:
             self._heard = now
+            interruption.hear()
             _later(SOON_S, self._answer)
         elif now - self._heard > SOON_S:
             self._quit(int(signal.SIGINT))
