@@ -16,7 +16,7 @@ IN_ROTATION = 64  # kinds that are under way at a time: each ends, and can be ke
 
 
 class Interruption:
-    """When a process was last interrupted. The exception that Python raises for it is lost where it falls into C code."""
+    """When a process was last interrupted. The exception that Python raises for it is lost where it falls into C."""
 
     since: float | None = None
 

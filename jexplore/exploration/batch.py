@@ -99,7 +99,8 @@ def run_jobs(
     plain = engine is None and lanes is None
     runs = _native_runs(jobs, lidar, rules, only, keep) if plain else {}
     rest = [i for i in range(len(jobs)) if i not in runs]
-    how, lines = {"engine": engine, "lanes": lanes, "workers": workers}, []
+    how = {"engine": engine, "lanes": lanes, "workers": workers}
+    resources, lines = None, []
     if rest:  # made before anything runs, as a user's strategy may be refused
         resources, lines = _in_jax([jobs[i] for i in rest], lidar, rules, only, keep, alike, how)
     costs = _play(runs, workers or own_cores(), on_progress, on_job)
