@@ -62,7 +62,7 @@ class Case:
         chooser = chooser_of(self.strategy)
         how = world, chooser, lidar, rules
         self.parts = parts_of(*how, recheck=self.strategy.recheck)
-        self.place = native_world(episodes.library().loaded, *how, recheck=self.strategy.recheck)
+        self.place = native_world(episodes.load().loaded, *how, recheck=self.strategy.recheck)
         self.starts = draw_starts(world, 2, DRAWN, rules.clearance_m)
 
     def tasks(self, n):
@@ -158,14 +158,14 @@ def main():
     end, cores = time.time() + options.seconds, len(os.sched_getaffinity(0))
     print(f"{name_of_gpu()}; {cores} cores", flush=True)
     began = time.time()
-    library, clocked = gpu.library(), gpu.library(flags=("-DJEXPLORE_CLOCKS",))
-    if library.loaded is None or clocked.loaded is None:
-        print(library.why_not or clocked.why_not)
+    plain, clocked = gpu.load(), gpu.load(flags=("-DJEXPLORE_CLOCKS",))
+    if plain.loaded is None or clocked.loaded is None:
+        print(plain.why_not or clocked.why_not)
         return 1
     print(f"built in {time.time() - began:.0f} s, two libraries", flush=True)
-    unequal, rows = check(library.loaded, cores), []
+    unequal, rows = check(plain.loaded, cores), []
     for row in itertools.chain(
-        measure(library.loaded, clocked.loaded, options.episodes, cores, end), lanes(end) if options.lanes else ()
+        measure(plain.loaded, clocked.loaded, options.episodes, cores, end), lanes(end) if options.lanes else ()
     ):
         rows.append(row)
         print(*row, flush=True)

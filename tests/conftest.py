@@ -123,3 +123,16 @@ def maps():
     if not folder.is_dir():
         pytest.skip(f"the maps are not there: no folder {folder}")
     return folder
+
+
+@pytest.fixture
+def forgetful():
+    """Libraries are looked for anew, and warnings said again; afterwards as well."""
+    from jexplore.native import build
+
+    caches = build.build_library, build.warn_once
+    for cache in caches:
+        cache.cache_clear()
+    yield
+    for cache in caches:
+        cache.cache_clear()

@@ -47,20 +47,9 @@ def _folder(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def target(_folder):
-    found = drive.library()
+    found = drive.load()
     assert found.loaded is not None, found.why_not
     return found.name
-
-
-@pytest.fixture
-def forgetful():
-    """Libraries are looked for anew, and warnings said again; afterwards as well."""
-    caches = build.build_library, build.warn_once
-    for cache in caches:
-        cache.cache_clear()
-    yield
-    for cache in caches:
-        cache.cache_clear()
 
 
 def setting(native, occupied=ROOM, lidar=RIGHT_ANGLES, start=(1, 2, 0)):
@@ -251,7 +240,7 @@ def test_a_compiler_that_fails_is_told_in_one_line(monkeypatch, tmp_path):
         ("c++ '-O2", 'CXX must be a command, got "c++ \'-O2": no closing quotation'),
     ):
         monkeypatch.setenv("CXX", command)
-        found = drive.library()
+        found = drive.load()
         assert found.loaded is None
         assert found.why_not.startswith(why)
     assert sorted(path.name for path in (tmp_path / "jexplore").iterdir()) == []
@@ -261,7 +250,7 @@ def test_a_compiler_that_fails_is_told_in_one_line(monkeypatch, tmp_path):
 def test_a_folder_that_cannot_be_made_is_told(monkeypatch, tmp_path):
     (tmp_path / "file").write_text("")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
-    found = drive.library()
+    found = drive.load()
     assert found.loaded is None
     assert "drive.cc could not be built" in found.why_not or "no C++ compiler" in found.why_not
 
@@ -270,7 +259,7 @@ def test_a_folder_that_cannot_be_made_is_told(monkeypatch, tmp_path):
 def test_it_is_built_once(target, forgetful, monkeypatch):
     """Another process finds it, and its compiler is not asked."""
     monkeypatch.setattr(subprocess, "run", None)
-    assert drive.library().name == target
+    assert drive.load().name == target
 
 
 @needs_compiler
@@ -279,5 +268,5 @@ def test_what_does_not_load_is_built_anew(target, forgetful, monkeypatch, tmp_pa
     (tmp_path / "jexplore").mkdir()
     library = tmp_path / "jexplore" / f"{target}.so"
     library.write_bytes(b"not whole")
-    assert drive.library().name == target
+    assert drive.load().name == target
     assert library.stat().st_size > 1000

@@ -36,17 +36,6 @@ def _folder(tmp_path_factory):
         yield
 
 
-@pytest.fixture
-def forgetful():
-    """Libraries are looked for anew, and warnings said again; afterwards as well."""
-    caches = build.build_library, build.warn_once
-    for cache in caches:
-        cache.cache_clear()
-    yield
-    for cache in caches:
-        cache.cache_clear()
-
-
 def job_of(name, n=4, world=ROOMS, seed=3):
     world = jx.load_world(world) if isinstance(world, str) else world
     return Job(world, parse_strategy(name), draw_starts(world, 5, n, RULES.clearance_m), seed=seed)
@@ -100,7 +89,7 @@ def test_a_map_from_the_beginning_is_for_a_cpu():
     world = jx.load_world(ROOMS)
     known = np.where(np.arange(world.shape[1]) < 5, world.occupied, -1).astype(np.int8)
     parts = runs.parts_of(world.replace(known=known), episodes.NEAREST, LIDAR, RULES, recheck=False)
-    place = episodes.World(episodes.library().loaded, *parts)
+    place = episodes.World(episodes.load().loaded, *parts)
     tasks = place.tasks(np.array([[3, 3, 0]]), 0, np.zeros(1, np.int32))
     assert place.emulate(tasks, views=False) is None
 
@@ -112,7 +101,7 @@ def test_a_gpu_runs_what_it_can_and_the_cpu_the_rest(monkeypatch):
     asked = []
 
     def play(loaded, spec, given, tasks, stop):
-        place = episodes.World(episodes.library().loaded, spec, given)
+        place = episodes.World(episodes.load().loaded, spec, given)
         own = np.concatenate([place.tasks(t["start"][None], t["seed"], t["draw"][None]) for t in tasks])
         results = place.emulate(own, views=False)
         results[2] = 0
@@ -122,7 +111,7 @@ def test_a_gpu_runs_what_it_can_and_the_cpu_the_rest(monkeypatch):
     job = job_of("random", 12)
     monkeypatch.setattr(runs, "GPU_FROM", 10)
     monkeypatch.setattr(gpu, "device_count", lambda: 1)
-    monkeypatch.setattr(gpu, "library", lambda: build.Library(ctypes.CDLL(None)))
+    monkeypatch.setattr(gpu, "load", lambda: build.Library(ctypes.CDLL(None)))
     monkeypatch.setattr(gpu, "play", play)
     ours = run_jobs([job], LIDAR, RULES).outcomes[0]
     assert asked == [11]
@@ -134,7 +123,7 @@ def test_a_gpu_runs_what_it_can_and_the_cpu_the_rest(monkeypatch):
 @needs_nvcc
 @pytest.mark.parametrize("arch", ["sm_80", "sm_90", "sm_100"])
 def test_the_cuda_library_is_built(arch):
-    found = gpu.library(arch)
+    found = gpu.load(arch)
     assert found.loaded is not None, found.why_not
     assert found.loaded.jexplore_gpus() >= 0
 
@@ -196,7 +185,7 @@ def test_without_a_compiler_jax_runs_and_says_so_once(monkeypatch, tmp_path):
 def test_a_library_that_counts_wrongly_is_not_used(monkeypatch):
     monkeypatch.setitem(episodes._EXPECTED, episodes.NEAREST, (0,) * 9)
     monkeypatch.setenv("CXX", "c++ -DNOTHING")  # another library than the one that is built
-    found = episodes.library()
+    found = episodes.load()
     assert found.loaded is None
     assert "an episode in it came to" in found.why_not
 

@@ -15,7 +15,7 @@ from jexplore.exploration.site import drive_for, line_of, prepare_site
 from jexplore.exploration.state import Result
 from jexplore.exploration.trail import Final, Record, decode
 from jexplore.native.build import warn_once
-from jexplore.native.episodes import RESULT, library
+from jexplore.native.episodes import RESULT, load
 from jexplore.native.episodes import World as NativeWorld
 from jexplore.policies import Strategy
 from jexplore.policies.catalogue.joined import joined
@@ -135,7 +135,7 @@ def _native_runs(jobs, lidar, rules, only, keep):
     can = [i for i, job in enumerate(jobs) if is_native(job.strategy, job.lidar or lidar)]
     if not can or jax.config.values["jax_disable_jit"] or jax.process_count() > 1:
         return {}
-    found = library()
+    found = load()
     if found.loaded is None:
         warn_once(found.why_not)
         return {}

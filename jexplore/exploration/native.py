@@ -183,7 +183,7 @@ def _play_on_gpu(runs, stop, progress):
     groups = [group for group in groups.values() if sum(len(run.which) for run in group) >= GPU_FROM]
     if not groups or not gpu.device_count():
         return
-    found = gpu.library()
+    found = gpu.load()
     if found.loaded is None:
         warn_once(found.why_not, ON_CPU)
         return
@@ -292,7 +292,7 @@ def show_episode(
         be reached; `[F]` int32, units of 45 degrees, at the last scan there. None: the scanner has noise, or there is
         no native code.
     """
-    found = episodes.library()
+    found = episodes.load()
     if not is_exact(lidar) or found.loaded is None or final.plans is None:
         return None
     rules = dataclasses.replace(rules, max_steps=max(len(final.rows) - 1, 1), max_plans=None)

@@ -29,7 +29,7 @@ class Stage(enum.IntEnum):
     ANSWERED = 2  # after it: the strategy has said whether its target is live
 
 
-def library() -> Library:
+def load() -> Library:
     """Return the library, built if need be; its name is a target of JAX's FFI."""
     flags = f"-I{jax.ffi.include_dir()}", f'-DJAXLIB="{version("jaxlib")}"'
     found = load_library(SOURCES, flags, _check)
@@ -61,7 +61,7 @@ def find_target() -> str | None:
     Warns:
       InputWarning: no compiler, one that fails, or nowhere to keep what it makes.
     """
-    found = library()
+    found = load()
     if found.loaded is not None:
         return found.name
     warn_once(found.why_not)

@@ -82,7 +82,7 @@ class Played(NamedTuple):
     choices: np.ndarray | None  # [plans + 1, 2] int32, its plans (`trail.Choices`), and what they ended with
 
 
-def library() -> Library:
+def load() -> Library:
     """Return the library, built if need be."""
     found = load_library(SOURCES, check=check)
     if found.loaded is not None:

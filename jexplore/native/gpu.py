@@ -44,7 +44,7 @@ def find_nvcc() -> list[str]:
     return own or [place for place in places if place and Path(place).is_file()][:1]
 
 
-def library(arch: str = "native", flags: Sequence[str] = ()) -> Library:
+def load(arch: str = "native", flags: Sequence[str] = ()) -> Library:
     """Return the library for a kind of GPU, built if need be.
 
     Args:
