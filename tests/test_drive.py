@@ -47,6 +47,7 @@ def _folder(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def target(_folder):
+    build.build_library.cache_clear()  # another file's tests may have loaded it from another folder
     found = drive.load()
     assert found.loaded is not None, found.why_not
     return found.name
