@@ -258,7 +258,10 @@ class Settings:
 @checked_names
 @dataclasses.dataclass(frozen=True)
 class Lidar(Settings):
-    """A planar laser scanner that looks forward. The defaults are a SICK LMS 200 as Stage models it."""
+    """A planar laser scanner, at the robot's centre and looking forward unless told otherwise.
+
+    The defaults are a SICK LMS 200 as Stage models it.
+    """
 
     n_beams: int = 181
     """A scan has this many beams, evenly spaced over the field of view, both edges included."""
@@ -274,6 +277,23 @@ class Lidar(Settings):
     no_echo: Literal["free", "unknown"] = "free"
     """A beam that nothing stops within the range says that its cells are free, or says nothing: they stay unknown, as
     drivers have it that report no echo as an invalid reading."""
+    min_range_m: float = 0.0
+    """A beam that is stopped nearer than this to the scanner says nothing, in metres (REP 117: an invalid reading)."""
+    forward_m: float = 0.0
+    """The scanner is mounted this far ahead of the robot's centre, in metres."""
+    left_m: float = 0.0
+    """The scanner is mounted this far to the left of the robot's centre, in metres."""
+    yaw_deg: float = 0.0
+    """The scanner looks this far to the left of the robot's heading, in degrees."""
+
+    @property
+    def mount_m(self) -> float:
+        """Distance of the scanner from the robot's centre, metres."""
+        return math.hypot(self.forward_m, self.left_m)
+
+    def without_noise(self) -> Self:
+        """Return the scanner that has the same beams and perfect readings."""
+        return dataclasses.replace(self, sigma_m=0.0, dropout=0.0, no_echo="free")
 
     def __post_init__(self) -> None:
         if self.no_echo not in ("free", "unknown"):
@@ -283,6 +303,10 @@ class Lidar(Settings):
         require_number("lidar.range_m", self.range_m, low_open=True, high=1000)
         require_number("lidar.sigma_m", self.sigma_m, high=1000)
         require_number("lidar.dropout", self.dropout, high=1, high_open=True)
+        require_number("lidar.min_range_m", self.min_range_m, high=self.range_m, high_open=True)
+        require_number("lidar.forward_m", self.forward_m, low=-10, high=10)
+        require_number("lidar.left_m", self.left_m, low=-10, high=10)
+        require_number("lidar.yaw_deg", self.yaw_deg, low=-360, high=360)
 
 
 @checked_names

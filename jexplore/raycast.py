@@ -36,6 +36,7 @@ class Beams:
     dcol: Array  # [K, S, B] int32, column, likewise
     entry: Array  # [K, S, B] float32, distance at which it is entered, cells; inf beyond the range
     length: Array  # [K, B] int32, cells entered at a distance below the range
+    blind: Array  # [K, B] int32, of these the first ones: a beam that is stopped there says nothing
     reach: Array  # float32, the range, cells
     around: int = struct.field(pytree_node=False, default=1)  # scans, evenly turned, that see all round
     replace: ClassVar[Callable[..., Self]]
@@ -68,17 +69,17 @@ def exact_direction(deg: float | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def beam_angles_deg(lidar: Lidar) -> np.ndarray:
-    """Angles of a scanner's beams relative to its heading.
+    """Angles of a scanner's beams relative to the robot's heading.
 
     Returns:
       `[B]` float64, degrees, from right to left. At a field of view of 360 degrees the last beam stops one step short
       of the first.
     """
     if lidar.n_beams == 1:
-        return np.zeros(1)
+        return np.full(1, float(lidar.yaw_deg))
     full = lidar.fov_deg == 360
     step = lidar.fov_deg / (lidar.n_beams if full else lidar.n_beams - 1)
-    return -lidar.fov_deg / 2 + step * np.arange(lidar.n_beams)
+    return lidar.yaw_deg - lidar.fov_deg / 2 + step * np.arange(lidar.n_beams)
 
 
 def advance_beams(xp: Any, state: Any, geometry: Any) -> tuple[Any, Any]:
@@ -158,22 +159,42 @@ def all_round(beams: Beams) -> Beams:
         dcol=joined(beams.dcol, 2),
         entry=joined(beams.entry, 2),
         length=joined(beams.length, 1),
+        blind=joined(beams.blind, 1),
         reach=beams.reach,
     )
 
 
+def farthest(lidar: Lidar, cell_m: float) -> float:
+    """Bound how far from its cell's centre a robot sees, cells: the range, from a mount anywhere in its own cell."""
+    mount = in_cells(lidar.mount_m, cell_m) + 1 if lidar.mount_m else 0.0
+    return in_cells(lidar.range_m, cell_m) + mount
+
+
+def _cells_to(x, y):
+    """Cells entered on the way from a cell's centre to a point, cells: `[(drow, dcol), ...]` relative to it."""
+    col, row = math.floor(x + 0.5), math.floor(y + 0.5)
+    # Where the way crosses edges of columns and of rows, as parts of its length; through a corner in x first.
+    columns = [(round((i + 0.5) / abs(x), 9), 0, (0, int(math.copysign(1, x)))) for i in range(abs(col))]
+    rows = [(round((i + 0.5) / abs(y), 9), 1, (int(math.copysign(1, y)), 0)) for i in range(abs(row))]
+    return np.cumsum([(0, 0), *(step for *_, step in sorted(columns + rows))], axis=0)[1:]
+
+
 @functools.lru_cache(maxsize=8)
-def beam_table(lidar: Lidar, cell_m: float, width: int, longest_m: float = 0.0) -> Beams:
+def beam_table(lidar: Lidar, cell_m: float, width: int, longest: float = 0.0) -> Beams:
     """The beams of a robot that stands on a cell's centre with a heading that is a multiple of 45 degrees.
+
+    A beam begins at the robot's centre, goes to the scanner and on from there; what stops it before the scanner, or
+    nearer than the least range, makes it silent.
 
     Args:
       lidar: `Lidar`.
       cell_m: edge of a cell, metres.
       width: W of the maps that the beams will cross, cells.
-      longest_m: a range that the table is to have room for, so that it has the shape of a longer scanner's, metres.
+      longest: a distance, as of `farthest`, that the table is to have room for, so that it has the shape of a longer
+        scanner's, cells.
 
     Returns:
-      `Beams` of numpy arrays, K = 8; index k is the heading 45 k degrees.
+      `Beams` of numpy arrays, K = 8; index k is the heading 45 k degrees. Distances are from the scanner.
 
     Source:
       Amanatides and Woo 1987. A beam enters a cell at a distance strictly below the range, or not at all.
@@ -181,12 +202,24 @@ def beam_table(lidar: Lidar, cell_m: float, width: int, longest_m: float = 0.0) 
     reach = in_cells(lidar.range_m, cell_m)
     angles = 45.0 * np.arange(HEADINGS)[:, None] + beam_angles_deg(lidar)
     dx, dy = exact_direction(angles)
-    geometry = beam_geometry(np, dx, dy, 0.5, 0.5, 1e30)
+    ahead, aside = exact_direction(45.0 * np.arange(HEADINGS))
+    forward, left = (math.copysign(in_cells(abs(a), cell_m), a) for a in (lidar.forward_m, lidar.left_m))
+    x, y = forward * ahead - left * aside, forward * aside + left * ahead
+    inside_x, inside_y = ((a + 0.5 - np.floor(a + 0.5))[:, None] for a in (x, y))
+    geometry = beam_geometry(np, dx, dy, inside_x, inside_y, 1e30)
     state, steps = (np.zeros(dx.shape), np.zeros(dx.shape)), []
-    for _ in range(n_steps(max(reach, in_cells(longest_m, cell_m)))):
+    size = n_steps(max(farthest(lidar, cell_m), longest))
+    for _ in range(size):
         state, step = advance_beams(np, state, geometry)
         steps.append(step)
     drow, dcol, entry = (np.stack([s[i] for s in steps], axis=1) for i in range(3))
+    blind = (entry < in_cells(lidar.min_range_m, cell_m)).sum(axis=1)
+    for k, way in enumerate(map(_cells_to, x, y) if lidar.mount_m else ()):
+        n, mount = len(way), way[-1] if len(way) else (0, 0)
+        for table, before, origin in ((drow, way[:, 0], mount[0]), (dcol, way[:, 1], mount[1]), (entry, 0.0, 0.0)):
+            table[k, n:] = table[k, : size - n] + origin
+            table[k, :n] = np.broadcast_to(before, n)[:, None]
+        blind[k] += n
     within = entry < reach
     drow, dcol = (np.where(within, d, 0).astype(np.int32) for d in (drow, dcol))
     offset = drow * np.int32(width) + dcol
@@ -198,6 +231,7 @@ def beam_table(lidar: Lidar, cell_m: float, width: int, longest_m: float = 0.0) 
         dcol=dcol,  # type: ignore[arg-type]
         entry=np.where(within, entry, np.inf).astype(np.float32),  # type: ignore[arg-type]
         length=within.sum(axis=1).astype(np.int32),  # type: ignore[arg-type]
+        blind=blind.astype(np.int32),  # type: ignore[arg-type]
         reach=np.float32(reach),  # type: ignore[arg-type]
         around=scans_all_round(lidar.fov_deg),
     )

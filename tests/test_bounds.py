@@ -246,6 +246,8 @@ def test_no_time_for_a_walk_leaves_a_weak_bound():
         ({"lidar": Lidar(sigma_m=0.1)}, "without noise"),
         ({"lidar": Lidar(dropout=0.1)}, "without noise"),
         ({"lidar": Lidar(no_echo="unknown")}, "no_echo must be free"),
+        ({"lidar": Lidar(min_range_m=0.1)}, "sees all from the robot's centre"),
+        ({"lidar": Lidar(left_m=0.1)}, "sees all from the robot's centre"),
         ({"start": "here"}, "start must be random, world, cells"),
         ({"max_floods": 0}, "max_floods must be"),
         ({"workers": 0}, "workers must be"),

@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from ref import beams as oracle
 from ref import episodes, maps
 from ref.jobs import RULES, digest, some_jobs
 
@@ -21,6 +22,7 @@ from jexplore.exploration.state import Outcome, Setup
 from jexplore.native import build, drive
 from jexplore.policies import Strategy
 from jexplore.policies.closest import closest
+from jexplore.worlds.starts import draw_starts
 from jexplore.worlds.world import World
 
 RIGHT_ANGLES = Lidar(n_beams=4, fov_deg=360, range_m=3)  # looks back, right, ahead, left
@@ -107,6 +109,42 @@ def test_without_an_echo_a_beam_may_say_nothing(target):
         "#..????",  # ahead nothing is seen within 3 cells
         "??#????",
     ]
+
+
+@needs_compiler
+@pytest.mark.jit
+def test_a_beam_that_is_stopped_too_near_says_nothing(target):
+    setup, given = setting(target, lidar=dataclasses.replace(RIGHT_ANGLES, min_range_m=1))
+    grid = begun(setup, given).belief.grid
+    assert maps.picture(np.asarray(grid.hits), np.asarray(grid.misses)) == [
+        "??#????",
+        "??.????",
+        "??.????",
+        "#.....?",
+        "???????",  # the wall to the right is half a cell away
+    ]
+
+
+@needs_compiler
+@pytest.mark.jit
+@pytest.mark.parametrize(
+    "own",
+    [
+        {"forward_m": 0.25, "min_range_m": 0.3},
+        {"forward_m": -0.1, "left_m": 0.2, "yaw_deg": 30, "no_echo": "unknown"},
+        {"left_m": 0.15, "yaw_deg": 180, "fov_deg": 360, "min_range_m": 0.05},
+    ],
+)
+def test_episodes_of_a_mounted_scanner_as_the_simulator(target, own):
+    """The oracle's scans, with JAX and native code driving."""
+    lidar = Lidar(**{"n_beams": 37, "range_m": 2.0, **own})
+    world = jx.load_world("rooms:width_m=6,height_m=5", cell_m=0.1)
+    start, how = tuple(draw_starts(world, 3, 1, 0.2)[0].tolist()), {"cell_m": 0.1}
+    episode = world.occupied, start, "closest+recheck", lidar, jx.Rules(clearance_m=0.2)
+    want = episodes.replay(*episode, **how, sense=lambda *pose: oracle.mounted_scan(world.occupied, *pose, lidar, 0.1))
+    assert want.steps > 20
+    for native in (False, True):
+        assert episodes.differences(*episodes.play(*episode, **how, native=native), want, **how) == []
 
 
 @needs_compiler

@@ -133,9 +133,9 @@ def test_beams_enter_the_cells_of_the_table():
         (Lidar(), 0.1),
         (Lidar(90, 70, 3.0), 0.07),
         (Lidar(8, 360, 5.0), 0.5),
-        (Lidar(1, 90, 2.0), 0.2),
+        (Lidar(1, 90, 2.0, yaw_deg=30), 0.2),
     ):
-        beams, table = trace_beams(lidar.n_beams, lidar.fov_deg, lidar.range_m, cell_m), beam_table(lidar, cell_m, 1000)
+        beams, table = trace_beams(lidar, cell_m), beam_table(lidar, cell_m, 1000)
         np.testing.assert_array_equal(beams.length, table.length)
         for heading, beam in np.ndindex(*beams.length.shape):
             n = beams.length[heading, beam]

@@ -15,6 +15,7 @@ from scipy import stats
 
 from jexplore import raycast
 from jexplore.config import Lidar
+from jexplore.exploration.sensing import without_silent
 from jexplore.grid import empty_grid
 
 RIGHT_ANGLES = Lidar(n_beams=4, fov_deg=360, range_m=3)  # looks back, right, ahead, left
@@ -46,7 +47,45 @@ def expected(occupied, row, col, heading, lidar, cell_m=1.0):
     return hits, misses
 
 
+def draw_mounted(seed):
+    """A scanner with a mount and a least range, in cells of a metre."""
+    draw = np.random.default_rng(seed)
+    forward, left = draw.choice([0, 0.5, -0.5, 1.0, *draw.uniform(-3, 3, 4)], 2)
+    return Lidar(
+        n_beams=int(draw.integers(1, 24)), fov_deg=float(draw.choice([90, 180, 270, 360])), range_m=6.0,
+        min_range_m=float(draw.choice([0, 0.5, 2.0])), forward_m=float(forward), left_m=float(left),
+        yaw_deg=float(draw.choice([0, 90, -45, 180, draw.uniform(-180, 180)])),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_a_mounted_scanner_as_the_oracle(seed):
+    lidar, rng = draw_mounted(seed), np.random.default_rng(seed)
+    occupied = np.pad(rng.random((12, 15)) < 0.06, 1, constant_values=True)
+    row, col = np.argwhere(~occupied)[rng.integers((~occupied).sum())]
+    table = raycast.beam_table(lidar, 1.0, occupied.shape[1])
+    heading = int(rng.integers(8))
+    seen = raycast.scan(jnp.asarray(occupied), row, col, heading, table)
+    seen = without_silent(seen, table.blind[heading], True)
+    grid = raycast.fold(empty_grid(occupied.shape), row, col, heading, seen, table)
+    hits, misses = np.zeros(occupied.shape, int), np.zeros(occupied.shape, int)
+    oracle.fold(hits, misses, row, col, oracle.mounted_scan(occupied, row, col, 45 * heading, lidar, 1.0))
+    np.testing.assert_array_equal(grid.hits, hits)
+    np.testing.assert_array_equal(grid.misses, misses)
+
+
 # ---------------------------------------------------------------- by hand
+
+
+def test_a_scanner_ahead_of_the_robot_by_hand():
+    """It looks right, a cell ahead of the robot, and is blind for a cell and a half."""
+    lidar = Lidar(n_beams=1, fov_deg=0, range_m=9, forward_m=1, yaw_deg=-90, min_range_m=1.6)
+    table = raycast.beam_table(lidar, 1.0, 7)
+    assert table.drow[0, :3, 0].tolist() == [0, -1, -2]
+    assert table.dcol[0, :3, 0].tolist() == [1, 1, 1]
+    assert table.entry[0, :3, 0].tolist() == [0, 0.5, 1.5]
+    assert table.blind[0].tolist() == [3]
+    assert table.length[0].tolist() == [10]
 
 
 def test_one_scan_by_hand():

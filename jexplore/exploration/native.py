@@ -44,8 +44,8 @@ def chooser_of(strategy: Strategy) -> int | None:
 
 
 def is_exact(lidar: Lidar) -> bool:
-    """Tell whether a scanner is without noise, as native code has it."""
-    return lidar.sigma_m == 0 and lidar.dropout == 0
+    """Tell whether a scanner is without noise, and sees all from the robot's centre, as native code has it."""
+    return lidar.sigma_m == lidar.dropout == lidar.min_range_m == lidar.mount_m == 0
 
 
 def is_native(strategy: Strategy, lidar: Lidar) -> bool:
@@ -84,7 +84,7 @@ def parts_of(
         p_free=rules.p_free,
     )
     rooms = np.full(world.shape, -1, np.int32) if world.rooms is None else world.rooms
-    beams = trace_beams(lidar.n_beams, lidar.fov_deg, lidar.range_m, cell_m)
+    beams = trace_beams(lidar.without_noise(), cell_m)
     return spec, episodes.Given(world.occupied, rooms, regions_of(world), world.within, world.known, beams)
 
 

@@ -97,17 +97,20 @@ def known_in(grid: Grid, corner: Array, size: tuple[int, ...], within: Array | N
     return one_kernel(run, grid.hits, grid.misses, corner[0], corner[1])
 
 
-def without_silent(seen: Scan, no_echo_is_free: Array | bool) -> Scan:
-    """The scan of a scanner whose beams say nothing where they have no echo, unless these show their cells to be free.
+def without_silent(seen: Scan, blind: Array, no_echo_is_free: Array | bool) -> Scan:
+    """Silence the beams of a scan that say nothing: those stopped too near, and maybe those that nothing stopped.
 
     Args:
       seen: `Scan`, `[B]`.
-      no_echo_is_free: bool scalar; if True, the scan stays as it is.
+      blind: `[B]` int32, steps at which a beam that is stopped says nothing.
+      no_echo_is_free: bool scalar, whether a beam that nothing stopped shows its cells to be free.
 
     Returns:
-      `Scan`, `[B]`: a beam that nothing stopped has passed no cell.
+      `Scan`, `[B]`: a silent beam has passed no cell and hit none.
     """
-    return Scan(end=jnp.where(seen.hit | no_echo_is_free, seen.end, 0), hit=seen.hit)
+    hit = seen.hit & (seen.end >= blind)
+    speaks = hit | (~seen.hit & no_echo_is_free)
+    return Scan(end=jnp.where(speaks, seen.end, 0), hit=hit)
 
 
 def _told(setup, state, seen, beams, when):
@@ -141,11 +144,13 @@ def sense(setup: Setup, given: Given, state: State, when: Array) -> State:
     """
     belief, beams, occupied, base = state.belief, given.shared, *stacked(given, given.scenes.occupied)
     seen = scan(occupied, base + state.row, state.col, state.heading, beams)
+    blind = lax.dynamic_index_in_dim(beams.blind, state.heading, keepdims=False)
+    seen = without_silent(seen, blind, True)
     if setup.noisy:
         key = jax.random.fold_in(jax.random.fold_in(given.key, Stream.SENSOR), state.scans)
         noise = {"sigma_cells": given.numbers.sigma_cells, "dropout": given.numbers.dropout}
         seen = disturb(key, seen, state.row, state.col, state.heading, beams, belief.extent, **noise)
-    seen = without_silent(seen, given.numbers.no_echo_is_free)
+    seen = without_silent(seen, blind, given.numbers.no_echo_is_free)
     grid, tally, known = _told(setup, state, seen, beams, when)
     state = state.replace(tally=tally, scans=state.scans + when, known=known)
     return state.replace(belief=belief.replace(grid=grid))

@@ -22,7 +22,7 @@ from jexplore.native.drive import find_target
 from jexplore.planning import MapModel
 from jexplore.policies.catalogue import adapt
 from jexplore.policies.policy import Strategy
-from jexplore.raycast import Beams, beam_table, scans_all_round
+from jexplore.raycast import Beams, beam_table, farthest, scans_all_round
 from jexplore.worlds.world import World, ring_of, with_ring
 
 LEAST_LIMIT = 20_000  # default bound of steps and plans on small maps
@@ -183,12 +183,12 @@ def _setup(everyone, cell_m, shape, limit, native):
     """What is fixed before compiling, such that it suits several scanners and rules, those of the site first."""
     lidar, _ = everyone[0]
     max_steps = max(rules.max_steps or limit for _, rules in everyone)
-    farthest_m = max(one.range_m + 4 * one.sigma_m for one, _ in everyone)
+    most = max(farthest(one, cell_m) + 4 * in_cells(one.sigma_m, cell_m) for one, _ in everyone)
     noisy = any(one.sigma_m > 0 or one.dropout > 0 for one, _ in everyone)
     return Setup(
         policy=None,
         first_scans=scans_all_round(lidar.fov_deg),
-        window=math.ceil(in_cells(farthest_m, cell_m)) + 1,
+        window=math.ceil(most) + 1,
         noisy=noisy,
         capacity=max(LEAST_LIMIT, shape[0] * shape[1]) if max_steps <= limit else max_steps,
         native=None if noisy else native,
@@ -198,8 +198,7 @@ def _setup(everyone, cell_m, shape, limit, native):
 def _beams(everyone, cell_m, shape):
     """The same table for all rules and noise: megabytes."""
     lidar, _ = everyone[0]
-    scanner, longest_m = (lidar.n_beams, lidar.fov_deg, lidar.range_m), max(one.range_m for one, _ in everyone)
-    return beam_table(Lidar(*scanner), cell_m, shape[1], longest_m)
+    return beam_table(lidar.without_noise(), cell_m, shape[1], max(farthest(one, cell_m) for one, _ in everyone))
 
 
 def tasks_of(starts: ArrayLike, ring: int) -> np.ndarray:

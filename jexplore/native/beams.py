@@ -21,17 +21,17 @@ class Beams(NamedTuple):
 
 
 @functools.lru_cache(maxsize=8)
-def trace_beams(n_beams: int, fov_deg: float, range_m: float, cell_m: float) -> Beams:
+def trace_beams(lidar: Lidar, cell_m: float) -> Beams:
     """Trace the beams of a scanner; the same cells as those of `raycast.beam_table`.
 
     Args:
-      n_beams, fov_deg, range_m: as in `Lidar`.
+      lidar: `Lidar` at the robot's centre, of which a beam sees all that it enters.
       cell_m: edge of a cell, metres.
 
     Returns:
       `Beams`.
     """
-    lidar, reach = Lidar(n_beams, fov_deg, range_m), in_cells(range_m, cell_m)
+    reach = in_cells(lidar.range_m, cell_m)
     dx, dy = exact_direction(45.0 * np.arange(HEADINGS)[:, None] + beam_angles_deg(lidar))
     geometry = beam_geometry(np, dx, dy, 0.5, 0.5, 1e30)
     longest = n_steps(reach)

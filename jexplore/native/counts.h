@@ -20,6 +20,7 @@ struct CountMaps {
   const bool* within;          // [H, W], where the robot may be and what it is to know; null: everywhere
   const int32_t* by_beam;      // [8, n_blocks, n_beams, block], `raycast.Beams`
   const int32_t* length;       // [8, n_beams]
+  const int32_t* blind;        // [8, n_beams]
   int n_blocks, n_beams, block;
   int extent[2];               // height and width of the world without padding
   bool no_echo_is_free;
@@ -70,7 +71,8 @@ struct CountMaps {
     int32_t *hit = hits + from, *missed = misses + from;
     const int beams = n_beams, part = block, next = n_beams * block;
     const int32_t *ends = length + heading * beams, *table = by_beam + static_cast<int64_t>(heading) * n_blocks * next;
-    const bool says_nothing = !no_echo_is_free;  // without an echo
+    const int32_t* near = blind + heading * beams;
+    const bool may_be_silent = !no_echo_is_free;
     int fresh = 0;
     auto count = [&](int32_t* counts, const int32_t* others, int i) {
       if (counts[i]++ == 0 && others[i] == 0) fresh += IsWithin(from + i);
@@ -78,7 +80,7 @@ struct CountMaps {
     count(missed, hit, 0);
     for (int beam = 0; beam < beams; ++beam) {
       const int32_t* first = table + static_cast<int64_t>(beam) * part;
-      if (says_nothing && !Echoes(walls, first, ends[beam])) continue;
+      if ((may_be_silent || near[beam] > 0) && !Speaks(walls, first, ends[beam], near[beam])) continue;
       bool stopped = false;
       for (int left = ends[beam]; left > 0 && !stopped; left -= part, first += next) {
         const int32_t* end = first + std::min(left, part);
@@ -95,11 +97,12 @@ struct CountMaps {
     n_known += fresh;
   }
 
-  bool Echoes(const bool* walls, const int32_t* first, int left) const {
+  // Whether a beam says anything, which `silent` steps are too near for.
+  bool Speaks(const bool* walls, const int32_t* first, int left, int silent) const {
     for (; left > 0; left -= block, first += n_beams * block)
-      for (const int32_t *step = first, *end = first + std::min(left, block); step < end; ++step)
-        if (walls[*step]) return true;
-    return false;
+      for (const int32_t *step = first, *end = first + std::min(left, block); step < end; ++step, --silent)
+        if (walls[*step]) return silent <= 0;
+    return no_echo_is_free;
   }
 };
 

@@ -97,7 +97,7 @@ auto InPlace(Argument& argument, Result& result) {
 }
 
 ffi::Error Run(Counts hits, Counts misses, Flags driven, Flags exhausted, Counts trail, Numbers changed, Motions route,
-               Walls occupied, Rooms rooms, Flags within, Table by_beam, Counts length, Numbers terms, Real p_free,
+               Walls occupied, Rooms rooms, Flags within, Table by_beam, Counts length, Counts blind, Numbers terms, Real p_free,
                ffi::Result<Counts> hits_out, ffi::Result<Counts> misses_out, ffi::Result<Flags> driven_out,
                ffi::Result<Flags> exhausted_out, ffi::Result<Counts> trail_out, ffi::Result<Numbers> changed_out,
                bool may_ask) {
@@ -115,7 +115,7 @@ ffi::Error Run(Counts hits, Counts misses, Flags driven, Flags exhausted, Counts
                  InPlace(exhausted, exhausted_out), route.typed_data(), occupied.typed_data() + world,
                  rooms.typed_data() + world,
                  within.element_count() == hits.element_count() ? within.typed_data() : nullptr, by_beam.typed_data(),
-                 length.typed_data(), static_cast<int>(beams[1]), static_cast<int>(beams[2]),
+                 length.typed_data(), blind.typed_data(), static_cast<int>(beams[1]), static_cast<int>(beams[2]),
                  static_cast<int>(beams[3]), {own.height, own.width}, own.no_echo_is_free != 0, *p_free.typed_data(),
                  now.known};
   if (!maps.IsWalled() || !IsOn(maps, now.row, now.col) || !IsOn(maps, now.came_row, now.came_col))
@@ -148,6 +148,7 @@ XLA_FFI_DEFINE_HANDLER_SYMBOL(jexplore_drive, Run,
                                   .Arg<Rooms>()
                                   .Arg<Flags>()
                                   .Arg<Table>()
+                                  .Arg<Counts>()
                                   .Arg<Counts>()
                                   .Arg<Numbers>()
                                   .Arg<Real>()

@@ -88,7 +88,7 @@ def drive(setup: Any, given: Any, state: Any, stage: Stage, live: Array | bool =
     changed = jnp.concatenate([numbers, state.came_from, jnp.zeros(1, jnp.int32)])
     within = jnp.zeros((1, 1), bool) if belief.within is None else belief.within
     maps = belief.grid.hits, belief.grid.misses, belief.driven, belief.exhausted, state.trail
-    places = state.route, truth.occupied, truth.rooms, within, beams.by_beam, beams.length
+    places = state.route, truth.occupied, truth.rooms, within, beams.by_beam, beams.length, beams.blind
     results = [jax.ShapeDtypeStruct(a.shape, a.dtype) for a in (*maps, changed)]
     call = jax.ffi.ffi_call(
         setup.native, results, input_output_aliases={i: i for i in range(len(results))}, vmap_method="sequential"

@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from jexplore.config import Lidar
 from jexplore.native.beams import Beams, trace_beams
 from jexplore.native.build import FOLDER, Library, load_library
 
@@ -249,7 +250,7 @@ def check(loaded: ctypes.CDLL) -> str:
     _declare(loaded)
     occupied = np.array([[cell == "#" for cell in row] for row in _ROOM])
     region = np.where(occupied, 0, 1).astype(np.int32)
-    beams = trace_beams(37, 180.0, 3.0, 1.0)
+    beams = trace_beams(Lidar(n_beams=37, range_m=3.0), 1.0)
     given = Given(occupied, np.full(occupied.shape, -1, np.int32), region, None, None, beams)
     for chooser, expected in _EXPECTED.items():
         spec = Spec(*occupied.shape, 37, 2, 0, 1, 0, 0, 100, 100, 1, 1, 1, chooser, 0.25)

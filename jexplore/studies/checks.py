@@ -13,9 +13,9 @@ from jexplore.arrays.bits import WORD
 from jexplore.arrays.padding import bucket
 from jexplore.config import InputError, Lidar, Rules, as_record, require_different
 from jexplore.exploration.site import LEAST_LIMIT
-from jexplore.grid import in_cells, radius_d2
+from jexplore.grid import radius_d2
 from jexplore.policies import Policy, Strategy, strategy
-from jexplore.raycast import HEADINGS, n_steps
+from jexplore.raycast import HEADINGS, farthest, n_steps
 from jexplore.worlds import load_world
 from jexplore.worlds.poses import Pose, cell_of, read_start
 from jexplore.worlds.regions import warn_of_floor
@@ -167,7 +167,7 @@ def memory_needed(world: World, lidar: Lidar, rules: Rules, workers: int) -> int
     """About how many bytes episodes in a world take at a time. An int."""
     rows, cols = (bucket(side) for side in ringed_shape(world.occupied))
     steps = max(LEAST_LIMIT, rows * cols, rules.max_steps or 0)
-    beams = HEADINGS * lidar.n_beams * n_steps(in_cells(lidar.range_m, world.cell_m))
+    beams = HEADINGS * lidar.n_beams * n_steps(farthest(lidar, world.cell_m))
     return workers * (CELL_BYTES * rows * cols + TRAIL_BYTES * steps) + BEAM_BYTES * beams
 
 

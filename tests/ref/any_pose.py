@@ -55,6 +55,7 @@ def beams_from(pose, angles_rad, *, max_range_m, cell_m, width):
         dcol=dcol,
         entry=jnp.where(within, entry, jnp.inf)[None],
         length=within.sum(axis=0, dtype=jnp.int32)[None],
+        blind=jnp.zeros((1, within.shape[1]), jnp.int32),
         reach=jnp.float32(reach),
     )
 

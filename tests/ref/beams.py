@@ -104,6 +104,47 @@ def scan(occupied, row, col, heading_deg, n_beams, fov_deg, max_range_cells, x0=
     return [cast(occupied, row, col, heading_deg + a, max_range_cells, x0, y0)[:2] for a in angles]
 
 
+@functools.cache
+def line(x, y):
+    """Cells of the way from a cell's centre to a point beyond which it goes on a little, `(drow, dcol)` in order.
+
+    A step of a ten-thousandth of a cell at a time, first in x, then in y; a corner is passed within a thousandth.
+    """
+    n = max(round(10_000 * math.hypot(x, y)), 1) + 10
+    cells = [(0, 0)]
+    for i in range(n + 1):
+        row, col = (math.floor(0.5 + a * i / (n - 10) + math.copysign(slack, a)) for a, slack in ((y, 0.0), (x, 1e-3)))
+        for cell in ((cells[-1][0], col), (row, col)):
+            if cell != cells[-1]:
+                cells.append(cell)
+    return cells[1:]
+
+
+def mounted_scan(occupied, row, col, heading_deg, lidar, cell_m):
+    """One scan of a `Lidar` with a mount and a least range: `(missed, hit)` of the beams that say anything.
+
+    Every beam comes from the robot's centre over the scanner; one that is stopped on the way to the scanner, or nearer
+    to it than the least range, says nothing.
+    """
+    c, s = direction(heading_deg)
+    forward, left = in_cells(lidar.forward_m, cell_m), in_cells(lidar.left_m, cell_m)
+    x, y = (forward * a + left * b + 0.5 for a, b in ((c, -s), (s, c)))
+    to = math.floor(y), math.floor(x)
+    before = line(x - 0.5, y - 0.5)[: abs(to[0]) + abs(to[1])]
+    assert before[-1:] in ([], [to])
+    before = [(row + drow, col + dcol) for drow, dcol in before]
+    if any(occupied[cell] for cell in before):
+        return []
+    least, reach = in_cells(lidar.min_range_m, cell_m), in_cells(lidar.range_m, cell_m)
+    told = []
+    for angle in lidar_angles(lidar.n_beams, lidar.fov_deg):
+        deg = heading_deg + lidar.yaw_deg + angle
+        missed, hit, distance = cast(occupied, row + to[0], col + to[1], deg, reach, x % 1, y % 1)
+        if hit is None or distance >= least:
+            told.append((before + missed, hit))
+    return told
+
+
 def fold(hits, misses, row, col, beams):
     """Count a scan into the map, in place: each beam by itself, and one miss a scan in the robot's own cell."""
     misses[row, col] += 1

@@ -15,11 +15,11 @@ from jexplore.exploration.results import progress_m
 from jexplore.exploration.site import cost_of
 from jexplore.exploration.state import Numbers, Outcome, Setup, Stream, Truth
 from jexplore.exploration.trail import decode, kept
-from jexplore.grid import in_cells, radius_d2
+from jexplore.grid import radius_d2
 from jexplore.native.drive import find_target
 from jexplore.planning import MapModel
 from jexplore.policies import parse_strategy
-from jexplore.raycast import Beams, beam_table, by_beam, disturb, scan, scans_all_round
+from jexplore.raycast import Beams, beam_table, by_beam, disturb, farthest, scan, scans_all_round
 
 from . import plans, simulator
 
@@ -82,7 +82,7 @@ def key_of(seed):
 
 def window_of(lidar, cell_m):
     """Half the width of the square that a scan can change, cells."""
-    return math.ceil(in_cells(lidar.range_m, cell_m)) + 1
+    return math.ceil(farthest(lidar, cell_m)) + 1
 
 
 @functools.partial(jax.jit, static_argnames="static")
@@ -106,6 +106,7 @@ def with_idle_beams(beams, n_steps, n_beams):
         dcol=dcol,
         entry=np.pad(beams.entry, grow, constant_values=np.inf),
         length=np.pad(beams.length, ((0, 0), (0, count))),
+        blind=np.pad(beams.blind, ((0, 0), (0, count))),
         reach=beams.reach,
     )
 

@@ -206,7 +206,7 @@ def prepare_bounds(
 
 
 def require_perfect(lidar: Lidar) -> None:
-    """Refuse a scanner with noise, or whose beams say nothing without an echo.
+    """Refuse a scanner with noise, whose beams may say nothing, or that is not at the robot's centre.
 
     Raises:
       InputError: naming what must be 0.
@@ -215,6 +215,11 @@ def require_perfect(lidar: Lidar) -> None:
         raise InputError("bounds are of a scanner without noise: lidar.sigma_m and lidar.dropout must be 0")
     if lidar.no_echo != "free":
         raise InputError("bounds are of a scanner that shows what it has no echo from: lidar.no_echo must be free")
+    if lidar.min_range_m or lidar.mount_m:
+        raise InputError(
+            "bounds are of a scanner that sees all from the robot's centre: "
+            "lidar.min_range_m, forward_m and left_m must be 0"
+        )
 
 
 def require_whole_world(world: World) -> None:
@@ -237,7 +242,7 @@ def tasks_of(
 
 def settings_of(lidar: Lidar, rules: Rules) -> dict[str, Any]:
     """What bounds depend on besides world and start."""
-    own = {"n_beams": lidar.n_beams, "fov_deg": lidar.fov_deg, "range_m": lidar.range_m}
+    own = {"n_beams": lidar.n_beams, "fov_deg": lidar.fov_deg, "range_m": lidar.range_m, "yaw_deg": lidar.yaw_deg}
     return own | {"clearance_m": rules.clearance_m, "near_m": rules.near_m}
 
 

@@ -94,6 +94,8 @@ class Plan:
                 range_m=max(one.range_m, lidar.range_m),
                 sigma_m=max(one.sigma_m, lidar.sigma_m),
                 dropout=max(one.dropout, lidar.dropout),
+                forward_m=max(one.mount_m, lidar.mount_m),
+                left_m=0.0,
             )
         limits = {rules.max_steps for *_, rules in self.records}
         return [(lidar, Rules(max_steps=limit)) for lidar in widest.values() for limit in limits]
