@@ -50,6 +50,7 @@ struct World {
   std::vector<std::vector<int32_t>> parts;  // their cells
   std::vector<std::vector<int32_t>> goals;  // parts that are to be known, of each goal
   std::map<std::vector<int32_t>, int32_t> goal_of;
+  std::vector<uint8_t> to_reach;  // cells near a start that are still to be reached, while its goal is looked for
 
   World(const Spec& p, const Given& given) : p(p), given(given) {
     margin = static_cast<int>(std::sqrt(static_cast<double>(std::max(p.clearance_d2, p.near_d2)))) + 2;
@@ -102,32 +103,31 @@ struct World {
   // The number of what is to be known from a start, in `goals`: the parts to which a way leads over clear cells and
   // the free ones near the start.
   int GoalOf(int start) {
-    const int sides[4] = {1, -1, stride, -stride};
-    std::vector<uint8_t> is_reached(near.size());
-    std::vector<int32_t> found;
-    auto reaches = [&](int cell) {
-      return part[cell] >= 0 && std::find(found.begin(), found.end(), part[cell]) != found.end();
+    const int beside[5] = {0, 1, -1, stride, -stride};
+    std::vector<int32_t> found, waiting, reached{start};
+    to_reach.resize(n_cells);
+    for (int offset : near) {
+      const int cell = start + offset;
+      if (cell == start || !Holds(cell) || !MayEnter(Flat(cell))) continue;
+      to_reach[cell] = 1;
+      waiting.push_back(cell);
+    }
+    auto reach = [&](int cell) {
+      if (to_reach[cell]) to_reach[cell] = 0, reached.push_back(cell);
     };
-    std::map<int, int> place;  // cell -> number in `near`
-    for (size_t i = 0; i < near.size(); ++i) {
-      const int cell = start + near[i], flat = Flat(cell);
-      if (cell == start || (Holds(cell) && MayEnter(flat))) place[cell] = static_cast<int>(i);
-    }
-    for (bool goes_on = true; goes_on;) {
-      goes_on = false;
-      for (const auto& [cell, i] : place) {
-        if (is_reached[i]) continue;
-        bool here = cell == start || reaches(cell);
-        for (int side : sides) {
-          const auto beside = place.find(cell + side);
-          here |= (beside != place.end() && is_reached[beside->second]) || reaches(cell + side);
-        }
-        if (!here) continue;
-        is_reached[i] = goes_on = true;
-        for (int next : {cell, cell + 1, cell - 1, cell + stride, cell - stride})
-          if (part[next] >= 0 && !reaches(next)) found.push_back(part[next]);
+    auto touches = [&](int cell, int number) {
+      return std::any_of(beside, beside + 5, [&](int side) { return part[cell + side] == number; });
+    };
+    for (size_t i = 0; i < reached.size(); ++i)
+      for (int side : beside) {
+        const int cell = reached[i] + side, number = part[cell];
+        reach(cell);
+        if (number < 0 || std::find(found.begin(), found.end(), number) != found.end()) continue;
+        found.push_back(number);
+        for (int other : waiting)
+          if (to_reach[other] && touches(other, number)) reach(other);
       }
-    }
+    for (int cell : waiting) to_reach[cell] = 0;
     std::sort(found.begin(), found.end());
     const auto [at, is_new] = goal_of.try_emplace(found, static_cast<int32_t>(goals.size()));
     if (is_new) goals.push_back(found);
