@@ -138,8 +138,9 @@ def notebook_page(path: Path) -> tuple[str, dict[str, bytes]]:
                 parts.append(f"![Output of the cell above]({name})")
             elif "text/markdown" in data:
                 parts.append(data["text/markdown"])
-            elif "text/html" in data:  # one block: a blank line would end it
-                parts.append(re.sub(r"\n\s*\n", "\n", f"<div>{data['text/html']}</div>"))
+            elif "text/html" in data:  # one block, which a blank line would end; tables in the style of the site
+                html = re.sub(r"<style.*?</style>|(?<=<table)[^>]*", "", data["text/html"], flags=re.DOTALL)
+                parts.append(re.sub(r"\n\s*\n", "\n", f"<div>{html}</div>"))
             else:
                 text = data.get("text/plain", "".join(output.get("text", "")))
                 parts.append(f"```text\n{text.rstrip()}\n```")

@@ -377,7 +377,7 @@ def test_page_of_a_notebook(tmp_path):
     outputs = [
         {"text": ["said\n"]},
         {"data": {"image/png": "AAEC\n", "text/plain": "a picture"}},
-        {"data": {"text/html": "<b>\n\n</b>", "text/plain": "bold"}},
+        {"data": {"text/html": "<style>b{}</style><b>\n\n</b><table border='1'>", "text/plain": "bold"}},
     ]
     cells = [
         {"cell_type": "markdown", "source": ["# Title"]},
@@ -388,7 +388,7 @@ def test_page_of_a_notebook(tmp_path):
     assert pictures == {"one-1.png": b"\x00\x01\x02"}
     assert text == (
         "# Title\n\n```python\n1 +\n1\n```\n\n```text\nsaid\n```\n\n"
-        "![Output of the cell above](one-1.png)\n\n<div><b>\n</b></div>\n"
+        "![Output of the cell above](one-1.png)\n\n<div><b>\n</b><table></div>\n"
     )
 
 
