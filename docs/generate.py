@@ -3,11 +3,13 @@
     python docs/generate.py                     the pages of the repository; a test tells when they are stale
     python docs/generate.py --site build/docs   all pages of the site, for `mkdocs build`
 
-The site has four files of the repository as pages, and of every Python name its whole docstring.
+The site has four files of the repository as pages, one of them by subject, the notebooks with their outputs, and the
+whole docstring of every Python name.
 """
 
 import argparse
 import ast
+import base64
 import dataclasses
 import itertools
 import json
@@ -28,9 +30,11 @@ TAKEN = {
     "benchmarks/RESULTS.md": "results/measured.md",
 }
 """Files of the repository that are pages of the site: path there -> path here."""
+BY_SUBJECT = "benchmarks/RESULTS.md"
+"""A file of the repository of which every second-level heading is a page of the site, below the page of the file."""
 COMMANDS_PAGE = "reference/commands.md"
-SHOWN = (".md", ".css", ".png", ".gif")
-"""Endings of the files of `docs/` that the site has."""
+SHOWN = (".css", ".png", ".gif")
+"""Endings of the files of `docs/` that the site has besides pages."""
 _LINK = re.compile(r"(\]\()([^)\s#]+)((?:#[^)\s]*)?\))")
 _FENCE = re.compile(r"(^ *```.*?^ *```$)", re.MULTILINE | re.DOTALL)
 _PART = re.compile(r"<!-- begin (\w+)(?:: ([\w. ]+))? -->\n.*?<!-- end -->\n", re.DOTALL)
@@ -56,23 +60,91 @@ def _filled(part):
 
 
 def write_site(folder: Path) -> None:
-    """Writes all pages of the site into a folder, which is emptied.
+    """Write all files of the site into a folder, which is emptied.
 
     Args:
       folder: as `docs_dir` of mkdocs.yml has it.
     """
     shutil.rmtree(folder, ignore_errors=True)
-    pages = {path.relative_to(DOCS).as_posix(): path for path in sorted(DOCS.rglob("*")) if path.suffix in SHOWN}
-    pages |= {page: ROOT / source for source, page in TAKEN.items()}
-    pages |= {f"notebooks/{path.name}": path for path in notebooks()}
-    for name, path in pages.items():
-        page = folder / name
-        page.parent.mkdir(parents=True, exist_ok=True)
-        if path.suffix != ".md":
-            shutil.copyfile(path, page)
-            continue
-        text = _PART.sub(_whole, path.read_text(encoding="utf-8"))
-        page.write_text(rewritten(text, path.relative_to(ROOT).as_posix()), encoding="utf-8")
+    for name, content in site_files().items():
+        file = folder / name
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_bytes(content if isinstance(content, bytes) else content.encode())
+
+
+def site_files() -> dict[str, str | bytes]:
+    """Make all files of the site, path there -> content."""
+    files: dict[str, str | bytes] = {}
+    for path in sorted(DOCS.rglob("*")):
+        name = path.relative_to(DOCS).as_posix()
+        if path.suffix == ".md":
+            files[name] = rewritten(_PART.sub(_whole, path.read_text(encoding="utf-8")), f"docs/{name}")
+        elif path.suffix in SHOWN:
+            files[name] = path.read_bytes()
+    for source, page in TAKEN.items():
+        text = (ROOT / source).read_text(encoding="utf-8")
+        for subject, part in (subjects(text) if source == BY_SUBJECT else {"": text}).items():
+            name = f"{page.removesuffix('.md')}/{subject}.md" if subject else page
+            files[name] = rewritten(part, source, name)
+    for path in notebooks():
+        text, pictures = notebook_page(path)
+        files[f"notebooks/{path.stem}.md"] = rewritten(text, f"notebooks/{path.name}")
+        files |= {f"notebooks/{name}": data for name, data in pictures.items()}
+    return files
+
+
+def subjects(text: str) -> dict[str, str]:
+    """Divide a file at its second-level headings.
+
+    Args:
+      text: Markdown.
+
+    Returns:
+      Anchor of the heading -> its text with all headings raised by a level. The anchor "" has what stands before the
+      first heading, and a list of the others.
+    """
+    first, *parts = re.split(r"^(?=## )", text, flags=re.MULTILINE)
+    found, listed = {}, []
+    for part in parts:
+        heading = part.splitlines()[0].removeprefix("## ")
+        listed.append(f"- [{heading}](measured/{anchor_of(heading)}.md)")
+        found[anchor_of(heading)] = re.sub(r"^#(#+ )", r"\1", part, flags=re.MULTILINE)
+    return {"": "\n".join((first.rstrip(), "", *listed, "")), **found}
+
+
+def anchor_of(heading: str) -> str:
+    """Make the anchor of a heading, as Git hosts and mkdocs do."""
+    return re.sub(r"[^\w\- ]", "", heading.lower()).strip().replace(" ", "-")
+
+
+def notebook_page(path: Path) -> tuple[str, dict[str, bytes]]:
+    """Write a notebook with its outputs as a page.
+
+    Args:
+      path: of the notebook.
+
+    Returns:
+      Markdown, and its pictures: file name next to the page -> PNG.
+    """
+    parts, pictures = [], {}
+    for cell in json.loads(path.read_text(encoding="utf-8"))["cells"]:
+        source = "".join(cell["source"])
+        parts.append(source if cell["cell_type"] == "markdown" else f"```python\n{source}\n```")
+        for output in cell.get("outputs", []):
+            data = {kind: "".join(text) for kind, text in output.get("data", {}).items()}
+            if "image/png" in data:
+                name = f"{path.stem}-{len(pictures) + 1}.png"
+                pictures[name] = base64.b64decode(data["image/png"])
+                parts.append(f"![Output of the cell above]({name})")
+            elif "text/markdown" in data:
+                parts.append(data["text/markdown"])
+            elif "text/html" in data:  # one block, which a blank line would end; tables in the style of the site
+                html = re.sub(r"<style.*?</style>|(?<=<table)[^>]*", "", data["text/html"], flags=re.DOTALL)
+                parts.append(re.sub(r"\n\s*\n", "\n", f"<div>{html}</div>"))
+            else:
+                text = data.get("text/plain", "".join(output.get("text", "")))
+                parts.append(f"```text\n{text.rstrip()}\n```")
+    return "\n\n".join(parts) + "\n", pictures
 
 
 def _whole(part):
@@ -82,29 +154,34 @@ def _whole(part):
     return "\n\n".join(f"::: jexplore.{name}" for name in part[2].split()) + "\n"
 
 
-def rewritten(text: str, source: str) -> str:
-    """The Markdown of a file with its links to other files of the repository as links to their pages.
+def rewritten(text: str, source: str, here: str | None = None) -> str:
+    """Turn the links of a file to other files of the repository into links to their pages.
 
     Args:
       text: Markdown. What is fenced in it stays.
       source: where it stands in the repository.
+      here: the page that the text is for; by default that of the source.
     """
-    here = page_of(source)
+    here = here or page_of(source)
     assert here is not None, source
 
     def linked(match):
         target = os.path.normpath(os.path.join(os.path.dirname(source), match[2]))
-        page = None if ":" in match[2] else page_of(target)
+        page = None if ":" in match[2] else page_of(target, match[3][1:-1])
         return match[0] if page is None else match[1] + os.path.relpath(page, os.path.dirname(here) or ".") + match[3]
 
     parts = _FENCE.split(text)
     return "".join(part if _FENCE.fullmatch(part) else _LINK.sub(linked, part) for part in parts)
 
 
-def page_of(path: str) -> str | None:
-    """Where the site has a file of the repository; None where it has not."""
-    if path.startswith("notebooks/"):
-        return path
+def page_of(path: str, anchor: str = "") -> str | None:
+    """Find the page of a file of the repository, or of an anchor in a file by subject; None where there is none."""
+    if path.startswith("notebooks/") and path.endswith(".ipynb"):
+        return path.removesuffix(".ipynb") + ".md"
+    if path == BY_SUBJECT and anchor:
+        for subject, text in subjects((ROOT / path).read_text(encoding="utf-8")).items():
+            if subject and anchor in map(anchor_of, re.findall(r"^#+ (.*)$", text, re.MULTILINE)):
+                return f"{TAKEN[path].removesuffix('.md')}/{subject}.md"
     return TAKEN.get(path) or (path.removeprefix("docs/") if path.startswith("docs/") else None)
 
 

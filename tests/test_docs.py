@@ -2,6 +2,7 @@
 
 import importlib.util
 import itertools
+import json
 import os
 import re
 import shlex
@@ -312,7 +313,9 @@ def test_the_site_has_whole_docstrings_and_files_of_the_repository(tmp_path):
     script("generate").write_site(tmp_path / "site")
     page = (tmp_path / "site" / "reference" / "api" / "steps.md").read_text(encoding="utf-8")
     assert "\n::: jexplore.Environment\n" in page
-    assert "(../results/measured.md#" in (tmp_path / "site" / "reference" / "worlds.md").read_text(encoding="utf-8")
+    assert "(../results/measured/exploration.md#" in (tmp_path / "site" / "reference" / "worlds.md").read_text(
+        encoding="utf-8"
+    )
     listed = {leaf for _, leaf in leaves(yaml.safe_load((ROOT / "mkdocs.yml").read_text(encoding="utf-8"))["nav"])}
     there = {path.relative_to(tmp_path / "site").as_posix() for path in (tmp_path / "site").rglob("*.md")}
     assert listed == there
@@ -351,12 +354,42 @@ def test_links_of_the_site():
         "[a](../../benchmarks/RESULTS.md#rooms) [b](own-map.md) ![c](../images/x.png) [d](https://x.y/CONTRIBUTING.md)"
     )
     assert rewritten(text, "docs/how-to/rooms.md") == (
-        "[a](../results/measured.md#rooms) [b](own-map.md) ![c](../images/x.png) [d](https://x.y/CONTRIBUTING.md)"
+        "[a](../results/measured/rooms.md#rooms) [b](own-map.md) ![c](../images/x.png) [d](https://x.y/CONTRIBUTING.md)"
     )
     assert rewritten("[a](RESULTS.md)", "benchmarks/README.md") == "[a](measured.md)"
     assert rewritten("[a](docs/tutorial.md) [b](#here)", "CONTRIBUTING.md") == "[a](tutorial.md) [b](#here)"
+    assert rewritten("[a](../../notebooks/05_rooms.ipynb)", "docs/how-to/rooms.md") == "[a](../notebooks/05_rooms.md)"
     fenced = "```\n[a](docs/tutorial.md)\n```"
     assert rewritten(fenced, "CONTRIBUTING.md") == fenced
+
+
+def test_subjects_of_a_file():
+    found = script("generate").subjects("# Top\n\nAll.\n\n## Holz et al. 2010\n\n### A\n\nx\n\n## B\n\ny\n")
+    assert found == {
+        "": "# Top\n\nAll.\n\n- [Holz et al. 2010](measured/holz-et-al-2010.md)\n- [B](measured/b.md)\n",
+        "holz-et-al-2010": "# Holz et al. 2010\n\n## A\n\nx\n\n",
+        "b": "# B\n\ny\n",
+    }
+
+
+def test_page_of_a_notebook(tmp_path):
+    """The richest form of an output is shown; an HTML block has no blank line, which would end it."""
+    outputs = [
+        {"text": ["said\n"]},
+        {"data": {"image/png": "AAEC\n", "text/plain": "a picture"}},
+        {"data": {"text/html": "<style>b{}</style><b>\n\n</b><table border='1'>", "text/plain": "bold"}},
+    ]
+    cells = [
+        {"cell_type": "markdown", "source": ["# Title"]},
+        {"cell_type": "code", "source": ["1 +\n", "1"], "outputs": outputs},
+    ]
+    (tmp_path / "one.ipynb").write_text(json.dumps({"cells": cells}))
+    text, pictures = script("generate").notebook_page(tmp_path / "one.ipynb")
+    assert pictures == {"one-1.png": b"\x00\x01\x02"}
+    assert text == (
+        "# Title\n\n```python\n1 +\n1\n```\n\n```text\nsaid\n```\n\n"
+        "![Output of the cell above](one-1.png)\n\n<div><b>\n</b><table></div>\n"
+    )
 
 
 def test_a_commands_page_from_two_options():
