@@ -81,8 +81,9 @@ class Case:
         starts = self.starts[np.arange(n) % len(self.starts)]
         run = NativeRun(self.place, self.parts, self.world, starts, 2, 0, np.arange(n), -1, None)
         with unittest.mock.patch.object(native, "GPU_FROM", n + 1):
-            took = play_all([run], workers, lambda _: None)
-        return run.table, took
+            began = time.time()
+            play_all([run], workers, lambda _: None)
+        return run.table, time.time() - began
 
 
 def check(loaded, cores):
@@ -142,7 +143,7 @@ def lanes(end):
         if time.time() + 90 > end:
             print("no time left for lanes", name, strategy)
             continue
-        found = jx.compare(name, [strategy], episodes=many, seed=2, engine="lockstep", lanes=many)
+        found = jx.compare(name, [strategy], episodes=many, seed=2, engine="jax", lanes=many)
         yield (name, strategy, "GPU, JAX lanes", many, f"{found.episodes_per_s:.0f}", *[""] * 5)
 
 

@@ -17,7 +17,7 @@ import numpy as np
 from jexplore.bench.engines import LIDAR, RULES, SEED, same
 from jexplore.bench.tables import markdown
 from jexplore.bench.timing import timed
-from jexplore.engine import serial
+from jexplore.engine import one_by_one
 from jexplore.engine.backend import start_backend
 from jexplore.exploration.site import line_of, prepare_site
 from jexplore.studies.checks import ready_strategies, ready_worlds
@@ -31,12 +31,12 @@ def episode(world, strategy, side, repeat):
       its result, the padded shape, and processor ms of its first step with all that begins and ends it, and of it all.
     """
     site = prepare_site(world, LIDAR, RULES, (side, side) if side else None)
-    tasks = np.zeros((serial.CHUNK, 3), np.int32)
+    tasks = np.zeros((one_by_one.CHUNK, 3), np.int32)
     tasks[0] = draw_starts(world, SEED, 1, RULES.clearance_m)[0] // [1, 1, 45]
     line = line_of(site, site.with_strategy(strategy), tasks, SEED, np.arange(1))
     scenes, shared = jax.device_put((jax.tree.map(lambda a: a[None], line.scene), line.shared))
-    call = jax.jit(functools.partial(serial.chunk, line.program))
-    draws, one, seed = np.zeros(serial.CHUNK, np.int32), np.int32(1), np.uint32(SEED)
+    call = jax.jit(functools.partial(one_by_one.chunk, line.program))
+    draws, one, seed = np.zeros(one_by_one.CHUNK, np.int32), np.int32(1), np.uint32(SEED)
     first = line.numbers.replace(max_steps=np.int32(1))
     program = call.lower(draws, tasks, one, seed, scenes, shared, first).compile(dict(line.program.cpu_options))
     found, ms = None, []

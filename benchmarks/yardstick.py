@@ -53,7 +53,7 @@ def beside(compiler, world, strategy, native, yardstick, episodes, repeat):
 
     The yardstick's starts have any heading; ours are rounded to 45 degrees. Its world is ours, cell by cell.
     """
-    program = compiler.serial(world, strategy, native)
+    program = compiler.one_by_one(world, strategy, native)
     rows, cols, headings, _ = yardstick.pick_starts(world.occupied, episodes, 0, WALL_M / world.cell_m)
     starts = np.stack([rows, cols, np.rint(np.degrees(headings) / 45).astype(int) % 8 * 45], axis=1).astype(np.int32)
     explorer = yardstick.Explorer(
@@ -141,7 +141,7 @@ def main():
     if importlib.util.find_spec("numba") is None:
         raise InputError(f"--yardstick {args.yardstick}: needs numba, which the extra bench installs")
     yardstick = load_yardstick(args.yardstick)
-    targets = list(dict.fromkeys([None, drive_for("serial", "cpu")]))
+    targets = list(dict.fromkeys([None, drive_for("cpu").name]))
     worlds = ready_worlds(args.worlds or [str(SHARED / "maps" / "stage" / name) for name in MAPS], 0.1)
     start_backend(1)
     jax.config.update("jax_enable_compilation_cache", False)

@@ -11,8 +11,8 @@ from scipy import ndimage
 
 from jexplore.arrays.padding import bucket
 from jexplore.config import InputError, Lidar, Rules
+from jexplore.engine.one_by_one import run_one
 from jexplore.engine.program import Given
-from jexplore.engine.serial import run_one
 from jexplore.exploration.batch import Job, run_jobs
 from jexplore.exploration.episode import program_of
 from jexplore.exploration.results import length_along_m, progress_m
@@ -108,8 +108,10 @@ def test_two_workers_and_another_order_give_the_same(jobs, one_worker):
     for got, want in zip(report.outcomes[::-1], one_worker):
         assert_equal(got, want)
     assert report.costs.run_s > 0
-    engines = {job.strategy.name.split("+")[0] in ("closest", "random") for job in jobs}
-    assert report.costs.engine == {(True,): "native", (False,): "serial"}.get(tuple(engines), "native+serial")
+    for name, levels in report.costs.levels.items():
+        assert levels == ["native on a CPU" if name.split("+")[0] in ("closest", "random") else "native driving"]
+    assert sorted(report.costs.levels) == sorted({job.strategy.name for job in jobs})
+    assert report.costs.why_not == []
 
 
 @pytest.mark.jit
@@ -261,10 +263,13 @@ def test_no_key_is_used_twice():
 
 
 @pytest.mark.jit
-def test_what_is_kept_of_every_episode_is_the_same_in_both_engines(jobs):
+def test_what_is_kept_of_every_episode_is_the_same_in_lanes(jobs):
     few = [job._replace(starts=job.starts[:2]) for job in jobs[:2]]
     for keep in ("paths", "maps"):
-        one, other = (run_jobs(few, LIDAR, RULES, engine=name, keep=keep).outcomes for name in ("serial", "lockstep"))
+        one, other = (
+            run_jobs(few, LIDAR, RULES, engine="jax", in_lanes=in_lanes, keep=keep).outcomes
+            for in_lanes in (False, True)
+        )
         for job, ours, theirs in zip(few, one, other):
             assert sorted(ours.records) == sorted(theirs.records) == [0, 1]
             jax.tree.map(np.testing.assert_array_equal, ours.records[1], theirs.records[1])

@@ -18,8 +18,10 @@ from jexplore import bench
 from jexplore.bench import engines, kernels, oracles, plots, rates, tables, timing
 from jexplore.cli import main
 from jexplore.config import InputError
+from jexplore.policies import parse_strategy
 from jexplore.report import store
-from jexplore.worlds.world import World
+from jexplore.studies.checks import ready_worlds
+from jexplore.worlds.world import World, with_ring
 
 SMALL = "cave:width_m=6.4,height_m=6.4"
 YARDSTICK = Path(__file__).resolve().parents[1] / "benchmarks" / "yardstick.py"
@@ -33,7 +35,7 @@ def command(*options):
 def ran(tmp_path_factory):
     """The folder of one benchmark, and what it printed."""
     out = tmp_path_factory.mktemp("runs") / "new"
-    options = ("--worlds", SMALL, "--sides", 32, "--batch-sizes", 2, "--engine", "serial", "lockstep", "--episodes", 3)
+    options = ("--worlds", SMALL, "--sides", 32, "--batch-sizes", 2, "--episodes", 3)
     ended = subprocess.run(
         command(*options, "--repeat", 1, "--cache", "--out", out), capture_output=True, text=True, timeout=600
     )
@@ -55,7 +57,7 @@ def test_files_and_tables(ran, report):
         assert title in said
     assert "| NO |" not in said
     assert {"jexplore", "jax", "device", "cpu", "cores"} <= set(report["environment"])
-    assert report["settings"]["engines"] == ["serial", "lockstep"]
+    assert report["settings"]["engines"] == ["auto", "jax"]
     record = json.loads((out / "run.json").read_text())
     assert record["command"][:2] == ["jexplore", "bench"]
     assert record["measured"] == report["settings"]
@@ -78,21 +80,32 @@ def test_every_kernel_gives_the_references_answer(report):
 
 def test_both_engines_give_the_same(report):
     for rows in (report["batches"], report["sides"]):
-        assert [row["engine"] for row in rows] == ["serial", "lockstep"]
+        assert [row["engine"] for row in rows] == ["auto", "jax"]
+        assert [row["level"] for row in rows] == ["native on a CPU", "JAX"]
         assert all(row["equal"] is True for row in rows)
-        serial, lockstep = rows
-        assert serial["lanes"] is None
-        assert serial["useful"] is None
-        assert lockstep["lanes"] == 2
-        assert 0 < lockstep["useful"] <= 1
-        assert lockstep["episodes"] == 4
         for row in rows:
+            assert row["lanes"] is row["useful"] is None
             assert row["quality"]["complete"] == 1
             assert row["episodes_per_s"] > 0
-            assert row["lane_bytes"] > 0
-    assert lockstep["lane_bytes_estimate"] > 0
-    assert {program["engine"] for program in report["programs"]} == {"serial", "lockstep"}
+        assert rows[1]["lane_bytes"] > 0
+    assert {program["level"] for program in report["programs"]} == {"JAX"}
     assert all(program["trace_s"] > 0 and program["compile_s"] > 0 for program in report["programs"])
+
+
+@pytest.mark.jit
+def test_lanes_and_native_driving_are_measured_as_well(monkeypatch):
+    """As of a strategy without native episodes, beside an accelerator."""
+    monkeypatch.setattr(engines, "is_native", lambda *_: False)
+    monkeypatch.setattr(engines, "has_lanes", lambda engine: engine == "jax")
+    (world,), strategy = ready_worlds([SMALL], 0.1), parse_strategy("closest")
+    wanted = [("auto", 2), ("jax", 2)]
+    driven, lanes = engines.measure_episodes(engines.Compiler(), with_ring(world), strategy, wanted, 3, 1)
+    assert [row["level"] for row in (driven, lanes)] == ["native driving", "JAX in lanes"]
+    assert driven["equal"] is lanes["equal"] is True
+    assert lanes["lanes"] == 2
+    assert 0 < lanes["useful"] <= 1
+    assert lanes["episodes"] == 4
+    assert lanes["lane_bytes_estimate"] > 0
 
 
 def test_shares_are_of_one_whole(report):
@@ -108,7 +121,7 @@ def test_shares_are_of_one_whole(report):
     [
         (("--worlds", "nowhere"), "'nowhere'"),
         (("--strategies", "dreams"), "'dreams'"),
-        (("--engine", "warp"), "engine must be one of serial, lockstep, got 'warp'"),
+        (("--engine", "warp"), "engine must be one of auto, jax, got 'warp'"),
         (("--engine",), "got none"),
         (("--batch-sizes", "0"), "batch_sizes must be an integer from 1"),
         (("--sides", "31"), "sides must be an integer from 32 to 2048, got 31"),
@@ -153,14 +166,14 @@ def test_ctrl_c(tmp_path):
 
 def test_defaults_suit_the_machine():
     plan = bench.prepare_bench(worlds=[SMALL], sides=[32])
-    assert plan.engines == ("serial",)
-    assert plan.batches == {"serial": (1, 4, 16, 64)}
+    assert plan.engines == ("auto", "jax")
+    assert plan.batches == dict.fromkeys(plan.engines, (1, 4, 16, 64))
     assert plan.episodes == 16
     assert plan.sized[0].shape == (32, 32)
-    quick = bench.prepare_bench(quick=True, batch_sizes=[8, 2])
+    quick = bench.prepare_bench(quick=True, batch_sizes=[8, 2], engine=["jax"])
     assert [world.name for world in quick.worlds] == ["cave"]
     assert quick.sides == (64, 128)
-    assert quick.batches == {"serial": (2, 8)}
+    assert quick.batches == {"jax": (2, 8)}
     assert [world.shape for world in quick.sized] == [(64, 64), (128, 128)]
 
 

@@ -189,10 +189,9 @@ def test_episodes_have_the_same_bits(target, name, monkeypatch):
     """A strategy of JAX's; one that says whether its view points are live; one that chooses among clusters."""
     jobs = some_jobs([name])
     assert (jobs[0].strategy.policy.live is not None) == name.startswith("gain")
-    ran = []
-    for native in (None, target):
-        monkeypatch.setattr(site, "find_target", lambda native=native: native)
-        ran.append(batch.run_jobs(jobs, LIDAR, RULES, engine="serial", workers=2, keep="maps"))
+    monkeypatch.setattr(batch, "is_native", lambda *_: False)
+    ran = [batch.run_jobs(jobs, LIDAR, RULES, engine=engine, workers=2, keep="maps") for engine in ("jax", "auto")]
+    assert [report.costs.levels for report in ran] == [{name: ["JAX"]}, {name: ["native driving"]}]
     assert digest(ran[0]) == digest(ran[1])
     assert_equal(*([outcomes.records for outcomes in report.outcomes] for report in ran))
     assert max(outcomes.result.scans.max() for outcomes in ran[0].outcomes) > 20
@@ -204,7 +203,7 @@ def test_steps_of_an_environment_have_the_same_bits(target, monkeypatch):
     occupied, rooms = maps.cluttered(1, 40, 44)
 
     def steps(native):
-        monkeypatch.setattr(site, "find_target", lambda: native)
+        monkeypatch.setattr(site, "find_target", lambda: build.Library(None, name=native))
         env = jx.Environment(
             World(occupied=occupied, rooms=rooms, name="cluttered"), lidar=LIDAR, recheck=True, paths=True
         )
@@ -229,9 +228,8 @@ def test_steps_of_an_environment_have_the_same_bits(target, monkeypatch):
 @needs_compiler
 @pytest.mark.jit
 def test_one_robot_on_a_cpu_is_driven_by_native_code(target):
-    assert drive_for("serial", "cpu") == target
-    for engine, platform in (("serial", "gpu"), ("lockstep", "cpu"), ("lockstep", "gpu")):
-        assert drive_for(engine, platform) is None
+    assert drive_for("cpu").name == target
+    assert drive_for("gpu").name is None
 
 
 @needs_compiler
@@ -242,7 +240,7 @@ def test_a_noisy_scanner_is_left_to_jax(target):
 
 
 def test_without_jit_nothing_is_built_or_called():
-    assert drive_for("serial", "cpu") is None
+    assert drive_for("cpu").name is None
     (setup, given), (as_jax, _) = setting("no such target"), setting(None)
     assert_equal(environment.begin(setup, given), environment.begin(as_jax, given))
 
@@ -257,11 +255,11 @@ def test_no_compiler_is_told_once_and_jax_drives(monkeypatch, tmp_path):
     monkeypatch.delenv("CXX", raising=False)
     text = r"^no C\+\+ compiler was found: expected one of c\+\+, .* in CXX: JAX does without native code"
     with pytest.warns(InputWarning, match=text) as told:
-        assert drive_for("serial", "cpu") is None
+        assert drive_for("cpu").name is None
     assert len(told) == 1
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        assert drive_for("serial", "cpu") is None
+        assert drive_for("cpu").name is None
 
 
 @pytest.mark.usefixtures("forgetful")

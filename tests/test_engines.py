@@ -1,4 +1,4 @@
-"""One result, whichever way episodes run: engines, batch sizes, kernels, devices, processes; runs that end early."""
+"""One result, whichever way episodes run: one by one or in lanes, batch sizes, devices, processes; early ends."""
 
 import dataclasses
 import json
@@ -7,6 +7,7 @@ import socket
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -15,10 +16,11 @@ import pytest
 from ref import maps
 from ref.jobs import LIDAR, RULES, digest, few, some_jobs
 
+import jexplore as jx
 from jexplore.arrays import loops
 from jexplore.bench import engines
 from jexplore.config import InputError
-from jexplore.engine import devices, lockstep, runner, serial
+from jexplore.engine import devices, lanes, one_by_one, runner
 from jexplore.engine.program import given_of
 from jexplore.exploration.batch import Job, run_jobs
 from jexplore.exploration.site import line_of, prepare_site
@@ -27,8 +29,7 @@ from jexplore.policies import parse_strategy
 from jexplore.worlds.starts import draw_starts
 from jexplore.worlds.world import World
 
-LANES = {"serial": None, "lockstep": 3}
-ENGINES = ("serial", None), ("lockstep", 7)  # with so many lanes
+WAYS: dict[str, dict[str, Any]] = {"one by one": {}, "lanes": {"in_lanes": True, "lanes": 7}}
 TESTS = Path(__file__).resolve().parent
 
 
@@ -44,7 +45,7 @@ def assert_equal(got, want):
 def want(jit_on):
     """The jobs, one after the other."""
     with jit_on():
-        return run_jobs(some_jobs(), LIDAR, RULES, engine="serial", workers=1)
+        return run_jobs(some_jobs(), LIDAR, RULES, engine="jax", workers=1)
 
 
 @pytest.mark.jit
@@ -56,11 +57,12 @@ def test_what_is_compared_says_something(want):
 
 @pytest.mark.jit
 @pytest.mark.parametrize("n_lanes", [7, 64])
-def test_lanes_in_lockstep_give_what_one_after_the_other_does(want, n_lanes):
-    report = run_jobs(some_jobs(), LIDAR, RULES, engine="lockstep", lanes=n_lanes)
+def test_lanes_give_what_one_after_the_other_does(want, n_lanes):
+    report = run_jobs(some_jobs(), LIDAR, RULES, engine="jax", in_lanes=True, lanes=n_lanes)
     assert_equal(report, want)
     costs = report.costs
-    assert (costs.engine, costs.devices, costs.lanes) == ("lockstep", 1, min(n_lanes, 20))
+    assert (costs.engine, costs.devices, costs.lanes) == ("jax", 1, min(n_lanes, 20))
+    assert costs.levels == {"closest": ["JAX in lanes"], "closest+recheck": ["JAX in lanes"]}
     assert 0 < costs.useful <= 1
 
 
@@ -74,7 +76,7 @@ def test_whole_episodes_under_vmap_give_the_same(want):
 
     def episode(key, task):
         own = given.replace(key=key, task=task)
-        return program.finish(program.setup, own, serial.run_one(program, own))
+        return program.finish(program.setup, own, one_by_one.run_one(program, own))
 
     keys = jnp.stack([given_of(line, i).key for i in numbers])
     found = jax.jit(jax.vmap(episode))(keys, line.tasks)
@@ -84,18 +86,18 @@ def test_whole_episodes_under_vmap_give_the_same(want):
 @pytest.mark.jit
 @pytest.mark.parametrize("size", [7])
 def test_calls_of_any_size_give_the_same(want, size, monkeypatch):
-    monkeypatch.setattr(serial, "CHUNK", size)
-    assert_equal(run_jobs(some_jobs(), LIDAR, RULES, engine="serial", workers=2), want)
+    monkeypatch.setattr(one_by_one, "CHUNK", size)
+    assert_equal(run_jobs(some_jobs(), LIDAR, RULES, engine="jax", workers=2), want)
 
 
 @pytest.mark.jit
 @pytest.mark.parametrize("kind", ["auto", "rooms"])
-def test_a_strategy_that_draws_looks_ahead_and_divides_the_map_gives_the_same_in_both_engines(kind):
+def test_a_strategy_that_draws_looks_ahead_and_divides_the_map_gives_the_same_in_lanes(kind):
     occupied, rooms = maps.cluttered(1, 32, 36)
     world = World(occupied=occupied, rooms=rooms, name="cluttered")
     strategy = parse_strategy(f"decision-theoretic+recheck+segment={kind}:samples=20")
     jobs = [Job(world, strategy, draw_starts(world, 4, 5, RULES.clearance_m), seed=7)]
-    both = [run_jobs(jobs, LIDAR, RULES, engine=engine) for engine in ("serial", "lockstep")]
+    both = [run_jobs(jobs, LIDAR, RULES, engine="jax", in_lanes=in_lanes) for in_lanes in (False, True)]
     assert_equal(*both)
     assert both[0].outcomes[0].result.plans.max() > 1
 
@@ -116,19 +118,19 @@ import json
 from jexplore.exploration.batch import run_jobs
 from ref import jobs as t
 found = []
-for engine in sys.argv[3:]:
-    lanes = 3 if engine == "lockstep" else None
-    report = run_jobs(t.some_jobs(), t.LIDAR, t.RULES, engine=engine, lanes=lanes)
-    found.append([engine, report.costs.devices, t.digest(report)])
+for way in sys.argv[3:]:
+    how = {"in_lanes": True, "lanes": 3} if way == "lanes" else {}
+    report = run_jobs(t.some_jobs(), t.LIDAR, t.RULES, engine="jax", **how)
+    found.append([way, report.costs.devices, t.digest(report)])
     if not setting.startswith("devices"):
-        found.append(t.few(run_jobs, engine))
+        found.append(t.few(run_jobs))
 print(json.dumps(found))
 """
 
 
-def child(setting, *engines):
+def child(setting, *ways):
     return subprocess.Popen(
-        [sys.executable, "-c", CHILD, str(TESTS), setting, *engines],
+        [sys.executable, "-c", CHILD, str(TESTS), setting, *ways],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env={**os.environ, "JAX_PLATFORMS": "cpu"},
     )  # fmt: skip
 
@@ -142,8 +144,8 @@ def answer(process):
 @pytest.mark.jit
 @pytest.mark.parametrize("n", [4])
 def test_devices_share_the_work_and_change_nothing(want, n):
-    found = answer(child(f"devices{n}", "serial", "lockstep"))
-    assert found == [["serial", n, digest(want)], ["lockstep", n, digest(want)]]
+    found = answer(child(f"devices{n}", "one by one", "lanes"))
+    assert found == [["one by one", n, digest(want)], ["lanes", n, digest(want)]]
 
 
 @pytest.mark.jit
@@ -151,18 +153,18 @@ def test_processes_share_the_work_and_all_have_all_of_it(want):
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
-    both = [child(f"{port},{i}", "serial") for i in range(2)]
-    alone = few(run_jobs, "serial")
+    both = [child(f"{port},{i}", "one by one") for i in range(2)]
+    alone = few(run_jobs)
     assert len(set(alone)) == 4
-    assert [answer(process) for process in both] == [[["serial", 2, digest(want)], alone]] * 2
+    assert [answer(process) for process in both] == [[["one by one", 2, digest(want)], alone]] * 2
 
 
 @pytest.mark.jit
 def test_programs_that_differ_in_what_is_fixed_are_told_apart_in_one_process():
-    """Clearance is no array: in one process, lockstep must compile anew for each."""
+    """Clearance is no array: in one process, lanes must be compiled anew for each."""
     jobs, paths = some_jobs(), []
     for rules in (RULES, dataclasses.replace(RULES, clearance_m=0.1)):
-        both = [run_jobs(jobs, LIDAR, rules, engine=engine, lanes=n) for engine, n in ENGINES]
+        both = [run_jobs(jobs, LIDAR, rules, engine="jax", **how) for how in WAYS.values()]
         assert_equal(*both)
         paths.append(both[0].outcomes[0].result.known.tolist())
     assert paths[0] != paths[1]
@@ -172,11 +174,11 @@ def test_programs_that_differ_in_what_is_fixed_are_told_apart_in_one_process():
 
 
 @pytest.mark.jit
-@pytest.mark.parametrize("engine", ["serial", "lockstep"])
-def test_a_run_stopped_half_way_keeps_what_is_finished(want, engine, monkeypatch):
-    monkeypatch.setattr(serial, "CHUNK", 2)
-    monkeypatch.setattr(lockstep, "FIRST_TURNS", 40)
-    monkeypatch.setattr(lockstep, "GROWTH", 1)
+@pytest.mark.parametrize("how", WAYS.values(), ids=WAYS)
+def test_a_run_stopped_half_way_keeps_what_is_finished(want, how, monkeypatch):
+    monkeypatch.setattr(one_by_one, "CHUNK", 2)
+    monkeypatch.setattr(lanes, "FIRST_TURNS", 40)
+    monkeypatch.setattr(lanes, "GROWTH", 1)
     seen = []
 
     def stop(done):
@@ -184,7 +186,7 @@ def test_a_run_stopped_half_way_keeps_what_is_finished(want, engine, monkeypatch
         if done >= 7:
             raise KeyboardInterrupt
 
-    report = run_jobs(some_jobs(), LIDAR, RULES, engine=engine, lanes=LANES[engine], workers=1, on_progress=stop)
+    report = run_jobs(some_jobs(), LIDAR, RULES, engine="jax", **how, workers=1, on_progress=stop)
     assert report.costs.interrupted
     assert not want.costs.interrupted
     finished = 0
@@ -201,20 +203,20 @@ def test_a_run_stopped_half_way_keeps_what_is_finished(want, engine, monkeypatch
 
 
 @pytest.mark.jit
-@pytest.mark.parametrize("engine", ["serial", "lockstep"])
-def test_a_run_stopped_before_anything_is_finished_says_so(engine, monkeypatch):
+@pytest.mark.parametrize("how", WAYS.values(), ids=WAYS)
+def test_a_run_stopped_before_anything_is_finished_says_so(how, monkeypatch):
     def stop(*_, **__):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(serial, "compile_chunk", stop)
-    monkeypatch.setattr(lockstep.Group, "run", stop)
+    monkeypatch.setattr(one_by_one, "compile_chunk", stop)
+    monkeypatch.setattr(lanes.Group, "run", stop)
     with pytest.raises(KeyboardInterrupt):
-        run_jobs(some_jobs(), LIDAR, RULES, engine=engine)
+        run_jobs(some_jobs(), LIDAR, RULES, engine="jax", **how)
 
 
 @pytest.mark.jit
 def test_memory_that_runs_out_halves_the_lanes_once(want, monkeypatch):
-    whole_run, tried = lockstep.Group.run, []
+    whole_run, tried = lanes.Group.run, []
 
     def run(self, n_lanes, costs, on_progress):
         tried.append(n_lanes)
@@ -222,23 +224,23 @@ def test_memory_that_runs_out_halves_the_lanes_once(want, monkeypatch):
             raise jax.errors.JaxRuntimeError("RESOURCE_EXHAUSTED: Out of memory while trying to allocate 1 bytes.")
         return whole_run(self, n_lanes, costs, on_progress)
 
-    monkeypatch.setattr(lockstep.Group, "run", run)
+    monkeypatch.setattr(lanes.Group, "run", run)
     with pytest.warns(UserWarning, match="out of device memory with 14 lanes: going on with 7"):
-        report = run_jobs(some_jobs(), LIDAR, RULES, engine="lockstep", lanes=14)
+        report = run_jobs(some_jobs(), LIDAR, RULES, engine="jax", in_lanes=True, lanes=14)
     assert tried == [14, 7]
     assert_equal(report, want)
     with (
         pytest.warns(UserWarning, match="going on with 9"),
         pytest.raises(MemoryError, match="RESOURCE_EXHAUSTED"),
     ):
-        run_jobs(some_jobs(), LIDAR, RULES, engine="lockstep", lanes=18)
+        run_jobs(some_jobs(), LIDAR, RULES, engine="jax", in_lanes=True, lanes=18)
 
 
 @pytest.mark.jit
 def test_memory_that_runs_out_half_way_costs_nothing_that_was_finished(want, monkeypatch):
     """The call fails after some have succeeded; their results are kept, the rest is run again in fewer lanes."""
-    monkeypatch.setattr(lockstep, "FIRST_TURNS", 40)
-    monkeypatch.setattr(lockstep, "GROWTH", 1)
+    monkeypatch.setattr(lanes, "FIRST_TURNS", 40)
+    monkeypatch.setattr(lanes, "GROWTH", 1)
     progress = []
 
     def fail(done):
@@ -247,7 +249,7 @@ def test_memory_that_runs_out_half_way_costs_nothing_that_was_finished(want, mon
             raise jax.errors.JaxRuntimeError("RESOURCE_EXHAUSTED: Out of memory")
 
     with pytest.warns(UserWarning, match="going on with 3"):
-        report = run_jobs(some_jobs(), LIDAR, RULES, engine="lockstep", lanes=7, on_progress=fail)
+        report = run_jobs(some_jobs(), LIDAR, RULES, engine="jax", in_lanes=True, lanes=7, on_progress=fail)
     assert_equal(report, want)
     assert progress == sorted(progress)
     assert progress[3] > 0
@@ -259,7 +261,7 @@ def test_lanes_fit_the_memory(monkeypatch):
     job = some_jobs()[0]
     site = prepare_site(job.world, LIDAR, RULES)
     line = line_of(site, site.with_strategy(job.strategy), np.zeros((9999, 3)), 0, np.arange(9999))
-    group = lockstep.Group([line], jax.local_devices()[:1])
+    group = lanes.Group([line], jax.local_devices()[:1])
 
     class Device:
         platform = "gpu"
@@ -275,7 +277,7 @@ def test_lanes_fit_the_memory(monkeypatch):
         return group.fitting_lanes()
 
     few, many = fitting(2**30), fitting(2**40)
-    assert many == lockstep.LANES
+    assert many == lanes.LANES
     assert 100 < few < many
     assert few & (few - 1) == 0
     line.which = line.which[:20]
@@ -286,20 +288,20 @@ class Accelerator:
     platform = "gpu"
 
 
-def test_beside_an_accelerator_the_serial_engine_has_the_cpu(monkeypatch):
+def test_beside_an_accelerator_auto_has_the_cpu_and_jax_has_lanes(monkeypatch):
     found = jax.local_devices
     monkeypatch.setattr(jax, "local_devices", lambda backend=None: found(backend="cpu") if backend else [Accelerator()])
     monkeypatch.setattr(runner, "own_cores", lambda: 2)
-    assert runner.find_resources(lanes=1).engine == "lockstep"
-    assert runner.find_resources(engine="lockstep").engine == "lockstep"
-    for how in ({}, {"engine": "serial"}, {"workers": 2}):
+    for how in ({"engine": "jax"}, {"engine": "jax", "lanes": 1}, {"in_lanes": True}):
         resources = runner.find_resources(**how)
-        assert (resources.engine, resources.devices) == ("serial", found(backend="cpu"))
-    with pytest.raises(InputError, match="lanes are for the engine lockstep, got 4 for serial"):
-        runner.find_resources(engine="serial", lanes=4)
+        assert resources.in_lanes
+        assert isinstance(resources.devices[0], Accelerator)
+    for how in ({}, {"workers": 2}, {"in_lanes": False}, {"engine": "jax", "in_lanes": False}):
+        resources = runner.find_resources(**how)
+        assert (resources.in_lanes, resources.devices) == (False, found(backend="cpu"))
 
 
-def test_where_jax_has_no_cpu_the_serial_engine_is_none(monkeypatch):
+def test_where_jax_has_no_cpu_all_runs_are_in_lanes(monkeypatch):
     """As with JAX_PLATFORMS=cuda."""
 
     def devices_of(backend=None):
@@ -308,21 +310,23 @@ def test_where_jax_has_no_cpu_the_serial_engine_is_none(monkeypatch):
         return [Accelerator()]
 
     monkeypatch.setattr(jax, "local_devices", devices_of)
-    for how in ({}, {"workers": 96}, {"engine": "lockstep"}):
-        assert runner.find_resources(**how).engine == "lockstep"
-    with pytest.raises(InputError, match=r"^JAX_PLATFORMS must list cpu for the engine serial, got "):
-        runner.find_resources(engine="serial")
+    for how in ({}, {"workers": 96}, {"engine": "jax"}):
+        assert runner.find_resources(**how).in_lanes
+    with pytest.raises(
+        InputError, match=r"^JAX_PLATFORMS must list cpu, where runs are made one after the other, got "
+    ):
+        runner.find_resources(in_lanes=False)
 
 
 @pytest.mark.jit
 def test_engines_are_measured_as_they_are_used(monkeypatch):
-    """Beside an accelerator too: what is serial is compiled for the CPU."""
+    """Beside an accelerator too: what comes one by one is compiled for the CPU."""
     world, strategy, cpu = some_jobs()[0].world, parse_strategy("closest"), jax.local_devices()[0]
     monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
     traced, placed = [], []
     monkeypatch.setattr(loops, "_on_cpu", lambda own=loops._on_cpu: traced.append(own()) or traced[-1])
     monkeypatch.setattr(jax, "device_put", lambda *a, own=jax.device_put: placed.append(a[1:]) or own(*a))
-    engines.Compiler().serial(world, strategy)
+    engines.Compiler().one_by_one(world, strategy)
     assert set(traced) == {True}
     assert placed == [(cpu,)]
 
@@ -333,7 +337,7 @@ def test_what_is_compiled_for_a_cpu_beside_an_accelerator_is_as_for_a_cpu(want, 
     devices._compiled.cache_clear()
     traced = []
     monkeypatch.setattr(loops, "_on_cpu", lambda own=loops._on_cpu: traced.append(own()) or traced[-1])
-    report = run_jobs(some_jobs()[:1], LIDAR, RULES, engine="serial", workers=2)
+    report = run_jobs(some_jobs()[:1], LIDAR, RULES, engine="jax", workers=2)
     assert set(traced) == {True}
     assert_equal(report, want._replace(outcomes=want.outcomes[:1]))
 
@@ -341,8 +345,10 @@ def test_what_is_compiled_for_a_cpu_beside_an_accelerator_is_as_for_a_cpu(want, 
 @pytest.mark.parametrize(
     ("options", "says"),
     [
-        ({"engine": "warp"}, "engine must be one of serial, lockstep, got 'warp'"),
-        ({"engine": "serial", "lanes": 4}, "lanes are for the engine lockstep, got 4 for serial"),
+        ({"engine": "warp"}, "engine must be one of auto, jax, got 'warp'"),
+        ({"engine": None}, "engine must be one of auto, jax, got None"),
+        ({"lanes": 4}, "lanes are for the engine jax, got 4 for auto"),
+        ({"engine": "jax", "lanes": 4}, "lanes are for a GPU, got 4 on a CPU"),
         ({"lanes": 0}, "lanes must be an integer from 1 to 1048576, got 0"),
         ({"workers": -1}, "workers must be an integer from 1 to 1024, got -1"),
     ],
@@ -350,3 +356,20 @@ def test_what_is_compiled_for_a_cpu_beside_an_accelerator_is_as_for_a_cpu(want, 
 def test_engines_that_do_not_exist_are_refused(options, says):
     with pytest.raises(InputError, match=says):
         run_jobs(some_jobs(), LIDAR, RULES, **options)
+
+
+@pytest.mark.parametrize(
+    "ask",
+    [
+        lambda how: jx.compare("nowhere", ["closest"], **how),
+        lambda how: jx.sweep("nowhere.yaml", **how),
+        lambda how: jx.reproduce("holz2010", maps="nowhere", **how),
+        lambda how: jx.trace("nowhere", **how),
+    ],
+)
+def test_engines_are_checked_before_anything_is_read(ask):
+    for name in ("serial", "lockstep", "native"):
+        with pytest.raises(InputError, match=rf"^engine must be one of auto, jax(, ray)?, got '{name}'$"):
+            ask({"engine": name})
+    with pytest.raises(InputError, match=r"^lanes are for the engine jax, got 4 for auto$"):
+        ask({"lanes": 4})

@@ -125,7 +125,7 @@ def test_the_test_finds_what_it_looks_for():
         "grid",
         "reach",
         "engine.runner",
-        "engine.serial",
+        "engine.one_by_one",
         "exploration.site",
         "driving.vehicle",
         "report.plot",
@@ -133,9 +133,9 @@ def test_the_test_finds_what_it_looks_for():
     }
     for name, source, expected in [
         ("reach", "import jexplore.grid, jax", []),
-        ("engine.serial", "from jexplore import config\nfrom jexplore.engine import runner", []),
-        ("engine.serial", "from jexplore.grid import x", ["engine.serial -> grid: the engine runs any program"]),
-        ("exploration.site", "from jexplore.engine.serial import x", []),
+        ("engine.one_by_one", "from jexplore import config\nfrom jexplore.engine import runner", []),
+        ("engine.threads", "from jexplore.grid import x", ["engine.threads -> grid: the engine runs any program"]),
+        ("exploration.site", "from jexplore.engine.one_by_one import x", []),
         ("exploration.site", "from jexplore.driving import vehicle", ["exploration.site -> driving.vehicle"]),
         ("exploration.site", "def f():\n    from jexplore.cli import x", ["exploration.site -> cli"]),
         ("driving.vehicle", "if TYPE_CHECKING:\n    from jexplore.report import plot",

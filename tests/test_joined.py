@@ -49,9 +49,11 @@ def test_a_lone_one_and_a_users_stay_as_they_are():
 @pytest.mark.jit
 def test_together_and_alone_they_do_the_same():
     jobs = [job._replace(starts=job.starts[:2]) for job in some_jobs(NAMES)[: len(NAMES)]]
-    together, lanes = (run_jobs(jobs, LIDAR, RULES, engine=engine).outcomes for engine in ("serial", "lockstep"))
+    together, lanes = (
+        run_jobs(jobs, LIDAR, RULES, engine="jax", in_lanes=in_lanes).outcomes for in_lanes in (False, True)
+    )
     for job, found, other in zip(jobs, together, lanes):
-        (alone,) = run_jobs([job], LIDAR, RULES, engine="serial").outcomes
+        (alone,) = run_jobs([job], LIDAR, RULES, engine="jax").outcomes
         for one in (alone, other):
             jax.tree.map(np.testing.assert_array_equal, found.result, one.result)
             assert found.first.plans == one.first.plans

@@ -1,6 +1,7 @@
 """Whole runs: what the robot of the paper finds on its course, how it drives, and how a run may end."""
 
 import dataclasses
+import functools
 import math
 
 import jax
@@ -255,14 +256,15 @@ def test_threads_change_nothing(noisy, jit_on):
 
 
 @pytest.mark.jit
-def test_lanes_in_lockstep_give_the_same_maps_and_are_filled_again(noisy):
+def test_lanes_give_the_same_maps_and_are_filled_again(noisy, monkeypatch):
     """As on an accelerator; five short runs in two lanes."""
     plan, draws, done = noisy.plan, np.array([0, 1, 2, 1, 3], np.int32), []
     numbers = *(numbers_of(s, 5) for s in plan.first_settings()), plan.starts_of(draws)
     how = {"max_steps": 300}
     alone = batch.run_missions(plan.building, *numbers, 5, draws, workers=1, **how).result
+    monkeypatch.setattr(batch, "find_resources", functools.partial(batch.find_resources, in_lanes=True))
     report = batch.run_missions(
-        plan.building, *numbers, 5, draws, engine="lockstep", lanes=2, on_progress=done.append, **how
+        plan.building, *numbers, 5, draws, engine="jax", lanes=2, on_progress=done.append, **how
     )
     lanes = report.result
     assert lanes.steps.tolist() == alone.steps.tolist() == [300] * 5
@@ -272,6 +274,7 @@ def test_lanes_in_lockstep_give_the_same_maps_and_are_filled_again(noisy):
     assert len(set(lanes.path_m.tolist())) == 4
     assert len(report.driven.truth) == 300
     assert report.costs.lanes == 2
+    assert report.costs.levels == {"kamui": ["JAX in lanes"]}
     assert report.costs.useful >= 0.8
     assert done[-1] == 5
 

@@ -64,9 +64,9 @@ def test_an_episode_by_hand():
 @pytest.mark.parametrize("name", ["closest", "closest+recheck", "random", "random+recheck"])
 def test_episodes_have_the_bits_of_jax(name):
     job = job_of(name)
-    ours, theirs = (
-        run_jobs([job], LIDAR, RULES, engine=engine, keep="maps").outcomes[0] for engine in (None, "serial")
-    )
+    reports = [run_jobs([job], LIDAR, RULES, engine=engine, keep="maps") for engine in ("auto", "jax")]
+    assert [report.costs.levels for report in reports] == [{name: ["native on a CPU"]}, {name: ["JAX"]}]
+    ours, theirs = (report.outcomes[0] for report in reports)
     assert_equal(dataclasses.asdict(ours.result), dataclasses.asdict(theirs.result))
     assert_equal(ours.first._replace(plans=None), theirs.first._replace(plans=None))
     assert ours.first.plans == theirs.first.plans
@@ -113,9 +113,11 @@ def test_a_gpu_runs_what_it_can_and_the_cpu_the_rest(monkeypatch):
     monkeypatch.setattr(gpu, "device_count", lambda: 1)
     monkeypatch.setattr(gpu, "load", lambda: build.Library(ctypes.CDLL(None)))
     monkeypatch.setattr(gpu, "play", play)
-    ours = run_jobs([job], LIDAR, RULES).outcomes[0]
+    report = run_jobs([job], LIDAR, RULES)
+    ours = report.outcomes[0]
     assert asked == [11]
-    theirs = run_jobs([job], LIDAR, RULES, engine="serial").outcomes[0]
+    assert report.costs.levels == {"random": ["native on a CPU", "native on a GPU"]}
+    theirs = run_jobs([job], LIDAR, RULES, engine="jax").outcomes[0]
     assert_equal(dataclasses.asdict(ours.result), dataclasses.asdict(theirs.result))
     np.testing.assert_array_equal(ours.first.hits, theirs.first.hits)
 
@@ -157,8 +159,8 @@ def test_a_replay_shows_what_jax_does(name, monkeypatch):
     final = run_jobs([job], LIDAR, RULES).outcomes[0].first
     how = {"start": tuple(job.starts[0].tolist()), "seed": job.seed, "number": 0, "lidar": LIDAR, "rules": RULES}
     ours = replays.replay_data(job.world, job.strategy, final, **how)
-    monkeypatch.setattr(replays, "show_episode", lambda *args: None)
-    theirs = replays.replay_data(job.world, job.strategy, final, **how)
+    monkeypatch.setattr(replays, "show_episode", lambda *args: pytest.fail("native code was called"))
+    theirs = replays.replay_data(job.world, job.strategy, final, **how, engine="jax")
     assert_equal(*(jax.tree.leaves(data.changes) for data in (ours, theirs)))
     np.testing.assert_array_equal(ours.heading_deg, theirs.heading_deg)
 
@@ -170,14 +172,16 @@ def test_a_replay_shows_what_jax_does(name, monkeypatch):
 @pytest.mark.jit
 def test_without_a_compiler_jax_runs_and_says_so_once(monkeypatch, tmp_path):
     job = job_of("closest", 2)
-    want = run_jobs([job], LIDAR, RULES, engine="serial").outcomes[0].result
+    want = run_jobs([job], LIDAR, RULES, engine="jax").outcomes[0].result
     monkeypatch.setenv("PATH", str(tmp_path))
     monkeypatch.delenv("CXX", raising=False)
     build.warn_once.cache_clear()
     with pytest.warns(InputWarning, match=r"^no C\+\+ compiler was found") as told:
-        found = run_jobs([job], LIDAR, RULES).outcomes[0].result
+        report = run_jobs([job], LIDAR, RULES)
     assert len(told) == 1
-    assert_equal(dataclasses.asdict(found), dataclasses.asdict(want))
+    assert report.costs.levels == {"closest": ["JAX"]}
+    assert [line.partition(":")[0] for line in report.costs.why_not] == ["no C++ compiler was found"]
+    assert_equal(dataclasses.asdict(report.outcomes[0].result), dataclasses.asdict(want))
 
 
 @needs_compiler

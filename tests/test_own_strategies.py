@@ -21,7 +21,8 @@ from ref.worlds import two_rooms
 
 import jexplore as jx
 from jexplore.config import InputError, Lidar
-from jexplore.engine import serial
+from jexplore.engine import one_by_one
+from jexplore.exploration import batch
 from jexplore.exploration.site import prepare_site
 from jexplore.exploration.state import Outcome
 from jexplore.policies import STRATEGIES, parse_strategy, strategy
@@ -147,13 +148,15 @@ def test_a_score_is_rounded_once():
 
 
 @pytest.mark.jit
-def test_ones_own_in_both_engines_modified_too(tmp_path, monkeypatch):
+def test_ones_own_in_lanes_modified_too(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "engines_mine.py").write_text(MODULE)
     names = ["closest+recheck+segment", "engines_mine:nearest+recheck+segment"]
     table = compare(names, lidar=NOISY)
-    lanes = compare(names[1:], lidar=NOISY, engine="lockstep")
     assert equal(table, *names)
+    with monkeypatch.context() as patch:
+        patch.setattr(batch, "find_resources", functools.partial(batch.find_resources, in_lanes=True))
+        lanes = compare(names[1:], lidar=NOISY)
     assert lanes.equals(table[table["strategy"] == names[1]].reset_index(drop=True))
     assert equal(compare(["closest", "engines_mine:closest"]), "closest", "engines_mine:closest")
     sys.modules.pop("engines_mine")
@@ -638,7 +641,7 @@ def chooses(change=lambda choice: choice, carry=(), route=lambda route: route):
     ],
 )
 def test_what_is_wrong_is_said_in_one_line_before_anything_compiles(wrong, says, monkeypatch):
-    monkeypatch.setattr(serial, "compile_chunk", lambda *_: pytest.fail("compiled"))
+    monkeypatch.setattr(one_by_one, "compile_chunk", lambda *_: pytest.fail("compiled"))
     with pytest.raises(InputError, match=says) as caught:
         compare(["closest", strategy(wrong, name="wrong")])
     assert "\n" not in str(caught.value)

@@ -1,4 +1,4 @@
-"""Any program in either engine: walks of random steps that stop to decide, in scenes, with weights that lanes share."""
+"""Any program one by one and in lanes: walks of random steps that stop to decide, in scenes, with shared weights."""
 
 import re
 from pathlib import Path
@@ -11,7 +11,7 @@ import pytest
 from flax import struct
 from jax import Array
 
-from jexplore.engine.lockstep import Group
+from jexplore.engine.lanes import Group
 from jexplore.engine.program import Line, Program, given_of, split
 from jexplore.engine.runner import find_resources, run_all
 
@@ -63,6 +63,7 @@ def finish(setup, given, state):
     return {"at": state.at, "n": state.n, "decisions": state.decisions}
 
 
+LANES = {"engine": "jax", "in_lanes": True}
 WALKS = Program(Setup(2), begin, advance, is_done, finish, lambda state: state.way, decide, must_decide)
 
 
@@ -95,13 +96,13 @@ def by_hand(line, number):
 @pytest.mark.parametrize(
     "how",
     [
-        {"engine": "serial", "workers": 1},
-        {"engine": "serial", "workers": 2},
-        {"engine": "lockstep", "lanes": 4},
-        {"engine": "lockstep", "lanes": 64},
+        {"workers": 1},
+        {"workers": 2},
+        LANES | {"lanes": 4},
+        LANES | {"lanes": 64},
     ],
 )
-def test_engines_make_the_runs_that_a_loop_makes(how):
+def test_runs_are_those_that_a_loop_makes(how):
     lines, costs = run(**how)
     for line in lines:
         assert line.finished.all()
@@ -114,7 +115,7 @@ def test_engines_make_the_runs_that_a_loop_makes(how):
                 n = int(state.n)
                 np.testing.assert_array_equal(line.kept[:n], state.way[:n])
     assert len({tuple(line.results["at"].tolist()) for line in lines}) == 3
-    assert (costs.useful is None) == (how["engine"] == "serial")
+    assert (costs.useful is None) == ("lanes" not in how)
 
 
 @pytest.mark.jit
@@ -129,7 +130,7 @@ def test_arrays_of_a_run_that_is_done_are_kept():
         lambda state: state["log"],
     )
     tasks = np.random.default_rng(0).permutation(32).astype(np.int32)
-    for how in ({"engine": "serial", "workers": 1}, {"engine": "lockstep", "lanes": 32}):
+    for how in ({"workers": 1}, LANES | {"lanes": 32}):
         line = Line(program, (), np.zeros(1), (), 0, tasks, np.arange(len(tasks)))
         run_all([line], find_resources(**how))
         for found in line.results.values():
@@ -139,11 +140,11 @@ def test_arrays_of_a_run_that_is_done_are_kept():
 
 @pytest.mark.jit
 def test_one_run_of_many_can_be_made_alone():
-    whole, _ = run(engine="serial", workers=1)
-    for engine in ("serial", "lockstep"):
+    whole, _ = run(workers=1)
+    for in_lanes in (False, True):
         (line, *_) = some_lines()
         line.which, line.keeps = np.array([7], np.int32), 7
-        run_all([line], find_resources(engine=engine))
+        run_all([line], find_resources(in_lanes=in_lanes))
         assert line.finished.tolist() == [i == 7 for i in range(10)]
         assert line.results["at"][7] == whole[0].results["at"][7]
         n = int(line.results["n"][7])
@@ -176,6 +177,6 @@ def test_the_program_that_is_shown_to_contributors_runs(capsys):
     results = found["line"].results
     found["line"].results = None
     found["line"].finished[:] = False
-    run_all([found["line"]], find_resources(engine="lockstep", lanes=7))
+    run_all([found["line"]], find_resources(**LANES, lanes=7))
     np.testing.assert_array_equal(found["line"].results, results)
     assert len(set(results.tolist())) > 5

@@ -1,4 +1,4 @@
-"""Idioms of control flow that do the right thing for one robot and for many in lockstep.
+"""Idioms of control flow that do the right thing for one robot and for many in lanes.
 
 For one robot all three are plain loops: XLA's CPU compiler updates a loop's buffers in place and stores them when it
 ends, where it copies those of a condition, and computes anew, in each of many uses, what no loop stores.

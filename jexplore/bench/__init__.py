@@ -17,9 +17,9 @@ from jax.experimental.compilation_cache import compilation_cache
 from jexplore.bench import beliefs, engines, kernels, plans, rates, shares
 from jexplore.bench.engines import LIDAR, RULES
 from jexplore.bench.timing import one_core, speed_clock, surroundings
-from jexplore.config import InputError, require_setting
+from jexplore.config import ENGINES, InputError, require_engine, require_setting
 from jexplore.engine.backend import use_compilation_cache
-from jexplore.engine.runner import ENGINES, find_resources
+from jexplore.engine.runner import find_resources
 from jexplore.policies import Strategy, parse_strategy
 from jexplore.studies.checks import ready_starts, ready_strategies, ready_worlds, require_memory
 from jexplore.worlds.world import World, with_ring
@@ -95,10 +95,10 @@ def prepare_bench(
 
     Args:
       worlds, strategies: names.
-      engine: names of engines; by default the backend's own.
-      batch_sizes: episodes of the serial engine, lanes in lockstep.
+      engine: names of engines; by default all.
+      batch_sizes: episodes, or lanes of the engine jax on an accelerator.
       sides: of the maps by which cost is measured, cells.
-      episodes: least number of episodes in lockstep, and that of the serial engine by map size.
+      episodes: by map size; in lanes the least number.
       repeat: turns of every measurement.
       quick: whether the defaults are small.
 
@@ -112,8 +112,7 @@ def prepare_bench(
     if engine is not None and not engine:
         raise InputError(f"engine must be one or more of {', '.join(ENGINES)}, got none")
     for name in engine or ():
-        if name not in ENGINES:
-            raise InputError(f"engine must be one of {', '.join(ENGINES)}, got {name!r}")
+        require_engine(name)
     given = None if batch_sizes is None else _numbers("batch_sizes", batch_sizes)
     sides = _numbers("sides", default["sides"] if sides is None else sides)
     numbers = {"episodes": episodes, "repeat": repeat}
@@ -121,12 +120,11 @@ def prepare_bench(
     strategies = ready_strategies(default["strategies"] if strategies is None else strategies)
     worlds = _worlds_of(default["worlds"] if worlds is None else worlds, CELL_M)
     sized = [world for side in sides for world in _worlds_of(*sized_name(side))]
-    find_resources(engine="serial", workers=1)  # starts JAX; some of it is always measured on the CPU
-    on_cpu = jax.default_backend() == "cpu"
-    chosen = tuple(dict.fromkeys(engine or ("serial" if on_cpu else "lockstep",)))
-    large = not on_cpu and not quick
+    find_resources(in_lanes=False, workers=1)  # starts JAX; some of it is always measured on the CPU
+    chosen = tuple(dict.fromkeys(engine or ENGINES))
     batches = {
-        name: given or (BATCHES_ACCELERATOR if large and name == "lockstep" else default["batches"]) for name in chosen
+        name: given or (BATCHES_ACCELERATOR if engines.has_lanes(name) and not quick else default["batches"])
+        for name in chosen
     }
     return Agenda(worlds, strategies, chosen, batches, sized, sides, **counts)
 
@@ -208,7 +206,8 @@ def _episodes(plan: Agenda, compiler, report, one_more):
         one_more()
     for (side, world), strategy in itertools.product(zip(plan.sides, plan.sized), plan.strategies):
         wanted = [
-            (engine, plan.episodes if engine == "serial" else plan.batches[engine][-1]) for engine in plan.engines
+            (engine, plan.batches[engine][-1] if engines.has_lanes(engine) else plan.episodes)
+            for engine in plan.engines
         ]
         rows = engines.measure_episodes(compiler, world, strategy, wanted, plan.episodes, plan.repeat)
         report["sides"] += [{**row, "side": side} for row in rows]

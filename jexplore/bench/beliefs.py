@@ -36,7 +36,7 @@ def record(compiler: Compiler, world: World, strategy: Strategy) -> Recording:
       world, strategy: `World` with a ring, `Strategy`.
     """
     starts = draw_starts(world, SEED, 1, RULES.clearance_m)
-    run = compiler.serial(world, strategy).run(starts)
+    run = compiler.one_by_one(world, strategy).run(starts)
     result = jax.tree.map(lambda a: a[0], run.result)
     final = decode(jax.tree.map(np.asarray, run.last), result, world.shape)
     site, first = prepare_site(world, LIDAR, RULES), int(starts[0][2]) // 45

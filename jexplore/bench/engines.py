@@ -1,6 +1,4 @@
-"""Whole episodes by both engines' own programs: each compiled once and run many times, the serial engine's on the CPU,
-lockstep on the first device.
-"""
+"""Whole episodes by both engines: what each runs is made once and run many times, on the CPU, or in lanes on a GPU."""
 
 import functools
 import math
@@ -14,20 +12,21 @@ import numpy as np
 
 from jexplore.bench.timing import compiled, interleaved, mean_and_se, speed_clock, spread
 from jexplore.config import Lidar, Rules
-from jexplore.engine import serial
-from jexplore.engine.lockstep import Group
+from jexplore.engine import one_by_one
+from jexplore.engine.lanes import Group
 from jexplore.engine.runner import Costs, find_resources
+from jexplore.exploration.native import ON_CPU, chooser_of, is_native, native_world, result_of
 from jexplore.exploration.results import path_m
-from jexplore.exploration.site import drive_for, line_of, prepare_site
+from jexplore.exploration.site import drive_for, line_of, prepare_site, tasks_of
 from jexplore.exploration.state import Outcome, Result
+from jexplore.native.episodes import load
 from jexplore.policies import Strategy
 from jexplore.worlds.starts import draw_starts
-from jexplore.worlds.world import World
+from jexplore.worlds.world import World, ring_of
 
 LIDAR, RULES = Lidar(), Rules()
 SEED = 0
 MEMORY_SHARE = 0.8  # of the free memory that lanes may take
-TURNS = 2**14  # turns of one call in lockstep
 REFILLS = 2  # episodes a lane at least, so that lanes are filled again
 
 
@@ -35,16 +34,16 @@ class Run(NamedTuple):
     """What a program returned."""
 
     result: object  # `Result`, numpy, `[N]`
-    last: object = None  # what `trail.kept` has of the last episode; serial engine only
+    last: object = None  # what `trail.kept` has of the last episode; of programs one by one only
     useful: float | None = None  # as in `runner.Costs`
 
 
 class Compiled(NamedTuple):
-    """A compiled program with its arguments."""
+    """A compiled program, or native code, with its arguments."""
 
     run: Callable[[np.ndarray], Run]  # `[N, 3]` starts, heading in degrees, to `Run`
     about: dict[str, Any]  # for the report
-    lanes: int | None = None  # None in the serial engine
+    lanes: int | None = None  # None where episodes come one after the other
     episodes: int | None = None  # N that it is for; None for any
 
 
@@ -99,14 +98,14 @@ class Compiler:
             self.made[key] = program, about
         return self.made[key]
 
-    def serial(self, world: World, strategy: Strategy, native: str | None = None) -> Compiled:
-        """The serial engine's `Compiled` of a world and a strategy; `native` as for `prepare_site`."""
+    def one_by_one(self, world: World, strategy: Strategy, native: str | None = None) -> Compiled:
+        """The `Compiled` of a world and a strategy on the CPU; `native` as for `prepare_site`."""
         site, line = _line(world, strategy, native, np.zeros((1, 3), np.int32))
-        n, scenes = serial.CHUNK, jax.tree.map(lambda a: a[None], line.scene)
-        device = find_resources(engine="serial", workers=1).devices[0]
+        n, scenes = one_by_one.CHUNK, jax.tree.map(lambda a: a[None], line.scene)
+        device = find_resources(in_lanes=False, workers=1).devices[0]
         shared = jax.device_put((scenes, line.shared, line.numbers), device)
         blank = np.zeros(n, np.int32), np.zeros((n, 3), np.int32), np.int32(0), np.uint32(SEED)
-        function = functools.partial(serial.chunk, line.program)
+        function = functools.partial(one_by_one.chunk, line.program)
 
         def one_episode(memory):
             """An episode's buffers: without the room for the results of the rest of a chunk."""
@@ -115,8 +114,8 @@ class Compiler:
 
         with jax.default_device(device):  # which may be a CPU beside an accelerator
             call, about = self._program(
-                str(("serial", line.program, jax.tree.map(np.shape, shared))),
-                {**_about("serial", world, strategy, site), "lanes": None, "lane_bytes_estimate": None},
+                str(("one by one", line.program, jax.tree.map(np.shape, shared))),
+                _about("native driving" if native else "JAX", world, strategy, site),
                 lambda: jax.jit(function).lower(*blank, *shared),
                 one_episode,
                 device,
@@ -136,15 +135,15 @@ class Compiler:
 
         return Compiled(run, about)
 
-    def lockstep(self, world: World, strategy: Strategy, n_lanes: int, episodes: int) -> Compiled:
-        """The lockstep engine's `Compiled` for so many episodes in so many lanes, or as many as the memory holds."""
+    def in_lanes(self, world: World, strategy: Strategy, n_lanes: int, episodes: int) -> Compiled:
+        """The `Compiled` for so many episodes in so many lanes, or as many as the memory holds."""
         device = jax.local_devices()[0]
         site, line = _line(world, strategy, None, np.zeros((episodes, 3), np.int32))
         group = Group([line], [device])
         estimate, free = group.lane_bytes(), free_bytes()
         if free is not None:
             n_lanes = max(1, min(n_lanes, int(MEMORY_SHARE * free / estimate)))
-        about = {**_about("lockstep", world, strategy, site), "lanes": n_lanes, "lane_bytes_estimate": estimate}
+        about = _about("JAX in lanes", world, strategy, site) | {"lanes": n_lanes, "lane_bytes_estimate": estimate}
 
         def compile_one(function, name, arguments, devices, donate=(), cpu_options=()):
             def lowering():
@@ -185,22 +184,49 @@ def _lane_of(n_lanes, memory):
     return (memory["temp"] + memory["output"]) / n_lanes
 
 
-def _about(engine, world, strategy, site):
+def _about(level, world, strategy, site):
     return {
-        "engine": engine,
+        "level": level,
         "world": world.name,
         "strategy": strategy.name,
         "padded_shape": list(site.truth.occupied.shape),
+        "lanes": None,
+        "lane_bytes_estimate": None,
     }
+
+
+def has_lanes(engine: str) -> bool:
+    """Tell whether an engine runs episodes in lanes here."""
+    return engine == "jax" and jax.default_backend() != "cpu"
+
+
+def _native(loaded, world, strategy):
+    """The `Compiled` of native code, on a core of the CPU."""
+    chooser = chooser_of(strategy)
+    assert chooser is not None
+    place = native_world(loaded, world, chooser, LIDAR, RULES, recheck=strategy.recheck)
+    ring, stop = ring_of(world.occupied), np.zeros(1, np.int32)
+
+    def run(starts):
+        tasks = place.tasks(tasks_of(starts, ring), SEED, np.arange(len(starts), dtype=np.int32))
+        return Run(result_of(place.play(tasks, stop).results))
+
+    return Compiled(run, {"level": ON_CPU, "lane_bytes": None, "lane_bytes_estimate": None})
 
 
 def program_of(
     compiler: Compiler, engine: str, world: World, strategy: Strategy, batch: int, episodes: int
 ) -> Compiled:
-    """The `Compiled` for a batch: so many episodes of the serial engine, so many lanes in lockstep."""
-    if engine == "serial":
-        return compiler.serial(world, strategy, drive_for("serial", "cpu"))._replace(episodes=batch)
-    return compiler.lockstep(world, strategy, batch, max(episodes, REFILLS * batch))
+    """The `Compiled` of what an engine runs, for a batch: so many episodes, or so many lanes."""
+    if has_lanes(engine):
+        return compiler.in_lanes(world, strategy, batch, max(episodes, REFILLS * batch))
+    if engine == "jax":
+        made = compiler.one_by_one(world, strategy)
+    elif is_native(strategy, LIDAR) and (found := load()).loaded is not None:
+        made = _native(found.loaded, world, strategy)
+    else:
+        made = compiler.one_by_one(world, strategy, drive_for("cpu").name)
+    return made._replace(episodes=batch)
 
 
 def same(results: Sequence[Result]) -> bool:
@@ -231,7 +257,7 @@ def measure_episodes(
       compiler: `Compiler`.
       world, strategy: `World`, `Strategy`.
       wanted: list of `(engine, batch)`.
-      episodes: least number of episodes in lockstep.
+      episodes: least number of episodes in lanes.
       repeat: turns.
     """
     programs: list[Any] = [program_of(compiler, *kind, batch, episodes) for kind, batch in
@@ -251,7 +277,7 @@ def measure_episodes(
         seconds = statistics.median({"wall": wall, "cpu": cpu}[speed_clock()])
         rows.append({
             "world": world.name, "shape": list(world.shape), "strategy": strategy.name,
-            "engine": engine, "batch": batch, "lanes": program.lanes, "episodes": n,
+            "engine": engine, "level": program.about["level"], "batch": batch, "lanes": program.lanes, "episodes": n,
             "wall_s": spread(wall), "cpu_s": spread(cpu), "episodes_per_s": 1 / seconds,
             **{f"{name}_per_s": found[name] / seconds for name in ("steps", "scans", "plans")},
             "useful": runs[i][0][0].useful,

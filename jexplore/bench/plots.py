@@ -68,7 +68,7 @@ def figure(report: Mapping[str, Any]) -> Figure:
         return f"{row['world'].rpartition('/')[2]}, {row['strategy']}, {row['engine']}"
 
     lines = _lines(report["batches"], lambda row: row["batch"], lambda row: row["episodes_per_s"], case)
-    _draw(by_batch, lines, "episodes by batch size", "episodes (serial), lanes (lockstep)", "episodes/s")
+    _draw(by_batch, lines, "episodes by batch size", "episodes, or lanes", "episodes/s")
     lines = _lines(
         report["sides"], lambda row: max(row["shape"]), lambda row: 1e3 / row["episodes_per_s"],
         lambda row: f"{row['strategy']}, {row['engine']}",

@@ -155,7 +155,7 @@ def measure_shares(compiler: Compiler, recording: Recording, strategy: Strategy,
     """
     world, site = recording.world, recording.site
     setup, numbers = site.with_strategy(strategy)
-    program, starts = compiler.serial(world, strategy), draw_starts(world, SEED, 1, RULES.clearance_m)
+    program, starts = compiler.one_by_one(world, strategy), draw_starts(world, SEED, 1, RULES.clearance_m)
     n = len(recording.beliefs)
     chosen = np.unique(np.linspace(0, n - 1, min(n, MOST_PLANS)).round().astype(int))
     beliefs = [recording.beliefs[i] for i in chosen]

@@ -65,14 +65,14 @@ def kernels(rows: Iterable[Mapping[str, Any]]) -> str:
 def episodes(rows: Iterable[Mapping[str, Any]]) -> str:
     """Whole episodes: a row each."""
     header = [
-        "world", "cells", "strategy", "engine", "batch", "lanes", "episodes", "ms/episode", "CPU ms", "episodes/s",
-        "steps/s", "useful", "path m", "explored", "COMPLETE", "MiB", "estimated", "equal",
+        "world", "cells", "strategy", "engine", "level", "batch", "lanes", "episodes", "ms/episode", "CPU ms",
+        "episodes/s", "steps/s", "useful", "path m", "explored", "COMPLETE", "MiB", "estimated", "equal",
     ]  # fmt: skip
     return markdown(header, [
         [
             row["world"].rpartition("/")[2], "{} x {}".format(*row["shape"]), row["strategy"], row["engine"],
-            row["batch"], row["lanes"], row["episodes"], 1e3 * row["wall_s"]["median"], 1e3 * row["cpu_s"]["median"],
-            row["episodes_per_s"], row["steps_per_s"], percent(row["useful"]),
+            row["level"], row["batch"], row["lanes"], row["episodes"], 1e3 * row["wall_s"]["median"],
+            1e3 * row["cpu_s"]["median"], row["episodes_per_s"], row["steps_per_s"], percent(row["useful"]),
             plus_minus(row["quality"]["path_m"]), f"{row['quality']['explored_fraction']:.3f}",
             percent(row["quality"]["complete"]), _mib(row["lane_bytes"]), _mib(row["lane_bytes_estimate"]),
             row["equal"],
@@ -93,9 +93,9 @@ def shares(rows: Iterable[Mapping[str, Any]]) -> str:
 
 def programs(rows: Iterable[Mapping[str, Any]]) -> str:
     """What compiling took: a row for each program."""
-    header = ["engine", "first for", "strategy", "padded", "lanes", "trace s", "compile s", "CPU s", "temporary MiB"]
+    header = ["level", "first for", "strategy", "padded", "lanes", "trace s", "compile s", "CPU s", "temporary MiB"]
     return markdown(header, [
-        [row["engine"], row["world"].rpartition("/")[2], row["strategy"], "{} x {}".format(*row["padded_shape"]),
+        [row["level"], row["world"].rpartition("/")[2], row["strategy"], "{} x {}".format(*row["padded_shape"]),
          row["lanes"], row["trace_s"], row["compile_s"], row["cpu_s"],
          None if row["memory"] is None else row["memory"]["temp"] / MIB]
         for row in rows

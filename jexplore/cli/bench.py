@@ -22,14 +22,13 @@ class Bench:
     strategies: OwnNames = None
     """Measure these strategies (default: closest+recheck)."""
     batch_sizes: Numbers = None
-    """Run so many episodes by the serial engine, and so many lanes in lockstep (default: 1 4 16 64; up to 4096 lanes on
-    an accelerator)."""
+    """Run so many episodes, or lanes of the engine jax on an accelerator (default: 1 4 16 64; up to 4096 lanes)."""
     sides: Numbers = None
     """Measure how the cost grows by maps of so many cells a side, 32 to 2048 (default: 64 128 256 512)."""
     engine: OwnNames = None
-    """Measure these engines: serial, lockstep or both (default: what suits the machine)."""
+    """Measure these engines: auto, jax or both, as for `jexplore compare` (default: both)."""
     episodes: Number = None
-    """Run at least so many episodes in lockstep, and so many by the serial engine for each map size (default: 16)."""
+    """Run so many episodes for each map size, in lanes at least so many (default: 16)."""
     repeat: Number = None
     """Take every measurement so many times (default: 5)."""
     quick: bool = False

@@ -82,12 +82,12 @@ class Compare:
     bound_seconds: float = 10.0
     """Spend so many seconds on the bounds of each start."""
     engine: EngineName = "auto"
-    """Run episodes one after the other on each core, or many in lockstep, as suits a GPU. The results are equal; by
-    default machine and number of episodes decide."""
+    """Run episodes in native code where it can, on a GPU or a CPU, and in JAX for the rest (auto), or in JAX alone, on
+    the GPU if there is one (jax). The results are equal."""
     lanes: int | None = None
-    """Run so many episodes at a time in lockstep; by default as many as the memory holds."""
+    """With --engine jax on a GPU, run so many episodes at a time; by default as many as its memory holds."""
     workers: int | None = None
-    """Run episodes on so many cores, one each, with the engine serial; by default on all that this process may use."""
+    """Run episodes on so many cores, one each; by default on all that this process may use."""
     out: OutFolder = None
     """Write into this folder."""
     overwrite: bool = False
@@ -242,12 +242,7 @@ def run_with_bar(options: Any, jobs: "Sequence[Job]", out: Out, starts: "Sequenc
     ledger = out.keep(asked_of(jobs), len(units.cut(jobs)) + len(starts), shorter=shorter)
     if ledger is None:
         return None
-    engine = None if options.engine == "auto" else options.engine
-    how = {
-        "engine": engine,
-        "lanes": options.lanes,
-        "workers": options.workers,
-    }
+    how = {name: getattr(options, name) for name in ("engine", "lanes", "workers")}
     with working(sum(len(job.starts) for job in jobs), "episodes") as on_progress:
         return units.run_units(jobs, ledger=ledger, **how, on_progress=on_progress, keep=keep)
 

@@ -17,7 +17,16 @@ from pathlib import Path
 from typing import Any
 
 from jexplore.arrays.files import missing
-from jexplore.config import BOUNDS, InputError, require_different, require_setting, unknown
+from jexplore.config import (
+    BOUNDS,
+    ENGINES,
+    SWEEP_ENGINES,
+    InputError,
+    require_different,
+    require_engine,
+    require_setting,
+    unknown,
+)
 from jexplore.driving.settings import for_world, require_noise, require_tuning, robot_of
 from jexplore.worlds import GENERATORS, read_name
 from jexplore.worlds import names as grammar
@@ -40,6 +49,8 @@ def check_names(command: str, options: Any) -> None:
     Raises:
       InputError: naming the first one, and what would be right.
     """
+    if hasattr(options, "lanes"):
+        require_engine(options.engine, options.lanes, SWEEP_ENGINES if command == "sweep" else ENGINES)
     for option in vars(options):
         check = CHECKS.get(f"{command} {option}") or CHECKS.get(option)
         given = getattr(options, option)
@@ -176,6 +187,7 @@ CHECKS: dict[str, Callable[[Any], object]] = {
     "robot": robot_of,
     "noise": require_noise,
     "spec": check_spec,
+    "bench engine": require_engine,
 }
 """Name of an option, of one command or of any -> what refuses one of its values."""
 

@@ -52,7 +52,7 @@ MapFile = Annotated[str | None, tyro.conf.arg(metavar="MAP.yaml")]
 OutFolder = Annotated[
     str | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="(default: runs/<UTC time>-<command>)")
 ]
-EngineName = Literal["auto", "serial", "lockstep"]
+EngineName = Literal["auto", "jax"]
 
 
 def help_text(commands: Mapping[str, type]) -> str:
@@ -278,7 +278,10 @@ _REWORDED = (
         r"\1 must be three numbers, got \2",
     ),
     (r"^Error parsing ", ""),
-    (r"^invalid choice (.*) for argument '(.*)'\. Expected one of \((.*)\) ?\.$", r"\2 must be one of \3, got \1"),
+    (
+        r"^invalid choice (.*) for argument '(.*)'\. Expected one of \((.*)\) ?\.$",
+        lambda found: found[2] + " must be one of " + found[3].replace("'", "") + ", got " + found[1],
+    ),
     (r"^Missing value for argument '(.*)'\..*$", r"\1 needs a value"),
     (r"^Unrecognized options: (\S+?)(, .*)?$", r"unknown option \1"),
 )

@@ -40,7 +40,7 @@ class Reproduce:
     engine: EngineName = "auto"
     """Run episodes by this engine, as for `jexplore compare`."""
     lanes: int | None = None
-    """Run so many episodes at a time in lockstep; by default as many as the memory holds."""
+    """With --engine jax on a GPU, run so many episodes at a time, as for `jexplore compare`."""
     workers: int | None = None
     """Run episodes on so many cores, as for `jexplore compare`."""
     out: OutFolder = None

@@ -45,12 +45,12 @@ class Sweep:
     """Begin although it will take more than an hour."""
     shard: Annotated[str | None, tyro.conf.arg(metavar="I/N", help_behavior_hint="")] = None
     """Make only part I of N (1/4 to 4/4), each in a folder of its own; `jexplore merge` puts the parts together."""
-    engine: Literal["auto", "serial", "lockstep", "ray"] = "auto"
+    engine: Literal["auto", "jax", "ray"] = "auto"
     """How episodes run: as for `jexplore compare`, or as tasks of a Ray cluster."""
     lanes: int | None = None
-    """Episodes at a time in lockstep; by default as many as the memory holds."""
+    """With --engine jax on a GPU: episodes at a time; by default as many as its memory holds."""
     workers: int | None = None
-    """Cores that run episodes, one each, with the engine serial; by default all that this process may use."""
+    """Cores that run episodes, one each; by default all that this process may use."""
     gpu: bool = False
     """Give every task of the engine ray a GPU, instead of the cores that --workers says (default: one)."""
     out: OutFolder = None
@@ -93,13 +93,7 @@ class Sweep:
             ledger = out.keep(plan.asked(shard), len(plan.units), wanted=len(numbers), shorter=plan.shorter(shard))
             if ledger is None:
                 return _show_finished(out, plan if self.report else None)
-            engine = None if self.engine == "auto" else self.engine
-            how: dict[str, Any] = {
-                "engine": engine,
-                "lanes": self.lanes,
-                "workers": self.workers,
-                "gpu": self.gpu,
-            }
+            how: dict[str, Any] = {name: getattr(self, name) for name in ("engine", "lanes", "workers", "gpu")}
             total = sum(plan.size(number) for number in numbers)
             with working(total, "runs" if spec.robots else "episodes") as on_progress:
                 found = run_sweep(plan, ledger=ledger, shard=shard, **how, on_progress=on_progress)
@@ -143,6 +137,7 @@ def _finish(out: Out, found: "Swept", arguments: Sequence[str], options: Any, pl
     """Writes, prints and draws. Returns the exit status."""
     from jexplore.arrays.plain_yaml import dump
     from jexplore.report import store
+    from jexplore.studies.results.saving import engine_of
     from jexplore.studies.sweeps.spec import plain
 
     costs = found.costs
@@ -151,7 +146,8 @@ def _finish(out: Out, found: "Swept", arguments: Sequence[str], options: Any, pl
         arguments,
         options,
         episodes_per_s=ran / costs.run_s if costs.run_s else None,
-        **{name: getattr(costs, name) for name in ("compile_s", "run_s", "engine", "devices", "lanes")},
+        **{name: getattr(costs, name) for name in ("compile_s", "run_s")},
+        **engine_of(costs),
         interrupted=found.missing,
         resumed=found.resumed,
         columns=found.columns,
@@ -195,7 +191,7 @@ def _report(out, found, record, plan, names, path):
     from jexplore.studies.sweeps.run import labels_of
 
     jobs, settings = zip(*plan.first_jobs())
-    replays, notes = replays_for(jobs, labels=labels_of(settings))
+    replays, notes = replays_for(jobs, record, labels=labels_of(settings))
     rows = len(found.summary)
     heading = "Every setting" if rows <= REPORTED else f"The first {REPORTED} of {rows} rows of summary.csv"
     tables = [(heading, found.table(REPORTED))]

@@ -1,4 +1,4 @@
-"""Many runs of one building, by either engine, with results that are equal but for rounding.
+"""Many runs of one building, one by one or in lanes, with results that are equal but for rounding.
 
 Robot, thresholds and noise differ from run to run as the caller likes: they are arrays, so that a sweep over any of
 them is one program.
@@ -22,7 +22,7 @@ from jexplore.driving.mission import SIZE, Outcome, Result, Setup, program_of
 from jexplore.driving.settings import Noise, Robot, Tuning
 from jexplore.driving.vehicle import Building
 from jexplore.engine.program import Line
-from jexplore.engine.runner import Costs, find_resources, run_all
+from jexplore.engine.runner import Costs, find_resources, level_of, run_all
 from jexplore.worlds.world import World
 
 MAX_STEPS = 6000
@@ -136,7 +136,7 @@ def run_missions(
     draws: np.ndarray,
     guides: Guide | None = None,
     *,
-    engine: str | None = None,
+    engine: str = "auto",
     lanes: int | None = None,
     workers: int | None = None,
     max_steps: int = MAX_STEPS,
@@ -168,7 +168,7 @@ def run_missions(
       `Finished`. After Ctrl-C it holds what was finished.
 
     Raises:
-      InputError: an engine that does not exist, lanes or workers below 1, lanes for the serial engine.
+      InputError: an engine that does not exist, lanes or workers out of range, lanes where there are none to set.
       KeyboardInterrupt: after Ctrl-C, where nothing was finished.
       MemoryError: a device's memory does not suffice, not even for half the lanes.
     """
@@ -184,6 +184,7 @@ def run_missions(
         lines.append(Line(*what, keeps=0 if ways or first == 0 else NO_RUN, draws=own[1], turn=turn))
     tell = None if on_block is None else (lambda i: on_block(i, lines[i].results, _driven(lines[i])))
     costs = run_all(lines, resources, on_progress, tell)
+    costs.engine, costs.levels = engine, {robots.name: [level_of(lines[0], resources)]}
     return _together(lines, blocks or [(0, len(draws))], len(draws), costs)
 
 

@@ -1,7 +1,7 @@
-"""What the engines run: a program of pure functions over one robot's state, and the runs that are wanted of it.
+"""What is run: a program of pure functions over one robot's state, and the runs that are wanted of it.
 
-A program is written for one robot and knows nothing of batches. The engines run many: one after the other on the cores
-of a CPU (`serial`), or together in the lanes of an accelerator (`lockstep`): episodes with equal bits, trace runs with
+A program is written for one robot and knows nothing of batches. Many runs are made one after the other on the cores of
+a CPU (`one_by_one`), or together in the lanes of an accelerator (`lanes`): episodes with equal bits, trace runs with
 results that are equal but for rounding.
 """
 
@@ -43,7 +43,7 @@ class Program(NamedTuple):
     """The life of one robot as pure functions. Hashable: equal programs share what is compiled.
 
     A run begins, and then decides and advances until it is done. Deciding is what few robots do at a time and costs
-    much: in lockstep those that must are gathered. There every function is called on runs that it does not concern as
+    much: in lanes those that must are gathered. There every function is called on runs that it does not concern as
     well, and what it makes of them is left out.
     """
 

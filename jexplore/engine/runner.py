@@ -1,9 +1,9 @@
-"""Many runs: on the cores of a CPU one after the other, on an accelerator in lockstep, with equal results.
+"""Many runs: on the cores of a CPU one after the other, on an accelerator in lanes, with equal results.
 
-A run is serial and full of decisions. A CPU core makes runs one at a time with true control flow (engine "serial"):
+A run is sequential and full of decisions. A CPU core makes runs one at a time with true control flow (`one_by_one`):
 threads share one compiled program, and XLA releases the interpreter lock. An accelerator needs thousands of runs at
-once (engine "lockstep"). Several devices share the work through `shard_map`, each with its own part and no word between
-them; several processes (`jax.distributed`) do as well.
+once (`lanes`). Several devices share the work through `shard_map`, each with its own part and no word between them;
+several processes (`jax.distributed`) do as well.
 """
 
 import dataclasses
@@ -14,12 +14,11 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from jexplore.config import InputError, require_setting
-from jexplore.engine import lockstep, serial
+from jexplore.config import InputError, require_engine, require_setting
 from jexplore.engine.backend import start_backend
+from jexplore.engine.lanes import run_in_lanes
+from jexplore.engine.one_by_one import run_one_by_one
 from jexplore.engine.program import Line
-
-ENGINES = ("serial", "lockstep")
 
 
 @dataclasses.dataclass
@@ -28,9 +27,11 @@ class Costs:
 
     compile_s: float = 0.0  # seconds spent compiling, or loading compiled programs
     run_s: float = 0.0  # seconds in which compiled programs ran
-    engine: str = "serial"
+    engine: str = "auto"  # that was asked for
+    levels: dict[str, list[str]] = dataclasses.field(default_factory=dict)  # name of a strategy -> what ran it
+    why_not: list[str] = dataclasses.field(default_factory=list)  # lines: why there was no native code
     devices: int = 1
-    lanes: int = 1  # most runs at a time on one device; in the serial engine one a worker
+    lanes: int = 1  # most runs at a time on one device; one a worker where they come one after the other
     interrupted: bool = False  # whether Ctrl-C ended it early; what was finished then is there
     advanced: int = 0  # lanes that advanced, over all turns
     room: int = 0  # lanes that could have
@@ -40,25 +41,30 @@ class Costs:
         total = dataclasses.replace(later)
         for name in ("compile_s", "run_s", "advanced", "room"):
             setattr(total, name, getattr(self, name) + getattr(later, name))
-        total.engine = (
-            later.engine if self.engine == later.engine or not self.run_s else f"{self.engine}+{later.engine}"
-        )
+        names = dict.fromkeys([*self.levels, *later.levels])
+        total.levels = {name: _joined(self.levels.get(name, ()), later.levels.get(name, ())) for name in names}
+        total.why_not = _joined(self.why_not, later.why_not)
         total.interrupted = self.interrupted or later.interrupted
         return total
 
     @property
     def useful(self) -> float | None:
-        """Share of the lanes that advanced, over all turns; None if none could, as in the serial engine."""
+        """Share of the lanes that advanced, over all turns; None where runs come one after the other."""
         return self.advanced / self.room if self.room else None
+
+
+def _joined(*lists):
+    """What some lists hold, each once."""
+    return list(dict.fromkeys(one for own in lists for one in own))
 
 
 class Resources(NamedTuple):
     """What runs are made with."""
 
-    engine: str
     devices: list[Any]  # `jax.Device`
-    workers: int  # threads of the serial engine
-    lanes: int | None  # on each device in lockstep; None: as many as its memory holds
+    in_lanes: bool  # whether runs advance together in lanes; else they come one after the other
+    workers: int  # threads that make one run after the other
+    lanes: int | None  # on each device; None: as many as its memory holds
     process: int
     processes: int
 
@@ -90,42 +96,52 @@ def require_32_bits() -> None:
         raise InputError("jax_enable_x64 is on, and jexplore computes in 32 bits: switch it off")
 
 
-def find_resources(*, engine: str | None = None, lanes: int | None = None, workers: int | None = None) -> Resources:
+def find_resources(
+    *, engine: str = "auto", lanes: int | None = None, workers: int | None = None, in_lanes: bool | None = None
+) -> Resources:
     """What there is to run with, and what is asked of it. Starts JAX.
 
     Args:
-      engine: one of `ENGINES`; by default serial, or lockstep for lanes on an accelerator and without a CPU in JAX.
-      lanes: lanes on each device in lockstep; by default as many as its memory holds, at most 4096.
-      workers: threads of the serial engine on one device; by default the CPU cores that this process may use.
+      engine: one of `config.ENGINES`: "auto" takes the CPU where JAX has it, "jax" the devices that JAX puts first.
+      lanes: lanes on each device; by default as many as its memory holds, at most 4096.
+      workers: threads that make one run after the other on one device; by default the CPU cores that this process may
+        use.
+      in_lanes: True: lanes on the devices that JAX puts first, whatever they are; False: one run after the other on
+        the CPU; None: lanes where the engine's devices are no CPU.
 
     Returns:
-      `Resources`. The serial engine has the CPU, whatever else there is.
+      `Resources`.
 
     Raises:
-      InputError: an engine that does not exist, lanes or workers out of range, lanes for the serial engine, the serial
-        engine where `JAX_PLATFORMS` leaves out the CPU, 64-bit mode.
+      InputError: an engine that does not exist, lanes or workers out of range, lanes where there are none to set, no
+        CPU where it is needed because `JAX_PLATFORMS` leaves it out, 64-bit mode.
     """
     require_32_bits()
-    if engine is not None and engine not in ENGINES:
-        raise InputError(f"engine must be one of {', '.join(ENGINES)}, got {engine!r}")
-    for name, value in (("lanes", lanes), ("workers", workers)):
-        if value is not None:
-            require_setting(name, value)
+    require_engine(engine, lanes)
+    if workers is not None:
+        require_setting("workers", workers)
     cores = own_cores()
     start_backend(workers or cores)  # before anything else asks JAX for its devices
     devices, processes = jax.local_devices(), jax.process_count()
+    if not in_lanes and (engine == "auto" or in_lanes is False):
+        devices = cpu_devices() or devices
     on_cpu = devices[0].platform == "cpu"
-    if engine is None:
-        engine = "lockstep" if not on_cpu and (lanes is not None or not cpu_devices()) else "serial"
-    if lanes is not None and engine == "serial":
-        raise InputError(f"lanes are for the engine lockstep, got {lanes} for serial")
-    if engine == "serial" and not on_cpu:
-        devices = cpu_devices()
-        if not devices:
-            asked = jax.config.values["jax_platforms"]
-            raise InputError(f"JAX_PLATFORMS must list cpu for the engine serial, got {asked!r}")
+    if in_lanes is None:
+        in_lanes = not on_cpu
+    if not in_lanes and not on_cpu:
+        asked = jax.config.values["jax_platforms"]
+        raise InputError(f"JAX_PLATFORMS must list cpu, where runs are made one after the other, got {asked!r}")
+    if lanes is not None and not in_lanes:
+        raise InputError(f"lanes are for a GPU, got {lanes} on a CPU")
     workers = (workers or cores) if len(devices) == 1 else 1
-    return Resources(engine, devices, workers, lanes, jax.process_index(), processes)
+    return Resources(devices, in_lanes, workers, lanes, jax.process_index(), processes)
+
+
+def level_of(line: Line, resources: Resources) -> str:
+    """What runs a line, in words."""
+    if resources.in_lanes:
+        return "JAX in lanes"
+    return "JAX" if line.program.drive is None else "native driving"
 
 
 def run_all(
@@ -136,8 +152,8 @@ def run_all(
 ) -> Costs:
     """Makes every run of every line.
 
-    A run's result depends on its scene, program, numbers, task and key, not on what else runs, nor on the engine, or
-    the number of lanes, cores, devices or processes.
+    A run's result depends on its scene, program, numbers, task and key, not on what else runs, nor on the number
+    of lanes, cores, devices or processes.
 
     Ctrl-C ends it early: the lines then hold what was finished. Where nothing was, it is raised.
 
@@ -168,13 +184,13 @@ def run_all(
         if resources.processes == 1:
             tell()
 
-    costs = Costs(engine=resources.engine, devices=len(resources.devices) * resources.processes)
+    costs = Costs(devices=len(resources.devices) * resources.processes)
     try:
-        if resources.engine == "serial":
-            costs.lanes = resources.workers
-            serial.run_lines(lines, resources.devices, resources.workers, costs, progress)
+        if resources.in_lanes:
+            run_in_lanes(lines, resources.devices, resources.lanes, costs, progress)
         else:
-            lockstep.run_lines(lines, resources.devices, resources.lanes, costs, progress)
+            costs.lanes = resources.workers
+            run_one_by_one(lines, resources.devices, resources.workers, costs, progress)
     except KeyboardInterrupt:
         if resources.processes > 1 or not any(line.finished.any() for line in lines):
             raise

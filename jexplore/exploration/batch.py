@@ -1,4 +1,4 @@
-"""Many exploration episodes: strategies in worlds, by either engine, with equal results."""
+"""Many exploration episodes: strategies in worlds, in native code where it can and in JAX, with equal results."""
 
 import dataclasses
 import time
@@ -8,13 +8,13 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
-from jexplore.config import MAX_SEED, InputError, Lidar, Rules, require_setting, require_whole
-from jexplore.engine.runner import Costs, find_resources, own_cores, require_32_bits, run_all
+from jexplore.config import MAX_SEED, InputError, Lidar, Rules, require_engine, require_setting, require_whole
+from jexplore.engine.runner import Costs, find_resources, level_of, own_cores, require_32_bits, run_all
 from jexplore.exploration.native import NativeRun, chooser_of, is_native, parts_of, play_all, result_of
 from jexplore.exploration.site import drive_for, line_of, prepare_site
 from jexplore.exploration.state import Result
 from jexplore.exploration.trail import Final, Record, decode
-from jexplore.native.build import warn_once
+from jexplore.native.build import Library, warn_once
 from jexplore.native.episodes import RESULT, load
 from jexplore.native.episodes import World as NativeWorld
 from jexplore.policies import Strategy
@@ -54,9 +54,10 @@ class Finished(NamedTuple):
 
 
 def run_jobs(
-    jobs: Sequence[Job], lidar: Lidar, rules: Rules, *, engine: str | None = None,
-    lanes: int | None = None, workers: int | None = None, on_progress: Callable[[int], object] | None = None,
-    only: int | None = None, keep: str | None = None, on_job: Callable[[int, Outcomes], object] | None = None,
+    jobs: Sequence[Job], lidar: Lidar, rules: Rules, *, engine: str = "auto",
+    lanes: int | None = None, workers: int | None = None, in_lanes: bool | None = None,
+    on_progress: Callable[[int], object] | None = None, only: int | None = None,
+    keep: str | None = None, on_job: Callable[[int, Outcomes], object] | None = None,
     alike: Sequence[tuple[Lidar, Rules]] = (),
 ) -> Finished:  # fmt: skip
     """Runs every episode of every job.
@@ -72,9 +73,9 @@ def run_jobs(
       jobs: list of `Job`, each with at least one start. In every process the same.
       lidar: `Lidar`.
       rules: `Rules`.
-      engine: one of `runner.ENGINES`; by default serial, see `runner.find_resources`.
-      lanes: lanes on each device in lockstep; by default as many as its memory holds, at most 4096.
-      workers: threads of the serial engine on one device; by default the CPU cores that this process may use.
+      engine: "auto": whole episodes in native code where it can; for the rest JAX, with native driving on a CPU.
+        "jax": no native code; on the devices that JAX puts first.
+      lanes, workers, in_lanes: of what runs in JAX, see `runner.find_resources`; native code has `workers` threads.
       on_progress: called with the number of episodes finished so far, now and then, from the calling thread.
       only: number of the one episode of every job that is run; None: all are.
       keep: one of `trail.RECORDS`, what is kept of every episode; None: nothing but results.
@@ -87,25 +88,27 @@ def run_jobs(
 
     Raises:
       InputError: a start that is no cell of its world or no multiple of 45 degrees, a seed outside 0 to `MAX_SEED`; an
-        engine that does not exist, lanes or workers below 1, lanes for the serial engine; a strategy of a user's that
-        does not return what it should; `keep` where several processes share the work.
+        engine that does not exist, lanes or workers out of range, lanes where there are none to set; a strategy of a
+        user's that does not return what it should; `keep` where several processes share the work.
       InputWarning: robots are driven by JAX, because native code cannot be built; once in a process.
       MemoryError: a device's memory does not suffice, not even for half the lanes.
     """
     require_32_bits()
+    require_engine(engine, lanes)
     if workers is not None:
         require_setting("workers", workers)
     jobs = [_checked(job) for job in jobs]
-    plain = engine is None and lanes is None
-    runs = _native_runs(jobs, lidar, rules, only, keep) if plain else {}
+    why_not: list[str] = []
+    runs = _native_runs(jobs, lidar, rules, only, keep, why_not) if engine == "auto" else {}
     rest = [i for i in range(len(jobs)) if i not in runs]
-    how = {"engine": engine, "lanes": lanes, "workers": workers}
+    how = {"engine": engine, "lanes": lanes, "workers": workers, "in_lanes": in_lanes}
     resources, lines = None, []
     if rest:  # made before anything runs, as a user's strategy may be refused
-        resources, lines = _in_jax([jobs[i] for i in rest], lidar, rules, only, keep, alike, how)
-    costs = _play(runs, workers or own_cores(), on_progress, on_job)
+        resources, lines = _in_jax([jobs[i] for i in rest], lidar, rules, only, keep, alike, how, why_not)
+    costs = Costs(why_not=why_not).plus(_play(jobs, runs, workers or own_cores(), on_progress, on_job))
     if lines and not costs.interrupted:
         costs = _run_rest(jobs, rest, lines, resources, costs, on_progress, on_job)
+    costs.engine = engine
     found = {i: Outcomes(run.results, run.final, run.records) for i, run in runs.items()}
     found |= {i: _outcomes(jobs[i], line) for i, line in zip(rest, lines) if line.results is not None}
     return Finished([found.get(i) or _nothing(job) for i, job in enumerate(jobs)], costs)
@@ -117,11 +120,21 @@ def _run_rest(jobs, rest, lines, resources, costs, on_progress, on_job):
     progress = None if on_progress is None else (lambda n: on_progress(done + n))
     tell = None if on_job is None else (lambda i: on_job(rest[i], _outcomes(jobs[rest[i]], lines[i])))
     try:
-        return costs.plus(run_all(lines, resources, progress, tell))
+        own = run_all(lines, resources, progress, tell)
+        own.levels = _levels_of((jobs[i], level_of(line, resources)) for i, line in zip(rest, lines))
+        return costs.plus(own)
     except KeyboardInterrupt:
         if not done:
             raise
         return dataclasses.replace(costs, interrupted=True)
+
+
+def _levels_of(pairs):
+    """Name of a strategy -> what ran it, in words, of pairs of a job and a level."""
+    found = {}
+    for job, level in pairs:
+        found.setdefault(job.strategy.name, {})[level] = None
+    return {name: list(levels) for name, levels in found.items()}
 
 
 def _nothing(job):
@@ -130,14 +143,15 @@ def _nothing(job):
     return Outcomes(blank, None, {})
 
 
-def _native_runs(jobs, lidar, rules, only, keep):
-    """A `NativeRun` for every job that native code can do, by its number; says why where there is no such code."""
+def _native_runs(jobs, lidar, rules, only, keep, why_not):
+    """A `NativeRun` for every job that native code can do, by its number; adds why there is no such code."""
     can = [i for i, job in enumerate(jobs) if is_native(job.strategy, job.lidar or lidar)]
     if not can or jax.config.values["jax_disable_jit"] or jax.process_count() > 1:
         return {}
     found = load()
     if found.loaded is None:
         warn_once(found.why_not)
+        why_not.append(found.why_not)
         return {}
     places, runs = {}, {}
     for i in can:
@@ -164,9 +178,9 @@ def _native_runs(jobs, lidar, rules, only, keep):
     return runs
 
 
-def _play(runs, workers, on_progress, on_job):
+def _play(jobs, runs, workers, on_progress, on_job):
     """Runs what native code can do; `Costs`. Raises KeyboardInterrupt where nothing was finished."""
-    numbers, costs = list(runs), Costs(engine="native", lanes=workers)
+    numbers, costs = list(runs), Costs(lanes=workers)
     if not runs:
         return costs
 
@@ -177,22 +191,26 @@ def _play(runs, workers, on_progress, on_job):
 
     began = time.perf_counter()
     try:
-        play_all(list(runs.values()), workers, on_progress or (lambda _: None), tell)
+        why_not = play_all(list(runs.values()), workers, on_progress or (lambda _: None), tell)
+        costs.why_not += [why_not] if why_not else []
     except KeyboardInterrupt:
         if not any(run.has_some for run in runs.values()):
             raise
         costs.interrupted = True
     costs.run_s = time.perf_counter() - began
+    costs.levels = _levels_of((jobs[i], level) for i, run in runs.items() for level in sorted(run.levels))
     return costs
 
 
-def _in_jax(jobs, lidar, rules, only, keep, alike, how):
-    """What runs jobs in JAX: `(resources, lines)`."""
+def _in_jax(jobs, lidar, rules, only, keep, alike, how, why_not):
+    """What runs jobs in JAX: `(resources, lines)`; adds why JAX has to drive as well."""
     resources = find_resources(**how)
     if keep is not None and resources.processes > 1:
         raise InputError(f"keep={keep!r} is for one process, and {resources.processes} share the work")
-    native = drive_for(resources.engine, resources.devices[0].platform)
-    return resources, _lines_of(jobs, lidar, rules, resources, native, only, keep, alike)
+    is_driven = how["engine"] == "auto" and not resources.in_lanes
+    native = drive_for(resources.devices[0].platform) if is_driven else Library(None)
+    why_not += [native.why_not] if native.why_not else []
+    return resources, _lines_of(jobs, lidar, rules, resources, native.name, only, keep, alike)
 
 
 def _lines_of(jobs, lidar, rules, resources, native, only, keep, alike):

@@ -27,7 +27,7 @@ MOST = 4096  # episodes in one call
 # Episodes of a strategy in a world from which a GPU runs them: an H100 takes a second to begin, in which 16 cores make
 # 1,300 in a cave, and makes 100,000 a second (`benchmarks/device.py`).
 GPU_FROM = 4096
-ON_CPU = "the CPU's cores run the episodes"
+ON_GPU, ON_CPU = "native on a GPU", "native on a CPU"
 _WIDTHS = {
     "straight_at": len(PERCENTILES),
     "diagonal_at": len(PERCENTILES),
@@ -114,6 +114,7 @@ class NativeRun:
     turn: int = 0
     records: dict[int, Record] = dataclasses.field(default_factory=dict)
     final: Final | None = None
+    levels: set[str] = dataclasses.field(default_factory=set)  # what has run some of them: `ON_GPU`, `ON_CPU`
     table: np.ndarray = dataclasses.field(init=False)  # [N, RESULT] int32
     tasks: np.ndarray = dataclasses.field(init=False)
 
@@ -155,9 +156,11 @@ class NativeRun:
             whole=int(at[0]) if at.size else -1,
         )
 
-    def put(self, numbers: np.ndarray, found: episodes.Played) -> None:
+    def put(self, numbers: np.ndarray, found: episodes.Played, level: str = ON_CPU) -> None:
         """Keep what `play` has returned."""
         ended = found.results[:, _OUTCOME] != Outcome.RUNNING
+        if ended.any():
+            self.levels.add(level)
         self.table[numbers[ended]] = found.results[ended]
         if found.paths is None:  # not asked for, or given up
             return
@@ -175,18 +178,22 @@ class NativeRun:
 
 
 def _play_on_gpu(runs, stop, progress):
-    """Runs on a GPU what is worth it; what it gives up, and what is to be kept whole, is left for the CPU."""
+    """Runs on a GPU what is worth it; what it gives up, and what is to be kept whole, is left for the CPU.
+
+    Returns:
+      why it could not; "" where it did, or had nothing to do.
+    """
     groups = {}
     for run in runs:
         if run.keep is None:
             groups.setdefault(id(run.place), []).append(run)
     groups = [group for group in groups.values() if sum(len(run.which) for run in group) >= GPU_FROM]
     if not groups or not gpu.device_count():
-        return
+        return ""
     found = gpu.load()
     if found.loaded is None:
-        warn_once(found.why_not, ON_CPU)
-        return
+        return _told(found.why_not)
+    why_not = ""
     with ThreadPoolExecutor(1) as pool:  # the calling thread hears Ctrl-C
         for group in groups:
             (spec, given), numbers = group[0].parts, [run.left[run.left != run.keeps] for run in group]
@@ -198,22 +205,29 @@ def _play_on_gpu(runs, stop, progress):
                 stop[0] = 1
                 raise
             finally:
-                _put_all(group, numbers, future)
+                why_not = _put_all(group, numbers, future) or why_not
             progress(0)
+    return why_not
+
+
+def _told(why_not):
+    """Why a GPU does not run episodes, which is said once."""
+    warn_once(why_not, "the CPU's cores run the episodes")
+    return why_not
 
 
 def _put_all(group, numbers, future):
-    """Keeps what a GPU has found for some runs, once it has; where it cannot go on, a line says why."""
+    """Keeps what a GPU has found for some runs, once it has; returns why it could not go on, or ""."""
     try:
         played = future.result()
     except (MemoryError, RuntimeError) as error:
-        warn_once(str(error), ON_CPU)
-        return
+        return _told(str(error))
     at = 0
     for run, own in zip(group, numbers):
         if played is not None:
-            run.put(own, episodes.Played(played.results[at : at + len(own)], None, None, None, None))
+            run.put(own, episodes.Played(played.results[at : at + len(own)], None, None, None, None), ON_GPU)
         at += len(own)
+    return ""
 
 
 _OUTCOME = [field.name for field in dataclasses.fields(Result)].index("outcome")
@@ -224,8 +238,8 @@ def play_all(
     workers: int,
     on_progress: Callable[[int], object],
     on_run: Callable[[int], object] | None = None,
-) -> float:
-    """Run the episodes of some `NativeRun`s on the cores of a CPU, and put the results there.
+) -> str:
+    """Run the episodes of some `NativeRun`s on a GPU or the cores of a CPU, and put the results there.
 
     Args:
       runs: list of `NativeRun`.
@@ -234,12 +248,12 @@ def play_all(
       on_run: called, likewise, with the number of a run once all of its episodes have come back.
 
     Returns:
-      Seconds.
+      why no GPU ran what it should have; "" otherwise.
 
     Raises:
       KeyboardInterrupt: after what was under way has been given up; what had ended is kept.
     """
-    began, stop, told = time.perf_counter(), np.zeros(1, np.int32), set()
+    stop, told = np.zeros(1, np.int32), set()
 
     def pieces_of(run):
         left = run.left
@@ -263,9 +277,9 @@ def play_all(
     def give_up():
         stop[0] = 1
 
-    _play_on_gpu(runs, stop, progress)
+    why_not = _play_on_gpu(runs, stop, progress)
     share_out([pieces_of(run) for run in runs], workers, progress, give_up)
-    return time.perf_counter() - began
+    return why_not
 
 
 def show_episode(

@@ -18,6 +18,7 @@ from jexplore.exploration.episode import program_of
 from jexplore.exploration.state import Numbers, Setup, Truth
 from jexplore.exploration.trail import record_of
 from jexplore.grid import in_cells, radius_d2
+from jexplore.native.build import Library
 from jexplore.native.drive import find_target
 from jexplore.planning import MapModel
 from jexplore.policies.catalogue import adapt
@@ -29,18 +30,17 @@ LEAST_LIMIT = 20_000  # default bound of steps and plans on small maps
 COARSE_M = 0.15  # cells longer than this are coarse: a corridor is a few of them wide
 
 
-def drive_for(engine: str, platform: str) -> str | None:
-    """Return the target of JAX's FFI that drives one robot on a CPU, built if need be; None: JAX drives.
+def drive_for(platform: str) -> Library:
+    """Return the library that drives one robot, built if need be; its name is a target of JAX's FFI, None: JAX drives.
 
     Args:
-      engine: one of `runner.ENGINES`.
-      platform: of the devices that it runs on.
+      platform: of the devices that the robot's program runs on; only a CPU has native driving.
 
     Warns:
       InputWarning: there is no native code, once in a process.
     """
-    is_lone = engine == "serial" and platform == "cpu" and not jax.config.values["jax_disable_jit"]
-    return find_target() if is_lone else None
+    is_native = platform == "cpu" and not jax.config.values["jax_disable_jit"]
+    return find_target() if is_native else Library(None)
 
 
 class Site(NamedTuple):

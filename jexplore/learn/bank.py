@@ -77,7 +77,7 @@ class Bank:
         for number, place, starts in self.episodes(which, seed):
             jobs += [Job(self.worlds[number], one, starts, seed) for one in strategies]
             places += [place] * len(strategies)
-        report = run_jobs(jobs, self.lidar, self.rules, engine="serial", workers=workers)
+        report = run_jobs(jobs, self.lidar, self.rules, workers=workers)
         table = np.full((len(strategies), len(which)), np.inf)
         for i, (job, place, outcome) in enumerate(zip(jobs, places, report.outcomes)):
             found = outcome.result
@@ -101,7 +101,7 @@ class Bank:
     def site(self, number: int) -> Site:
         """A world made ready, once."""
         if number not in self._sites:
-            native = drive_for("serial", "cpu")
+            native = drive_for("cpu").name
             self._sites[number] = prepare_site(self.worlds[number], self.lidar, self.rules, native=native)
         return self._sites[number]
 

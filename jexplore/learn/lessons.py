@@ -250,7 +250,7 @@ def give_lessons(
         given = site.beams, site.truth, _Numbers(own, *numbers), seed, tasks_of(starts, site.ring)
         lines.append(Line(_program(setup, model.network), *given, every, NO_RUN))
         places.append(place)
-    run_all(lines, find_resources(engine="serial", workers=workers))
+    run_all(lines, find_resources(in_lanes=False, workers=workers))
     path_m = np.full(len(which), np.inf)
     parts = []
     for line, place in zip(lines, places):

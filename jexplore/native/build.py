@@ -33,7 +33,7 @@ class Library(NamedTuple):
 
     loaded: ctypes.CDLL | None
     why_not: str = ""  # one line
-    name: str = ""  # tells apart what was built of other sources or by other compilers
+    name: str | None = None  # of one that is there: tells apart what was built of other sources or by other compilers
 
 
 @functools.cache

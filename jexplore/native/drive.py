@@ -55,17 +55,16 @@ def _register(name, handler):
         _registered.add(name)
 
 
-def find_target() -> str | None:
-    """Return the target of JAX's FFI that drives; None: there is none, which is said once in a process.
+def find_target() -> Library:
+    """Return the library, as `load` does, and say once in a process why there is none.
 
     Warns:
       InputWarning: no compiler, one that fails, or nowhere to keep what it makes.
     """
     found = load()
-    if found.loaded is not None:
-        return found.name
-    warn_once(found.why_not)
-    return None
+    if found.loaded is None:
+        warn_once(found.why_not)
+    return found
 
 
 def drive(setup: Any, given: Any, state: Any, stage: Stage, live: Array | bool = False) -> tuple[Any, Array]:

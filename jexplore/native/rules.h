@@ -257,7 +257,7 @@ struct Episode {
     entries = room >= 0;
     if (is_stuck) outcome = kStuck;
     LookRound(is_stuck);
-    const Key key = FoldIn(FoldIn({0, task.seed}, task.draw), 1);  // `engine.serial.chunk`; `Stream.POLICY`
+    const Key key = FoldIn(FoldIn({0, task.seed}, task.draw), 1);  // `engine.one_by_one.chunk`; `Stream.POLICY`
     while (outcome == kRunning && maps.GoesOn() && log.GoesOn()) {
       Plan(key);
       while (walking && outcome == kRunning) Advance();

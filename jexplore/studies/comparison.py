@@ -7,7 +7,7 @@ import os
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
-from jexplore.config import InputError, checked_names
+from jexplore.config import InputError, checked_names, require_engine
 from jexplore.engine.backend import use_compilation_cache
 from jexplore.exploration.batch import Job
 from jexplore.exploration.trail import RECORDS
@@ -27,7 +27,7 @@ def compare(
     start: StartLike = "random", start_m: Sequence[float] | None = None,
     within: str | Polygon | None = None, from_map: KnownMap | None = None,
     lidar: LidarLike = LIDAR, rules: RulesLike = RULES,
-    engine: str | None = None, lanes: int | None = None, workers: int | None = None,
+    engine: str = "auto", lanes: int | None = None, workers: int | None = None,
     on_progress: Callable[[int], object] | None = None, progress: bool | None = None,
     keep: str | None = None,
     out: str | os.PathLike[str] | None = None, overwrite: bool = False, resume: bool = False, trust: bool = False,
@@ -47,9 +47,9 @@ def compare(
       from_map: partial map that they have from the beginning: see `restrict.with_known`.
       lidar: `Lidar`, or a mapping of those of its fields that are not the defaults: `{"range_m": 4}`.
       rules: `Rules`, likewise.
-      engine: one of `runner.ENGINES`; by default serial. Results are equal.
-      lanes: episodes at a time on each device in lockstep; by default as many as its memory holds.
-      workers: threads of the serial engine; by default one a core.
+      engine: "auto", native code where it can and JAX for the rest; "jax", JAX alone. Results are equal.
+      lanes: with "jax", episodes at a time on each GPU; by default as many as its memory holds.
+      workers: threads on a CPU; by default one a core.
       on_progress: called now and then with the number of episodes finished.
       progress: whether a bar shows that; by default in notebooks.
       keep: "paths" for the way of every episode, 12 bytes a step, "maps" for its last map as well, a byte a cell.
@@ -62,6 +62,7 @@ def compare(
       InputError: what cannot be used. Raised before anything is compiled.
       InputWarning: as `batch.run_jobs`.
     """
+    require_engine(engine, lanes)
     settings = {"episodes": episodes, "seed": seed, "cell_m": cell_m, "start": start, "start_m": start_m}
     limits = {"within": within, "from_map": from_map}
     jobs = prepare_jobs(worlds, strategies, **settings, **limits, lidar=lidar, rules=rules)

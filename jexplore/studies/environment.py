@@ -128,7 +128,7 @@ class Environment:
         rows, cols = (max(bucket(side) for side in sides) for sides in sizes)
         self.shape = rows, cols
         find_resources()  # starts JAX
-        native = drive_for("serial", jax.local_devices()[0].platform)
+        native = drive_for(jax.local_devices()[0].platform).name
         sites, cells = [], []
         for world in self.worlds:
             require_clearance(world, rules)

@@ -55,6 +55,7 @@ def replay_data(
     rules: Rules,
     outcome: str = "",
     max_frames: int = MAX_FRAMES,
+    engine: str = "auto",
 ) -> ReplayData:
     """One episode as the frames of a page.
 
@@ -69,6 +70,7 @@ def replay_data(
       rules: `Rules`.
       outcome: how it ended, a word.
       max_frames: at most so many, evenly spaced over the steps; the last step is always one.
+      engine: "jax": no native code; the frames are the same.
 
     Returns:
       `ReplayData`: the maps after the last scan at each place that is shown.
@@ -79,7 +81,7 @@ def replay_data(
     if final.plans is None:
         raise InputError(f"{strategy.name} in {world.name}: an episode of so many plans cannot be played again")
     shown = evenly(len(final.rows) - 1, max_frames)
-    changes, headings = _seen(world, strategy, final, start, seed, number, lidar, rules, shown)
+    changes, headings = _seen(world, strategy, final, start, seed, number, lidar, rules, shown, engine)
     target, until = _aims(final, shown)
     return ReplayData(
         world=world.name,
@@ -106,9 +108,9 @@ def _has_own_room(strategy):
     return isinstance(strategy.policy.params, room_wise.Params)
 
 
-def _seen(world, strategy, final, start, seed, number, lidar, rules, shown):
+def _seen(world, strategy, final, start, seed, number, lidar, rules, shown, engine):
     """What `changes_of` makes of the maps at some steps, and the headings there, degrees."""
-    if not _has_own_room(strategy):  # which JAX segments
+    if engine != "jax" and not _has_own_room(strategy):  # which JAX segments
         seen = show_episode(world, strategy, lidar, rules, start, final, shown, FRONTIER)
         if seen is not None:
             return tuple(changes_of(iter(seen[0]))), 45 * seen[1]
@@ -165,6 +167,7 @@ def replays_of(
     max_pairs: int = MAX_PAIRS,
     max_frames: int = MAX_FRAMES,
     labels: Sequence[str] = (),
+    engine: str = "auto",
     on_progress: Callable[[int], object] | None = None,
 ) -> tuple[list[ReplayData], list[str]]:
     """The first episodes of the first jobs, for a page.
@@ -179,6 +182,7 @@ def replays_of(
       max_pairs: so many jobs are shown, the first ones.
       max_frames: of a replay; those of later episodes have `FEWER_FRAMES` at most.
       labels: what tells each job from others of its world and strategy; by default its seed.
+      engine: as in `batch.run_jobs`.
       on_progress: called with the number of replays made so far.
 
     Returns:
@@ -193,7 +197,7 @@ def replays_of(
     made = []
     for episode in range(min([episodes, *(len(job.starts) for job in jobs)])):
         if episode or outcomes is None:
-            outcomes = batch.run_jobs(jobs, lidar, rules, only=episode).outcomes
+            outcomes = batch.run_jobs(jobs, lidar, rules, only=episode, engine=engine).outcomes
         for job, found, label in zip(jobs, outcomes, labels or [""] * len(jobs)):
             title = f"{job.strategy.name} in {job.world.name}, episode {job.first + episode}"
             if found.first is None:
@@ -201,17 +205,23 @@ def replays_of(
             elif found.first.plans is None:
                 notes.append(f"{title}: no replay, it made more plans than are kept.")
             else:
-                replay = replay_data(
-                    *(job.world, job.strategy, found.first),
-                    start=tuple(int(value) for value in job.starts[episode]),  # type: ignore[arg-type]  # three
-                    seed=job.seed,
-                    number=job.first + episode,
-                    lidar=job.lidar or lidar,
-                    rules=job.rules or rules,
-                    outcome=Outcome(int(found.result.outcome[episode])).name,
-                    max_frames=min(max_frames, FEWER_FRAMES) if episode else max_frames,
-                )
+                frames = min(max_frames, FEWER_FRAMES) if episode else max_frames
+                replay = _replay(job, found, episode, lidar, rules, max_frames=frames, engine=engine)
                 made.append(dataclasses.replace(replay, which=label) if label else replay)
             if on_progress is not None:
                 on_progress(len(made))
     return made, notes
+
+
+def _replay(job, found, episode, lidar, rules, **how):
+    """Episode of a job, a number from 0, as `ReplayData`."""
+    return replay_data(
+        *(job.world, job.strategy, found.first),
+        start=tuple(int(value) for value in job.starts[episode]),  # type: ignore[arg-type]  # three
+        seed=job.seed,
+        number=job.first + episode,
+        lidar=job.lidar or lidar,
+        rules=job.rules or rules,
+        outcome=Outcome(int(found.result.outcome[episode])).name,
+        **how,
+    )

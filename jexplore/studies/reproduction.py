@@ -10,7 +10,7 @@ import os
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
-from jexplore.config import InputError, checked_names, unknown
+from jexplore.config import InputError, checked_names, require_engine, unknown
 from jexplore.engine.backend import use_compilation_cache
 from jexplore.exploration.batch import Job
 from jexplore.report import tables
@@ -255,7 +255,7 @@ def reproduce(
     cell_m: float = 0.1,
     lidar: LidarLike = LIDAR,
     rules: RulesLike = RULES,
-    engine: str | None = None,
+    engine: str = "auto",
     lanes: int | None = None,
     workers: int | None = None,
     on_progress: Callable[[int], Any] | None = None,
@@ -275,6 +275,7 @@ def reproduce(
     Raises:
       InputError: a paper, folder, map or number that cannot be used. Raised before anything is compiled.
     """
+    require_engine(engine, lanes)
     jobs = prepare_paper(paper, maps=maps, episodes=episodes, seed=seed, cell_m=cell_m, lidar=lidar, rules=rules)
     use_compilation_cache()
     with progress_bar(progress, sum(len(job.starts) for job in jobs), "episodes", on_progress) as moved:

@@ -8,8 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 from scipy import ndimage
 
+from jexplore.engine.one_by_one import run_one
 from jexplore.engine.program import Given
-from jexplore.engine.serial import run_one
 from jexplore.exploration.episode import program_of
 from jexplore.exploration.results import progress_m
 from jexplore.exploration.site import cost_of
@@ -143,7 +143,7 @@ def play(
         window_of(lidar, cell_m) if window is None else window,
         lidar.sigma_m > 0 or lidar.dropout > 0,
         CAPACITY,
-        find_target() if native else None,
+        find_target().name if native else None,
     )
     return jax.tree.map(
         np.asarray,

@@ -34,9 +34,9 @@ def digest(report):
     return hashlib.sha256(b"".join(np.ascontiguousarray(a).tobytes() for a in arrays)).hexdigest()
 
 
-def few(run_jobs, engine):
+def few(run_jobs):
     """Digests of runs of one to three episodes, and of one episode alone: as many processes may have none or one."""
     (job, *_), found = some_jobs(), []
     for n, only in ((1, None), (2, None), (3, None), (3, 1)):
-        found.append(digest(run_jobs([job._replace(starts=job.starts[:n])], LIDAR, RULES, engine=engine, only=only)))
+        found.append(digest(run_jobs([job._replace(starts=job.starts[:n])], LIDAR, RULES, engine="jax", only=only)))
     return found

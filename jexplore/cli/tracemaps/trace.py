@@ -48,12 +48,12 @@ class Trace:
     seed: int = 0
     """Draw the noise from this seed."""
     engine: EngineName = "auto"
-    """Make runs one after the other on each core, or many in lockstep, as suits a GPU. The results are equal but for
-    rounding; by default the machine decides."""
+    """Make runs on the CPU's cores (auto), or on the GPU if there is one (jax). The results are equal but for
+    rounding."""
     lanes: int | None = None
-    """Make so many runs at a time in lockstep; by default as many as the memory holds."""
+    """With --engine jax on a GPU, make so many runs at a time; by default as many as its memory holds."""
     workers: int | None = None
-    """Make runs on so many cores, one each, with the engine serial; by default on all that this process may use."""
+    """Make runs on so many cores, one each; by default on all that this process may use."""
     cell_m: float = 0.1
     """Make the edge of a cell this long, in metres."""
     max_steps: int | None = None
@@ -133,20 +133,21 @@ class Trace:
     def _run(self, out, plan, ledger, arguments):
         from jexplore.engine.backend import use_compilation_cache
         from jexplore.report import store, trace_tables
+        from jexplore.studies.results.saving import engine_of
         from jexplore.studies.traces import tracing
         from jexplore.tracemap.corrected import correct_map
 
         use_compilation_cache()
-        how = {"engine": None if self.engine == "auto" else self.engine, "lanes": self.lanes, "workers": self.workers}
+        how = {name: getattr(self, name) for name in ("engine", "lanes", "workers")}
         with working(plan.runs * plan.settings, "runs") as on_progress:
             found = tracing.execute(plan, **how, on_progress=on_progress, ledger=ledger)
         costs = found.costs
-        names = ("compile_s", "run_s", "engine", "devices", "lanes", "useful")
         runs_per_s = (len(found.table) - found.resumed) / costs.run_s if costs.run_s else None
         missing = plan.runs * plan.settings - len(found.table)
         entries = {"runs_per_s": runs_per_s, "resumed": found.resumed, "interrupted": missing}
         entries["worlds"] = [describe(plan.world)]
-        record = out.record(arguments, self, **entries, **{name: getattr(costs, name) for name in names})
+        entries |= {"compile_s": costs.compile_s, "run_s": costs.run_s} | engine_of(costs)
+        record = out.record(arguments, self, **entries)
         first = correct_map(found.first) if self.corrected else found.first
         files = {
             **_exchanged(first),

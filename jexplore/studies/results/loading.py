@@ -202,7 +202,13 @@ def shorter_of(
 
 def _sweep(folder, record):
     episodes = store.read_parquet(folder / "episodes.parquet", required=record["columns"])
-    costs = Costs(compile_s=record["compile_s"] or 0.0, run_s=record["run_s"] or 0.0, engine=record["engine"])
+    costs = Costs(
+        compile_s=record["compile_s"] or 0.0,
+        run_s=record["run_s"] or 0.0,
+        engine=record["engine"],
+        levels={name: list(own) for name, own in dict(record["levels"]).items()},
+        why_not=list(record["why_not_native"]),
+    )
     spec, columns = read_spec(folder / "asked.yaml"), tuple(record["columns"])
     return Swept(spec, episodes, columns, costs, record["interrupted"], record["resumed"], record["reference"])
 
@@ -276,9 +282,5 @@ def merge(parts: Sequence[str | os.PathLike[str]], *, trust: bool = False) -> tu
     if any(store.jsonable(asked.get(key)) != next(iter(pages.values())).get(key) for key in MADE_FROM):
         raise InputError("the sweep's worlds or jexplore itself have changed since the parts were made")
     table = ordered(typed(pd.concat([found.episodes for found in tables], ignore_index=True), plan), plan)
-    costs = Costs(
-        compile_s=sum(found.costs.compile_s for found in tables),
-        run_s=sum(found.costs.run_s for found in tables),
-        engine=tables[0].costs.engine,
-    )
+    costs = functools.reduce(Costs.plus, (found.costs for found in tables))
     return Swept(plan.spec, table, tuple(plan.columns), costs, reference=plan.reference), plan

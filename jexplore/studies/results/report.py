@@ -27,19 +27,25 @@ PICTURES = {
 
 
 def replays_for(
-    jobs: Sequence[Job], firsts: Mapping[int, Outcomes] | None = None, labels: Sequence[str] = ()
+    jobs: Sequence[Job],
+    record: Mapping[str, Any],
+    firsts: Mapping[int, Outcomes] | None = None,
+    labels: Sequence[str] = (),
 ) -> tuple[list[ReplayData], list[str]]:
     """Replays of the first episodes of the first jobs, which have their scanners and rules: see `replays.replays_of`.
 
     Args:
       jobs: of a run.
+      record: what its run.json holds, which says by what engine it was run.
       firsts: number of a job -> what it left, of the first jobs; where one is missing, they are run once
         more.
       labels: as in `replays.replays_of`.
     """
     have = [None if firsts is None else firsts.get(i) for i in range(min(len(jobs), MAX_PAIRS))]
     outcomes = [found for found in have if found is not None]
-    return replays_of(jobs, Lidar(), Rules(), outcomes=outcomes if len(outcomes) == len(have) else None, labels=labels)
+    engine = "jax" if record["engine"] == "jax" else "auto"
+    known = outcomes if len(outcomes) == len(have) else None
+    return replays_of(jobs, Lidar(), Rules(), outcomes=known, labels=labels, engine=engine)
 
 
 def write_report(

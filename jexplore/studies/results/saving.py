@@ -110,7 +110,7 @@ def _picture(make, path):
 
 def _page(folder, found, firsts, record, jobs, names, path):
     """Writes the page of a comparison, with those of its pictures that are there."""
-    replays, notes = replays_for(jobs, firsts) if jobs else ([], [])
+    replays, notes = replays_for(jobs, record, firsts) if jobs else ([], [])
     tables = [("In each world", markdown_table(found.summary))]
     if len(found.worlds) >= MIN_PAIRS:
         tables.insert(0, ("Over all worlds", standings_table(found.standings)))
@@ -133,9 +133,11 @@ def entries_of(found: Any) -> dict[str, Any]:
 
 
 def engine_of(costs: Costs) -> dict[str, Any]:
-    """What run.json says of the engine that made a run."""
+    """What run.json says of what ran."""
     return {
         "engine": costs.engine,
+        "levels": costs.levels,
+        "why_not_native": costs.why_not,
         "devices": costs.devices,
         "lanes": costs.lanes,
         "useful": costs.useful,

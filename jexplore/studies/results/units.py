@@ -295,7 +295,7 @@ def run_units(
     *,
     ledger: Ledger | None = None,
     units: Iterable[int] | None = None,
-    engine: str | None = None,
+    engine: str = "auto",
     lanes: int | None = None,
     workers: int | None = None,
     on_progress: Callable[[int], object] | None = None,

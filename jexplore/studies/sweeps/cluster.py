@@ -78,7 +78,7 @@ def make_units(key: str, version: str, sent: list[Any], numbers: Sequence[int]) 
     order, plan = _prepared[key]
     _require_same_worlds(plan, numbers)
     tables: dict[int, Any] = {}
-    how: dict[str, Any] = {} if order.gpus else {"engine": "serial", "workers": order.cpus}
+    how: dict[str, Any] = {"in_lanes": True} if order.gpus else {"workers": order.cpus}
     costs = run_block_units(plan, numbers, tables.__setitem__, **how)
     if costs.interrupted:
         raise KeyboardInterrupt
@@ -145,8 +145,8 @@ def run_units(
       on_unit: called in this process with the number of a unit and its table, as soon as it has come back; once
         more where Ctrl-C fell into that.
       on_progress: called with the number of episodes that have come back.
-      cpus: cores of a task, which makes one unit with the engine serial.
-      gpus: GPUs of a task. With 1 or more it makes as many units as fit, in lockstep.
+      cpus: cores of a task, which makes one unit on them.
+      gpus: GPUs of a task. With 1 or more it makes as many units as fit, what is in JAX in lanes.
 
     Returns:
       `Costs`: `lanes` tasks at a time; `run_s` seconds by the clock, less those of compiling in every worker;

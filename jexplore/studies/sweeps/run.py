@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from jexplore.arrays.pictures import shown_figure
-from jexplore.config import InputError, checked_names
+from jexplore.config import SWEEP_ENGINES, InputError, checked_names, require_engine
 from jexplore.engine.backend import use_compilation_cache
 from jexplore.engine.runner import Costs
 from jexplore.report.ledger import Ledger
@@ -190,7 +190,7 @@ def run_sweep(
     *,
     ledger: Ledger | None = None,
     shard: tuple[int, int] | None = None,
-    engine: str | None = None,
+    engine: str = "auto",
     lanes: int | None = None,
     workers: int | None = None,
     gpu: bool = False,
@@ -216,6 +216,7 @@ def run_sweep(
     """
     import pandas as pd
 
+    require_engine(engine, lanes, SWEEP_ENGINES)
     if gpu and engine != "ray":
         raise InputError("gpu is for the engine ray: others take the GPUs that they find")
     numbers, tables, begun = in_shard(len(plan.units), shard), {}, {}
@@ -253,8 +254,6 @@ def _run_left(plan, left, on_unit, how, gpu, on_progress, begun):
         return run_block_units(plan, left, on_unit, **how, on_progress=on_progress, begun=begun)
     from jexplore.studies.sweeps import cluster
 
-    if how["lanes"] is not None:
-        raise InputError(f"lanes are for the engine lockstep, got {how['lanes']} for ray")
     return cluster.run_units(plan, left, on_unit, on_progress=on_progress, cpus=how["workers"] or 1, gpus=int(gpu))
 
 
@@ -280,7 +279,7 @@ def ordered(table: "pd.DataFrame", plan: Plan | TracePlan) -> "pd.DataFrame":
 def sweep(
     spec: Sweep | Mapping[str, Any] | str | os.PathLike[str],
     *,
-    engine: str | None = None,
+    engine: str = "auto",
     lanes: int | None = None,
     workers: int | None = None,
     gpu: bool = False,
@@ -300,6 +299,7 @@ def sweep(
     Raises:
       InputError: what cannot be run, in one line. Raised before anything is compiled.
     """
+    require_engine(engine, lanes, SWEEP_ENGINES)
     if isinstance(spec, (str, os.PathLike)):
         spec = read_spec(spec)
     elif isinstance(spec, Mapping):

@@ -169,7 +169,7 @@ def run_traces(
     numbers: Sequence[int],
     on_unit: Callable[[int, "pd.DataFrame"], object],
     *,
-    engine: str | None = None,
+    engine: str = "auto",
     lanes: int | None = None,
     workers: int | None = None,
     on_progress: Callable[[int], object] | None = None,

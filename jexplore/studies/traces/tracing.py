@@ -11,7 +11,7 @@ import jax
 import numpy as np
 
 from jexplore import btm
-from jexplore.config import checked_names
+from jexplore.config import checked_names, require_engine
 from jexplore.driving import batch, vehicle
 from jexplore.driving.batch import Driven, numbers_of, outcome_names
 from jexplore.driving.behaviour import RunMode
@@ -88,7 +88,7 @@ def asked(plan: TraceJob) -> dict[str, Any]:
 def execute(
     plan: TraceJob,
     *,
-    engine: str | None = None,
+    engine: str = "auto",
     lanes: int | None = None,
     workers: int | None = None,
     on_progress: Callable[[int], Any] | None = None,
@@ -208,7 +208,7 @@ def _read_first(data):
 def trace(
     world: str | os.PathLike[str] | World = "course",
     *,
-    engine: str | None = None,
+    engine: str = "auto",
     lanes: int | None = None,
     workers: int | None = None,
     on_progress: Callable[[int], Any] | None = None,
@@ -230,6 +230,7 @@ def trace(
     Raises:
       InputError: what cannot be run, in one line.
     """
+    require_engine(engine, lanes)
     plan = prepare_trace(world, **options)
     with progress_bar(progress, plan.settings * plan.runs, "runs", on_progress) as moved:
         return execute(plan, engine=engine, lanes=lanes, workers=workers, on_progress=moved)

@@ -1,4 +1,4 @@
-"""The lockstep engine: runs of one program in lanes that advance together, as an accelerator wants it.
+"""Runs of one program in lanes that advance together, as an accelerator wants it.
 
 A `vmap` of lanes. In every turn those advance that are under way; those that must decide wait until they are an eighth
 of all and then decide together. When enough runs are done they are measured and their lanes filled again.
@@ -22,7 +22,7 @@ from jexplore.engine.draws import random_key
 from jexplore.engine.program import Given, Line, split
 
 LANES = 4096  # most lanes on a device
-CPU_LANES = 64  # on a CPU, which lockstep is not made for
+CPU_LANES = 64  # on a CPU, which lanes are not made for
 FILLED = 16  # one lane in so many is measured and filled at a time
 MEMORY_SHARE = 0.8  # of the device's free memory that lanes may take
 COPIES = 4  # of a lane's state that there may be at a time; an estimate
@@ -271,7 +271,7 @@ def _count(mask):
     return jnp.sum(mask, dtype=jnp.int32)
 
 
-def run_lines(
+def run_in_lanes(
     lines: Sequence[Line],
     devices: Sequence[Any],
     n_lanes: int | None,

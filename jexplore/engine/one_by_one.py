@@ -1,4 +1,4 @@
-"""The serial engine: a CPU core makes one run after the other, with true control flow.
+"""One run after the other on each core of a CPU, with true control flow.
 
 Threads share one compiled program; several devices each run a part of every call.
 """
@@ -128,7 +128,7 @@ def _pieces(line, call, place, d, pace):
     )
 
 
-def run_lines(
+def run_one_by_one(
     lines: Sequence[Line],
     devices: Sequence[Any],
     workers: int,
