@@ -50,7 +50,7 @@ BLIND_STEPS = 20  # scans in a row, most of whose beams give no number, that end
 
 
 class Outcome(enum.IntEnum):
-    """How a run ended."""
+    """Outcome of a run."""
 
     RUNNING = 0
     GOAL = 1
@@ -67,7 +67,7 @@ class Outcome(enum.IntEnum):
     ARRIVED = 7
     """The end of the route that the robot follows is reached."""
     LOST = 8
-    """What the robot finds is not what its route says, or it cannot pass there."""
+    """The observations contradict the route, or the robot cannot pass there."""
 
 
 BROKEN_OFF = (Outcome.STUCK, Outcome.BLIND, Outcome.STEP_LIMIT)
@@ -80,7 +80,7 @@ class State:
 
     body: Body
     estimate: Array  # [3] float32, odometry, corrected where a node is met again
-    odometry: Array  # [3] float32, likewise without corrections
+    odometry: Array  # [3] float32, odometry without corrections
     around: Surround  # where the last scan was taken
     scanned: Array  # [3] float32, odometry without corrections there
     key: Key
@@ -116,7 +116,7 @@ class State:
 
 
 class Setup(NamedTuple):
-    """What is fixed before a run is compiled. Hashable."""
+    """Static config of a run. Hashable."""
 
     room: int  # T, steps that there is room for
     n_nodes: int = SIZE[0]  # N, most of a map
@@ -125,7 +125,7 @@ class Setup(NamedTuple):
 
 @struct.dataclass
 class Result:
-    """What is kept of a run."""
+    """Result of a run."""
 
     map: Btm
     outcome: Array  # int32, `Outcome`
@@ -146,7 +146,7 @@ class Result:
 
 
 def _is_open(building):
-    """Whether a run has no goal: it goes on until nothing is left, behind its start as well."""
+    """Return whether a run has no goal: it continues until nothing is left, behind its start as well."""
     return jnp.isnan(building.goal[0])
 
 
@@ -193,7 +193,7 @@ def at_start(setup: Setup, building: Building, robot: Robot, start: Array, guide
 
 
 def steadied(senses: Senses, robot: Robot) -> tuple[Senses, Array]:
-    """What the scanner that looks ahead says, its noise averaged, in the plane: see `vehicle.levelled`."""
+    """Return the forward scan in the plane with its noise averaged: see `vehicle.levelled`."""
     return levelled(senses.replace(ranges_m=steadying.scan(senses.ranges_m)), robot)
 
 
@@ -256,7 +256,7 @@ def step(draws: Draws, building: Building, robot: Robot, tuning: Tuning, noise: 
 
 
 def _decided(state, writer, ahead, at, at_goal, is_open, tuning, robot):
-    """What branch selection does, and the node that is due: `(writer, drive, ahead, event)`."""
+    """Run branch selection and find the node that is due: `(writer, drive, ahead, event)`."""
     around, ways_m, placed = at
     drive, track, begins, arrives, gives_up = approach.latched(state, ahead, around, ways_m, placed, tuning, robot)
     none = jnp.stack([*ahead.track.centre, ahead.track.radius, state.odometer_m])

@@ -1,4 +1,4 @@
-"""Ground with height: what a robot stands on, how it leans, and what a scanner that looks down sees of it."""
+"""Ground with height: attitude of a robot on it, and ranges of a downward scanner."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -41,7 +41,7 @@ def terrain_of(elevation: np.ndarray | None, cell_m: float) -> Terrain:
 
 
 def is_level(terrain: Terrain) -> bool:
-    """Whether the ground is level everywhere, known before compiling: what lies on it then costs nothing."""
+    """Return whether the ground is level everywhere; known before compiling, so that level ground costs nothing."""
     return terrain.height_m.shape[-2:] == (2, 2)
 
 
@@ -87,7 +87,7 @@ def attitude(
     width_m: Array | float,
     backwards: Array | bool = False,
 ) -> tuple[Array, Array, Array, Array]:
-    """How a robot on two rigid tracks stands.
+    """Compute the attitude of a robot on two rigid tracks.
 
     Each track rests on the two points of the ground, one before and one behind its middle, that carry it highest.
 
@@ -95,7 +95,7 @@ def attitude(
       terrain: `Terrain`.
       pose: `(x_m, y_m, heading_rad)`.
       length_m, width_m: of the robot.
-      backwards: bool, whether it drives so.
+      backwards: bool, driving backwards.
 
     Returns:
       `(pitch_rad, roll_rad, height_m, rise_m)`: pitch is positive nose down and roll positive with the left side up
@@ -128,14 +128,14 @@ def look_at(
     most_m: float = MAX_DOWN_M,
     march_m: float = MARCH_M,
 ) -> Array:
-    """Ranges of beams to the ground.
+    """Compute ranges of beams to the ground.
 
     Args:
       terrain: `Terrain`.
       origin: `(x_m, y_m, z_m)`, float scalars.
       direction: `[D, 3]` float32, unit vectors.
       most_m: range, metres. Static.
-      march_m: ground that rises above a beam for less of it than this may be missed. Static.
+      march_m: ground above a beam over a shorter length than this may be missed. Static.
 
     Returns:
       `[D]` float32, metres; inf beyond the range.

@@ -1,8 +1,7 @@
 """Walls as straight segments: exact ranges of beams from any pose, without tracing cells.
 
-The walls of an occupancy array all run along the axes. A beam meets such a segment in a few operations, and a building
-of passages has some dozens of them: a scan is one small dense computation, on a CPU as on a GPU. Its ranges are those
-of a traversal of every cell of every beam.
+The walls of an occupancy array all run along the axes. A building of passages has some dozens of segments: a scan means
+one small dense computation, on a CPU as on a GPU. Ranges equal those of a traversal of every cell along every beam.
 """
 
 import jax.numpy as jnp
@@ -110,7 +109,7 @@ def meets(
     length_m: Array | float,
     width_m: Array | float,
 ) -> Array:
-    """Whether a rectangle meets a wall.
+    """Return whether a rectangle meets a wall.
 
     Args:
       walls: `Walls`.
@@ -118,7 +117,7 @@ def meets(
       length_m, width_m: along the heading and across.
 
     Returns:
-      bool: whether a segment has a point inside; on its sides either may be said.
+      bool: a segment has a point inside the rectangle; a point exactly on a side gives either answer.
 
     Source:
       Liang and Barsky, A new concept and method for line clipping (1984).
