@@ -25,7 +25,7 @@ OTHERS = {
     "command": "the record of a run",
     "is_found": "a route, the result of `jexplore route`",
 }
-"""What other files hold that lie beside a map, by a member that tells."""
+"""Contents of other files next to a map, by a member that identifies them."""
 
 
 def to_json(btm: BtmMap) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""What a robot may use of a Behavioral Trace Map: links that it is too wide for, steps and slopes that it cannot climb.
+"""Parts of a trace map that a robot may use, limited by its width, its step height and its slope.
 
 Plain Python: importing this loads no jax.
 """
@@ -18,7 +18,7 @@ SLACK = 1e-6  # share of a limit by which a measure may lie beyond it: maps hold
 
 
 class Body(Protocol):
-    """What a robot is measured by, such as a `jx.Robot`."""
+    """Dimensions of a robot that decide where it passes, such as a `jx.Robot`."""
 
     @property
     def name(self) -> str: ...
@@ -41,7 +41,7 @@ class Block:
     max_slope_deg: float | None
 
     def holds_for(self, robot: Body) -> bool:
-        """Whether a robot is neither narrower nor climbs more than the one that could not pass."""
+        """Return whether a robot is no narrower and climbs no more than the one that could not pass."""
         if self.width_m is None or self.max_step_m is None or self.max_slope_deg is None:
             return True
         is_narrower = robot.width_m < self.width_m * (1 - SLACK)
@@ -83,7 +83,7 @@ def _said(link):
 
 
 def _told_of(link, name) -> Iterator[tuple[str, Any]]:
-    """What an attribute of a link says, else what maps say differently: who, and the value."""
+    """Return an attribute of a link with its source; without one, the values on which maps differ."""
     conflicts = link.attributes.get(CONFLICTS)
     told = conflicts.get(name) if isinstance(conflicts, Mapping) else None
     if name in link.attributes:
@@ -160,8 +160,10 @@ def hindrances(node: Node, robot: Body, *, known_only: bool = False) -> tuple[st
 
 
 def unknowns(link: Link, nodes: Mapping[int, Node]) -> tuple[str, ...]:
-    """Measures that a robot would be held against, and that the map does not have of a link: texts. That another robot
-    could not pass it is one of them for those that may, and that maps differ about whether it is blocked.
+    """List measures that decide for a robot and that the map lacks for a link, as texts.
+
+    They include that another robot could not pass the link, if this one may, and that maps disagree about a blocked
+    link.
     """
     yes, no = _said(link)
     blocked = tuple(block.words for block in blocks_of(link) if block.width_m is not None)

@@ -233,7 +233,7 @@ def require_near(btm: BtmMap, name: str) -> None:
 
 
 def called(member: str, index: int, number: object) -> str:
-    """What errors call an item of `nodes` or `links`: its id where that is one, else its place."""
+    """Return the name of an item of `nodes` or `links` for errors: its id if that is a number, else its index."""
     return f"{member[:-1]} {number}" if type(number) is int else f"{member}[{index}]"
 
 

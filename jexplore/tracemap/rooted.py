@@ -11,13 +11,13 @@ _SQUARE = 1e-9  # cosine: a heading that is no nearer to one end of the link tha
 
 
 def topology_from(topology: BtmMap, pose: tuple[float, float, float]) -> BtmMap:
-    """What a robot should write that begins at a pose and goes on until nothing is left.
+    """Return the map that a perfect robot would write, starting at a pose, until nothing is left.
 
-    The start becomes a terminal node on the nearest link, which is split there: one link leads ahead, one behind. A
-    heading square to the link counts its left as ahead. Nodes and links are in the order in which the robot meets them:
-    at a node it takes the first un-searched link counter-clockwise from behind; where there is none, it goes back by
-    the shortest way to a node that has one. What cannot be reached is left out. A start that the map has already, a
-    first node of type terminal with two links, is taken out before.
+    The start becomes a terminal node on the nearest link, which is split there: one link leads ahead, one behind. If
+    the heading is square to the link, its left counts as ahead. Nodes and links are in the order in which the robot
+    meets them: at a node it takes the first un-searched link counter-clockwise from behind; without one, it goes back
+    by the shortest way to a node that has one. Unreachable parts are left out. A start that the map already has, a
+    first node of type terminal with two links, is removed before.
 
     Args:
       topology: the whole map; its links run straight from node to node, as those of a course.
@@ -28,7 +28,7 @@ def topology_from(topology: BtmMap, pose: tuple[float, float, float]) -> BtmMap:
       other measures of the parts are those of the whole.
 
     Raises:
-      InputError: the map has no link, or one without an end: what lies there is not known.
+      InputError: the map has no link, or one without an end.
     """
     unknown = [link.id for link in topology.links if link.end == NOWHERE or link.length_m is None]
     if unknown or not topology.links:
@@ -128,8 +128,10 @@ def _in_order(nodes, links, root, ahead):
 
 
 def _nearest_open(around, taken, here, back):
-    """The nearest node with a link that has not been taken, by those that have, and the bearing from which one comes
-    to it; `(None, back)` where there is none.
+    """Find the nearest node with a link not taken yet, along taken links, and the bearing of arrival.
+
+    Returns:
+      `(node, bearing)`; `(None, back)` without one.
     """
     queue, reached = [(0.0, here, back)], set()
     while queue:

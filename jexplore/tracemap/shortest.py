@@ -23,14 +23,14 @@ AHEAD = max(4, os.cpu_count() or 1)  # calls on their way at a time, so that cor
 
 
 class Problem(NamedTuple):
-    """What of a map a robot may use; two that may use the same are one problem."""
+    """Part of a map that a robot may use; robots with the same part share a problem."""
 
     shut: frozenset[int]
     """Ids of searched links that it may not use."""
     barriers: frozenset[int]
     """Ids of nodes that it may not pass."""
     stubs: frozenset[int]
-    """Ids of nodes with an un-searched link that it may follow: the goals where the goal is None."""
+    """Ids of nodes with an un-searched link that the robot may follow: the goals where the goal is None."""
 
 
 class Walk(NamedTuple):
@@ -45,15 +45,15 @@ class Walk(NamedTuple):
 def walks(
     index: Index, problems: Sequence[Problem], pairs: Sequence[tuple[int, int | None]]
 ) -> Iterator[list[Walk | None]]:
-    """The ways of every problem in turn, while the next are being solved.
+    """Yield the walks of every problem, while the next are being solved.
 
     Args:
       index: of the map.
-      problems: what may be used of it.
+      problems: usable parts of the map.
       pairs: ids of nodes, start and goal; None as the goal for the nearest of `Problem.stubs`.
 
     Returns:
-      Iterator over the problems, of a list with a `Walk` for every pair; None where there is no way.
+      Iterator over the problems, of a list with a `Walk` for every pair; None without a way.
 
     Raises:
       InputError: links too long in all.
@@ -167,6 +167,6 @@ def _solved(graph, calls, goals, shape):
 
 @jax.jit
 def _solve(around: Around, length: Array, is_open: Array, barrier: Array, target: Array) -> Array:
-    """`Ways.link` of blocks of goals, `[C, N, B]`, one after the other; `target` likewise."""
+    """Compute `Ways.link` for blocks of goals in turn, `[C, N, B]`; `target` has the same blocks."""
     length, is_open, barrier = jnp.asarray(length), jnp.asarray(is_open), jnp.asarray(barrier)  # numpy's without jit
     return lax.map(lambda block: shortest_ways(around, length, is_open, barrier, block).link, target)

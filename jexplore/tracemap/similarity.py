@@ -1,4 +1,4 @@
-"""What makes two Behavioral Trace Maps the same, what tells them apart, and how far apart they are."""
+"""Equality of two trace maps, their differences, and the distance between them."""
 
 import dataclasses
 import itertools
@@ -8,13 +8,13 @@ from jexplore.tracemap.record import NOWHERE, BtmMap, Link, Node, check, directi
 
 
 def code(btm: BtmMap) -> str:
-    """The map as a rooted plane graph with labels, in one line: equal codes mean maps equal but for measures.
+    """Encode the map as a labelled rooted plane graph, in one line: equal codes mean maps equal but for measures.
 
     A node is T, D, F or O, an obstacle's shape behind a colon; in parentheses follow its other links, counter-clockwise
-    from the one by which it is entered: what is reached by it, `-` for an un-searched one, or `=1`, the same at both
-    ends, for one that closes a cycle. The walk is depth-first from the first node, there from the link of lowest id
-    among the searched ones (or among all). Links of equal bearing count in order of their ids. Nodes that are not
-    connected with the first follow after a `+`.
+    from the one by which it is entered: the node reached, `-` for an un-searched one, or `=1`, the same at both ends,
+    for one that closes a cycle. The walk is depth-first from the first node, there from the link of lowest id among the
+    searched ones (or among all). Links of equal bearing count in order of their ids. Nodes that are not connected with
+    the first follow after a `+`.
 
     Raises:
       InputError: not a proper map; see `record.check`.
@@ -23,17 +23,17 @@ def code(btm: BtmMap) -> str:
 
 
 def same(a: BtmMap, b: BtmMap, tolerance_m: float | None = None, tolerance_deg: float | None = None) -> bool:
-    """Whether two maps have equal codes and, where tolerances are given, measures within them; see `differences`."""
+    """Return whether two maps have equal codes and, if tolerances are given, measures within them; see `differences`."""
     return not differences(a, b, tolerance_m, tolerance_deg)
 
 
 def differences(
     a: BtmMap, b: BtmMap, tolerance_m: float | None = None, tolerance_deg: float | None = None
 ) -> list[str]:
-    """What tells two maps apart, in plain sentences; none if they are the same.
+    """List the differences between two maps, as sentences; none if they are the same.
 
-    If the codes differ, that is told and no measures are compared: nodes would not correspond. Else corresponding nodes
-    and links are, whatever their ids and whichever way a link was followed; `opening_m` only of links that start at
+    If the codes differ, that is the only difference: nodes would not correspond. Else corresponding nodes and links are
+    compared, whatever their ids and the direction in which a link was followed; `opening_m` only of links that start at
     the same node. A measure that one of them lacks is a difference. Coordinates and bearings are compared as they
     stand: both maps must have one frame. Attributes do not count.
 
@@ -111,7 +111,7 @@ class _Vertex:
     link: Link | None = None
     """By which it hangs on its parent."""
     forward: bool = True
-    """Whether that link starts at the parent."""
+    """True if that link starts at the parent."""
     node: Node | None = None
 
 

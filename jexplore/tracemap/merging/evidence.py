@@ -1,4 +1,4 @@
-"""What a guess about two maps is worth: how much likelier they are as maps of one place than of two that look alike."""
+"""Evidence for a guess about two maps: log likelihood of one place against two that look alike."""
 
 import collections
 import math
@@ -7,21 +7,21 @@ from collections.abc import Callable, Iterable
 from jexplore.tracemap.merging.walk import Guess, Pair
 from jexplore.tracemap.merging.ways import Places, Way
 
-PRIOR = 4.0  # what is believed about buildings counts as much as so many nodes or links of the two maps
+PRIOR = 4.0  # prior beliefs about buildings weigh as much as this many nodes or links of the two maps
 ALIKE = 0.15  # chance that two places look alike, in buildings at large
 LENGTH_M, SPREAD = 5.0, 0.7  # lengths of ways in buildings at large: median, standard deviation of the logarithm
 WIDTH_M = 0.1  # standard deviation of a width between two maps
 WIDE_M = 3.0  # widths of passages at large lie between 0 and this
 INCLINATION_DEG = 1.0
 STEEP_DEG = 30.0
-STRAY = 0.1  # chance that a width or an inclination is one map's mistake
+STRAY = 0.1  # probability that a width or an inclination is an error of one map
 LOST = 2.5  # nats: what a link takes away that only one map has at a node
 FAR = 40.0  # standard deviations, as good as never
 CONTRADICTION = 5.0  # nats: what a contradiction takes away
 
 
 class Evidence:
-    """Weighs guesses about two maps by what is common in them: a corner says little where there are many."""
+    """Weights of guesses about two maps: a common corner says little where corners are many."""
 
     def __init__(self, pair: Pair) -> None:
         self.pair = pair
@@ -71,7 +71,9 @@ class Evidence:
         return -math.log((PRIOR * ALIKE + alike) / (PRIOR + others)) - LOST * lost
 
     def _found(self, a, i):
-        """What looks like a place of the first map: how often by what it lacks, and the same by place of the second."""
+        """Count the places similar to one of the first map, by the number of missing exits, and list those of the
+        second.
+        """
         if (a, i) not in self._alike:
             pair, found, at = self.pair, collections.Counter(), collections.defaultdict(list)
             for part in (pair.one, pair.other):
@@ -113,7 +115,7 @@ def whole_ways(part: Places) -> list[Way]:
 
 
 class _Usual:
-    """How usual a value is among those of both maps and in buildings at large."""
+    """Frequency of a value in both maps and in buildings at large."""
 
     def __init__(self, values: Iterable[float | None], bell: Callable[[float, float], float]) -> None:
         self._values, self.bell, self._sums = [value for value in values if value is not None], bell, {}
@@ -135,7 +137,7 @@ def _as_steep(value, other):
 
 
 def _ratio(one, other, usual: _Usual, span):
-    """What two values are worth that should be equal; nothing where one is not known."""
+    """Return the evidence of two values that should be equal; 0 if one is unknown."""
     if one is None or other is None:
         return 0.0
     return math.log((1 - STRAY) * usual.bell(other, one) / usual.density(other, one, 1 / span) + STRAY)

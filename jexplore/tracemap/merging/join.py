@@ -14,11 +14,11 @@ _EDGE_M = 0.01  # a stop lies no nearer to the end of a whole way
 
 
 def join(one: BtmMap, other: BtmMap, match: Match) -> BtmMap:
-    """The second map joined to the first, in the frame of the first.
+    """Join the second map to the first, in the frame of the first.
 
-    Places and bearings of what is matched are the means, every map counting once. Lengths are the means too; of widths
-    the least, of inclinations and steps the most. A searched link wins over an un-searched one. A terminal node of one
-    map on a link of the other divides it; both parts have the extremes of the whole. Ways that contradict stay both.
+    Matched places and bearings are averaged, every map counting once. So are lengths; of widths the least counts, of
+    inclinations and steps the most. A searched link wins over an un-searched one. A terminal node of one map on a link
+    of the other divides it; both parts have the extremes of the whole. Contradicting ways are both kept.
 
     Args:
       one, other: maps whose nodes and links have no attribute but `FROM`, by which maps are counted.
@@ -69,7 +69,7 @@ def _weight(item):
 
 
 def _from(*items):
-    """`FROM` of what is one now. Pieces of one link count as one."""
+    """Merge the `FROM` of matched items. Pieces of one link count as one."""
     return {FROM: {name: key for item in items for name, key in item.attributes[FROM].items()}}
 
 

@@ -18,7 +18,7 @@ from jexplore.tracemap.record import BtmMap, check, require_near
 @checked_names
 @dataclasses.dataclass(frozen=True)
 class Merged:
-    """What `merge_maps` found."""
+    """Result of `merge_maps`."""
 
     outcome: Merging
     """`MERGED` only if all maps are one."""
@@ -36,10 +36,11 @@ class Merged:
     """Of the weakest merge, or of the best one refused: nats beyond what chance gives; -inf where nothing is alike, inf
     where all maps are equal."""
     margin: float
-    """Likewise: nats beyond the best match that excludes it."""
+    """Evidence beyond the best match that excludes it, nats."""
     notes: tuple[str, ...]
-    """What the maps say differently, in plain sentences: attributes, and ways of one place that lead elsewhere; and
-    nodes that were matched by their place alone."""
+    """Differences of the maps, as sentences: attributes, ways of one place with different ends, and nodes matched by
+    their position alone.
+    """
 
 
 @dataclasses.dataclass(frozen=True)

@@ -7,22 +7,22 @@ from jexplore.tracemap.merging.rigid import Move
 from jexplore.tracemap.merging.walk import Pair
 from jexplore.tracemap.merging.ways import Way
 
-CLEAR = 2.0  # the next node that it might be lies so many times as far away
+CLEAR = 2.0  # the second-nearest candidate lies at least this many times as far away
 
 
 def with_neighbours(
     pair: Pair, nodes: Mapping[int, int], ways: Sequence[tuple[Way, Way]], turns: Mapping[int, float], move: Move
 ) -> tuple[dict[int, int], list[tuple[Way, Way]]]:
-    """A match of two maps, and what lies beside it.
+    """Extend a match of two maps by places that lie near the expected position.
 
-    A place of one map is one of the other if both have one type, each is the nearest to the other, none else is nearly
-    as near, they lie no farther apart than drift allows since the nearest place that is matched, and a way leaves both
-    alike. What lies behind a wall is near, too: where more ways are only one's than both have, drift excuses nothing.
+    Two places match if both have one type, each is the nearest to the other, no other is nearly as near, their distance
+    is within the drift since the nearest matched place, and a way leaves both alike. Places behind a wall are near,
+    too: where more ways exist in one map only than in both, drift is not an explanation.
 
     Args:
       pair: the maps.
       nodes: node of the second -> the same of the first.
-      ways: that are matched.
+      ways: matched ones.
       turns: place of the first -> direction there less direction in the second, degrees.
       move: takes the second map into the frame of the first.
 

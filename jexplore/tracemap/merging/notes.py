@@ -1,4 +1,4 @@
-"""What merged maps say besides measures: attributes of all of them, and who says what."""
+"""Attributes of merged maps, and their sources."""
 
 import dataclasses
 from collections.abc import Mapping, Sequence
@@ -32,10 +32,10 @@ def stripped(btm: BtmMap, *names: str) -> BtmMap:
 
 
 def restored(btm: BtmMap, originals: Mapping[str, BtmMap]) -> BtmMap:
-    """A joined map of stripped ones with the attributes of their originals, by name.
+    """Add the attributes of the originals, by name, to a joined map of stripped ones.
 
-    What only some say, or all alike, stands as it was; where they differ it goes to `CONFLICTS`. What is `OF_A_RUN` is
-    left out. Merged maps among the originals hand on whom they were made of.
+    Values that only some maps have, or that agree, are kept; where they differ they go to `CONFLICTS`. Attributes in
+    `OF_A_RUN` are left out. Merged maps among the originals pass on their own sources.
     """
     items = {
         name: ({node.id: node for node in one.nodes}, {link.id: link for link in one.links})
@@ -131,9 +131,9 @@ def _is_told(attribute, told):
 
 
 def _joined(said: Sequence[tuple[list[str], Mapping[str, Any]]]) -> dict[str, Any]:
-    """Attributes of one thing from those who know it: `(names, attributes)`.
+    """Merge the attributes of one item from its sources: `(names, attributes)`.
 
-    Who found a link blocked without saying for whom says so for all robots: beside those who do, that is told.
+    A link blocked for an unnamed robot is blocked for all: that is kept in addition to named robots.
     """
     values: dict[str, list[dict[str, Any]]] = {}
     names_robots = any(BLOCKED_FOR in {**own, **own.get(CONFLICTS, {})} for _, own in said)

@@ -16,7 +16,7 @@ class Move:
     turn_deg: float = 0.0
 
     def place(self, x_m: float, y_m: float) -> tuple[float, float]:
-        """Where a point goes."""
+        """Transform a point."""
         cos, sin = math.cos(math.radians(self.turn_deg)), math.sin(math.radians(self.turn_deg))
         return cos * x_m - sin * y_m + self.x_m, sin * x_m + cos * y_m + self.y_m
 

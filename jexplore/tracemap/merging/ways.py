@@ -13,7 +13,7 @@ from jexplore.tracemap.similarity import ends_around
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Way:
-    """What leaves a place, as far as it has been followed."""
+    """Exit of a place, with the way as far as it has been followed."""
 
     bearing_deg: float
     """Direction in which it leaves."""
@@ -24,13 +24,13 @@ class Way:
     end: int
     """Place that it leads to; `NOWHERE` where that is not known."""
     back: int
-    """Which way of that place leads back; -1 without an end."""
+    """Index of the way back at that place; -1 without an end."""
     length_m: float
     """As far as it has been followed."""
 
     @property
     def is_whole(self) -> bool:
-        """Whether it has been followed to another place."""
+        """Return whether it has been followed to another place."""
         return self.end != NOWHERE
 
     @property
@@ -54,12 +54,12 @@ class Places:
 
 
 def least(values: Iterable[float | None]) -> float | None:
-    """The least of what is known, None if nothing is."""
+    """Return the least known value; None if no value is known."""
     return min((value for value in values if value is not None), default=None)
 
 
 def most(values: Iterable[float | None]) -> float | None:
-    """The most of what is known, None if nothing is."""
+    """Return the greatest known value; None if no value is known."""
     return max((value for value in values if value is not None), default=None)
 
 

@@ -1,4 +1,4 @@
-"""What is in a map twice: a way that was followed from both of its ends, a place to which the robot turned back."""
+"""Duplicates in a map: a way that was followed from both of its ends, a place to which the robot turned back."""
 
 import dataclasses
 import heapq
@@ -23,7 +23,7 @@ from jexplore.tracemap.repairing.ways import (
 
 TINY_M = 3.0  # a link that leads back to its node is a way round if it is longer
 NEAR_M = 4.0  # nodes that are one lie no farther apart, and no farther than is `CLOSE` for the way between them
-TURNED_M = 1.0, 8.0  # who turns back before the next node goes so much more
+TURNED_M = 1.0, 8.0  # m; additional way of a robot that turns back before the next node
 BACK_M = 2.0  # who has turned back seems no farther from where it left, however long the link
 FEWEST, OPENINGS = 3, 3  # pairs of junctions that are one, each linked with the next alike; openings of a junction
 
@@ -62,7 +62,7 @@ def _others(btm: BtmMap, way: Way) -> list[Way]:
 
 
 def _is_shared(others, bearing_deg):
-    """Whether one of some ways of a node leaves by an opening."""
+    """Return whether a way of a node leaves by an opening that others use."""
     return any(are_near(one.bearing_deg, bearing_deg) for one in others)
 
 
@@ -138,7 +138,7 @@ def doubled(btm: BtmMap) -> Iterator[BtmMap]:
 
 
 def _junctions(btm, pairs):
-    """How many of some pairs of nodes are divergences that have openings enough to tell one from another."""
+    """Count the pairs of nodes that are divergences with enough openings to be distinctive."""
     types = {node.id: node.type for node in btm.nodes}
     return sum(types[one] == "divergence" and len(btm.bearings_deg(one)) >= OPENINGS for one, _ in pairs)
 
@@ -148,7 +148,7 @@ def _apart_m(one, other):
 
 
 def _may_be_one(btm, pair, turn_deg):
-    """Whether two nodes have equal openings, and lie no farther apart than the way between them tells."""
+    """Return whether two nodes have equal openings and lie no farther apart than the way between them allows."""
     one, other = pair
     ends = btm.bearings_deg(one), [bearing_deg + turn_deg for bearing_deg in btm.bearings_deg(other)]
     alike = all(any(are_near(a, b) for b in there) for here, there in (ends, ends[::-1]) for a in here)
@@ -156,13 +156,13 @@ def _may_be_one(btm, pair, turn_deg):
 
 
 def _is_in_reach(btm, one, other):
-    """Whether two nodes lie no farther apart than the odometry can be off on the shortest known way between them."""
+    """Return whether two nodes lie within the odometry's error on the shortest known way between them."""
     nodes = {node.id: node for node in btm.nodes}
     return _apart_m(nodes[one], nodes[other]) < CLOSE[0] + CLOSE[1] * _way_m(btm, one, other)
 
 
 def _way_m(btm, start, goal):
-    """Length of the shortest way along known links from a node to another; inf where there is none."""
+    """Return the length of the shortest way along known links between two nodes; inf without one."""
     queue, reached = [(0.0, start)], set()
     while queue:
         gone_m, here = heapq.heappop(queue)

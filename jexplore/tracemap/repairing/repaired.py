@@ -1,4 +1,4 @@
-"""What contradicts itself in a finished map, as far as it can be explained."""
+"""Repair of contradictions in a finished map, as far as they can be explained."""
 
 from collections.abc import Iterator
 from typing import NamedTuple
@@ -61,6 +61,6 @@ def _explanations(btm):
 
 
 def closings_of(btm: BtmMap) -> int:
-    """How many ways round a map has: searched links beyond those that it takes to reach every node."""
+    """Count the cycles of a map: searched links beyond those of a spanning tree."""
     parts = set(parts_of((node.id for node in btm.nodes), btm.links).values())
     return sum(link.end != NOWHERE for link in btm.links) - len(btm.nodes) + len(parts)

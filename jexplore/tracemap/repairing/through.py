@@ -64,7 +64,7 @@ def explained(btm: BtmMap, short: Way, long: Way, deep: bool = True) -> BtmMap |
 
 
 def _is_dead_end(btm, last):
-    """Whether a node has no other opening than that of a link that leads there."""
+    """Return whether a node has no opening but that of a link that leads there."""
     return all(are_near(bearing_deg, last.back_deg) for bearing_deg in btm.bearings_deg(last.to))
 
 
@@ -79,7 +79,7 @@ def _one_end(btm: BtmMap, short: Way, long: Way) -> BtmMap | None:
 
 
 def _begun(btm, short, long, rest, length_m):
-    """The map where the longer way begins at an un-searched opening of the node it leads past; None: there is none."""
+    """Return the map where the longer way begins at an un-searched opening of the node it passes; None without one."""
     ahead_deg = math.degrees(math.atan2(rest.y_m, rest.x_m))
     waiting = [link for link in btm.links if link.start == short.to and link.end == NOWHERE]
     waiting.sort(key=lambda link: abs(apart_deg(link.start_bearing_deg, ahead_deg)))
