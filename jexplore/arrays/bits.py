@@ -43,7 +43,7 @@ def transposed(words: Array) -> Array:
 
 
 def shifted(words: Array, drow: int, dcol: int) -> Array:
-    """What lies at `(row + drow, col + dcol)` of every cell; False outside the map.
+    """Shift a mask: the value at `(row + drow, col + dcol)` for every cell; False outside the map.
 
     Args:
       words: `[K, W]` uint32.
@@ -88,7 +88,7 @@ def in_order(words: Array) -> Order:
 
 
 def nth_of(order: Order, n: Array, width: int) -> Array:
-    """True cells by their number.
+    """Return true cells by their number.
 
     Args:
       order: `Order`.
@@ -96,7 +96,7 @@ def nth_of(order: Order, n: Array, width: int) -> Array:
       width: W, columns of the mask. Static.
 
     Returns:
-      `[m]` int32, flat index (row * W + col); arbitrary where there are not so many.
+      `[m]` int32, flat index (row * W + col); arbitrary if n is too large.
     """
     across, until = order
     per_row = -(-width // WORD)
@@ -106,14 +106,14 @@ def nth_of(order: Order, n: Array, width: int) -> Array:
 
 
 def nth_cells(words: Array, n: Array) -> Array:
-    """True cells of a mask by their number in (row, col) order.
+    """Return true cells of a mask by their number in (row, col) order.
 
     Args:
       words: `[K, W]` uint32, packed.
       n: `[m]` int32, counted from 0.
 
     Returns:
-      `[m]` int32, flat index (row * W + col); 32 K * W where there are not so many.
+      `[m]` int32, flat index (row * W + col); 32 K * W if n is too large.
     """
     order = in_order(words)
     return jnp.where(n < order.until[-1], nth_of(order, n, words.shape[1]), WORD * words.size)
@@ -140,7 +140,7 @@ def filled(words: Array, start: Array) -> Array:
     n_rows, n_words = possible.shape
 
     def fill(i, reached, before):
-        """A row, from the one before it and from the words beside: `i + before` is that row in a border."""
+        """Fill a row from the one before it and from the adjacent words: `i + before` is that row in a border."""
         open_ = lax.dynamic_slice(possible, (i, 0), (1, n_words))
         own = lax.dynamic_slice(reached, (i + 1, 0), (1, n_words + 2))
         came = lax.dynamic_slice(reached, (i + before, 1), (1, n_words))

@@ -24,7 +24,7 @@ class Groups:
     lowest: Array  # [K] int32, lowest slot of the cell's group; its own in an unused slot
     count: Array  # int32, used slots
     overflow: Array  # int32, cells that did not fit
-    part: int = struct.field(pytree_node=False)  # slots that are worked on at a time; K is a multiple of it
+    part: int = struct.field(pytree_node=False)  # slots processed at a time; divides K
 
 
 def by_parts(groups: Groups, work: Callable[[Array, Array, Any], Any], state: Any) -> Any:

@@ -18,7 +18,7 @@ from jax.custom_batching import custom_vmap
 from jax.experimental.xla_metadata import set_xla_metadata
 from jax.extend.core import jaxpr_as_fun
 
-SHARE = 8  # a condition under vmap is worked off by groups of one lane in so many
+SHARE = 8  # a condition under vmap is processed by groups of one in this many lanes
 
 
 def _hoisted(function, *examples):
@@ -60,7 +60,7 @@ def put(tree: Any, at: Array, values: Any) -> Any:
     """
     own = jax.tree.leaves(tree)
     n = own[0].shape[0] if own else 0
-    at = jnp.where(at < n, at, n + lax.iota(jnp.int32, at.shape[0]))  # what is dropped comes only once as well
+    at = jnp.where(at < n, at, n + lax.iota(jnp.int32, at.shape[0]))  # dropped indices are unique as well
     return jax.tree.map(lambda a, new: a.at[at].set(new, mode="drop", unique_indices=True), tree, values)
 
 
@@ -68,7 +68,7 @@ def first_lanes(mask: Array, m: int) -> Array:
     """The first m lanes of a mask: `[m]` int32; the number of lanes where there are fewer."""
     n = mask.shape[0]
     rank, lane = jnp.cumsum(mask, dtype=jnp.int32) - 1, lax.iota(jnp.int32, n)
-    # As `jnp.nonzero`, by fewer kernels; what is dropped goes to places of its own.
+    # Same as `jnp.nonzero`, by fewer kernels; dropped values go to places of their own.
     at = jnp.where(mask & (rank < m), rank, m + lane)
     return jnp.full(m, n, jnp.int32).at[at].set(lane, mode="drop", unique_indices=True)
 
@@ -120,7 +120,7 @@ def run_if(predicate: Array | bool, function: Callable[[Any], Any], otherwise: A
 
 
 def _on_cpu():
-    """Whether what is traced now is for a CPU."""
+    """Return whether the function being traced is for a CPU."""
     device: Any = jax.config.values["jax_default_device"]  # None, a device, or a platform's name
     return (getattr(device, "platform", device) or jax.default_backend()) == "cpu"
 
@@ -191,10 +191,10 @@ def repeat(going: Callable[[Any], Array | bool], body: Callable[[Any], Any], sta
 
 
 def settled(step: Callable[[Array], Array], start: Array) -> Array:
-    """What an array becomes when a step is taken until it changes nothing any more.
+    """Iterate a step until the array stays the same (fixed point).
 
     Args:
-      step: takes and returns an array.
+      step: function from array to array.
       start: array of whole numbers, none below 0, not empty.
     """
 

@@ -1,4 +1,4 @@
-"""How objects show themselves in a notebook: small PNG pictures, and HTML of a picture, a line and a table.
+"""Display of objects in a notebook: small PNG pictures, and HTML of a picture, a line and a table.
 
 Plain Python: importing this loads neither numpy nor Pillow.
 """

@@ -158,7 +158,7 @@ def run_missions(
       engine, lanes, workers: see `runner.find_resources`.
       max_steps: steps after which a run ends as STEP_LIMIT.
       size: most nodes and links of a map; static.
-      on_progress: called with the number of runs finished so far.
+      on_progress: called with the number of finished runs.
       blocks: list of `(first, n)`: the runs that are to be made, in this order; by default all.
       on_block: called with the number of a block, its `Result` and the way of run 0, if it has it, once its runs have
         ended, soon after, from the calling thread.

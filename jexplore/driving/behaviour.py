@@ -203,7 +203,7 @@ def border_ahead(
     than the observed region does not divide it.
 
     Args:
-      border_m: float32, odometer at the border seen before, inf where there is none ahead.
+      border_m: float32, odometer at the border seen before, inf without one.
       since_m: float32, odometer at which the walls changed, `FreeSpace.since_m`.
       enters, leaves: bools, from `watch_free_space`.
       region: begin and end of the observed region, metres ahead.

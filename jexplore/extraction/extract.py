@@ -36,12 +36,12 @@ def extract(
     clutter_m: float = CLUTTER_M,
     origin_m: tuple[float, float] = (0.0, 0.0),
 ) -> BtmMap:
-    """The Behavioral Trace Map of a grid map, on the host.
+    """Extract the trace map of a grid map, on the host.
 
     Divergence nodes are junctions of the Voronoi graph with a dead end, a corner or three and more passages; those
-    nearer to each other than their clearance are one. Where the clearance is above `open_m` there is free space: one
-    node at the mouth of each passage into it, the nodes linked in a ring. A way into what is not known is an
-    un-searched link. Passages narrower than `width_m` are closed. Without obstacle nodes: a grid has no heights.
+    nearer to each other than their clearance are merged. A clearance above `open_m` means free space: one node at the
+    mouth of each passage into it, the nodes linked in a ring. A way into unknown space is an un-searched link. Passages
+    narrower than `width_m` are closed. Without obstacle nodes: a grid has no heights.
 
     Args:
       free: `[H, W]` bool, cells known to be free.

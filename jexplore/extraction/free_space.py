@@ -64,7 +64,7 @@ def _leading_out(near, inside, special):
 
 
 def through(lines: Lines, near: dict[int, set[int]], space: set[int], ports: set[int]) -> list[list[int]]:
-    """Paths through one space, from each of its ports to the next one counter-clockwise and to what is not known.
+    """Find paths through one free space, from each port to the next one counter-clockwise and to unknown space.
 
     Args:
       lines: `Lines`.

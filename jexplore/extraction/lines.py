@@ -175,15 +175,13 @@ def take_corners(lines: Lines) -> dict[int, int]:
 
 
 def _is_one_place(lines, path):
-    """Whether the end of a branch lies in the disc of its junction and has about its clearance."""
+    """Return whether the end of a branch lies in the disc of its junction and has about the same clearance."""
     here, tip = lines.radius[path[0]], lines.radius[path[-1]]
     return tip >= NECK * here and distance(lines, path[0], path[-1]) <= here
 
 
 def _branch(lines, path, has_corners):
-    """What a branch from a junction to a loose end, which may have corners of its own, is: "rough", "corner" or
-    "passage".
-    """
+    """Classify a branch from a junction to a loose end, possibly with corners: "rough", "corner" or "passage"."""
     here, tip = lines.radius[path[0]], lines.radius[path[-1]]
     is_room = has_corners and lines.radius[path].min() < NECK * tip
     radius, spread = lines.radius[path[1:]], lines.spread_deg[path[1:]]

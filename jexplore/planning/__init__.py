@@ -1,8 +1,7 @@
-"""What a strategy may ask of the robot's belief: where frontiers are, what they cost to reach, and the way to one of
-them.
+"""Queries of a strategy to the robot's belief: frontiers, their cost, and the path to one of them.
 
-`nearest_frontier` looks into growing windows round the robot and fills the whole map only where these do not decide;
-its answer is always that of the whole map. `field` is the whole map at once, for strategies that compare all
+`nearest_frontier` searches growing windows round the robot and computes the whole map only if these do not decide; its
+answer always equals that of the whole map. `field` is the whole map at once, for strategies that compare all
 candidates.
 """
 
@@ -30,7 +29,7 @@ WINDOWS = {0: (64, 128), 1024: (64, 256), 2048: (64, 256, 512)}
 
 @struct.dataclass
 class MapModel:
-    """By what a robot tells from counts what is free, clear and near."""
+    """Thresholds by which a robot tells from counts which cells are free, clear and near."""
 
     p_free: Array  # float32, largest reflection probability of a free cell
     near_d2: Array  # int32, cells^2, free cells this near to the robot are traversable
@@ -42,14 +41,14 @@ class MapModel:
 @checked_names
 @struct.dataclass
 class Belief:
-    """What the robot knows: its map, and where it believes to be in it."""
+    """Belief of the robot: its map and estimated pose."""
 
     grid: Grid  # [H, W]
-    driven: Array  # [H, W] bool, cells stood on, and those beside each diagonal step
+    driven: Array  # [H, W] bool, cells stood on, and the orthogonal neighbours of each diagonal step
     exhausted: Array  # [H, W] bool, targets that stayed live however much they were looked at
     row: Array  # int32, the robot's cell, as estimated
     col: Array  # int32
-    heading: Array  # int32, units of 45 degrees, likewise
+    heading: Array  # int32, units of 45 degrees, estimated
     start: Array  # [3] int32, row, col and heading at the beginning
     extent: Array  # [2] int32, height and width of the world without padding
     model: MapModel
@@ -87,7 +86,7 @@ class Field:
 @checked_names
 @struct.dataclass
 class View:
-    """What a strategy sees of a belief.
+    """View of a belief for a strategy.
 
     `path_m` is infinite where no path leads: a gradient through it must mask these cells before it computes with them.
     """
@@ -112,7 +111,7 @@ def view_of(belief: Belief, known: Field) -> View:
 
 
 def is_open(belief: Belief, row: Array | int, col: Array | int) -> Array:
-    """Whether a robot would step into a cell: it is free as far as is known, or was driven on: bool.
+    """Return whether a robot would step into a cell: it is free by the map, or was driven on: bool.
 
     Args:
       belief: `Belief`.
@@ -125,7 +124,7 @@ def is_open(belief: Belief, row: Array | int, col: Array | int) -> Array:
 
 
 def is_live(belief: Belief, row: Array | int, col: Array | int) -> Array:
-    """Whether a cell is 8-adjacent to an unknown cell that is to be known: bool."""
+    """Return whether a cell is 8-adjacent to a cell that is unknown and of interest: bool."""
     height, width = belief.driven.shape
     r = row + jnp.asarray([-1, -1, -1, 0, 0, 1, 1, 1], jnp.int32)
     c = col + jnp.asarray([-1, 0, 1, -1, 1, -1, 0, 1], jnp.int32)
@@ -137,7 +136,7 @@ def is_live(belief: Belief, row: Array | int, col: Array | int) -> Array:
 
 
 def masks_of(belief: Belief, origin: tuple[Array | int, ...] = (0, 0)) -> Masks:
-    """`frontier.Masks` of a belief, or of a window of it that begins at `origin`."""
+    """Compute `frontier.Masks` of a belief, or of its window that begins at `origin`."""
     rows = lax.broadcasted_iota(jnp.int32, belief.driven.shape, 0) + origin[0]
     cols = lax.broadcasted_iota(jnp.int32, belief.driven.shape, 1) + origin[1]
     inside = (rows < belief.extent[0]) & (cols < belief.extent[1])
@@ -176,7 +175,7 @@ def field(belief: Belief, *, nearest_only: bool = False) -> Field:
 
 
 def first_at(mask: Array) -> tuple[Array, Array]:
-    """Row and column of the first True cell in (row, col) order; arbitrary if there is none."""
+    """Return row and column of the first True cell in (row, col) order; arbitrary without one."""
     height, width = mask.shape
     index = lax.broadcasted_iota(jnp.int32, mask.shape, 0) * width + lax.broadcasted_iota(jnp.int32, mask.shape, 1)
     at = jnp.minimum(lowest(jnp.where(mask, index, height * width)), height * width - 1)
@@ -202,7 +201,7 @@ def choose(belief: Belief, route: Array, known: Field, row: Array, col: Array) -
     route = lay_route(route, known.cost, known.traversable, start, target, (0, 0))
     cost = jnp.where(none, FAR, known.cost[target])
 
-    # Only beside cells whose cost hardly fits can there be some whose cost does not.
+    # Only cells whose cost hardly fits can have neighbours whose cost does not.
     dear = lowest(jnp.where(known.cost < FAR, -known.cost, 0)) <= DIAGONAL - FAR
     out_of_reach = run_if(none & dear, lambda _: saturated(known.cost, known.traversable), jnp.int32(0))
     return Choice(row, col, cost, out_of_reach), route
@@ -240,7 +239,7 @@ def bound_of(side: int, clearance_d2: int) -> int:
 
 
 def corner_of(belief: Belief, side: int) -> tuple[tuple[Array, Array], tuple[int, int]]:
-    """Where the window of a side round the robot begins in the map, `(row, col)` int32, and its shape."""
+    """Return begin, `(row, col)` int32, and shape of the window with a side round the robot."""
     full = belief.driven.shape
     height, width = (min(n, side) for n in full)
     row = jnp.clip(belief.row - side // 2, 0, full[0] - height)

@@ -1,4 +1,4 @@
-"""Where rooms touch, and which true doors a segmentation has found. Host code: numpy and scipy."""
+"""Contacts of rooms, and true doors found by a segmentation. Host code: numpy and scipy."""
 
 from typing import NamedTuple
 
@@ -81,11 +81,11 @@ def middles_of(label: np.ndarray, free: np.ndarray, cell_m: float) -> np.ndarray
 
 
 def compared(truth: np.ndarray | None, found: np.ndarray, free: np.ndarray, cell_m: float) -> Doors:
-    """Doors of a segmentation beside the true ones.
+    """Compare the doors of a segmentation with the true ones.
 
     Args:
-      truth: `[H, W]` int, true rooms, negative in doorways and walls; None where nobody says.
-      found: `[H, W]` int, likewise, what was found.
+      truth: `[H, W]` int, true rooms, negative in doorways and walls; None if unknown.
+      found: `[H, W]` int, rooms of the segmentation, in the same form.
       free: `[H, W]` bool.
       cell_m: edge of a cell, metres.
 
@@ -103,7 +103,7 @@ def compared(truth: np.ndarray | None, found: np.ndarray, free: np.ndarray, cell
 
 
 def _close(middles, pieces, shape, gap):
-    """Which middles lie within a distance of some piece: `[n]` bool."""
+    """Return the middles within a distance of any piece: `[n]` bool."""
     if not pieces or not len(middles):
         return np.zeros(len(middles), bool)
     mask = np.ones(shape, bool)

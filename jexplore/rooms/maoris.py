@@ -10,17 +10,17 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
-SHARE = 0.4  # of its perimeter: a zone that has more in common with a wider one is a ripple of it
+SHARE = 0.4  # share of the perimeter: a zone that shares more with a wider one is a ripple of that
 LIKENESS = 0.5  # zones are alike if the width of one is at least this share of that of the other
 SMALLEST_M2 = 2.0  # area of the smallest room
 
 
 class _Zones(NamedTuple):
-    """Zones of free space and of what is none, and the borders of the former; between two of them from both sides."""
+    """Zones of free and of other space, and the borders of the free ones, listed from both sides."""
 
     joined: np.ndarray  # [n] int, of every zone that there was at first
     width: np.ndarray  # [n] int, cells, of the widest zone in it; 0 where there is no free space
-    area: np.ndarray  # [n] float, cells, likewise
+    area: np.ndarray  # [n] float, cells, of the widest zone in it
     one: np.ndarray  # [E] int
     other: np.ndarray  # [E] int
     length: np.ndarray  # [E] float, edges of cells

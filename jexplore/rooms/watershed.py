@@ -27,7 +27,7 @@ HIGHEST = 2**20  # squared clearance without any obstacle, cells^2
 
 @struct.dataclass
 class Criteria:
-    """What makes a room. Numbers that may be swept without compiling anew."""
+    """Criteria of a room. Numbers that may be swept without compiling anew."""
 
     ratio: Array  # float32: a pass is a door if its clearance is below this share of that of the lower of both peaks
     smallest: Array  # float32, cells: the area of the smallest room
@@ -35,11 +35,11 @@ class Criteria:
 
 
 class Form(NamedTuple):
-    """What fixes shapes. Hashable."""
+    """Static sizes. Hashable."""
 
     basins: int  # B, peaks of the clearance, at most
     passes: int  # between two basins, along the rows and along the columns each, at most
-    edges: int  # obstacle cells beside free ones, at most
+    edges: int  # most obstacle cells next to free ones
 
 
 @struct.dataclass
@@ -50,7 +50,7 @@ class Rooms:
     door_d2: Array  # [B] int32, squared clearance of the widest way out of each room, cells^2; 0 without any
     area: Array  # [B] int32, free cells of each room; 0 in a slot that is no room
     peaks: Array  # int32, peaks that there are, whether they fit or not
-    passes: Array  # int32, passes along the rows or along the columns, the more of both, likewise
+    passes: Array  # int32, passes along the rows or along the columns, whichever is more, that did not fit
     overflow: Array  # int32, edges, peaks and passes that did not fit
 
 
@@ -77,12 +77,12 @@ def criteria(
 
 
 def clutter(free: Array, size: Array | float, *, edges: int) -> tuple[Array, Array]:
-    """Obstacles that are no walls: legs of tables, cupboards in the middle of a room.
+    """Find obstacles other than walls: legs of tables, cupboards in the middle of a room.
 
     Args:
       free: `[H, W]` bool. Cells that are not free and touch along edges or corners are one obstacle.
       size: cells; an obstacle whose bounding box has a shorter diagonal, and that is not at the map's rim, is clutter.
-      edges: obstacle cells beside free ones that are looked at. Static. Those beyond count as walls.
+      edges: most obstacle cells next to free ones that are examined. Static. Those beyond count as walls.
 
     Returns:
       `(mask, overflow)`: `[H, W]` bool, cells of clutter; int32, edges that did not fit.
@@ -133,15 +133,16 @@ def cleared(free: Array, unknown: Array, size: Array | float, *, edges: int) -> 
 
 
 def peaks(d2: Array, inside: Array) -> Array:
-    """Where steepest ascent leads to from every cell.
+    """Return the peak that steepest ascent reaches from every cell.
 
     Args:
       d2: `[H, W]` int32, 0 or more: the squares of the heights.
-      inside: `[H, W]` bool, cells that the way up may cross. A diagonal step needs one of the two cells beside it.
+      inside: `[H, W]` bool, cells that the ascent may cross. A diagonal step needs one of its two orthogonal
+        neighbours.
 
     Returns:
-      `[H, W]` int32, flat index of the peak; outside that of the cell itself. Cells of equal height ascend in the order
-      of their indices, and of ways that are equally steep the last is taken.
+      `[H, W]` int32, flat index of the peak; outside `inside`, the cell itself. Cells of equal height ascend in the
+      order of their indices, and of equally steep steps the last is taken.
     """
     shape = d2.shape
     own = lax.broadcasted_iota(jnp.int32, shape, 0) * shape[1] + lax.broadcasted_iota(jnp.int32, shape, 1)
@@ -167,7 +168,7 @@ class _Passes(NamedTuple):
     """
 
     one: Array  # [E] int32, basin; B in an unused slot
-    other: Array  # [E] int32, likewise
+    other: Array  # [E] int32, second basin
     d2: Array  # [E] int32, squared clearance: the smaller one of both cells
 
 
@@ -267,11 +268,11 @@ def _absorbed(room, passes, each, smallest):
 
 @functools.partial(jax.jit, static_argnames=("form",))
 def watershed(free: Array, unknown: Array, criteria: Criteria, *, form: Form) -> Rooms:
-    """Divides free space into rooms.
+    """Divide free space into rooms.
 
     Every cell belongs to the peak of clearance that steepest ascent leads to. Two such basins are one room unless the
-    pass between them is a door: narrow beside both peaks. Rooms that are too small become part of the room beyond
-    their widest way out.
+    pass between them is a door: narrow compared with both peaks. Rooms that are too small become part of the room
+    beyond their widest exit.
 
     Args:
       free: `[H, W]` bool, cells known to be free. What lies outside the map is no obstacle.

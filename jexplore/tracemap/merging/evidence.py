@@ -71,9 +71,7 @@ class Evidence:
         return -math.log((PRIOR * ALIKE + alike) / (PRIOR + others)) - LOST * lost
 
     def _found(self, a, i):
-        """Count the places similar to one of the first map, by the number of missing exits, and list those of the
-        second.
-        """
+        """Count the places like one of the first map by the number of missing exits, and by place of the second."""
         if (a, i) not in self._alike:
             pair, found, at = self.pair, collections.Counter(), collections.defaultdict(list)
             for part in (pair.one, pair.other):
