@@ -1,7 +1,6 @@
-"""What everything costs: kernels, whole episodes by both engines, an episode's parts, memory, compiling.
+"""Measurements: kernels, whole episodes by both engines, an episode's parts, memory, compiling.
 
-`prepare_bench` refuses what cannot be measured, `run_bench` measures, `tables.tables` and `plots.figure` show what
-was found.
+`prepare_bench` refuses invalid requests, `run_bench` measures, `tables.tables` and `plots.figure` show the results.
 """
 
 import contextlib
@@ -39,7 +38,7 @@ GENERATOR, LEAST_M, CELL_M = "cave", 6.4, 0.1  # of the worlds of a given side
 
 @dataclasses.dataclass(frozen=True)
 class Agenda:
-    """What is to be measured."""
+    """Planned measurements."""
 
     worlds: list[World]
     strategies: list[Strategy]
@@ -59,7 +58,7 @@ class Agenda:
 
 
 def sized_name(side: int) -> tuple[str, float]:
-    """The name of a world of so many cells a side, and the edge of its cells in metres."""
+    """Return the name of a world with a number of cells a side, and the edge of its cells in metres."""
     cell_m = max(CELL_M, LEAST_M / side)
     return f"{GENERATOR}:width_m={side * cell_m:g},height_m={side * cell_m:g}", cell_m
 
@@ -91,7 +90,7 @@ def prepare_bench(
     repeat: int | None = None,
     quick: bool = False,
 ) -> Agenda:
-    """Checks and loads everything, and starts JAX with one thread. What is None has a default.
+    """Check and load everything, and start JAX with one thread. None means the default.
 
     Args:
       worlds, strategies: names.
@@ -100,7 +99,7 @@ def prepare_bench(
       sides: of the maps by which cost is measured, cells.
       episodes: least number of episodes in lockstep, and that of the serial engine by map size.
       repeat: turns of every measurement.
-      quick: whether the defaults are small.
+      quick: bool, use small defaults.
 
     Returns:
       `Agenda`.
@@ -121,7 +120,7 @@ def prepare_bench(
     strategies = ready_strategies(default["strategies"] if strategies is None else strategies)
     worlds = _worlds_of(default["worlds"] if worlds is None else worlds, CELL_M)
     sized = [world for side in sides for world in _worlds_of(*sized_name(side))]
-    find_resources(engine="serial", workers=1)  # starts JAX; some of it is always measured on the CPU
+    find_resources(engine="serial", workers=1)  # starts JAX; some measurements are always on the CPU
     on_cpu = jax.default_backend() == "cpu"
     chosen = tuple(dict.fromkeys(engine or ("serial" if on_cpu else "lockstep",)))
     large = not on_cpu and not quick
@@ -151,13 +150,12 @@ def _compiling(cache):
 def run_bench(
     plan: Agenda, *, cache: bool = False, on_progress: Callable[[int], Any] = lambda done: None
 ) -> dict[str, Any]:
-    """Measures everything.
+    """Measure everything.
 
     Args:
       plan: `Agenda`.
-      cache: whether compiled programs may be read from disk, and are kept there: times of compiling are then those of
-        loading.
-      on_progress: called with the number of measurements done so far.
+      cache: bool, read compiled programs from disk and keep them there: compile times are then loading times.
+      on_progress: called with the number of finished measurements.
 
     Returns:
       The report: dicts and lists that JSON can hold.

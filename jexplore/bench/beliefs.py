@@ -16,7 +16,7 @@ from jexplore.worlds.world import World
 
 
 class Recording(NamedTuple):
-    """What an episode met."""
+    """Scans, plans and motions of an episode."""
 
     world: World
     strategy: str

@@ -32,7 +32,7 @@ REFILLS = 2  # episodes a lane at least, so that lanes are filled again
 
 
 class Run(NamedTuple):
-    """What a program returned."""
+    """Results of a program."""
 
     result: object  # `Result`, numpy, `[N]`
     last: object = None  # what `trail.kept` has of the last episode; serial engine only
@@ -113,7 +113,7 @@ class Compiler:
             results = jax.eval_shape(function, *blank, *shared)[0]
             return memory["temp"] + memory["output"] - (n - 1) * size_of(results) // n
 
-        with jax.default_device(device):  # which may be a CPU beside an accelerator
+        with jax.default_device(device):  # may be a CPU although an accelerator exists
             call, about = self._program(
                 str(("serial", line.program, jax.tree.map(np.shape, shared))),
                 {**_about("serial", world, strategy, site), "lanes": None, "lane_bytes_estimate": None},
@@ -137,7 +137,7 @@ class Compiler:
         return Compiled(run, about)
 
     def lockstep(self, world: World, strategy: Strategy, n_lanes: int, episodes: int) -> Compiled:
-        """The lockstep engine's `Compiled` for so many episodes in so many lanes, or as many as the memory holds."""
+        """Compile the lockstep engine for a number of episodes and lanes, or as many lanes as fit into memory."""
         device = jax.local_devices()[0]
         site, line = _line(world, strategy, None, np.zeros((episodes, 3), np.int32))
         group = Group([line], [device])
@@ -197,21 +197,21 @@ def _about(engine, world, strategy, site):
 def program_of(
     compiler: Compiler, engine: str, world: World, strategy: Strategy, batch: int, episodes: int
 ) -> Compiled:
-    """The `Compiled` for a batch: so many episodes of the serial engine, so many lanes in lockstep."""
+    """Compile a batch: a number of episodes of the serial engine, or of lanes in lockstep."""
     if engine == "serial":
         return compiler.serial(world, strategy, drive_for("serial", "cpu"))._replace(episodes=batch)
     return compiler.lockstep(world, strategy, batch, max(episodes, REFILLS * batch))
 
 
 def same(results: Sequence[Result]) -> bool:
-    """Whether `Result`s are equal to the last bit, as far as the shortest goes."""
+    """Return whether `Result`s are equal to the last bit, up to the length of the shortest."""
     n = min(len(result.outcome) for result in results)
     first, *others = ([np.asarray(a)[:n] for a in jax.tree.leaves(result)] for result in results)
     return all(all(np.array_equal(a, b) for a, b in zip(first, other)) for other in others)
 
 
 def quality(result: Result, cell_m: float) -> dict[str, Any]:
-    """What the episodes found: a dict."""
+    """Return the measured quality of episodes, a dict."""
     return {
         "path_m": mean_and_se(path_m(result.straight, result.diagonal, cell_m)),
         "explored_fraction": float(np.mean(result.explored / np.maximum(result.explorable, 1))),

@@ -1,4 +1,4 @@
-"""Kernels one by one, on one map, each beside other answers to the same question and beside its floor."""
+"""Kernels one by one, on one map, compared with other implementations and with their floor."""
 
 import math
 import statistics
@@ -202,7 +202,7 @@ def scans(recording: Recording) -> list[Kernel]:
 
 
 def half_known(world: World) -> tuple[Any, ...]:
-    """What a robot knows of a world within half its longer side round a drawn start: arguments of `plan_masks`."""
+    """Return a world known within half its longer side round a drawn start: arguments of `plan_masks`."""
     row, col, _ = draw_start(world, SEED, 0, RULES.clearance_m)
     rows, cols = np.indices(world.shape)
     known = (rows - row) ** 2 + (cols - col) ** 2 <= (max(world.shape) // 2) ** 2

@@ -67,7 +67,7 @@ def _pop(heap, size):
 
 @njit
 def dijkstra(traversable: np.ndarray, row: int, col: int, goals: np.ndarray, stop: bool) -> tuple[np.ndarray, int]:
-    """Dijkstra's algorithm with a binary heap; a diagonal step needs both cells beside it traversable.
+    """Run Dijkstra's algorithm with a binary heap; a diagonal step needs both orthogonal neighbours traversable.
 
     Args:
       traversable, goals: `[H, W]` bool.
@@ -76,7 +76,7 @@ def dijkstra(traversable: np.ndarray, row: int, col: int, goals: np.ndarray, sto
 
     Returns:
       `cost`: `[H, W]` int32; FAR where no path leads, and at first where `stop` ended the search.
-      `target`: flat index of the nearest goal, the lowest among equals; -1 if there is none.
+      `target`: flat index of the nearest goal, the lowest among equals; -1 without one.
     """
     height, width = traversable.shape
     cost = np.full((height, width), FAR, np.int32)
@@ -264,9 +264,9 @@ def graph_costs(graph: Any, shape: tuple[int, int], row: int, col: int) -> np.nd
 
 
 def flooded(clear: np.ndarray, row: int, col: int) -> np.ndarray:
-    """The 4-connected component of a True cell, by scipy: `[H, W]` bool.
+    """Return the 4-connected component of a True cell, by scipy: `[H, W]` bool.
 
-    A diagonal step needs both cells beside it, so that steps in 8 directions lead no further.
+    A diagonal step needs both orthogonal neighbours, so that steps in 8 directions lead no further.
     """
     labels = np.asarray(ndimage.label(clear)[0])  # type: ignore[index]
     return labels == labels[row, col]

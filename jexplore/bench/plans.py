@@ -1,4 +1,4 @@
-"""What a plan of each strategy costs, on one core: all on the same beliefs, those of one episode."""
+"""Cost of a plan of each strategy, on one core: all on the same beliefs, those of one episode."""
 
 import statistics
 from collections.abc import Callable, Iterable, Mapping
@@ -30,7 +30,7 @@ RECORDED = "closest+recheck"
 def plan_program(
     policy: Any, params: Any, beams: Beams, shape: tuple[int, ...], passes: int
 ) -> Callable[[planning.Belief], Any]:
-    """Function of a belief that plans so many times from it."""
+    """Return a function that plans a number of times from a belief."""
     route = jnp.full(shape, NO_MOTION, jnp.int8)
 
     @jax.jit
@@ -58,12 +58,12 @@ def plan_costs(
     others: Mapping[str, Callable[[planning.Belief], Any]] | None = None,
     repeat: int = 3,
 ) -> dict[str, float]:
-    """Milliseconds a plan, each strategy on the same beliefs: those at the plans of an episode of `closest+recheck`.
+    """Measure milliseconds a plan, each strategy on the same beliefs: those of an episode of `closest+recheck`.
 
     Args:
       world: `World`.
       names: strategies. Modifiers that do not change how a plan is made cost nothing here.
-      others: `{name: function of a belief}`, timed beside them, or None.
+      others: `{name: function of a belief}`, timed as well, or None.
       repeat: turns.
 
     Returns:

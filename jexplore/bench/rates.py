@@ -1,4 +1,4 @@
-"""What the machine does at best: the rates from which a kernel's floor is computed."""
+"""Peak rates of the machine, from which a kernel's floor is computed."""
 
 import functools
 from typing import Any, NamedTuple
@@ -15,7 +15,7 @@ TURNS = 5
 
 
 class Effort(NamedTuple):
-    """What a kernel cannot do without, a unit."""
+    """Least work of a kernel, a unit."""
 
     bytes: float = 0  # of its input and its output, each touched once
     ops: float = 0  # cells visited, one minimum and one addition each
@@ -41,7 +41,7 @@ def _copy_s(exponent):
 
 
 def copy_s(n_bytes: float) -> float:
-    """Seconds to touch so many bytes, by the speed of a copy that touches as many (up to a factor of 2)."""
+    """Return the seconds to touch a number of bytes, by the speed of a copy of as many (up to a factor of 2)."""
     exponent = min(30, max(10, round(np.log2(max(n_bytes, 1)))))
     return _copy_s(exponent) * n_bytes / 2**exponent
 

@@ -1,4 +1,4 @@
-"""Where an episode's time goes, on one core: every part in a loop of its own, on what the episode met."""
+"""Shares of an episode's time, on one core: every part in a loop of its own, on the episode's data."""
 
 import functools
 import statistics
@@ -30,7 +30,7 @@ PARTS = ("ranges", "map update", "masks and distance", "reachability", "selectio
 
 
 class Look(NamedTuple):
-    """What one plan works on at a time: a window round the robot, or the whole map."""
+    """Part of the map that one plan works on: a window round the robot, or the whole map."""
 
     masks: tuple[Any, ...]  # arguments of `plan_masks`
     words: np.ndarray  # [K, W] uint32, packed traversable cells
@@ -64,7 +64,7 @@ def _costs(passes, words, row, col, goals, limit):
 
 
 def _cut(belief, side):
-    """Arguments of `plan_masks` for a window of a belief; for the whole map where `side` is None."""
+    """Return arguments of `plan_masks` for a window of a belief; for the whole map if `side` is None."""
     full = belief.driven.shape
     shape = full if side is None else tuple(min(n, side) for n in full)
     at = int(belief.row), int(belief.col)
@@ -100,7 +100,9 @@ def _look(belief, side, nearest_only):
 
 
 def looks(belief: Belief, nearest_only: bool) -> list[Look]:
-    """What a plan from a belief works on: list of `Look`; windows first where only the nearest frontier is wanted."""
+    """List the parts of the map that a plan from a belief works on; windows first if only the nearest frontier is
+    needed.
+    """
     found, shape = [], belief.driven.shape
     for side in windows(shape, belief.model.clearance_d2) if nearest_only else ():
         found.append(_look(belief, side, True))
@@ -110,7 +112,7 @@ def looks(belief: Belief, nearest_only: bool) -> list[Look]:
 
 
 def wants_nearest(strategy: Strategy) -> bool:
-    """Whether a strategy goes to the nearest frontier, which `planning` finds in windows."""
+    """Return whether a strategy goes to the nearest frontier, which `planning` finds in windows."""
     return strategy.name.partition(":")[0].partition("+")[0] == "closest"
 
 
@@ -194,7 +196,7 @@ def measure_shares(compiler: Compiler, recording: Recording, strategy: Strategy,
 
 
 def _shares(recording, runs, timed, scans, plans):
-    """What timed parts say of an episode: a dict for the report.
+    """Return the shares of an episode's time by timed parts: a dict for the report.
 
     Args:
       recording: `Recording`.

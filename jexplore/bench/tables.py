@@ -44,7 +44,7 @@ def _mib(n_bytes):
 
 
 def kernels(rows: Iterable[Mapping[str, Any]]) -> str:
-    """The kernels beside their references: a row each."""
+    """Tabulate kernels and their references: a row each."""
     header = [
         "kernel", "on", "compile s", "CPU µs", "least", "µs by the clock", "floor µs", "k", "reference",
         "its CPU µs", "ratio", "equal",
@@ -82,7 +82,7 @@ def episodes(rows: Iterable[Mapping[str, Any]]) -> str:
 
 
 def shares(rows: Iterable[Mapping[str, Any]]) -> str:
-    """Where an episode's time goes: a row each."""
+    """Tabulate the shares of an episode's time: a row each."""
     header = ["world", "strategy", "ms", "scans", "plans", *PARTS]
     return markdown(header, [
         [row["world"].rpartition("/")[2], row["strategy"], 1e3 * row["episode_s"], row["scans"], row["plans"],
@@ -92,7 +92,7 @@ def shares(rows: Iterable[Mapping[str, Any]]) -> str:
 
 
 def programs(rows: Iterable[Mapping[str, Any]]) -> str:
-    """What compiling took: a row for each program."""
+    """Tabulate compile times: a row for each program."""
     header = ["engine", "first for", "strategy", "padded", "lanes", "trace s", "compile s", "CPU s", "temporary MiB"]
     return markdown(header, [
         [row["engine"], row["world"].rpartition("/")[2], row["strategy"], "{} x {}".format(*row["padded_shape"]),

@@ -91,7 +91,9 @@ def mean_and_se(values: Iterable[float]) -> dict[str, float | None]:
 
 
 def speed_clock() -> str:
-    """Which of `Seconds` tells the speed: processor time on a CPU, which others may use as well; else the clock."""
+    """Return the field of `Seconds` that measures speed: processor time on a CPU, which others may use as well; else
+    the clock.
+    """
     return "cpu" if jax.default_backend() == "cpu" else "wall"
 
 
