@@ -100,9 +100,7 @@ def _look(belief, side, nearest_only):
 
 
 def looks(belief: Belief, nearest_only: bool) -> list[Look]:
-    """List the parts of the map that a plan from a belief works on; windows first if only the nearest frontier is
-    needed.
-    """
+    """List the parts of the map that a plan works on; windows first if only the nearest frontier is needed."""
     found, shape = [], belief.driven.shape
     for side in windows(shape, belief.model.clearance_d2) if nearest_only else ():
         found.append(_look(belief, side, True))

@@ -1,6 +1,6 @@
 """Many runs in one building, by either engine; results are equal but for rounding.
 
-Robot, thresholds and noise are arrays and may differ between runs: a sweep over any of them is one program.
+Robot, thresholds and noise are arrays and may differ between runs: a sweep over any of them takes a single program.
 """
 
 import dataclasses

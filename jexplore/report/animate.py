@@ -106,7 +106,7 @@ def _draw_band(image, draw, caption, metres_a_pixel, top):
 
 
 def _draw_legend(image, draw, top):
-    """What the colours stand for, in one line; the target as the ring that it is."""
+    """Draw the legend of the colours, in one line; the target as a ring."""
     font, left, middle = _font(11), 10, top + _BAND_PX // 2
     for text, colour in _LEGEND:
         box = (left, middle - 5, left + 10, middle + 5)
@@ -149,8 +149,8 @@ def save_animation(
 
     Args:
       frames: iterable of one or more dicts: `state` `[H, W]` uint8; `frontier` `[H, W]` bool; `row`, `col`,
-        `heading_deg` of the robot; `target`, a `(row, col)` or None; `rows`, `cols` `[N]`, cells driven so far;
-        `caption`, text. A frame is drawn before the next one is asked for.
+        `heading_deg` of the robot; `target`, a `(row, col)` or None; `rows`, `cols` `[N]`, cells driven; `caption`,
+        text. A frame is drawn before the next one is asked for.
       path: the file; without an ending it is a GIF. MP4 is written by the program ffmpeg.
       cell_m: edge of a cell, metres.
       fps: frames a second, above 0 and at most 50.

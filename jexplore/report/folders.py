@@ -38,11 +38,11 @@ OUR_FILES = (
 )
 """Names that a run writes into its folder: their presence marks it as taken, and only they are ever replaced."""
 
-UNFINISHED = ".unfinished"  # folder for what a run has finished so far, in its own
+UNFINISHED = ".unfinished"  # folder for the finished part of a run, in its own
 LOCK = ".lock"  # file that is locked while a process has the folder to itself
 PART = ".part"  # ending of hidden folders in which files are written before they are moved
-NAMES = ".names"  # file that lists what is moved from such a folder
-OLD = "old"  # folder for the files of a run that is being replaced, in such a one
+NAMES = ".names"  # file that lists the files moved from such a folder
+OLD = "old"  # folder for the files of a run being replaced, inside it
 
 
 class RunFolder:
@@ -57,25 +57,25 @@ class RunFolder:
 
     @property
     def unfinished(self) -> Path:
-        """Folder for what a run has finished so far."""
+        """Return the folder for the finished part of a run."""
         return self.path / UNFINISHED
 
     def write(self, writers: Mapping[str, Callable[[Path], Any]], *, is_finished: bool = True) -> Path:
         """Write the files of a run: all of them, or none.
 
-        They are first written into a hidden folder and moved when all are there, `run.json` last: where it stands, the
-        rest does. If one fails, or the user interrupts, also while they are moved, the folder is as before.
+        They are first written into a hidden folder and moved once all exist, `run.json` last: if it exists, the rest
+        does. If one fails, or the user interrupts, also during the move, the folder stays as before.
 
         Args:
           writers: `{name: function}`, each called with the path that it is to write.
-          is_finished: whether the run is, so that what was kept of it on the way can go.
+          is_finished: bool, the run is finished: its ledger is removed.
 
         Returns:
           `Path` of the folder.
 
         Raises:
-          InputError: a file cannot be written; or files of an old run could be moved neither forth nor back: says where
-            they are.
+          InputError: a file cannot be written; or files of an old run could be moved neither forth nor back: names
+            their place.
         """
         with _staged(self.path, writers) as stage:
             _exchange(stage, self.path, _taken(self.path, True), writers)
@@ -86,14 +86,14 @@ class RunFolder:
         return self.path
 
     def forget(self) -> None:
-        """Throws away what the run has finished so far: all of it at once, so that no part can be taken for a whole."""
+        """Remove the ledger of the run: all at once, so that no part can be taken for the whole."""
         gone = self.path / f".{os.getpid()}-{secrets.token_hex(4)}{PART}"
         with contextlib.suppress(OSError):
             os.replace(self.unfinished, gone)
         shutil.rmtree(gone, ignore_errors=True)
 
     def add(self, name: str, write: Callable[[Path], Any]) -> None:
-        """One more file of a run that has been written, whole or not at all; `write` may put others beside it.
+        """Add a file to a finished run, whole or not at all; `write` may add others next to it.
 
         Raises:
           InputError: it cannot be written.
@@ -106,7 +106,7 @@ class RunFolder:
         """Refuse a folder that holds a run.
 
         Raises:
-          InputError: naming a file of it.
+          InputError: naming one of its files.
         """
         _taken(self.path, False)
 
@@ -270,7 +270,7 @@ def _locked(path):
 
 
 def _lock(handle):
-    """Whether the lock of an open file could be had; True as well where there are no locks."""
+    """Lock an open file; return whether that succeeded, True on systems without locks."""
     try:
         import fcntl
     except ImportError:
@@ -323,7 +323,7 @@ def _staged(folder, writers):
     except OSError as error:
         raise _unwritable(folder, error) from error
     finally:
-        if not (stage / OLD).is_dir() or not any((stage / OLD).iterdir()):  # else what is there is there only
+        if not (stage / OLD).is_dir() or not any((stage / OLD).iterdir()):  # otherwise these files exist only there
             shutil.rmtree(stage, ignore_errors=True)
 
 

@@ -118,7 +118,8 @@ def _centres_m(cells, cell_m):
 
 def bars(ax: Axes, labels: Sequence[str], means: Any, sds: Any, title: str = "", *,
          styles: Iterable[Any] | None = None, at: Any = None, thickness: float = 0.72) -> Any:  # fmt: skip
-    """Mean path lengths as bars with whiskers of one standard deviation and the numbers beside them, the first on top.
+    """Draw mean path lengths as bars with whiskers of one standard deviation and numbers next to them, the first on
+    top.
 
     Args:
       ax: the axes.
@@ -271,7 +272,7 @@ def _panel_in(shapes, *, long_in):
 
 
 def _path_legend(figure, axes, marks):
-    """A colour bar below the panels, and beside it the two marks of `draw_path`."""
+    """Draw a colour bar below the panels, and next to it the two marks of `draw_path`."""
     share = min(0.62, 3.6 / figure.get_figwidth())
     place = {"location": "bottom", "shrink": share, "fraction": 0.03, "pad": 0.03, "aspect": 30, "anchor": (0, 0)}
     bar = figure.colorbar(ScalarMappable(cmap=PROGRESS), ax=axes, **place)
@@ -315,7 +316,7 @@ def paths_figure(entries: Sequence[tuple[str, Sequence[tuple[str, Any, Any, Any,
 
 def episode_figure(state: Any, rows: Any, cols: Any, cell_m: float, *,
                    path_m: Any, known_cells: Any, title: str = "") -> Figure:  # fmt: skip
-    """One episode: the final map with its path, and beside it how the known area grew with the path.
+    """Draw one episode: the final map with its path, and the growth of the known area along the path.
 
     Args:
       state: `[H, W]` uint8, the final map.

@@ -1,4 +1,4 @@
-"""A picture of strategies over many worlds: path lengths beside those of a reference, with intervals."""
+"""A picture of strategies over many worlds: path lengths relative to a reference, with intervals."""
 
 from typing import TYPE_CHECKING
 

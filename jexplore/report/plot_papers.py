@@ -1,4 +1,4 @@
-"""A picture of a paper's path lengths beside ours."""
+"""A picture of a paper's path lengths and ours."""
 
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any

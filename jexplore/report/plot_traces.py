@@ -34,12 +34,12 @@ _HALO: Any = (patheffects.withStroke(linewidth=2.2, foreground="white"),)
 
 
 def draw_btm(ax: Axes, btm: BtmMap, *, legend: bool = True) -> list[Line2D]:
-    """Draws searched links as straight lines, un-searched ones as short dashed lines, and nodes with their ids.
+    """Draw searched links as straight lines, un-searched ones as short dashed lines, and nodes with their ids.
 
     Args:
       ax: `Axes`, in metres; its limits are left to matplotlib.
       btm: `BtmMap`.
-      legend: whether to put a legend beside the axes.
+      legend: bool, put a legend next to the axes.
 
     Returns:
       Handles for a legend: a `Line2D` for every type of node and state of a link that the map has.
@@ -70,7 +70,7 @@ def draw_btm(ax: Axes, btm: BtmMap, *, legend: bool = True) -> list[Line2D]:
 
 
 def _lines(btm, places):
-    """How links are drawn: `{id: list of points}`."""
+    """Return the lines of links: `{id: list of points}`."""
     lines = {}
     for link in btm.links:
         start = places[link.start]
@@ -209,7 +209,7 @@ def _draw_building(ax, walls, points):
 
 
 def _limits(btm, walls, trail, points):
-    """Corners of what is drawn, with a margin."""
+    """Return the corners of the drawing, with a margin."""
     nodes = np.array([(node.x_m, node.y_m) for node in btm.nodes]).reshape(-1, 2)
     everything = np.concatenate([walls.reshape(-1, 2), points, trail[:, :2], nodes])
     low, high = (everything.min(0), everything.max(0)) if len(everything) else (np.zeros(2), np.ones(2))
@@ -228,7 +228,7 @@ def figure(
     pitch_deg: ArrayLike | None = None,
     route: Route | None = None,
 ) -> Figure:
-    """A page with the building, the run through it and the map that came of it.
+    """Draw a page with the building, the run through it and the resulting map.
 
     Args:
       btm: `BtmMap`.
@@ -245,7 +245,7 @@ def figure(
       `Figure`.
 
     Source:
-      The resulting map of Mano et al., whose figure is lost: made after its text.
+      The resulting map of Mano et al., whose figure is lost: drawn after its description.
     """
     walls = np.zeros((0, 4)) if walls is None else np.asarray(walls, float).reshape(-1, 4)
     points = np.zeros((0, 2)) if points is None else np.asarray(points, float).reshape(-1, 2)

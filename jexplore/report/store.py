@@ -180,7 +180,7 @@ def _version(package):
 
 
 def environment() -> dict[str, Any]:
-    """What a run ran on, for its record. Starts jax's backend.
+    """Describe hardware and software of a run, for its record. Starts jax's backend.
 
     Returns:
       A dict: `jexplore`, `python` and the packages' versions (None for one that is not installed), `platform`,

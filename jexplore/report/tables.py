@@ -6,7 +6,7 @@ from collections.abc import Collection, Iterable, Sequence
 
 
 def number_text(value: float, decimals: int) -> str:
-    """A number with so many decimals; a missing one is `-`."""
+    """Format a number with a number of decimals; a missing one is `-`."""
     return "-" if not math.isfinite(value) else f"{value:.{decimals}f}"
 
 

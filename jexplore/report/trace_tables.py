@@ -30,7 +30,7 @@ def share(hits: int, n: int) -> str:
 
 
 def summary(traced: Any, most: int = 10) -> list[str]:
-    """What the command prints of many runs: lines of text."""
+    """Return the summary that the command prints of many runs: lines of text."""
     table, lines = traced.table, []
     if not len(table):
         return ["no run was finished"]
@@ -140,7 +140,7 @@ def _goal(route):
 
 
 def refused_lines(btm: BtmMap, route: Route) -> list[str]:
-    """What a robot may not use of a map, and why: a line a link, then one for every node that it cannot pass."""
+    """List the parts of a map that a robot may not use, and why: a line a link, then one for every impassable node."""
     links = {link.id: link for link in btm.links}
     lines = [f"{called(links[own])}: {', '.join(why)}" for own, why in route.refused]
     return [*lines, *(f"node {own}, to pass: {', '.join(why)}" for own, why in route.barriers)]

@@ -21,12 +21,12 @@ def script_data(found: Any) -> str:
 
 
 def assembled(template: str, **parts: str) -> str:
-    """A file of this folder, with what stands in it in double braces filled in.
+    """Fill in a file of this folder at the names in double braces.
 
     Args:
       template: name of the file.
-      **parts: what is filled in by name, HTML; never looked into. What is no part's name is the name of another file of
-        this folder, filled in likewise.
+      **parts: HTML by name, inserted as it is. Any other name is that of another file of this folder, filled in the
+        same way.
 
     Returns:
       The page, text.

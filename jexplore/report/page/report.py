@@ -30,7 +30,7 @@ def report_page(
     notes: Iterable[str] = (),
     max_bytes: int = MOST_BYTES,
 ) -> str:
-    """The report of a run, one HTML file: no network, no server, no other file; replays need JavaScript.
+    """Return the report of a run, one HTML file: no network, no server, no other file; replays need JavaScript.
 
     Figures take up to half of the page; the largest are left out where they would take more. Where the page would be
     too large, replays lose frames, then the last ones are left out. The page says so. It is plain ASCII, so it may be
@@ -38,11 +38,11 @@ def report_page(
 
     Args:
       title: of the page.
-      asked: name -> value, nested as one likes: settings, versions. `command`, a text or a list of words, stands above
-        all else; the rest is folded, at the end.
+      asked: name -> value, nested: settings, versions. `command`, a text or a list of words, stands above all else; the
+        rest is folded, at the end.
       tables: pairs of a heading and a table as the terminal has it, by `aligned_table`; or a DataFrame, whose index is
         not shown, a list of mappings with the same keys, or of rows the first of which has the names of the columns.
-      figures: name, the bytes of a PNG or SVG file, and a text that says what is to be seen: the caption.
+      figures: name, the bytes of a PNG or SVG file, and a caption.
       replays: list of `ReplayData`.
       warnings: lines.
       notes: lines about the replays.

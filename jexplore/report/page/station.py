@@ -33,7 +33,7 @@ class Panel:
     maps: tuple[str, ...]
     """Names of the maps that it was made of."""
     note: str = ""
-    """Why it stands apart, or what is to be known of its frame: a sentence."""
+    """Reason for standing apart, or a note about its frame: a sentence."""
 
 
 def station_page(title: str, panels: Sequence[Panel], robots: Sequence[Body], notes: Sequence[str] = ()) -> str:
@@ -64,7 +64,7 @@ def station_page(title: str, panels: Sequence[Panel], robots: Sequence[Body], no
 
 
 def _panel(panel: Panel, robots: Sequence[Body]) -> dict[str, Any]:
-    """What the page reads of a map, plain JSON types; ids as keys become text."""
+    """Return a map's data for the page, plain JSON types; ids as keys become text."""
     btm, index = panel.map, index_of(panel.map)
     nodes = index.nodes
     about = {key: value for key, value in btm.attributes.items() if key not in (MERGED_FROM, CONFLICTS)}

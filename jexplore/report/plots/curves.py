@@ -13,14 +13,15 @@ from jexplore.report.plots.looks import FONT, GREY, band_of, legend_below, looks
 
 
 def quartiles(progress: Any) -> np.ndarray:
-    """The quartiles of the paths at which each share was known, over episodes; those that never knew it come last.
+    """Compute quartiles over episodes of the paths at which each share was known; episodes that never knew it come
+    last.
 
     Args:
-      progress: `[N, M]` float, metres, NaN where an episode never knew so much; N >= 1.
+      progress: `[N, M]` float, metres, NaN where an episode never knew that share; N >= 1.
 
     Returns:
-      `[3, M]` float64: the first quartile, the median and the third one, paths that were driven (not interpolated
-        between); inf where it is one of those that never knew it.
+      `[3, M]` float64: first quartile, median and third quartile, taken from the data without interpolation; inf for an
+        episode that never knew it.
     """
     driven = np.where(np.isnan(progress), np.inf, progress)
     return np.quantile(driven, [0.25, 0.5, 0.75], axis=0, method="inverted_cdf")
@@ -109,11 +110,11 @@ def draw_profile(ax: Axes, ratio: Any, share: Any, low: Any, high: Any, look: Ma
 
 
 def profile_figure(table: Any, *, over: str = "best") -> Figure:
-    """Performance profiles: of how many starts a path is at most so many times the shortest, or the first strategy's.
+    """Draw performance profiles: the share of starts whose path is at most a multiple of the reference's.
 
     Args:
       table: columns `strategy`, `ratio`, `share`, `low`, `high`, from `aggregate.profiles`; one row or more.
-      over: what the ratios are of, for the label: "best" or "first".
+      over: denominator of the ratios, for the label: "best" or "first".
 
     Returns:
       `Figure`.

@@ -1,4 +1,4 @@
-"""What drift does to maps: three measures over every error of the odometry, and a pair of pictures."""
+"""Effect of drift on maps: three measures over every odometry error, and a pair of pictures."""
 
 from typing import Any, NamedTuple
 

@@ -1,4 +1,4 @@
-"""What pictures of several strategies share: looks, legends, grids of panels, axes of ratios."""
+"""Common parts of pictures of several strategies: styles, legends, grids of panels, axes of ratios."""
 
 import itertools
 import math
@@ -21,7 +21,7 @@ GREY = "#777777"
 
 
 def band_of(count: int) -> float:
-    """How opaque the bands of so many strategies are: of many, less, or they would cover each other."""
+    """Return the opacity of the bands of a number of strategies; many are more transparent, as they overlap."""
     return min(0.18, 0.6 / max(count, 1))
 
 
@@ -116,7 +116,7 @@ def ratio_scale(ax: Any, name: str, low: float, high: float) -> None:
 
 
 def ratio_range(estimates: Any, ends: Any = ()) -> tuple[float, float]:
-    """What an axis of ratios shows: all estimates and 1, and interval ends as far as a factor of two beyond those."""
+    """Return the range of an axis of ratios: all estimates and 1, and interval ends within a factor of two of these."""
     some = np.concatenate([np.ravel(np.asarray(estimates, np.float64)), [1.0]])
     some = some[np.isfinite(some) & (some > 0)]
     low, high = float(some.min()), float(some.max())

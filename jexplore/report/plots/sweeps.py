@@ -1,4 +1,4 @@
-"""How paths answer to settings: curves over one, maps of colours over two."""
+"""Paths as functions of settings: curves over one, maps of colours over two."""
 
 import math
 from collections.abc import Mapping
@@ -69,15 +69,15 @@ def draw_response(ax: Axes, x: Any, estimate: Any, low: Any, high: Any, look: Ma
 def response_figure(
     table: Any, setting: str, *, label: str = "path length (m)", ratio: bool = False, averaged: str = ""
 ) -> Figure:
-    """Curves over one setting: one panel a world, one line a strategy.
+    """Draw curves over one setting: one panel a world, one line a strategy.
 
     Args:
       table: columns `world`, `strategy`, the setting, `estimate`, `low`, `high`, from `response.response`; one row or
         more.
       setting: name of the column; text or truth values stand side by side in order of first appearance.
-      label: of what is estimated.
-      ratio: whether those are ratios: a logarithmic axis with a line at 1.
-      averaged: over what the estimates average: a line above the panels.
+      label: of the estimates.
+      ratio: bool, estimates are ratios: a logarithmic axis with a line at 1.
+      averaged: name of the averaged settings: a line above the panels.
 
     Returns:
       `Figure`.
@@ -165,14 +165,14 @@ def _norm(values, ratio) -> Any:
 def heat_figure(
     table: Any, x: str, y: str, *, label: str = "path length (m)", ratio: bool = False, averaged: str = ""
 ) -> Figure:
-    """Colours over two settings: a row of panels a world, one panel a strategy, all of one scale of colours.
+    """Draw colours over two settings: a row of panels a world, one panel a strategy, on one colour scale.
 
     Args:
       table: columns `world`, `strategy`, the two settings, `estimate`, from `response.response`; one row or more.
       x, y: names of the columns; every value has a place of its own, whatever lies between.
-      label: of what is estimated.
-      ratio: whether those are ratios: blue below 1, red above.
-      averaged: over what the estimates average: a line above the panels.
+      label: of the estimates.
+      ratio: bool, estimates are ratios: blue below 1, red above.
+      averaged: name of the averaged settings: a line above the panels.
 
     Returns:
       `Figure`.
