@@ -52,7 +52,7 @@ _PARAMETERS: dict[str, dict[str, Callable[[str, Any], object]]] = {
     "ROS": _GRID,
     "ROS bag": {"topic": lambda *_: None, "message": _whole(-(10**9), 10**9), **_GRID},
 }
-"""Kind of file -> what its reader takes in a world name, and what refuses a value of it by name."""
+"""Kind of file -> parameters of its reader in a world name, and the function that checks a value by name."""
 _FILES = {
     "map.yaml": "a ROS map",
     "map.png@16x16, map.png@0.05": "a picture, with its sides in metres or its metres a pixel",
@@ -61,7 +61,7 @@ _FILES = {
     "scans.log": "a CARMEN log",
     "run.bag, run.mcap": "a ROS bag",
 }
-"""Name of a file -> what is read of it."""
+"""Name of a file -> its content that is read."""
 
 
 def listing() -> Listing:
@@ -175,7 +175,7 @@ def _taken(parsed):
 
 
 def generator_parameters(base: str) -> dict[str, Any]:
-    """What a generator takes in a world name: parameter name -> default.
+    """Return the parameters of a generator in a world name: parameter name -> default.
 
     Args:
       base: a key of `GENERATORS`.

@@ -7,20 +7,20 @@ import numpy as np
 
 from jexplore.arrays.pictures import LONG_PX, soft_colours, written
 
-FINE = 2  # pixels are drawn so many times as fine, and averaged
+FINE = 2  # supersampling factor
 ROBOT_PX = 9  # from the middle of the arrow to its tip
 ROBOT = (230, 159, 0)
 
 
 def floor_plan(occupied: np.ndarray, rooms: np.ndarray | None = None, start: Any = None) -> bytes:
-    """A floor plan as the bytes of a PNG, about `LONG_PX` on its longer side.
+    """Draw a floor plan as the bytes of a PNG, about `LONG_PX` on its longer side.
 
-    A cell is a square of whole pixels. Of larger maps a pixel is the mean of several cells, so that a thin wall is grey
-    instead of gone.
+    A cell is a square of whole pixels. Of larger maps a pixel is the mean of several cells: a thin wall becomes grey
+    instead of vanishing.
 
     Args:
       occupied: `[H, W]` bool, row 0 at the bottom.
-      rooms: `[H, W]` int, -1 where there is none; or None.
+      rooms: `[H, W]` int, -1 outside rooms; or None.
       start: row, col and heading in degrees, or None.
     """
     from PIL import Image, ImageDraw
@@ -28,7 +28,7 @@ def floor_plan(occupied: np.ndarray, rooms: np.ndarray | None = None, start: Any
     colours = _colours(occupied, rooms)
     cells = math.ceil(max(occupied.shape) / (1.5 * LONG_PX))  # to a pixel
     image = Image.fromarray(np.ascontiguousarray(colours[::-1])).reduce(cells)
-    pixels = FINE * max(1, LONG_PX // max(image.size))  # of a side of what is left of a cell
+    pixels = FINE * max(1, LONG_PX // max(image.size))  # pixels per side of a cell after thinning
     image = image.resize((pixels * image.width, pixels * image.height), Image.Resampling.NEAREST)
     if start is not None:
         row, col, heading_deg = start

@@ -1,4 +1,4 @@
-"""What an episode in a world is limited to, and what its robot knows beforehand: a region to stay in, a partial map."""
+"""Limits of an episode in a world, and prior knowledge of its robot: a region to stay in, a partial map."""
 
 import os
 

@@ -1,4 +1,4 @@
-"""Where in a world an episode may start: the cells where a robot has room, and starts drawn from them."""
+"""Starts of episodes in a world: the cells where a robot has room, and starts drawn from them."""
 
 import hashlib
 import math
@@ -153,7 +153,7 @@ def start_cells(world: World, clearance_m: float) -> np.ndarray:
 
 
 def _words(name):
-    """What a world's name adds to the seed of its starts: four 32-bit numbers."""
+    """Hash a world's name into the seed of its starts: four 32-bit numbers."""
     name = re.split(r"[/\\]", name)[-1]
     name = re.sub(r"^([A-Za-z_][\w-]*)(?=:|$)", r"\1#0", name)
     return np.frombuffer(hashlib.sha256(os.fsencode(name)).digest()[:16], "<u4").tolist()

@@ -45,7 +45,7 @@ class World:
     """
 
     occupied: np.ndarray  # [H, W] bool, True where a wall or obstacle is
-    rooms: np.ndarray | None = None  # [H, W] int32, room number from 0; -1 where there is none; None: no ground truth
+    rooms: np.ndarray | None = None  # [H, W] int32, room number from 0; -1 outside rooms; None: no ground truth
     # row, col, heading_deg (a multiple of 45)
     start: tuple[int, int, int] | None = struct.field(pytree_node=False, default=None)
     cell_m: float = struct.field(pytree_node=False, default=0.1)  # edge of a cell, metres
@@ -93,10 +93,10 @@ class World:
         )
 
     def save(self, path: str | os.PathLike[str]) -> Path:
-        """Writes walls and origin as a map of ROS's map_server: a yaml file and a PGM beside it.
+        """Write walls and origin as a map of ROS's map_server: a yaml file and a PGM next to it.
 
-        `jx.load_world(path, cell_m=world.cell_m)` gives the same cells and origin. Rooms, start and elevation have no
-        place in such a map.
+        `jx.load_world(path, cell_m=world.cell_m)` gives the same cells and origin. Such a map cannot hold rooms, start
+        and elevation.
 
         Args:
           path: the yaml file; missing folders are made.
@@ -240,14 +240,14 @@ def with_ring(world: World) -> World:
 
 
 def pad(world: World, shape: tuple[int, int]) -> World:
-    """The same world in a larger array: occupied rows are added at the top and occupied columns on the right.
+    """Pad a world to a larger array: occupied rows are added at the top and occupied columns on the right.
 
     Args:
       world: a `World`.
       shape: `(H, W)` of the result, cells; no smaller than `world.shape`.
 
     Returns:
-      A `World` of that shape. Indices, metres and starts are those of `world`; in what is new, rooms are -1 and the
+      A `World` of that shape. Indices, metres and starts are those of `world`; in new cells, rooms are -1 and the
       ground is as high as at the nearest old cell.
 
     Raises:

@@ -1,4 +1,4 @@
-"""A course for Behavioral Trace Maps: passages, a slope, junctions and a hall, with the topology that is true of it."""
+"""A course for trace maps: passages, a slope, junctions and a hall, with its true topology."""
 
 from jexplore.config import InputError, require_number, require_whole
 from jexplore.worlds.generators.course_map import render
@@ -35,13 +35,14 @@ def course(
     loops: int = 0,
     repeat: int = 0,
 ) -> World:
-    """A way from a start to a goal, for a robot that at a junction takes the first way counter-clockwise from behind.
+    """Generate a way from a start to a goal, for a robot that at a junction takes the first way counter-clockwise from
+    behind.
 
-    Seed 0 is the course of the paper as its text tells it: a passage, a slope of 10 degrees up and down, a junction
-    (right), an elevator hall passed along its right wall, a junction (right), the goal; the lengths are ours. Every
-    other seed draws lengths, widths, the angle (6 to 15 degrees), the elements and their order. The robot's rule leads
-    to the goal; ways that it does not take go on for at least 6 m. `World.course` has start, goal and true topology:
-    a divergence lies at the centre of the largest empty circle that touches three walls, links run along the centre
+    Seed 0 is the course described in the paper: a passage, a slope of 10 degrees up and down, a junction (right), an
+    elevator hall passed along its right wall, a junction (right), the goal; the lengths are ours. Every other seed
+    draws lengths, widths, the angle (6 to 15 degrees), the elements and their order. The robot's rule leads to the
+    goal; ways that it does not take are at least 6 m long. `World.course` has start, goal and true topology: a
+    divergence lies at the centre of the largest empty circle that touches three walls, links run along the centre
     lines, and their bearings are those of the passages.
 
     With `loops` or `repeat` there is no goal, and the topology is whole: a passage with the obstacle leads to rings or
@@ -58,11 +59,11 @@ def course(
         up and one down; a `sill` 0.2 m long, two cells at least; a `cross-slope`, which rises to one side; `none`,
         level ground.
       riser_m: height of a step, metres.
-      furniture: whether small boxes stand along some walls; they leave at least 1.2 m. The corner of a box and the two
-        walls make a right-angled triangle, which a robot may take for a divergence: the topology has none there.
-      dead_ends: whether a way to the right, or a ring, may have a dead end, for seeds from 1.
-      loops: so many independent ways round, 0 to 3: rings of at least 20 m, apart or with a side in common.
-      repeat: so many T junctions, 2 to 10 or none, equally far apart and alike; with `loops`, on the first ring.
+      furniture: small boxes stand along some walls; they leave at least 1.2 m. The corner of a box and the two walls
+        make a right-angled triangle, which a robot may take for a divergence; the topology has none there.
+      dead_ends: a way to the right, or a ring, may have a dead end, for seeds from 1.
+      loops: number of independent cycles, 0 to 3: rings of at least 20 m, apart or with a side in common.
+      repeat: number of T junctions, 0 or 2 to 10, equally far apart and alike; with `loops`, on the first ring.
 
     Returns:
       A `World` without rooms, with a start and a course, and with elevation where there is an obstacle.

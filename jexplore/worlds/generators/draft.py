@@ -1,7 +1,7 @@
-"""Floor plans drawn in metres and rasterised to cells: what the generators share.
+"""Floor plans drawn in metres and rasterised to cells: common code of the generators.
 
-Rectangles are `(x0, y0, x1, y1)` in metres and run along the middles of the walls: neighbours share a coordinate.
-Everything random is drawn in metres before any cell exists: one seed is one building at every `cell_m`.
+Rectangles are `(x0, y0, x1, y1)` in metres and run along the middles of the walls: neighbours share a coordinate. All
+random numbers are drawn in metres before any cell exists: a seed gives the same building at every `cell_m`.
 """
 
 import dataclasses
@@ -70,7 +70,9 @@ def require_size(
 
 
 def passable_cells(cell_m: float) -> int:
-    """The narrowest gap that a robot can pass, cells: one cell of it has more than `CLEARANCE_M` to both sides."""
+    """Return the narrowest gap that a robot can pass, cells: one of its cells has more than `CLEARANCE_M` to both
+    sides.
+    """
     return 2 * math.isqrt(radius_d2(CLEARANCE_M, cell_m)) + 1
 
 
@@ -124,7 +126,7 @@ class Side:
     """1 where the room lies at higher coordinates than the wall, else -1."""
     low: float
     high: float
-    """Where the side begins and ends along the wall, metres."""
+    """Ends of the side along the wall, metres."""
 
     def block(self, low: float, near: float, high: float, far: float) -> tuple[float, float, float, float]:
         """A rectangle from `low` to `high` along the wall, and `near` to `far` from its middle, metres."""
@@ -137,16 +139,16 @@ class Door:
     """A gap in a wall between two rooms."""
 
     vertical: bool
-    """Whether the wall runs along y."""
+    """True if the wall runs along y."""
     wall: float
-    """Where the wall's middle lies: x if it is vertical, else y, metres."""
+    """Position of the wall's middle: x if it is vertical, else y, metres."""
     middle: float
     """Middle of the gap along the wall, metres."""
     width: float
     """Metres."""
     low: float
     high: float
-    """Where the stretch of wall that both rooms share begins and ends, metres."""
+    """Ends of the stretch of wall that both rooms share, metres."""
 
 
 @dataclasses.dataclass
@@ -161,7 +163,7 @@ class FloorPlan:
     blocks: list[tuple[float, float, float, float]] = dataclasses.field(default_factory=list)
     """Columns, counters, furniture: rectangles of their true size, at least one cell."""
     kinds: list[str] = dataclasses.field(default_factory=list)
-    """What every room is used for: a key of `furniture.ROOMS`; empty where its size decides."""
+    """Use of every room: a key of `furniture.ROOMS`; empty if its size decides."""
 
     def room(self, *rects: tuple[float, float, float, float], kind: str = "") -> int:
         """Add a room of one or more overlapping rectangles, of a kind (see `kinds`). Returns its number."""
@@ -300,7 +302,7 @@ def cut(rng: np.random.Generator, length: float, kinds: Sequence[tuple[float, fl
 
 
 def n_corridors(height_m: float) -> int:
-    """How many corridors run the length of a building so deep."""
+    """Return the number of corridors along a building of a depth."""
     return max(1, round(height_m / 10))
 
 
@@ -318,7 +320,7 @@ def bands(
       height_m: metres; every 10 m have a corridor.
       corridor_m: width of the corridors, metres.
       edge: least and largest depth of the first and last row, as a multiple of half a corridor's share of the depth;
-        the cores take what is left.
+        the cores take the rest.
       widths: of the corridors, bottom to top, metres, one for each; none: all are `corridor_m` wide.
 
     Returns:

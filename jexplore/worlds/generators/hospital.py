@@ -36,12 +36,12 @@ def hospital(
     wide_openings: float = 0.0,
     max_loops: float = 1000.0,
 ) -> World:
-    """A hospital floor: a ward, a hall and a treatment wing side by side.
+    """Generate a hospital floor: a ward, a hall and a treatment wing side by side.
 
-    In the ward, a corridor runs round a core (several for buildings from 25 m in height; a single straight one below
-    15 m). Patient rooms lie at the facades, most with a bathroom beside the entrance; nurses, stores and treatment lie
-    in the core. The corridors end at the hall. The treatment wing has one corridor, patient rooms on one side of it and
-    on the other suites of a waiting room and the rooms behind it; it may be less deep than the ward.
+    In the ward, a corridor runs round a core (several for buildings from 25 m in height; a single straight one below 15
+    m). Patient rooms lie at the facades, most with a bathroom next to the entrance; nurses, stores and treatment lie in
+    the core. The corridors end at the hall. The treatment wing has one corridor, patient rooms on one side of it and on
+    the other suites of a waiting room and the rooms behind it; it may be less deep than the ward.
 
     Args:
       seed: integer from 0.
@@ -49,10 +49,10 @@ def hospital(
       width_m, height_m: outer size, metres.
       corridor_m: width of the corridors between the middles of their walls, metres.
       room_m: width of a common patient room, metres; the others follow.
-      corridor_sd_m: standard deviation of the widths of the corridors, and depth of what narrows them, metres; 0 to 1.
-      furniture: share of the furniture that is there, 0 to 1; see `furniture.furnish`. Only in cells up to 0.2 m.
+      corridor_sd_m: standard deviation of the widths of the corridors, and depth of constrictions, metres; 0 to 1.
+      furniture: share of the furniture that exists, 0 to 1; see `furniture.furnish`. Only in cells up to 0.2 m.
       wide_openings: share of the doors that are openings 1.6 to 2.6 m wide where the wall allows, 0 to 1.
-      max_loops: ways round a 1000 m2, at most: doors beyond them are closed, none that would cut off a room. 0 to 1000.
+      max_loops: most cycles per 1000 m2: doors beyond them are closed, but none that would cut off a room. 0 to 1000.
 
     Returns:
       A `World` with rooms.
@@ -147,7 +147,7 @@ def _with_bathroom(rng, plan, rect, front, inner_m, left):
 
 
 def _core(rng, plan, rect):
-    """The nurses' station somewhere in the core, and stores and treatment rooms on both sides of it."""
+    """Place the nurses' station somewhere in the core, and stores and treatment rooms on both sides."""
     x0, y0, x1, y1 = rect
     size = rng.uniform(6.0, 7.5)
     size = size if x1 - x0 - size > 2.2 else x1 - x0

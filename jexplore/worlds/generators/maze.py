@@ -76,7 +76,7 @@ def maze(
 def passages(
     rng: np.random.Generator, shape: Sequence[int], loops: float
 ) -> list[tuple[tuple[int, int], tuple[int, int]]]:
-    """Which neighbouring places of a maze are joined.
+    """Choose the neighbouring places of a maze that are joined.
 
     Args:
       rng: numpy `Generator`.

@@ -39,7 +39,7 @@ def office(
     max_loops: float = 1000.0,
     open_plan: bool = False,
 ) -> World:
-    """A floor of offices, meeting rooms, small service rooms, one open-plan area and a lobby at the facade.
+    """Generate a floor of offices, meeting rooms, small service rooms, one open-plan area and a lobby at the facade.
 
     Corridors run the length of the building, one in every 10 m of its height; cross corridors join two of them, open to
     one and with a door to the other. Every corridor is a room of its own, together with the cross corridors open to it.
@@ -50,11 +50,11 @@ def office(
       width_m, height_m: outer size, metres.
       corridor_m: width of the corridors between the middles of their walls, metres.
       room_m: width of a common office, metres; the others follow.
-      corridor_sd_m: standard deviation of the widths of the corridors, and depth of what narrows them, metres; 0 to 1.
-      furniture: share of the furniture that is there, 0 to 1; see `furniture.furnish`. Only in cells up to 0.2 m.
+      corridor_sd_m: standard deviation of the widths of the corridors, and depth of constrictions, metres; 0 to 1.
+      furniture: share of the furniture that exists, 0 to 1; see `furniture.furnish`. Only in cells up to 0.2 m.
       wide_openings: share of the doors that are openings 1.6 to 2.6 m wide where the wall allows, 0 to 1.
-      max_loops: ways round a 1000 m2, at most: doors beyond them are closed, none that would cut off a room. 0 to 1000.
-      open_plan: whether all beyond the first corridor is one open-plan area, but for some rooms at one end of it.
+      max_loops: most cycles per 1000 m2: doors beyond them are closed, but none that would cut off a room. 0 to 1000.
+      open_plan: all beyond the first corridor forms an open-plan area, but for some rooms at one end.
 
     Returns:
       A `World` with rooms.
@@ -138,7 +138,7 @@ def _kinds(room_m):
 
 
 def _crossings(rng, end, corridor_m):
-    """Where cross corridors run through a core from 0 to `end`: a list of `(x0, x1)`."""
+    """Draw the positions of cross corridors through a core from 0 to `end`: a list of `(x0, x1)`."""
     n = max(1, round(end / 20 + rng.uniform(-0.5, 0.7)))
     half = corridor_m / 2 * rng.uniform(1.0, 1.15)
     middles = [end * (i + rng.uniform(0.25, 0.75)) / n for i in range(n)]
@@ -233,12 +233,12 @@ def _row(rng, plan, rect, corridor, kinds):
 
 
 def _core(rng, plan, ends, band, corridors, kinds):
-    """What lies between two corridors: an open-plan area in a long part, and rooms back to back or across.
+    """Fill the area between two corridors: an open-plan area in a long part, and rooms back to back or across.
 
     Args:
       rng: numpy `Generator`.
       plan: the `FloorPlan`.
-      ends: where the parts begin and end, alternately, metres.
+      ends: begin and end of the parts, alternately, metres.
       band: `(y0, y1)`.
       corridors: numbers of the corridors below and above.
       kinds: see `cut`.

@@ -90,7 +90,7 @@ def _halves(rng, rect, room_m):
 def _neighbours(rects):
     """Pairs of rooms that share enough wall for a door, `[n, 2]`.
 
-    They join all rooms: where a cut begins, a room on either side of it begins, and both are at least `room_m` long.
+    They join all rooms: at the beginning of a cut a room begins on either side, and both are at least `room_m` long.
     """
     x0, y0, x1, y1 = rects.T
     pairs = [np.empty((0, 2), int)]

@@ -23,7 +23,7 @@ class Ramp:
     lane: tuple[float, float]
     """The two sides of the passage: their y if it runs along x, else their x."""
     along: float
-    """Where it starts: x if the passage runs along x, else y."""
+    """Start of the ramp: x if the passage runs along x, else y."""
     angle_deg: float
 
 
@@ -59,7 +59,7 @@ class Leg:
 
 
 class Route:
-    """A route under construction: the robot stands at `at`, on the centre line, at the end of what is carved."""
+    """Route under construction: the robot stands at `at`, on the centre line, at the end of the carved passage."""
 
     at: tuple[float, float]
     heading: int
@@ -92,7 +92,7 @@ class Route:
 
     @property
     def start(self) -> Stop:
-        """Where the robot starts, its heading that of the course."""
+        """Return the robot's start; its heading is that of the course."""
         return self.stops[0]
 
     @property
@@ -108,7 +108,7 @@ class Route:
         self._advance(length)
 
     def ramp(self, angle_deg: float, creases: int = 3) -> None:
-        """An up-and-down obstacle whose ground bends so many times. With 0 there is none, but its place remains."""
+        """Add an up-and-down obstacle with a number of creases. With 0 it is omitted, but its place remains."""
         self._carve(2 * RAMP_M)
         if creases:
             ramp = Ramp(self.heading, self._lane(), self._along(), angle_deg)
@@ -221,7 +221,7 @@ class Route:
 
 
 def is_near(a: Sequence[float], b: Sequence[float]) -> bool:
-    """Whether two rectangles `(x0, y0, x1, y1)` are nearer than `MARGIN_M` in both axes."""
+    """Return whether two rectangles `(x0, y0, x1, y1)` are nearer than `MARGIN_M` in both axes."""
     gap = MARGIN_M - 1e-6
     return a[0] < b[2] + gap and b[0] < a[2] + gap and a[1] < b[3] + gap and b[1] < a[3] + gap
 

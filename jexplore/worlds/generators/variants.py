@@ -1,6 +1,6 @@
-"""What makes a drawn building less regular: wide openings, fewer ways round, corridors of different widths.
+"""Irregularities of a drawn building: wide openings, fewer cycles, corridors of different widths.
 
-All of it is drawn from random streams of its own, so that a building without it stays what it is.
+Each is drawn from a random stream of its own, so that a building without it stays the same.
 """
 
 import numpy as np
@@ -15,7 +15,7 @@ _JAMB_M = 0.25  # of wall that remains on both sides of an opening
 _SHAFT_M = (1.2, 6.0)  # least and greatest length of what narrows a corridor
 _MOST_M = 3.0  # the widest, where the corridors are not wider anyway
 _LEAST_M = 1.5  # the narrowest corridor between the middles of its walls: 1.3 m in cells of 0.2 m
-_AREA_CELL_M = 0.1  # what the area is measured in: one seed is one building at every cell_m
+_AREA_CELL_M = 0.1  # m; cell in which the area is measured: a seed gives the same building at every cell_m
 _OPENINGS, _LOOPS, _WIDTHS, _NICHES = 101, 102, 103, 104  # random streams
 
 

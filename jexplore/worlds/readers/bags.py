@@ -30,7 +30,7 @@ class RecordedGrid:
     """A message of the type nav_msgs/OccupancyGrid."""
 
     topic: str
-    """What it was published on."""
+    """Topic on which it was published."""
     occupancy: np.ndarray
     """`[H, W]` int8, -1 unknown, 0 free to 100 occupied; row 0 is the bottom."""
     resolution_m: float
@@ -98,7 +98,7 @@ def load_bag(
     free_max: int | None = None,
     occupied_min: int | None = None,
 ) -> World:
-    """A world from a map in a recording. What is unknown counts as occupied.
+    """Load a world from a map in a recording. Unknown cells count as occupied.
 
     `load_world("run.bag:topic=/map,free_max=49")` is the same; topics that a name cannot hold are given here.
 

@@ -122,7 +122,7 @@ def load_carmen(
 
 
 def _parameter(where, line):
-    """The longest range that a PARAM line says, metres; None for every other line, and for a value that is none."""
+    """Return the longest range stated by a PARAM line, metres; None for every other line or value."""
     words = line.split()[:3]
     if len(words) < 2 or words[0] != "PARAM" or not _LONGEST.fullmatch(words[1]):
         return None
@@ -150,7 +150,7 @@ def _longest(ranges, longest_m, said_m):
 
 
 def _found(path, log):
-    """The same by the readings themselves: the largest, where too many places of the map would lie so far away."""
+    """Estimate the same from the readings: the largest range, if too many places of the map would lie that far away."""
     echo, angle = log.echo, log.poses[:, 2:] + log.angles_rad
     values, which = np.unique(log.ranges[echo], return_inverse=True)
     tips = (log.poses[:, None, k] + np.where(echo, log.ranges, 0) * of(angle) for k, of in enumerate((np.cos, np.sin)))

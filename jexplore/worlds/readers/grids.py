@@ -15,13 +15,13 @@ _SLIVER = 1e-6  # an overlap of less than this part of a cell is rounding
 def free_cells(
     where: str, occupancy: np.ndarray, *, free_max: int | None = None, occupied_min: int | None = None
 ) -> np.ndarray:
-    """Which cells of an occupancy grid are free.
+    """Return the free cells of an occupancy grid.
 
     Args:
-      where: what a warning calls the grid.
+      where: name of the grid in warnings.
       occupancy: `[H, W]` integers, -1 unknown, 0 free to 100 occupied.
-      free_max: a cell is free if its occupancy is from 0 to this. Default: 25, or what lies below `occupied_min`.
-      occupied_min: a cell is occupied if its occupancy is this or more. Default: 65, or what lies above `free_max`.
+      free_max: a cell is free if its occupancy is from 0 to this. Default: 25, or the values below `occupied_min`.
+      occupied_min: a cell is occupied if its occupancy is this or more. Default: 65, or the values above `free_max`.
 
     Returns:
       `[H, W]` bool. Cells between the two count as unknown.
@@ -114,7 +114,7 @@ def _turned(occupancy, yaw_rad):
     shape = tuple(math.ceil(float(np.ptp(side)) - _SLIVER) for side in (y, x))
     # 100 is 200, unknown 199; a border of 0, of which nothing is told.
     rank = np.pad(np.where(occupancy < 0, 199, 2 * occupancy.astype(np.int16)), 1)
-    reach = 0.5 + (abs(cos) + abs(sin)) / 2 - _SLIVER  # two squares that touch are so far apart along one of four axes
+    reach = 0.5 + (abs(cos) + abs(sin)) / 2 - _SLIVER  # touching squares are this far apart along one of four axes
     out = np.full(shape, 199, np.int16)
     x = np.arange(shape[1]) + 0.5 + low_x
     for row in range(shape[0]):

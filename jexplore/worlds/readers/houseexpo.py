@@ -17,11 +17,11 @@ _MAX_BYTES = 16 * 2**20
 
 
 def load_houseexpo(path: str, *, cell_m: float = 0.1) -> World:
-    """A world from a HouseExpo plan.
+    """Load a world from a HouseExpo plan.
 
-    A cell that the outline passes through is occupied, at least one cell thick; one whose centre lies inside is free;
-    all others are occupied. A room is a box of a `room_category`, numbered from 0 in the order of the file; where
-    boxes overlap the smallest one counts, and of equal ones the first.
+    Cells on the outline are occupied, at least one cell thick; a cell whose centre lies inside is free; all others are
+    occupied. A room is a box of a `room_category`, numbered from 0 in the order of the file; where boxes overlap the
+    smallest one counts, and of equal ones the first.
 
     Args:
       path: the JSON file, with `verts` (the closed outline, metres) and `room_category` (name -> boxes
@@ -91,7 +91,7 @@ def _outline(corners, shape):
 
 
 def _clip(row, y0, y1):
-    """Where an edge from y0 up to y1 enters and leaves a row, as parts of its length."""
+    """Return the parts of an edge from y0 up to y1 at which it enters and leaves a row."""
     return (max(row, y0) - y0) / (y1 - y0), (min(row + 1, y1) - y0) / (y1 - y0)
 
 

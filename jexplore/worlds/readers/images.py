@@ -25,20 +25,20 @@ _SATURATED = 128  # largest minus smallest of red, green, blue: a grey has 0, pu
 
 
 def load_image(path: str, scale: float | tuple[float, float], *, cell_m: float = 0.1, free: float = 250) -> World:
-    """A world from a picture.
+    """Load a world from a picture.
 
-    A filled rectangle of one saturated colour in an otherwise grey picture, as the dungeon maps have it, marks the
-    start: its middle, heading 0. It does so only if it is the only colour and its cell is free.
+    A filled rectangle of one saturated colour in an otherwise grey picture, as in the dungeon maps, marks the start:
+    its middle, heading 0. This holds only if it has the only colour and its cell is free.
 
     Args:
       path: PNG, PGM, PBM, PPM, JPEG, BMP, GIF (its first frame) or TIFF.
-      scale: `(width_m, height_m)`: the bounding box of the occupied pixels is stretched to this size, as Stage does;
-        or a number: the whole picture at so many metres a pixel.
+      scale: `(width_m, height_m)`: the bounding box of the occupied pixels is stretched to this size, as Stage does; or
+        a number: metres a pixel of the whole picture.
       cell_m: edge of a cell, metres.
       free: a pixel is free if its grey, 0 to 255, is at least this.
 
     Returns:
-      A `World` as drawn: its edges need not be occupied. The origin is the lower left corner of what was used.
+      A `World` as drawn: its edges need not be occupied. The origin is the lower left corner of the used part.
 
     Warns:
       InputWarning: most of the picture is transparent; or as `read_pixels`.
@@ -70,7 +70,7 @@ def load_image(path: str, scale: float | tuple[float, float], *, cell_m: float =
 
 
 def _occupied(path, levels, free):
-    """Where a picture is not free; refused where that is everywhere."""
+    """Return the occupied cells of a picture; refuse one without free cells."""
     shade = grey(levels)
     clear = transparency(levels)
     occupied = (shade < free) | clear

@@ -28,12 +28,15 @@ _FREE, _UNKNOWN, _OCCUPIED = 254, 205, 0  # greys of a saved map
 _FAR_M = 1e9  # an origin farther away leaves no digits for cells
 _SUSPECT = 0.01  # share of unknown pixels that may be free without a word
 _MAX_YAML = 2**16
-_BOOLS = {**dict.fromkeys(("y", "yes", "on"), 1), **dict.fromkeys(("n", "no", "off"), 0)}  # of yaml-cpp, beside true
+_BOOLS = {
+    **dict.fromkeys(("y", "yes", "on"), 1),
+    **dict.fromkeys(("n", "no", "off"), 0),
+}  # of yaml-cpp, in addition to true
 
 
 @dataclasses.dataclass(frozen=True)
 class RosInfo:
-    """What the yaml file of a ROS map says."""
+    """Content of the yaml file of a ROS map."""
 
     image: str
     """Path of the picture."""
@@ -44,7 +47,7 @@ class RosInfo:
     yaw_rad: float
     """Turn of the picture about that corner, counter-clockwise."""
     negate: bool
-    """Whether white is occupied."""
+    """True if white is occupied."""
     occupied_thresh: float
     """A pixel is occupied if its probability is this or more."""
     free_thresh: float
@@ -88,7 +91,7 @@ def _read(path):
 def load_ros(
     path: str | os.PathLike[str], *, cell_m: float = 0.1, free_max: int | None = None, occupied_min: int | None = None
 ) -> World:
-    """A world from a ROS map. What is unknown counts as occupied.
+    """Load a world from a ROS map. Unknown cells count as occupied.
 
     Args:
       path: the yaml file.
@@ -144,7 +147,7 @@ def write_ros(
     cell_m: float | None = None,
     origin_m: tuple[float, float] | None = None,
 ) -> Path:
-    """Write a ROS map that `read_ros` and the map servers give back unchanged: a yaml file and a PGM beside it.
+    """Write a ROS map that `read_ros` and the map servers read back unchanged: a yaml file and a PGM next to it.
 
     The mode is trinary if every value is -1, 0 or 100, else raw.
 

@@ -20,12 +20,12 @@ _TOGETHER = 2**18  # beams that are traced at a time
 @checked_names
 @dataclasses.dataclass(frozen=True)
 class ScanLog:
-    """What a robot with a planar laser scanner recorded: N scans of B readings."""
+    """Recording of a robot with a planar laser scanner: N scans of B readings."""
 
     poses: np.ndarray
     """`[N, 3]` float64, where the scanner was: x m, y m, heading rad; the best that the log knows."""
     odometry: np.ndarray
-    """`[N, 3]` float64, likewise, by what the log has as the robot's odometry."""
+    """`[N, 3]` float64, poses by the robot's odometry."""
     ranges: np.ndarray
     """`[N, B]` float64, readings, metres. As REP 117 of ROS has them: inf is no echo; NaN, invalid, and 0 or less, too
     near, say nothing."""
@@ -69,17 +69,17 @@ class ScanMap:
     origin_m: tuple[float, float]
     """x, y of the lower left corner of cell (0, 0), metres: whole multiples of `cell_m`."""
     start: tuple[int, int, int]
-    """Where the first scan was made: row, col, heading in degrees, the nearest multiple of 45."""
+    """Pose of the first scan: row, col, heading in degrees, the nearest multiple of 45."""
 
     def world(self, *, p_free: float = 0.25, name: str = "") -> World:
-        """The map as a world to be explored: what is not known to be free, the unknown included, is occupied.
+        """Return the map as a world to be explored: cells that are not known to be free are occupied.
 
         Args:
           p_free: largest reflection probability of a free cell.
           name: of the world.
 
         Returns:
-          A `World` as mapped: its edges need not be occupied. It starts where the robot did, if that cell is free.
+          A `World` as mapped: its edges need not be occupied. Its start is that of the robot, if that cell is free.
 
         Raises:
           InputError: a bad `p_free`, or no free cell.
