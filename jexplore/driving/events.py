@@ -233,7 +233,7 @@ def _watch(state, writer, xy, valid, wall_m, leans, placed, tuning):
 
 
 def _watch_free_space(state, writer, walls, xy, valid, track, looking, placed, tuning):
-    """Update `FreeSpace`, the border ahead, whether it was missed (see `Ahead`), and the `Track` of a hall's gateway."""
+    """Update `FreeSpace`, the border ahead and whether it was missed (see `Ahead`), and the `Track` of a gateway."""
     is_hall = tuning.coast_m > 0
     # One that is still ahead is watched ahead.
     within = is_hall & state.space.inside & ~jnp.isfinite(writer.border_m)

@@ -1,4 +1,4 @@
-"""Worlds to learn in, and how long the paths of strategies are there beside those of the reference."""
+"""Worlds for training, and the path lengths of strategies in them relative to the reference."""
 
 import dataclasses
 from collections.abc import Iterator, Sequence
@@ -48,12 +48,12 @@ class Bank:
     def log_ratios(
         self, strategies: Sequence[Strategy], which: Sequence[int], seed: int, *, workers: int | None = None
     ) -> np.ndarray:
-        """How long the paths of strategies are beside those of the reference, from the same starts.
+        """Compute path lengths of strategies relative to the reference, from the same starts.
 
         Args:
           strategies: N of them.
-          which: K numbers of worlds; an episode in each, of one that is there twice from two starts.
-          seed: of the starts and of all that is random.
+          which: K numbers of worlds; an episode in each, from another start if a world occurs twice.
+          seed: of the starts and all other draws.
           workers: cores; by default all.
 
         Returns:
@@ -66,12 +66,12 @@ class Bank:
     def lengths(
         self, strategies: Sequence[Strategy], which: Sequence[int], seed: int, *, workers: int | None = None
     ) -> np.ndarray:
-        """How long the paths of strategies are, from the same starts: `[N, K]` float64, metres.
+        """Compute path lengths of strategies, from the same starts: `[N, K]` float64, metres.
 
         inf where an episode did not end COMPLETE. Arguments as of `log_ratios`.
 
         Raises:
-          KeyboardInterrupt: not all could be made.
+          KeyboardInterrupt: not all were made.
         """
         jobs, places = [], []
         for number, place, starts in self.episodes(which, seed):
@@ -107,8 +107,9 @@ class Bank:
 
 
 def log_ratio(lengths: np.ndarray, reference: np.ndarray) -> np.ndarray:
-    """Logarithms of paths beside the reference's; that of `FAILED` where one is inf and the reference's is not, 0 where
-    the reference's is inf or 0.
+    """Compute logarithms of paths relative to the reference's.
+
+    The value is that of `FAILED` where a path is inf and the reference's finite, 0 where the reference's is inf or 0.
 
     Args:
       lengths: `[..., K]` metres.
@@ -141,7 +142,7 @@ def prepare_bank(
 
 
 def require_apart(training: Bank, validation: Bank) -> None:
-    """Refuse to watch on what is trained on.
+    """Refuse validation worlds that are training worlds.
 
     Raises:
       InputError: naming the world.

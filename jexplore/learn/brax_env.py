@@ -49,8 +49,10 @@ class BraxDecisions(Env):
         return State(whole, flat(told), zero, state.is_over.astype(jnp.float32), metrics, {})
 
     def step(self, state: Any, action: Array) -> State:
-        """See `Decisions.step`. Metrics: `ratio`, the whole path beside the reference's, 0 before the end; `invalid`, 1
-        where the action was an unused slot; `overflow`, clusters that had no room, 0 before the end.
+        """See `Decisions.step`.
+
+        Metrics: `ratio`, the whole path relative to the reference's, 0 before the end; `invalid`, 1 where the action
+        was an unused slot; `overflow`, clusters that did not fit, 0 before the end.
         """
         now, told, reward, done, info = self.decisions.step(state.pipeline_state, action.astype(jnp.int32))
         metrics = {
@@ -73,7 +75,7 @@ class BraxDecisions(Env):
 
     @property
     def backend(self) -> str:
-        """brax asks for the name of a physics engine; there is none."""
+        """Return no physics engine: brax asks for its name."""
         return "none"
 
 
@@ -112,7 +114,7 @@ class RenewWrapper(Wrapper):
 
 
 def wrapped(env: Env, episode_length: int = 1000, action_repeat: int = 1, randomization_fn: Any = None) -> Wrapper:
-    """What `brax.training` calls `wrap_env_fn`."""
+    """Wrap an environment: `wrap_env_fn` of `brax.training`."""
     del randomization_fn
     return RenewWrapper(EpisodeWrapper(VmapWrapper(env), episode_length, action_repeat))
 

@@ -1,5 +1,6 @@
-"""Exploration as a problem of choosing: an action is one of the nearest frontier clusters, a step the way to the next
-decision. Where there is nothing to decide, the robot drives on by itself.
+"""Exploration as a decision problem: an action is a frontier cluster nearby, a step the way to the next decision.
+
+Between decisions the robot drives on its own.
 """
 
 from collections.abc import Callable
@@ -25,7 +26,7 @@ from jexplore.studies.environment import Environment, EnvState
 
 
 class Told(NamedTuple):
-    """What is decided by."""
+    """Observation at a decision."""
 
     features: Array  # [K, F] float32, see `features.NAMES`
     used: Array  # [K] bool, which slots hold a cluster: what may be chosen. The nearest is slot 0
@@ -100,7 +101,7 @@ class Decisions:
         return alone_on_cpu(self._begun)(key)
 
     def step(self, state: DecisionState, action: Array) -> tuple[DecisionState, Told, Array, Array, dict[str, Array]]:
-        """Drives to a cluster, with re-checking, and on to the next decision.
+        """Drive to a cluster, with re-checking, and on to the next decision.
 
         Args:
           state: `DecisionState`.
@@ -109,17 +110,17 @@ class Decisions:
         Returns:
           state: `DecisionState`; as it was once the episode is over.
           told: `Told`.
-          reward: float32, minus the metres driven since the last decision (at the first since the start), beside those
-            of the whole path of `closest+recheck` from the same start. An episode that does not end COMPLETE has cost
-            at least `bank.FAILED` of these paths in the end.
+          reward: float32, minus the metres driven since the last decision (at the first since the start), divided by
+            the whole path of `closest+recheck` from the same start. An episode that does not end COMPLETE has cost at
+            least `bank.FAILED` of these paths in the end.
           done: bool.
-          info: dict of `valid`, bool; `outcome`, int32, an `Outcome`; `path_m`, float32, metres driven since the
-            start; `overflow`, int32, clusters that had no room, all plans together.
+          info: dict of `valid`, bool; `outcome`, int32, an `Outcome`; `path_m`, float32, metres driven since the start;
+            `overflow`, int32, clusters that did not fit, all plans together.
         """
         return alone_on_cpu(self._chosen)(state, action)
 
     def _decides(self, i):
-        """Whether there is anything to decide from start i."""
+        """Return whether any decision arises from start i."""
         return ~self._begun_at(random_key(0), i).is_over
 
     def _begun(self, key):

@@ -41,7 +41,7 @@ BOUNDS = {
 class State(NamedTuple):
     """A search under way."""
 
-    weights: Any  # the running mean, what is handed out
+    weights: Any  # the running mean, which is returned
     theta: np.ndarray  # [D] float32, the latest weights as one vector
     moments: Any  # of the optimiser
     generation: Any  # int

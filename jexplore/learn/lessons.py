@@ -1,8 +1,8 @@
-"""Lessons: what each choice at a decision would have cost, found by driving every one of them to the end.
+"""Lessons: the cost of each choice at a decision, found by driving every one of them to the end.
 
-The true map is at hand in training: from the state of an episode under way, every candidate is tried with the present
-policy after it, until all is seen or it has cost so much more than the best so far that no more is asked. A lesson is a
-program of the engine, one robot that now and then goes back to where it decided.
+Training knows the true map: from the state of an episode under way, every candidate is tried with the present policy
+after it, until all is seen or its cost exceeds the best by a margin. A lesson is a program of the engine, one robot
+that returns to its decisions.
 """
 
 from collections.abc import Callable, Sequence
@@ -31,7 +31,7 @@ from jexplore.policies.learned.model import Model
 from jexplore.policies.learned.strategy import is_forced, judged, policy_of
 
 DECISIONS = 64  # most decisions of an episode whose candidates are tried
-NEAREST = 6  # the robot strays to one of so many targets
+NEAREST = 6  # the robot strays to one of this many targets
 STREAM = 4  # of random numbers, besides those of an episode and of `jx.Environment`
 
 
@@ -41,15 +41,15 @@ class Lessons(NamedTuple):
     features: Any  # [D, K, F] float32
     used: Any  # [D, K] bool
     costs: Any  # [D, K] float32, what a choice cost beyond the best, UNIT_M; nan: not tried
-    weight: Any  # [D] float32, UNIT_M beside the whole path of the episode
+    weight: Any  # [D] float32, UNIT_M divided by the whole path of the episode
 
 
 class Asking(NamedTuple):
-    """What is asked, and how the robot goes on."""
+    """Static config of lessons, and how the robot continues."""
 
     share: float  # of the decisions, the first `DECISIONS` so chosen
     tried: int  # most candidates of one, the nearest and those of the best scores
-    margin_m: float  # a try ends when it has cost so much more than the best before it
+    margin_m: float  # a rollout ends when it costs this much more than the best before it
     stray: float  # share of the decisions at which the robot goes elsewhere than the policy would
 
 
@@ -69,8 +69,8 @@ class _Lesson:
     trying: Array  # int32, which of `order` is being tried; -1: none, the robot goes on
     order: Array  # [K] int32, slots
     n: Array  # int32, candidates that are to be tried
-    best_m: Array  # float32, least cost so far
-    asked: Array  # int32, decisions asked about so far
+    best_m: Array  # float32, least cost until now
+    asked: Array  # int32, decisions tried until now
     features: Array  # [DECISIONS, K, F]
     used: Array  # [DECISIONS, K]
     costs_m: Array  # [DECISIONS, K], inf where a try was ended, nan where there was none
@@ -117,7 +117,7 @@ def _drive(setup, given, lesson):
 
 
 def _has_ended(given, lesson):
-    """Whether a try has ended."""
+    """Return whether a rollout has ended."""
     cut = _driven_m(lesson) > lesson.best_m + given.numbers.margin_m
     return (lesson.trying >= 0) & (cut | (lesson.state.outcome != Outcome.RUNNING))
 

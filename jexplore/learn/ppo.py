@@ -37,7 +37,7 @@ class Settings(NamedTuple):
     updates: int = 4  # passes over what was seen
     rate: float = 3e-4  # of Adam
     entropy: float = 1e-3
-    sharpness: float = 10.0  # logits are so many times the scores
+    sharpness: float = 10.0  # ratio of logits and scores
     gae: float = 0.95  # lambda of the advantages; nothing is discounted
     clip: float = 0.2
 
@@ -61,12 +61,12 @@ class State(NamedTuple):
     """A search under way."""
 
     weights: Any  # of the policy
-    value: Any  # of the network that foretells what is left to drive
+    value: Any  # of the network that predicts the remaining way
     generation: Any  # int
 
 
 class Value(nn.Module):
-    """What is left to drive: a perceptron for each cluster, their mean and greatest, another perceptron."""
+    """Network for the remaining way: a perceptron for each cluster, their mean and maximum, another perceptron."""
 
     width: int = 64
 
@@ -157,7 +157,7 @@ def _decisions(bank, starts, seed, workers):
 
 
 def _networks(network, sharpness, observation_size, action_size, preprocess_observations_fn=None):
-    """What brax calls a network factory."""
+    """Build the networks: brax's network factory."""
     del preprocess_observations_fn
     from jexplore.learn.brax_env import unflat
     from jexplore.learn.categorical import Slots

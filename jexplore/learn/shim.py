@@ -1,6 +1,6 @@
-"""What brax 0.14.2 needs of its surroundings: a function that newer versions of JAX have not, and silence.
+"""Shim for brax 0.14.2: a function that newer versions of JAX lack, and silence.
 
-It goes when brax does without.
+Remove it once brax works without.
 """
 
 import contextlib

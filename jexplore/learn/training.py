@@ -1,4 +1,4 @@
-"""Training from beginning to end: rounds of a trainer, checks on worlds that it does not train in, what is kept.
+"""Training from beginning to end: rounds of a trainer, checks on validation worlds, stored results.
 
 pandas and matplotlib are imported by the functions that need them.
 """
@@ -60,7 +60,7 @@ TRAINERS: dict[str, Trainer] = {
 
 
 class Plan(NamedTuple):
-    """What is to be trained."""
+    """Settings of a training."""
 
     algo: str
     network: str
@@ -83,7 +83,7 @@ class Plan(NamedTuple):
 @checked_names
 @dataclasses.dataclass(frozen=True)
 class Trained:
-    """What `run_training` found."""
+    """Result of `run_training`."""
 
     model: Model
     """The best model by the checks."""
@@ -99,7 +99,7 @@ class Trained:
         return Strategy(f"{name}+recheck" if recheck else name, policy_of(self.model), recheck)
 
     def save(self, path: str | os.PathLike[str]) -> Path:
-        """Writes the model, for `learned:path=`: `PATH.msgpack`, and `PATH.json` beside it. The path of the former."""
+        """Write the model, for `learned:path=`: `PATH.msgpack`, and `PATH.json` next to it; return the former path."""
         file = Path(os.path.expanduser(path))
         file = file if file.suffix == ".msgpack" else file.with_name(f"{file.name}.msgpack")
         if not file.parent.is_dir():
@@ -215,34 +215,33 @@ def train(
     on_progress: Callable[[int], object] | None = None,
     progress: bool | None = None,
 ) -> Trained:
-    """Trains a strategy that scores frontier clusters: `jexplore train` as a function.
+    """Train a strategy that scores frontier clusters: `jexplore train` as a function.
 
     Args:
       algo: one of `TRAINERS`.
       network: one of `networks.NETWORKS`.
       worlds: names or `World`s to train in.
-      validation: names or `World`s to watch on, none of them among `worlds`.
-      model: where training begins: a `Model`, or the path of one. Without it, at `closest`, or near it for `attention`.
+      validation: names or `World`s for validation, none of them among `worlds`.
+      model: initial `Model`, or its path. Default: equal to `closest`, or near it for `attention`.
       settings: of the algorithm, by name.
       rounds: of training.
       check_every: rounds from one check on the validation worlds to the next, of which `rounds` is a multiple unless it
         is smaller; the best model by them is the result.
       patience: checks without a better one after which training ends; 0: never.
       starts: on each validation world.
-      seed: of all that is random.
+      seed: of all draws.
       cell_m: edge of a cell of the worlds that are loaded by name, metres.
       lidar: `Lidar`, or a mapping of some of its fields.
-      rules: `Rules`, likewise.
+      rules: `Rules`, or a mapping of some of its fields.
       workers: cores; by default all.
       on_progress: called with the number of rounds made.
-      progress: whether a bar shows that; by default in notebooks.
+      progress: show a bar; by default in notebooks.
 
     Returns:
       `Trained`.
 
     Raises:
-      InputError: a world, number or name that cannot be used; weights that became no finite numbers before the first
-        check.
+      InputError: a world, number or name that cannot be used; weights that are not finite before the first check.
     """
     use_compilation_cache()
     trained, watched = (prepare_bank(some, cell_m=cell_m, lidar=lidar, rules=rules) for some in (worlds, validation))

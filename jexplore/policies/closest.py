@@ -22,5 +22,5 @@ def closest() -> Policy:
 
 
 def is_nearest(policy: Policy) -> bool:
-    """Whether a policy chooses as this one does, and by nothing else."""
+    """Return whether a policy chooses exactly as this one."""
     return policy.select is _select

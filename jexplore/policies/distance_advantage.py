@@ -1,12 +1,12 @@
-"""Strategies that weigh the robot's path against what is left behind: `distance-advantage` and `small-first`.
+"""Strategies that weigh the robot's path against the clusters left behind: `distance-advantage` and `small-first`.
 
 Distance advantage: go to the frontier cluster that is near to the robot and far from the other clusters. Ericson,
 Pedro, Jensfelt, "Information Gain Is Not All You Need", 2025, arXiv 2504.01980. Gain only decides which clusters are
-considered at all: what is left behind alone costs a detour later.
+considered: an isolated cluster left behind costs a detour later.
 
-Small first, this package's own: the others count by the unknown area that a look would show there, because that is
-where the robot will spend its time, and a cluster with much unknown behind it is put off, because it draws the robot
-in. What is small and near is so finished before the robot goes where it does not soon come back from.
+Small first, this package's own: the other clusters count by the unknown area that a look-around would show there,
+because the robot will spend its time there; a cluster with a large unknown area is put off, because it draws the robot
+in. Small, near clusters are finished before the robot leaves for long.
 """
 
 from typing import NamedTuple
@@ -26,7 +26,7 @@ LEAST = 1e-6  # keeps a quotient finite where nothing counts
 class Params(NamedTuple):
     """Parameters of both, so that they share a program."""
 
-    weight: float  # of the mean distance from the other clusters, beside the robot's own path
+    weight: float  # of the mean distance from the other clusters, relative to the robot's own path
     min_gain: int  # unknown cells that a look must show for a cluster to be considered
     by_area: bool = False  # whether the others count by the unknown area that a look would show there
     side_weight: float = 0.0  # of the side of a square as large as that area at the cluster itself

@@ -89,10 +89,10 @@ class Params(NamedTuple):
 
 
 def own_segment(params: Params, belief: Belief) -> tuple[Array, Array, Array]:
-    """Cells of the segment that the robot is in, whether that is a room, and what did not fit.
+    """Return the robot's segment, whether it is a room, and the cells that did not fit.
 
-    A room has a door, and is no larger than rooms are: corridors, halls and caves are not preferred to what lies beside
-    them. A door is a critical point no wider than doors are; a basin has one if its widest way out is no wider.
+    A room has a door, and is no larger than rooms are: corridors, halls and caves get no preference. A door is a
+    critical point no wider than doors are; a basin has a door if its widest exit is no wider.
 
     Args:
       params: `Params`.

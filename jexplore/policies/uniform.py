@@ -40,5 +40,5 @@ def uniform() -> Policy:
 
 
 def is_uniform(policy: Policy) -> bool:
-    """Whether a policy chooses as this one does, and by nothing else."""
+    """Return whether a policy chooses exactly as this one."""
     return policy.select is _select

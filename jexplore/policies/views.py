@@ -1,4 +1,4 @@
-"""What strategies that go to view points share: samples near frontiers, and the best of them by gain and path."""
+"""Common code of strategies that go to view points: samples near frontiers, and the best of them by gain and path."""
 
 import dataclasses
 import functools
@@ -48,8 +48,9 @@ def views(weight: tuple[str, float], samples: int, spread_m: float, min_gain: in
 
 
 def gain_for_path(params: Views, gain: Array, path_m: Array) -> Array:
-    """What a gain is worth after a path, float32: discounted by it, `gain exp(-weight path)`, or its share of it,
-    `gain / (weight + path)`. Both in one, so that strategies that differ in this only share a program.
+    """Compute the value of a gain after a path, float32: `gain exp(-weight path)` or `gain / (weight + path)`.
+
+    Both forms in one, so that strategies that differ only here share a program.
     """
     return jnp.where(params.by_rate, gain / (params.weight + path_m), gain * jnp.exp(-params.weight * path_m))
 

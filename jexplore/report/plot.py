@@ -118,8 +118,7 @@ def _centres_m(cells, cell_m):
 
 def bars(ax: Axes, labels: Sequence[str], means: Any, sds: Any, title: str = "", *,
          styles: Iterable[Any] | None = None, at: Any = None, thickness: float = 0.72) -> Any:  # fmt: skip
-    """Draw mean path lengths as bars with whiskers of one standard deviation and numbers next to them, the first on
-    top.
+    """Draw mean path lengths as bars with whiskers of one standard deviation and numbers next to them, first on top.
 
     Args:
       ax: the axes.

@@ -153,8 +153,7 @@ def short_names(names: Sequence[str]) -> list[str]:
 
 
 def file_names(texts: Sequence[str]) -> list[str]:
-    """Make names for files, one for each text, in order: as much of the text as every file system takes, without
-    duplicates.
+    """Make a file name for each text: as much of the text as every file system takes, without duplicates.
 
     Args:
       texts: contents of the files, such as `floor1/map.yaml-closest-0`.

@@ -102,7 +102,7 @@ def warn_of_outside(world: World, reached: np.ndarray) -> bool:
 
     Args:
       world: a `World`.
-      reached: `[H, W]` bool, clear cells that robots get to from where they start.
+      reached: `[H, W]` bool, clear cells that robots reach from their starts.
 
     Returns:
       Whether it was said, as an `InputWarning`.
@@ -138,7 +138,7 @@ def warn_of_floor(world: World, reached: np.ndarray, clearance_m: float, *, draw
 
     Args:
       world: a `World`.
-      reached: `[H, W]` bool, clear cells that robots get to from where they start.
+      reached: `[H, W]` bool, clear cells that robots reach from their starts.
       clearance_m: the robot's.
       drawn: bool, starts are drawn; a chosen one may lie outside without a warning.
     """

@@ -188,7 +188,7 @@ class Select(_Theirs):
 
 
 def _leads_there(belief, route, choice):
-    """Whether a way leads from the robot to its target over cells that it would step into: bool."""
+    """Return whether a path leads from the robot to its target over cells that it would step into: bool."""
     height, width = route.shape
     moves = jnp.asarray(MOTIONS, jnp.int32)
 
@@ -273,7 +273,7 @@ def with_exact_numbers(strategy: Strategy) -> Strategy:
 
 
 def _refused(value):
-    """What a parameter must be and is not; None where nothing is wrong, or it is no number at all."""
+    """Return the requirement that a parameter violates; None if it is valid or no number."""
     if isinstance(value, int) and not -(2**31) <= value < 2**31:  # numpy has no such type for the largest
         return _WHOLE
     kind = getattr(value, "dtype", np.dtype(type(value) if isinstance(value, (float, complex)) else bool))
@@ -298,7 +298,7 @@ _REAL = f"from -{np.finfo(np.float32).max:.3g} to {np.finfo(np.float32).max:.3g}
 
 
 def is_theirs(policy: Policy) -> bool:
-    """Whether a policy, or the one that it modifies, comes from outside this package."""
+    """Return whether a policy, or the one that it modifies, comes from outside this package."""
     inner = getattr(policy.select, "inner", policy.select)
     return isinstance(inner, _Theirs)
 
@@ -308,7 +308,7 @@ def _anew(policy, digest=None):
 
 
 def digest_of(policy: Policy) -> str | None:
-    """What tells a user's strategy that was traced from others, in every process; None where nothing does."""
+    """Return the digest that identifies a user's traced strategy in every process; None without one."""
     return getattr(getattr(policy.select, "inner", policy.select), "digest", None)
 
 

@@ -20,7 +20,7 @@ _FOREIGN = re.compile(r"(?P<module>[A-Za-z_][\w.]*):(?P<name>[A-Za-z_]\w*)(?=$|[
 
 
 def _defaults(make):
-    """Keyword parameters with their defaults: dict; `inspect.Parameter.empty` where there is none."""
+    """Return keyword parameters with their defaults: dict; `inspect.Parameter.empty` without one."""
     return {key: p.default for key, p in parameters(make).items()}
 
 

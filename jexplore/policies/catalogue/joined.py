@@ -16,7 +16,7 @@ from jexplore.reach import FAR
 
 
 class Params(NamedTuple):
-    """Which of the strategies it is, and the parameters of all."""
+    """Index of the selected strategy, and the parameters of all."""
 
     which: Any  # int32
     each: tuple[Any, ...]
@@ -35,7 +35,7 @@ class Joined:
     def select(
         self, key: Array, params: Params, carry: Any, belief: Any, beams: Any, route: Array
     ) -> tuple[Any, Choice, Array]:
-        """What the one that it is chooses; the others are not asked."""
+        """Choose by the selected strategy alone."""
         none, zero = jnp.int32(-1), jnp.int32(0)
         state: Any = carry, Choice(none, none, jnp.int32(FAR), zero, jnp.bool_(False), zero), route
         for i, policy in enumerate(self.policies):
@@ -49,7 +49,7 @@ class Joined:
         return state
 
     def live(self, params: Params, belief: Any, beams: Any, row: Array, col: Array) -> Array:
-        """Whether a view point is worth going to, by the one that it is."""
+        """Return whether a view point is live for the selected strategy."""
         live = jnp.bool_(True)
         for i, policy in enumerate(self.policies):
             if policy.live is not None:

@@ -1,6 +1,6 @@
-"""What somebody else has written: found in a module, described in messages, called, its parameters read.
+"""Users' strategies: found in a module, described in messages, called, their parameters read.
 
-What a user gave is named in every message: the function, its file and line, and what went wrong.
+Every message names the user's function, its file and line, and the error.
 """
 
 import contextlib
@@ -35,7 +35,7 @@ def bare(thing: Any) -> Any:
 
 
 def name_of(thing: Any) -> str | None:
-    """What a strategy, function or class is called; None if it has no name."""
+    """Return the name of a strategy, function or class; None without one."""
     return getattr(bare(thing), "__name__", None)
 
 
@@ -59,7 +59,7 @@ def _short(file):
 
 
 def described(thing: Any) -> str:
-    """How messages call what a user gave: `nearest (mine.py:3)`."""
+    """Describe a user's object in messages: `nearest (mine.py:3)`."""
     return f"{name_of(thing) or type(bare(thing)).__name__} ({place_of(thing)})"
 
 
@@ -81,7 +81,7 @@ def call(function: Callable[..., Any], what: str, *args: Any, **kwargs: Any) -> 
 
 
 def _hint(error):
-    """What would be right, for what everybody meets once."""
+    """Return a hint for common errors."""
     if isinstance(error, (jax.errors.ConcretizationTypeError, jax.errors.TracerArrayConversionError)):
         return " Values are not known while JAX traces: jnp.where instead of if, jnp instead of math and numpy."
     if isinstance(error, AttributeError) and isinstance(error.obj, View):
@@ -97,7 +97,7 @@ _LIBRARIES = tuple(
 
 
 def is_library(file: str) -> bool:
-    """Whether a file belongs to Python, jax, numpy or this package: not to what a user or another package wrote."""
+    """Return whether a file belongs to Python, jax, numpy or this package, rather than to a user or another package."""
     file = os.path.abspath(file)
     installed = "site-packages" in file or "dist-packages" in file
     return file.startswith(_LIBRARIES) or (file.startswith(_PYTHON) and not installed) or "<frozen" in file
@@ -124,12 +124,12 @@ def _signature(make):
 
 
 def _is_needed(parameter):
-    """Whether it is a positional argument without a default."""
+    """Return whether it is a positional argument without a default."""
     return parameter.kind in OUTER and parameter.default is parameter.empty
 
 
 def is_score(make: Any) -> bool:
-    """Whether a callable is a score: it has a positional argument without a default, the view.
+    """Return whether a callable is a score: it has a positional argument without a default, the view.
 
     Raises:
       InputError: it has several.
@@ -149,7 +149,7 @@ _LOADED: dict[str, tuple[str, bytes]] = {}  # modules of the current folder: fil
 
 
 class _FromSource(importlib.machinery.SourceFileLoader):
-    """Loads what is written in a file now. The bytecode that Python keeps knows a file by its size and second only."""
+    """Loader of a file's present source. Python's bytecode cache identifies a file by size and second only."""
 
     def get_code(self, fullname):
         file = self.get_filename(fullname)
@@ -178,7 +178,7 @@ class _Here:
 
 
 def _is_own(file, folder):
-    """Whether a file lies in a folder and is nothing that is installed, as in an environment in that folder."""
+    """Return whether a file lies in a folder and is not installed, as in an environment inside that folder."""
     if is_library(file) or "site-packages" in file or "dist-packages" in file:
         return False
     return os.path.realpath(file).startswith(os.path.join(os.path.realpath(folder), ""))
@@ -244,20 +244,20 @@ def _imported_from(here, top):
 
 
 def _is_theirs(name, module, here):
-    """Whether a user has imported a module from a folder: one with source, and not the program itself."""
+    """Return whether a user has imported a module from a folder: with source, and not the program itself."""
     file = getattr(module, "__file__", None)
     is_source = isinstance(file, str) and file.endswith(".py")
     return is_source and name != "__main__" and name not in _LOADED and _is_own(file, here)
 
 
 def is_replaced(thing: Any) -> bool:
-    """Whether the module that defines a function has been imported anew since."""
+    """Return whether the module that defines a function has been imported anew since."""
     module = sys.modules.get(getattr(bare(thing), "__module__", None) or "")
     names = getattr(bare(thing), "__globals__", None)
     return module is not None and names is not None and vars(module) is not names
 
 
 def _content(file):
-    """What is in a file now; None where there is none."""
+    """Return the present content of a file; None if it does not exist."""
     with contextlib.suppress(OSError), open(file, "rb") as opened:
         return opened.read()

@@ -1,7 +1,7 @@
-"""What tells functions apart by what they compute: what JAX writes down when it traces them.
+"""Identity of functions by the computation that JAX traces.
 
-It holds every number that the functions work with, wherever that comes from: a helper, an object, a file. What JAX does
-not see is what a callback does in Python.
+The trace holds every number that the functions work with, from any source: a helper, an object, a file. It does not
+hold the Python code of a callback.
 """
 
 import hashlib
@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.extend.core import ClosedJaxpr, Jaxpr, Literal
 
-_ADDRESS = re.compile(r"0x[0-9a-fA-FX]+")  # of an object in memory, which says nothing of it
+_ADDRESS = re.compile(r"0x[0-9a-fA-FX]+")  # address of an object in memory, irrelevant here
 
 
 def digest(traced: ClosedJaxpr) -> str | None:

@@ -1,4 +1,4 @@
-"""Models as files: `NAME.msgpack`, the weights, and `NAME.json` beside it, what they are of and how they were made."""
+"""Models as files: `NAME.msgpack`, the weights, and `NAME.json` next to it, their network, features and training."""
 
 import hashlib
 import json
@@ -40,7 +40,7 @@ def digest(weights: Any) -> str:
 
 
 def is_finite(weights: Any) -> bool:
-    """Whether all of some weights are finite numbers."""
+    """Return whether all weights are finite numbers."""
     return all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(weights))
 
 
@@ -85,10 +85,10 @@ def write_page(path: Path, model: Model) -> None:
 
 
 def load_model(path: str | os.PathLike[str]) -> Model:
-    """A model from its files.
+    """Load a model from its files.
 
     Args:
-      path: of the weights or of the JSON beside them.
+      path: of the weights or of their JSON.
 
     Raises:
       InputError: a file is missing, damaged, of another version, of another network or other features than this

@@ -37,7 +37,7 @@ class Attention(nn.Module):
         seen = nn.MultiHeadDotProductAttention(self.heads)(nn.LayerNorm()(x), mask=mask)
         x = x + jnp.where(jnp.any(used, axis=-1)[..., None, None], seen, 0.0)
         x = x + nn.Dense(self.width)(nn.relu(nn.Dense(2 * self.width)(nn.LayerNorm()(x))))
-        # Beside a weighted sum, so that training can begin where that is.
+        # In addition to a weighted sum, so that training can begin at that.
         plain = self.param("plain", nn.initializers.zeros, (features.shape[-1],))
         return nn.Dense(1, kernel_init=nn.initializers.normal(0.01))(nn.LayerNorm()(x))[..., 0] + features @ plain
 
@@ -47,10 +47,10 @@ NETWORKS: dict[str, Callable[[], Any]] = {"linear": Linear, "attention": Attenti
 
 
 def network(name: str) -> Any:
-    """A network by its name.
+    """Return a network by its name.
 
     Raises:
-      InputError: there is none of that name.
+      InputError: unknown name.
     """
     if name not in NETWORKS:
         raise unknown("network", name, NETWORKS)

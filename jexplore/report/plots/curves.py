@@ -13,8 +13,7 @@ from jexplore.report.plots.looks import FONT, GREY, band_of, legend_below, looks
 
 
 def quartiles(progress: Any) -> np.ndarray:
-    """Compute quartiles over episodes of the paths at which each share was known; episodes that never knew it come
-    last.
+    """Compute quartiles over episodes of the paths at which each share was known; never known counts as inf.
 
     Args:
       progress: `[N, M]` float, metres, NaN where an episode never knew that share; N >= 1.

@@ -35,8 +35,7 @@ def course(
     loops: int = 0,
     repeat: int = 0,
 ) -> World:
-    """Generate a way from a start to a goal, for a robot that at a junction takes the first way counter-clockwise from
-    behind.
+    """Generate a course from start to goal, for a robot that takes the first way counter-clockwise from behind.
 
     Seed 0 is the course described in the paper: a passage, a slope of 10 degrees up and down, a junction (right), an
     elevator hall passed along its right wall, a junction (right), the goal; the lengths are ours. Every other seed
@@ -48,8 +47,8 @@ def course(
     With `loops` or `repeat` there is no goal, and the topology is whole: a passage with the obstacle leads to rings or
     equal junctions; those of seed 0 are 6 m apart.
 
-    Everything is a multiple of 0.2 m, so one seed is one course where `cell_m` divides that; at other cells widths are
-    rounded to whole cells, and the topology with them.
+    All lengths are multiples of 0.2 m: a seed gives the same course for every `cell_m` that divides 0.2 m; at other
+    cells widths are rounded to whole cells, and the topology with them.
 
     Args:
       seed: integer from 0.

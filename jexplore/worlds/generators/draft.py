@@ -70,9 +70,7 @@ def require_size(
 
 
 def passable_cells(cell_m: float) -> int:
-    """Return the narrowest gap that a robot can pass, cells: one of its cells has more than `CLEARANCE_M` to both
-    sides.
-    """
+    """Return the narrowest passable gap, cells: one of its cells has more than `CLEARANCE_M` to both sides."""
     return 2 * math.isqrt(radius_d2(CLEARANCE_M, cell_m)) + 1
 
 

@@ -125,9 +125,7 @@ def _pieces(rng, plan: FloorPlan, number: int, doors: Sequence[Door], standing: 
 
 
 def _at_a_wall(rng, plan, walls, rects, name, beyond_m):
-    """Place a piece somewhere along the walls of a room, `beyond_m` metres next to it left free; None if it does not
-    fit.
-    """
+    """Place a piece somewhere along a room's walls, `beyond_m` metres next to it left free; None if it does not fit."""
     length, depth, parts = _wall_piece(rng, name)
     lengths = np.array([side.high - side.low for side in walls])
     if not len(lengths):

@@ -40,8 +40,8 @@ def hospital(
 
     In the ward, a corridor runs round a core (several for buildings from 25 m in height; a single straight one below 15
     m). Patient rooms lie at the facades, most with a bathroom next to the entrance; nurses, stores and treatment lie in
-    the core. The corridors end at the hall. The treatment wing has one corridor, patient rooms on one side of it and on
-    the other suites of a waiting room and the rooms behind it; it may be less deep than the ward.
+    the core. The corridors end at the hall. The treatment wing has one corridor, patient rooms on one side and on the
+    other suites of a waiting room and the rooms behind it; it may be less deep than the ward.
 
     Args:
       seed: integer from 0.

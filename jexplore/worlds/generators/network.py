@@ -127,9 +127,7 @@ def _sides_of(column, row):
 
 
 def _wanted(draw, sides, repeat):
-    """Return places, keys of column and row, and headings of dead ends that rings may have; none next to equal
-    junctions.
-    """
+    """Return places, keys of column and row, and headings of dead ends for rings; none next to equal junctions."""
     found = []
     if draw.rng is None:
         return found
@@ -228,7 +226,7 @@ def _turned(rects, quarters, mirrored):
 
 
 def _planned(places: list[Rect], pairs: Iterable[tuple[int, int]], before_m, creases, angle_deg) -> Network:
-    """Return the `Network` of places and passages; the first passage has the start and, `before_m` from its end, the
+    """Return the `Network` of places and passages; the first passage has the start and, `before_m` from its end, a
     ramp.
     """
     ways = [(a, b, _heading(places[a], places[b])) for a, b in pairs]
