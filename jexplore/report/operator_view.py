@@ -137,7 +137,7 @@ def _present(recording):
 
 
 def _data(recording):
-    """Return the data for the page: packed arrays by name, the rest unchanged. Triangles lie end to end, without NaN."""
+    """Return the data for the page: packed arrays by name, the rest as is. Triangles lie end to end, without NaN."""
     arrays = {name: getattr(recording, name) for name in _SHAPES}
     present = _present(recording)
     rank = np.cumsum(present, axis=1) - 1

@@ -1,4 +1,4 @@
-"""What is checked, loaded and drawn before anything is compiled: worlds, strategies, starts, memory."""
+"""Checks, loading and drawing before anything is compiled: worlds, strategies, starts, memory."""
 
 import contextlib
 import hashlib
@@ -25,13 +25,13 @@ from jexplore.worlds.world import World, checked, ringed_shape
 WorldLike: TypeAlias = str | os.PathLike[str] | World
 """A world, or the name or file of one."""
 StrategyLike: TypeAlias = str | Policy | Strategy | Callable[..., Any]
-"""What `policies.strategy` makes a strategy of."""
+"""Input of `policies.strategy`."""
 LidarLike: TypeAlias = Lidar | Mapping[str, Any]
 """A scanner, or a mapping of those of its fields that are not the defaults."""
 RulesLike: TypeAlias = Rules | Mapping[str, Any]
-"""Rules, likewise."""
+"""`Rules`, or a mapping of some of its fields."""
 StartLike: TypeAlias = str | tuple[int, int, int] | Pose
-"""Where episodes start: see `poses.read_start`."""
+"""Start of episodes: see `poses.read_start`."""
 LIDAR, RULES = Lidar(), Rules()  # the defaults
 CELL_BYTES = 120  # of one episode under way and of the world itself, measured on a CPU; a cell of the padded map
 TRAIL_BYTES = 24  # a step
@@ -58,7 +58,7 @@ def listed(kind: str, items: Any) -> list[Any]:
 
 
 def ready_settings(lidar: LidarLike, rules: RulesLike) -> tuple[Lidar, Rules]:
-    """Scanner and rules, from records or from mappings of some of their fields; refuses what is neither."""
+    """Make scanner and rules from records or from mappings of some of their fields; refuse anything else."""
     return as_record("lidar", lidar, Lidar), as_record("rules", rules, Rules)
 
 

@@ -32,10 +32,10 @@ def compare(
     keep: str | None = None,
     out: str | os.PathLike[str] | None = None, overwrite: bool = False, resume: bool = False, trust: bool = False,
 ) -> Comparison:  # fmt: skip
-    """Runs every strategy in every world, from the same starts. An interruption keeps what is finished.
+    """Run every strategy in every world, from the same starts. An interruption keeps finished episodes.
 
     Args:
-      worlds: names (`worlds.load_world`) or `World`s; one may stand for itself.
+      worlds: one or several names (`worlds.load_world`) or `World`s.
       strategies: names, functions of the view, constructors, `Policy`s (`policies.strategy`); the others are compared
         with the first.
       episodes: of each strategy in each world. More episodes leave the earlier ones as they were.
@@ -46,17 +46,17 @@ def compare(
       within: region that robots stay in, corners in metres: see `restrict.stay_within`.
       from_map: partial map that they have from the beginning: see `restrict.with_known`.
       lidar: `Lidar`, or a mapping of those of its fields that are not the defaults: `{"range_m": 4}`.
-      rules: `Rules`, likewise.
+      rules: `Rules`, or such a mapping.
       engine: one of `runner.ENGINES`; by default serial. Results are equal.
       lanes: episodes at a time on each device in lockstep; by default as many as its memory holds.
       workers: threads of the serial engine; by default one a core.
-      on_progress: called now and then with the number of episodes finished.
-      progress: whether a bar shows that; by default in notebooks.
+      on_progress: called regularly with the number of finished episodes.
+      progress: show a bar; by default in notebooks.
       keep: "paths" for the way of every episode, 12 bytes a step, "maps" for its last map as well, a byte a cell.
-      out: folder to write, as `jexplore compare` does: see `Comparison.save`. What is finished is kept on the way.
-      overwrite: whether the folder may hold a run, which is then replaced.
-      resume: whether to go on with the run that the folder holds, if there is one.
-      trust: whether that takes strategies of your own for what they were, even where nothing tells.
+      out: folder to write, as `jexplore compare` does: see `Comparison.save`. Finished episodes are stored on the way.
+      overwrite: replace a run in the folder.
+      resume: continue a run in the folder, if any.
+      trust: when continuing, take your own strategies as unchanged even if that cannot be checked.
 
     Raises:
       InputError: what cannot be used. Raised before anything is compiled.
@@ -76,7 +76,7 @@ def compare(
 
 
 def asked_of(jobs: Sequence[Job], keep: str | None) -> dict[str, Any]:
-    """What a comparison is asked, as the command has it: of two with equal ones the units are equal."""
+    """Return the settings of a comparison in the command's form: equal settings mean equal units."""
     more = {"keep": keep} if keep else {}
     return {"command": "compare", **provenance.asked(jobs), **more, "bound_seconds": None}
 

@@ -60,7 +60,7 @@ class EnvState:
 
 @struct.dataclass
 class _Bank:
-    """What all episodes of an environment share. An argument of its programs: environments of one shape share them."""
+    """Shared data of all episodes of an environment. An argument of its programs: environments of one shape share them."""
 
     beams: Beams
     scenes: Truth  # [M, ...]
@@ -82,7 +82,7 @@ class Environment:
     """
 
     worlds: tuple[World, ...]
-    """What may be explored, in order."""
+    """Worlds to explore, in order."""
     shape: tuple[int, int]
     """`(H, W)` of all maps: that of the largest world, padded. Cells of a view, an action and a path are those of the
     world."""
@@ -99,16 +99,16 @@ class Environment:
         recheck: bool = False,
         paths: bool = False,
     ) -> None:
-        """Loads the worlds.
+        """Load the worlds.
 
         Args:
           worlds: names (`load_world`) or `World`s, one or several with cells of one size.
           cell_m: edge of a cell of the worlds that are loaded by name, metres.
           lidar: `Lidar`, or a mapping of some of its fields.
-          rules: `Rules`, likewise.
-          recheck: whether a frontier cell that is driven to is given up as soon as it is no longer live.
-          paths: whether a state keeps the whole way, for `path`; that takes 8 bytes for every
-            cell of the map, at least 160 kB.
+          rules: `Rules`, or a mapping of some of its fields.
+          recheck: give up a frontier cell as soon as it is no longer live.
+          paths: keep the whole way in the state, for `path`; that takes 8 bytes for every cell of the map, at least 160
+            kB.
 
         Raises:
           InputError: no world, one that cannot be loaded, or one without a clear cell; cells of different sizes.
@@ -187,11 +187,11 @@ class Environment:
         return _reset(self._setup, self._bank, jax.random.clone(key), start.astype(jnp.int32), world)
 
     def step(self, key: Array, state: EnvState, action: Any) -> tuple[EnvState, View, Array, Array, dict[str, Array]]:
-        """Drives to a target, until it is reached, found to be out of reach, or given up.
+        """Drive to a target, until it is reached, found to be out of reach, or given up.
 
         Args:
-          key: draws the scanner's noise, from a stream that depends on the scans made so far: the episode's own key,
-            the same at every step, gives the noise of a comparison. Not consumed.
+          key: draws the scanner's noise, from a stream that depends on the number of scans: the episode's own key, the
+            same at every step, gives the noise of a comparison. Not consumed.
           state: `EnvState`.
           action: int32 `[2]`, row and col of a cell of finite `view.cost`. Any other moves nothing, and
             `info["valid"]` is False.
@@ -200,7 +200,7 @@ class Environment:
           state: `EnvState`; as it was once the episode is over.
           view: `View`.
           reward: float32, minus the metres driven.
-          done: bool, whether the episode is over: with the step that leaves no frontier, or at a limit of the rules.
+          done: bool, the episode is over: with the step that leaves no frontier, or at a limit of the rules.
           info: dict of `valid`, bool; `outcome`, int32, an `Outcome`; `path_m`, float32, metres driven since the start;
             `known_m2`, float32, known area.
 
@@ -214,7 +214,7 @@ class Environment:
         return _step(self._setup, self._bank, jax.random.clone(key), state, action)
 
     def path(self, state: EnvState) -> np.ndarray:
-        """The way driven so far, of an environment with `paths=True`: `[n + 1, 2]` int32, row and col; on the host.
+        """Return the driven way, of an environment with `paths=True`: `[n + 1, 2]` int32, row and col; on the host.
 
         Raises:
           InputError: an environment that does not keep it.
@@ -260,7 +260,7 @@ def _given(bank, key, world, start):
 
 
 def _inside(shape, row, col):
-    """Whether a cell lies on the maps, and the cell, or (0, 0), which is a wall, instead of it."""
+    """Return whether a cell lies on the maps, and the cell; outside, (0, 0), which is a wall."""
     inside = (row >= 0) & (row < shape[0]) & (col >= 0) & (col < shape[1])
     return inside, jnp.where(inside, row, 0), jnp.where(inside, col, 0)
 

@@ -60,7 +60,7 @@ class Frame(NamedTuple):
 @checked_names
 @dataclasses.dataclass(frozen=True)
 class Episode:
-    """What `explore` found."""
+    """Result of `explore`."""
 
     world: World
     strategy: str
@@ -84,7 +84,7 @@ class Episode:
 
     @property
     def title(self) -> str:
-        """What a picture says above itself."""
+        """Return the title of a picture."""
         return f"{self.strategy} in {self.world.name}: {self.measures['path_m']:.1f} m, {self.measures['outcome']}"
 
     def figure(self) -> "Figure":
@@ -201,7 +201,7 @@ def explore(
     lidar: LidarLike = LIDAR,
     rules: RulesLike = RULES,
 ) -> Episode:
-    """Runs one episode and keeps its map and way.
+    """Run one episode and keep its map and way.
 
     It is that episode of a comparison with the same world, strategy, seed, start, scanner and rules.
 
@@ -216,7 +216,7 @@ def explore(
       within: region that the robot stays in, corners in metres: see `restrict.stay_within`.
       from_map: partial map that it has from the beginning: see `restrict.with_known`.
       lidar: `Lidar`, or a mapping of those of its fields that are not the defaults: `{"range_m": 4}`.
-      rules: `Rules`, likewise.
+      rules: `Rules`, or such a mapping.
 
     Returns:
       `Episode`.
@@ -315,11 +315,11 @@ def steps_of(episode: Episode) -> Iterator[replay.Moment]:
 
 
 def frames(episode: Episode, *, max_frames: int = MAX_FRAMES) -> Iterator[Frame]:
-    """The episode again, step by step.
+    """Play the episode again, step by step.
 
     Args:
       episode: `Episode`.
-      max_frames: at most so many frames, evenly spaced over the steps; the last step is always one.
+      max_frames: most frames, evenly spaced over the steps; the last step is always one.
 
     Yields:
       `Frame`s.

@@ -1,16 +1,16 @@
-"""The question behind `jexplore worlds --geometry`: what kind of building is this, and how full of furniture?
+"""Geometry of a building for `jexplore worlds --geometry`: its kind, and its amount of furniture.
 
-- An obstacle is an 8-connected component of occupied cells; its length is the longer side of its bounding box. The
-  one that reaches the edge of the map, and those longer than 1.25 m, are the walls. The others are islands: legs,
-  columns, bins. What stands against a wall is part of the wall.
-- Ways round longer than 2.5 m: obstacles inside the map whose boundary is, taken as twice the length; the holes of
-  the free space that are no islands. Each is one independent cycle of the building's passages.
+- An obstacle is an 8-connected component of occupied cells; its length is the longer side of its bounding box. The one
+  that reaches the edge of the map, and those longer than 1.25 m, are the walls. The others are islands: legs, columns,
+  bins. Furniture against a wall is part of the wall.
+- Cycles longer than 2.5 m: obstacles inside the map with such a boundary, taken as twice the length, that is, the holes
+  of the free space other than islands. Each adds an independent cycle to the building's passages.
 - Rooms are those that the world knows, else the segments, over 0.25 m2, of `jexplore.segment` (variant holz, the
   settings of `jexplore segment`) in the map without its islands.
-- Openings, where the rooms are known: 4-connected sets of free cells that lie in no room and touch two or more
-  rooms, and of cells of one room beside another's; where the rooms are segments: critical points with a different
-  room on either side. The width is that of the widest disc with its middle in the opening: between obstacles, or
-  between the walls where the rooms are segments.
+- Openings, where the rooms are known: 4-connected sets of free cells that lie in no room and touch two or more rooms,
+  and of cells of one room next to another's; where the rooms are segments: critical points with a different room on
+  either side. The width is that of the widest disc with its middle in the opening: between obstacles, or between the
+  walls where the rooms are segments.
 - Corridors: runs of cells that have walls on opposite sides, at equal distances and 0.8 to 4 m apart, at least
   three times as long as the median distance between these walls, which is their width.
 """
@@ -35,8 +35,8 @@ WALL_M = 1.25  # an obstacle longer than this, its boundary than 2.5 m, is a wal
 LEG_M = 0.3  # an island longer than this is more than a leg
 WIDE_M = 1.6  # an opening from this width on is no door
 SMALL_M2, LARGE_M2 = 8.0, 60.0  # rooms below, rooms over
-CORRIDOR_M = (0.8, 4.0)  # what is narrower is a slot, what is wider a hall
-SLENDER = 3.0  # a corridor is at least so many times longer than wide
+CORRIDOR_M = (0.8, 4.0)  # a narrower one is a slot, a wider one a hall
+SLENDER = 3.0  # least ratio of length and width of a corridor
 _EIGHT = np.ones((3, 3), bool)
 _OPPOSITE = -0.5  # cosine of the angle at which two walls are seen that lie on opposite sides: 120 degrees and more
 
@@ -194,7 +194,7 @@ def _obstacles(occupied, cell_m):
 def _known_rooms(free, rooms):
     """`(labels, joined, at)` of a world that knows its rooms: see `_found_rooms`."""
     labels: Any = np.where(free, np.asarray(rooms, np.int32), -1)
-    beside = np.zeros(free.shape, bool)  # cells of a room beside one of another
+    beside = np.zeros(free.shape, bool)  # cells of a room next to one of another
     for axis in (0, 1):
         low, high = (np.moveaxis(a, axis, 0) for a in (labels, beside))
         border = (low[1:] != low[:-1]) & (low[1:] >= 0) & (low[:-1] >= 0)

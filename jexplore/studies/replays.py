@@ -56,19 +56,19 @@ def replay_data(
     outcome: str = "",
     max_frames: int = MAX_FRAMES,
 ) -> ReplayData:
-    """One episode as the frames of a page.
+    """Convert one episode to the frames of a page.
 
     Args:
       world: `World`.
       strategy: `Strategy`.
-      final: what the episode left.
+      final: end state of the episode.
       start: row, col, heading in degrees.
       seed: of the run.
       number: of the episode.
       lidar: `Lidar`.
       rules: `Rules`.
-      outcome: how it ended, a word.
-      max_frames: at most so many, evenly spaced over the steps; the last step is always one.
+      outcome: of the episode, a word.
+      max_frames: most frames, evenly spaced over the steps; the last step is always one.
 
     Returns:
       `ReplayData`: the maps after the last scan at each place that is shown.
@@ -107,7 +107,7 @@ def _has_own_room(strategy):
 
 
 def _seen(world, strategy, final, start, seed, number, lidar, rules, shown):
-    """What `changes_of` makes of the maps at some steps, and the headings there, degrees."""
+    """Return `changes_of` the maps at some steps, and the headings there, degrees."""
     if not _has_own_room(strategy):  # which JAX segments
         seen = show_episode(world, strategy, lidar, rules, start, final, shown, FRONTIER)
         if seen is not None:
@@ -130,7 +130,7 @@ def _images(world, strategy, found, headings):
 
 
 def _aims(final, shown):
-    """What the robot goes to after some numbers of steps, `[F, 2]`, and the steps made when that has ended, `[F]`."""
+    """Return targets after some numbers of steps, `[F, 2]`, and the steps at which they end, `[F]`."""
     steps = len(final.rows) - 1
     made = [plan.step for plan in final.plans]
     ends = [*made[1:], steps]
@@ -167,23 +167,22 @@ def replays_of(
     labels: Sequence[str] = (),
     on_progress: Callable[[int], object] | None = None,
 ) -> tuple[list[ReplayData], list[str]]:
-    """The first episodes of the first jobs, for a page.
+    """Replay the first episodes of the first jobs, for a page.
 
     Args:
       jobs: of a run, in its order.
       lidar: `Lidar` of the jobs that have none of their own.
-      rules: `Rules`, likewise.
-      outcomes: what the jobs left, with episode 0. Episodes that it has not are run, which costs little where what they
-        need is compiled.
-      episodes: so many of each job are shown, or as many as all have.
-      max_pairs: so many jobs are shown, the first ones.
+      rules: `Rules` of the jobs that have none of their own.
+      outcomes: of the jobs, with episode 0. Missing episodes are run, which costs little with compiled programs.
+      episodes: most episodes shown of each job.
+      max_pairs: most jobs shown, the first ones.
       max_frames: of a replay; those of later episodes have `FEWER_FRAMES` at most.
-      labels: what tells each job from others of its world and strategy; by default its seed.
-      on_progress: called with the number of replays made so far.
+      labels: distinguish jobs of one world and strategy; by default their seeds.
+      on_progress: called with the number of finished replays.
 
     Returns:
-      `(replays, notes)`: a `ReplayData` for each episode that is shown, episode by episode; a list of lines, what is
-        missing and why.
+      `(replays, notes)`: a `ReplayData` for each episode that is shown, episode by episode; a list of lines that name
+        missing ones and the reason.
     """
     notes = []
     if len(jobs) > max_pairs:

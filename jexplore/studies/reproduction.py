@@ -1,4 +1,4 @@
-"""A paper's tables reproduced: its strategies in its environments, its figures beside ours, and what it claims tested.
+"""Reproduction of a paper's tables: its strategies in its environments, its figures and ours, and tests of its claims.
 
 pandas and matplotlib are imported by the functions that need them.
 """
@@ -61,10 +61,10 @@ def require_maps(paper: Paper, maps: str | os.PathLike[str]) -> None:
 
 
 def verdict(direction: str, ours: paired.PairedRatio, than: paired.PairedRatio | float = 1.0) -> str:
-    """Whether a ratio's interval lies wholly on the claimed side of a number, or of another ratio's interval.
+    """Decide whether a ratio's interval lies wholly on the claimed side of a number, or of another ratio's interval.
 
     Returns:
-      "holds", "does not hold", or "undecided" where the intervals meet, one is missing, or one is of fewer than
+      "holds", "does not hold", or "undecided" where the intervals meet, or one is missing or has fewer than
         `paired.MIN_PAIRS` pairs.
     """
     is_ratio = isinstance(than, paired.PairedRatio)
@@ -79,14 +79,14 @@ def verdict(direction: str, ours: paired.PairedRatio, than: paired.PairedRatio |
 @checked_names
 @dataclasses.dataclass(frozen=True)
 class Reproduction:
-    """A paper's tables beside ours. Tables are pandas DataFrames."""
+    """A paper's tables and ours. Tables are pandas DataFrames."""
 
     paper: Paper
     comparison: Comparison
     worlds: dict[str, str]
     """Environment -> name of its world."""
     notes: tuple[str, ...]
-    """What must be known to read the tables."""
+    """Notes for reading the tables."""
 
     @functools.cached_property
     def tables(self) -> "pd.DataFrame":
@@ -167,7 +167,7 @@ class Reproduction:
         return "\n".join([*text, "## Orderings\n", _orderings_text(self.orderings)])
 
     def figure(self) -> "Figure":
-        """Bars of mean paths, ours beside the paper's, one panel an environment: a matplotlib `Figure`."""
+        """Draw mean paths as bars, ours and the paper's, one panel an environment: a matplotlib `Figure`."""
         from jexplore.report import plot_papers
 
         return plot_papers.figure(self.tables, self.paper.short)
@@ -235,7 +235,7 @@ def prepare_paper(
 
 
 def notes_of(paper: Paper, maps: str | os.PathLike[str] | None) -> tuple[str, ...]:
-    """What must be known to read the tables of a paper that was run on maps, or on counterparts."""
+    """Return notes for reading the tables of a paper that was run on maps, or on counterparts."""
     return (COUNTERPARTS if maps is None else MAPS, paper.remark)
 
 

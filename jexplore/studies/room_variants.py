@@ -27,9 +27,9 @@ class Settings(NamedTuple):
     smallest_m2: float = watershed.SMALLEST_M2  # voronoi: area of the smallest room, m^2
     clutter_m: float = watershed.CLUTTER_M  # all but the paper's: smaller obstacles are no walls, metres
     prominence_m: float = segment.PROMINENCE_M  # thrun, wurm, holz: see `segment.Criteria`, metres
-    gamma: float = 3.0  # likewise, cells
-    metric: str = "geodesic"  # likewise: see `segment.Form`
-    lines: bool = False  # likewise
+    gamma: float = 3.0  # cells
+    metric: str = "geodesic"  # see `segment.Form`
+    lines: bool = False  # see `segment.Form`
 
 
 class Found(NamedTuple):
@@ -37,7 +37,7 @@ class Found(NamedTuple):
 
     label: np.ndarray  # [H, W] int32; negative for none
     lines: np.ndarray  # [n] int, flat index of the cells of the Voronoi graph, where the variant has one
-    critical: np.ndarray  # [m] int, flat index of its critical points, likewise
+    critical: np.ndarray  # [m] int, flat index of its critical points
     overflow: int  # what did not fit
 
 

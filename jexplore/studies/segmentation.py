@@ -42,11 +42,11 @@ class Task(NamedTuple):
 
 
 class Picture(NamedTuple):
-    """What a variant made of a map."""
+    """Segmentation of a map by a variant."""
 
     name: str  # of the map, as short as tells it from the others
     variant: str
-    explored: float  # share of the map known; 1 for all of it
+    explored: float  # known share of the map; 1: the whole map
     label: np.ndarray  # [H, W] int32
     free: np.ndarray  # [H, W] bool
     lines: np.ndarray  # [n] int, flat index of the cells of the Voronoi graph
@@ -182,7 +182,7 @@ def prepare_maps(
 
 
 def _rooms_in(picture, world):
-    """The true rooms of a world from a picture of it with closed doorways: `[H, W]` int32."""
+    """Return the true rooms of a world from its picture with closed doorways: `[H, W]` int32."""
     parsed = names.parse(os.fspath(world.name), generators=GENERATORS)
     if parsed.kind != "image" or not isinstance(parsed.scale, float | int):
         raise InputError(f"{world.name!r}: ground truth is for maps such as map.png@0.05, metres a pixel")
@@ -212,7 +212,7 @@ def _judged(task, variant, stage, explored, free, made):
     row |= {"stage": stage, "explored": explored}
     seen = None
     if task.truth is not None:
-        # Of a partial map only what is known counts, on both sides.
+        # In a partial map only known cells count, on both sides.
         seen = np.where(free | (explored == 1), task.truth, -1)
         sizes = np.bincount(seen[seen >= 0], minlength=1)
         seen = np.where((seen >= 0) & (sizes[np.maximum(seen, 0)] > least), seen, -1)

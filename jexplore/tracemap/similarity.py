@@ -8,7 +8,7 @@ from jexplore.tracemap.record import NOWHERE, BtmMap, Link, Node, check, directi
 
 
 def code(btm: BtmMap) -> str:
-    """Encode the map as a labelled rooted plane graph, in one line; maps equal but for measures have equal codes.
+    """Encode the map as a labelled rooted plane graph, in one line; equal codes mean maps equal but for measures.
 
     A node is T, D, F or O, an obstacle's shape behind a colon; in parentheses follow its other links, counter-clockwise
     from the one by which it is entered: the node reached, `-` for an un-searched one, or `=1`, the same at both ends,

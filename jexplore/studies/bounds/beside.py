@@ -1,4 +1,4 @@
-"""Episodes beside the bounds of their starts.
+"""Episodes compared with the bounds of their starts.
 
 pandas is imported by the functions that need it.
 """
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 START = ("start_row", "start_col", "start_heading_deg")
 COLUMNS = ("path_over_high", "path_over_low_any")
-"""Columns of `beside`: the path over the length of the walk that was found, and over the bound of every robot."""
+"""Columns of `beside`, ratios of the path: to the walk that was found, and to the lower bound of every robot."""
 
 
 def beside(episodes: "pd.DataFrame", bounds: "pd.DataFrame", digests: Mapping[str, str]) -> "pd.DataFrame":
@@ -51,13 +51,13 @@ def beside(episodes: "pd.DataFrame", bounds: "pd.DataFrame", digests: Mapping[st
 
 
 def beside_table(table: "pd.DataFrame", by: Sequence[str] = ("world", "strategy")) -> str:
-    """Ratios to the bounds as Markdown: means of logarithms, each world once, and the worst episode's.
+    """Format ratios to the bounds as Markdown: means of logarithms, each world once, and the worst episode's.
 
     Intervals (95 %) are for other worlds of the same kinds, as in a league; where there are several kinds, each one's
     ratio to the walk is a column.
 
     Args:
-      table: from `beside`.
+      table: a result of `beside`.
       by: columns; a row for each of their values.
     """
     found = table.assign(kind=[kind_of(world) for world in table["world"]])

@@ -53,7 +53,7 @@ WALK, WITNESSES = "_walk", "_witnesses"  # columns of a unit's file besides
 @checked_names
 @dataclasses.dataclass(frozen=True)
 class Bounds:
-    """What `bound` found. Tables are pandas DataFrames."""
+    """Result of `bound`. Tables are pandas DataFrames."""
 
     table: "pd.DataFrame"
     """One row a world and start: `low_m`, `low_any_m`, `high_m`, metres; `status`; see `COLUMNS`.
@@ -68,7 +68,7 @@ class Bounds:
     witnesses: dict[int, np.ndarray]
     """Number of a row -> `[N, 2]` int32, row and col of the cells that make its lower bound."""
     settings: dict[str, Any]
-    """What bounds depend on besides world and start."""
+    """Settings that bounds depend on, apart from world and start."""
     interrupted: int = 0
     """Starts that are missing because the run was interrupted."""
 
@@ -81,12 +81,12 @@ class Bounds:
         return bounds_table(self.table)
 
     def beside(self, comparison: Any) -> "pd.DataFrame":
-        """The episodes of a `Comparison` with their ratios to the bounds: see `beside.beside`.
+        """Compare the episodes of a `Comparison` with the bounds: see `beside.beside`.
 
         Scanner, clearance and starts must be the same.
 
         Raises:
-          InputError: besides, no comparison; one with another scanner, another clearance, or noise.
+          InputError: no comparison; one with another scanner, another clearance, or noise.
         """
         if not hasattr(comparison, "episodes") or not hasattr(comparison, "worlds"):
             raise InputError(f"expected a comparison, got {type(comparison).__name__}")
@@ -140,21 +140,21 @@ def bound(
     on_progress: Callable[[int], object] | None = None,
     progress: bool | None = None,
 ) -> Bounds:
-    """The shortest walks that a robot with the map could drive, from the starts that `compare` has.
+    """Bound the shortest walks that a robot with the map could drive, from the starts of `compare`.
 
     Args:
       worlds: names or `World`s, as for `compare`.
-      starts: how many in each world: those of the first episodes.
+      starts: number in each world: those of the first episodes.
       seed: of the starts.
       cell_m: edge of a cell of the worlds that are loaded by name, metres.
       start: as for `compare`.
       seconds: for each start, compiling apart; a smaller gap takes more.
-      max_floods: instead of seconds so many shortest-path maps, for results that are the same on every machine.
+      max_floods: number of shortest-path maps instead of seconds, for results that are the same on every machine.
       lidar: `Lidar` without noise and drop-out, or a mapping of some of its fields.
-      rules: `Rules`, likewise.
+      rules: `Rules`, or a mapping of some of its fields.
       workers: processes that work at a time. With more than one a script needs `if __name__ == "__main__":`.
       on_progress: called with the number of starts finished.
-      progress: whether a bar shows that; by default in notebooks.
+      progress: show a bar; by default in notebooks.
 
     Returns:
       `Bounds`.
@@ -241,7 +241,7 @@ def tasks_of(
 
 
 def settings_of(lidar: Lidar, rules: Rules) -> dict[str, Any]:
-    """What bounds depend on besides world and start."""
+    """Return the settings that bounds depend on, apart from world and start."""
     own = {"n_beams": lidar.n_beams, "fov_deg": lidar.fov_deg, "range_m": lidar.range_m, "yaw_deg": lidar.yaw_deg}
     return own | {"clearance_m": rules.clearance_m, "near_m": rules.near_m}
 

@@ -1,4 +1,4 @@
-"""Where a robot may stand, and shortest paths there."""
+"""Cells where a robot may stand, and shortest paths there."""
 
 import functools
 from typing import Any
@@ -19,7 +19,7 @@ def _flood(words, start):
 
 
 class Floor:
-    """Where a robot may stand: shortest paths between its cells."""
+    """Cells where a robot may stand, with shortest paths between them."""
 
     cells: np.ndarray
     """`[n]` int, their numbers in the scene, sorted."""
@@ -42,10 +42,10 @@ class Floor:
         return found[found >= 0]
 
     def flood(self, costs: np.ndarray) -> np.ndarray:
-        """Costs of the shortest paths from cells that have costs already.
+        """Compute costs of the shortest paths from cells with given costs.
 
         Args:
-          costs: `[n]` int32, of `cells`; FAR where there is none.
+          costs: `[n]` int32, of `cells`; FAR where not given.
 
         Returns:
           `[n]` int32.

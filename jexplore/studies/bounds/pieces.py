@@ -30,7 +30,7 @@ class Pieces(NamedTuple):
 
 
 def cut_up(floor: Floor, places: np.ndarray, side: int) -> list[np.ndarray]:
-    """Places in parts that fit into squares of so many cells."""
+    """Divide places into parts that fit into squares of a side, cells."""
     rows, cols = floor.scene.cells(floor.cells[places])
     if max(np.ptp(rows), np.ptp(cols)) < side or len(places) == 1:
         return [places]
@@ -40,7 +40,7 @@ def cut_up(floor: Floor, places: np.ndarray, side: int) -> list[np.ndarray]:
 
 
 def prepare_pieces(floor: Floor, regions: Sequence[np.ndarray], most: int, from_start: np.ndarray) -> Pieces:
-    """The `Pieces` of the edges of regions, at most about so many in all: one flood each."""
+    """Prepare the `Pieces` of the edges of regions, at most about `most` in all: one flood each."""
     edges = [edge_of(floor, places) for places in regions]
     side = 4
     while sum(len(cut_up(floor, edge, side)) for edge in edges) > most and side < 2**12:

@@ -1,4 +1,4 @@
-"""What a walk must see, and from where each of it is seen. On the host, exact."""
+"""Cells that a walk must see, and the cells from which each is visible. On the host, exact."""
 
 import dataclasses
 import functools
@@ -44,9 +44,9 @@ class Scene:
     any: np.ndarray
     """`[P]` bool, where any robot may stand: free cells that a path leads to."""
     must_see: np.ndarray
-    """`[P]` bool, what is to be seen and was not at the start."""
+    """`[P]` bool, places to be seen, other than those seen at the start."""
     sights: Sights
-    """What is seen from where."""
+    """Visibility between cells."""
 
     def cells(self, flat: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
         """Rows and columns in the world of cells with these numbers."""
@@ -103,9 +103,9 @@ def _within(occupied, d2):
 
 
 def flooded(free: np.ndarray, row: int, col: int) -> np.ndarray:
-    """Cells to which a path leads. The start is among them, and need not be free.
+    """Return the cells that a path reaches, among them the start, which need not be free.
 
-    A diagonal motion needs both cells beside it, so that it leads nowhere that straight ones do not.
+    A diagonal motion needs both orthogonal neighbours, so that it reaches nothing that straight ones do not.
     """
     free = free.copy()
     free[row, col] = True

@@ -1,4 +1,4 @@
-"""What a robot sees from a cell, and from where a cell is seen. On the host, exact."""
+"""Visibility: the cells that a robot sees from a cell, and those from which a cell is seen. On the host, exact."""
 
 import functools
 from typing import Any, NamedTuple
@@ -8,8 +8,8 @@ import numpy as np
 from jexplore.config import Lidar
 from jexplore.raycast import HEADINGS, beam_table
 
-TABLE_BYTES = 1_000_000_000  # of what is seen from every cell; where that is more, each look is cast anew
-ROWS_BYTES = 300_000_000  # of what is remembered of single cells
+TABLE_BYTES = 1_000_000_000  # of the visibility from every cell; larger tables are not kept and each scan is cast anew
+ROWS_BYTES = 300_000_000  # of the cache of single cells
 
 
 class Rays(NamedTuple):
@@ -35,7 +35,7 @@ def rays_of(lidar: Lidar, cell_m: float) -> Rays:
 
 
 class Sights:
-    """What is seen from where, on a map that is padded with walls by the scanner's range.
+    """Visibility on a map that is padded with walls by the scanner's range.
 
     Cells are flat numbers in the padded map.
     """
@@ -66,9 +66,9 @@ class Sights:
         return np.unique(found[stand[found]])
 
     def _sees(self, ray, step, place):
-        """Whether rays of some cells get as far as some step: `[n]` bool."""
+        """Return whether rays from some cells get as far as some step: `[n]` bool."""
         sees, left = np.zeros(len(ray), bool), np.arange(len(ray))
-        for back in range(int(step.max(initial=-1)) + 1):  # what is on the way there, from the cell backwards
+        for back in range(int(step.max(initial=-1)) + 1):  # cells on the way there, from the last one backwards
             sees[left[step[left] == back]] = True
             left = left[step[left] > back]
             left = left[~self._occupied[place[left] + self._offset[ray[left], step[left] - back - 1]]]
@@ -118,7 +118,7 @@ def _counts(rays: Rays) -> Any:
 
 
 class Coverage:
-    """What is seen along walks, remembered for single cells."""
+    """Cells seen along walks, with a cache for single cells."""
 
     def __init__(self, sights: Sights, must_see: np.ndarray) -> None:
         self.sights, self.cells = sights, np.flatnonzero(must_see)

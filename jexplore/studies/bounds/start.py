@@ -1,4 +1,4 @@
-"""One start bounded: what is asked, and what became of it."""
+"""Bounds of one start: the task, and its result."""
 
 import math
 import os
@@ -21,8 +21,10 @@ COLUMNS = (
 )
 """Columns of a table of bounds."""
 OPTIMAL, BOUNDED, WEAK, STUCK = "OPTIMAL", "BOUNDED", "WEAK", "STUCK"
-"""What a row is: the walk is the shortest; it is between two bounds; no walk was found in the time, and the lower bound
-is a weak one; the start is enclosed."""
+"""Status of a row: the walk is the shortest; it is between two bounds; no walk was found in the time, and the lower
+bound
+is weak; the start is enclosed.
+"""
 
 
 class Task(NamedTuple):
@@ -37,7 +39,7 @@ class Task(NamedTuple):
 
 
 class Solved(NamedTuple):
-    """What became of a task."""
+    """Result of a task."""
 
     row: dict[str, Any]  # `COLUMNS`
     walk: np.ndarray  # [K, 2] int32, row and col

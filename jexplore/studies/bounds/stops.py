@@ -107,7 +107,7 @@ class Order:
         return int(self._legs().sum())
 
     def insertion(self, cell: int, noise: np.ndarray | float = 1.0) -> tuple[int, int, int]:
-        """Where one more witness costs least: `(cost, place in the order, stop)`.
+        """Find where one more witness costs least: `(cost, place in the order, stop)`.
 
         Args:
           cell: the witness.
@@ -185,14 +185,14 @@ def new_order(stops: Stops, cells: Sequence[int]) -> Order:
 def improved(
     order: Order, rng: np.random.Generator, tries: int, most: int = GONE, over: Callable[[], bool] = lambda: False
 ) -> Order:
-    """An order made shorter: some witnesses are taken out and put in again, so many times.
+    """Shorten an order: a number of times, some witnesses are taken out and put in again.
 
     Args:
-      order: is left as it is.
-      rng: what is taken out.
-      tries: how many times.
-      most: witnesses that are taken out at once.
-      over: called every now and then: whether to stop.
+      order: not changed.
+      rng: draws the witnesses.
+      tries: number of times.
+      most: most witnesses taken out at once.
+      over: called regularly; True: stop.
     """
     best = now = order.copy()
     least = cost = best.cost
@@ -238,8 +238,9 @@ def _renewed(order, rng, most):
 def telling(
     stops: Stops, cells: Sequence[int], most: int, rng: np.random.Generator, over: Callable[[], bool]
 ) -> list[int]:
-    """Witnesses that together make a walk long, the most telling first: each next one makes the short walk that sees
-    those before longest. So many at most, fewer if it is `over` before.
+    """Choose witnesses that together make a walk long, the most important first.
+
+    Each next one makes the short walk that sees those before longest. At most `most`, fewer if `over` returns True.
     """
     order, chosen, left = Order(stops), [], list(cells)
     while left and len(chosen) < most and not over():

@@ -110,8 +110,9 @@ class Subsets:
 
 
 class _Ahead:
-    """What a walk costs at least that has still to see some witnesses: the shortest way from edge to edge in the best
-    order, and the farthest edge.
+    """Least cost of a walk that still has to see some witnesses.
+
+    It is the shortest way from edge to edge in the best order, and the farthest edge.
     """
 
     def __init__(self, apart, away):
@@ -128,8 +129,10 @@ class _Ahead:
 
 
 def _onward(apart):
-    """What it costs at least to see some witnesses from the edge of the first on, in the best order of the others:
-    `[2**n, n]` int32, over sets and their first ones (Held and Karp, over the distances between edges).
+    """Compute the least cost to see some witnesses from the edge of the first on, in the best order of the others.
+
+    Returns:
+      `[2**n, n]` int32, over sets and their first ones (Held and Karp, over the distances between edges).
     """
     n, apart = len(apart), np.minimum(apart, FAR - 1).astype(np.int32)  # two FARs do not fit
     found, masks = np.full((1 << n, n), FAR, np.int32), np.arange(1 << n)

@@ -30,7 +30,7 @@ class Tour:
         return self.floor.flood(start)
 
     def _make(self, ahead, behind):
-        """Makes costs by so many regions from the front and from the back."""
+        """Compute costs by a number of regions from the front and from the back."""
         while len(self._ahead) <= ahead:
             self._ahead.append(self._through(self._ahead[-1], self.order[len(self._ahead) - 1]))
         while len(self._behind) <= behind:
@@ -45,7 +45,7 @@ class Tour:
         return int((self._ahead[done].astype(np.int64) + self._behind[n - done]).min())
 
     def insertions(self, cell: int) -> np.ndarray:
-        """What the walk costs with a witness more at each place of the order: `[n + 1]` int."""
+        """Compute the cost of the walk with one more witness at each place of the order: `[n + 1]` int."""
         n, places = len(self.order), self.region(cell)
         self._make(n, n)
         ahead = (self._ahead[i][places].astype(np.int64) for i in range(n + 1))

@@ -13,7 +13,7 @@ from jexplore.studies.bounds.tour import Tour
 
 NEW = 16  # witnesses that one walk gives, at most
 SAMPLES = 4  # unseen cells of a patch of which one becomes a witness
-TRIES = 80  # of an order that is new; half of it for one that was tried before
+TRIES = 80  # of a new order; half for one that was tried before
 FEW = 12  # of an order that sees not yet everything
 KEPT = 3  # orders
 STALE = 10  # orders in a row without a shorter walk, after which none is looked for
@@ -50,7 +50,7 @@ class Walks:
         return list(self.stops.own)
 
     def find(self, over: Callable[[], bool]) -> bool:
-        """Looks for a walk: whether there is one, shorter than FAR, before it is over."""
+        """Search for a walk until `over`; return whether one shorter than FAR was found."""
         walk = self.floor.scene.start * np.ones(1, np.int64)
         while True:
             unseen = self.coverage.unseen(walk)
@@ -66,10 +66,10 @@ class Walks:
                 return False
 
     def shorten(self, over: Callable[[], bool], first: Sequence[int] = ()) -> None:
-        """Looks for shorter ones until it is over, or nothing has come of it for long.
+        """Search for shorter walks until `over`, or until nothing has improved for long.
 
         Args:
-          over: whether it is.
+          over: returns True to stop.
           first: cells in an order to try, into which the other witnesses are put.
         """
         if first:

@@ -1,4 +1,4 @@
-"""What the single environment and the vector environment share: worlds, spaces, and what a state looks like."""
+"""Common code of the single and the vector environment: worlds, spaces, observations."""
 
 import functools
 from collections.abc import Mapping
@@ -64,13 +64,13 @@ class Game:
         )
 
     def options(self, options: dict[str, Any] | None, n: int) -> tuple[np.ndarray | None, ...]:
-        """Starts, worlds and numbers of the episodes of n lanes, from the options of a reset.
+        """Read starts, worlds and numbers of the episodes of n lanes from the options of a reset.
 
         Returns:
-          `(start, world, episode)`, `[n, 3]`, `[n]` and `[n]` int32; None for what is not given.
+          `(start, world, episode)`, `[n, 3]`, `[n]` and `[n]` int32; None if not given.
 
         Raises:
-          InputError: an option that there is not, or that cannot be one.
+          InputError: an unknown option or an invalid value.
         """
         options = require_options(options)
         for name in options:
@@ -93,13 +93,13 @@ class Game:
         return start, world, episode
 
     def ends(self, outcome: ArrayLike, decisions: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
-        """Whether episodes terminate, and whether they are truncated, never both: `(terminated, truncated)`, bool."""
+        """Return whether episodes terminate or are truncated, never both: `(terminated, truncated)`, bool."""
         terminated = np.isin(outcome, TERMINAL)
         stopped = np.not_equal(outcome, Outcome.RUNNING) | np.greater_equal(decisions, self.max_decisions)
         return terminated, ~terminated & stopped
 
     def fetched(self, seen: Any, info: Any) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
-        """What `look` returned, on the host, steps as metres: `(seen, info)`."""
+        """Fetch the result of `look` to the host, steps as metres: `(seen, info)`."""
         seen, info = jax.device_get((seen, info))
         driven_m = path_m(info.pop("straight"), info.pop("diagonal"), self.env.cell_m)
         return seen, info | {"path_m": driven_m}

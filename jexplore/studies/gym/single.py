@@ -15,15 +15,15 @@ from jexplore.studies.gym.game import MAX_DECISIONS, Game, copied, drawn_seed, l
 
 @checked_names
 class GymEnv(gymnasium.Env):
-    """A single environment: `jx.GymEnv("rooms#1")`. The folder's text says what observations, actions and infos are.
+    """Single environment: `jx.GymEnv("rooms#1")`. The folder's docstring describes observations, actions and infos.
 
-    The reward is minus the metres driven. An episode terminates when nothing is left to be seen, COMPLETE or BLOCKED,
-    or if its start is enclosed, STUCK; the limits of the rules and `max_decisions` truncate it. An action outside
+    The reward is minus the metres driven. An episode terminates without a reachable frontier, COMPLETE or BLOCKED, or
+    if its start is enclosed, STUCK; the limits of the rules and `max_decisions` truncate it. An action outside
     `info["action_mask"]` moves nothing.
 
     `reset(seed=s)` begins episode 0 of the seed s, each further reset the next one; `jx.compare(..., seed=s)` has the
-    same noise in its episode of that number. `reset(options=...)` takes `start`, row, col, heading_deg; `world`, which
-    of the worlds; `episode`, another number than the next. What is not given is drawn.
+    same noise in its episode of that number. `reset(options=...)` takes `start`, row, col, heading_deg; `world`, index
+    of a world; `episode`, another number than the next. Other values are drawn.
     """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 4}  # noqa: RUF012

@@ -48,7 +48,7 @@ if TYPE_CHECKING:
 
 
 class Made(NamedTuple):
-    """How a comparison was made, for its folder."""
+    """Provenance of a comparison, for its folder."""
 
     jobs: tuple[Job, ...] = ()
     firsts: Mapping[int, Outcomes] = MappingProxyType({})  # number of a job -> what its first episodes left
@@ -61,9 +61,9 @@ class Made(NamedTuple):
 @checked_names
 @dataclasses.dataclass(frozen=True)
 class Comparison(ByStrategy):
-    """What `compare` found. Tables are pandas DataFrames.
+    """Result of `compare`. Tables are pandas DataFrames.
 
-    It is iterated over by the names of its strategies, and `results["closest"]` is the table of that one's episodes.
+    Iterating gives the names of its strategies, and `results["closest"]` the table of that one's episodes.
     """
 
     episodes: "pd.DataFrame"
@@ -92,9 +92,9 @@ class Comparison(ByStrategy):
     lidar: Lidar | None = None
     """The scanner; None where it is not known, or there were several."""
     rules: Rules | None = None
-    """The rules, likewise."""
+    """The rules; None if unknown or there were several."""
     made: Made = dataclasses.field(default=Made(), repr=False, compare=False)
-    """What a folder of it needs besides."""
+    """Provenance for its folder."""
 
     @functools.cached_property
     def summary(self) -> "pd.DataFrame":
@@ -113,7 +113,7 @@ class Comparison(ByStrategy):
 
     @functools.cached_property
     def warnings(self) -> list[str]:
-        """What makes the comparison unfair or inexact: a list of lines."""
+        """List the reasons that make the comparison unfair or inexact: lines."""
         lines = [f"interrupted: {self.interrupted} episodes are missing"] if self.interrupted else []
         return [*lines, *by_world.warnings_of(self.episodes, self.progress), *_bounds_met(self.episodes)]
 
@@ -129,7 +129,7 @@ class Comparison(ByStrategy):
         return f"{over_worlds_text(self.standings)}\nIn each world:\n\n{text}" if together else text
 
     def to_xarray(self) -> Any:
-        """All of it as an `xarray.Dataset` with labelled dimensions: see `labelled.of_comparison`."""
+        """Convert all results to an `xarray.Dataset` with labelled dimensions: see `labelled.of_comparison`."""
         from jexplore.studies.results import labelled
 
         return labelled.of_comparison(self)
@@ -152,7 +152,7 @@ class Comparison(ByStrategy):
         return write_maps(folder, self.maps, self.episodes, self.worlds)
 
     def sample_sizes(self, *, within: float = 0.02, assurance: float = 0.8) -> "pd.DataFrame":
-        """How many episodes, and how many worlds, would tell every ratio `± within`: see `sizes.sample_sizes`."""
+        """Compute the episodes and worlds needed to know every ratio `± within`: see `sizes.sample_sizes`."""
         return sizes.sample_sizes(self.episodes, within=within, assurance=assurance)
 
     def _summary_text(self, as_text):
@@ -320,7 +320,7 @@ def prepare_jobs(
 
 
 def _the_only(settings: Iterable[Any]) -> Any:
-    """What all of some settings are; None where they differ."""
+    """Return the common value of some settings; None if they differ."""
     found = set(settings)
     return found.pop() if len(found) == 1 else None
 

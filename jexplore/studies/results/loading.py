@@ -208,7 +208,7 @@ def _sweep(folder, record):
 
 
 def _part_of(asked):
-    """Which part of a sweep this is, from 0, and of how many."""
+    """Return the index of this part of a sweep, from 0, and the number of parts."""
     found = re.fullmatch(r"(\d{1,5})/(\d{1,5})", str(asked.get("shard")))
     if not found:
         raise InputError(f"the shard of a part must be I/N, got {shown(asked.get('shard'))}")

@@ -1,4 +1,4 @@
-"""What results were made from: the worlds to the bit, the files of maps, the commit of this package."""
+"""Provenance of results: the worlds to the bit, the files of maps, the commit of this package."""
 
 import functools
 import hashlib
@@ -50,7 +50,7 @@ def files_of(world: World) -> dict[str, str]:
 
 
 def _named_in(path):
-    """The picture of a ROS map, or the files of a recording, if this is one."""
+    """Return the picture of a ROS map, or the files of a recording; nothing for other files."""
     if path.name == names.METADATA:
         suffixes = tuple(f".{suffix}" for suffix in names.SUFFIXES["ROS bag"])
         yield from sorted(file for file in path.parent.iterdir() if file.name.lower().endswith(suffixes))
@@ -94,11 +94,11 @@ def commit() -> str | None:
 
 
 def own_digests(jobs: Iterable[Job]) -> dict[str, str | None]:
-    """What strategies compute that their names do not tell, somebody else's and those with weights.
+    """Compute digests of strategies that are not determined by their names: users' own and those with weights.
 
     Returns:
-      name -> SHA-256, in hexadecimal digits, of all parameters and of all that JAX sees of the strategy in the jobs'
-      worlds; None where that cannot be told, see `traced.digest`.
+      name -> SHA-256, in hexadecimal digits, of all parameters and of the strategy's traced computation in the jobs'
+      worlds; None if unknown, see `traced.digest`.
     """
     parts: dict[str, dict[Any, str | None]] = {}
     for job in jobs:
@@ -141,7 +141,7 @@ def asked(jobs: Sequence[Job]) -> dict[str, Any]:
 
 
 def describe(world: World) -> dict[str, Any]:
-    """What a table of worlds says about one."""
+    """Return a world's entries in a table of worlds."""
     rows, cols = world.shape
     rooms = None if world.rooms is None else int(world.rooms.max()) + 1
     return {

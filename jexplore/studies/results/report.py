@@ -23,7 +23,7 @@ PICTURES = {
     "sweep-map.png": "Path lengths over the first two settings that are varied",
     "episode.png": "The known map and the path at the end",
 }
-"""What is to be seen in a run's pictures."""
+"""Captions of a run's pictures."""
 
 
 def replays_for(

@@ -119,7 +119,7 @@ def _page(folder, found, firsts, record, jobs, names, path):
 
 
 def entries_of(found: Any) -> dict[str, Any]:
-    """What run.json says of what a `Comparison` found."""
+    """Return the entries of run.json for a `Comparison`."""
     return {
         "episodes_per_s": found.episodes_per_s,
         "compile_s": found.compile_s,
@@ -133,7 +133,7 @@ def entries_of(found: Any) -> dict[str, Any]:
 
 
 def engine_of(costs: Costs) -> dict[str, Any]:
-    """What run.json says of the engine that made a run."""
+    """Return the entries of run.json for the engine of a run."""
     return {
         "engine": costs.engine,
         "devices": costs.devices,

@@ -1,4 +1,4 @@
-"""What results of several strategies have in common: their episodes by strategy, and tables as text and files."""
+"""Common code of results of several strategies: their episodes by strategy, and tables as text and files."""
 
 import abc
 import os

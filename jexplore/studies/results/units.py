@@ -31,7 +31,7 @@ COLUMNS = (
     *("start_heading_deg", "refused", "saturated", "overflow"),
 )
 """Columns of a table of episodes. `stats` and `plot` read them by these names."""
-LEAST = 8  # episodes of a unit, if there are so many
+LEAST = 8  # least number of episodes of a unit
 UNIT_S = 1.0  # seconds that a unit should take, about: writing it takes a hundredth of that
 CELL_S = 1.3e-6  # seconds of an episode of closest+recheck, for every cell of its world (benchmarks/RESULTS.md)
 FIRSTS = 12  # jobs of which what the first episode left is kept, for a report
@@ -40,7 +40,7 @@ PROGRESS, SEEN, WAY, MAP = "_progress_m", "_seen", "_way", "_map"  # columns of 
 
 
 class Seen(NamedTuple):
-    """How episode 0 of a strategy in a world ended: its map and its way."""
+    """End of episode 0 of a strategy in a world: its map and its way."""
 
     strategy: str
     state: np.ndarray  # [H, W] uint8, 0 unknown, 1 free, 2 occupied
@@ -115,7 +115,7 @@ def table_of(rows: Sequence[Mapping[str, Any]]) -> "pd.DataFrame":
 
 
 def piece_of(job: Job, unit: Unit, found: Outcomes) -> Piece:
-    """What has ended of a unit. `job` is the whole one, with its scanner and rules."""
+    """Return the finished part of a unit. `job` is the whole one, with its scanner and rules."""
     assert job.rules is not None
     result, world, strategy = found.result, job.world, job.strategy.name
     ended = np.asarray(result.outcome) != Outcome.RUNNING
@@ -203,7 +203,7 @@ def recut(jobs: Sequence[Job], keep: str | None, rows: "pd.DataFrame") -> Iterab
 
 
 class Ran(NamedTuple):
-    """What `run_units` returns."""
+    """Result of `run_units`."""
 
     pieces: list[Piece]  # in the order of the units
     costs: Costs
@@ -212,7 +212,7 @@ class Ran(NamedTuple):
 
 
 def _rest(unit: Unit, part: Piece | None) -> list[Unit]:
-    """What a unit lacks of which a part is there: runs of episodes that follow each other, as units."""
+    """Return the missing part of a unit that is partly finished: runs of consecutive episodes, as units."""
     there = set() if part is None else set(part.table["episode"])
     left = [i for i in range(unit.first, unit.first + unit.n) if i not in there]
     runs = itertools.groupby(enumerate(left), lambda pair: pair[1] - pair[0])
@@ -246,7 +246,7 @@ def _joined(pieces: Collection[Piece]) -> Piece:
 
 
 class _Work:
-    """Units under way: what is there, what is left, and what has come back."""
+    """Units in progress: finished, remaining and returned ones."""
 
     def __init__(self, jobs, wanted, ledger):
         self.jobs, self.cuts, self.ledger, self.firsts = jobs, cut(jobs), ledger, {}

@@ -1,4 +1,4 @@
-"""What one number says of many episodes: chances of a shorter path, interquartile means, performance profiles.
+"""Summaries of many episodes in one number: chances of a shorter path, interquartile means, performance profiles.
 
 With two worlds or more, worlds are the sample: all count the same, however many episodes they have, and intervals are
 for other worlds of the same kinds in the same shares. In a single world the starts are.
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 OVER = ("first", "best")
-"""What a path is divided by for its score: that of the first strategy from the same start, or the shortest of all."""
+"""Denominator of a path's score: the path of the first strategy from the same start, or the shortest of all."""
 
 PROFILE_COLUMNS = ("strategy", "ratio", "share", "low", "high")
 MOST_RATIO = 10.0
@@ -195,7 +195,7 @@ def aggregates(episodes: "pd.DataFrame", *, confidence: float = 0.95) -> "pd.Dat
 
 
 def _ratios(scores):
-    """Where profiles are read: from the least finite ratio (1 at most) to all but the last hundredth of the finite."""
+    """Return the ratios at which profiles are read: from the least finite one (1 at most) to the 99th percentile."""
     finite = scores[np.isfinite(scores) & (scores > 0)]
     if not finite.size:
         return np.array([1.0])
@@ -207,12 +207,12 @@ def _ratios(scores):
 def profiles(
     episodes: "pd.DataFrame", *, over: str = "best", ratios: ArrayLike | None = None, confidence: float = 0.95
 ) -> "pd.DataFrame":
-    """Performance profiles: in which share of starts a path is at most so many times the shortest one.
+    """Compute performance profiles: the share of starts whose path is at most a multiple of the reference's.
 
     Args:
       episodes: the table of episodes of a comparison, a pandas DataFrame.
-      over: one of `OVER`: what paths are divided by.
-      ratios: `[K]` positive numbers, rising; by default 101 up to what nearly all need, `MOST_RATIO` at most.
+      over: one of `OVER`: denominator of the ratios.
+      ratios: `[K]` positive numbers, rising; by default 101 up to the 99th percentile, `MOST_RATIO` at most.
       confidence: nominal coverage of the band, at every ratio by itself, by `share_over_worlds`.
 
     Returns:

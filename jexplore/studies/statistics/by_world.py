@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 OUTCOMES = ("COMPLETE", "BLOCKED", "STEP_LIMIT", "PLAN_LIMIT", "STUCK")
 
 EQUAL_SHARE = 0.95
-"""Where paths are compared at equal coverage: this share of what the less thorough episode of a pair knew."""
+"""Share of the less thorough episode's known cells at which a pair is compared (equal coverage)."""
 
 TOLERANCE = 0.01
 """Explored fractions that differ by no more are equal."""
@@ -174,7 +174,7 @@ def _ratio_text(values, reference, keep):
 
 
 def _unequal(ours, theirs, tolerance, progress):
-    """What is unequal between paired episodes and the ratios at equal coverage, as text; None if nothing is."""
+    """Describe differences of paired episodes and the ratios at equal coverage, as text; None without any."""
     fraction, fraction_ref = (rows["explored_fraction"].to_numpy(dtype=np.float64) for rows in (ours, theirs))
     ended, ended_ref = ours["outcome"].to_numpy(), theirs["outcome"].to_numpy()
     n_ended, apart = int((ended != ended_ref).sum()), np.abs(fraction - fraction_ref) > tolerance
@@ -224,18 +224,18 @@ def warnings_of(
     *,
     tolerance: float = TOLERANCE,
 ) -> list[str]:
-    """What makes the comparison with the first strategy unfair, and the ratio at equal coverage.
+    """Describe what makes the comparison with the first strategy unfair, and the ratio at equal coverage.
 
     Warns where the outcomes of paired episodes differ, or their explored fractions by more than `tolerance`, or where
-    strategies do not have the same episodes. Two ratios then stand beside that of the whole paths: that at equal
-    coverage (`path_at_equal_coverage`), where `progress` is given, over all pairs with a mark; and that over the pairs
-    that are COMPLETE on both sides with equal explored fractions, at the recorded `path_m_at_95`: pairs that are
+    strategies do not have the same episodes. Two ratios are then given in addition to that of the whole paths: that at
+    equal coverage (`path_at_equal_coverage`), where `progress` is given, over all pairs with a mark; and that over the
+    pairs that are COMPLETE on both sides with equal explored fractions, at the recorded `path_m_at_95`: pairs that are
     selected by how they ended. Warns also where the episodes of a strategy are one episode repeated.
 
     Args:
       episodes: the table of episodes.
       progress: (world, strategy) -> `[N, 100]` float, as in `path_at_equal_coverage`, in the order of the table's rows.
-      tolerance: difference of explored fractions that is still equal coverage.
+      tolerance: difference of explored fractions that still counts as equal coverage.
 
     Returns:
       A list of lines, one or two a world and strategy; empty if all is well.

@@ -1,4 +1,4 @@
-"""Pictures of tables of episodes: what is estimated here, drawn by `report.plots`.
+"""Pictures of tables of episodes: estimated here, drawn by `report.plots`.
 
 pandas and matplotlib are imported by the functions that need them.
 """
@@ -100,7 +100,7 @@ def _over_worlds(episodes, table, strategies):
 
     ratios: Any = paths_by_world(episodes)
     own = [np.exp(ratios["log_ratio"][ratios["strategy"] == name].to_numpy(np.float64)) for name in strategies]
-    own[0] = own[0][:0]  # the reference beside itself
+    own[0] = own[0][:0]  # the reference relative to itself
     n = int(table["worlds"].max())
     return Panel(
         title=f"over {n} worlds, which count the same",
@@ -157,12 +157,12 @@ def _averaged(episodes, table, *own) -> str:
 def response_figure(
     episodes: "pd.DataFrame", setting: str, *, value: str = "path_m", ratio: bool = False, **how: Any
 ) -> "Figure":
-    """Curves of a mean or a paired ratio over one setting, one line a strategy, one panel a world.
+    """Draw curves of a mean or a paired ratio over one setting, one line a strategy, one panel a world.
 
     Args:
       episodes: a table of episodes with settings as columns, a pandas DataFrame.
       setting: one of the columns, such as `lidar.range_m`.
-      value, ratio: what is drawn, and `how` (`over_worlds`, `bins`, `confidence`): as for `response.response`.
+      value, ratio: the drawn quantity, and `how` (`over_worlds`, `bins`, `confidence`): as for `response.response`.
 
     Returns:
       A matplotlib `Figure`.
@@ -180,12 +180,12 @@ def response_figure(
 def heat_figure(
     episodes: "pd.DataFrame", x: str, y: str, *, value: str = "path_m", ratio: bool = False, **how: Any
 ) -> "Figure":
-    """Colours of a mean or a paired ratio over two settings, one panel a strategy, a row a world.
+    """Draw colours of a mean or a paired ratio over two settings, one panel a strategy, a row a world.
 
     Args:
       episodes: a table of episodes with settings as columns, a pandas DataFrame.
       x, y: two of the columns.
-      value, ratio: what is drawn, and `how`: as for `response.response`.
+      value, ratio: the drawn quantity, and `how`: as for `response.response`.
 
     Returns:
       A matplotlib `Figure`.

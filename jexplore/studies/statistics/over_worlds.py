@@ -1,4 +1,4 @@
-"""What episodes in several worlds say together: the worlds are the sample, and the kinds of worlds its strata."""
+"""Statistics over several worlds: the worlds are the sample, and the kinds of worlds its strata."""
 
 import math
 import re
@@ -30,7 +30,7 @@ def kind_of(world: object) -> str:
 
 
 def moments(values: np.ndarray, kinds: Sequence[str]) -> tuple[float, float, float, int]:
-    """What is known of the mean of a stratified sample.
+    """Estimate the mean of a stratified sample and its error.
 
     Args:
       values: `[N]` float64, N >= 1.
@@ -38,7 +38,7 @@ def moments(values: np.ndarray, kinds: Sequence[str]) -> tuple[float, float, flo
 
     Returns:
       `(mean, standard error, freedom, most)`: the last two are the degrees of freedom of the standard error, by
-        Satterthwaite 1946, 0 without any spread; and as many as there could be.
+        Satterthwaite 1946, 0 without any spread; and their upper limit.
     """
     strata = [values[[one == kind for one in kinds]] for kind in dict.fromkeys(kinds)]
     if min(map(len, strata)) < 2:

@@ -21,7 +21,7 @@ class PairedRatio:
     low: float  # interval; NaN where none can be given
     high: float
     p: float  # two-sided, of the hypothesis that the ratio of the means is 1; NaN where there is no interval
-    n: int  # pairs; 1 where all pairs are the very same
+    n: int  # pairs; 1 if all pairs are identical
 
 
 def _vector(values, name):
@@ -72,16 +72,16 @@ def safe_exp(value: float) -> float:
 
 
 def paired_ratio(values: ArrayLike, reference: ArrayLike, *, confidence: float = 0.95) -> PairedRatio:
-    """Ratio R of the means of paired samples, with an interval and a test.
+    """Estimate the ratio R of the means of paired samples, with an interval and a test.
 
     The interval is `R exp(± t s)`, where `s` is the standard error of the logarithm of R by the delta method: the
     standard deviation of `v / mean(v) - r / mean(r)` over the pairs `(v, r)`, divided by the root of their number; t is
     Student's. It is about the ratio of the means, not the mean (or geometric mean) of the ratios;
-    `benchmarks/intervals.py` measures how often it covers. p is of the hypothesis R = 1, by the same t: below 0.05 just
-    where the 95 % interval leaves out 1. It is not corrected for many comparisons.
+    `benchmarks/intervals.py` measures how often it covers. p tests the hypothesis R = 1, by the same t: it is below
+    0.05 exactly if the 95 % interval leaves out 1. It is not corrected for many comparisons.
 
-    Pairs of equal members tell of no spread: together they count as one in the degrees of freedom. Pairs that are all
-    the very same (one episode repeated) are one pair. One pair, or pairs without any spread, have no interval and no p.
+    Pairs of equal members carry no spread: together they count once in the degrees of freedom. Identical pairs (one
+    episode repeated) count as a single pair. One pair, or pairs without any spread, have no interval and no p.
 
     Args:
       values, reference: `[N]` finite numbers from 0, N >= 1, the same episodes in the same order.

@@ -1,4 +1,4 @@
-"""How paths answer to settings: means or paired ratios at every value of one setting, or of two.
+"""Paths as functions of settings: means or paired ratios at every value of one setting, or of two.
 
 pandas is imported by the functions that need it.
 """
@@ -44,7 +44,7 @@ def require_column(episodes: "pd.DataFrame", name: str, what: str) -> None:
 
 
 def _numbers(episodes, name):
-    """A column of measured numbers as float64, NaN where there is none."""
+    """Return a column of measured numbers as float64, NaN where missing."""
     require_column(episodes, name, "value")
     try:
         return episodes[name].astype("Float64").to_numpy(dtype=np.float64, na_value=np.nan)
@@ -81,7 +81,7 @@ def _rounded(means):
 
 
 def _with_reference(table):
-    """Beside every value that of the first strategy in the same world, episode and settings.
+    """Add to every value that of the first strategy in the same world, episode and settings.
 
     Settings that some strategy does not have, being parameters of another, are not compared.
     """
@@ -106,7 +106,7 @@ def response(
     bins: int | None = None,
     confidence: float = 0.95,
 ) -> "pd.DataFrame":
-    """A mean, or a paired ratio to the first strategy, with its interval, at every value of a setting or two.
+    """Estimate a mean, or a paired ratio to the first strategy, with its interval, at every value of a setting or two.
 
     In one world the sample are its starts, episodes of one number and seed, each with its mean over all other settings:
     intervals by `mean_interval` and `paired_ratio`. Over worlds it is the worlds' means or logarithms of ratios, by
@@ -117,10 +117,10 @@ def response(
         paired with that of the first strategy in the same world, episode and settings.
       settings: one of the columns, or two. Rows without it (another strategy's parameter) are left out.
       value: the column that is averaged; rows without it are left out.
-      ratio: whether to give ratios to the first strategy of the table instead of means.
-      over_worlds: whether to give the mean over worlds instead of every world; by default with more than `MOST_PANELS`.
-      bins: a setting of more than 24 values, or two that are drawn at random, are cut into so many parts of equally
-        many; by default 12, or, of two settings, so many that about four draws are together.
+      ratio: give ratios to the first strategy of the table instead of means.
+      over_worlds: give the mean over worlds instead of every world; by default with more than `MOST_PANELS`.
+      bins: number of bins, with equal numbers of values, of a setting with more than 24 values, or of two that are
+        drawn at random; by default 12, or, for two settings, a number that puts about four draws into each bin.
       confidence: nominal coverage.
 
     Returns:

@@ -37,7 +37,7 @@ LOOK_S = 5.0  # seconds after which it is looked again how large the cluster is
 
 
 class Order(NamedTuple):
-    """What workers get of a sweep, once."""
+    """Data of a sweep that workers get once."""
 
     plan: Plan  # without its strategies, which workers make from their names
     strategies: list[str]
@@ -48,7 +48,7 @@ class Order(NamedTuple):
 
 
 class Made(NamedTuple):
-    """What a task returns."""
+    """Result of a task."""
 
     tables: "dict[int, pd.DataFrame]"  # number of a unit -> its table
     costs: Costs
@@ -131,19 +131,19 @@ def run_units(
     cpus: int = 1,
     gpus: int = 0,
 ) -> Costs:
-    """Runs units of a sweep as tasks of a Ray cluster.
+    """Run units of a sweep as tasks of a Ray cluster.
 
-    The cluster is the one that this process is connected to, that `RAY_ADDRESS` names, or that `ray start` has begun
-    on this machine; where there is none, one is started with all cores that this process may use, and ends with the
-    call. Every node must have the same jexplore and find the same files of worlds under the same names; a strategy's
-    module is looked for in the driver's folder, where the node has it. A task whose worker dies is done again on
-    another, up to `RETRIES` times.
+    The cluster is the one that this process is connected to, that `RAY_ADDRESS` names, or that `ray start` has begun on
+    this machine; otherwise one is started with all cores that this process may use, and ends with the call. Every node
+    must have the same jexplore and find the same files of worlds under the same names; a strategy's module is searched
+    in the driver's folder, if the node has it. A task whose worker dies is done again on another, up to `RETRIES`
+    times.
 
     Args:
       plan: `Plan`.
       numbers: of the units, in order.
-      on_unit: called in this process with the number of a unit and its table, as soon as it has come back; once
-        more where Ctrl-C fell into that.
+      on_unit: called in this process with the number of a unit and its table, as soon as it has come back; again if
+        Ctrl-C interrupted the call.
       on_progress: called with the number of episodes that have come back.
       cpus: cores of a task, which makes one unit with the engine serial.
       gpus: GPUs of a task. With 1 or more it makes as many units as fit, in lockstep.
@@ -153,7 +153,7 @@ def run_units(
       `interrupted` after Ctrl-C.
 
     Raises:
-      InputError: Ray is not installed, cannot be reached or has no such node; what a worker refuses; a task whose
+      InputError: Ray is not installed, cannot be reached or has no such node; a worker's own refusal; a task whose
         workers die again and again.
       MemoryError: a worker's memory does not suffice.
     """

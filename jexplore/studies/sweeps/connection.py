@@ -1,4 +1,4 @@
-"""Ray, and a connection to a cluster of it: the one that there is, or one of our own.
+"""Connection to a Ray cluster, an existing one or one of our own.
 
 Ray is imported by the functions that need it.
 """
@@ -39,11 +39,13 @@ def require_ray() -> Any:
 
 @contextlib.contextmanager
 def connected(ray: Any) -> Iterator[bool]:
-    """A connection to a cluster. One that this process has already stays; else there is one for the block, and what has
-    been begun with it ends with it. The block gets whether that is so.
+    """Connect to a cluster for a block.
+
+    An existing connection of this process stays; otherwise the connection, and a cluster started with it, end with the
+    block. The block gets whether that is so.
 
     Raises:
-      InputError: there is none, and none can be had.
+      InputError: no cluster exists and none can be started.
     """
     if ray.is_initialized():
         yield False
@@ -80,7 +82,7 @@ def begin(ray: Any, **how: Any) -> None:
 
 
 def is_there() -> bool:
-    """Whether there is a cluster to be used. Ray itself would look for minutes for one that is gone.
+    """Return whether a cluster is available. Ray itself would wait for minutes for one that is gone.
 
     Raises:
       InputError: `RAY_ADDRESS` names one that does not answer.

@@ -40,7 +40,7 @@ COSTS = {
     **{"closest": 1.0, "random": 3.0, "utility": 2.5, "distance-advantage": 3.0, "small-first": 3.0},
     **{"tour": 3.5, "mcdm": 4.0, "decision-theoretic": 12.0, "gain-rate": 20.0},
 }
-"""An episode of a strategy beside one of closest, about; `+segment` comes on top."""
+"""Cost of an episode of a strategy relative to closest, about; `+segment` adds to it."""
 SEGMENT_COST = 8.0
 
 
@@ -123,7 +123,7 @@ class Plan:
         return {name: kind_of(values) for name, values in found.items()}
 
     def seconds(self, workers: int) -> float:
-        """About how long it takes on so many cores, compiling included."""
+        """Estimate the time on a number of cores, compiling included."""
         each = [_cost(strategy.name) for strategy in self.strategies]
         cells = {key: height * width for key, (height, width) in self.shapes.items()}
         total = 0.0
@@ -164,7 +164,7 @@ class Plan:
         return [(block.setting, world, strategy, block.first + i) for i in range(block.n)]
 
     def left_of(self, number: int, begun: Any) -> list[Block]:
-        """What a unit lacks of which a table has the first episodes of its blocks; None: all of it."""
+        """Return the missing part of a unit of which a table has the first episodes of its blocks; None: all of them."""
         have = (
             set() if begun is None else set(zip(*(begun[name] for name in ("setting", "world", "strategy", "episode"))))
         )
@@ -289,8 +289,9 @@ def prepare_sweep(spec: Sweep) -> Plan:
 
 
 def program_key(shape: tuple[int, int], cell_m: float, lidar: Lidar, rules: Rules) -> tuple[Any, ...]:
-    """What settings must have in common to share a compiled program: shape of the padded map, clearance in cells,
-    number of beams, looks all round.
+    """Return the settings that must agree to share a compiled program.
+
+    These are the shape of the padded map, clearance in cells, number of beams, and scans of a look-around.
     """
     padded = tuple(bucket(side) for side in shape)
     clearance, around = radius_d2(rules.clearance_m, cell_m), scans_all_round(lidar.fov_deg)
@@ -331,7 +332,7 @@ def in_shard(units: int, shard: tuple[int, int] | None) -> list[int]:
 
 
 def summary_lines(plan: Any, workers: int, units: Sequence[int]) -> list[str]:
-    """What `--dry-run` says of a `Plan` or a `TracePlan`."""
+    """Return the lines that `--dry-run` prints for a `Plan` or a `TracePlan`."""
     seconds = plan.seconds(workers) * len(units) / max(len(plan.units), 1)
     n_who, who, what = len(plan.spec.robots or plan.strategies), "robots", "runs"
     if not plan.spec.robots:

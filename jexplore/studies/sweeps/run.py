@@ -37,9 +37,9 @@ SHOWN = 24  # rows of the table that is printed
 @checked_names
 @dataclasses.dataclass(frozen=True)
 class Swept(ByStrategy):
-    """What a sweep found. Tables are pandas DataFrames.
+    """Result of a sweep. Tables are pandas DataFrames.
 
-    It is iterated over by the names of its strategies, or robots.
+    Iterating gives the names of its strategies, or robots.
     """
 
     spec: Sweep
@@ -95,7 +95,7 @@ class Swept(ByStrategy):
         return labelled.of_sweep(self)
 
     def to_markdown(self, rows: int | None = None) -> str:
-        """The summary as a Markdown table, only so many rows of it, and a line that says how many are left."""
+        """Format the summary as a Markdown table, at most `rows` rows and a line with the number of rows left out."""
         left = 0 if rows is None else max(len(self.summary) - rows, 0)
         more = f"\n... and {left:,} more rows: summary.csv, or jx.load(DIR).summary\n" if left else ""
         return self.table(rows) + more
@@ -127,7 +127,7 @@ class Swept(ByStrategy):
         return drawn
 
     def _occur_together(self, names):
-        """Whether some strategy has all of these settings."""
+        """Return whether some strategy has all of these settings."""
         return bool(self.episodes[list(names)].notna().to_numpy().all(axis=1).any())
 
     def _repr_markdown_(self):
@@ -196,17 +196,16 @@ def run_sweep(
     gpu: bool = False,
     on_progress: Callable[[int], object] | None = None,
 ) -> Swept:
-    """Runs the units of a sweep that the ledger does not have.
+    """Run the units of a sweep that the ledger does not have.
 
     Args:
       plan: from `ready`.
-      ledger: where units are kept as soon as they are finished.
+      ledger: stores units as soon as they are finished.
       shard: `(i, n)`: only every n-th unit, from the i-th on.
       engine: as in `batch.run_jobs`, or "ray": units are tasks of a Ray cluster.
-      lanes, workers: as in `batch.run_jobs`; of a Ray cluster every task takes so many cores as `workers` says, 1 by
-        default.
-      gpu: whether every task of a Ray cluster takes a GPU.
-      on_progress: called with the number of episodes finished, those that were there before included.
+      lanes, workers: as in `batch.run_jobs`; on a Ray cluster every task takes `workers` cores, 1 by default.
+      gpu: every task of a Ray cluster takes a GPU.
+      on_progress: called with the number of finished episodes, including earlier ones.
 
     Returns:
       `Swept`. After Ctrl-C it holds the units that were finished.
@@ -259,7 +258,7 @@ def _run_left(plan, left, on_unit, how, gpu, on_progress, begun):
 
 
 def labels_of(settings: Sequence[Mapping[str, Any]]) -> list[str]:
-    """What tells some settings apart, a line each."""
+    """Return labels that distinguish settings, a line each."""
     varied = [key for key in settings[0] if len({str(setting[key]) for setting in settings}) > 1]
     return [", ".join(f"{key.rpartition('.')[2]} {_value_text(own[key])}" for key in varied) for own in settings]
 
@@ -314,7 +313,7 @@ def sweep(
 
 
 def ready(spec: Sweep) -> Plan | TracePlan:
-    """What `run_sweep` takes of a sweep of episodes, or of one of robots that write maps. Raises as `prepare_sweep`."""
+    """Plan a sweep of episodes, or of robots that write maps, for `run_sweep`. Raises as `prepare_sweep`."""
     return prepare_traces(spec) if spec.robots else prepare_sweep(spec)
 
 

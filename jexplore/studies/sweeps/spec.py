@@ -1,4 +1,4 @@
-"""What a sweep is asked: lists are axes of a product, ranges are drawn from."""
+"""Specification of a sweep: lists are axes of a product, ranges are drawn from."""
 
 import dataclasses
 import difflib
@@ -41,7 +41,7 @@ class Range:
     low: float
     high: float
     log: bool = False
-    """Whether their logarithms are drawn evenly."""
+    """Draw logarithms evenly."""
 
     def at(self, share: float) -> float:
         """The number that a share of them lies below."""
@@ -71,23 +71,23 @@ class Sweep:
     start_m: Any = None
     """`(x_m, y_m, yaw_deg)` in all worlds, in metres of the map's frame, instead of `start`."""
     lidar: Mapping[str, Any] | Lidar = dataclasses.field(default_factory=dict)
-    """A `jx.Lidar`, or fields of it."""
+    """A `jx.Lidar`, or some of its fields."""
     rules: Mapping[str, Any] | Rules = dataclasses.field(default_factory=dict)
-    """A `jx.Rules`, or fields of it."""
+    """A `jx.Rules`, or some of its fields."""
     robots: tuple[str, ...] = ()
     """Robots that write Behavioral Trace Maps, as `jx.trace` takes them: then runs of these are made instead of
     episodes of strategies, `episodes` of each."""
     tuning: Mapping[str, Any] | Tuning = dataclasses.field(default_factory=dict)
-    """A `jx.Tuning`, or fields of it, for robots."""
+    """A `jx.Tuning`, or some of its fields, for robots."""
     noise: Mapping[str, Any] | Noise = dataclasses.field(default_factory=dict)
-    """A `jx.Noise`, or fields of it, for robots."""
+    """A `jx.Noise`, or some of its fields, for robots."""
     settings: tuple[Mapping[str, Any], ...] = ()
     """Settings one by one instead of a product: mappings such as `{lidar.range_m: 4, rules.clearance_m: 0.2}`; with the
     product of the rest."""
     draws: int | None = None
-    """How many settings are drawn, where there are ranges; axes of lists are drawn from as well."""
+    """Number of settings to draw, with ranges; axes of lists are drawn from as well."""
     draw: str = "sobol"
-    """How: "sobol" (scrambled, even) or "random"."""
+    """Method of drawing: "sobol" (scrambled, even) or "random"."""
 
     def __post_init__(self) -> None:
         for name in ("worlds", "strategies", "settings", "robots"):
@@ -144,7 +144,7 @@ class Sweep:
 
     @property
     def axes(self) -> dict[str, Any]:
-        """What is varied: dotted name -> list of values, or a `Range`."""
+        """Return the varied settings: dotted name -> list of values, or a `Range`."""
         given = {"seed": self.seed, "cell_m": self.cell_m}
         for part in PARTS:
             given |= {f"{part}.{key}": value for key, value in getattr(self, part).items()}
@@ -212,10 +212,10 @@ class Sweep:
         return found
 
     def strategy_list(self) -> list[tuple[str, dict[str, Any]]]:
-        """The strategies, lists of parameters taken apart: a list of `(name, parameters that are settings)`.
+        """Return the strategies, lists of parameters expanded: a list of `(name, parameters that are settings)`.
 
         Raises:
-          InputError: a mapping that is none of a strategy, a strategy twice.
+          InputError: a mapping that does not describe a strategy, a strategy twice.
         """
         found = []
         for given in self.strategies:
@@ -239,7 +239,7 @@ class Sweep:
 
 
 def _same(value):
-    """What is equal for equal values: 3 and 3.0 are, 1 and true are not."""
+    """Return a key that is equal for equal values: 3 and 3.0 are, 1 and true are not."""
     return repr(float(value)) if isinstance(value, (int, float)) and not isinstance(value, bool) else repr(value)
 
 
@@ -285,7 +285,7 @@ def _axis(key, value) -> Any:
 
 
 def _require_plain(key, value):
-    """Refuses what is no single value."""
+    """Refuse anything but a single value."""
     value = value.item() if isinstance(value, np.generic) else value
     if value is not None and not isinstance(value, (bool, int, float, str)):
         raise InputError(f"{key} must be a number, a word or a truth value, got {value!r}")

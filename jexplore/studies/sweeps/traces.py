@@ -90,7 +90,7 @@ class TracePlan:
         return self.units[unit][2]
 
     def seconds(self, workers: int) -> float:
-        """About how long it takes on so many cores, compiling included."""
+        """Estimate the time on a number of cores, compiling included."""
         return (RUN_S * self.episodes + COMPILE_S * self.programs) / max(workers, 1)
 
     def asked(self, shard: tuple[int, int] | None = None) -> dict[str, Any]:

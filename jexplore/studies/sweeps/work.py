@@ -109,8 +109,9 @@ def _rows(plan, block, job, found):
 
 
 def typed(table: "pd.DataFrame", plan: Any) -> "pd.DataFrame":
-    """A table of a sweep, its columns of settings of the types that the whole plan gives them, whatever part it is:
-    truth values, whole numbers, numbers (NaN where there is none), or text (empty where there is none).
+    """Convert a table of a sweep, or of its part, to the column types of the whole plan.
+
+    Types are truth values, whole numbers, numbers (NaN where missing), and text (empty where missing).
     """
     for name, kind in plan.kinds.items():
         if kind == "text":

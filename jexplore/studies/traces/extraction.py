@@ -1,4 +1,4 @@
-"""A Behavioral Trace Map from what an exploration episode has seen, beside what is true."""
+"""A trace map extracted from the grid map of an exploration episode, compared with the truth."""
 
 import dataclasses
 import os
@@ -26,7 +26,7 @@ NEAR_CELLS = 2.0  # a node is found if it lies this near to the true one
 
 @dataclasses.dataclass(frozen=True)
 class Extracted:
-    """What `extracted` found."""
+    """Result of `extracted`."""
 
     map: BtmMap
     episode: Episode
@@ -37,7 +37,7 @@ class Extracted:
         return {"strategy": self.episode.strategy, **self.episode.measures}
 
     def agreement(self) -> list[str]:
-        """How the map compares with the world's true topology: lines of text, none where the world has none."""
+        """Compare the map with the world's true topology: lines of text, none if the world has none."""
         course = self.episode.world.course
         return [] if course is None else [agreement(self.map, course.topology, self.episode.world.cell_m)]
 
@@ -124,6 +124,6 @@ def matched(found: BtmMap, true: BtmMap, cell_m: float) -> tuple[int, int, int]:
 
 
 def agreement(found: BtmMap, true: BtmMap, cell_m: float) -> str:
-    """How the divergences of two maps compare: a line of text."""
+    """Compare the divergences of two maps: a line of text."""
     hits, ours, theirs = matched(found, true, cell_m)
     return f"true divergences found, within {NEAR_CELLS:g} cells and of their degree: {hits} of {theirs}; {ours} in all"

@@ -1,4 +1,4 @@
-"""What a trace is asked: a building, a robot, thresholds and noise, and which of them are swept."""
+"""Settings of a trace: a building, a robot, thresholds and noise, and which of them are swept."""
 
 import dataclasses
 import functools
@@ -38,7 +38,7 @@ MOST_STEPS = int(BOUNDS["max_steps"][1])
 STEPS_M2 = 100  # steps of 4 cm for each square metre of free area: four metres of way
 CLEARANCE_M = 0.5  # of starts that are drawn
 ROOMY = 128  # most nodes of a map of a building, at least
-SPARE = 2  # nodes that there is room for by default, for each place of the true map that is one
+SPARE = 2  # default room for nodes, for each node of the true map
 
 
 @dataclasses.dataclass(frozen=True)
@@ -68,7 +68,7 @@ class TraceJob:
 
     @property
     def is_narrow(self) -> bool:
-        """Whether the map has less room than there are places that a run should find."""
+        """Return whether the map has room for fewer nodes than a run should find."""
         return self.size[0] < self.places
 
     @property
@@ -93,7 +93,7 @@ class TraceJob:
         return next(iter(self.truths[0]), None)
 
     def starts_of(self, runs: np.ndarray) -> np.ndarray:
-        """Where runs of these numbers begin: `[n, 3]` float32."""
+        """Return the starts of runs by their numbers: `[n, 3]` float32."""
         return self.begins[runs % len(self.begins)]
 
 
@@ -240,7 +240,7 @@ def _loaded(world, cell_m, start, starts):
 
 
 def _ends(world, start, starts, seed) -> tuple[Any, Any]:
-    """Where runs start, a list of poses, and end, in the world's frame."""
+    """Return the starts of runs, a list of poses, and the end, in the world's frame."""
     goal = None if world.course is None else world.course.goal_m
     if start is not None:
         require_start_pose(start)

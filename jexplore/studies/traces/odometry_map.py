@@ -1,4 +1,4 @@
-"""The grid map that a robot would have drawn from where it took itself to be, and how much of it is right."""
+"""The grid map drawn from the robot's estimated poses, and its correct share."""
 
 import dataclasses
 import math
@@ -12,7 +12,7 @@ from jexplore.tracemap.merging.rigid import Move, fit
 from jexplore.worlds.readers.scans import ScanLog, ScanMap, fold_scans
 from jexplore.worlds.world import World
 
-NEAR_M = 0.1  # an occupied cell whose centre lies this near to a true wall is one of a wall
+NEAR_M = 0.1  # an occupied cell whose centre lies this near to a true wall is correct
 APART_M = 0.3  # a wall is doubled if it was drawn in places farther apart than this
 PIECE_M = 0.25  # length of the pieces of wall of which it is asked
 FEW = 4  # beams that a piece of wall must have stopped to count
@@ -153,7 +153,7 @@ def _doubled(log, tree, normals, piece):
 
 
 def _ends(log, poses):
-    """Where beams end, seen from poses: `[N, B, 2]`, metres; at the poses where a beam has no echo."""
+    """Return the ends of beams, seen from poses: `[N, B, 2]`, metres; the poses themselves for a beam without echo."""
     angle = poses[:, 2:] + log.angles_rad
     length = np.where(log.echo, log.ranges, 0)
     return poses[:, None, :2] + length[..., None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)

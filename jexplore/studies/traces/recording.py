@@ -85,11 +85,11 @@ def _frame(key, building, robot, tuning, noise, state):
 
 
 def record(plan: tracing.TraceJob, on_progress: Callable[[int], Any] = lambda n: None) -> Recording:
-    """What the operator would have seen of run 0.
+    """Record the operator's view of run 0.
 
     Args:
       plan: `tracing.TraceJob`.
-      on_progress: called with the number of steps so far.
+      on_progress: called with the number of finished steps.
 
     Returns:
       `Recording`.
@@ -99,7 +99,7 @@ def record(plan: tracing.TraceJob, on_progress: Callable[[int], Any] = lambda n:
     building = jax.device_put(plan.building)
     setup = mission.Setup(room_for(plan.max_steps), *plan.size)
     key = _key(plan)
-    # With the very types that a step returns, not weak ones: else the second step would be compiled once more.
+    # With exactly the types that a step returns, not weak ones: else the second step would be compiled once more.
     state = jax.tree.map(lambda a: jnp.asarray(a, a.dtype), mission.at_start(setup, building, robot, plan.begins[0]))
     frames, steps = [], 0
     while int(state.outcome) == mission.Outcome.RUNNING and steps < plan.max_steps:

@@ -114,7 +114,7 @@ def checked(btm: BtmMap) -> BtmMap:
 
 @dataclasses.dataclass(frozen=True)
 class _Use:
-    """What a robot may use of a map."""
+    """Usable part of a map for a robot."""
 
     robot: Robot
     refused: tuple[tuple[int, tuple[str, ...]], ...]  # links with reasons, by id, un-searched ones included

@@ -29,9 +29,9 @@ NONE = {
 
 @checked_names
 def station(maps: Sequence[BtmMap], names: Sequence[str] | None = None, *, title: str | None = None) -> str:
-    """Maps of robots as one HTML file that works without a network: the maps drawn, and routes over them.
+    """Show maps of robots as one HTML file that works without a network: the maps drawn, and routes over them.
 
-    Maps that fit are merged as by `merge_maps`; those that do not stand beside the global map, each in its own frame.
+    Maps that fit are merged as by `merge_maps`; the others are shown next to the global map, each in its own frame.
 
     Args:
       maps: one or more, such as `jx.read_btm("btm.json")`.
@@ -119,6 +119,6 @@ def _joined(found: Merged, given, main):
 
 
 def _outcome(main, btm):
-    """Why a map is no part of another. Where it would fit alone, the maps that it is one with do not."""
+    """Explain why a map is not part of another. If it would fit alone, the maps merged with it do not."""
     outcome = match(main, btm).outcome
     return outcome if outcome in WHY else Merging.NOT_ENOUGH_IN_COMMON

@@ -40,7 +40,7 @@ FIRST = "_first"  # column of a unit's file: map and way of run 0
 @checked_names
 @dataclasses.dataclass(frozen=True)
 class Traced:
-    """What `trace` found."""
+    """Result of `trace`."""
 
     plan: TraceJob
     table: Any
@@ -50,7 +50,7 @@ class Traced:
     driven: Driven
     """Way of run 0."""
     costs: Costs
-    """What the runs cost that were made here."""
+    """Costs of the runs that were made here."""
     maps: dict[int, BtmMap] = dataclasses.field(default_factory=dict)
     """Number of a run, in the order of the table -> its map; of the runs that were made here."""
     resumed: int = 0
@@ -62,7 +62,7 @@ class Traced:
         return self.plan.topology
 
     def scans(self) -> ScanLog:
-        """What the scanner of run 0 said along its way, a `ScanLog`: see `scans.scans_of`."""
+        """Return the scans of run 0 along its way, a `ScanLog`: see `scans.scans_of`."""
         return scans_of(self.plan, self.driven)
 
 
@@ -94,13 +94,13 @@ def execute(
     on_progress: Callable[[int], Any] | None = None,
     ledger: Ledger | None = None,
 ) -> Traced:
-    """Makes the runs of a plan that the ledger does not have.
+    """Make the runs of a plan that the ledger does not have.
 
     Args:
       plan: `TraceJob`.
       engine, lanes, workers: see `runner.find_resources`; results are equal but for rounding.
-      on_progress: called with the number of runs finished so far, those that were there before included.
-      ledger: where units, those of `blocks_of`, are kept as soon as they are finished.
+      on_progress: called with the number of finished runs, including earlier ones.
+      ledger: stores units, those of `blocks_of`, as soon as they are finished.
 
     Returns:
       `Traced`. After Ctrl-C it holds what was finished.
@@ -127,7 +127,7 @@ def execute(
 
 
 def _run(plan, made, how):
-    """Makes what is left: `Costs`."""
+    """Make the missing runs: `Costs`."""
     n, (tuning, noise) = len(made.which), made.tuning_and_noise
     report = batch.run_missions(
         plan.building,
@@ -148,7 +148,7 @@ def _run(plan, made, how):
 
 
 class _Made:
-    """What has been made of a plan."""
+    """Finished runs of a plan."""
 
     def __init__(self, plan, ledger):
         self.plan, self.ledger, self.blocks = plan, ledger, blocks_of(plan)
@@ -215,20 +215,20 @@ def trace(
     progress: bool | None = None,
     **options: Any,
 ) -> Traced:
-    """Lets a robot drive through a building and write its Behavioral Trace Map, once or many times.
+    """Let a robot drive through a building and write its trace map, once or many times.
 
     Args:
       world: name or `World`.
       engine, lanes, workers: see `runner.find_resources`; results are equal but for rounding.
-      on_progress: called with the number of runs finished so far.
-      progress: whether a bar shows that; by default in notebooks.
+      on_progress: called with the number of finished runs.
+      progress: show a bar; by default in notebooks.
       **options: see `prepare_trace`.
 
     Returns:
       `Traced`.
 
     Raises:
-      InputError: what cannot be run, in one line.
+      InputError: the reason why it cannot run, in one line.
     """
     plan = prepare_trace(world, **options)
     with progress_bar(progress, plan.settings * plan.runs, "runs", on_progress) as moved:
@@ -253,7 +253,7 @@ def map_of(plan: TraceJob, result: Any, i: int) -> BtmMap:
 
 
 def _helps(help_at, origin_m):
-    """Where, when and in which run mode the operator helped, of the first helps: text."""
+    """Describe place, time and run mode of the first operator helps: text."""
     rows = help_at[np.isfinite(help_at[:, 0])]
     told = []
     for x, y, step, mode in rows:

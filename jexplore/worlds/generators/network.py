@@ -226,9 +226,7 @@ def _turned(rects, quarters, mirrored):
 
 
 def _planned(places: list[Rect], pairs: Iterable[tuple[int, int]], before_m, creases, angle_deg) -> Network:
-    """Return the `Network` of places and passages; the first passage has the start and, `before_m` from its end, a
-    ramp.
-    """
+    """Return the `Network` of places and passages; the first has the start and, `before_m` from its end, the ramp."""
     ways = [(a, b, _heading(places[a], places[b])) for a, b in pairs]
     arms = [{heading for a, _, heading in ways if a == i} | {(h + 2) % 4 for _, b, h in ways if b == i}
             for i in range(len(places))]  # fmt: skip
