@@ -91,7 +91,7 @@ def mean_and_se(values: Iterable[float]) -> dict[str, float | None]:
 
 
 def speed_clock() -> str:
-    """Return the field of `Seconds` that measures speed: processor time on a CPU, which may be shared, else wall time."""
+    """Return the field of `Seconds` for speed: processor time on a CPU, which may be shared, else wall time."""
     return "cpu" if jax.default_backend() == "cpu" else "wall"
 
 

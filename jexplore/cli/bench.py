@@ -10,11 +10,11 @@ from jexplore.cli.output.terminal import show_table
 
 @dataclasses.dataclass(frozen=True)
 class Bench:
-    """Measure what everything costs on this machine.
+    """Measure kernels, episodes and memory on this machine.
 
-    Kernels beside other libraries, episodes by batch size and by map size, an episode's parts, memory, compiling. Runs
-    on one core, or on the first accelerator. Prints Markdown tables and writes bench.json, bench.png and run.json. A
-    quiet machine gives good figures.
+    Kernels compared with other libraries, episodes by batch size and by map size, an episode's parts, memory,
+    compiling. Runs on one core, or on the first accelerator. Prints Markdown tables and writes bench.json, bench.png
+    and run.json. A quiet machine gives good figures.
     """
 
     worlds: OwnNames = None
@@ -22,16 +22,16 @@ class Bench:
     strategies: OwnNames = None
     """Measure these strategies (default: closest+recheck)."""
     batch_sizes: Numbers = None
-    """Run so many episodes by the serial engine, and so many lanes in lockstep (default: 1 4 16 64; up to 4096 lanes on
-    an accelerator)."""
+    """Number of episodes of the serial engine, and of lanes in lockstep (default: 1 4 16 64; up to 4096 lanes on an
+    accelerator)."""
     sides: Numbers = None
-    """Measure how the cost grows by maps of so many cells a side, 32 to 2048 (default: 64 128 256 512)."""
+    """Measure the cost by map size, cells a side, 32 to 2048 (default: 64 128 256 512)."""
     engine: OwnNames = None
     """Measure these engines: serial, lockstep or both (default: what suits the machine)."""
     episodes: Number = None
-    """Run at least so many episodes in lockstep, and so many by the serial engine for each map size (default: 16)."""
+    """Least number of episodes in lockstep, and number by the serial engine for each map size (default: 16)."""
     repeat: Number = None
-    """Take every measurement so many times (default: 5)."""
+    """Repetitions of every measurement (default: 5)."""
     quick: bool = False
     """Take smaller defaults: the cave, batches of 1 and 4, sides 64 and 128, 4 episodes, 2 turns."""
     cache: bool = False

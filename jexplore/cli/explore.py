@@ -15,8 +15,7 @@ class Explore:
     """Run one episode and draw it.
 
     Writes episode.png, episode.gif (known map, frontiers, target, path), explored.yaml and explored.pgm (the map at the
-    end, for ROS's map_server), report.html and run.json. It is one of the episodes of a comparison with the same
-    options.
+    end, for ROS's map_server), report.html and run.json. The episode is that of a comparison with the same options.
     """
 
     world: OneWorld = "cave"
@@ -39,7 +38,7 @@ class Explore:
     """Go on from a partial map of the same cells, such as explored.yaml of `jexplore explore`: what it shows is known
     from the beginning, and drawn starts lie where it shows free floor."""
     frames: int = 300
-    """Give the animation at most so many frames, evenly spaced."""
+    """Most frames of the animation, evenly spaced."""
     out: OutFolder = None
     """Write into this folder."""
     overwrite: bool = False

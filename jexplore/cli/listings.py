@@ -126,7 +126,7 @@ def measure(worlds: "Sequence[World]", clearance_m: float) -> "list[Geometry]":
 
 
 def describe(world: "World") -> dict[str, Any]:
-    """What a table of worlds says about one."""
+    """Return a world's entries in a table of worlds."""
     from jexplore.studies.results import provenance
 
     return provenance.describe(world)

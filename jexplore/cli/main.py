@@ -1,9 +1,9 @@
 """The command line: `jexplore compare`, `explore`, `bound`, `train`, `reproduce`, `segment`, `trace`, `route`,
 `merge-maps`, `station`, `worlds`, `strategies`, `bench`.
 
-Importing this loads neither jax nor numpy; every command imports what it needs when it runs. Wrong input ends with one
+Importing this loads neither jax nor numpy; every command imports its modules when it runs. Wrong input ends with one
 line and status 2 and leaves no files, an interruption with one line and status 130; a comparison or reproduction then
-keeps what is finished.
+keeps its finished part.
 """
 
 import contextlib

@@ -1,7 +1,7 @@
-"""What names, files and numbers must be, told in a moment: before jax is imported and a world is built.
+"""Fast checks of names, files and numbers, before jax is imported and a world is built.
 
-What the package itself offers is read off its source, for importing a strategy or a generator would load jax. All of it
-is checked once more where it is used; what cannot be told from text alone is left to that.
+Names that the package offers are read from its source, as importing a strategy or a generator would load jax.
+Everything is checked again where it is used; what text alone does not decide is left to that.
 """
 
 import ast
@@ -135,7 +135,7 @@ def check_strategy(text: str) -> None:
 
 
 def check_spec(path: str) -> None:
-    """Refuses the file of a sweep that cannot be read, or that names what is not there."""
+    """Refuse the file of a sweep that cannot be read, or that names missing things."""
     from jexplore.studies.sweeps.spec import read_spec
 
     spec = read_spec(path)

@@ -1,4 +1,4 @@
-"""What the options of commands have in common, and their parsing: every mistake becomes one line."""
+"""Common options of commands, and their parsing: every mistake becomes one line."""
 
 import ast
 import codecs
@@ -33,7 +33,7 @@ def is_small() -> bool:
 
 
 STRATEGIES = ("closest", "closest+recheck", "random")
-"""What `jexplore compare` compares by default."""
+"""Default strategies of `jexplore compare`."""
 
 
 def default_worlds() -> tuple[str, ...]:
@@ -56,7 +56,7 @@ EngineName = Literal["auto", "serial", "lockstep"]
 
 
 def help_text(commands: Mapping[str, type]) -> str:
-    """What `jexplore --help` prints. `commands`: name -> class of its options."""
+    """Return the text of `jexplore --help`. `commands`: name -> class of its options."""
     lines = ["usage: jexplore {" + ",".join(commands) + "} [options]", ""]
     lines += ["A laboratory for mobile-robot exploration.", "", "commands:"]
     lines += [f"  {name:<12}{(command.__doc__ or '').splitlines()[0]}" for name, command in commands.items()]
@@ -158,7 +158,7 @@ def parse(arguments: Sequence[str], commands: Mapping[str, type]) -> Any:
 
 
 def _stray(arguments, line):
-    """What is said of an unknown option; of a value that the option before it does not take, it is told."""
+    """Explain an unknown option; name the option before it that does not take the value."""
     word = line.removeprefix("unknown option ").partition(";")[0]
     if word == line or word.startswith("-") or word not in arguments:
         return line
@@ -195,7 +195,7 @@ _REGISTRY = ConstructorRegistry()
 
 @_REGISTRY.struct_rule
 def _records(info: StructTypeInfo) -> StructConstructorSpec | None:
-    """How a record becomes options: its docstrings as running text, and no defaults that say nothing."""
+    """Convert a record to options: its docstrings as running text, and no empty defaults."""
     if not dataclasses.is_dataclass(info.type):
         return None
     kind: Any = info.type
@@ -286,7 +286,7 @@ _REWORDED = (
 
 
 def one_line(box: str) -> str:
-    """What tyro's box of several lines says, as one line."""
+    """Convert tyro's box of several lines to one line."""
     rows = [row.strip("│ ").strip() for row in box.splitlines() if row.strip() and row.strip()[0] not in "╭╰"]
     parts = [[]]
     for row in rows:

@@ -30,15 +30,14 @@ FINISHING = "jexplore: computing statistics and drawing"
 class Sweep:
     """Compare strategies over many settings of scanner, rules, worlds and parameters.
 
-    Reads what is varied from a YAML file, in which a list is an axis of the product: worlds: [cave, office],
+    Reads the varied settings from a YAML file, in which a list is an axis of the product: worlds: [cave, office],
     strategies: [closest, closest+recheck], episodes: 20, lidar: {range_m: [4, 8]}, rules: {clearance_m: [0.2, 0.3]}.
     Prints a table and writes episodes.parquet (a row an episode, settings as columns), summary.csv, asked.yaml,
-    run.json and sweep.png. What is finished is kept on the way: a run that was ended, in whatever way, goes on with
-    --resume.
+    run.json and sweep.png. Finished units are stored on the way: --resume continues a run that was ended in any way.
     """
 
     spec: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="SPEC.yaml", help_behavior_hint="(required)")] = ""
-    """The file that says what is varied."""
+    """File with the varied settings."""
     dry_run: bool = False
     """Only say how much work it is: units, compiled programs, time."""
     yes: bool = False
@@ -46,7 +45,7 @@ class Sweep:
     shard: Annotated[str | None, tyro.conf.arg(metavar="I/N", help_behavior_hint="")] = None
     """Make only part I of N (1/4 to 4/4), each in a folder of its own; `jexplore merge` puts the parts together."""
     engine: Literal["auto", "serial", "lockstep", "ray"] = "auto"
-    """How episodes run: as for `jexplore compare`, or as tasks of a Ray cluster."""
+    """Engine of the episodes: as for `jexplore compare`, or tasks of a Ray cluster."""
     lanes: int | None = None
     """Episodes at a time in lockstep; by default as many as the memory holds."""
     workers: int | None = None
@@ -60,8 +59,8 @@ class Sweep:
     report: bool = dataclasses.field(default=True, metadata={"off": "Leave out report.html."})
     """Write report.html, the whole run in one page with replays."""
     resume: bool = False
-    """Go on with the run that the folder holds, if there is one: what is finished is not computed again. With more
-    episodes than it had, the earlier ones are kept."""
+    """Continue the run in the folder, if any: finished units are not computed again. With a larger number of episodes
+    it keeps the earlier ones."""
     trust: bool = False
     """Let --resume take strategies of your own for what they were when the run began, even where nothing tells."""
 
@@ -122,7 +121,7 @@ def shard_of(text: str | None) -> tuple[int, int] | None:
 
 
 def _show_finished(out, plan):
-    """What `--resume` says of a sweep that is finished; pictures that are not there are drawn."""
+    """Print the results of a finished sweep for `--resume`, and draw missing pictures."""
     from jexplore.studies.results.loading import load, record_of
 
     found = load(out.run.path)

@@ -79,8 +79,7 @@ class Tuning(Settings):
 
     width_m: float = 0.39
     """A gap narrower than this reference width [W], in metres, is no opening, and no side of a triangle. The default is
-    that of the narrowest robot, so that every robot makes the same map.
-    """
+    that of the narrowest robot, so that every robot makes the same map."""
     far_m: float = 0.0
     """Points farther away than this [D2], in metres, are left out of the triangles; less where the beams are too far
     apart on the walls. 0: 4 on courses, 8 in other worlds."""

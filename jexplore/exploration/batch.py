@@ -38,7 +38,7 @@ class Job(NamedTuple):
 
 
 class Outcomes(NamedTuple):
-    """What `run_jobs` returns for one job."""
+    """Results of `run_jobs` for one job."""
 
     result: Result  # numpy, with a leading axis N; outcome RUNNING where the run was interrupted before
     # the map and the way of episode 0, or of the only one; None where that is not here, or was interrupted before
@@ -47,7 +47,7 @@ class Outcomes(NamedTuple):
 
 
 class Finished(NamedTuple):
-    """What `run_jobs` returns."""
+    """Result of `run_jobs`."""
 
     outcomes: list[Outcomes]  # in the order of the jobs
     costs: Costs
@@ -59,14 +59,14 @@ def run_jobs(
     only: int | None = None, keep: str | None = None, on_job: Callable[[int, Outcomes], object] | None = None,
     alike: Sequence[tuple[Lidar, Rules]] = (),
 ) -> Finished:  # fmt: skip
-    """Runs every episode of every job.
+    """Run every episode of every job.
 
     An episode's result depends on its world, start, strategy, seed and number, not on what else runs, nor on the
     engine, or the number of lanes, cores, devices or processes. Between kinds of devices that holds for a
     scanner without noise and strategies that compare whole numbers (`closest`, `random`): noise is drawn, and the
     others choose, in floating point, which devices may round differently.
 
-    Ctrl-C ends the run early: the report then holds what was finished. Where nothing was, it is raised.
+    Ctrl-C ends the run early: the report then holds the finished episodes; without any, the interruption is raised.
 
     Args:
       jobs: list of `Job`, each with at least one start. In every process the same.
@@ -75,9 +75,9 @@ def run_jobs(
       engine: one of `runner.ENGINES`; by default serial, see `runner.find_resources`.
       lanes: lanes on each device in lockstep; by default as many as its memory holds, at most 4096.
       workers: threads of the serial engine on one device; by default the CPU cores that this process may use.
-      on_progress: called with the number of episodes finished so far, now and then, from the calling thread.
+      on_progress: called regularly with the number of finished episodes, from the calling thread.
       only: number of the one episode of every job that is run; None: all are.
-      keep: one of `trail.RECORDS`, what is kept of every episode; None: nothing but results.
+      keep: one of `trail.RECORDS`, the record of every episode; None: results only.
       on_job: called with the number of a job and its `Outcomes` once all its episodes have ended, soon after, from the
         calling thread.
       alike: scanners and rules of other runs that are to share this one's programs, see `site.prepare_site`.
@@ -87,8 +87,8 @@ def run_jobs(
 
     Raises:
       InputError: a start that is no cell of its world or no multiple of 45 degrees, a seed outside 0 to `MAX_SEED`; an
-        engine that does not exist, lanes or workers below 1, lanes for the serial engine; a strategy of a user's that
-        does not return what it should; `keep` where several processes share the work.
+        engine that does not exist, lanes or workers below 1, lanes for the serial engine; a user's strategy with a
+        wrong result; `keep` where several processes share the work.
       InputWarning: robots are driven by JAX, because native code cannot be built; once in a process.
       MemoryError: a device's memory does not suffice, not even for half the lanes.
     """
@@ -125,7 +125,7 @@ def _run_rest(jobs, rest, lines, resources, costs, on_progress, on_job):
 
 
 def _nothing(job):
-    """What there is of a job that nothing was done for."""
+    """Return the empty outcomes of a job of which no episode was run."""
     blank = result_of(np.zeros((len(job.starts), RESULT), np.int32))
     return Outcomes(blank, None, {})
 
@@ -187,7 +187,7 @@ def _play(runs, workers, on_progress, on_job):
 
 
 def _in_jax(jobs, lidar, rules, only, keep, alike, how):
-    """What runs jobs in JAX: `(resources, lines)`."""
+    """Prepare jobs for JAX: `(resources, lines)`."""
     resources = find_resources(**how)
     if keep is not None and resources.processes > 1:
         raise InputError(f"keep={keep!r} is for one process, and {resources.processes} share the work")

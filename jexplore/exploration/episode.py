@@ -26,7 +26,7 @@ def _shares(parts, whole, n):
 
 
 def _knowable(explorable, occupied, within):
-    """How many cells a scanner without noise can come to know: the free ones and the walls at their sides."""
+    """Count the cells that a scanner without noise can come to know: the free ones and their walls."""
     occupied = occupied if within is None else occupied & within
     near = bordered(explorable, False)
     above, right, below, left = (beside(near, *step) for step in ((1, 0), (0, 1), (-1, 0), (0, -1)))
@@ -97,11 +97,11 @@ def _must_plan(state):
 
 
 def program_of(setup: Setup, keep: str | None = None) -> Program:
-    """Exploration as a `Program`; its `Setup` has a policy.
+    """Return exploration as a `Program`; its `Setup` has a policy.
 
     Args:
       setup: `Setup`.
-      keep: what is kept of every episode, one of `trail.RECORDS`; None: nothing but its result.
+      keep: the record of every episode, one of `trail.RECORDS`; None: its result only.
 
     Source:
       Holz et al. 2010, Figure 3 and section 2.3.

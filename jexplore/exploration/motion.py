@@ -14,7 +14,7 @@ EIGHTH_TURN_RAD = 0.7853981633974483
 
 
 def motion_step(motion: Any) -> tuple[Array, Array, Array]:
-    """What a motion does to the robot.
+    """Return the displacement and heading of a motion.
 
     Args:
       motion: int, index into `reach.MOTIONS`; any shape.

@@ -136,12 +136,12 @@ class NativeRun:
 
     @property
     def is_done(self) -> bool:
-        """Whether all episodes have come back."""
+        """Return whether all episodes have come back."""
         return not self.left.size
 
     @property
     def has_some(self) -> bool:
-        """Whether any episode has come back."""
+        """Return whether any episode has come back."""
         return bool((self.table[:, _OUTCOME] != Outcome.RUNNING).any())
 
     def play(self, numbers: np.ndarray, stop: np.ndarray) -> episodes.Played:
@@ -175,7 +175,7 @@ class NativeRun:
 
 
 def _play_on_gpu(runs, stop, progress):
-    """Runs on a GPU what is worth it; what it gives up, and what is to be kept whole, is left for the CPU."""
+    """Run the episodes worth it on a GPU; those that it gives up, and those to be kept whole, are left for the CPU."""
     groups = {}
     for run in runs:
         if run.keep is None:
@@ -225,19 +225,19 @@ def play_all(
     on_progress: Callable[[int], object],
     on_run: Callable[[int], object] | None = None,
 ) -> float:
-    """Run the episodes of some `NativeRun`s on the cores of a CPU, and put the results there.
+    """Run the episodes of some `NativeRun`s on the cores of a CPU, and store the results in them.
 
     Args:
       runs: list of `NativeRun`.
       workers: threads.
-      on_progress: called with the number of episodes done so far, from the calling thread.
-      on_run: called, likewise, with the number of a run once all of its episodes have come back.
+      on_progress: called with the number of finished episodes, from the calling thread.
+      on_run: called from the calling thread with the number of a run once all its episodes have come back.
 
     Returns:
       Seconds.
 
     Raises:
-      KeyboardInterrupt: after what was under way has been given up; what had ended is kept.
+      KeyboardInterrupt: after running episodes have been given up; finished ones are kept.
     """
     began, stop, told = time.perf_counter(), np.zeros(1, np.int32), set()
 
@@ -278,14 +278,14 @@ def show_episode(
     shown: Sequence[int],
     frontier: int,
 ) -> tuple[np.ndarray, np.ndarray] | None:
-    """Show what a robot knew as it left some places of a recorded episode; of any strategy.
+    """Return the known map at some steps of a recorded episode, of any strategy.
 
     Args:
       world, strategy, lidar, rules: those of the episode.
       start: row, col, heading in degrees.
       final: the record, with its plans.
-      shown: steps made before it left, ascending.
-      frontier: what is added to the codes of frontier cells.
+      shown: numbers of steps, ascending.
+      frontier: added to the codes of frontier cells.
 
     Returns:
       `(codes, headings)`: `[F, H, W]` uint8, 0 unknown, 1 free, 2 occupied, `frontier` more where a frontier cell can

@@ -1,4 +1,4 @@
-"""What an episode measured, in metres, radians and words. The only place where the device's integers become those."""
+"""Measures of an episode in metres, radians and words, converted from the device's integers here only."""
 
 import math
 from typing import Any
@@ -13,19 +13,19 @@ UNKNOWN, FREE, OCCUPIED = 0, 1, 2
 
 
 def path_m(straight: ArrayLike, diagonal: ArrayLike, cell_m: float) -> Any:
-    """Length of a path of so many straight and diagonal steps, metres: float64, of the shape of the arguments."""
+    """Return the length of a path of straight and diagonal steps, metres: float64, of the shape of the arguments."""
     return (np.asarray(straight, np.float64) + np.asarray(diagonal, np.float64) * math.sqrt(2)) * cell_m
 
 
 def progress_m(result: Result, cell_m: float) -> np.ndarray:
-    """Path driven when each 1 / `MARKS` of the cells that can be known in the world was first known.
+    """Return the path driven when each 1 / `MARKS` of the world's knowable cells was first known.
 
     Args:
       result: `state.Result` of numpy arrays with a leading axis N.
       cell_m: edge of a cell, metres.
 
     Returns:
-      `[N, MARKS]` float64, metres; NaN where so much was never known.
+      `[N, MARKS]` float64, metres; NaN where that share was never known.
     """
     metres = path_m(result.straight_along, result.diagonal_along, cell_m)
     return np.where(np.asarray(result.straight_along) < 0, np.nan, metres)

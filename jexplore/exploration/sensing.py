@@ -1,4 +1,4 @@
-"""What a scan tells a robot: it is made where the robot stands, and counted into its map where it believes to be.
+"""Sensing: a scan at the robot's true pose, counted into its map at the estimated pose.
 
 Known cells are counted as they come to be known.
 """
@@ -131,13 +131,13 @@ def _told(setup, state, seen, beams, when):
 
 
 def sense(setup: Setup, given: Given, state: State, when: Array) -> State:
-    """One scan where the robot stands, counted into its map where it believes to be, or nothing.
+    """Make one scan at the true pose and count it into the map at the estimated pose, if `when`.
 
     Args:
       setup: `Setup`. Static.
       given: as for `environment.begin`.
       state: `State`.
-      when: bool scalar, whether there is one.
+      when: bool scalar, False: do nothing.
 
     Returns:
       `State`.

@@ -89,7 +89,7 @@ def prepare_site(
     native: str | None = None,
     alike: Sequence[tuple[Lidar, Rules]] = (),
 ) -> Site:
-    """Puts a ring round a world that needs one, pads it and traces the scanner's beams.
+    """Prepare a world: add a ring if needed, pad it and trace the scanner's beams.
 
     Args:
       world: `World`.
@@ -97,9 +97,9 @@ def prepare_site(
       rules: `Rules`.
       shape: `(H, W)` to which the world is padded; by default the next that many worlds share.
       native: target of the kernel in C++ that scans and counts, see `sensing`, for one robot on a CPU; None: those in
-        JAX. A noisy scanner, and a world of which only a part is to be known, have none.
-      alike: scanners and rules of other runs. What is fixed before compiling then suits all of them whose scanner has
-        as many beams, so that they share a program; results are the same.
+        JAX. A noisy scanner, and a world with a partial goal, have none.
+      alike: scanners and rules of other runs. The static config then suits all of them whose scanner has as many beams,
+        so that they share a program; results are the same.
 
     Returns:
       `Site` of numpy arrays.
@@ -180,7 +180,7 @@ def regions_of(world: World) -> np.ndarray:
 
 
 def _setup(everyone, cell_m, shape, limit, native):
-    """What is fixed before compiling, such that it suits several scanners and rules, those of the site first."""
+    """Make a static config that suits several scanners and rules, those of the site first."""
     lidar, _ = everyone[0]
     max_steps = max(rules.max_steps or limit for _, rules in everyone)
     most = max(farthest(one, cell_m) + 4 * in_cells(one.sigma_m, cell_m) for one, _ in everyone)
@@ -202,8 +202,9 @@ def _beams(everyone, cell_m, shape):
 
 
 def tasks_of(starts: ArrayLike, ring: int) -> np.ndarray:
-    """What runs are given of starts in a world: `[N, 3]` int32, row and col in the maps of a site with this ring,
-    heading in units of 45 degrees.
+    """Convert starts in a world to tasks of runs: `[N, 3]` int32.
+
+    Row and col in the maps of a site with this ring, heading in units of 45 degrees.
     """
     row, col, heading_deg = np.array(starts, np.int32).T
     return np.stack([row + ring, col + ring, heading_deg // 45], axis=1)
@@ -219,16 +220,16 @@ def line_of(
     keeps: int = 0,
     keep: str | None = None,
 ) -> Line:
-    """The `Line` of a strategy's episodes.
+    """Make the `Line` of a strategy's episodes.
 
     Args:
       site: `Site`.
-      fitted: what `site.with_strategy` made of the strategy.
+      fitted: from `site.with_strategy`.
       starts: `[N, 3]` int, row, col, heading_deg (multiples of 45).
       seed: int.
-      which: `[n]` int, numbers of the episodes to be run here.
+      which: `[n]` int, numbers of the episodes to run here.
       keeps: number of the episode whose map and way are kept whole.
-      keep: what is kept of every episode, see `episode.program_of`.
+      keep: record of every episode, see `episode.program_of`.
     """
     setup, numbers = fitted
     trim = None

@@ -59,7 +59,7 @@ def _never(key, params, carry, belief, beams, route):
 
 
 def _bare(setup, numbers):
-    """A strategy here of which only `live` is left, so that all without one share what is compiled."""
+    """Strip a strategy to `live`, so that all strategies without one share a compiled program."""
     live = setup.policy.live
     params = () if live is None else numbers.params
     return setup._replace(policy=Policy(_nothing, _never, (), live)), numbers.replace(params=params)

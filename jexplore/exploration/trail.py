@@ -18,7 +18,7 @@ from jexplore.planning import Choice
 from jexplore.reach import HEADING, MOTIONS, NO_MOTION
 
 LOOKS = 8  # scans made in place at a spot, less than that
-CHOICES = 4  # one plan is recorded for so many steps that there is room for
+CHOICES = 4  # room for one recorded plan per this many steps
 _HEADING_OF = dict(zip(MOTIONS, HEADING))
 
 
@@ -37,7 +37,7 @@ class Choices(enum.IntEnum):
 
 
 def blank(capacity: int) -> tuple[Array, Array]:
-    """A trail and a record of plans with room for so many steps: `[T + 1, 2]`, `[P, 2]` int32."""
+    """Return an empty trail and record of plans with room for a number of steps: `[T + 1, 2]`, `[P, 2]` int32."""
     steps, plans = (capacity + 1, len(Trail)), (-(-capacity // CHOICES), len(Choices))
     return jnp.zeros(steps, jnp.int32), jnp.zeros(plans, jnp.int32)
 
@@ -84,7 +84,7 @@ class Final(NamedTuple):
 
 
 def kept(state: State) -> tuple[Array, Array, Array, Array, Array]:
-    """What is kept of an episode: map, trail, choices, and the motion that was refused last."""
+    """Return the record of an episode: map, trail, choices, and the last refused motion."""
     return state.belief.grid.hits, state.belief.grid.misses, state.trail, state.choices, state.bumped
 
 
@@ -98,11 +98,11 @@ def _steps_and_map(state):
 
 
 RECORDS: dict[str, Callable[[State], tuple[Array, ...]]] = {"paths": _steps, "maps": _steps_and_map}
-"""What can be kept of every episode: its way; its way and its last map."""
+"""Possible records of every episode: its way; its way and its last map."""
 
 
 class Record(NamedTuple):
-    """What is kept of every episode, on the host."""
+    """Record of every episode, on the host."""
 
     path: np.ndarray  # [n + 1, 3] int32, row, col and known cells, at the start and after each of n steps
     state: np.ndarray | None  # [H, W] uint8, the last map: 0 unknown, 1 free, 2 occupied; the world's cells

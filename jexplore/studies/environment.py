@@ -60,7 +60,7 @@ class EnvState:
 
 @struct.dataclass
 class _Bank:
-    """Shared data of all episodes of an environment. An argument of its programs: environments of one shape share them."""
+    """Shared data of all episodes of an environment, an argument of its programs: those of one shape share them."""
 
     beams: Beams
     scenes: Truth  # [M, ...]

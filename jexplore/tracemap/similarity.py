@@ -23,7 +23,7 @@ def code(btm: BtmMap) -> str:
 
 
 def same(a: BtmMap, b: BtmMap, tolerance_m: float | None = None, tolerance_deg: float | None = None) -> bool:
-    """Return whether two maps have equal codes and, if tolerances are given, measures within them; see `differences`."""
+    """Return whether two maps have equal codes and, with tolerances, measures within them; see `differences`."""
     return not differences(a, b, tolerance_m, tolerance_deg)
 
 

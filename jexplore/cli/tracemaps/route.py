@@ -124,7 +124,7 @@ class Route:
 
 
 def _tell(btm, route) -> int:
-    """Prints a route, or why there is none; the exit status."""
+    """Print a route, or the reason for having none; return the exit status."""
     from jexplore.report import trace_tables
 
     if route.is_found:

@@ -23,8 +23,7 @@ COLUMNS = (
 OPTIMAL, BOUNDED, WEAK, STUCK = "OPTIMAL", "BOUNDED", "WEAK", "STUCK"
 """Status of a row: the walk is the shortest; it is between two bounds; no walk was found in the time, and the lower
 bound
-is weak; the start is enclosed.
-"""
+is weak; the start is enclosed."""
 
 
 class Task(NamedTuple):

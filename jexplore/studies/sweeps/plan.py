@@ -164,7 +164,7 @@ class Plan:
         return [(block.setting, world, strategy, block.first + i) for i in range(block.n)]
 
     def left_of(self, number: int, begun: Any) -> list[Block]:
-        """Return the missing part of a unit of which a table has the first episodes of its blocks; None: all of them."""
+        """Return the missing part of a unit of which a table has the first episodes of its blocks; None: the whole."""
         have = (
             set() if begun is None else set(zip(*(begun[name] for name in ("setting", "world", "strategy", "episode"))))
         )

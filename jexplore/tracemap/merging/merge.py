@@ -39,8 +39,7 @@ class Merged:
     """Evidence beyond the best match that excludes it, nats."""
     notes: tuple[str, ...]
     """Differences of the maps, as sentences: attributes, ways of one place with different ends, and nodes matched by
-    their position alone.
-    """
+    their position alone."""
 
 
 @dataclasses.dataclass(frozen=True)
