@@ -51,7 +51,7 @@ def on_devices(function: Callable[..., Any], devices: Sequence[Any], n_own: int)
 
 
 def whole(tree: Any, devices: Sequence[Any]) -> Any:
-    """A pytree of arrays, all of it on every device."""
+    """Put a pytree of arrays on every device, unsplit."""
     return jax.device_put(tree, devices[0] if len(devices) == 1 else NamedSharding(_mesh(devices), PartitionSpec()))
 
 
@@ -104,7 +104,7 @@ def compiled(
 
 @functools.cache
 def _is_option(option):
-    """Whether this version of XLA has an option, a pair of name and value: they come and go."""
+    """Return whether this version of XLA knows an option, a pair of name and value."""
     try:
         with jax.default_device(jax.local_devices(backend="cpu")[0]):
             jax.jit(lambda: 0).lower().compile(compiler_options=dict([option]))
@@ -118,7 +118,7 @@ def _is_option(option):
 @functools.lru_cache(maxsize=PROGRAMS)
 def _compiled(made, tree, leaves, devices, donate, options, configuration):
     del configuration  # it only tells programs apart
-    other = devices[0].platform != jax.default_backend()  # a CPU beside an accelerator
+    other = devices[0].platform != jax.default_backend()  # a CPU in addition to an accelerator
     with pinned_draws(), jax.default_device(devices[0]) if other else contextlib.nullcontext():
         lowered = jax.jit(made.function, donate_argnums=donate).lower(*jax.tree.unflatten(tree, leaves))
     return lowered.compile(compiler_options=dict(options)), lowered.out_info

@@ -24,7 +24,7 @@ ENGINES = ("serial", "lockstep")
 
 @dataclasses.dataclass
 class Costs:
-    """What runs cost, and how well their lanes were used."""
+    """Costs of runs, and the use of their lanes."""
 
     compile_s: float = 0.0  # seconds spent compiling, or loading compiled programs
     run_s: float = 0.0  # seconds in which compiled programs ran
@@ -53,7 +53,7 @@ class Costs:
 
 
 class Resources(NamedTuple):
-    """What runs are made with."""
+    """Resources for making runs."""
 
     engine: str
     devices: list[Any]  # `jax.Device`
@@ -91,7 +91,7 @@ def require_32_bits() -> None:
 
 
 def find_resources(*, engine: str | None = None, lanes: int | None = None, workers: int | None = None) -> Resources:
-    """What there is to run with, and what is asked of it. Starts JAX.
+    """Find the available resources and apply the request. Starts JAX.
 
     Args:
       engine: one of `ENGINES`; by default serial, or lockstep for lanes on an accelerator and without a CPU in JAX.
@@ -99,7 +99,7 @@ def find_resources(*, engine: str | None = None, lanes: int | None = None, worke
       workers: threads of the serial engine on one device; by default the CPU cores that this process may use.
 
     Returns:
-      `Resources`. The serial engine has the CPU, whatever else there is.
+      `Resources`. The serial engine always uses the CPU.
 
     Raises:
       InputError: an engine that does not exist, lanes or workers out of range, lanes for the serial engine, the serial
@@ -134,19 +134,19 @@ def run_all(
     on_progress: Callable[[int], object] | None = None,
     on_line: Callable[[int], object] | None = None,
 ) -> Costs:
-    """Makes every run of every line.
+    """Make every run of every line.
 
     A run's result depends on its scene, program, numbers, task and key, not on what else runs, nor on the engine, or
     the number of lanes, cores, devices or processes.
 
-    Ctrl-C ends it early: the lines then hold what was finished. Where nothing was, it is raised.
+    Ctrl-C ends it early: the lines then hold the finished runs; without any, the interruption is raised.
 
     Args:
       lines: list of `Line`, each with at least one run. In every process the same, but for `which`.
       resources: `Resources`.
-      on_progress: called with the number of runs finished so far, now and then, from the calling thread.
-      on_line: called, likewise, with the number of a line once all its runs have come back: soon after, or, where
-        several processes share the work, at the end.
+      on_progress: called regularly with the number of finished runs, from the calling thread.
+      on_line: called from the calling thread with the number of a line once all its runs have come back: soon after,
+        or, if several processes share the work, at the end.
 
     Returns:
       `Costs`.
@@ -191,7 +191,7 @@ def run_all(
 
 
 def _make_room(lines, with_kept):
-    """Room for the results of lines of which nothing has come back; and for what is kept of them."""
+    """Allocate results of untouched lines, and their records."""
     known = {}
     for line in lines:
         if line.results is None or (with_kept and line.kept is None):
@@ -204,7 +204,7 @@ def _make_room(lines, with_kept):
 
 
 def _across_processes(lines):
-    """What all processes found, in every process."""
+    """Gather the results of all processes in every process."""
     from jax.experimental import multihost_utils
 
     def total(parts):  # every run was made in one process, zeros elsewhere

@@ -41,7 +41,7 @@ def run_one(program: Program, given: Given) -> Any:
 def chunk(
     program: Program, draws: Array, tasks: Any, count: Array, seed: Array, scenes: Any, shared: Any, numbers: Any
 ) -> tuple[Any, Any]:
-    """Up to C runs of one line, one after the other.
+    """Make up to C runs of one line, one after the other.
 
     Args:
       program: `Program`. Static.
@@ -52,7 +52,7 @@ def chunk(
       scenes, shared, numbers: as in `Given`.
 
     Returns:
-      results with a leading axis C, zeros from `count` on; and what is kept of the last run made.
+      results with a leading axis C, zeros from `count` on; and the record of the last run made.
     """
 
     def one(i):
@@ -135,17 +135,17 @@ def run_lines(
     costs: Any,
     on_progress: Callable[[int], object],
 ) -> None:
-    """Makes every run of some lines.
+    """Make every run of some lines.
 
     Args:
       lines: list of `Line`; results are put there as they come.
       devices: list of JAX devices of one kind.
       workers: threads; 1 where there are several devices.
       costs: `Costs`, added to.
-      on_progress: called with the number of runs finished so far, from the calling thread.
+      on_progress: called with the number of finished runs, from the calling thread.
 
     Raises:
-      KeyboardInterrupt: after the calls under way have ended; what they found has been kept.
+      KeyboardInterrupt: after running calls have ended; their results are kept.
     """
     began = time.perf_counter()
     kinds, places = {line.kind: line for line in lines}, {}

@@ -22,7 +22,7 @@ CHANGED = (
 
 
 class Stage(enum.IntEnum):
-    """Where driving sets in."""
+    """Stage at which driving sets in."""
 
     FIRST_SCANS = 0  # with those at the start, and no other
     NEXT_SCAN = 1  # with that which belongs to the last motion
@@ -56,10 +56,10 @@ def _register(name, handler):
 
 
 def find_target() -> str | None:
-    """Return the target of JAX's FFI that drives; None: there is none, which is said once in a process.
+    """Return the target of JAX's FFI that drives; None without one, with a warning once in a process.
 
     Warns:
-      InputWarning: no compiler, one that fails, or nowhere to keep what it makes.
+      InputWarning: no compiler, one that fails, or no writable folder for its output.
     """
     found = load()
     if found.loaded is not None:
@@ -111,7 +111,7 @@ def _numbers(values):
 
 
 def _terms(setup, given, state, stage, live):
-    """What driving reads of numbers, in the order of `Terms` in drive.cc."""
+    """Return the numbers that driving reads, in the order of `Terms` in drive.cc."""
     rules = given.numbers
     return _numbers(
         [
