@@ -50,7 +50,7 @@ class Btm:
     end_bearing: Array  # [M] float32, radians
     opening_m: Array  # [M] float32
     moved_x_m: Array  # [M] float32, from its first node to the other as the odometry had it, in the first's frame
-    moved_y_m: Array  # [M] float32, likewise
+    moved_y_m: Array  # [M] float32, y of the same
     turned: Array  # [M] float32, how far the other end's frame is turned against the first's, radians; NaN: unknown
     n_nodes: Array  # int32, nodes in use
     n_links: Array  # int32, links in use
@@ -59,7 +59,7 @@ class Btm:
 
 
 def empty(n_nodes: int, n_links: int) -> Btm:
-    """A map without nodes, for at most so many nodes and links. Both static."""
+    """Return a map without nodes, with room for `n_nodes` nodes and `n_links` links. Both static."""
 
     def full(n, value, dtype):
         return jnp.full(n, value, dtype)
@@ -163,13 +163,13 @@ def wrapped(angle: Any) -> Any:
 
 
 def turned_left(bearing: Array | float, reference: Array | float) -> Array:
-    """How far counter-clockwise a bearing lies from another: in (0, 2 pi], radians; 2 pi where they are equal."""
+    """Return the counter-clockwise angle from `reference` to a bearing: in (0, 2 pi], radians; 2 pi if equal."""
     angle = (bearing - reference) % (2 * math.pi)
     return jnp.where(angle <= 1e-6, 2 * math.pi, angle)
 
 
 def nearest_node(btm: Btm, x_m: Array | float, y_m: Array | float, kind: Array | int) -> tuple[Array, Array]:
-    """The nearest node of a kind: `(id, distance_m)`; `NONE` and `FAR_M` where there is none."""
+    """Return the nearest node of a kind: `(id, distance_m)`; `NONE` and `FAR_M` without one."""
     d2 = (btm.x_m - x_m) ** 2 + (btm.y_m - y_m) ** 2
     d2 = jnp.where(btm.kind == kind, d2, FAR_M)
     at = jnp.argmin(d2).astype(jnp.int32)
@@ -183,10 +183,10 @@ def open_links(btm: Btm) -> Array:
 
 
 def first_open(btm: Btm, node: Array | int, entry: Array | float) -> Array:
-    """The first un-searched link of a node, counter-clockwise from the bearing of the way in (Mano et al., V.A).
+    """Return the first un-searched link of a node, counter-clockwise from the way in's bearing (Mano et al., V.A).
 
     Returns:
-      id of the link, int32; `NONE` where there is none.
+      id of the link, int32; `NONE` without one.
     """
     angle = jnp.where(open_links(btm) & (btm.start == node), turned_left(btm.start_bearing, entry), jnp.inf)
     at = jnp.argmin(angle).astype(jnp.int32)
@@ -194,10 +194,10 @@ def first_open(btm: Btm, node: Array | int, entry: Array | float) -> Array:
 
 
 def hops_to_open(btm: Btm) -> Array:
-    """Length of the shortest way along followed links from every node to one with an un-searched link.
+    """Compute the length of the shortest way along followed links from every node to one with an un-searched link.
 
     Returns:
-      `[N]` float32, metres; `FAR_M` where there is none.
+      `[N]` float32, metres; `FAR_M` without one.
     """
     n = btm.kind.shape[0]
     size = btm.start.shape[0]
@@ -306,7 +306,7 @@ def _bearing_deg(bearing):
 
 
 def _moved(fields, i):
-    """How the odometry moved along a link: x, y, metres; turn, degrees, where it is known; none of one not followed."""
+    """Return the odometry along a link: x, y, metres; turn, degrees, if known; empty for a link not followed."""
     x_m, y_m, turned = (float(fields[name][i]) for name in ("moved_x_m", "moved_y_m", "turned"))
     if not math.isfinite(x_m):
         return []

@@ -48,19 +48,19 @@ BOUNDS: dict[str, tuple[float, float]] = {
 
 
 class InputError(ValueError):
-    """Wrong input from outside: a file, a name, a number. The message is one line that says what would be right."""
+    """Wrong input from outside: a file, a name, a number. The message says in one line what would be right."""
 
     def _render_traceback_(self):
-        """What a notebook shows instead of a traceback: the one line."""
+        """Return the one line that a notebook shows instead of a traceback."""
         return [f"{type(self).__name__}: {self}"]
 
 
 class InputWarning(UserWarning):
-    """What was given can be used, but hardly means what its author thinks. One line that says what to do."""
+    """Usable input that hardly means what its author thinks. The message says the remedy in one line."""
 
 
 def shown(value: Any) -> str:
-    """What a message shows of a value: its `repr` on one line, cut short, whatever the value is."""
+    """Return a value for messages: its `repr` on one line, cut short, whatever the value is."""
     try:
         text = _SHORT.repr(value)
     except Exception:  # whole numbers of more digits than Python writes out
@@ -75,10 +75,10 @@ _SHORT.maxstring = _SHORT.maxother = _SHORT.maxlong = 60
 
 
 def require_kind(name: str, given: object, kind: type) -> None:
-    """Refuse what is no record of a kind, and show how one is written.
+    """Refuse a value that is not a record of a kind, and show how one is written.
 
     Raises:
-      InputError: what should be a record is something else, such as a dict of its fields.
+      InputError: not such a record, but for example a dict of its fields.
     """
     if isinstance(given, kind):
         return
@@ -228,7 +228,7 @@ _NAMELESS = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.VAR_POSITIONAL
 
 
 def _name_of(function):
-    """What a user calls a function: of one that makes an object the class."""
+    """Return a user's name for a function; for a method that makes an object, the class."""
     return re.sub(r"\.__(init|new)__$", "", function.__qualname__).rpartition(".")[2]
 
 
@@ -244,7 +244,7 @@ def _unknown_argument(own, name, known, parameters):
 
 
 class Settings:
-    """What records of settings have in common."""
+    """Common base of records of settings."""
 
     def replace(self, **changes: Any) -> Self:
         """The same settings with some fields changed.

@@ -1,6 +1,4 @@
-"""Where a robot may go and where the unknown begins: clear, traversable and frontier cells, and clusters of
-frontier cells.
-"""
+"""Clear, traversable and frontier cells of a map, and clusters of frontier cells."""
 
 from typing import NamedTuple
 
@@ -49,7 +47,7 @@ def disc(shape: tuple[int, ...], row: Array | int, col: Array | int, d2: Array |
 
 
 class Masks(NamedTuple):
-    """What a plan needs to know of every cell, packed (see bits.py)."""
+    """Masks for planning, packed (see bits.py)."""
 
     traversable: Array  # [ceil(H / 32), W] uint32
     frontier: Array  # [ceil(H / 32), W] uint32, exhausted targets left out
@@ -110,10 +108,10 @@ def plan_masks(
 class Clusters:
     """8-connected groups of frontier cells, in the order of their lowest flat index. M slots, `count` of them used."""
 
-    label: Array  # [H, W] int32, number of the cell's cluster; -1 where there is none, or it did not fit
+    label: Array  # [H, W] int32, number of the cell's cluster; -1 without one, or if it did not fit
     size: Array  # [M] int32, cells; 0 in an unused slot
     row: Array  # [M] int32, of the member cell that stands for the cluster; -1 in an unused slot
-    col: Array  # [M] int32, likewise
+    col: Array  # [M] int32, column of the same
     count: Array  # int32, clusters on the map, whether they fit or not
     overflow: Array  # int32, clusters that did not fit into M slots
     left_out: Array  # int32, frontier cells that were not looked at, because there were too many
@@ -214,7 +212,7 @@ def _members(cells, number, total, cost, shape):
     none, width, max_clusters = shape[0] * shape[1], shape[1], total.shape[1]
 
     def off(slot, which):
-        """How badly the cells of a part stand for their clusters."""
+        """Return the misfit of the cells of a part as representatives of their clusters."""
         at = groups.read(cells.cell, slot)
         if cost is not None:
             return sparse.at(cost, at, 0)

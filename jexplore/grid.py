@@ -87,12 +87,12 @@ def entropy(grid: Grid) -> Array:
 
 
 def bordered(array: Array, fill: float) -> Array:
-    """The array with a border of `fill`, one cell wide: `[H + 2, W + 2]`. Neighbours are taken from it by `beside`."""
+    """Add a border of `fill`, one cell wide: `[H + 2, W + 2]`. Neighbours are taken from it by `beside`."""
     return jnp.pad(array, 1, constant_values=fill)
 
 
 def beside(bordered_array: Array, drow: int, dcol: int) -> Array:
-    """What lies at `(row + drow, col + dcol)` of every cell.
+    """Return the neighbours at `(row + drow, col + dcol)` of every cell.
 
     Args:
       bordered_array: `[H + 2, W + 2]`, from `bordered`.
@@ -124,7 +124,7 @@ def any_within_one_packed(words: Array) -> Array:
 
 
 def count(mask: Array) -> Array:
-    """How many cells of a matrix are True: int32.
+    """Count the True cells of a matrix: int32.
 
     Row onto row first, then across: on a CPU that vectorises, both at once does not (measured: a quarter of the time).
     """

@@ -33,7 +33,7 @@ class Beams:
     offset: Array  # [K, S, B] int32, flat cell entered at this step, relative to the robot's: drow * W + dcol
     by_beam: Array  # [K, S / BLOCK, B, BLOCK] int32, the same numbers, block by block, beam after beam
     drow: Array  # [K, S, B] int32, row of the cell entered at this step, relative to the robot's; 0 beyond the range
-    dcol: Array  # [K, S, B] int32, column, likewise
+    dcol: Array  # [K, S, B] int32, column of the same
     entry: Array  # [K, S, B] float32, distance at which it is entered, cells; inf beyond the range
     length: Array  # [K, B] int32, cells entered at a distance below the range
     blind: Array  # [K, B] int32, of these the first ones: a beam that is stopped there says nothing
@@ -44,7 +44,7 @@ class Beams:
 
 @struct.dataclass
 class Scan:
-    """Where the beams of one scan ended."""
+    """Ends of the beams of one scan."""
 
     end: Array  # [B] int32, cells passed; also the step at which the beam was stopped, if it was
     hit: Array  # [B] bool, stopped by an occupied cell (else the range ended it)
@@ -83,10 +83,10 @@ def beam_angles_deg(lidar: Lidar) -> np.ndarray:
 
 
 def advance_beams(xp: Any, state: Any, geometry: Any) -> tuple[Any, Any]:
-    """One step of Amanatides and Woo's traversal for every beam; through an exact corner it steps in x first.
+    """Advance every beam by one step of Amanatides and Woo's traversal; through an exact corner it steps in x first.
 
-    `xp` is numpy or jax.numpy; `state` counts the crossings so far, `(0, 0)` at first. Returns the next state, and the
-    cell entered with the distance at which: `(drow, dcol, entry)`, relative to the first cell, in cells.
+    `xp` is numpy or jax.numpy; `state` counts the crossings, `(0, 0)` at first. Returns the next state, and the cell
+    entered with the distance at which: `(drow, dcol, entry)`, relative to the first cell, in cells.
     """
     nx, ny = state
     sign_x, sign_y, to_x, to_y, per_x, per_y = geometry
@@ -128,7 +128,7 @@ def by_beam(offset: np.ndarray) -> np.ndarray:
 
 
 def scans_all_round(fov_deg: float) -> int:
-    """How many scans, evenly turned, see all round: the next of 1, 2, 4, 8, so that every heading is on the lattice.
+    """Return the number of evenly turned scans of a look-around: 1, 2, 4 or 8, so that every heading is on the lattice.
 
     Args:
       fov_deg: field of view, degrees. A Python number.
@@ -239,7 +239,7 @@ def beam_table(lidar: Lidar, cell_m: float, width: int, longest: float = 0.0) ->
 
 @jax.jit
 def scan(occupied: Array, row: Array | int, col: Array | int, heading: Array | int, beams: Beams) -> Scan:
-    """Where beams end in a true map.
+    """Cast the beams of one scan in a true map.
 
     Args:
       occupied: `[H, W]` bool. Its outermost rows and columns must be occupied: beams are not tested against the edge.
@@ -268,7 +268,7 @@ def scan(occupied: Array, row: Array | int, col: Array | int, heading: Array | i
 
     def look(state):
         j, end = state
-        # Sliced before it is reshaped: a reshape of the whole table inside a loop is a copy of it.
+        # Sliced before it is reshaped: reshaping the whole table inside a loop would copy it.
         offset = lax.dynamic_slice(beams.offset, (heading, j * BLOCK, 0), (1, BLOCK, length.shape[0]))[0]
         return j + 1, jnp.minimum(end, first_stop(offset, j * BLOCK))
 
@@ -332,10 +332,10 @@ def steps_inside(
     heading: Array | int,
     extent: Array | tuple[Array | int, Array | int],
 ) -> Array:
-    """How many steps each beam can make before it leaves the map.
+    """Count the steps that each beam can make before it leaves the map.
 
     Args:
-      row, col, heading: int32, where the beams start.
+      row, col, heading: int32, start of the beams.
       extent: `(height, width)` of the map without padding, int32 scalars.
 
     Returns:

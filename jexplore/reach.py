@@ -1,7 +1,7 @@
-"""The reachability map: the cost of the shortest path from the robot to every cell, and the way there.
+"""The reachability map: the cost of the shortest path from the robot to every cell, and its predecessors.
 
 Costs are int32 fixed point, so that every algorithm, batch and device gives the same bits: 2**16 a straight step,
-round(sqrt(2) * 2**16) a diagonal one. A diagonal step needs both cells beside it traversable.
+round(sqrt(2) * 2**16) a diagonal one. A diagonal step needs both orthogonal neighbours traversable.
 """
 
 import jax
@@ -45,7 +45,7 @@ def _sweep(cost, possible, rows, steps, reverse):
       possible: three of `[H / 32, W]` uint32, the cells into which a robot can move straight ahead, ahead and to higher
         columns, ahead and to lower columns. Packed, as a barrier of a whole map costs more to make than to use.
       rows: `(first, last)` int32, rows to be entered.
-      steps: what a straight and a diagonal step cost. Static.
+      steps: costs of a straight and a diagonal step. Static.
       reverse: whether rows are taken from the last to the first. Static.
     """
     width = cost.shape[1] - 2
@@ -143,11 +143,11 @@ def reach_packed(
 
 
 def nearest_source(words: Array, sources: Array, n: int) -> Array:
-    """Which of many sources is the nearest, along paths.
+    """Return the nearest of many sources, along paths.
 
     Args:
       words: `[K, W]` uint32, packed traversable cells.
-      sources: `[32 K, W]` int32, number of the source in each cell, at least 0 and less than n; -1 where there is none.
+      sources: `[32 K, W]` int32, number of the source in each cell, at least 0 and less than n; -1 elsewhere.
       n: sources, at most 4096. Static.
 
     Returns:
@@ -163,14 +163,14 @@ def nearest_source(words: Array, sources: Array, n: int) -> Array:
 
 
 def _sweeps(words, start, at, goals, limit, steps):
-    """Costs of the cheapest paths, row by row in turn upwards, downwards, and across.
+    """Compute costs of the cheapest paths, row by row in turn upwards, downwards, and across.
 
     Args:
       words: `[K, W]` uint32, packed traversable cells.
-      start: `[32 K, W]` int32, costs to begin with, FAR where there is none; None for 0 at one cell.
+      start: `[32 K, W]` int32, initial costs, FAR elsewhere; None for 0 at one cell.
       at: `(row, col)` int32, that cell.
       goals, limit: as for `reach_packed`; None and FAR if `start` is given.
-      steps: what a straight and a diagonal step cost. Static.
+      steps: costs of a straight and a diagonal step. Static.
     """
     height, width = bits.WORD * words.shape[0], words.shape[1]
     if spare := -width % bits.WORD:
@@ -240,12 +240,12 @@ def flood(words: Array, row: Array | int, col: Array | int) -> Array:
     at = jnp.stack([lax.broadcasted_iota(jnp.int32, words.shape, axis) for axis in (0, 1)])
     here = (at[0] == row // bits.WORD) & (at[1] == col)
     start = jnp.where(here, jnp.uint32(1) << jnp.uint32(row % bits.WORD), jnp.uint32(0))
-    # Straight motions do: a diagonal one needs both cells beside it.
+    # Straight motions do: a diagonal one needs both orthogonal neighbours.
     return one_kernel(bits.filled, words | start, start)
 
 
 def _extent(words):
-    """`(first, last)` column with a True cell; `last < first` if there is none. int32 scalars."""
+    """Return the `(first, last)` column with a True cell; `last < first` without one. int32 scalars."""
     width = words.shape[1]
     used, at = jnp.any(words != 0, axis=0), lax.iota(jnp.int32, width)
     return jnp.min(jnp.where(used, at, width)), jnp.max(jnp.where(used, at, -1))

@@ -25,7 +25,7 @@ LINE = 256  # cells of a splitting line, at most
 
 @struct.dataclass
 class Criteria:
-    """What makes a critical point. Numbers that may be swept without compiling anew."""
+    """Criteria of a critical point. Numbers that may be swept without compiling anew."""
 
     max_hops: Array  # int32, nodes of the reduced graph up to a junction
     prominence: Array  # float32, cells: how much the clearance must rise on both sides; 0: any local minimum
@@ -35,7 +35,7 @@ class Criteria:
 
 
 class Form(NamedTuple):
-    """What fixes shapes and code. Hashable."""
+    """Static config: shapes and code. Hashable."""
 
     nodes: int  # cells of the Voronoi graph, at most
     splits: int  # critical points, at most
@@ -146,10 +146,10 @@ def _doubled(head, after, keys):
 
 
 def _barrier(walks, keys, upwards):
-    """For every state the largest key that is met before one smaller than the node's own, or before the chain ends.
+    """Return for every state the largest key met before one smaller than the node's own, or before the chain ends.
 
-    `[2 K]` int32; -1 where the very next key is smaller or there is none. With `upwards` False the other way round:
-    the smallest before a larger one, NO_KEY where the next is larger.
+    `[2 K]` int32; -1 where the next key is smaller already or the chain is empty. With `upwards` False the reverse: the
+    smallest before a larger one, NO_KEY where the next is larger.
     """
     own = jnp.repeat(keys, 2)
 
@@ -207,7 +207,7 @@ def critical_points(graph: Graph, criteria: Criteria) -> Array:
 
     def hop(i, state):
         ahead, hops, last = state
-        # What the walk so far says and what it says from where it has come to.
+        # Combine the walk up to here with the walk from its end.
         return ahead[ahead], hops + hops[ahead], jnp.where(ahead < 2 * size, last[ahead], last)
 
     at = jnp.minimum(head, size - 1)
@@ -222,7 +222,7 @@ def critical_points(graph: Graph, criteria: Criteria) -> Array:
 
 
 def borders(label: Array, n: int) -> Array:
-    """How many pairs of cells side by side belong to each pair of labels: `[n, n]` int32, at (lower, higher)."""
+    """Count the pairs of adjacent cells for each pair of labels: `[n, n]` int32, at (lower, higher)."""
     b = bordered(label, -1)
     total = jnp.zeros((n * n,), jnp.int32)
     for drow, dcol in ((0, 1), (1, 0)):
@@ -309,7 +309,7 @@ def _check(free, form):
 
 
 def _fill_lines(label, free):
-    """Labels with splitting lines given to the segments beside them."""
+    """Assign splitting lines to the adjacent segments."""
     for _ in range(2):
         b = bordered(label, -1)
         around = [beside(b, *step) for step in sparse.NEIGHBOURS[:4]]

@@ -90,7 +90,7 @@ def _exactly_one(masks):
 
 
 def _two_and_four(masks):
-    """Where at least two of four masks hold, and where all do."""
+    """Return the cells where at least two of four masks hold, and where all do."""
     a, b, c, d = masks
     return (a & b) | (c & d) | ((a | b) & (c | d)), a & b & c & d
 

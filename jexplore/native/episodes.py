@@ -156,7 +156,7 @@ class World:
           whole: number of the episode of which counts and choices are kept; -1: none. Its path is kept as well.
 
         Raises:
-          MemoryError: there is too little.
+          MemoryError: too little memory.
         """
         n, tasks = len(tasks), np.ascontiguousarray(tasks)
         results, steps = np.zeros((n, RESULT), np.int32), np.zeros(n, np.int64)
@@ -219,7 +219,7 @@ class World:
           `headings`: `[F]` int32, units of 45 degrees, at the last scan there.
 
         Raises:
-          MemoryError: there is too little.
+          MemoryError: too little memory.
         """
         keep: list[Any] = []
         codes, headings = np.zeros((len(shown), *self.shape), np.uint8), np.zeros(len(shown), np.int32)
