@@ -22,13 +22,13 @@ class Triangles:
 
 
 def _ordered(values):
-    """float32 as int32 of the same order."""
+    """Return float32 as int32 of the same order."""
     bits = lax.bitcast_convert_type(values, jnp.int32)
     return jnp.where(bits < 0, bits ^ 0x7FFFFFFF, bits)
 
 
 def delaunay(points: Array, valid: Array) -> Triangles:
-    """The Delaunay triangulation.
+    """Compute the Delaunay triangulation.
 
     On each side of a pair of points the apex is the point that sees them under the largest angle; the pair is an edge
     if both angles together are at most 180 degrees. Of points on one circle all triangles may be valid.
@@ -80,7 +80,7 @@ def delaunay(points: Array, valid: Array) -> Triangles:
 
 
 def circumcircles(points: Array, corner: Array) -> tuple[Array, Array, Array]:
-    """Circles through three points each.
+    """Compute circles through three points each.
 
     Args:
       points: `[n, 2]` float32.

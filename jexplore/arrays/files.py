@@ -53,7 +53,7 @@ def opened(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
 
 
 def read_bytes(path: str | os.PathLike[str], max_bytes: int) -> bytes:
-    """The content of a regular file.
+    """Read a regular file.
 
     Args:
       path: the file.
@@ -95,7 +95,7 @@ _KINDS = {
 
 
 def read_text(path: str | os.PathLike[str], max_bytes: int) -> str:
-    """The content of a text file in UTF-8.
+    """Read a text file in UTF-8.
 
     Raises:
       InputError: as `read_bytes`, or not UTF-8 text.
@@ -219,13 +219,13 @@ def read_npz(path: str | os.PathLike[str], max_bytes: int) -> dict[str, Any]:
 
 
 def missing(path: str) -> InputError:
-    """The error for the path of a file that is not there."""
+    """Return the error for a missing file."""
     where = "" if os.path.isabs(path) else f" (looked in {os.getcwd()!r})"
     return InputError(f"{path!r}: there is no such file{where}")
 
 
 def first_line(error: BaseException) -> str:
-    """The first line of what an exception says, or the name of its type."""
+    """Return the first line of an exception's message, or the name of its type."""
     try:
         return next((line.strip() for line in str(error).splitlines() if line.strip()), type(error).__name__)
     except Exception:  # of a user's class, whose `__str__` raises

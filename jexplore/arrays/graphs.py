@@ -53,7 +53,7 @@ def links_around(ends: np.ndarray, n: int) -> Around:
 
 
 def shortest_ways(around: Around, length: Array, is_open: Array, barrier: Array, target: Array) -> Ways:
-    """The shortest way from every node to a target over links that lead both ways.
+    """Compute the shortest way from every node to a target over links that lead both ways.
 
     Of ways of equal length the one with the fewest links counts, and of those the one whose links, in their order, have
     the lowest places in the list. Whole numbers make that exact. Sets of targets lie side by side in the last axis,

@@ -45,7 +45,7 @@ def settle(pose: Array, ends: Array, moved: Array, spread: Array) -> Settled:
         return weight * off.at[:, 2].set((off[:, 2] + jnp.pi) % (2 * jnp.pi) - jnp.pi)
 
     def slopes(pose):
-        """`[M, 3, N, 3]`: of every misfit by every pose but the first."""
+        """Return the derivatives `[M, 3, N, 3]` of every misfit by every pose but the first."""
         d = jnp.zeros((m, 3, n, 3)).at[edge[:, None], jnp.arange(3), first[:, None], jnp.arange(3)].add(1.0)
         d = d.at[edge[:, None], jnp.arange(3), second[:, None], jnp.arange(3)].add(-1.0)
         aside = _turned(moved[:, :2], pose[first, 2] + jnp.pi / 2)
@@ -64,6 +64,6 @@ def settle(pose: Array, ends: Array, moved: Array, spread: Array) -> Settled:
 
 
 def _turned(xy, angle):
-    """`[M, 2]` vectors turned by `[M]` angles."""
+    """Return `[M, 2]` vectors turned by `[M]` angles."""
     cos, sin = jnp.cos(angle), jnp.sin(angle)
     return jnp.stack([cos * xy[:, 0] - sin * xy[:, 1], sin * xy[:, 0] + cos * xy[:, 1]], axis=1)
