@@ -51,7 +51,7 @@ class Agenda:
 
     @property
     def total(self) -> int:
-        """Measurements, of which `run_bench` tells when one is done."""
+        """Return the number of measurements that `run_bench` reports one by one."""
         n_kernels = 1 + len(self.sized)
         n_episodes = (len(self.worlds) + len(self.sized)) * len(self.strategies)
         return n_kernels + n_episodes + len(self.worlds) * len(self.strategies)
@@ -71,7 +71,7 @@ def _numbers(name, values) -> tuple[int, ...]:
 
 
 def _worlds_of(names, cell_m):
-    """Worlds that episodes can be run in."""
+    """Load worlds that episodes can be run in."""
     worlds = [with_ring(world) for world in ready_worlds(names, cell_m)]
     for world in worlds:
         require_memory(world, LIDAR, RULES)
@@ -132,7 +132,7 @@ def prepare_bench(
 
 @contextlib.contextmanager
 def _compiling(cache):
-    """Compiled programs are neither read from disk nor kept there, unless they may be."""
+    """Compile without reading or keeping programs on disk, unless that is allowed."""
     if cache:
         use_compilation_cache()
         yield
@@ -199,7 +199,7 @@ def _settings(plan, cache):
 
 
 def _episodes(plan: Agenda, compiler, report, one_more):
-    """Whole episodes by world and batch size, and by map size."""
+    """Measure whole episodes by world and batch size, and by map size."""
     for world, strategy in itertools.product(plan.worlds, plan.strategies):
         wanted = [(engine, size) for engine in plan.engines for size in plan.batches[engine]]
         report["batches"] += engines.measure_episodes(compiler, world, strategy, wanted, plan.episodes, plan.repeat)
@@ -214,7 +214,7 @@ def _episodes(plan: Agenda, compiler, report, one_more):
 
 
 def _parts(plan, compiler, report, one_more):
-    """Kernels along the way of an episode of `closest` in the first world, and, on a CPU, shares of every episode."""
+    """Measure kernels along an episode of `closest` in the first world and, on a CPU, shares of every episode."""
     seen = beliefs.record(compiler, plan.worlds[0], parse_strategy("closest+recheck"))
     report["kernels"] += [kernels.measure_kernel(kernel, plan.repeat) for kernel in kernels.scans(seen)]
     report["kernels"].append(plans.measure_nearest(seen, shares.cells_of(seen.beliefs), plan.repeat))

@@ -29,7 +29,7 @@ class Recording(NamedTuple):
 
 
 def record(compiler: Compiler, world: World, strategy: Strategy) -> Recording:
-    """Runs episode 0 of a strategy in a world and keeps its scans, and its belief at every plan: a `Recording`.
+    """Run episode 0 of a strategy in a world and keep its scans, and its belief at every plan: a `Recording`.
 
     Args:
       compiler: `Compiler`.

@@ -49,19 +49,19 @@ class Compiled(NamedTuple):
 
 
 def size_of(tree: Any) -> int:
-    """Bytes of a pytree of arrays, or of their shapes."""
+    """Return the bytes of a pytree of arrays, or of their shapes."""
     return sum(math.prod(leaf.shape) * np.dtype(leaf.dtype).itemsize for leaf in jax.tree.leaves(tree))
 
 
 def _headings(starts):
-    """Starts with their heading in units of 45 degrees."""
+    """Convert the heading of starts to units of 45 degrees."""
     starts = np.array(starts, np.int32)
     starts[:, 2] //= 45
     return starts
 
 
 def free_bytes() -> int | None:
-    """Free memory of the first device; of the machine where the device does not tell; None where neither does."""
+    """Return free memory of the first device, else of the machine; None if neither is known."""
     stats = jax.local_devices()[0].memory_stats()
     if stats:
         return stats["bytes_limit"] - stats["bytes_in_use"]
@@ -72,7 +72,7 @@ def free_bytes() -> int | None:
 
 
 def _memory(program):
-    """Bytes by the compiler's own account; None where it gives none."""
+    """Return bytes by the compiler's own account; None without one."""
     found = program.memory_analysis()
     names = ("argument", "output", "temp", "alias")
     return None if found is None else {name: int(getattr(found, f"{name}_size_in_bytes")) for name in names}
@@ -89,7 +89,7 @@ class Compiler:
         self.programs = []  # what every compiled program took
 
     def _program(self, key, about, lowering, lane_bytes, device, options):
-        """The compiled program of a key, and what it took; `lane_bytes` makes a lane's from the compiler's account."""
+        """Return the compiled program of a key and its costs; `lane_bytes` computes a lane's share."""
         if key not in self.made:
             program, took = compiled(lowering, options, device.platform)
             memory = _memory(program)
@@ -100,7 +100,7 @@ class Compiler:
         return self.made[key]
 
     def serial(self, world: World, strategy: Strategy, native: str | None = None) -> Compiled:
-        """The serial engine's `Compiled` of a world and a strategy; `native` as for `prepare_site`."""
+        """Return the serial engine's `Compiled` of a world and a strategy; `native` as for `prepare_site`."""
         site, line = _line(world, strategy, native, np.zeros((1, 3), np.int32))
         n, scenes = serial.CHUNK, jax.tree.map(lambda a: a[None], line.scene)
         device = find_resources(engine="serial", workers=1).devices[0]
@@ -109,7 +109,7 @@ class Compiler:
         function = functools.partial(serial.chunk, line.program)
 
         def one_episode(memory):
-            """An episode's buffers: without the room for the results of the rest of a chunk."""
+            """Return the size of an episode's buffers, without the results of the rest of a chunk."""
             results = jax.eval_shape(function, *blank, *shared)[0]
             return memory["temp"] + memory["output"] - (n - 1) * size_of(results) // n
 
@@ -169,14 +169,14 @@ class Compiler:
         return Compiled(run, about, n_lanes, episodes)
 
     def _untold(self, key, lowering):
-        """A program that is too small to be told of."""
+        """Return a stand-in for a program too small for a report."""
         if key not in self.made:
             self.made[key] = compiled(lowering)
         return self.made[key]
 
 
 def _line(world, strategy, native, starts):
-    """A world's `Site` and the `Line` of a strategy's episodes in it."""
+    """Return a world's `Site` and the `Line` of a strategy's episodes in it."""
     site = prepare_site(world, LIDAR, RULES, native=native)
     return site, line_of(site, site.with_strategy(strategy), starts, SEED, np.arange(len(starts)))
 
@@ -225,7 +225,7 @@ def quality(result: Result, cell_m: float) -> dict[str, Any]:
 def measure_episodes(
     compiler: Compiler, world: World, strategy: Strategy, wanted: Sequence[tuple[str, int]], episodes: int, repeat: int
 ) -> list[dict[str, Any]]:
-    """Times whole episodes of a world and a strategy: a list of dicts, one for each of `wanted`.
+    """Time whole episodes of a world and a strategy: a list of dicts, one for each of `wanted`.
 
     Args:
       compiler: `Compiler`.

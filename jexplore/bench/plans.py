@@ -96,7 +96,7 @@ def plan_costs(
 
 @jax.jit
 def _plans(passes, belief, route):
-    """`passes` plans from the same belief."""
+    """Make `passes` plans from the same belief."""
 
     def body(_, state):
         choice, route, grid = state
@@ -110,7 +110,7 @@ def _plans(passes, belief, route):
 
 
 def _judged(belief):
-    """Traversable and frontier cells of a belief by scipy."""
+    """Compute traversable and frontier cells of a belief by scipy."""
     shape = belief.driven.shape
     rows, cols = np.ogrid[: shape[0], : shape[1]]
     inside = (rows < int(belief.extent[0])) & (cols < int(belief.extent[1]))
@@ -127,7 +127,7 @@ def _judged(belief):
 
 
 def measure_nearest(recording: Recording, cells: float, repeat: int) -> dict[str, Any]:
-    """Times the nearest frontier and the route to it at every plan of an episode: a dict for the report.
+    """Time the nearest frontier and the route to it at every plan of an episode: a dict for the report.
 
     Args:
       recording: `Recording` of a strategy that goes there.

@@ -81,7 +81,7 @@ def _cut(belief, side):
 
 
 def _look(belief, side, nearest_only):
-    """A `Look` of a belief, as `planning` takes it."""
+    """Make a `Look` of a belief, as `planning` does."""
     cut = _cut(belief, side)
     shape, row, col = cut[1].shape, cut[4], cut[5]
     found = _masks(np.int32(1), cut, belief.model.p_free, belief.model.near_d2, clearance_d2=belief.model.clearance_d2)
@@ -115,12 +115,12 @@ def wants_nearest(strategy: Strategy) -> bool:
 
 
 def cells_of(beliefs: Iterable[Belief]) -> float:
-    """Cells that the nearest frontier's plans from some beliefs look at, on average."""
+    """Return the average number of cells that the nearest frontier's plans examine."""
     return statistics.fmean(sum(look.masks[1].size for look in looks(belief, True)) for belief in beliefs)
 
 
 def _scan_programs(recording):
-    """`(ranges, update)`: functions of no arguments that make all scans of the episode, and count them in."""
+    """Return `(ranges, update)`: functions of no arguments that make all scans of the episode, and count them in."""
     truth, beams, poses = jax.device_put((recording.site.truth.occupied, recording.site.beams, recording.poses))
     n, shape = len(recording.poses), truth.shape
 
@@ -145,7 +145,7 @@ def _scan_programs(recording):
 
 
 def measure_shares(compiler: Compiler, recording: Recording, strategy: Strategy, repeat: int) -> dict[str, Any]:
-    """Shares of an episode's time: a dict for the report.
+    """Measure the shares of an episode's time: a dict for the report.
 
     Args:
       compiler: `Compiler`.

@@ -10,7 +10,7 @@ MIB = 2**20
 
 
 def markdown(header: Sequence[str], rows: Iterable[Iterable[Any]]) -> str:
-    """A Markdown table.
+    """Format a Markdown table.
 
     Args:
       header: column names.
@@ -30,12 +30,12 @@ def markdown(header: Sequence[str], rows: Iterable[Iterable[Any]]) -> str:
 
 
 def plus_minus(value: Mapping[str, Any]) -> str:
-    """Mean and standard error, as text."""
+    """Format mean and standard error."""
     return f"{value['mean']:.1f}" + ("" if value["se"] is None else f" ± {value['se']:.1f}")
 
 
 def percent(value: float | None) -> str | None:
-    """A share, as text."""
+    """Format a share."""
     return None if value is None else f"{100 * value:.0f} %"
 
 
@@ -63,7 +63,7 @@ def kernels(rows: Iterable[Mapping[str, Any]]) -> str:
 
 
 def episodes(rows: Iterable[Mapping[str, Any]]) -> str:
-    """Whole episodes: a row each."""
+    """Tabulate whole episodes: a row each."""
     header = [
         "world", "cells", "strategy", "engine", "batch", "lanes", "episodes", "ms/episode", "CPU ms", "episodes/s",
         "steps/s", "useful", "path m", "explored", "COMPLETE", "MiB", "estimated", "equal",
@@ -103,7 +103,7 @@ def programs(rows: Iterable[Mapping[str, Any]]) -> str:
 
 
 def tables(report: Mapping[str, Any]) -> str:
-    """The whole report."""
+    """Format the whole report."""
     parts = [
         ("Kernels", kernels(report["kernels"])),
         ("Episodes by batch size", episodes(report["batches"])),
