@@ -42,7 +42,7 @@ class Bench:
     """Replace the run that the folder holds."""
 
     def execute(self, arguments: Sequence[str]) -> int | None:
-        """Runs the command; returns the exit status, None for 0."""
+        """Run the command and return the exit status, None for 0."""
         from jexplore import bench
         from jexplore.bench import plots, tables
         from jexplore.report import plot, store

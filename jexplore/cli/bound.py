@@ -50,7 +50,7 @@ class Bound:
     rules: Rules = dataclasses.field(default_factory=Rules)
 
     def execute(self, arguments: Sequence[str]) -> int | None:
-        """Runs the command; returns the exit status, None for 0."""
+        """Run the command and return the exit status, None for 0."""
         from jexplore.report import plot, store
         from jexplore.studies.bounds import bound
 

@@ -103,7 +103,7 @@ class Compare:
     rules: Rules = dataclasses.field(default_factory=Rules)
 
     def execute(self, arguments: Sequence[str]) -> int | None:
-        """Runs the command; returns the exit status, None for 0."""
+        """Run the command and return the exit status, None for 0."""
         from jexplore.studies.results.comparison import assemble, prepare_jobs
         from jexplore.studies.results.saving import figures_of
         from jexplore.studies.statistics.league import LEAGUE_STRATEGIES, league_worlds
@@ -188,7 +188,7 @@ def _more_tables(episodes, league):
 
 
 def _tables(found, record):
-    """The tables of a comparison that has been finished before."""
+    """Format the tables of a comparison that has been finished before."""
     from jexplore.studies.statistics.league import standings_table
 
     league = record["configuration"].get("league")
@@ -197,7 +197,7 @@ def _tables(found, record):
 
 
 def _league(found, ran):
-    """Standings, and what a plan costs: `(text, entries of run.json)`."""
+    """Format standings, and the cost of a plan: `(text, entries of run.json)`."""
     from jexplore.bench.plans import plan_costs
     from jexplore.studies.statistics.league import standings_table
 
@@ -287,7 +287,7 @@ def finish(
     jobs: "Sequence[Job] | None" = None,
     more: Mapping[str, Callable[..., Any]] = MappingProxyType({}),
 ) -> int:
-    """Writes, prints and draws what comparisons and reproductions have in common. Returns the exit status.
+    """Write, print and draw the common output of comparisons and reproductions; return the exit status.
 
     Args:
       out: `Out`.

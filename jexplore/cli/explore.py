@@ -49,7 +49,7 @@ class Explore:
     rules: Rules = dataclasses.field(default_factory=Rules)
 
     def execute(self, arguments: Sequence[str]) -> int | None:
-        """Runs the command; returns the exit status, None for 0."""
+        """Run the command and return the exit status, None for 0."""
         from jexplore.report import store
         from jexplore.studies.explore import prepare_job, run_job
 
@@ -80,7 +80,7 @@ class Explore:
             print(f"wrote {', '.join([*self._draw(out, found, record), 'run.json'])} to {out.run.path}{os.sep}")
 
     def _draw(self, out, found, record):
-        """Pictures, animation and page. Returns the names of those written."""
+        """Draw pictures, animation and page; return the names of those written."""
         from jexplore.exploration.results import map_state, to_occupancy
         from jexplore.report import plot
         from jexplore.studies.replays import replay_of

@@ -86,7 +86,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
 
 
 def completion_text(commands: Mapping[str, type]) -> str:
-    """A script by which bash, and zsh after `bashcompinit`, complete commands, options and files."""
+    """Return a script by which bash, and zsh after `bashcompinit`, complete commands, options and files."""
     cases = "\n".join(f'    {name}) words="{" ".join(option_names(kind))}" ;;' for name, kind in commands.items())
     return f"""_jexplore() {{
   local words
@@ -101,7 +101,7 @@ complete -o default -F _jexplore jexplore
 
 
 def option_names(kind: type, prefix: str = "--") -> list[str]:
-    """The options of a command, in order, those of the records in it as `--lidar.range-m`."""
+    """Return the options of a command, in order, those of the records in it as `--lidar.range-m`."""
     names = []
     for field in dataclasses.fields(kind):
         name = prefix + field.name.rstrip("_").replace("_", "-")
@@ -114,7 +114,7 @@ def option_names(kind: type, prefix: str = "--") -> list[str]:
 
 
 def parse(arguments: Sequence[str], commands: Mapping[str, type]) -> Any:
-    """The record of a command and its options.
+    """Parse the command line into a command's record and its options.
 
     Args:
       arguments: list of text, the command first.
@@ -167,7 +167,7 @@ def _stray(arguments, line):
 
 
 def _show_help(read):
-    """Prints the help that was asked for: once more, now with the colours and the characters of the standard output."""
+    """Print the requested help again, with the colours and the characters of the standard output."""
     page = _Page()
     page.encoding = codecs.lookup(sys.stdout.encoding or "utf-8").name  # some say UTF-8, which tyro does not know
     page.coloured = sys.stdout.isatty() and not os.environ.get("NO_COLOR")
@@ -226,7 +226,7 @@ def _hints(kind):
 
 
 def _with(hint: Any, settings: Any) -> Any:
-    """A type with settings for its option, those that it has already before these."""
+    """Add settings for its option to a type, after those that it has already."""
     inner, *own = typing.get_args(hint) if typing.get_origin(hint) is Annotated else (hint,)
     return Annotated[inner, settings, *own]
 
@@ -236,7 +236,7 @@ def _default_text(default):
 
 
 def field_texts(kind: type) -> dict[str, str]:
-    """The docstrings below the fields of a record, `{name: text}`, each on one line."""
+    """Return the docstrings below the fields of a record, `{name: text}`, each on one line."""
     body = ast.parse(textwrap.dedent(inspect.getsource(kind))).body[0]
     assert isinstance(body, ast.ClassDef)
     texts = {}

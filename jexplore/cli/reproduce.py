@@ -53,7 +53,7 @@ class Reproduce:
     rules: Rules = dataclasses.field(default_factory=Rules)
 
     def execute(self, arguments: Sequence[str]) -> int | None:
-        """Runs the command; returns the exit status, None for 0."""
+        """Run the command and return the exit status, None for 0."""
         from jexplore.studies import reproduction
 
         with Out(self, "reproduce") as out:

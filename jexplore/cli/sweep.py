@@ -65,7 +65,7 @@ class Sweep:
     """Let --resume take strategies of your own for what they were when the run began, even where nothing tells."""
 
     def execute(self, arguments: Sequence[str]) -> int | None:
-        """Runs the command; returns the exit status, None for 0."""
+        """Run the command and return the exit status, None for 0."""
         from jexplore.engine.runner import own_cores
         from jexplore.studies.sweeps import plan as plans
         from jexplore.studies.sweeps.run import ready, run_sweep
@@ -107,7 +107,7 @@ class Sweep:
 
 
 def shard_of(text: str | None) -> tuple[int, int] | None:
-    """`(i, n)` of `I/N`, i from 0; None for None.
+    """Parse `I/N` to `(i, n)`, i from 0; None for None.
 
     Raises:
       InputError: not of this form.
@@ -131,7 +131,7 @@ def _show_finished(out, plan):
 
 
 def _pictures(out, found, record, plan):
-    """Pictures of a sweep and, with a plan, its page: name -> what writes it."""
+    """Return pictures of a sweep and, with a plan, its page: name -> writer."""
     drawn = {f"sweep{tail}.png": functools.partial(_picture, make) for tail, make in found.figures().items()}
     if plan is not None and not found.missing and not found.spec.robots:
         drawn["report.html"] = functools.partial(_report, out, found, record, plan, list(drawn))
@@ -139,7 +139,7 @@ def _pictures(out, found, record, plan):
 
 
 def _finish(out: Out, found: "Swept", arguments: Sequence[str], options: Any, plan: Any, **entries: Any) -> int:
-    """Writes, prints and draws. Returns the exit status."""
+    """Write, print and draw; return the exit status."""
     from jexplore.arrays.plain_yaml import dump
     from jexplore.report import store
     from jexplore.studies.sweeps.spec import plain
@@ -180,7 +180,7 @@ def _finish(out: Out, found: "Swept", arguments: Sequence[str], options: Any, pl
 
 
 def _picture(make, path):
-    """Draws a picture, as PNG and as SVG."""
+    """Draw a picture, as PNG and as SVG."""
     from jexplore.report import plot
 
     figure = make()
@@ -189,7 +189,7 @@ def _picture(make, path):
 
 
 def _report(out, found, record, plan, names, path):
-    """Writes the page of a sweep, with those of its pictures that are there."""
+    """Write the page of a sweep, with its existing pictures."""
     from jexplore.studies.results.report import replays_for, write_report
     from jexplore.studies.sweeps.run import labels_of
 
@@ -221,7 +221,7 @@ class Merge:
     """Write report.html, the whole run in one page with replays."""
 
     def execute(self, arguments: Sequence[str]) -> int | None:
-        """Runs the command; returns the exit status, None for 0."""
+        """Run the command and return the exit status, None for 0."""
         from jexplore.studies.results.loading import merge
 
         with Out(self, "sweep") as out:

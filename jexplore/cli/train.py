@@ -57,7 +57,7 @@ class Train:
     rules: Rules = dataclasses.field(default_factory=Rules)
 
     def execute(self, arguments: Sequence[str]) -> int | None:
-        """Runs the command; returns the exit status, None for 0."""
+        """Run the command and return the exit status, None for 0."""
         from jexplore.engine.backend import use_compilation_cache
         from jexplore.learn import bank, training
         from jexplore.policies.learned.model import load_model
@@ -121,7 +121,7 @@ class Train:
 
 
 def _settings(items):
-    """`{name: number}` of texts `name=number`."""
+    """Parse texts `name=number` to `{name: number}`."""
     from jexplore.config import InputError
 
     found = {}

@@ -120,7 +120,7 @@ def progress_of(total: int, unit: str) -> Iterator[Progress]:
 
 @contextlib.contextmanager
 def note(text: str) -> Iterator[Callable[[], None]]:
-    """Says on stderr what takes so long, once, if it takes long; the block gets a function that calls it off."""
+    """Name a slow step on stderr, once, if it takes long; the block gets a function that cancels the note."""
     timer = threading.Timer(PATIENCE_S, lambda: tell(text))
     timer.daemon = True
     timer.start()
@@ -132,7 +132,7 @@ def note(text: str) -> Iterator[Callable[[], None]]:
 
 @contextlib.contextmanager
 def compiling() -> Iterator[Callable[[], None]]:
-    """Says on stderr that programs are made ready, or that one is compiled, and for how long, if it takes long.
+    """Tell on stderr that programs are prepared or compiled, and for how long, if it takes long.
 
     A clock on a terminal; elsewhere a line at first and then every half a minute. The block gets a function that calls
     it off.
@@ -285,8 +285,9 @@ class Out:
         } | ({} if self.asked is None else {"asked": self.asked, "units": self.units})
 
     def write(self, writers: Mapping[str, Callable[[Path], Any]], *, is_finished: bool = True) -> str:
-        """Writes the files, all or none. Returns a line that says where; said last, so that a reader of the output who
-        goes away costs no results.
+        """Write the files, all or none, and return a line that says where.
+
+        The line is printed last, so that a reader of the output who goes away costs no results.
         """
         folder = self.run.write(writers, is_finished=is_finished)
         return f"wrote {', '.join(writers)} to {os.fspath(folder)}{os.sep}"
@@ -309,11 +310,11 @@ class Out:
         return drawn
 
     def there(self, names: Iterable[str]) -> list[Path]:
-        """Those of some files that the folder has."""
+        """Return those of some files that the folder has."""
         return [self.run.path / name for name in names if (self.run.path / name).is_file()]
 
     def draw_missing(self, writers: Mapping[str, Callable[[Path], Any]]) -> None:
-        """Adds the pictures that a finished run does not have, and says so."""
+        """Add the pictures that a finished run lacks, and tell so."""
         have = {file.name for file in self.there(writers)}
         drawn = self.draw({name: write for name, write in writers.items() if name not in have})
         what = f"drew {', '.join(drawn)}" if drawn else "nothing was left to do"

@@ -39,7 +39,7 @@ class Signals:
         self._over = threading.Event()
 
     def listen(self) -> None:
-        """Begins. What this process shares among its threads must be settled before."""
+        """Begin to listen. State shared among this process's threads must be settled before."""
         for name in ("SIGTERM", "SIGHUP"):
             number = getattr(signal, name, None)
             if number is not None and signal.getsignal(number) == signal.SIG_DFL:  # not under nohup
@@ -51,7 +51,7 @@ class Signals:
         threading.Thread(target=self._hear, args=(ears,), daemon=True).start()
 
     def end(self) -> None:
-        """Says no more: the command is over."""
+        """Stop answering: the command is over."""
         self._over.set()
 
     def _handle(self, number, frame):
@@ -93,7 +93,7 @@ class Signals:
             tell("jexplore: interrupted: what is under way comes to its end first; Ctrl-C once more ends at once")
 
     def _quit(self, number):
-        """Ends the process, wherever its main thread is."""
+        """End the process, wherever its main thread is."""
         words = threading.Thread(target=_last_words, args=(number,), daemon=True)
         words.start()
         words.join(LAST_S)

@@ -110,7 +110,7 @@ def _cell(value):
 
 
 def _parts(text) -> Iterator[Any]:
-    """Lines of Markdown, and its tables as `(rows of cells, the headings first; whether columns go to the left)`."""
+    """Yield lines of Markdown, and its tables: `(rows of cells, headings first; whether columns go to the left)`."""
     lines = text.split("\n")
     i = 0
     while i < len(lines):
@@ -132,7 +132,7 @@ def _cells(line):
 
 
 def _blocks(rows, is_left, width):
-    """The parts of a table below each other, each no wider than `width`: `(rows, is_left, widths)`."""
+    """Yield the parts of a table below each other, each no wider than `width`: `(rows, is_left, widths)`."""
     from rich.cells import cell_len
 
     texts = list(zip(*rows))
@@ -157,7 +157,7 @@ def _blocks(rows, is_left, width):
 
 
 def _cut(least, keys, width):
-    """The columns of each part: the first `keys` of the table and as many others as fit, at least one."""
+    """Divide columns into parts: the first `keys` of the table and as many others as fit, at least one."""
     parts = []
     rest = list(range(keys, len(least))) or [0]
     while rest:
@@ -171,7 +171,7 @@ def _cut(least, keys, width):
 
 
 def _once(rows):
-    """The same rows, the first cell left blank where it is that of the row above."""
+    """Yield the same rows, the first cell left blank if it equals that of the row above."""
     before = None
     for row in rows:
         yield ["" if row[0] == before else row[0], *row[1:]]
@@ -211,7 +211,7 @@ def _fold(text, width):
 
 
 def _drawn(rows, is_left, widths):
-    """A table of rich, folded already."""
+    """Make a table of rich, folded already."""
     from rich import box
     from rich.table import Table
     from rich.text import Text

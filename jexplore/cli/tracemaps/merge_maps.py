@@ -38,7 +38,7 @@ class MergeMaps:
     limits: Limits = dataclasses.field(default_factory=Limits)
 
     def execute(self, arguments: Sequence[str]) -> int | None:
-        """Runs the command; returns the exit status, None for 0."""
+        """Run the command and return the exit status, None for 0."""
         from jexplore.report import store
         from jexplore.tracemap import json_form
         from jexplore.tracemap.merging.merge import merge_maps

@@ -29,7 +29,7 @@ class Station:
     """Replace an existing file."""
 
     def execute(self, arguments: Sequence[str]) -> int | None:
-        """Runs the command; returns the exit status, None for 0."""
+        """Run the command and return the exit status, None for 0."""
         from jexplore.report import store
         from jexplore.studies.traces.station import page_of, panels_of
         from jexplore.tracemap import json_form

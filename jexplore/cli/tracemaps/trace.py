@@ -92,7 +92,7 @@ class Trace:
         return not self.sweep and self.runs in (None, 1) and self.starts in (None, 1)
 
     def execute(self, arguments: Sequence[str]) -> int | None:
-        """Runs the command; returns the exit status, None for 0."""
+        """Run the command and return the exit status, None for 0."""
         from jexplore.studies.traces import tracing
         from jexplore.studies.traces.job import prepare_trace
 
@@ -160,7 +160,7 @@ class Trace:
 
 
 def _write_view(found, path):
-    """The operator's page of run 0."""
+    """Write the operator's page of run 0."""
     import numpy as np
 
     from jexplore.report import operator_view
@@ -182,7 +182,7 @@ def _write_view(found, path):
 
 
 def _draw(found, first, path):
-    """The picture of a `Traced`, with the map of run 0 as it is written."""
+    """Draw a `Traced`, with the map of run 0 as it is written."""
     from jexplore.report import plot, plot_traces
     from jexplore.studies.traces import recording
 
@@ -201,7 +201,7 @@ def _draw(found, first, path):
 
 
 def _exchanged(found):
-    """Files of a Behavioral Trace Map for other programs: `{name: writer}`."""
+    """Return the files of a trace map for other programs: `{name: writer}`."""
     from jexplore.report import store
     from jexplore.tracemap import export, json_form
 
@@ -231,7 +231,7 @@ def _finish_trace(out, record, files, text, pictures, interrupted=False):
 
 
 def _trace_episode(out, options, arguments):
-    """A map from what an exploration episode has seen."""
+    """Extract a map from the grid of an exploration episode."""
     from jexplore.report import plot, trace_tables
     from jexplore.studies.traces import extraction
 
