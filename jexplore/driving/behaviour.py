@@ -353,8 +353,9 @@ def is_aside(target: Array, out: Array, radius_m: Array) -> Array:
 
 
 def _selected(drive, to_robot, tuning):
-    """Target point of branch selection, robot's frame: on the way to one beyond an opening that it sees from the side,
-    the robot comes before it first, so that it does not meet the jamb.
+    """Return the target point of branch selection, robot's frame.
+
+    On the way to one beyond an opening seen obliquely, the robot first drives to a point before it, clear of the jamb.
     """
     target = to_robot(drive.target)
     axis = to_robot(drive.target + towards(drive.out)) - target

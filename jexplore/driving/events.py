@@ -53,7 +53,7 @@ class Walls(NamedTuple):
 
 
 def walls_of_scan(ranges_m: Array, tuning: Tuning, robot: Robot) -> Walls:
-    """`Walls` of a scan: `[B]` float32 ranges, NaN for none."""
+    """Find the `Walls` of a scan: `[B]` float32 ranges, NaN for none."""
     xy, valid = perception.points(ranges_m, ANGLES_RAD)
     region = tuning.ahead_m / 2, tuning.ahead_m / 2 + tuning.region_m
     region_sides = perception.sides(xy, valid, *region)
@@ -98,7 +98,7 @@ def look_ahead(
     robot: Robot,
     is_blind: Array | bool,
 ) -> Ahead:
-    """`Ahead` of one step.
+    """Compute `Ahead` of one step.
 
     Args:
       state: `mission.State` before it.
@@ -149,7 +149,7 @@ def look_ahead(
 
 
 def _lone_step(state, writer, ground, tips, level, changed, crease_m, blocked, robot):
-    """`(lone_step, is_lone, after)`: see `Ahead`. Where the ground's inclination changes, that makes the node."""
+    """Return `(lone_step, is_lone, after)`, see `Ahead`; a change of the ground's inclination makes the node itself."""
     # What it saw as it tipped over the last step is off.
     map_ = writer.map
     is_step = map_.obstacle[jnp.minimum(writer.node, map_.kind.shape[0] - 1)] == btm.STAIRS
@@ -214,7 +214,7 @@ def triangles(xy: Array, valid: Array, wall_m: Array | float, tuning: Tuning) ->
 
 
 def _watch(state, writer, xy, valid, wall_m, leans, placed, tuning):
-    """Looks for triangles, in every `EVERY`-th step: `(track, overflow)`."""
+    """Search triangles, in every `EVERY`-th step: `(track, overflow)`."""
     approaches, turns = state.drive.latch == Latch.APPROACH, state.drive.latch == Latch.LOOK
     # Once the robot is in the circle that it approaches, a wall touched by the circle lies abeam or behind.
     is_in = approaches & (jnp.hypot(*(state.track.centre - state.estimate[:2])) < state.track.radius)
@@ -322,7 +322,7 @@ def _passes_start(state):
 
 
 def due(state: Any, writer: Writer, ahead: Ahead, at_goal: Array, is_open: Array, arrives: Array) -> Event:
-    """The node that is due, an `Event`; of several the one that lies first on the way.
+    """Return the node that is due, an `Event`; of several the one that lies first on the way.
 
     Args:
       state, writer, ahead: `mission.State`, `Writer`, `Ahead`.

@@ -44,7 +44,7 @@ def sides(within: Array, walls: Any) -> tuple[Array, Array]:
 
 
 def coast(mode: Array, side: Array, around: Surround, tuning: Tuning, robot: Robot) -> Array:
-    """The direction in which the robot follows the wall of a hall: float32, radians; NaN where it follows none.
+    """Return the direction in which the robot follows the wall of a hall: float32, radians; NaN where it follows none.
 
     Args:
       mode: int32, `RunMode`.
@@ -65,7 +65,7 @@ def abeam(
     placed: Callable[[Array], Array],
     tuning: Tuning,
 ) -> Track:
-    """The place before a gateway in the wall that the robot follows, once that is abeam, or else the one given.
+    """Return the place before a gateway in the followed wall, once it is abeam; else the given one.
 
     Args:
       state, writer: `mission.State`, `Writer`.

@@ -26,7 +26,7 @@ TURN_RAD = math.radians(20)  # the odometry's heading is corrected by no more, w
 
 
 def turn_to(map_: Btm, node: Array, found: Openings) -> tuple[Array, Array]:
-    """By how much the openings of a known node are turned against its links, and how well they agree.
+    """Return the turn of a known node's openings against its links, and how well they agree.
 
     Returns:
       `(turn, spread)`: radians, to be added; the farthest that a link lies from its opening once that is done, radians,
@@ -47,7 +47,7 @@ def turn_to(map_: Btm, node: Array, found: Openings) -> tuple[Array, Array]:
 
 
 def withdraw_double(map_: Btm, node: Array, back: Array, when: Array) -> Btm:
-    """Takes away the un-searched link of a node by which the robot has just come in from its other end."""
+    """Take away the un-searched link of a node by which the robot has just come in from its other end."""
     off = jnp.abs(btm.wrapped(map_.start_bearing - back))
     off = jnp.where((map_.start == node) & (map_.status == btm.UNSEARCHED), off, jnp.inf)
     at = jnp.argmin(off)
@@ -58,7 +58,7 @@ def withdraw_double(map_: Btm, node: Array, back: Array, when: Array) -> Btm:
 
 
 def other_link(map_: Btm, node: Array, link: Array) -> Array:
-    """The link of a node that is not the one given; the same where it is the only one."""
+    """Return the link of a node that is not the one given; the same if it is the only one."""
     touches = ((map_.start == node) | (map_.end == node)) & (map_.status != btm.NONE)
     others = touches & (jnp.arange(touches.shape[0]) != link)
     return jnp.where(jnp.any(others), jnp.argmax(others).astype(jnp.int32), link)
@@ -96,7 +96,7 @@ def ends_at(map_: Btm, node: Array) -> tuple[Array, Array]:
 
 
 def _needed(map_, own):
-    """The ends of links without which a place is not that node: those not given up, or all where these are too few."""
+    """Return the link ends that a place must have to be that node: those not given up, or all if these are too few."""
     needed = own & ~jnp.tile(map_.blocked, 2)
     return jnp.where(jnp.sum(needed) > 1, needed, own)
 
@@ -342,7 +342,7 @@ def is_any_open(map_: Btm, tries: Array) -> Array:
 
 
 def where_to(writer: Writer, map_: Btm, node: Array, back: Array) -> tuple[Writer, Btm, Array, Array]:
-    """The link by which the robot goes on from a place.
+    """Choose the link by which the robot goes on from a place.
 
     Un-searched links that it has set off on in vain are given up, and searched ones that lead elsewhere are followed no
     more; when nothing else is left, all of them get another chance. After that the searched ones get one whenever
@@ -386,7 +386,7 @@ def where_to(writer: Writer, map_: Btm, node: Array, back: Array) -> tuple[Write
 
 
 def _failed(writer, node):
-    """`Writer.fails` with the link that the robot has come by to a node."""
+    """Return `Writer.fails` with the link by which the robot has come to a node."""
     size = writer.map.start.shape[0]
     link = jnp.minimum(writer.link, size - 1)
     followed, to = leads_to(writer)

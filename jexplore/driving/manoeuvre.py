@@ -63,7 +63,7 @@ class Manoeuvre:
 
 
 def at_rest(pose: Array) -> Manoeuvre:
-    """Nothing in the way, at a pose `[3]`."""
+    """Return an empty memory at a pose `[3]`."""
     return Manoeuvre(
         trail=jnp.zeros((TRAIL, 3)).at[0].set(pose),
         length=jnp.int32(1),
@@ -84,7 +84,7 @@ def is_open(ways_m: Array, within_rad: float, long_m: float) -> Array:
 
 
 def remembered(now: Manoeuvre, pose: Array) -> Manoeuvre:
-    """With the pose on the trail, if the robot has moved on since the last one; none while it goes back."""
+    """Add the pose to the trail, if the robot has moved on since the last one; not while it goes back."""
     last = now.trail[(now.length - 1) % TRAIL]
     adds = (jnp.hypot(pose[0] - last[0], pose[1] - last[1]) >= TRAIL_M) & ~now.backing
     at = jnp.where(adds, now.length % TRAIL, TRAIL)
@@ -103,7 +103,7 @@ def drive(
     tuning: Tuning,
     robot: Robot,
 ) -> tuple[Manoeuvre, Array, Array]:
-    """Speed and turn rate towards a target, round what stands in the way.
+    """Compute speed and turn rate towards a target, round obstacles.
 
     Args:
       now: `Manoeuvre`.
@@ -155,7 +155,7 @@ def drive(
 
 
 def _tries(now, touched):
-    """With the way that it tries to get away from what it has touched: the next one, if it still tried one."""
+    """Advance the recovery: the next attempt, if it still tried one."""
     return now.replace(
         tried=jnp.where(touched, jnp.where(now.frees > 0, (now.tried + 1) % len(WAYS), 0), now.tried),
         frees=jnp.where(touched, FREES + AGAIN, jnp.maximum(now.frees - 1, 0)),
@@ -163,7 +163,7 @@ def _tries(now, touched):
 
 
 def _round(now, ways_m, pose, bearing, turning):
-    """The direction in which to drive, and whether it is another than that of the target."""
+    """Return the direction in which to drive, and whether it differs from that of the target."""
     off = jnp.abs(wrapped(DIRECTION - bearing))
     here = ways_m[jnp.argmin(off)]
     free = ways_m >= GO_M
@@ -231,17 +231,17 @@ def _beside(around, robot):
 
 
 def _gets_free(speed, side):
-    """`WAYS` as `[K, 2]`, metres and radians a second."""
+    """Return `WAYS` as `[K, 2]`, metres and radians a second."""
     # Going ahead, it leaves an obstacle on the left by turning right; going back, by turning left.
     return jnp.stack([jnp.stack([v * speed / 2, jnp.float32(turn) * side * (-1 if v > 0 else 1)]) for v, turn in WAYS])
 
 
 def _back(now, around, robot, pose, speed):
-    """Speed and turn rate to the pose before, how many poses are left, and whether it can neither go so, nor straight
-    back, nor lean: `(v, omega, length, wedged)`.
+    """Return speed and turn rate to the previous pose: `(v, omega, length, wedged)`.
 
-    Where that would touch, it goes straight back, and where that would, by whatever leads farthest away. Along a wall
-    it leans away from that, else it would be as near after any way back.
+    `length` is the number of poses left; `wedged`: the robot can go neither there, nor straight back, nor along a wall.
+    If that would touch, it goes straight back, else by the motion that leads farthest. Along a wall it leans away, to
+    gain distance.
     """
     goal = now.trail[(now.length - 1) % TRAIL]
     offset = goal[:2] - pose[:2]
@@ -272,7 +272,7 @@ def _back(now, around, robot, pose, speed):
 
 
 def _back_or_away(now, around, robot, pose, speed, side):
-    """`_back`, and how far it still goes ahead: where there is no room behind it goes away from there."""
+    """Return `_back`, and the distance still to drive ahead: without room behind the robot drives away."""
     back_v, back_omega, length, wedged = _back(now, around, robot, pose, speed)
     away_v, away_omega, is_free = _away(around, robot, speed, side)
     away = is_free & (now.frees <= AGAIN) & (wedged | (now.away_m > 0))
@@ -282,7 +282,7 @@ def _back_or_away(now, around, robot, pose, speed, side):
 
 
 def _away(around, robot, speed, side):
-    """Speed and turn rate ahead, as much to one side as is free, and whether any way is: `(v, omega, is_free)`."""
+    """Return speed and turn rate ahead, with as much to one side as is free: `(v, omega, is_free)`."""
     omega = jnp.concatenate([side * jnp.asarray(AWAY_RAD_S), -side * jnp.asarray(AWAY_RAD_S[1:])])
     room_m = jax.vmap(lambda omega: _room_m(around, robot, speed / 2 * AHEAD_S, omega * AHEAD_S))(omega)
     free = room_m >= SLACK_M

@@ -49,7 +49,7 @@ class Way:
 
 
 def no_way(size: int) -> Way:
-    """A way of no steps; `size` static."""
+    """Return a way of no steps; `size` static."""
     return Way(
         odometer_m=jnp.full(size, jnp.inf),
         pose=jnp.zeros((size, 3)),
@@ -176,7 +176,7 @@ def lean_of(way: Way, step: Array) -> tuple[Array, Array]:
 def watch_level(
     level: Level, lean: Array, odometer_m: Array | float, threshold: Array | float, even_m: Array | float
 ) -> tuple[Level, Array, Array, Array]:
-    """Takes one more lean into account.
+    """Take one more lean into account.
 
     Args:
       level: `Level`.
@@ -233,13 +233,14 @@ def moved(writer: Writer, centre: Array, turn: Array | float) -> Array:
 
 
 def pose_at(way: Way, odometer_m: Array | float) -> Array:
-    """The pose when the odometer had a value: `[3]` float32."""
+    """Return the pose when the odometer had a value: `[3]` float32."""
     return way.pose[jnp.argmax(way.odometer_m >= odometer_m)]
 
 
 def along(way: Way, from_m: Array | float, to_m: Array | float) -> tuple[Array, Array, Array]:
-    """Narrowest passage, largest inclination of the body and largest roll between two places: `(metres, degrees,
-    degrees)`; inf, 0 and 0 for no step.
+    """Return extremes between two places: `(metres, degrees, degrees)`; inf, 0 and 0 for no step.
+
+    They are the narrowest passage, the largest inclination of the body and its largest roll.
     """
     within = (way.odometer_m >= from_m) & (way.odometer_m <= to_m)
     known = within & jnp.isfinite(way.width_m)
@@ -268,7 +269,7 @@ def came_from(writer: Writer, centre: Array, radius: Array) -> Array:
 
 
 def came_through(writer: Writer, middles: Array, across: Array, width_m: Array) -> Array:
-    """The last step since the last node at which the robot was just beyond an opening: `[K]` int32, -1 for none.
+    """Return the last step since the last node at which the robot was just beyond an opening: `[K]` int32, -1 for none.
 
     Args:
       writer: `Writer`.
@@ -336,7 +337,7 @@ def is_near_known(writer: Writer, centres: Array, odometer_m: Array | float, lea
 
 
 def note(state: Any, senses: Senses, width_m: Array, robot: Robot) -> Writer:
-    """Keeps what a step measured; no width where the robot turns in place.
+    """Record the measures of a step; no width where the robot turns in place.
 
     Args:
       state: `mission.State`.

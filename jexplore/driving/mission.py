@@ -151,7 +151,7 @@ def _is_open(building):
 
 
 def at_start(setup: Setup, building: Building, robot: Robot, start: Array, guide: Guide | None = None) -> State:
-    """The state before the first step, without random numbers. `setup` static; `start` from `batch.pose_in`."""
+    """Return the state before the first step, without random numbers. `setup` static; `start` from `batch.pose_in`."""
     zero, none = jnp.float32(0), jnp.int32(0)
     start = jnp.asarray(start, jnp.float32)
     return State(
@@ -198,7 +198,7 @@ def steadied(senses: Senses, robot: Robot) -> tuple[Senses, Array]:
 
 
 def step(draws: Draws, building: Building, robot: Robot, tuning: Tuning, noise: Noise, state: State) -> State:
-    """One step of a run: sense, perceive, write, decide, move.
+    """Make one step of a run: sense, perceive, write, decide, move.
 
     Args:
       draws, state: `Draws`, `State`.
@@ -291,7 +291,7 @@ def _driven(state, drive, space, walls, around, ways_m, estimate, tuning, robot)
 
 
 def _moved(draws, building, robot, noise, state, estimate, senses, speed):
-    """The state once the robot has moved: its body and its odometry."""
+    """Return the state once the robot has moved: its body and its odometry."""
     body, gone_to, gone_m = move(draws, building, robot, noise, state.body, estimate, senses, speed[0], speed[1])
     step_m, turn = to_robot(estimate)(gone_to[:2]), gone_to[2] - estimate[2]
     return state.replace(
@@ -327,7 +327,7 @@ def _draws_from(key, first, noise):  # of `BLOCK` steps
 
 
 def begin(setup: Setup, given: Given) -> State:
-    """A run before its first step.
+    """Return the state of a run before its first step.
 
     Args:
       setup: `Setup`. Static.
@@ -344,7 +344,7 @@ def begin(setup: Setup, given: Given) -> State:
 
 
 def advance(setup: Setup, given: Given, state: State) -> State:
-    """One step of a run: a `State`. Arguments as for `begin`.
+    """Make one step of a run: a `State`. Arguments as for `begin`.
 
     A run that is done writes on beyond its last step, where nobody looks.
     """
@@ -358,7 +358,7 @@ def advance(setup: Setup, given: Given, state: State) -> State:
 
 
 def finish(setup: Setup, given: Given, state: State) -> Result:
-    """The `Result` of a run that has ended. Arguments as for `begin`."""
+    """Return the `Result` of a run that has ended. Arguments as for `begin`."""
     del setup, given
     body, breaks_off = state.body, jnp.isin(state.outcome, jnp.array(BROKEN_OFF, jnp.int32))
     map_, node = mapping.broken_off(state.writer, state.estimate, state.odometer_m, state.step, breaks_off)
@@ -383,7 +383,7 @@ def finish(setup: Setup, given: Given, state: State) -> Result:
 
 
 def _keep(state):
-    """The way of a run, step by step: poses, estimates, run modes, pitch."""
+    """Return the way of a run, step by step: poses, estimates, run modes, pitch."""
     return state.truth, state.writer.way.pose, state.writer.way.mode, state.writer.way.pitch
 
 
@@ -392,7 +392,7 @@ def _is_done(state):
 
 
 def program_of(setup: Setup) -> Program:
-    """A run as a `Program`.
+    """Return a run as a `Program`.
 
     Source:
       Mano et al., sections 2 and 3.

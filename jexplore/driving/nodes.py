@@ -64,7 +64,7 @@ class Arrival(NamedTuple):
 
 
 def _arrive(writer, event, found, back, tuning, is_divergence, is_terminal):
-    """The node that is due: one that is known, or a new one."""
+    """Return the node that is due: one that is known, or a new one."""
     is_obstacle = event.kind == btm.OBSTACLE
     near, distance = btm.nearest_node(writer.map, event.centre[0], event.centre[1], event.kind)
     # A place is in the circle of a node, and the node in that of the place.
@@ -134,8 +134,9 @@ def _find_openings(writer, event, points, tuning, is_divergence):
 
 
 def _by_door(passed, width_m, odometer_m):
-    """Steps at which openings were passed, -1 for none: of doors alone, if the robot has just passed one. Who comes by
-    a door passes a wider opening that lies before it as well.
+    """Return the steps at which openings were passed, -1 for none: of doors alone, if the robot has just passed one.
+
+    A robot that comes by a door passes a wider opening before it as well.
     """
     gone_m = odometer_m[jnp.max(passed)] - odometer_m[passed]
     door = (passed >= 0) & (gone_m < DOOR_BEFORE_M) & (width_m <= openings.DOOR_M)
@@ -234,7 +235,7 @@ def write(
 
 
 def _way_out(event, found, left, turn, leave_m, is_divergence):
-    """From the centre to a point on the link that is taken: `[2]`; and its direction there, radians."""
+    """Return the vector from the centre to a point on the link taken: `[2]`; and its direction there, radians."""
     bearing = left.bearing
     ways = leave_m * towards(bearing), bearing
     ways = _either_of(is_divergence, passing.through(event, found, bearing, turn, leave_m), ways)
@@ -270,7 +271,7 @@ def made(
     tuning: Tuning,
     robot: Robot,
 ) -> tuple[Writer, Drive, Track, Array]:
-    """Makes the node that is due, if one is.
+    """Make the node that is due, if one is.
 
     Args:
       state: `mission.State`.
@@ -311,7 +312,7 @@ def made(
 
 
 def _add_openings(writer, map_, event, at, found, others, when):
-    """A divergence's links: `(writer, map)`.
+    """Add a divergence's links: `(writer, map)`.
 
     A new one has all its openings but the way in. One that is met again has those besides that bear otherwise than any
     of its links, for from elsewhere more may be seen; each is given up after one try. Not so before the gateways of a
@@ -344,13 +345,13 @@ def _either_of(condition, yes, no):
 
 
 def _border_left(writer, event):
-    """The border of a free space that is still ahead once a node has been made."""
+    """Return the border of a free space that is still ahead once a node has been made."""
     reached = (event.kind == btm.FREE_SPACE) & (event.odometer_m >= writer.border_m)
     return jnp.where(reached | (event.kind == btm.DIVERGENCE), jnp.inf, writer.border_m)
 
 
 def _end_link(map_, writer, event, at_node, back, step_m, link, when):
-    """Ends a link at a node."""
+    """End a link at a node."""
     found = {
         "length_m": event.odometer_m - writer.node_m,
         "min_width_m": at_node.width,

@@ -139,7 +139,7 @@ WHOLE = {"votes": 9, "helps": 100}
 
 
 def for_world(tuning: Tuning, *, is_course: bool) -> Tuning:
-    """Thresholds with the numbers for which 0 stands.
+    """Replace thresholds of 0 by the numbers that they stand for.
 
     Args:
       tuning: `Tuning` of numbers; anything else is returned as it is.
@@ -222,7 +222,7 @@ def require_robot(robot: Robot) -> None:
 
 
 def robot_of(name: str) -> Robot:
-    """A robot by name, with other measures where they are given: `kamui`, `kamui:width_m=0.6`.
+    """Make a robot by name, with other measures if given: `kamui`, `kamui:width_m=0.6`.
 
     Raises:
       InputError: no such robot or measure, or a value out of range.

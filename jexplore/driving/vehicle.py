@@ -117,14 +117,14 @@ def draw_one(key: Array, noise: Noise) -> Draws:
 
 
 def down_directions(robot: Robot) -> Array:
-    """Unit vectors of the downward scanner's beams in the robot's frame: `[D, 3]` float32."""
+    """Return unit vectors of the downward scanner's beams in the robot's frame: `[D, 3]` float32."""
     tilt = jnp.radians(robot.scanner_angle_deg)
     ahead = jnp.cos(DOWN_RAD)
     return jnp.stack([jnp.sin(tilt) * ahead, jnp.sin(DOWN_RAD), -jnp.cos(tilt) * ahead], axis=1)
 
 
 def at_rest(building: Building, robot: Robot, pose: Array) -> Body:
-    """`Body` of a robot that has not moved yet."""
+    """Return the `Body` of a robot that has not moved yet."""
     pitch, roll, height, rise = attitude(building.terrain, pose, robot.length_m, robot.width_m)
     zero, none = jnp.float32(0), jnp.int32(0)
     return Body(pose, pitch, roll, height, rise, path_m=zero, contacts=none, refused=none)
@@ -160,7 +160,7 @@ def _mounted(body, x_m, height_m, direction):
 
 
 def ahead_directions(robot: Robot) -> Array:
-    """Unit vectors of the beams of the scanner that looks ahead in the robot's frame: `[B, 3]` float32."""
+    """Return unit vectors of the beams of the scanner that looks ahead in the robot's frame: `[B, 3]` float32."""
     pitch = jnp.radians(robot.scan_pitch_deg)
     ahead = np.cos(ANGLES_RAD)
     return jnp.stack([jnp.cos(pitch) * ahead, np.sin(ANGLES_RAD), -jnp.sin(pitch) * ahead], axis=1)
@@ -189,7 +189,7 @@ def scan(draws: Draws, building: Building, robot: Robot, noise: Noise, body: Bod
 
 
 def _beacon(building, body):
-    """Distance of the goal where its beacon is heard, else inf."""
+    """Return the distance of the goal if its beacon is heard, else inf."""
     offset = building.goal - body.pose[:2]
     off_m = jnp.hypot(*offset)
     dx, dy = offset[:, None] / jnp.maximum(off_m, 1e-6)
@@ -277,12 +277,12 @@ def move(
 
 
 def towards(angle: Array | float) -> Array:
-    """The unit vector of a direction, radians: `[2]` float32."""
+    """Return the unit vector of a direction, radians: `[2]` float32."""
     return jnp.stack([jnp.cos(angle), jnp.sin(angle)])
 
 
 def to_odometry(estimate: Array) -> Callable[[Array], Array]:
-    """A function from points `[..., 2]` in the robot's frame to the odometry's."""
+    """Return a function from points `[..., 2]` in the robot's frame to the odometry's."""
     cos, sin = jnp.cos(estimate[2]), jnp.sin(estimate[2])
 
     def placed(xy):
@@ -293,7 +293,7 @@ def to_odometry(estimate: Array) -> Callable[[Array], Array]:
 
 
 def to_robot(estimate: Array) -> Callable[[Array], Array]:
-    """A function from points `[..., 2]` in the odometry's frame to the robot's."""
+    """Return a function from points `[..., 2]` in the odometry's frame to the robot's."""
     cos, sin = jnp.cos(estimate[2]), jnp.sin(estimate[2])
 
     def seen(xy):

@@ -22,7 +22,7 @@ class Terrain:
 
 
 def terrain_of(elevation: np.ndarray | None, cell_m: float) -> Terrain:
-    """Makes heights of cells finer: slopes stay even, steps stay steep.
+    """Make heights of cells finer: slopes stay even, steps stay steep.
 
     Args:
       elevation: `[H, W]` float32, height at cell centres, metres; None: level. Host.
@@ -46,7 +46,7 @@ def is_level(terrain: Terrain) -> bool:
 
 
 def _finer(height):
-    """Interpolates along columns; a difference that neither neighbour continues is a step, which stays at the edge."""
+    """Interpolate along columns; a difference that neither neighbour continues is a step, which stays at the edge."""
     rows, cols = height.shape
     rise = np.diff(height, axis=1, prepend=height[:, :1], append=height[:, -1:])  # [rows, cols + 1]: before and after
     before, after = rise[:, :-1], rise[:, 1:]
@@ -66,7 +66,7 @@ def _finer(height):
 
 
 def height_at(terrain: Terrain, x_m: Array | float, y_m: Array | float) -> Array:
-    """Height of the ground at points, metres: `[...]` float32; beyond the edge that of the edge."""
+    """Return the height of the ground at points, metres: `[...]` float32; beyond the edge that of the edge."""
     rows, cols = terrain.height_m.shape
     u = jnp.clip(x_m / terrain.spacing_m - 0.5, 0, cols - 1)
     v = jnp.clip(y_m / terrain.spacing_m - 0.5, 0, rows - 1)
@@ -167,7 +167,7 @@ def look_at(
 
 
 def turned(direction: Array, pitch_rad: Array | float, roll_rad: Array | float, heading_rad: Array | float) -> Array:
-    """Directions in the robot's frame (x forward, y left, z up) in that of the world: `[D, 3]` to `[D, 3]`."""
+    """Turn directions in the robot's frame (x forward, y left, z up) to the world's: `[D, 3]` to `[D, 3]`."""
     cos_p, sin_p = jnp.cos(pitch_rad), jnp.sin(pitch_rad)
     cos_r, sin_r = jnp.cos(roll_rad), jnp.sin(roll_rad)
     cos_h, sin_h = jnp.cos(heading_rad), jnp.sin(heading_rad)

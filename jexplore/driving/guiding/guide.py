@@ -90,7 +90,7 @@ def guide_of(
     start_m: float,
     size: int,
 ) -> Guide:
-    """A `Guide` of numpy arrays for a robot before its first step.
+    """Make a `Guide` of numpy arrays for a robot before its first step.
 
     Args:
       out, ways, leg, length_m: of every place, see `Guide`.
@@ -215,7 +215,7 @@ class _NextOnes(NamedTuple):
 
 
 def _next_ones(guide, centre, found, seen, reach_m):
-    """`_NextOnes`; `seen` are bearings of the openings, the map's."""
+    """Compute `_NextOnes`; `seen` are the mapped bearings of the openings."""
     place, size = guide.at + jnp.arange(AHEAD), guide.out.shape[0]
     at = jnp.minimum(place, size - 1)
     length_m, expected = jnp.cumsum(guide.length_m[at]), _expected(guide, at)
@@ -278,7 +278,7 @@ def _expected(guide, places):
 
 
 def _turned(guide):
-    """The function that turns a way on the map as the odometry has it."""
+    """Return the function that turns a way on the map into the odometry frame."""
     return to_odometry(jnp.stack([0.0, 0.0, -guide.turned]))
 
 

@@ -32,7 +32,7 @@ def passes_by(writer: Writer, centre: Array, passes: Array) -> Array:
 
 
 def corrected(guide: Guide, centre: Array, correction: Array) -> Guide:
-    """A guide once the odometry has been put right.
+    """Apply a correction of the odometry to a guide.
 
     Args:
       guide: `Guide`.

@@ -33,7 +33,7 @@ ASIDE_RAD = math.radians(110)  # no way farther off leads towards a place
 def on_the_way(
     guide: Guide, odometer_m: Array, estimate: Array, ways_m: Array, is_blocked: Array, robot: Robot
 ) -> Guide:
-    """Looks whether the route's end has been reached, or the robot is lost.
+    """Check whether the route's end has been reached, or the robot is lost.
 
     The end is reached where it lies, with a free way there: a robot that has gone as far as the map says may have gone
     another way, through a room above all.
@@ -113,7 +113,7 @@ def guided(
 
 
 def _steered(state, guide, drive, track, estimate, ways_m, places, tuning, robot):
-    """`(guide, drive, track)`; `places`: nodes, and where the robot has just looked round: pair of `[P, 2]`."""
+    """Return `(guide, drive, track)`; `places`: nodes, and where the robot has just looked round: pair of `[P, 2]`."""
     place, leg_m, length_m, is_end = next_of(guide)
     off_m, bearing, sees = _sight(place, estimate, ways_m, robot)
     gone_m, leaves = state.odometer_m - guide.from_m, drive.latch == Latch.LEAVE

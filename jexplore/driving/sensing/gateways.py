@@ -60,9 +60,7 @@ def gateway(
 
 
 def _wall(xy, valid, middle, out):
-    """The wall in which a gateway is expected, by a Hough transform: its outward direction, radians, and how far it is
-    away, metres.
-    """
+    """Find the expected wall of a gateway by a Hough transform: outward direction, radians, and distance, metres."""
     tilts = jnp.asarray(TILTS_RAD)
     v, u = jax.vmap(lambda tilt: _along(xy, out + tilt))(tilts)  # [T, P]
     v_m, u_m = jax.vmap(lambda tilt: _along(middle[None], out + tilt))(tilts)  # [T, 1]
@@ -85,7 +83,7 @@ def _along(xy, out):
 
 
 def at_gateway(out: Array, radius_m: Array, coast_m: Array | float, size: int) -> openings.Openings:
-    """The ways from before a gateway of a hall: out, and along the wall to both sides.
+    """Return the ways from before a gateway of a hall: out, and along the wall to both sides.
 
     Args:
       out: float32, radians, the direction in which it leads.

@@ -73,7 +73,7 @@ class Profile:
 
 
 def profile(x_m: Array, z_m: Array, valid: Array) -> Profile:
-    """Fits a line to heights along the way.
+    """Fit a line to heights along the way.
 
     Args:
       x_m, z_m, valid: `[P]`, points of the profile.
@@ -112,21 +112,22 @@ def profile(x_m: Array, z_m: Array, valid: Array) -> Profile:
 
 
 def _cell_of(x_m, valid):
-    """Cells of the way, each as long as `CELL_M`, from the first point on: `[P]` int32, beyond the last for none."""
+    """Return cells of the way, each of length `CELL_M`, from the first point: `[P]` int32, beyond the last for none."""
     first = jnp.min(jnp.where(valid, x_m, jnp.inf))
     return jnp.where(valid, ((x_m - first) / CELL_M).astype(jnp.int32), CELLS)
 
 
 def _tread_wave(x_m, residual_m, valid):
-    """The largest power, in square metres, of a residual's waves as long as a tread."""
+    """Return the largest power, in square metres, of a residual's waves as long as a tread."""
     total = jnp.zeros(CELLS, jnp.float32).at[_cell_of(x_m, valid)].add(residual_m, mode="drop")
     mean = _WAVES @ total / jnp.maximum(jnp.sum(valid), 1)  # [2 * periods]
     return jnp.max(2 * jnp.sum(mean.reshape(2, -1) ** 2, axis=0))
 
 
 def sudden(x_m: Array, z_m: Array, valid: Array) -> Array:
-    """The largest rise from a point of a profile to the next one beyond what a slope of 45 degrees would rise: float32,
-    metres. Steps are that steep, slopes are not. Arguments as for `profile`, in the order of time.
+    """Return the largest rise between neighbouring points of a profile beyond a slope of 45 degrees: float32, metres.
+
+    Steps are that steep, slopes are not. Arguments as for `profile`, in the order of time.
     """
     both = valid[1:] & valid[:-1]
     x, z = jnp.where(valid, x_m, 0), jnp.where(valid, z_m, 0)
@@ -134,8 +135,9 @@ def sudden(x_m: Array, z_m: Array, valid: Array) -> Array:
 
 
 def _rises(count, total):
-    """By how much the mean height differs between both flanks of every cell: `[CELLS]`, metres. Arguments: points in
-    each cell, and the sum of their heights.
+    """Return the difference of mean heights of both flanks of every cell: `[CELLS]`, metres.
+
+    Arguments: points in each cell, and the sum of their heights.
     """
     # Points come in the order of time, about in that of x: flanks are sums over sorted cells of the way.
     n, wide = CELLS, round(FLANK_M / CELL_M)

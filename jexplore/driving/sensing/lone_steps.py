@@ -26,7 +26,7 @@ class LoneStep:
 
 
 def none() -> LoneStep:
-    """No step."""
+    """Return a state without a step."""
     return LoneStep(jnp.float32(jnp.inf), jnp.float32(jnp.inf), jnp.float32(0))
 
 

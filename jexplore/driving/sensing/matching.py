@@ -33,7 +33,7 @@ SHARE = 0.6  # of the points; with fewer the next scan is matched with this one
 
 
 def _lines(ranges_m):
-    """A line through every point of a scan and its neighbours: `(mean, normal, there)`."""
+    """Fit a line through every point of a scan and its neighbours: `(mean, normal, there)`."""
     valid = jnp.isfinite(ranges_m)
     r = jnp.where(valid, ranges_m, 0)
     x, y = r * jnp.cos(ANGLES_RAD), r * jnp.sin(ANGLES_RAD)
@@ -106,7 +106,7 @@ def match(before_m: Array, ranges_m: Array, moved: Array, since: Array) -> tuple
 
 
 def _solved(a, b):
-    """The solution of three equations whose matrix is symmetric and positive: `[3]`."""
+    """Solve three equations whose matrix is symmetric and positive: `[3]`."""
     c00 = a[1, 1] * a[2, 2] - a[1, 2] ** 2
     c01 = a[0, 2] * a[1, 2] - a[0, 1] * a[2, 2]
     c02 = a[0, 1] * a[1, 2] - a[0, 2] * a[1, 1]
@@ -129,18 +129,18 @@ class Key:
 
 
 def at_start(pose: Array) -> Key:
-    """No scan yet; the first one becomes it. `pose`: `[3]`."""
+    """Return a state without a scan; the first one becomes it. `pose`: `[3]`."""
     far = pose + jnp.array([0.0, 0.0, 10.0])
     return Key(jnp.full(BEAMS, jnp.nan), jnp.zeros(2), far, far)
 
 
 def between(one: Array, other: Array) -> Array:
-    """The second pose in the frame of the first: `[3]`."""
+    """Return the second pose in the frame of the first: `[3]`."""
     return jnp.stack([*to_robot(one)(other[:2]), other[2] - one[2]])
 
 
 def put_right(key: Key, odometry: Array, estimate: Array, ranges_m: Array, lean: Array) -> tuple[Key, Array, Array]:
-    """Puts the odometry right by what the robot sees, where it has moved on since the last time.
+    """Correct the odometry by scan matching, if the robot has moved on since the last time.
 
     A scan serves for as long as the robot sees much of the same: every change to another adds an error.
 

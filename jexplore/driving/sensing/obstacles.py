@@ -33,8 +33,9 @@ def is_stairs(found: Profile, tuning: Tuning) -> Array:
 
 
 def _gone_over(writer, event):
-    """The ground between the last node and the one that is due, `Profile`, without what the robot has seen while it was
-    turned away from where it has gone there.
+    """Return the `Profile` of the ground between the last node and the one that is due.
+
+    Points that the robot has seen while it was turned away from its way are left out.
     """
     way = writer.way
     within = (way.ground_x_m > writer.node_m + MARGIN_M) & (way.ground_x_m < event.odometer_m - MARGIN_M)
@@ -52,7 +53,7 @@ def judged(
     posture: Array,
     here: Array,
 ) -> tuple[Btm, Array]:
-    """Says of the obstacle that lies behind what it is, once the robot has passed it.
+    """Classify the obstacle behind the robot, once it has passed it.
 
     Args:
       map_: `Btm` with the node that is due.

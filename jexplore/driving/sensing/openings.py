@@ -42,7 +42,7 @@ class Openings:
 
 
 def _next(here):
-    """The next direction, counter-clockwise and round the circle, that has a point: `[BEARINGS]` int32."""
+    """Return the next direction, counter-clockwise and round the circle, that has a point: `[BEARINGS]` int32."""
     order = jnp.arange(BEARINGS)
     later = jnp.where(here, order, 2 * BEARINGS)
     twice = jnp.concatenate([later, later + BEARINGS])
@@ -51,7 +51,7 @@ def _next(here):
 
 
 def gaps(point: Array, last: Array, here: Array, width_m: Array | float) -> tuple[Array, Array, Array]:
-    """Gaps from every direction to the next, counter-clockwise and round the circle, that has a point.
+    """Find gaps from every direction to the next, counter-clockwise and round the circle, that has a point.
 
     Args:
       point, last: `[BEARINGS, 2]` float32, the nearest and the farthest point in every direction.
@@ -80,7 +80,7 @@ def _grazes(point, after, here, centre, seen_from):
 
 
 def polar(offset: Array, distance: Array, inside: Array, most_m: Array | float) -> tuple[Array, Array, Array]:
-    """The nearest point in every direction and the farthest, for a wall may lead straight outward.
+    """Find the nearest point in every direction and the farthest, for a wall may lead straight outward.
 
     Args:
       offset, distance: `[P, 2]`, `[P]` float32, of points from the centre.
@@ -222,7 +222,7 @@ def openings(xy: Array, valid: Array, centre: Array, radius_m: Array | float, wi
 
 
 def _doors(place, door, door_end, size):
-    """Doors in the walls of pockets: `(valid, middle, across, width)` of as many."""
+    """Find doors in the walls of pockets: `(valid, middle, across, width)` of as many."""
     number = running_sum(door.astype(jnp.float32)).astype(jnp.int32) - 1
     chosen = door & (number == jnp.arange(size)[:, None])
     at = jnp.argmax(chosen, axis=1)
@@ -232,7 +232,7 @@ def _doors(place, door, door_end, size):
 
 
 def in_order(together, more, size):
-    """`Openings` counter-clockwise, of which some did not fit before."""
+    """Sort `Openings` counter-clockwise, of which some did not fit before."""
     valid, middle, across, wide = together
     # The direction of its passage, if from the centre it looks much like that and no other opening does.
     towards = jnp.arctan2(middle[:, 1], middle[:, 0])

@@ -65,7 +65,7 @@ def points(ranges_m: Array, angles_rad: ArrayLike) -> tuple[Array, Array]:
 
 
 def smoothed(xy: Array, valid: Array, reach_m: Array | float) -> Array:
-    """Every point moved to the mean of its wall's points near it: many close by, few far away.
+    """Move every point to the mean of its wall's points near it: many close by, few far away.
 
     Args:
       xy, valid: from `points`, in the order of the beams.
@@ -91,7 +91,7 @@ def smoothed(xy: Array, valid: Array, reach_m: Array | float) -> Array:
 
 
 def sides(xy: Array, valid: Array, from_m: Array | float, to_m: Array | float) -> tuple[Array, Array]:
-    """Least distance to the walls on both sides, in a region of fixed length before the robot.
+    """Compute the least distance to the walls on both sides, in a region of fixed length before the robot.
 
     Args:
       xy, valid: from `points`.
@@ -159,7 +159,7 @@ def clearances(xy: Array, valid: Array, to_m: Array | float) -> tuple[Array, Arr
 
 
 def front(xy: Array, valid: Array, width_m: Array | float) -> tuple[Array, Array]:
-    """Distances to the nearest points before the robot's left half and its right: float32, metres; inf for none."""
+    """Return distances of the nearest points ahead of the left and right halves: float32, metres; inf for none."""
     ahead = valid & (jnp.abs(xy[:, 1]) <= width_m / 2 + GUARD_M / 2) & (xy[:, 0] > 0)
     left = jnp.min(jnp.where(ahead & (xy[:, 1] >= 0), xy[:, 0], jnp.inf))
     right = jnp.min(jnp.where(ahead & (xy[:, 1] <= 0), xy[:, 0], jnp.inf))
@@ -176,7 +176,7 @@ def resampled(
     *,
     size: int,
 ) -> tuple[Array, Array, Array, Array]:
-    """Points at even distances along the walls that a scan shows, and both ends of every wall.
+    """Place points at even distances along the walls that a scan shows, and at both ends of every wall.
 
     Args:
       xy, valid: from `points`, in the order of the beams.
@@ -213,7 +213,7 @@ def resampled(
 
 
 def running_sum(values: Array) -> Array:
-    """Sums of the first 1, 2, ... values, by doubling."""
+    """Compute sums of the first 1, 2, ... values, by doubling."""
     n = values.shape[0]
 
     def doubled(i, sums):
@@ -246,7 +246,7 @@ def divergences(
     open_m: Array | float,
     size: int,
 ) -> Divergence:
-    """Triangles that touch three walls: between them the way divides, bends or ends.
+    """Find triangles that touch three walls: between them the way divides, bends or ends.
 
     Args:
       xy, valid: from `points`.

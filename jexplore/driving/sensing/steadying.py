@@ -19,7 +19,7 @@ AGREE = 3.7  # standard deviations within which two beams and the one between th
 
 
 def deviation(jumps: Array) -> Array:
-    """Standard deviation of the noise of readings that jump so: float32; 0 where none is known. See `jumps_of`."""
+    """Estimate the standard deviation of the noise of readings by `jumps_of`: float32; 0 without any."""
     return jnp.nan_to_num(jnp.nanmedian(jumps)) / _JUMP_OF_ONE
 
 
@@ -40,12 +40,12 @@ def _deviates_more(jumps, limit):
 
 
 def running_mean(values: Array, n: int) -> Array:
-    """The mean of every value and its neighbours, n in all (odd, static), with zeros beyond the ends: `[S]`."""
+    """Compute the mean of every value and its neighbours, n in all (odd, static), with zeros beyond the ends: `[S]`."""
     return jnp.convolve(jnp.pad(values, n // 2), jnp.full(n, 1 / n), mode="valid")
 
 
 def mean_near(values: Array, place_m: Array, here_m: Array, n: int, within_m: float) -> Array:
-    """The mean of every value and those of its neighbours, n in all (odd, static), that lie near: `[S]` float32.
+    """Compute the mean of every value and its near neighbours, n in all (odd, static): `[S]` float32.
 
     Args:
       values: `[S]` float32.

@@ -42,12 +42,12 @@ class Surround:
 
 
 def unknown() -> Surround:
-    """Nothing known."""
+    """Return an empty `Surround`."""
     return Surround(jnp.full(SECTORS, jnp.inf), jnp.full(SECTORS, jnp.inf))
 
 
 def points(around: Surround) -> tuple[Array, Array]:
-    """`(xy, known)`: `[SECTORS, 2]` float32, metres, 0 where nothing is known; `[SECTORS]` bool."""
+    """Return `(xy, known)`: `[SECTORS, 2]` float32, metres, 0 where nothing is known; `[SECTORS]` bool."""
     known = jnp.isfinite(around.x_m)
     return jnp.where(known[:, None], jnp.stack([around.x_m, around.y_m], axis=1), 0), known
 
@@ -55,7 +55,7 @@ def points(around: Surround) -> tuple[Array, Array]:
 def moved(
     around: Surround, ahead_m: Array, aside_m: Array, turn: Array, *, far_m: Array | float = math.inf
 ) -> Surround:
-    """The same points after the robot has moved.
+    """Return the same points after the robot has moved.
 
     Args:
       around: `Surround`.
@@ -70,7 +70,7 @@ def moved(
 
 
 def seen(around: Surround, ranges_m: Array) -> Surround:
-    """With one more scan: before the robot it is all there is, where its beams gave numbers.
+    """Add one more scan: ahead it replaces everything where its beams gave numbers.
 
     Args:
       around: `Surround`.
@@ -166,7 +166,7 @@ def ways(around: Surround, robot: Robot) -> Array:
 
 
 def along_wall(around: Surround, side: Array, coast_m: Array | float, robot: Robot) -> Array:
-    """The direction in which the robot follows a wall: float32, radians.
+    """Return the direction in which the robot follows a wall: float32, radians.
 
     From where the nearest point is it is the first, away from the side of the wall, in which a strip is free that
     widens from the robot's width to nearly twice its distance: along the wall, round its corners, and past gaps that
