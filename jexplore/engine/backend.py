@@ -28,7 +28,7 @@ def compiling_s() -> float | None:
 
 @functools.cache
 def _watch_compiler():
-    """Has JAX tell when a program is compiled."""
+    """Make JAX report when a program is compiled."""
 
     def begin(event, **_):
         if event == ASKED:
@@ -83,7 +83,7 @@ def cache_folder() -> Path:
 
 
 def use_compilation_cache() -> None:
-    """Keeps compiled programs on disk, so that a later process need not compile them again.
+    """Keep compiled programs on disk, so that a later process need not compile them again.
 
     In `$JAX_COMPILATION_CACHE_DIR` if that is set, else in `cache_folder()`. No home or a folder that cannot be written
     means no cache.

@@ -21,7 +21,7 @@ def _mesh(devices):
 
 
 def on_devices(function: Callable[..., Any], devices: Sequence[Any], n_own: int) -> Callable[..., Any]:
-    """A function of arrays as one of arrays with a leading axis of D devices, one part for each.
+    """Turn a function of arrays into one of arrays with a leading axis of D devices, one part for each.
 
     Nothing is exchanged: automatically split loops would put an exchange into every iteration.
 
@@ -56,7 +56,7 @@ def whole(tree: Any, devices: Sequence[Any]) -> Any:
 
 
 def parted(tree: Any, devices: Sequence[Any]) -> Any:
-    """A pytree of arrays with a leading axis of the devices, each part on its device."""
+    """Put a pytree of arrays with a leading axis of the devices on them, each part on its device."""
     return jax.device_put(tree, devices[0] if len(devices) == 1 else NamedSharding(_mesh(devices), PartitionSpec(AXIS)))
 
 
@@ -82,7 +82,7 @@ def compiled(
     donate: tuple[int, ...] = (),
     cpu_options: tuple[tuple[str, Any], ...] = (),
 ) -> tuple[Callable[..., Any], Any]:
-    """A compiled function and the shapes of what it returns. Compiled once in a process for equal names and shapes.
+    """Compile a function, once in a process for equal names and shapes: the function, and its result's shapes.
 
     Args:
       function: to be compiled.

@@ -11,7 +11,7 @@ from jexplore.config import GENERATOR
 
 
 def random_key(seed: Any) -> Array:
-    """A key of `GENERATOR`. `seed`: uint32, or a whole number."""
+    """Return a key of `GENERATOR`. `seed`: uint32, or a whole number."""
     return jax.random.key(seed, impl=GENERATOR)
 
 

@@ -63,7 +63,7 @@ class Group:
     # ---- on a device: pure functions
 
     def _each(self, function, common, runs, *own):
-        """`function(given, *own)` of some runs; what they share, `common`, is not copied."""
+        """Call `function(given, *own)` for some runs; their `common` data are not copied."""
         shared, scenes, arrays = common
 
         def one(run, *own):
@@ -85,7 +85,7 @@ class Group:
         return Lanes(runs, jnp.zeros(n_lanes, bool), state)
 
     def fill(self, lanes: Lanes, which: Array, runs: Runs, real: Array, common: Any) -> tuple[Lanes, Any]:
-        """Measures the runs in lanes `which`, `[m]` int32, and begins `runs` there where they are `real`, `[m]` bool.
+        """Measure the runs in lanes `which`, `[m]` int32, and begin `runs` there where they are `real`, `[m]` bool.
 
         Returns:
           `(lanes, found)`: of the m lanes what `Program.measure` and `keep` return; something where there is no run.
@@ -97,7 +97,7 @@ class Group:
         return Lanes(put(lanes.runs, begins, runs), put(lanes.busy, which, real), state), (found, kept)
 
     def _turn(self, common, lanes):
-        """A turn of all lanes: `(lanes, how many advanced)`."""
+        """Advance all lanes by a turn: `(lanes, how many advanced)`."""
         program, setup, state = self.program, self.program.setup, lanes.state
         if program.decide is not None:
             alive = lanes.busy & ~self._done(lanes)
@@ -153,7 +153,7 @@ class Group:
         return line, np.concatenate(left)[order], runs
 
     def lane_bytes(self) -> int:
-        """An estimate of what a lane needs on a device."""
+        """Estimate the bytes that a lane needs on a device."""
         lanes = jax.eval_shape(functools.partial(self.empty, n_lanes=1), self.queue()[2], self.common)
         return COPIES * sum(math.prod(a.shape) * a.dtype.itemsize for a in jax.tree.leaves(lanes))
 
@@ -236,7 +236,7 @@ class Group:
             costs.run_s += time.perf_counter() - began
 
     def _collect(self, line, number, ended, found):
-        """Hands what was found to its lines, of runs whose line and number these are, at `ended` among `[D, m]`."""
+        """Hand results to their lines, for runs with these lines and numbers, at `ended` among `[D, m]`."""
         found, kept = jax.tree.map(np.asarray, found[0]), found[1]
         where = np.argwhere(ended)
         for i in np.unique(line):
@@ -247,7 +247,7 @@ class Group:
 
 
 def _to_fill(at, done, first, total):
-    """The lanes to be measured or filled next, those whose runs are done first, and the runs to begin there.
+    """Choose the lanes to be measured or filled next, those with finished runs first, and the runs to begin there.
 
     Args:
       at, done: `[D, L]`, of each lane the place of its run in the queue, -1 for none, and whether that is done.
@@ -304,7 +304,7 @@ def run_lines(
 
 
 def _run_group(lines, devices, n_lanes, costs, on_progress):
-    """Lines of one kind: how many runs they were. Memory that runs out halves the lanes, once."""
+    """Run lines of one kind: how many runs they were. Memory that runs out halves the lanes, once."""
     group, total = Group(lines, devices), sum(len(line.which) for line in lines)
     n_lanes = min(n_lanes or group.fitting_lanes(), -(-total // len(devices)))
     for n in (n_lanes, n_lanes // 2):

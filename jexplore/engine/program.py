@@ -33,7 +33,7 @@ class Given:
 
     @property
     def own_scene(self) -> Any:
-        """The run's own scene. Where there is only one, all lanes share it."""
+        """Return the run's own scene. If there is only one, all lanes share it."""
         if jax.tree.leaves(self.scenes)[0].shape[0] == 1:
             return jax.tree.map(lambda a: a[0], self.scenes)
         return jax.tree.map(lambda a: a[self.scene], self.scenes)
@@ -106,7 +106,7 @@ class Line:
             self.results = jax.tree.map(lambda a: np.zeros((len(self.finished), *a.shape), a.dtype), shapes[0])
 
     def put(self, which: np.ndarray, found: tuple[Any, Any]) -> None:
-        """Keeps what `Program.measure` found: `[k]` numbers of runs, a pytree of `[k, ...]`. Any thread may call it."""
+        """Store results of `Program.measure`: `[k]` numbers of runs, a pytree of `[k, ...]`. Any thread may call it."""
         results, records = found
         new = {}
         if self.trim is not None:
@@ -119,7 +119,7 @@ class Line:
 
     @property
     def left(self) -> np.ndarray:
-        """`[m]` int32, numbers of the runs that have no result yet."""
+        """Return `[m]` int32, numbers of the runs that have no result yet."""
         return self.which[~self.finished[self.which]]
 
     @property
@@ -141,7 +141,7 @@ class Line:
 
 
 def given_of(line: Line, number: int = 0) -> Given:
-    """The `Given` of one of a line's runs."""
+    """Make the `Given` of one of a line's runs."""
     # Ignored types: numpy on the host, where the record says what it is on the device.
     return Given(
         key=jax.random.fold_in(random_key(np.uint32(line.seed)), line.draws[number]),
@@ -154,7 +154,7 @@ def given_of(line: Line, number: int = 0) -> Given:
 
 
 def split(numbers: Any) -> tuple[list[Any], list[Any], Callable[[Iterable[Any], Iterable[Any]], Any]]:
-    """The scalars and the arrays of a pytree, two lists, and what joins such lists: `(scalars, arrays, join)`."""
+    """Split a pytree into scalars and arrays, two lists, and a function that joins them: `(scalars, arrays, join)`."""
     leaves, tree = jax.tree.flatten(numbers)
     is_scalar = [jnp.ndim(leaf) == 0 for leaf in leaves]
 

@@ -36,7 +36,7 @@ class Costs:
     room: int = 0  # lanes that could have
 
     def plus(self, later: "Costs") -> "Costs":
-        """Those of two runs, one after the other."""
+        """Add the costs of two runs, one after the other."""
         total = dataclasses.replace(later)
         for name in ("compile_s", "run_s", "advanced", "room"):
             setattr(total, name, getattr(self, name) + getattr(later, name))
@@ -63,17 +63,17 @@ class Resources(NamedTuple):
     processes: int
 
     def own(self, n: int) -> np.ndarray:
-        """Numbers of the runs, of n, that this process makes: int array."""
+        """Return numbers of the runs, of n, that this process makes: int array."""
         return np.arange(self.process, n, self.processes)
 
 
 def own_cores() -> int:
-    """CPU cores that this process may use."""
+    """Return CPU cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def cpu_devices() -> list[Any]:
-    """The CPU as JAX devices; none where JAX is kept from it by `JAX_PLATFORMS`."""
+    """Return the CPU as JAX devices; none if `JAX_PLATFORMS` excludes it."""
     try:
         return jax.local_devices(backend="cpu")
     except RuntimeError:

@@ -23,7 +23,7 @@ CHUNK = 64  # most runs in one call of the compiled program on one device
 
 
 def run_one(program: Program, given: Given) -> Any:
-    """One run from its beginning to its end: the state at the end."""
+    """Make one run from its beginning to its end: the state at the end."""
 
     def advance(state):
         return program.advance(program.setup, given, state)
@@ -72,12 +72,12 @@ def chunk(
 
 
 def _with(all_, i, new):
-    """An array with entry i replaced. As a scatter, one for every part of a result, it would take longer to compile."""
+    """Replace entry i of an array. A scatter, one for every part of a result, would take longer to compile."""
     return lax.dynamic_update_index_in_dim(all_, jnp.asarray(new, all_.dtype), i, 0, allow_negative_indices=False)
 
 
 def compile_chunk(line: Line, devices: Sequence[Any]) -> tuple[Callable[..., Any], Any]:
-    """The program of a line's kind, compiled: `(call, shapes of a result)`.
+    """Compile the program of a line's kind: `(call, shapes of a result)`.
 
     `call(draws, tasks, count, seed, scenes, shared, numbers)`, the first three with a leading axis of the devices.
     """
@@ -92,7 +92,7 @@ def compile_chunk(line: Line, devices: Sequence[Any]) -> tuple[Callable[..., Any
 
 
 def _pieces(line, call, place, d, pace):
-    """The runs of a line as `Pieces`: device i takes runs i, i + d, ..., so the first comes alone on device 0."""
+    """Divide the runs of a line into `Pieces`: device i takes runs i, i + d, ...; the first comes alone on device 0."""
     arguments, size = (np.uint32(line.seed), *place, line.numbers), CHUNK
 
     def parts(first, n):

@@ -60,7 +60,7 @@ class Pieces:
     next: int = dataclasses.field(default=0, init=False)
 
     def take(self, workers: int) -> tuple[int, int]:
-        """The next pieces, `(first, number)`: one a device at first, then as many as take about a second."""
+        """Return the next pieces, `(first, number)`: one a device at first, then as many as take about a second."""
         left, d = self.total - self.next, self.n_devices
         piece_s = self.pace.piece_s
         is_alone = piece_s is None or (self.first_alone and self.next == 0)
