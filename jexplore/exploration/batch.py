@@ -112,7 +112,7 @@ def run_jobs(
 
 
 def _run_rest(jobs, rest, lines, resources, costs, on_progress, on_job):
-    """Runs what there is no native code for; `Costs` of all."""
+    """Run the jobs without native code; `Costs` of all."""
     done = sum(len(job.starts) for i, job in enumerate(jobs) if i not in rest)
     progress = None if on_progress is None else (lambda n: on_progress(done + n))
     tell = None if on_job is None else (lambda i: on_job(rest[i], _outcomes(jobs[rest[i]], lines[i])))
@@ -131,7 +131,7 @@ def _nothing(job):
 
 
 def _native_runs(jobs, lidar, rules, only, keep):
-    """A `NativeRun` for every job that native code can do, by its number; says why where there is no such code."""
+    """Make a `NativeRun` for every job that native code can do, by its number; tell why if there is no such code."""
     can = [i for i, job in enumerate(jobs) if is_native(job.strategy, job.lidar or lidar)]
     if not can or jax.config.values["jax_disable_jit"] or jax.process_count() > 1:
         return {}
@@ -165,7 +165,7 @@ def _native_runs(jobs, lidar, rules, only, keep):
 
 
 def _play(runs, workers, on_progress, on_job):
-    """Runs what native code can do; `Costs`. Raises KeyboardInterrupt where nothing was finished."""
+    """Run jobs in native code; `Costs`. Raises KeyboardInterrupt if nothing was finished."""
     numbers, costs = list(runs), Costs(engine="native", lanes=workers)
     if not runs:
         return costs
@@ -196,7 +196,7 @@ def _in_jax(jobs, lidar, rules, only, keep, alike, how):
 
 
 def _lines_of(jobs, lidar, rules, resources, native, only, keep, alike):
-    """A `Line` for every job. What jobs have in common is made once."""
+    """Make a `Line` for every job. Common parts are made once."""
     settings = [(job.lidar or lidar, job.rules or rules) for job in jobs]
     alike = [*alike, *dict.fromkeys(settings)]
     sites, fitted, lines = {}, {}, []
@@ -216,7 +216,7 @@ def _lines_of(jobs, lidar, rules, resources, native, only, keep, alike):
 
 
 def _checked(job):
-    """The job, its headings from 0 to 315 degrees; refuses starts and a seed that cannot be used."""
+    """Check the job's starts and seed; headings become 0 to 315 degrees."""
     seed, starts = require_whole("seed", job.seed, 0, MAX_SEED), np.asarray(job.starts)
     if starts.ndim != 2 or starts.shape[1] != 3 or not len(starts) or starts.dtype.kind not in "iu":
         form = "[N, 3] integers (row, col, heading_deg), N >= 1"

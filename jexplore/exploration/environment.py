@@ -41,12 +41,12 @@ def _mark(mask, rows, cols, when: Array | bool = True):
 
 
 def _n_looks(setup):
-    """Looks that make a look all round on arrival: as many as see all round, at least `LOOK_AROUND`."""
+    """Return the number of scans of a look-around on arrival: enough to see all round, at least `LOOK_AROUND`."""
     return jnp.maximum(setup.first_scans, LOOK_AROUND)
 
 
 def _move(setup, given, state, motion):
-    """The next motion of a plan under way, before its scan: a step along the route, or a turn in place.
+    """Return the next motion of a plan under way, before its scan: a step along the route, or a turn in place.
 
     A step into a cell that is not free is refused: the robot only turns towards it. A plan whose next step would be one
     too many ends the episode. Does nothing once the plan is done. `motion` is the route's in the robot's cell.
@@ -113,7 +113,7 @@ def _mark_exhausted(state, spent):
 
 
 def _limit_plans(numbers, state):
-    """Ends an episode whose plan is done and that may make no other."""
+    """End an episode whose plan is done and that may make no other."""
     spent = (state.outcome == Outcome.RUNNING) & ~state.walking & (state.plans >= numbers.max_plans)
     return state.replace(outcome=jnp.where(spent, Outcome.PLAN_LIMIT, state.outcome))
 
@@ -162,7 +162,7 @@ def advance(setup: Setup, given: Given, state: State) -> State:
 
 
 def drive(setup: Setup, given: Given, state: State) -> State:
-    """Advances until the plan under way is done.
+    """Advance until the plan under way is done.
 
     Args:
       setup, given, state: as for `advance`.
@@ -190,7 +190,7 @@ def _is_native(setup):
 
 
 def decide(setup: Setup, given: Given, state: State) -> tuple[Any, Choice, Array]:
-    """Asks the strategy for a target.
+    """Ask the strategy for a target.
 
     Args:
       setup, given, state: as for `advance`; a running episode that carries out no plan.
@@ -203,7 +203,7 @@ def decide(setup: Setup, given: Given, state: State) -> tuple[Any, Choice, Array
 
 
 def commit(setup: Setup, given: Given, state: State, choice: Choice, route: Array, live: Array | bool = True) -> State:
-    """Makes a choice the plan and makes its first motion; none ends the episode as complete, as far as is known here.
+    """Turn a choice into the plan and make its first motion; none ends the episode as complete, as far as is known.
 
     A target that no path leads to is refused: the strategy is asked again, and the third in a row ends the episode.
 
@@ -262,7 +262,7 @@ def _find_goal(given, row, col):
 
 
 def blank_belief(given: Given) -> Belief:
-    """The `Belief` of a robot that has seen nothing yet; `given` as for `begin`.
+    """Return the `Belief` of a robot that has seen nothing yet; `given` as for `begin`.
 
     What it knows all the same counts as seen once.
     """
@@ -293,7 +293,7 @@ def outcome_of(state: State) -> Array:
 
 
 def begin(setup: Setup, given: Given) -> State:
-    """An episode that has made its first scans.
+    """Return the state of an episode that has made its first scans.
 
     Args:
       setup: `Setup`. Static.

@@ -14,13 +14,13 @@ CPU_OPTIONS = (("xla_disable_hlo_passes", "while-loop-invariant-code-motion"),)
 
 
 def plan(setup: Setup, given: Given, state: State) -> State:
-    """`environment.decide` and `commit`: a `State` with the next plan under way, or the episode's end."""
+    """Run `environment.decide` and `commit`: a `State` with the next plan under way, or the episode's end."""
     carry, choice, route = environment.decide(setup, given, state)
     return environment.commit(setup, given, state.replace(carry=carry), choice, route)
 
 
 def _shares(parts, whole, n):
-    """The least counts that are at least `parts / whole` of n: int32. No product overflows."""
+    """Return the least counts that are at least `parts / whole` of n: int32. No product overflows."""
     quotient, rest = n // whole, n % whole
     return parts * quotient + -(-parts * rest // whole)
 
@@ -34,7 +34,7 @@ def _knowable(explorable, occupied, within):
 
 
 def finish(setup: Setup, given: Given, state: State) -> Result:
-    """The `Result` of an episode that has ended.
+    """Return the `Result` of an episode that has ended.
 
     Args:
       setup: `Setup`. Static.

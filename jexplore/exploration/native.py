@@ -126,12 +126,12 @@ class NativeRun:
 
     @property
     def results(self) -> Result:
-        """`Result` of numpy arrays with a leading axis N; zeros where an episode has not come back."""
+        """Return a `Result` of numpy arrays with a leading axis N; zeros for an episode that has not come back."""
         return result_of(self.table)
 
     @property
     def left(self) -> np.ndarray:
-        """`[m]` int32, numbers of the episodes that have not come back."""
+        """Return `[m]` int32, numbers of the episodes that have not come back."""
         return self.which[self.table[self.which, _OUTCOME] == Outcome.RUNNING]
 
     @property
@@ -203,7 +203,7 @@ def _play_on_gpu(runs, stop, progress):
 
 
 def _put_all(group, numbers, future):
-    """Keeps what a GPU has found for some runs, once it has; where it cannot go on, a line says why."""
+    """Store a GPU's results for some runs, once it has them; tell in a line why it cannot go on."""
     try:
         played = future.result()
     except (MemoryError, RuntimeError) as error:

@@ -32,7 +32,7 @@ def progress_m(result: Result, cell_m: float) -> np.ndarray:
 
 
 def length_along_m(rows: np.ndarray, cols: np.ndarray, cell_m: float) -> np.ndarray:
-    """Length of a walk from its first cell to each of its cells, metres.
+    """Compute the length of a walk from its first cell to each of its cells, metres.
 
     Args:
       rows, cols: `[N]` int, neighbouring cells in the order driven, N >= 1.
@@ -46,7 +46,7 @@ def length_along_m(rows: np.ndarray, cols: np.ndarray, cell_m: float) -> np.ndar
 
 
 def map_state(hits: np.ndarray, misses: np.ndarray, p_free: float) -> np.ndarray:
-    """A reflection map as unknown, free and occupied cells.
+    """Classify the cells of a reflection map as unknown, free and occupied.
 
     Args:
       hits, misses: `[H, W]` int32.
@@ -61,12 +61,12 @@ def map_state(hits: np.ndarray, misses: np.ndarray, p_free: float) -> np.ndarray
 
 
 def to_occupancy(state: np.ndarray) -> np.ndarray:
-    """A map of `map_state` as ROS counts: `[H, W]` int8, -1 unknown, 0 free, 100 occupied."""
+    """Convert a map of `map_state` to ROS counts: `[H, W]` int8, -1 unknown, 0 free, 100 occupied."""
     return np.array([-1, 0, 100], np.int8)[state]
 
 
 def columns(result: Result, starts: np.ndarray, *, seed: int, cell_m: float, has_rooms: bool) -> dict[str, Any]:
-    """The columns of a table of episodes: one entry an episode.
+    """Return the columns of a table of episodes: one entry an episode.
 
     Args:
       result: `state.Result` of numpy arrays with a leading axis N.

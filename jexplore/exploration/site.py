@@ -53,14 +53,14 @@ class Site(NamedTuple):
     ring: int  # cells by which indices in these maps are larger than the world's
 
     def with_strategy(self, strategy: Strategy) -> tuple[Setup, Numbers]:
-        """The `Setup` and the `Numbers` of a strategy here: `(setup, numbers)`."""
+        """Return the `Setup` and the `Numbers` of a strategy here: `(setup, numbers)`."""
         params = _numbers(strategy)
         numbers = self.numbers.replace(recheck=np.bool_(strategy.recheck), params=params)
         return self.setup._replace(policy=_traced(self, strategy, numbers)._replace(params=())), numbers
 
 
 def _numbers(strategy):
-    """A strategy's parameters as arrays."""
+    """Convert a strategy's parameters to arrays."""
     try:
         return jax.tree.map(number, strategy.policy.params)
     except (TypeError, ValueError):
@@ -68,7 +68,7 @@ def _numbers(strategy):
 
 
 def _traced(site, strategy, numbers):
-    """The policy of a strategy; a user's is traced here, and refused where it returns what it should not."""
+    """Return the policy of a strategy; a user's is traced here, and refused if its result is wrong."""
     if not adapt.is_theirs(strategy.policy):
         return strategy.policy
     truth = jax.tree.map(lambda a: a[None], site.truth)
@@ -147,12 +147,12 @@ def alike(truths: Sequence[Truth]) -> list[Truth]:
 
 
 def cost_of(length_m: float, cell_m: float) -> int:
-    """A length as a cost of `reach`, rounded; at most FAR."""
+    """Convert a length to a cost of `reach`, rounded; at most FAR."""
     return round(min(in_cells(length_m, cell_m) * reach.STRAIGHT, reach.FAR))
 
 
 def _truth(world, shape):
-    """The `Truth` of a world with its ring, padded."""
+    """Make the `Truth` of a world with its ring, padded."""
     pad = [(0, full - n) for full, n in zip(shape, world.shape)]
     rooms = world.rooms if world.rooms is not None else np.full(world.shape, -1, np.int32)
     # Ignored types: numpy on the host, where the record says what it is on the device.
@@ -172,7 +172,7 @@ def limit_of(shape: tuple[int, ...]) -> int:
 
 
 def regions_of(world: World) -> np.ndarray:
-    """Number each 4-connected region of free cells within: `[H, W]` int32."""
+    """Label each 4-connected region of free cells within: `[H, W]` int32."""
     from scipy import ndimage
 
     free = ~world.occupied if world.within is None else ~world.occupied & world.within
@@ -196,7 +196,7 @@ def _setup(everyone, cell_m, shape, limit, native):
 
 
 def _beams(everyone, cell_m, shape):
-    """The same table for all rules and noise: megabytes."""
+    """Return the beam table, the same for all rules and noise: megabytes."""
     lidar, _ = everyone[0]
     return beam_table(lidar.without_noise(), cell_m, shape[1], max(farthest(one, cell_m) for one, _ in everyone))
 

@@ -148,22 +148,22 @@ class State:
 
     @property
     def steps(self) -> Array:
-        """Steps made: int32."""
+        """Return the number of steps: int32."""
         return self.straight + self.diagonal
 
     @property
     def path_m(self) -> Array:
-        """Way driven, metres: float32."""
+        """Return the driven way, metres: float32."""
         return steps_m(self.straight, self.diagonal, self.belief.model.cell_m)
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """`(H, W)` of the maps."""
+        """Return `(H, W)` of the maps."""
         return self.belief.driven.shape
 
 
 def no_counts() -> Any:
-    """The counts of a `State` in which nothing has been done: dict."""
+    """Return the counts of a `State` at zero: dict."""
     names = "straight diagonal turns scans plans exhausted saturated refused overflow bad_targets"
     names += " known looking looked unscanned"
     return dict.fromkeys(names.split(), jnp.int32(0))

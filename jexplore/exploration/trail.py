@@ -43,7 +43,7 @@ def blank(capacity: int) -> tuple[Array, Array]:
 
 
 def note_step(state: State, when: Array | bool = True) -> State:
-    """A `State` with the trail's entry for the present step, or as it is."""
+    """Add the present step to the trail of a `State`, unless there is nothing to add."""
     cell = state.row * state.shape[1] + state.col
     entry = jnp.stack([LOOKS * cell + state.looked, state.known])
     step = jnp.where(when, state.steps, state.trail.shape[0])
@@ -51,7 +51,7 @@ def note_step(state: State, when: Array | bool = True) -> State:
 
 
 def choice_of(state: State, choice: Choice, bad: Array) -> Array:
-    """The entry of a choice in the record of plans, `bad` if it was refused: `[2]` int32."""
+    """Return the entry of a choice in the record of plans, `bad` if it was refused: `[2]` int32."""
     cell = 2 * (choice.row * state.shape[1] + choice.col) + choice.is_view
     return jnp.stack([jnp.where(choice.row < 0, -1, jnp.where(bad, -2, cell)), 16 * state.steps + state.bumped + 1])
 
@@ -78,7 +78,7 @@ class Final(NamedTuple):
     plans: list[Plan] | None  # every choice; None where there was no room for all of them
 
     def target_after(self, step: int) -> tuple[int, int] | None:
-        """Row and column of what the robot went to next after some steps; None in the end."""
+        """Return row and column of the robot's next target after some steps; None in the end."""
         later = [plan for plan in self.plans or () if plan.step <= step]
         return later[-1].target if later else None
 
@@ -109,7 +109,7 @@ class Record(NamedTuple):
 
 
 def record_of(result: Result, found: tuple[np.ndarray, ...], shape: tuple[int, ...], width: int, ring: int) -> Record:
-    """The `Record` of an episode.
+    """Return the `Record` of an episode.
 
     Args:
       result: `Result` of scalars.
@@ -127,7 +127,7 @@ def record_of(result: Result, found: tuple[np.ndarray, ...], shape: tuple[int, .
 
 
 def decode(found: tuple[np.ndarray, ...], result: Result, shape: tuple[int, int], ring: int = 0) -> Final:
-    """`Final` of what was kept of an episode.
+    """Make `Final` of the record of an episode.
 
     Args:
       found: what `kept` gave, numpy.
