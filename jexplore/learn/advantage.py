@@ -59,7 +59,7 @@ class State(NamedTuple):
 
 
 def begin(weights: Any, settings: Settings) -> State:
-    """A search that begins at some weights."""
+    """Return the state of a search that begins at some weights."""
     del settings
     return State(weights, no_lessons(), 0)
 
@@ -67,7 +67,7 @@ def begin(weights: Any, settings: Settings) -> State:
 def step(
     state: State, network: str, bank: Bank, settings: Settings, seed: int, workers: int | None = None
 ) -> tuple[State, float]:
-    """One round. Arguments and result as of `es.step`; the ratio is that of the paths on which lessons were given."""
+    """Make one round. Arguments and result as of `es.step`; the ratio is that of the paths with lessons."""
     draw = np.random.default_rng([seed, int(state.generation)])
     which = bank.some(draw, settings.episodes)
     starts = int(draw.integers(2**31))
@@ -105,7 +105,7 @@ def loss(network: str, weights: Any, some: Lessons, delta: Array | float) -> Arr
 
 @functools.partial(jax.jit, static_argnums=0)
 def _fitted(network, weights, lessons, at, rate, delta):
-    """Weights after some steps of Adam, on `at`: `[steps, batch]` int32."""
+    """Return weights after some steps of Adam, on `at`: `[steps, batch]` int32."""
     optimiser = optax.adam(rate)
 
     def one(carry, at):

@@ -88,18 +88,18 @@ class Bank:
         return table
 
     def some(self, draw: np.random.Generator, n: int) -> list[int]:
-        """n numbers of worlds, each as often as any other, or once more; in an order that is drawn."""
+        """Draw n numbers of worlds in a random order, each as often as any other, or once more."""
         return draw.permutation(np.resize(draw.permutation(len(self.worlds)), n)).tolist()
 
     def episodes(self, which: Sequence[int], seed: int) -> Iterator[tuple[int, np.ndarray, np.ndarray]]:
-        """Worlds and starts: `(number of the world, its places in which, [n, 3] starts)` for each world."""
+        """Yield worlds and starts: `(number of the world, its places in `which`, [n, 3] starts)` for each world."""
         numbers, counts = np.unique(which, return_counts=True)
         for number, n in zip(numbers.tolist(), counts.tolist()):
             place = np.flatnonzero(np.asarray(which) == number)
             yield number, place, ready_starts(self.worlds[number], self.start, n, seed=seed, rules=self.rules)
 
     def site(self, number: int) -> Site:
-        """A world made ready, once."""
+        """Prepare a world, once."""
         if number not in self._sites:
             native = drive_for("serial", "cpu")
             self._sites[number] = prepare_site(self.worlds[number], self.lidar, self.rules, native=native)
@@ -128,7 +128,7 @@ def prepare_bank(
     rules: RulesLike = RULES,
     start: str = "random",
 ) -> Bank:
-    """A `Bank`.
+    """Make a `Bank`.
 
     Raises:
       InputError: a world that cannot be loaded, or is too large, or in which no robot can stand.

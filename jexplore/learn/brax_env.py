@@ -23,13 +23,13 @@ WIDTH = len(features.NAMES) + 1  # numbers of a slot in an observation
 
 
 def flat(told: Told) -> Array:
-    """An observation: `[..., K * (F + 1)]` float32, of every slot its features and whether it is used."""
+    """Flatten an observation: `[..., K * (F + 1)]` float32, of every slot its features and whether it is used."""
     both = jnp.concatenate([told.features, told.used[..., None].astype(jnp.float32)], axis=-1)
     return both.reshape(*both.shape[:-2], -1)
 
 
 def unflat(observation: Array) -> Told:
-    """The `Told` of an observation."""
+    """Convert a flat observation to `Told`."""
     both = observation.reshape(*observation.shape[:-1], -1, WIDTH)
     return Told(both[..., :-1], both[..., -1] > 0)
 
@@ -65,12 +65,12 @@ class BraxDecisions(Env):
 
     @property
     def observation_size(self) -> int:
-        """K * (F + 1)."""
+        """Return K * (F + 1)."""
         return self.decisions.n_choices * WIDTH
 
     @property
     def action_size(self) -> int:
-        """K."""
+        """Return K."""
         return self.decisions.n_choices
 
     @property
@@ -86,15 +86,17 @@ class RenewWrapper(Wrapper):
     """
 
     def reset(self, rng: Array) -> State:
-        """Lanes; one legacy key each, as brax has them: `[n, 2]` uint32."""
+        """Reset the lanes; one legacy key each, as brax has them: `[n, 2]` uint32."""
         both = jax.vmap(lambda key: jax.random.split(key))(rng)
         state = self.env.reset(both[:, 0])
         state.info["key"] = both[:, 1]
         return state
 
     def step(self, state: Any, action: Array) -> State:
-        """A step of every lane. Where an episode ends, `done` and `reward` are those of its last step, the observation
-        the first of the next episode.
+        """Make a step of every lane.
+
+        At the end of an episode, `done` and `reward` are those of its last step, the observation the first of the next
+        one.
         """
         keys, over = state.info["key"], state.done
         state.info["steps"] = jnp.where(over > 0, 0.0, state.info["steps"])

@@ -47,7 +47,7 @@ class DecisionState:
 
     @property
     def is_over(self) -> Array:
-        """bool."""
+        """Return whether the episode is over: bool."""
         return self.env.episode.outcome != Outcome.RUNNING
 
 
@@ -62,7 +62,7 @@ class Decisions:
     """K, slots."""
 
     def __init__(self, bank: Bank, *, starts: int = 16, seed: int = 0, workers: int | None = None) -> None:
-        """Draws the starts and drives the reference from each.
+        """Draw the starts and drive the reference from each.
 
         Args:
           bank: `Bank`.
@@ -90,7 +90,7 @@ class Decisions:
         self._starts = tuple(a[decides] for a in self._starts)
 
     def reset(self, key: Array) -> tuple[DecisionState, Told]:
-        """An episode from a start of the bank, drawn with its world, at its first decision.
+        """Begin an episode from a start of the bank, drawn with its world, at its first decision.
 
         Args:
           key: of the episode; consumed.
@@ -148,7 +148,7 @@ class Decisions:
         return new, _told(self.env, new), jnp.where(valid, reward, 0.0), new.is_over, info
 
     def _drive_on(self, state, action, first):
-        """Drives to a slot's target if that is to be done first, and then on until there is something to decide."""
+        """Drive to a slot's target, if requested, and then on to the next decision."""
 
         def drive(carry):
             state, slot, _ = carry

@@ -48,7 +48,7 @@ class State(NamedTuple):
 
 
 def begin(weights: Any, settings: Settings) -> State:
-    """A search that begins at some weights."""
+    """Return the state of a search that begins at some weights."""
     theta = np.asarray(ravel_pytree(weights)[0], np.float32)
     return State(weights, theta, jax.tree.map(np.asarray, optax.adam(settings.rate).init(jnp.asarray(theta))), 0)
 
@@ -56,7 +56,7 @@ def begin(weights: Any, settings: Settings) -> State:
 def step(
     state: State, network: str, bank: Bank, settings: Settings, seed: int, workers: int | None = None
 ) -> tuple[State, float]:
-    """One generation.
+    """Make one generation.
 
     Args:
       state: `State`.

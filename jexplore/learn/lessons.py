@@ -83,7 +83,7 @@ class _Setup(NamedTuple):
 
 
 def _driven_m(lesson):
-    """Metres since the decision."""
+    """Return the metres driven since the decision."""
     return lesson.state.path_m - lesson.saved.path_m
 
 
@@ -123,7 +123,7 @@ def _has_ended(given, lesson):
 
 
 def _ended(lesson):
-    """A try that has ended: its cost is kept, and the robot is where it decided."""
+    """End a rollout: its cost is kept, and the robot is back at its decision."""
     complete = environment.outcome_of(lesson.state) == Outcome.COMPLETE
     cost = jnp.where(complete, _driven_m(lesson), jnp.inf)
     following = lesson.trying + 1
@@ -210,21 +210,21 @@ def _program(setup, network):
 
 
 def no_lessons() -> Lessons:
-    """None."""
+    """Return empty lessons."""
     size = 0, features.MOST
     blank = np.zeros((*size, len(features.NAMES)), np.float32), np.zeros(size, bool), np.zeros(size, np.float32)
     return Lessons(*blank, np.zeros(0, np.float32))
 
 
 def together(parts: Sequence[Lessons]) -> Lessons:
-    """All of some lessons, at least one."""
+    """Join lessons, at least one."""
     return Lessons(*(np.concatenate(column).astype(column[0].dtype) for column in zip(*parts)))
 
 
 def give_lessons(
     bank: Bank, model: Model, which: Sequence[int], seed: int, asking: Asking, *, workers: int | None = None
 ) -> tuple[Lessons, np.ndarray]:
-    """Lessons from episodes of a policy.
+    """Collect lessons from episodes of a policy.
 
     Args:
       bank: `Bank`.

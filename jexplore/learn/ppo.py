@@ -72,7 +72,7 @@ class Value(nn.Module):
 
     @nn.compact
     def __call__(self, told: Array, used: Array) -> Array:
-        """`[...]` float32, of `[..., K, F]` features and `[..., K]` bool."""
+        """Compute values `[...]` float32, of `[..., K, F]` features and `[..., K]` bool."""
         x, on = nn.relu(nn.Dense(self.width)(told)), used[..., None]
         mean = jnp.sum(jnp.where(on, x, 0.0), axis=-2) / jnp.maximum(jnp.sum(on, axis=-2), 1)
         most = jnp.max(jnp.where(on, x, 0.0), axis=-2)
@@ -81,7 +81,7 @@ class Value(nn.Module):
 
 
 def check(bank: Bank, settings: Settings) -> None:
-    """Refuses what brax or `Decisions` would.
+    """Refuse settings that brax or `Decisions` would refuse.
 
     Raises:
       InputError: worlds of different cells; lanes that cannot be shared out to the devices.
@@ -96,7 +96,7 @@ def check(bank: Bank, settings: Settings) -> None:
 
 
 def begin(weights: Any, settings: Settings) -> State:
-    """A search that begins at some weights."""
+    """Return the state of a search that begins at some weights."""
     del settings
     blank = jnp.zeros((features.MOST, len(features.NAMES))), jnp.zeros(features.MOST, bool)
     value = Value().init(random_key(0), *blank)
@@ -108,7 +108,7 @@ def begin(weights: Any, settings: Settings) -> State:
 def step(
     state: State, network: str, bank: Bank, settings: Settings, seed: int, workers: int | None = None
 ) -> tuple[State, float]:
-    """One round of brax's `ppo.train`, from the weights of the last, with moments of the optimiser of its own.
+    """Make one round of brax's `ppo.train`, from the weights of the last, with new moments of the optimiser.
 
     Arguments and result as of `es.step`; the ratio is that of the weights after the round, from new starts.
     """

@@ -76,7 +76,7 @@ class Plan(NamedTuple):
 
     @property
     def units(self) -> int:
-        """Checks."""
+        """Return the number of checks."""
         return self.rounds // self.check_every
 
 
@@ -95,7 +95,7 @@ class Trained:
     """Why training ended: "rounds", "patience", "not finite" or "interrupted"."""
 
     def strategy(self, *, recheck: bool = True, name: str = "learned") -> Strategy:
-        """The model as a strategy, for `jx.compare` and others."""
+        """Return the model as a strategy, for `jx.compare` and others."""
         return Strategy(f"{name}+recheck" if recheck else name, policy_of(self.model), recheck)
 
     def save(self, path: str | os.PathLike[str]) -> Path:
@@ -109,7 +109,7 @@ class Trained:
         return file
 
     def figure(self) -> "Figure":
-        """The curve as a picture."""
+        """Draw the curve."""
         from jexplore.report.plots import training
 
         return training.figure(self.curve, self.best)
@@ -129,7 +129,7 @@ def prepare_training(
     seed: int,
     model: Model | None = None,
 ) -> Plan:
-    """A `Plan`, checked.
+    """Check the input and make a `Plan`.
 
     Args:
       model: where training begins; its network is `network`, or `linear`, whose weighted sum every network has. Without
@@ -165,7 +165,7 @@ def prepare_training(
 
 
 def _numbers(algo, settings):
-    """The settings of a trainer, checked."""
+    """Check the settings of a trainer."""
     known, bounds = TRAINERS[algo].settings(), TRAINERS[algo].bounds
     found = {}
     for key, value in settings.items():
@@ -255,7 +255,7 @@ def train(
 
 
 def asked(plan: Plan) -> dict[str, Any]:
-    """All that the result depends on, as plain values."""
+    """Return all that the result depends on, as plain values."""
     worlds = {"training": plan.training.worlds, "validation": plan.validation.worlds}
     digests = hashlib.sha256("".join(digest(w) for own in worlds.values() for w in own).encode())
     return {
@@ -281,7 +281,7 @@ def run_training(
     workers: int | None = None,
     on_progress: Callable[[int], object] | None = None,
 ) -> Trained:
-    """Trains, or goes on with training.
+    """Train, or continue a training.
 
     Args:
       plan: `Plan`.
@@ -356,7 +356,7 @@ def _trained(plan, tables, kept, ended):
 
 
 def _checked(plan, weights, workers):
-    """Ratio of some weights on the validation worlds."""
+    """Compute the ratio of some weights on the validation worlds."""
     strategy = Strategy("learned", policy_of(Model(plan.network, weights)), True)
     which = [i for i in range(len(plan.validation.worlds)) for _ in range(plan.starts)]
     return float(np.exp(plan.validation.log_ratios([strategy], which, plan.seed, workers=workers).mean()))
