@@ -38,7 +38,7 @@ class Library(NamedTuple):
 
 @functools.cache
 def warn_once(why_not: str, instead: str = "JAX does without native code") -> None:
-    """Say, once in a process, why there is no library.
+    """Warn, once in a process, why there is no library.
 
     Warns:
       InputWarning: saying so in a line.

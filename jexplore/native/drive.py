@@ -106,7 +106,7 @@ def drive(setup: Any, given: Any, state: Any, stage: Stage, live: Array | bool =
 
 
 def _numbers(values):
-    """Scalars as one array of int32."""
+    """Return scalars as one array of int32."""
     return jnp.stack([jnp.asarray(value, jnp.int32) for value in values])
 
 

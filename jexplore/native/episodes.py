@@ -101,7 +101,7 @@ def _declare(loaded):
 
 
 def _pointer(array: np.ndarray | None, dtype: Any, keep: list[Any]) -> int | None:
-    """The address of an array as a C array of a dtype; `keep` holds what must not be let go."""
+    """Return the address of an array as a C array of a dtype; `keep` holds arrays that must stay alive."""
     if array is None:
         return None
     keep.append(np.ascontiguousarray(array, dtype))
