@@ -100,12 +100,12 @@ class View:
 
 @checked_names
 def metres(cost: Array, cell_m: Array | float) -> Array:
-    """A path's cost (see `reach`) as a length, metres: float32."""
+    """Convert a path's cost (see `reach`) to a length, metres: float32."""
     return cost.astype(jnp.float32) * (cell_m / STRAIGHT)
 
 
 def view_of(belief: Belief, known: Field) -> View:
-    """The `View` of a belief, from its `Field`."""
+    """Return the `View` of a belief, from its `Field`."""
     path_m = jnp.where(known.cost < FAR, metres(known.cost, belief.model.cell_m), jnp.inf)
     return View(known.cost, path_m, known.candidates, belief)
 
@@ -155,7 +155,7 @@ def masks_of(belief: Belief, origin: tuple[Array | int, ...] = (0, 0)) -> Masks:
 
 @checked_names
 def field(belief: Belief, *, nearest_only: bool = False) -> Field:
-    """Costs of the whole map and the frontier cells that can be reached.
+    """Compute costs of the whole map and the reachable frontier cells.
 
     Args:
       belief: `Belief`.
@@ -184,7 +184,7 @@ def first_at(mask: Array) -> tuple[Array, Array]:
 
 @checked_names
 def choose(belief: Belief, route: Array, known: Field, row: Array, col: Array) -> tuple[Choice, Array]:
-    """Makes a cell of a `Field` the target and lays the route to it.
+    """Make a cell of a `Field` the target and lay the route to it.
 
     Args:
       belief: `Belief`.
@@ -208,7 +208,7 @@ def choose(belief: Belief, route: Array, known: Field, row: Array, col: Array) -
 
 
 def nearest_of(known: Field) -> tuple[Array, Array]:
-    """Row and column of the cheapest candidate, of equal ones the first in (row, col) order; -1 for none."""
+    """Return row and column of the cheapest candidate, of equal ones the first in (row, col) order; -1 for none."""
     best = lowest(jnp.where(known.candidates, known.cost, FAR))
     row, col = first_at(known.candidates & (known.cost == best))
     none = best >= FAR
@@ -216,13 +216,13 @@ def nearest_of(known: Field) -> tuple[Array, Array]:
 
 
 def _nearest_in_map(belief, route):
-    """The nearest frontier of the whole map: `(choice, route)`."""
+    """Find the nearest frontier of the whole map: `(choice, route)`."""
     known = field(belief, nearest_only=True)
     return choose(belief, route, known, *nearest_of(known))
 
 
 def windows(shape: Sequence[int], clearance_d2: int) -> list[int]:
-    """Sides of the windows that are searched first, in maps of a shape `(H, W)`.
+    """Return sides of the windows that are searched first, in maps of a shape `(H, W)`.
 
     A window must be larger than the clearance, and pays only where the whole map is much more work.
     """
@@ -231,7 +231,7 @@ def windows(shape: Sequence[int], clearance_d2: int) -> list[int]:
 
 
 def bound_of(side: int, clearance_d2: int) -> int:
-    """The cost up to which a window decides: every path that leaves it costs more.
+    """Return the cost up to which a window decides: every path that leaves it costs more.
 
     What decides about a cell of the window may lie outside it, as far as an occupied cell counts, and one more.
     """
@@ -247,7 +247,7 @@ def corner_of(belief: Belief, side: int) -> tuple[tuple[Array, Array], tuple[int
 
 
 def cut_out(belief: Belief, origin: tuple[Array, ...], shape: tuple[int, ...]) -> Belief:
-    """A belief with its maps cut down to a window; the robot's cell stays as it is in the whole map."""
+    """Cut the maps of a belief down to a window; the robot's cell stays as it is in the whole map."""
 
     def cut(array):
         return lax.dynamic_slice(array, origin, shape)
@@ -261,7 +261,7 @@ def cut_out(belief: Belief, origin: tuple[Array, ...], shape: tuple[int, ...]) -
 
 
 def nearest_in_window(belief: Belief, route: Array, side: int) -> tuple[Array, Choice, Array]:
-    """The nearest frontier if a window settles it: `(undecided, choice, route)`.
+    """Find the nearest frontier if a window settles it: `(undecided, choice, route)`.
 
     Windows are as wide as a power of two, because flat indices are then cheap to take apart.
 
@@ -291,7 +291,7 @@ def nearest_in_window(belief: Belief, route: Array, side: int) -> tuple[Array, C
 
 @checked_names
 def nearest_frontier(belief: Belief, route: Array) -> tuple[Choice, Array]:
-    """The frontier cell with the shortest path, and the route to it.
+    """Find the frontier cell with the shortest path, and the route to it.
 
     Args:
       belief: `Belief`.

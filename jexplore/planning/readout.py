@@ -27,7 +27,7 @@ def _last_motion(cost, ways_in):
 
 
 def _enterable(traversable):
-    """`ways_in` of cells given with their neighbourhoods: `[3][3]` of `[...]` bool, False outside the map."""
+    """Return `ways_in` of cells given with their neighbourhoods: `[3][3]` of `[...]` bool, False outside the map."""
     own = traversable[1][1]
     return [own, *(own & traversable[1 - drow][1] & traversable[1][1 - dcol] for drow, dcol in MOTIONS[4:])]
 
@@ -62,7 +62,7 @@ def lay_route(
 
 
 def _walk_back(route, cost, traversable, start, target, origin):
-    """`lay_route` with cost and traversable cells in a border, motion by motion."""
+    """Run `lay_route` with cost and traversable cells in a border, motion by motion."""
     motions = jnp.asarray(MOTIONS, jnp.int32)
 
     def under_way(state):
