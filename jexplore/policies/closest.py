@@ -17,7 +17,7 @@ def _select(key, params, carry, belief, beams, route):
 
 
 def closest() -> Policy:
-    """The policy. Carry: `()`. Parameters: none."""
+    """Return the policy. Carry: `()`. Parameters: none."""
     return Policy(_init, _select)
 
 

@@ -38,7 +38,7 @@ class Targets:
 
 
 def targets(belief: Belief, known: Field) -> Targets:
-    """`Targets` of a belief and its `Field`."""
+    """Find the `Targets` of a belief and its `Field`."""
     found = frontier_clusters(known.candidates, known.cost, max_clusters=CLUSTERS)
     used = found.row >= 0
     cost = known.cost[jnp.maximum(found.row, 0), jnp.maximum(found.col, 0)]
@@ -109,7 +109,7 @@ def shown_from(belief: Belief, at: Targets, beams: Beams, enough: Array | int) -
 
 
 def unknown_from(belief: Belief, at: Targets, beams: Beams, radii_m: Sequence[float]) -> Array:
-    """Unknown cells that looks all round from every target would show within R distances: `[R, M]` int32.
+    """Count unknown cells that a look-around at every target would show within R distances: `[R, M]` int32.
 
     Args:
       belief: `Belief`.
@@ -159,9 +159,10 @@ def blocks_of(clearance_d2: int) -> int:
 
 
 def apart(belief: Belief, at: Targets) -> Array:
-    """Path lengths between all targets, roughly: on a map of blocks of up to 4 x 4 cells, of which every one that holds
-    a clear cell, or one that was driven on, can be passed. Slanting walls and slivers of unknown cells thinner than a
-    block may be crossed.
+    """Estimate path lengths between all targets.
+
+    The map is reduced to blocks of up to 4 x 4 cells, which are passable if they hold a clear cell or one that was
+    driven on. Slanting walls and slivers of unknown cells thinner than a block may be crossed.
 
     Args:
       belief: `Belief`.
@@ -225,7 +226,7 @@ def costs_between(passable: Array, row: Array, col: Array, n: Array | int) -> Ar
 
 
 def go_to(belief: Belief, route: Array, known: Field, at: Targets, which: Array) -> tuple[Choice, Array]:
-    """Makes a target the choice: `(choice, route)`. `which`: int32 slot; -1 for none."""
+    """Make a target the choice: `(choice, route)`. `which`: int32 slot; -1 for none."""
     none = which < 0
     slot = jnp.maximum(which, 0)
     choice, route = choose(belief, route, known, jnp.where(none, -1, at.row[slot]), jnp.where(none, -1, at.col[slot]))
@@ -233,7 +234,7 @@ def go_to(belief: Belief, route: Array, known: Field, at: Targets, which: Array)
 
 
 def best_of(at: Targets, worth: Array, usable: Array) -> Array:
-    """The slot of the greatest worth among some; among none of them the one with the shortest path; -1 without targets.
+    """Return the slot of greatest worth among some, else that with the shortest path; -1 without targets.
 
     Args:
       at: `Targets`.
@@ -248,5 +249,5 @@ def best_of(at: Targets, worth: Array, usable: Array) -> Array:
 
 
 def init(params: Any, belief: Belief) -> tuple[()]:
-    """The `init` of these strategies. Carry: `()`."""
+    """Return the `init` of these strategies. Carry: `()`."""
     return ()

@@ -33,7 +33,7 @@ class Params(NamedTuple):
 
 
 def advantage(path_m: Array, apart_m: Array, used: Array, weight: Array | float, counts: Array | float = 1.0) -> Array:
-    """Mean distance from the other targets, weighted, less the robot's path: `[M]` float32, metres.
+    """Compute the mean distance from the other targets, weighted, less the robot's path: `[M]` float32, metres.
 
     Args:
       path_m: `[M]` float32.
@@ -44,7 +44,7 @@ def advantage(path_m: Array, apart_m: Array, used: Array, weight: Array | float,
 
 
 def mean_apart(apart_m: Array, used: Array, counts: Array | float = 1.0) -> Array:
-    """Mean distance of every target from the other ones: `[M]` float32, metres; 0 where there are none.
+    """Compute the mean distance of every target from the others: `[M]` float32, metres; 0 without others.
 
     Args:
       apart_m: `[M, M]` float32; inf where no path leads: such pairs do not count.
@@ -75,12 +75,12 @@ def _params(weight, min_gain, **more):
 
 
 def distance_advantage(weight: float = 1.0, min_gain: int = 1) -> Policy:
-    """The policy. Carry: `()`. Parameters: `Params`."""
+    """Return the policy. Carry: `()`. Parameters: `Params`."""
     return Policy(init, _select, _params(weight, min_gain))
 
 
 def small_first(weight: float = 0.5, side_weight: float = 0.5, min_gain: int = 1) -> Policy:
-    """The policy. Carry: `()`. Parameters: `Params`.
+    """Return the policy. Carry: `()`. Parameters: `Params`.
 
     The defaults of the weights were chosen on worlds #1000 to #1013 of each kind (`benchmarks/tuning.py`).
     """

@@ -27,7 +27,7 @@ class Params(NamedTuple):
 
 
 def inserted(length: Array, n: Array | int) -> Array:
-    """An open route from node 0 by nearest insertion.
+    """Build an open route from node 0 by nearest insertion.
 
     Args:
       length: `[N, N]` float32, symmetric, between all nodes; nodes 1 to n are to be visited.
@@ -123,5 +123,5 @@ def _select(key, params, carry, belief, beams, route):
 
 
 def tour(min_gain: int = 1) -> Policy:
-    """The policy. Carry: `()`. Parameters: `Params`."""
+    """Return the policy. Carry: `()`. Parameters: `Params`."""
     return Policy(init, _select, Params(require_whole("min_gain", min_gain, low=0, high=2**20)))

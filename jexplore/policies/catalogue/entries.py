@@ -133,7 +133,7 @@ def register(name: str, make: Any = None, *, summary: str = "", source: str = ""
 
 @functools.cache
 def offered() -> dict[str, importlib.metadata.EntryPoint]:
-    """Strategies that installed packages offer: name -> entry point."""
+    """Return strategies that installed packages offer: name -> entry point."""
     return {point.name: point for point in importlib.metadata.entry_points(group=GROUP)}
 
 
@@ -159,7 +159,7 @@ def _package(point):
 
 
 def known_names() -> list[str]:
-    """All names, those of packages included."""
+    """Return all names, those of packages included."""
     return [*STRATEGIES, *(name for name in offered() if name not in STRATEGIES)]
 
 

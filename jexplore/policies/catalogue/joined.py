@@ -29,7 +29,7 @@ class Joined:
     policies: tuple[Policy, ...]  # without their parameters
 
     def init(self, params: Params, belief: Any) -> Any:
-        """The carries of all."""
+        """Return the carries of all."""
         return tuple(policy.init(own, belief) for policy, own in zip(self.policies, params.each))
 
     def select(
@@ -60,15 +60,15 @@ class Joined:
 
 @functools.lru_cache(maxsize=32)
 def _joined(policies):
-    """The same `Joined` for the same functions: methods of equal ones would differ."""
+    """Return the same `Joined` for the same functions: methods of equal ones would differ."""
     return Joined(policies)
 
 
 def joined(strategies: Sequence[Strategy]) -> list[Strategy]:
-    """Strategies that share a program, one for each that is given, in order; a lone one stays as it is, and so does a
-    user's, which may be changed and compiled again while the others stay as they are.
+    """Make strategies share a program, one for each that is given, in order.
 
-    Their parameters tell them apart: those with the same functions must have parameters of one structure.
+    A lone one stays unchanged, and so does a user's, which may be changed and compiled again without the others. Those
+    with the same functions must have parameters of one structure: these tell them apart.
     """
     kinds: dict[Policy, Any] = {}
     ours = [one for one in strategies if not is_theirs(one.policy)]

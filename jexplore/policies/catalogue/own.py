@@ -27,7 +27,7 @@ OUTER = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYW
 
 
 def bare(thing: Any) -> Any:
-    """The function by which people know something: a policy's `select`, what a partial calls."""
+    """Return the function that names an object: a policy's `select`, the function of a partial."""
     thing = thing.select if isinstance(thing, Policy) else thing
     while isinstance(thing, functools.partial):
         thing = thing.func
@@ -40,7 +40,7 @@ def name_of(thing: Any) -> str | None:
 
 
 def place_of(thing: Any) -> str:
-    """File and line where something is defined: text; its module where that is all there is."""
+    """Return file and line of a definition: text; else its module."""
     thing = bare(thing)
     thing = inspect.unwrap(thing) if callable(thing) else thing
     method = getattr(type(thing), "__call__", None)  # noqa: B004
@@ -51,7 +51,7 @@ def place_of(thing: Any) -> str:
 
 
 def _short(file):
-    """A file as people call it: relative where that is shorter."""
+    """Shorten the path of a file: relative if that is shorter."""
     with contextlib.suppress(ValueError):  # another drive
         relative = os.path.relpath(file)
         return relative if len(relative) < len(file) else file
@@ -64,7 +64,7 @@ def described(thing: Any) -> str:
 
 
 def call(function: Callable[..., Any], what: str, *args: Any, **kwargs: Any) -> Any:
-    """Calls what a user gave.
+    """Call a user's function.
 
     Raises:
       InputError: it raised something: one line that says what, and where.
@@ -104,7 +104,7 @@ def is_library(file: str) -> bool:
 
 
 def parameters(make: Any) -> dict[str, inspect.Parameter]:
-    """Keyword parameters of a constructor or score.
+    """Return the keyword parameters of a constructor or score.
 
     Raises:
       InputError: something whose parameters cannot be read.
@@ -185,8 +185,7 @@ def _is_own(file, folder):
 
 
 def import_object(module: str, name: str) -> Any:
-    """An object of a module, which may lie in the current folder: as it is written there now, with all that it imports
-    from there.
+    """Import an object of a module, possibly from the current folder: its present source, with its imports from there.
 
     Raises:
       InputError: the module does not import (its own error), is hidden by another, or has no such name.
@@ -212,7 +211,7 @@ def import_object(module: str, name: str) -> Any:
 
 @contextlib.contextmanager
 def _imported_from(here, top):
-    """Modules of a folder are imported as they are written now: those that a user has imported meanwhile stand aside.
+    """Import modules of a folder in their present form: those that a user has imported are set aside meanwhile.
 
     Raises:
       InputError: the module called `top` is hidden by one from elsewhere.

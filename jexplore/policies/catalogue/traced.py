@@ -18,7 +18,7 @@ _ADDRESS = re.compile(r"0x[0-9a-fA-FX]+")  # address of an object in memory, irr
 
 
 def digest(traced: ClosedJaxpr) -> str | None:
-    """SHA-256 of a traced function, in hexadecimal digits: equal in every process for what computes the same.
+    """Return SHA-256 of a traced function, in hexadecimal digits: equal computations agree in every process.
 
     Returns:
       text; None where it cannot be told, because it calls back into Python.
@@ -39,7 +39,7 @@ def digest(traced: ClosedJaxpr) -> str | None:
 
 
 def _within(traced, seen) -> Iterator[Any]:
-    """A traced function, and those that it calls: each once."""
+    """Yield a traced function, and those that it calls: each once."""
     if id(traced) not in seen:
         seen.add(id(traced))
         yield traced
@@ -50,7 +50,7 @@ def _within(traced, seen) -> Iterator[Any]:
 
 
 def _bytes(array):
-    """The elements of an array with their type and its shape."""
+    """Return the elements of an array with their type and its shape."""
     if jnp.issubdtype(getattr(array, "dtype", np.bool_), jax.dtypes.prng_key):
         array = jax.random.key_data(array)
     array = np.asarray(array)

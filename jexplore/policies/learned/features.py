@@ -37,7 +37,7 @@ NAMES = (
 
 
 def shortlist(at: Targets) -> Targets:
-    """The `MOST` nearest targets, in the order of their paths; what has no room is counted."""
+    """Return the `MOST` nearest targets, in the order of their paths; the others are counted."""
     order = jnp.argsort(at.path_m, stable=True)[:MOST]
     left_out = jnp.maximum(jnp.sum(at.used, dtype=jnp.int32) - MOST, 0)
     row, col, used, path_m, size = (a[order] for a in (at.row, at.col, at.used, at.path_m, at.size))
@@ -75,7 +75,7 @@ def detours(at: Targets, apart_m: Array) -> Array:
 
 
 def features(belief: Belief, at: Targets, last: Array, beams: Beams) -> Array:
-    """The features of some targets.
+    """Compute the features of some targets.
 
     Args:
       belief: `Belief`.

@@ -17,7 +17,7 @@ class Linear(nn.Module):
 
     @nn.compact
     def __call__(self, features: Array, used: Array) -> Array:
-        """Scores, see `scores`."""
+        """Compute scores, see `scores`."""
         weights = self.param("weights", nn.initializers.zeros, (features.shape[-1],))
         del used
         return features @ weights
@@ -31,7 +31,7 @@ class Attention(nn.Module):
 
     @nn.compact
     def __call__(self, features: Array, used: Array) -> Array:
-        """Scores, see `scores`."""
+        """Compute scores, see `scores`."""
         x = nn.relu(nn.Dense(self.width)(features))
         mask = jnp.broadcast_to(used[..., None, None, :], (*used.shape[:-1], 1, used.shape[-1], used.shape[-1]))
         seen = nn.MultiHeadDotProductAttention(self.heads)(nn.LayerNorm()(x), mask=mask)
@@ -62,7 +62,7 @@ PLAIN = {"linear": "weights", "attention": "plain"}
 
 
 def begin(name: str, key: Array, n_features: int) -> Any:
-    """Weights before training: a pytree of float32 arrays. The weighted sum is that of `closest`, -1 for the path.
+    """Return weights before training: a pytree of float32 arrays. The weighted sum is that of `closest`.
 
     Args:
       name: of the network.
@@ -75,7 +75,7 @@ def begin(name: str, key: Array, n_features: int) -> Any:
 
 
 def scores(name: str, weights: Any, features: Array, used: Array) -> Array:
-    """Scores of clusters.
+    """Compute scores of clusters.
 
     Args:
       name: of the network.

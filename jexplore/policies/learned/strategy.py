@@ -25,7 +25,7 @@ TINY_M = 0.5  # a target as near as this is taken without asking
 
 
 def init(params: Any, belief: Belief) -> Array:
-    """The `init`. Carry: `[2]` int32, row and col of the last target; -1 before."""
+    """Return the `init`. Carry: `[2]` int32, row and col of the last target; -1 before."""
     return jnp.full((2,), -1, jnp.int32)
 
 
@@ -74,12 +74,12 @@ class Select:
 
 
 def policy_of(model: Model) -> Policy:
-    """The policy of a model."""
+    """Return the policy of a model."""
     return Policy(init, Select(model.network), model.weights)
 
 
 def learned(path: Path = Path("shipped")) -> Policy:
-    """The policy of a model from a file; `shipped` is the one that comes with the package.
+    """Return the policy of a model from a file; `shipped` is the one that comes with the package.
 
     Raises:
       InputError: see `load_model`.
