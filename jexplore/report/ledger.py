@@ -110,7 +110,7 @@ class Ledger:
         self._open(page)
 
     def _open(self, page):
-        """Counts the units that are there; throws away files that are damaged or belong to none."""
+        """Count the units; remove files that are damaged or belong to none."""
         self.first, self.units, self.done, self.parts = page.get("first", 0), page["units"], set(), set()
         for file in self.folder.glob("*.parquet"):
             number = file.stem.removesuffix(PART)
@@ -128,13 +128,14 @@ class Ledger:
                 file.unlink()
 
     def _all_of(self, page):
-        """The tables of all units that are there."""
+        """Return the tables of all units."""
         self._open(page)
         return [self.get(unit) for unit in sorted(self.done | self.parts)]
 
     def _grow(self, shorter, tables, page):
-        """Cuts what a shorter run has finished into units of this one: under new numbers, which count once the page
-        says so, so that whatever ends this leaves one of both.
+        """Cut the finished part of a shorter run into units of this one.
+
+        They get new numbers, which count once the page says so, so that whatever ends this leaves either run whole.
         """
         import pandas as pd
 
@@ -145,7 +146,7 @@ class Ledger:
         write_json(page, self.folder / ASKED)
 
     def put(self, unit: int, table: "pd.DataFrame") -> None:
-        """Keeps a unit that is finished: on the disk when this returns.
+        """Store a finished unit: on the disk when this returns.
 
         Raises:
           InputError: it cannot be written.
@@ -169,7 +170,7 @@ class Ledger:
 
     @property
     def left(self) -> list[int]:
-        """Numbers of the units that are not finished."""
+        """Return the numbers of the unfinished units."""
         return [unit for unit in range(self.units) if unit not in self.done]
 
     def _file(self, unit, tail=""):

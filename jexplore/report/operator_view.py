@@ -132,7 +132,7 @@ def _check_values(recording):
 
 
 def _present(recording):
-    """`[N, K]` bool, True where there is a triangle."""
+    """Return `[N, K]` bool, True where a triangle exists."""
     return np.isfinite(recording.triangles_m).all(axis=(2, 3))
 
 
@@ -162,7 +162,7 @@ def _data(recording):
 
 
 def page(recording: Recording) -> str:
-    """A run as one HTML file that replays in a browser: no network, no server, no other file.
+    """Return a run as one HTML file that replays in a browser: no network, no server, no other file.
 
     Metres are kept to 1 cm (poses and walls to 1 mm), angles of beams to 0.1 mrad, tilt to 0.01 degrees. The page is
     plain ASCII, so it may be written in any encoding.

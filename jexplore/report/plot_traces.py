@@ -86,7 +86,7 @@ def _lines(btm, places):
 
 
 def draw_route(ax: Axes, btm: BtmMap, route: Route) -> list[Line2D]:
-    """Draws the links of a route as a broad band, refused links with a red cross, nodes not to be passed in red rings.
+    """Draw a route as a broad band, refused links with a red cross, nodes not to be passed in red rings.
 
     Args:
       ax: `Axes`, in metres, of `draw_btm`.
@@ -122,7 +122,7 @@ def _beside(place, bearing_deg):
 
 
 def _free_side(btm, node):
-    """Unit vector to where the id of a node stands: above it, or else in a direction 45 degrees off its links."""
+    """Return the direction of a node's id, a unit vector: above, or else 45 degrees off its links."""
     links = btm.bearings_deg(node.id)
 
     def off(angle):
@@ -133,7 +133,7 @@ def _free_side(btm, node):
 
 
 def draw_trail(ax: Axes, trail: ArrayLike, modes: ArrayLike, mode_names: Sequence[str]) -> list[Line2D]:
-    """Draws the robot's way in the colour of its mode, a ring at the start and a cross at the end.
+    """Draw the robot's way in the colour of its mode, a ring at the start and a cross at the end.
 
     Args:
       ax: `Axes`, in metres.
@@ -162,7 +162,7 @@ def draw_trail(ax: Axes, trail: ArrayLike, modes: ArrayLike, mode_names: Sequenc
 
 
 def draw_pitch(ax: Axes, btm: BtmMap, trail: ArrayLike, pitch_deg: Any) -> Line2D:
-    """Draws the body's inclination over the way driven; lines with ids mark where the way first came to the nodes.
+    """Draw the body's inclination over the driven way; lines with ids mark where it first came to the nodes.
 
     Args:
       ax: `Axes`.
@@ -197,7 +197,7 @@ def draw_pitch(ax: Axes, btm: BtmMap, trail: ArrayLike, pitch_deg: Any) -> Line2
 
 
 def _draw_building(ax, walls, points):
-    """Walls and scan points; returns entries of a legend."""
+    """Draw walls and scan points; return entries of a legend."""
     handles, dot = [], {"color": POINT, "marker": ".", "linestyle": "none", "markeredgewidth": 0}
     if len(walls):
         ax.add_collection(LineCollection(list(walls.reshape(-1, 2, 2)), colors=WALL, linewidths=3, zorder=1))

@@ -8,12 +8,12 @@ from typing import Any
 
 
 def plain(text: object) -> str:
-    """Any text for HTML, in plain ASCII, so that a page may be written in any encoding."""
+    """Escape any text for HTML, in plain ASCII, so that a page may be written in any encoding."""
     return html.escape(str(text)).encode("ascii", "xmlcharrefreplace").decode("ascii")
 
 
 def script_data(found: Any) -> str:
-    """JSON that stands in a script of a page: no text in it can end the script."""
+    """Format JSON for a script of a page: no text in it can end the script."""
     text = json.dumps(found, separators=(",", ":"), allow_nan=False)
     for character in "<>&":
         text = text.replace(character, f"\\u{ord(character):04x}")

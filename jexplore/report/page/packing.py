@@ -74,7 +74,7 @@ def runs(before: np.ndarray, after: np.ndarray) -> bytes:
 
 
 def change(image: np.ndarray, found: bytes) -> None:
-    """Changes an image in place as `runs` has it.
+    """Change an image in place by the result of `runs`.
 
     Args:
       image: `[..., ]` uint8, contiguous.

@@ -69,7 +69,7 @@ class ReplayData:
             raise ValueError("expected rows and cols of neighbouring cells, got a jump")
 
     def maps(self) -> Iterator[np.ndarray]:
-        """The codes of all cells, frame by frame: `[H, W]` uint8. The same array, changed in place."""
+        """Yield the codes of all cells, frame by frame: `[H, W]` uint8. The same array, changed in place."""
         image = np.zeros(self.truth.shape, np.uint8)
         for found in self.changes:
             change(image, found)
@@ -88,7 +88,7 @@ class ReplayData:
 
 
 def changes_of(images: Iterable[np.ndarray]) -> Iterator[bytes]:
-    """`ReplayData.changes` of maps of codes, uint8, which may be one array that changes."""
+    """Yield `ReplayData.changes` of maps of codes, uint8, which may be one array that changes."""
     before = None
     for image in images:
         before = np.zeros_like(image) if before is None else before

@@ -14,7 +14,7 @@ LABELS = ("shortest walk found, dark to bright", "start", "end", "cell that the 
 
 
 def figure(found: Any) -> Figure:
-    """The walks of the first starts, with the cells that make their lower bounds, on the true floor plans.
+    """Draw the walks of the first starts, with the cells that make their lower bounds, on the true floor plans.
 
     Args:
       found: `Bounds`.

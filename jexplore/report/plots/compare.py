@@ -39,13 +39,13 @@ class Panel(NamedTuple):
 
 
 def _spread(count, width):
-    """`[count]` places within `± width`, neighbours in number far apart."""
+    """Return `[count]` places within `± width`, neighbours in number far apart."""
     return (np.arange(1, count + 1) * GOLDEN % 1.0 - 0.5) * 2 * width
 
 
 def draw_points(ax: Axes, points: Sequence[Any], estimates: Estimates, looks: Sequence[dict[str, Any]], *,
                 ended_well: Sequence[Any] | None = None) -> list[Any]:  # fmt: skip
-    """A row for each strategy, the first on top: its numbers as pale dots, their mean and its interval on them.
+    """Draw a row for each strategy, the first on top: its numbers as pale dots, their mean and its interval on them.
 
     Args:
       ax: the axes; their y axis gets a row a strategy, without labels.
@@ -85,7 +85,7 @@ def _estimate(ax, row, value, low, high, look):
 
 def draw_ratios(ax: Axes, estimates: Estimates, looks: Sequence[dict[str, Any]], *,
                 points: Sequence[Any] | None = None) -> list[Any]:  # fmt: skip
-    """A row for each strategy: its ratio to the first one with the interval, on a logarithmic axis with a line at 1.
+    """Draw a row for each strategy: its ratio to the first one with the interval, on a logarithmic axis.
 
     The axis shows all ratios; an interval that goes on beyond it ends in an arrow head.
 
@@ -109,7 +109,7 @@ def draw_ratios(ax: Axes, estimates: Estimates, looks: Sequence[dict[str, Any]],
 
 
 def _beyond(ax, estimates, low, high):
-    """Arrow heads on intervals that the axis cuts off."""
+    """Draw arrow heads on intervals that the axis cuts off."""
     for row, (start, end) in enumerate(zip(estimates.low, estimates.high)):
         for beyond, at, mark in ((start < low, low, "<"), (end > high, high, ">")):
             if beyond:
@@ -179,7 +179,7 @@ def figure(panels: Sequence[Panel], strategies: Sequence[str]) -> Figure:
 
 
 def _left(ax, panel, looks):
-    """The numbers of one panel, on an axis from 0."""
+    """Draw the numbers of one panel, on an axis from 0."""
     bars = draw_points(ax, panel.points, panel.means, looks, ended_well=panel.ended_well)
     for row, some in enumerate(panel.points):
         if not len(some) and not math.isfinite(panel.means.values[row]):

@@ -27,8 +27,9 @@ def quartiles(progress: Any) -> np.ndarray:
 
 
 def draw_progress(ax: Axes, progress: Any, look: Mapping[str, Any], *, band: float = 0.18) -> Line2D:
-    """The share that is known along the path: the median path to each share, in a band from quartile to quartile, which
-    ends at what a quarter of the episodes never knew.
+    """Draw the known share along the path: the median path to each share, in a band from quartile to quartile.
+
+    The band ends at the share that a quarter of the episodes never knew.
 
     Args:
       ax: the axes, metres and per cent.
@@ -51,7 +52,7 @@ def draw_progress(ax: Axes, progress: Any, look: Mapping[str, Any], *, band: flo
 
 
 def coverage_figure(entries: Sequence[tuple[str, Mapping[str, Any]]]) -> Figure:
-    """The share of what can be known that is known along the path: one panel a world, medians and quartile bands.
+    """Draw the known part of the knowable share along the path: a panel a world, medians and quartile bands.
 
     Args:
       entries: one or more `(world, {strategy: progress})`, progress `[N, M]` as in `draw_progress`.
@@ -87,7 +88,7 @@ def coverage_figure(entries: Sequence[tuple[str, Mapping[str, Any]]]) -> Figure:
 
 def draw_profile(ax: Axes, ratio: Any, share: Any, low: Any, high: Any, look: Mapping[str, Any], *,
                  band: float = 0.18) -> Line2D:  # fmt: skip
-    """One strategy's performance profile with its band.
+    """Draw one strategy's performance profile with its band.
 
     Args:
       ax: the axes, ratios and per cent.

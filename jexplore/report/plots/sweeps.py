@@ -36,7 +36,7 @@ NUMBERS = 9
 
 
 def _levels(column):
-    """The values of a setting in order: numbers rising, others by first appearance."""
+    """Return the values of a setting in order: numbers rising, others by first appearance."""
     values = list(dict.fromkeys(column))
     return sorted(values) if np.asarray(column).dtype.kind in "iufb" else values
 
@@ -46,7 +46,7 @@ def _text(value):
 
 
 def draw_response(ax: Axes, x: Any, estimate: Any, low: Any, high: Any, look: Mapping[str, Any]) -> Any:
-    """One strategy's line over a setting, with an interval at every value.
+    """Draw one strategy's line over a setting, with an interval at every value.
 
     Args:
       ax: the axes.
@@ -128,7 +128,7 @@ def _y_axis(ax, rows, ratio):
 
 
 def draw_heat(ax: Axes, values: Any, norm: Normalize, *, ratio: bool, decimals: int = 2) -> AxesImage:
-    """A matrix as colours with its numbers, if it is small: bright is long, or blue shorter and red longer than 1.
+    """Draw a matrix as colours with its numbers, if it is small: bright is long, or blue below and red above 1.
 
     Args:
       ax: the axes.
@@ -218,7 +218,7 @@ def heat_figure(
 
 
 def _ticks(ax, across, up, most_across, most_up):
-    """Names of the values along a matrix, of every second, third, ... where they are many."""
+    """Label the values along a matrix, every second, third, ... of many."""
     for levels, most, axis in ((across, most_across, ax.xaxis), (up, most_up, ax.yaxis)):
         step = math.ceil(len(levels) / max(most, 1))
         axis.set_ticks(range(0, len(levels), step), [_text(level) for level in levels[::step]])
