@@ -20,7 +20,7 @@ class Doors(NamedTuple):
 
 
 def filled(label: np.ndarray, free: np.ndarray, gap: float) -> np.ndarray:
-    """Labels with free cells that have none, such as doorways, given to the nearest room along free cells.
+    """Assign free cells without a label, such as doorways, to the nearest room along free cells.
 
     Args:
       label: `[H, W]` int, rooms; negative for none.
@@ -43,7 +43,7 @@ def filled(label: np.ndarray, free: np.ndarray, gap: float) -> np.ndarray:
 
 
 def touching(label: np.ndarray) -> list[np.ndarray]:
-    """The cells at which two rooms touch along an edge, a list of `[n, 2]` int for every piece of such a border.
+    """Return the cells at which two rooms touch along an edge, a list of `[n, 2]` int for every piece of such a border.
 
     Args:
       label: `[H, W]` int, rooms; negative for none.
@@ -69,14 +69,14 @@ def touching(label: np.ndarray) -> list[np.ndarray]:
 
 
 def _middles(pieces):
-    """Of every piece the cell nearest to its mean: `[n, 2]` int."""
+    """Return the cell of every piece that is nearest to its mean: `[n, 2]` int."""
     if not pieces:
         return np.zeros((0, 2), int)
     return np.array([own[np.argmin(((own - own.mean(axis=0)) ** 2).sum(axis=1))] for own in pieces])
 
 
 def middles_of(label: np.ndarray, free: np.ndarray, cell_m: float) -> np.ndarray:
-    """Middles of the doors between rooms, `[n, 2]` int, row and column. Arguments as of `compared`."""
+    """Return the middles of the doors between rooms, `[n, 2]` int, row and column. Arguments as of `compared`."""
     return _middles(touching(filled(label, free, NEAR_M / cell_m)))
 
 

@@ -12,7 +12,7 @@ AGREEMENT = ("mcc", "precision_room", "recall_room", "precision_pixel", "recall_
 
 
 def _numbered(labels, *, min_px=0):
-    """Labels of regions of more than `min_px` pixels as 0..n-1, in the order of their first pixels; -1 elsewhere."""
+    """Renumber regions of more than `min_px` pixels as 0..n-1, in the order of their first pixels; -1 elsewhere."""
     values, first, index, size = np.unique(labels, return_index=True, return_inverse=True, return_counts=True)
     keep = (values >= 0) & (size > min_px)
     number = np.full(len(values), -1, dtype=np.int32)
@@ -21,7 +21,7 @@ def _numbered(labels, *, min_px=0):
 
 
 def components(mask: np.ndarray, *, corners: bool = False) -> np.ndarray:
-    """Components of a mask, 4-connected, or 8-connected by `corners`: `[H, W]` int32 from 0; -1 elsewhere."""
+    """Label components of a mask, 4-connected, or 8-connected by `corners`: `[H, W]` int32 from 0; -1 elsewhere."""
     parts = np.zeros(mask.shape, dtype=np.int32)
     ndimage.label(mask, np.ones((3, 3)) if corners else None, output=parts)
     return parts - 1
@@ -73,7 +73,7 @@ def regions_of(labels: ArrayLike, free: ArrayLike, *, min_px: int = 100) -> np.n
 
 
 def _matthews(overlap, size, size_truth):
-    """`[S, G]` Matthews correlation of every pair of regions, as classes of the pixels where both labels exist."""
+    """Compute `[S, G]` Matthews correlations of pairs of regions, as classes of the pixels with both labels."""
     tp = overlap.astype(np.float64)
     fp, fn = size[:, None] - tp, size_truth[None, :] - tp
     tn = np.maximum(overlap.sum() - tp - fp - fn, 0.0)
@@ -83,7 +83,7 @@ def _matthews(overlap, size, size_truth):
 
 
 def _matched(overlap, mcc):
-    """Sum of `mcc` over the one-to-one matching of largest overlap; pairs that do not overlap do not count.
+    """Return the sum of `mcc` over the one-to-one matching of largest overlap, pairs without overlap left out.
 
     Overlaps are whole numbers and every |mcc| is at most 1, so a weight that sums to less than 1/2 decides between
     matchings of equal overlap, and nothing else.
@@ -94,7 +94,7 @@ def _matched(overlap, mcc):
 
 
 def _variation_of_information(overlap):
-    """H(S | G) + H(G | S) in bits of the joint counts."""
+    """Compute H(S | G) + H(G | S) in bits of the joint counts."""
     s, g = np.nonzero(overlap)
     both = overlap[s, g]
     bits = np.log2(overlap.sum(axis=1)[s] / both) + np.log2(overlap.sum(axis=0)[g] / both)
@@ -102,7 +102,7 @@ def _variation_of_information(overlap):
 
 
 def _agreement(overlap, size, size_truth):
-    """The scores of regions and rooms, of which there are some: dict."""
+    """Compute the scores of regions and rooms, not empty: dict."""
     iou = overlap / (size[:, None] + size_truth[None, :] - overlap)
     best, best_truth = overlap.max(axis=1), overlap.max(axis=0)
     return {

@@ -55,7 +55,7 @@ class Rooms:
 
 
 def form_for(shape: tuple[int, ...], *, coarse: bool = False) -> Form:
-    """The `Form` that suits a map of a shape.
+    """Return the `Form` that suits a map of a shape.
 
     One cell in 128 may be a peak, one in 96 a pass, one in 7 an edge; on coarse maps, where rooms are only some cells
     wide, one in 48, in 40, in 5. The most that built-in worlds have is printed by `benchmarks/graph_sizes.py`.
@@ -72,7 +72,7 @@ def form_for(shape: tuple[int, ...], *, coarse: bool = False) -> Form:
 def criteria(
     cell_m: float, *, ratio: float = RATIO, smallest_m2: float = SMALLEST_M2, clutter_m: float = CLUTTER_M
 ) -> Criteria:
-    """`Criteria` for cells of a size. Lengths in metres, areas in square metres."""
+    """Return `Criteria` for cells of a size. Lengths in metres, areas in square metres."""
     return Criteria(jnp.float32(ratio), jnp.float32(smallest_m2 / cell_m**2), jnp.float32(clutter_m / cell_m))
 
 
@@ -118,7 +118,7 @@ def clutter(free: Array, size: Array | float, *, edges: int) -> tuple[Array, Arr
 
 @functools.partial(jax.jit, static_argnames=("edges",))
 def cleared(free: Array, unknown: Array, size: Array | float, *, edges: int) -> tuple[Array, Array, Array]:
-    """Free space without clutter, and how far its walls are.
+    """Return free space without clutter, and the distances of its walls.
 
     Args:
       free, unknown: as for `watershed`.
@@ -173,7 +173,7 @@ class _Passes(NamedTuple):
 
 
 def _passes(basin, d2, tops, n, size):
-    """`(passes, most)` of basins 0 to n - 1, `[H, W]` int32, n elsewhere, their peaks `tops`; most: `Rooms.passes`."""
+    """Find `(passes, most)` of basins 0 to n - 1, `[H, W]` int32, n elsewhere, with peaks `tops`."""
     basins, heights = bordered(basin, n), bordered(d2, 0)
     found, most = [], jnp.int32(0)
     for step in ((0, 1), (1, 0)):
@@ -196,7 +196,7 @@ def _passes(basin, d2, tops, n, size):
 
 
 def _widest(room, passes, is_open):
-    """For every room its widest open pass.
+    """Return for every room its widest open pass.
 
     Args:
       room: `[B + 1]` int32, of every basin; the last stands for none.
@@ -216,12 +216,12 @@ def _widest(room, passes, is_open):
 
 
 def _clearance(d2):
-    """From the middle of a cell to the edge of the obstacle, cells."""
+    """Return the clearance from the middle of a cell to the edge of the obstacle, cells."""
     return jnp.sqrt(d2.astype(jnp.float32)) - 0.5
 
 
 def _joined(passes, heights, ratio):
-    """Basins joined across wide passes, the widest first: `[B + 1]` int32, the lowest basin or another of each room.
+    """Join basins across wide passes, the widest first: `[B + 1]` int32, a basin of each room.
 
     A room whose own widest pass is wide for its own peak can be joined at once, in any order: nothing that happens to
     the room beyond can make that pass a door. So all such rooms are joined in one round.
@@ -242,7 +242,7 @@ def _joined(passes, heights, ratio):
 
 
 def _absorbed(room, passes, each, smallest):
-    """Rooms that are too small joined to the one beyond their widest pass.
+    """Join rooms that are too small to the one beyond their widest pass.
 
     In rounds, until none is left: every such room at once, but for those that a smaller one wants to join, and, of two
     small ones, the larger.
