@@ -82,7 +82,7 @@ def asked_of(jobs: Sequence[Job], keep: str | None) -> dict[str, Any]:
 
 
 def _run(jobs, asked, settings, how, shown, ledger=None):
-    """The `Comparison` of jobs, whose units a ledger keeps."""
+    """Run jobs, whose units a ledger keeps: a `Comparison`."""
     use_compilation_cache()
     began = datetime.datetime.now(datetime.UTC)
     with progress_bar(shown[0], sum(len(job.starts) for job in jobs), "episodes", shown[1]) as moved:
@@ -103,7 +103,7 @@ def _run(jobs, asked, settings, how, shown, ledger=None):
 
 
 def _in_folder(out, jobs, asked, run, how, trust):
-    """A `Comparison` that a folder keeps while it is made, if there is to be one, and holds in the end."""
+    """Run a `Comparison` with a folder, if requested, that keeps its parts and finally holds it."""
     if all(how.values()):
         raise InputError("resume goes on with a run and overwrite replaces it: give one of them")
     if out is None:

@@ -149,7 +149,7 @@ class Environment:
         self._cells = jnp.asarray(np.stack([np.resize(own, (most, 2)) for own in cells]), jnp.int32)
 
     def reset(self, key: Array, start: Any = None, world: Any = None) -> tuple[EnvState, View]:
-        """An episode that has made its first scans.
+        """Begin an episode and make its first scans.
 
         Args:
           key: of the episode; draws the world, the start and the scanner's noise, each from a stream of its own. That
@@ -228,7 +228,7 @@ class Environment:
 
     @property
     def arrays(self) -> Any:
-        """A pytree of all its arrays: worlds, beams, numbers.
+        """Return a pytree of all its arrays: worlds, beams, numbers.
 
         A function compiled around `env.step` has them as constants; one that is given them and calls
         `env.with_arrays(arrays).step` has not, and compiles faster where worlds are many.
@@ -236,7 +236,7 @@ class Environment:
         return self._bank, self._cells, self._n_cells
 
     def with_arrays(self, arrays: Any) -> Self:
-        """The same environment with other arrays, which may be traced; see `arrays`."""
+        """Return the same environment with other arrays, which may be traced; see `arrays`."""
         other = copy.copy(self)
         other._bank, other._cells, other._n_cells = arrays
         return other
@@ -266,7 +266,7 @@ def _inside(shape, row, col):
 
 
 def _seen(setup, given, episode, ring):
-    """`EnvState` after the last scan of a plan; without a frontier the episode is over."""
+    """Return `EnvState` after the last scan of a plan; without a frontier the episode is over."""
     known = field(episode.belief)
     none = ~jnp.any(known.candidates) & (episode.outcome == Outcome.RUNNING)
 
@@ -278,7 +278,7 @@ def _seen(setup, given, episode, ring):
 
 
 def shown(state: EnvState) -> View:
-    """The `View` of a state, in the cells of its world."""
+    """Return the `View` of a state, in the cells of its world."""
     view, ring = view_of(state.episode.belief, state.known), state.ring
     if ring is None:
         return view
@@ -297,7 +297,7 @@ def shown(state: EnvState) -> View:
 
 
 def _ringed(ring, row, col):
-    """A cell of a world in its maps."""
+    """Convert a cell of a world to its maps."""
     return (row, col) if ring is None else (row + ring, col + ring)
 
 
@@ -363,7 +363,7 @@ def _require_key(key):
 
 
 def _whole(name, value, shape, meaning=""):
-    """A value as int32 of a shape, which may be traced."""
+    """Convert a value to int32 of a shape, which may be traced."""
     expected = f"{name} must be int32 {list(shape)}" + (f", {meaning}" if meaning else "")
     try:
         if not isinstance(value, Array) and np.asarray(value).dtype.kind in "iu":  # 64 bits are not cut off
@@ -377,5 +377,5 @@ def _whole(name, value, shape, meaning=""):
 
 
 def _concrete(array):
-    """An array's value on the host; None while it is traced."""
+    """Return an array's value on the host; None while it is traced."""
     return None if isinstance(array, Tracer) else np.asarray(array)

@@ -118,7 +118,7 @@ def _seen(world, strategy, final, start, seed, number, lidar, rules, shown):
 
 
 def _images(world, strategy, found, headings):
-    """The codes of all cells at some stops; notes how the robot was turned there."""
+    """Yield the codes of all cells at some stops; note the robot's heading there."""
     ring = ring_of(world.occupied)
     for stop in found:
         codes = np.array(_codes(stop.belief))
@@ -142,7 +142,7 @@ def _aims(final, shown):
 
 
 def replay_of(episode: Episode, *, max_frames: int = MAX_FRAMES) -> ReplayData:
-    """An `Episode` as the frames of a page; see `replay_data`."""
+    """Convert an `Episode` to the frames of a page; see `replay_data`."""
     return replay_data(
         *(episode.world, episode.asked, episode.final),
         start=episode.start,

@@ -65,7 +65,7 @@ class Segmentation(NamedTuple):
     pictures: list[Picture]
 
     def to_markdown(self) -> str:
-        """A table for every share of the map and every variant: all scores, their means and medians. Text."""
+        """Format a table for every share of the map and every variant: all scores, their means and medians. Text."""
         from jexplore.report.tables import aligned_table
 
         text = []
@@ -99,7 +99,7 @@ def segment_maps(
     on_progress: Callable[[int], Any] | None = None,
     **settings: Any,
 ) -> Segmentation:
-    """Divides maps into rooms and scores the result.
+    """Divide maps into rooms and score the result.
 
     Args:
       maps: names (`worlds.load_world`) or `World`s; one may stand for itself.
@@ -148,8 +148,9 @@ def segment_maps(
 
 
 def _stages(world, job):
-    """The maps of a world to be segmented: `(stage, explored, free, unseen)`; the whole one last, only that without a
-    job.
+    """Return the maps of a world to be segmented: `(stage, explored, free, unseen)`; the whole one last.
+
+    Without a job only the whole map is returned.
     """
     partial = () if job is None else maps_at(run_job(job), SHARES)
     whole = 1.0, 1.0, ~world.occupied, np.zeros_like(world.occupied)
@@ -163,7 +164,7 @@ def prepare_maps(
     cell_m: float,
     settings: Settings,
 ) -> list[Task]:
-    """Everything that `segment_maps` refuses or loads before it runs: a list of `Task`. Arguments as there."""
+    """Check and load everything before `segment_maps` runs: a list of `Task`. Arguments as there."""
     variants = listed("variants", variants)
     require_different("variants", variants)
     for variant in variants:
@@ -204,7 +205,7 @@ def _smallest_px(cell_m):
 
 
 def _judged(task, variant, stage, explored, free, made):
-    """A row of scores, and a picture."""
+    """Return a row of scores, and a picture."""
     row: dict[str, Any] = dict.fromkeys(COLUMNS, np.nan)
     least = _smallest_px(task.world.cell_m)
     found = regions_of(np.where(free, made.label, -1), free, min_px=least)

@@ -22,7 +22,7 @@ COLUMNS = ("path_over_high", "path_over_low_any")
 
 
 def beside(episodes: "pd.DataFrame", bounds: "pd.DataFrame", digests: Mapping[str, str]) -> "pd.DataFrame":
-    """The table of episodes with the columns `COLUMNS`; NaN for an episode that is not complete or has no bound.
+    """Add the columns `COLUMNS` to the table of episodes; NaN for an incomplete episode or one without a bound.
 
     A ratio to the walk that was found may be below 1: that walk is short, not the shortest, and stands on clear cells.
 
@@ -76,7 +76,7 @@ def beside_table(table: "pd.DataFrame", by: Sequence[str] = ("world", "strategy"
 
 
 def _over_worlds(rows, column):
-    """The ratio of some episodes, a world's mean logarithm counting once, and its interval, as text."""
+    """Format the ratio of some episodes, a world's mean logarithm counting once, and its interval."""
     known = rows.dropna(subset=[column])
     logs = np.log(known[column]).groupby(known["world"], sort=False).mean()
     mean, low, high, _ = mean_over_worlds(logs.to_numpy(), [kind_of(world) for world in logs.index])

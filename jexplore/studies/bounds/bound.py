@@ -73,11 +73,11 @@ class Bounds:
     """Starts that are missing because the run was interrupted."""
 
     def to_pandas(self) -> "pd.DataFrame":
-        """The table."""
+        """Return the table."""
         return self.table
 
     def to_markdown(self) -> str:
-        """The table, with ratios, as Markdown."""
+        """Return the table, with ratios, as Markdown."""
         return bounds_table(self.table)
 
     def beside(self, comparison: Any) -> "pd.DataFrame":
@@ -99,7 +99,7 @@ class Bounds:
         return beside(comparison.episodes, self.table, digests)
 
     def figure(self) -> "Figure":
-        """The walks and the witnesses of the first starts: a matplotlib `Figure`."""
+        """Draw the walks and the witnesses of the first starts: a matplotlib `Figure`."""
         from jexplore.report.plots import bounds
 
         return bounds.figure(self)
@@ -112,7 +112,7 @@ class Bounds:
 
 
 def bounds_table(table: "pd.DataFrame") -> str:
-    """Rows of `Bounds.table` as Markdown."""
+    """Format rows of `Bounds.table` as Markdown."""
     head = ["world", "start", "low any m", "low m", "high m", "high / low", "status", "witnesses", "s"]
     lines = []
     for row in table.to_dict("records"):
@@ -189,7 +189,7 @@ def prepare_bounds(
     lidar: LidarLike,
     rules: RulesLike,
 ) -> list[Task]:
-    """Everything that `bound` refuses or loads before it runs: a list of `Task`. Arguments as there."""
+    """Check and load everything before `bound` runs: a list of `Task`. Arguments as there."""
     lidar, rules = ready_settings(lidar, rules)
     starts, seed = require_setting("starts", starts), require_setting("seed", seed)
     seconds = require_setting("seconds", seconds)
@@ -231,7 +231,7 @@ def require_whole_world(world: World) -> None:
 def tasks_of(
     pairs: Iterable[tuple[World, tuple[int, int, int]]], lidar: Lidar, rules: Rules, seconds: float
 ) -> list[Task]:
-    """The tasks of some starts, each once. Raises as `require_perfect` and `require_whole_world`."""
+    """Return the tasks of some starts, each once. Raises as `require_perfect` and `require_whole_world`."""
     require_perfect(lidar)
     pairs = list(pairs)
     for world, _ in pairs:
@@ -247,7 +247,7 @@ def settings_of(lidar: Lidar, rules: Rules) -> dict[str, Any]:
 
 
 def asked(tasks: Sequence[Task]) -> dict[str, Any]:
-    """All that the results of some tasks depend on, as plain values."""
+    """Return all that the results of some tasks depend on, as plain values."""
     starts = hashlib.sha256(json.dumps([task.start for task in tasks]).encode())
     worlds = {os.fspath(task.world.name): task.world for task in tasks}
     return {
@@ -270,7 +270,7 @@ def run_bounds(
     workers: int | None = None,
     on_progress: Callable[[int], object] | None = None,
 ) -> Bounds:
-    """Bounds all starts that the ledger does not have.
+    """Bound all starts that the ledger does not have.
 
     Args:
       tasks: `Task`s.
@@ -328,7 +328,7 @@ def _run(left, tasks, workers, take):
 
 
 def _begin_worker():
-    """A worker made ready: it ends with its parent, and leaves Ctrl-C to it."""
+    """Prepare a worker: it ends with its parent, and leaves Ctrl-C to it."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG
@@ -349,7 +349,7 @@ def _of_table(table):
 
 
 def assemble(tasks: Sequence[Task], done: dict[int, Solved]) -> Bounds:
-    """The `Bounds` of the tasks that are done.
+    """Make the `Bounds` of the finished tasks.
 
     Raises:
       KeyboardInterrupt: there are none.

@@ -53,7 +53,7 @@ class Budget:
         return self.elapsed_s >= share * (self.seconds or 0.0)
 
     def left_s(self, share: float) -> float:
-        """Seconds that are left of a share; without a clock, more than anything takes."""
+        """Return the seconds left of a share; without a clock, practically unlimited."""
         return 1e9 if self.floods is not None else max(0.0, share * (self.seconds or 0.0) - self.elapsed_s)
 
 
@@ -83,7 +83,7 @@ class Search:
     def __init__(
         self, scene: Scene, stand: np.ndarray, budget: Budget, coverage: Coverage, regions: dict[int, np.ndarray]
     ) -> None:
-        """`regions`: known regions, cell -> cells; is added to."""
+        """Prepare a search; `regions` are known regions, cell -> cells, and grow."""
         self.scene, self.budget, self.coverage, self._regions = scene, budget, coverage, regions
         self.floor = Floor(scene, stand, budget)
         self.start = self.floor.numbers(np.array([scene.start]))
@@ -91,7 +91,7 @@ class Search:
         self._places: dict[int, np.ndarray] = {}
 
     def region(self, cell: int) -> np.ndarray:
-        """Places that see a cell."""
+        """Return places that see a cell."""
         if cell not in self._places:
             if cell not in self._regions:
                 self._regions[cell] = self.scene.region(cell)
@@ -99,7 +99,7 @@ class Search:
         return self._places[cell]
 
     def dear_witness(self, order: list[int], walk: np.ndarray, unseen: np.ndarray) -> int:
-        """Of the unseen cells one that costs much to be seen by a walk that sees others in an order."""
+        """Return an unseen cell that is costly for a walk that sees others in an order."""
         tour = Tour(self.floor, self.from_start, self.region)
         tour.to(order)
         unseen, _ = self.floor.farthest_first(unseen, walk)
@@ -111,8 +111,7 @@ class Search:
         return max((int(self.from_start[self.region(cell)].min()) for cell in cells), default=0)
 
     def shortest(self, share: float, high: int, known: Sequence[int] = ()) -> tuple[Subsets, np.ndarray | None]:
-        """The exact search: witnesses are added that the shortest walk does not see, known ones first, until it sees
-        everything.
+        """Search exactly: witnesses that the shortest walk does not see are added, known ones first, until it sees all.
 
         Args:
           share: of the budget.
@@ -142,7 +141,7 @@ class Search:
     def bound(
         self, known: Sequence[int], walks: Walks, until: float, pieces_until: float
     ) -> tuple[LowerBound, list[int], np.ndarray | None]:
-        """The best lower bound.
+        """Return the best lower bound.
 
         Args:
           known: witnesses, the most telling first.
@@ -163,7 +162,7 @@ class Search:
         return max(found, key=lambda bound: bound.low), subsets.order, exact
 
     def by_pieces(self, cells: Sequence[int], share: float, high: int) -> int:
-        """The bound of many witnesses, see `pieces`; 0 where the share is spent."""
+        """Compute the bound of many witnesses, see `pieces`; 0 if the share is spent."""
         if self.budget.over(share):
             return 0
         regions = [self.region(cell) for cell in cells]
@@ -177,7 +176,7 @@ class Search:
 
 
 def search(scene: Scene, budget: Budget, seed: int = 0) -> Found:
-    """The shortest walk of a start, as far as the budget goes: see the modules `walks`, `subsets` and `pieces`."""
+    """Search the shortest walk of a start within the budget: see the modules `walks`, `subsets` and `pieces`."""
     coverage, regions = Coverage(scene.sights, scene.must_see), {}
     clear, rng = Search(scene, scene.clear, budget, coverage, regions), np.random.default_rng(seed)
     walks = Walks(clear.floor, clear.from_start, clear.region, coverage, rng)

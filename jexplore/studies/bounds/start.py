@@ -46,7 +46,7 @@ class Solved(NamedTuple):
 
 
 def low_metres(cost: int, cell_m: float) -> float:
-    """Metres that a walk of at least this cost has at least: rounded down to a millimetre.
+    """Convert a least cost to a least length in metres: rounded down to a millimetre.
 
     A diagonal step costs a millionth more than sqrt(2) straight ones, so a walk may be that much shorter than its cost.
     """
@@ -55,7 +55,7 @@ def low_metres(cost: int, cell_m: float) -> float:
 
 
 def solve(task: Task) -> Solved:
-    """Bounds one start: a `Solved`."""
+    """Bound one start: a `Solved`."""
     world, start = task.world, task.start
     scene = prepare_scene(world, start, task.lidar, task.rules, scans_all_round(task.lidar.fov_deg))
     own = {"world": os.fspath(world.name), "start_row": start[0], "start_col": start[1]}
@@ -84,7 +84,7 @@ def _row(values):
 
 
 def _nothing_to_see(scene: Scene) -> Found:
-    """All was seen at the start."""
+    """Return the result of a start from which everything is seen."""
     return Found(np.array([scene.start]), 0, 0, 0, True, [], "subsets")
 
 

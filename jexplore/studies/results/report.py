@@ -29,7 +29,7 @@ PICTURES = {
 def replays_for(
     jobs: Sequence[Job], firsts: Mapping[int, Outcomes] | None = None, labels: Sequence[str] = ()
 ) -> tuple[list[ReplayData], list[str]]:
-    """Replays of the first episodes of the first jobs, which have their scanners and rules: see `replays.replays_of`.
+    """Replay the first episodes of the first jobs, which have their scanners and rules: see `replays.replays_of`.
 
     Args:
       jobs: of a run.
@@ -51,7 +51,7 @@ def write_report(
     replays: Sequence[ReplayData],
     notes: Iterable[str] = (),
 ) -> None:
-    """Writes the report of a run.
+    """Write the report of a run.
 
     Args:
       path: the file.

@@ -27,7 +27,7 @@ MOST_WORLDS = 12
 def compare_figure(
     episodes: "pd.DataFrame", *, summary: "pd.DataFrame | None" = None, table: "pd.DataFrame | None" = None
 ) -> "Figure":
-    """Every episode's path with means, intervals and paired ratios: a panel a world, and one for all of six or more.
+    """Draw every episode's path with means, intervals and paired ratios: a panel a world, and one for six or more.
 
     Args:
       episodes: the table of episodes of a comparison, a pandas DataFrame of one row or more.
@@ -53,7 +53,7 @@ def compare_figure(
 
 
 def draw_world(ax: Any, episodes: "pd.DataFrame", summary: "pd.DataFrame", world: str) -> list[Any]:
-    """The path lengths of one world as points, with means and intervals.
+    """Draw the path lengths of one world as points, with means and intervals.
 
     Args:
       ax: matplotlib `Axes`.
@@ -71,7 +71,7 @@ def draw_world(ax: Any, episodes: "pd.DataFrame", summary: "pd.DataFrame", world
 
 
 def _estimates(table, strategies, *columns, scale=1.0):
-    """Three columns of a table as `Estimates` in the order of strategies, NaN for one that is not there."""
+    """Return three columns of a table as `Estimates` in the order of strategies, NaN for a missing one."""
     from jexplore.report.plots.compare import Estimates
 
     rows = table.set_index("strategy").reindex(strategies)
@@ -115,7 +115,7 @@ def _over_worlds(episodes, table, strategies):
 
 
 def coverage_figure(progress: Mapping[tuple[str, str], np.ndarray]) -> "Figure":
-    """The share of what can be known that is known along the path, one panel a world: medians and quartile bands.
+    """Draw the known part of the knowable share along the path, one panel a world: medians and quartile bands.
 
     Args:
       progress: `{(world, strategy): [N, 100] metres}`, as `Comparison.progress`; one entry or more.
@@ -133,7 +133,7 @@ def coverage_figure(progress: Mapping[tuple[str, str], np.ndarray]) -> "Figure":
 
 
 def profile_figure(episodes: "pd.DataFrame", *, over: str = "best") -> "Figure":
-    """Performance profiles of the strategies of a comparison: see `aggregate.profiles`. A matplotlib `Figure`."""
+    """Draw performance profiles of a comparison's strategies: see `aggregate.profiles`. A matplotlib `Figure`."""
     from jexplore.report.plots import curves
 
     table = profiles(episodes, over=over)
@@ -148,7 +148,7 @@ def _label(value, ratio, episodes) -> str:
 
 
 def _averaged(episodes, table, *own) -> str:
-    """Over what the estimates of a table from `response` average, a line."""
+    """Return a line that names the settings over which a table from `response` averages."""
     varied = [name for name in settings_of(episodes) if name not in own and episodes[name].nunique(dropna=False) > 1]
     what = "worlds" if ALL_WORLDS in set(table["world"]) else "starts"
     return f"means over {table['n'].max()} {what}" + (f" and all values of {', '.join(varied)}" if varied else "")

@@ -55,7 +55,7 @@ def league_worlds(cell_m: float = 0.1, seeds: int = LEAGUE_SEEDS) -> tuple[str, 
 
 
 def paths_by_world(episodes: "pd.DataFrame") -> "pd.DataFrame":
-    """Mean paths in every world of a strategy and of the first one, over the starts from which neither failed.
+    """Compute mean paths in every world of a strategy and of the first one, over the starts from which neither failed.
 
     Args:
       episodes: the table of episodes of a comparison, a pandas DataFrame.
@@ -78,7 +78,7 @@ def paths_by_world(episodes: "pd.DataFrame") -> "pd.DataFrame":
 
 
 def standings(episodes: "pd.DataFrame") -> "pd.DataFrame":
-    """One row a strategy, the best ranks first.
+    """Tabulate one row a strategy, the best ranks first.
 
     An episode that has failed (see `comparable_paths`) has no short path: it ranks behind all that have not failed.
 
@@ -133,7 +133,7 @@ def _verdict(row):
 
 
 def standings_table(table: "pd.DataFrame", plan_ms: Mapping[str, float] | None = None) -> str:
-    """Standings as one aligned Markdown table. The reference is told from at the 5 % level of the corrected p.
+    """Format standings as one aligned Markdown table. The reference differs at the 5 % level of the corrected p.
 
     Args:
       table: from `standings`.

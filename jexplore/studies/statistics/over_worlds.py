@@ -21,7 +21,7 @@ ALL_WORLDS = "all worlds"
 
 
 def kind_of(world: object) -> str:
-    """The generator of a world's name, `furnished` if it has furniture; `maps` for a file or a world of one's own."""
+    """Return the generator of a world's name, `furnished` if it has furniture; `maps` for a file or a user's world."""
     match = re.match(r"([A-Za-z_][\w-]*)(#\d+)?(:.*)?$", str(world))
     if match is None or match[1] not in GENERATORS:
         return "maps"
@@ -60,7 +60,7 @@ def _vector(values, kinds):
 def mean_over_worlds(
     values: ArrayLike, kinds: Sequence[str], *, confidence: float = 0.95
 ) -> tuple[float, float, float, float]:
-    """Mean over worlds drawn from several kinds, in the shares that the kinds have here, and its interval.
+    """Estimate the mean over worlds drawn from several kinds, in the present shares, and its interval.
 
     The t interval is for other worlds of the same kinds in the same shares: how much worlds of one kind differ makes it
     wide, how much kinds differ does not. With a single world of some kind, all count as one kind.
@@ -89,7 +89,7 @@ def mean_over_worlds(
 def share_over_worlds(
     values: ArrayLike, kinds: Sequence[str], *, confidence: float = 0.95
 ) -> tuple[float, float, float, float]:
-    """Mean over worlds of a share, such as of starts from which one path is shorter, and its interval.
+    """Estimate the mean over worlds of a share, such as of starts with a shorter path, and its interval.
 
     The interval is Wilson's, of as many independent yes or no answers as have the standard error of this mean: many
     where worlds agree, few where they do not. It stays within 0 and 1 and is there even where all worlds say the same.
@@ -130,13 +130,13 @@ def share_over_worlds(
 
 
 def _table_of(episodes, value, strategies):
-    """One value of the episodes that every strategy has: rows (world, episode), columns strategies."""
+    """Tabulate one value of the episodes that every strategy has: rows (world, episode), columns strategies."""
     table: Any = episodes.pivot(index=["world", "episode"], columns="strategy", values=value)
     return table[strategies].dropna()
 
 
 def comparable_paths(episodes: "pd.DataFrame") -> "pd.DataFrame":
-    """Path lengths of the starts that every strategy has, with those that are no short ones set to infinity.
+    """Return path lengths of the starts that every strategy has, infinite for failed episodes.
 
     An episode that is not COMPLETE has failed if another from the same start is, or, where none is, if it has explored
     less than another, by more than 0.01 of what can be explored.

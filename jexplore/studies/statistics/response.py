@@ -26,7 +26,7 @@ MOST_PANELS = 6
 
 
 def settings_of(episodes: "pd.DataFrame") -> list[str]:
-    """The columns of a table of episodes that are settings: those with a dot in their name, `seed` and `cell_m`."""
+    """Return the setting columns of a table of episodes: those with a dot in their name, `seed` and `cell_m`."""
     return [name for name in map(str, episodes.columns) if "." in name or name in SHARED]
 
 
@@ -53,7 +53,7 @@ def _numbers(episodes, name):
 
 
 def _cut(table, own, bins):
-    """The settings `own` of a table, with those of many values, as of random draws, cut into parts of equally many.
+    """Bin settings of a table that have many values, as of random draws, into parts of equally many.
 
     A part stands at the mean of its values, rounded.
     """
@@ -72,7 +72,7 @@ def _cut(table, own, bins):
 
 
 def _rounded(means):
-    """Rising numbers in as few digits, three or more, as tell them apart."""
+    """Round rising numbers to as few digits, three or more, as keep them distinct."""
     for digits in range(3, 17):
         short = [float(f"{mean:.{digits}g}") for mean in means]
         if len(set(short)) == len(means):
@@ -157,7 +157,7 @@ def response(
 
 
 def _in_world(rows, ratio, confidence):
-    """`(n, estimate, low, high)` of the starts of one world, strategy and setting."""
+    """Return `(n, estimate, low, high)` of the starts of one world, strategy and setting."""
     starts = rows.groupby(["episode", *(["seed"] if "seed" in rows else [])])[["value", "reference"]].mean()
     values, reference = starts.to_numpy().T
     if not ratio:
@@ -167,7 +167,7 @@ def _in_world(rows, ratio, confidence):
 
 
 def _over_worlds(rows, ratio, confidence):
-    """`(n, estimate, low, high)` of the worlds of one strategy and setting."""
+    """Return `(n, estimate, low, high)` of the worlds of one strategy and setting."""
     means = rows.groupby("world", sort=False)[["value", "reference"]].mean()
     if ratio:
         means = means[(means > 0).all(axis=1)]

@@ -26,7 +26,7 @@ MOST = 10**9
 
 
 def _smallest(spread, freedom, freedom_of, *, within, confidence, assurance):
-    """The least n for which `t(freedom_of(n)) spread / sqrt(n)` is, with the assurance, within `log(1 + within)`.
+    """Return the least n with, by the assurance, `t(freedom_of(n)) spread / sqrt(n)` within `log(1 + within)`.
 
     The spread of n new ones is that of the pilot times the root of an F of both degrees of freedom.
     """
@@ -180,7 +180,7 @@ def sample_sizes(
 
 
 def _or_none(function, *pilot, **how):
-    """The number, or None where the pilot tells none."""
+    """Return the number, or None if the pilot gives none."""
     try:
         return function(*pilot, **how)
     except InputError:
@@ -188,7 +188,7 @@ def _or_none(function, *pilot, **how):
 
 
 def sizes_table(table: "pd.DataFrame") -> str:
-    """Numbers needed as one aligned Markdown table.
+    """Format needed numbers as one aligned Markdown table.
 
     Args:
       table: from `sample_sizes`.

@@ -65,7 +65,7 @@ def waste_of(way: np.ndarray, cell_m: float) -> Waste:
 def wasted(
     episodes: "pd.DataFrame", paths: Mapping[tuple[str, str], Sequence[np.ndarray]], cells_m: Mapping[str, float]
 ) -> "pd.DataFrame":
-    """The table of episodes with the columns `COLUMNS`.
+    """Add the columns `COLUMNS` to the table of episodes.
 
     Args:
       episodes: the table, a pandas DataFrame.
@@ -88,7 +88,7 @@ def wasted(
 
 
 def waste_table(table: "pd.DataFrame", by: Sequence[str] = ("world", "strategy")) -> str:
-    """Shares of the path as Markdown.
+    """Format shares of the path as Markdown.
 
     Args:
       table: from `wasted`.

@@ -24,7 +24,7 @@ STORE_BYTES = 256 * 2**20  # of results, in a cluster of our own
 
 
 def require_ray() -> Any:
-    """The module ray.
+    """Return the module ray.
 
     Raises:
       InputError: it is not installed.
@@ -71,7 +71,7 @@ def _connect(ray):
 
 
 def begin(ray: Any, **how: Any) -> None:
-    """`ray.init`, once more where a busy machine has let Ray's own patience of 30 s run out."""
+    """Call `ray.init`, again if Ray's own patience of 30 s ends on a busy machine."""
     try:
         ray.init(**how)
     except Exception as error:
@@ -119,7 +119,7 @@ class _Muted:
         self.stream = stream
 
     def write(self, text: str) -> int:
-        """Writes text, whoever but Ray it comes from."""
+        """Write text, whoever but Ray it comes from."""
         if threading.current_thread().name.startswith("ray_"):
             return len(text)
         return self.stream.write(text)
@@ -130,7 +130,7 @@ class _Muted:
 
 @contextlib.contextmanager
 def _handlers_kept():
-    """Ray puts a handler of its own in the place of the one for SIGTERM."""
+    """Keep the handler for SIGTERM, which Ray replaces by its own."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return

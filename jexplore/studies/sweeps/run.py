@@ -59,9 +59,11 @@ class Swept(ByStrategy):
 
     @functools.cached_property
     def summary(self) -> "pd.DataFrame":
-        """One row a setting, world and strategy: `n`, `mean` and `sd` of the path, metres, the paired `ratio` to the
-        first strategy with `ratio_low` and `ratio_high` (95 %, see `paired.paired_ratio`), mean `explored_fraction`,
-        share `complete`; and the columns of settings. Of robots: see `traces.summarise_traces`.
+        """Tabulate one row a setting, world and strategy; of robots see `traces.summarise_traces`.
+
+        Columns are `n`, `mean` and `sd` of the path, metres, the paired `ratio` to the first strategy with `ratio_low`
+        and `ratio_high` (95 %, see `paired.paired_ratio`), mean `explored_fraction`, share `complete`; and those of
+        settings.
         """
         return (
             summarise_traces(self.episodes, self.columns)
@@ -77,7 +79,7 @@ class Swept(ByStrategy):
         return (traces_table if self.spec.robots else summary_table)(self.summary, self.varied, as_text)
 
     def plot(self) -> "Figure":
-        """The first of `figures`, as a matplotlib `Figure`: mean paths along the first number that is varied.
+        """Draw the first of `figures`, as a matplotlib `Figure`: mean paths along the first number that is varied.
 
         Raises:
           InputError: no number is varied.
@@ -87,7 +89,7 @@ class Swept(ByStrategy):
         raise InputError("a sweep is drawn along a number that is varied, and this one has none: see to_pandas()")
 
     def to_xarray(self) -> Any:
-        """The table as an `xarray.Dataset` with labelled dimensions: see `labelled.of_sweep`."""
+        """Convert the table to an `xarray.Dataset` with labelled dimensions: see `labelled.of_sweep`."""
         from jexplore.studies.results import labelled
 
         if self.spec.robots:
@@ -101,18 +103,18 @@ class Swept(ByStrategy):
         return self.table(rows) + more
 
     def table(self, rows: int | None = None) -> str:
-        """The first rows of the summary as a Markdown table, by default all."""
+        """Format the first rows of the summary as a Markdown table, by default all."""
         shown = self.summary if rows is None else self.summary.head(rows)
         return (traces_table if self.spec.robots else summary_table)(shown, self.varied)
 
     @property
     def varied(self) -> list[str]:
-        """Columns of settings that have more than one value."""
+        """Return columns of settings that have more than one value."""
         some = [name for name in dict.fromkeys((*self.columns, "seed")) if name != "setting" and name in self.episodes]
         return [name for name in some if len(self.episodes[name].drop_duplicates()) > 1]
 
     def figures(self) -> dict[str, Callable[[], Any]]:
-        """Pictures of the sweep, of the first numbers that are varied: end of a file's name -> what draws it."""
+        """Return pictures of the sweep, of the first varied numbers: end of a file's name -> function that draws it."""
         from jexplore.studies.statistics import figures
 
         if self.spec.robots:
@@ -138,7 +140,7 @@ class Swept(ByStrategy):
 
 
 def summarise(episodes: "pd.DataFrame", columns: Sequence[str], first: str) -> "pd.DataFrame":
-    """The `Swept.summary` of a table of episodes whose settings are in these columns.
+    """Compute the `Swept.summary` of a table of episodes whose settings are in these columns.
 
     Ratios are to the strategy `first`; NaN where it has no episode, as in a part of a sweep.
     """
@@ -169,7 +171,7 @@ def summarise(episodes: "pd.DataFrame", columns: Sequence[str], first: str) -> "
 
 
 def summary_table(summary: Any, varied: Sequence[str], as_text: Callable[..., str] = aligned_table) -> str:
-    """Rows of `Swept.summary` as Markdown, or as what `as_text` makes of names of columns and texts of rows."""
+    """Format rows of `Swept.summary` as Markdown, or by `as_text` from names of columns and texts of rows."""
     head = ["world", *varied, "strategy", "n", "path m", "ratio to the first", "explored", "COMPLETE"]
     lines = []
     for _, row in summary.iterrows():
@@ -242,7 +244,7 @@ def run_sweep(
 
 
 def _run_left(plan, left, on_unit, how, gpu, on_progress, begun):
-    """Runs some units of a sweep by whatever engine: `Costs`."""
+    """Run some units of a sweep by whatever engine: `Costs`."""
     if isinstance(plan, TracePlan):
         if how["engine"] == "ray":
             raise InputError("engine ray is for strategies: a sweep of robots runs on this machine, or by --shard")
@@ -264,7 +266,7 @@ def labels_of(settings: Sequence[Mapping[str, Any]]) -> list[str]:
 
 
 def ordered(table: "pd.DataFrame", plan: Plan | TracePlan) -> "pd.DataFrame":
-    """Rows by setting, world, strategy or robot, and episode or run, in the order of the spec."""
+    """Sort rows by setting, world, strategy or robot, and episode or run, in the order of the spec."""
     if isinstance(plan, TracePlan):
         return plan.ordered(table)
     worlds = {os.fspath(name): i for i, name in enumerate(plan.spec.worlds)}
@@ -286,7 +288,7 @@ def sweep(
     on_progress: Callable[[int], object] | None = None,
     progress: bool | None = None,
 ) -> Swept:
-    """Compares strategies over many settings.
+    """Compare strategies over many settings.
 
     Args:
       spec: a `Sweep`, a mapping of its fields, or a YAML file. `jexplore sweep` keeps what it finishes; this does not.

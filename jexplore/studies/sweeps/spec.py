@@ -44,7 +44,7 @@ class Range:
     """Draw logarithms evenly."""
 
     def at(self, share: float) -> float:
-        """The number that a share of them lies below."""
+        """Return the number below which a share lies."""
         if self.log:
             return math.exp(math.log(self.low) + share * (math.log(self.high) - math.log(self.low)))
         return self.low + share * (self.high - self.low)
@@ -151,7 +151,7 @@ class Sweep:
         return {key: _axis(key, value) for key, value in given.items()}
 
     def expanded(self) -> list[dict[str, Any]]:
-        """The settings: a list of `{dotted name: value}`, all with the same names, all different.
+        """Return the settings: a list of `{dotted name: value}`, all with the same names, all different.
 
         Raises:
           InputError: none, too many, ranges without `draws`, `draws` without a range.
@@ -186,7 +186,7 @@ class Sweep:
         return found
 
     def _drawn(self, axes):
-        """Draws from the axes, each evenly: a list of `{name: value}`."""
+        """Draw from the axes, each evenly: a list of `{name: value}`."""
         from scipy.stats import qmc
 
         seed = 0 if not isinstance(self.seed, int) else require_setting("seed", self.seed)
@@ -198,7 +198,7 @@ class Sweep:
         return [{key: _taken(key, axis, float(s)) for (key, axis), s in zip(axes.items(), row)} for row in shares]
 
     def records(self, *parts: str) -> list[tuple[Any, ...]]:
-        """Of every setting of `expanded` seed, cell size and, by default, scanner and rules; else these of `PARTS`.
+        """Return seed, cell size and scanner and rules, or others of `PARTS`, of every setting of `expanded`.
 
         Raises:
           InputError: a value that cannot be used, naming it.
@@ -260,7 +260,7 @@ def _part(setting, kind):
 
 
 def _axis(key, value) -> Any:
-    """Values of an axis: a list, or a `Range`."""
+    """Read values of an axis: a list, or a `Range`."""
     if isinstance(value, Range):
         value = dataclasses.asdict(value)
     if isinstance(value, Mapping):
@@ -302,7 +302,7 @@ def _taken(key, axis, share):
 
 
 def _text(name, key, value):
-    """A parameter's value as the name of a strategy has it."""
+    """Format a parameter's value as in the name of a strategy."""
     if value is None or (isinstance(value, str) and set(value) & set(",:+=")):
         raise InputError(f"{name}: {key} must be a number, a truth value or a plain word, got {value!r}")
     return str(value).lower() if isinstance(value, bool) else str(value)
@@ -312,7 +312,7 @@ _FIELDS = [field.name for field in dataclasses.fields(Sweep)]
 
 
 def sweep_from(page: Any, name: str = "the sweep") -> Sweep:
-    """A `Sweep` from plain values, as a YAML file has them.
+    """Make a `Sweep` of plain values, as a YAML file has them.
 
     Raises:
       InputError: no mapping, an unknown key, a value that cannot be used.
@@ -339,7 +339,7 @@ def _plain(value: Any) -> Any:
 
 
 def read_spec(path: str | os.PathLike[str]) -> Sweep:
-    """A `Sweep` from a YAML file, read as `plain_yaml` reads it: YAML 1.2.
+    """Read a `Sweep` from a YAML file by `plain_yaml`: YAML 1.2.
 
     Raises:
       InputError: no such file, broken YAML (with line and column), or what `sweep_from` refuses.
@@ -355,7 +355,7 @@ def read_spec(path: str | os.PathLike[str]) -> Sweep:
 
 
 def plain(spec: Sweep) -> dict[str, Any]:
-    """A `Sweep` as plain values, from which `sweep_from` makes it again."""
+    """Convert a `Sweep` to plain values, from which `sweep_from` makes it again."""
 
     def simple(value):
         if isinstance(value, Range):

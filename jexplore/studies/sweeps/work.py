@@ -34,7 +34,7 @@ def run_block_units(
     on_progress: Callable[[int], object] | None = None,
     begun: Mapping[int, "pd.DataFrame"] = MappingProxyType({}),
 ) -> Costs:
-    """Runs units of a sweep.
+    """Run units of a sweep.
 
     Args:
       plan: `Plan`.
@@ -79,7 +79,7 @@ def run_block_units(
 
 
 def windows(plan: Plan, numbers: Sequence[int]) -> Iterator[list[int]]:
-    """Units that are run together: few enough that what they need fits into the memory."""
+    """Yield units that are run together: few enough to fit into the memory."""
     window, sites, episodes = [], set(), 0
     for number in numbers:
         own = {(block.setting, block.world) for block in plan.units[number]}
@@ -95,7 +95,7 @@ def windows(plan: Plan, numbers: Sequence[int]) -> Iterator[list[int]]:
 
 
 def _rows(plan, block, job, found):
-    """The rows of a block, as columns."""
+    """Return the rows of a block, as columns."""
     strategy = plan.strategies[block.strategy]
     # The job's own starts begin with the block's first episode.
     rows = rows_of(job._replace(strategy=strategy), Unit(0, 0, block.n, 0), found)

@@ -65,11 +65,11 @@ class Drift:
 
     @property
     def summary(self) -> "pd.DataFrame":
-        """A row for every error and value: see `summarised`."""
+        """Tabulate a row for every error and value: see `summarised`."""
         return summarised(self.runs, self.axes, self.plan.noise)
 
     def figure(self) -> "Figure":
-        """The three measures over every error; below the example: its grid map, and its map on the true plan."""
+        """Draw the three measures over every error; below the example: its grid map, and its map on the true plan."""
         from jexplore.report.plots import drift as plots
         from jexplore.studies.traces.recording import wall_lines
 
@@ -181,7 +181,7 @@ class _Made:
         self.example: Example | None = None
 
     def put(self, i, result, way):
-        """Takes run i: a `Result` with a leading axis of 1, and its way."""
+        """Take run i: a `Result` with a leading axis of 1, and its way."""
         plan, setting, run = self.plan, int(self.setting[i]), int(self.which[i])
         errors = own_values(plan.swept, setting)
         row, maps = table_of(plan, result, self.setting[i : i + 1], self.which[i : i + 1], errors)
@@ -199,7 +199,7 @@ class _Made:
             self.on_progress(len(self.rows))
 
     def table(self):
-        """The table of all runs."""
+        """Return the table of all runs."""
         import pandas as pd
 
         table = pd.concat([self.rows[i] for i in sorted(self.rows)])
@@ -244,7 +244,7 @@ def placed_truly(btm: BtmMap, node_at: np.ndarray, way: Driven, origin_m: tuple[
 
 
 def summarised(runs: Any, axes: Mapping[str, Sequence[float]], noise: Noise) -> "pd.DataFrame":
-    """A row for every error and value.
+    """Tabulate a row for every error and value.
 
     Args:
       runs: `Drift.runs`, a pandas DataFrame.

@@ -33,7 +33,7 @@ class Extracted:
 
     @property
     def measures(self) -> dict[str, Any]:
-        """The episode's measures: name -> value."""
+        """Return the episode's measures: name -> value."""
         return {"strategy": self.episode.strategy, **self.episode.measures}
 
     def agreement(self) -> list[str]:
@@ -42,7 +42,7 @@ class Extracted:
         return [] if course is None else [agreement(self.map, course.topology, self.episode.world.cell_m)]
 
     def figure(self) -> "Figure":
-        """The map over the building and the robot's way: a matplotlib `Figure`."""
+        """Draw the map over the building and the robot's way: a matplotlib `Figure`."""
         world, final = self.episode.world, self.episode.final
         x, y = centre_of(final.rows, final.cols, cell_m=world.cell_m, origin_m=world.origin_m)
         world = with_ring(world)
@@ -61,7 +61,7 @@ def extracted(
     clutter_m: float = CLUTTER_M,
     tuning: Tuning | None = None,
 ) -> Extracted:
-    """Explores a world and reads the map off the last grid.
+    """Explore a world and extract the map from the last grid.
 
     Args:
       world: name or `World`. A course is explored from its own start.
@@ -103,7 +103,7 @@ def extracted(
 
 
 def matched(found: BtmMap, true: BtmMap, cell_m: float) -> tuple[int, int, int]:
-    """Divergences of one map that lie where another has one of the same degree.
+    """Return divergences of one map that lie where another has one of the same degree.
 
     Args:
       found, true: `BtmMap`.

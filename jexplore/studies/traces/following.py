@@ -108,7 +108,7 @@ def follow(
 
 
 def _driven(world, btm, found, robot, settings, seed, how):
-    """The `mission.Result` of all routes."""
+    """Drive all routes: their `mission.Result`."""
     building = building_of(world, marks_m=_refused_places(btm, found))
     begun = [start_of(world, building, robot, btm, route) for route in found]
     guides = _guides(world, btm, found, [start[1:] for start in begun])
@@ -129,7 +129,7 @@ def _driven(world, btm, found, robot, settings, seed, how):
 
 
 def _refused_places(btm, found):
-    """Middles of straight links that the map refuses to the robot of some routes: `[K, 3]`, as for `building_of`."""
+    """Return the middles of straight links that are refused to a route's robot: `[K, 3]`, as for `building_of`."""
     nodes, refused = {node.id: node for node in btm.nodes}, {own for route in found for own, _ in route.refused}
     places = []
     for link in btm.links:
@@ -141,7 +141,7 @@ def _refused_places(btm, found):
 
 
 def _checked(world, btm, found, robot, tuning, noise):
-    """`(Robot, Tuning, Noise)`, or a refusal."""
+    """Check and return `(Robot, Tuning, Noise)`."""
     btm = routes.checked(btm)
     body = routes.robot_of(robot) if isinstance(robot, str) else robot
     tuning = for_world(as_record("tuning", tuning or {}, Tuning), is_course=world.course is not None)
@@ -205,7 +205,7 @@ def start_of(
 
 
 def _turning(robot):
-    """A square in which a robot can turn, with some room."""
+    """Return a square in which a robot can turn, with some room."""
     side_m = math.hypot(robot.length_m, robot.width_m) + 2 * ROOM_M
     return dataclasses.replace(robot, length_m=side_m, width_m=side_m)
 
@@ -250,7 +250,7 @@ def _nearest(node, others):
 
 
 def _ways(btm, node):
-    """Bearings of the ways of a node, radians."""
+    """Return bearings of the exits of a node, radians."""
     found = []
     for bearing in btm.bearings_deg(node):
         if all(abs(apart_deg(bearing, other)) > ONE_DEG for other in found):
@@ -293,7 +293,7 @@ def _table(world, btm, found, result):
 
 
 def _changed(btm, found, result, robot):
-    """The map with what was found otherwise, and sentences."""
+    """Return the map with the differences found, and sentences."""
     links = {link.id: link for link in btm.links}
     told, count = [], max(links, default=-1) + 1
     for i, route in enumerate(found):
@@ -310,7 +310,7 @@ def _changed(btm, found, result, robot):
 
 
 def _places(btm, route):
-    """The divergences on a route, with the step that leads to each: a list."""
+    """Return the divergences on a route, with the step that leads to each: a list."""
     types = {node.id: node.type for node in btm.nodes}
     return [step for step in route.steps if types[step.end] == "divergence"]
 
@@ -333,7 +333,7 @@ def _blocked_link(btm, route, result, robot):
 
 
 def _blocked(link, robot, *, walled):
-    """The link blocked, for all where there is a wall, and nothing of what maps said about that before."""
+    """Mark the link as blocked, for all robots if by a wall, and drop earlier statements about that."""
     own = {name: value for name, value in link.attributes.items() if name != BLOCKED_FOR}
     if isinstance(own.get(CONFLICTS), Mapping):
         own[CONFLICTS] = {name: told for name, told in own[CONFLICTS].items() if name not in (BLOCKED, BLOCKED_FOR)}
@@ -342,7 +342,7 @@ def _blocked(link, robot, *, walled):
 
 
 def _new_ways(btm, route, seen):
-    """Ways that were found at the places of a route: pairs of a node and a bearing, degrees."""
+    """Yield new exits at the places of a route: pairs of a node and a bearing, degrees."""
     for step, ways in zip(_places(btm, route), seen):
         for bearing in ways[np.isfinite(ways)]:
             yield step.end, math.degrees(float(bearing)) % 360.0

@@ -49,7 +49,7 @@ def station(maps: Sequence[BtmMap], names: Sequence[str] | None = None, *, title
 
 
 def page_of(panels: Sequence[Panel], said: Sequence[str], title: str | None = None) -> str:
-    """The page of what `panels_of` found."""
+    """Make the page of the result of `panels_of`."""
     names = [name for panel in panels for name in panel.maps]
     return station_page(title or f"Station: {', '.join(names)}", panels, list(ROBOTS.values()), said)
 
@@ -59,7 +59,7 @@ def panels_of(
     names: Sequence[str] | None = None,
     on_progress: Callable[[int], object] = lambda compared: None,
 ) -> tuple[list[Panel], list[str]]:
-    """Maps merged as far as they fit.
+    """Merge maps as far as they fit.
 
     Args:
       maps, names: as of `station`.
@@ -91,7 +91,7 @@ def panels_of(
 
 
 def _panels(given, on_progress):
-    """The same of two maps or more, by name."""
+    """Merge two maps or more, by name."""
     groups, left, outcome = [], given, Merging.MERGED
     while len(left) > 1:
         once = {} if groups else {"on_progress": on_progress}

@@ -77,12 +77,12 @@ def storage(
 
 
 def _read_off(free, cell_m):
-    """The map that a robot is to write there."""
+    """Return the map that a robot should write there."""
     return extract(free, np.ones_like(free), cell_m, open_m=for_world(Tuning(), is_course=False).open_m)
 
 
 def packed(btm: BtmMap) -> bytes:
-    """The map as two arrays of records, one behind the other: 8 bytes a node, 16 a link, without attributes.
+    """Pack the map into two arrays of records, one after the other: 8 bytes a node, 16 a link, without attributes.
 
     Places, lengths and bearings are whole centimetres and degrees of 16 bits, widths and openings decimetres, steps
     centimetres and inclinations degrees of 8 bits; a type and its obstacle are one number, so are status and a link
@@ -139,7 +139,7 @@ def _grid(states):
 
 
 def _pose_graph(btm):
-    """Bytes of poses, one scan each, and edges."""
+    """Return the bytes of poses, one scan each, and edges."""
     searched = [link for link in btm.links if link.end != NOWHERE]
     way_m = sum(link.length_m or 0.0 for link in searched)
     poses = 1 + math.ceil(way_m / POSE_EVERY_M)

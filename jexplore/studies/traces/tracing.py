@@ -58,7 +58,7 @@ class Traced:
 
     @property
     def truth(self) -> BtmMap | None:
-        """The true map, a `BtmMap`: see `TraceJob.topology`."""
+        """Return the true map, a `BtmMap`: see `TraceJob.topology`."""
         return self.plan.topology
 
     def scans(self) -> ScanLog:
@@ -67,14 +67,14 @@ class Traced:
 
 
 def blocks_of(plan: TraceJob) -> list[tuple[int, int]]:
-    """The units of a plan: a list of `(first run, number of runs)`."""
+    """Return the units of a plan: a list of `(first run, number of runs)`."""
     n = plan.runs * plan.settings
     size = max(LEAST, -(-n // MOST_UNITS))
     return [(first, min(size, n - first)) for first in range(0, n, size)]
 
 
 def asked(plan: TraceJob) -> dict[str, Any]:
-    """All that the results of a plan depend on, as plain values."""
+    """Return all that the results of a plan depend on, as plain values."""
     return {
         "version": __version__,
         "world": os.fspath(plan.world.name),
@@ -165,11 +165,11 @@ class _Made:
 
     @property
     def tuning_and_noise(self):
-        """`(Tuning, Noise)` of arrays, a value a run where one is swept."""
+        """Return `(Tuning, Noise)` of arrays, a value a run where one is swept."""
         return with_values(self.plan.tuning, self.plan.noise, self.chosen)
 
     def put(self, place, result, driven, keep=True):
-        """Takes the runs of a block, the one at this place in `left`."""
+        """Take the runs of a block, the one at this place in `left`."""
         unit = self.left[place]
         at = slice(self.blocks[unit][0], sum(self.blocks[unit]))
         own = {name: values[at] for name, values in self.chosen.items()}
@@ -182,7 +182,7 @@ class _Made:
             self.ledger.put(unit, self.tables[unit].assign(**extra))
 
     def add_rest(self, report):
-        """Takes what has ended of blocks that have not, because the run was interrupted; it is not kept."""
+        """Take the finished runs of blocks interrupted on the way; they are not kept."""
         for place, unit in enumerate(self.left):
             if unit not in self.tables:
                 at = slice(self.blocks[unit][0], sum(self.blocks[unit]))
@@ -190,7 +190,7 @@ class _Made:
 
 
 def _written_first(first):
-    """Map and way of run 0 as bytes, from which `_read_first` makes them again."""
+    """Encode map and way of run 0 as bytes, from which `_read_first` makes them again."""
     found, driven = first
     file = io.BytesIO()
     page = json.dumps(store.jsonable(json_form.to_json(found)))
@@ -236,7 +236,7 @@ def trace(
 
 
 def map_of(plan: TraceJob, result: Any, i: int) -> BtmMap:
-    """The map of run i of a `Result` as the robot wrote it: `BtmMap`."""
+    """Return the map of run i of a `Result` as the robot wrote it: `BtmMap`."""
     import jax
 
     own = jax.tree.map(lambda a: a[i], result.map)
@@ -263,7 +263,7 @@ def _helps(help_at, origin_m):
 
 
 def table_of(plan: TraceJob, result: Any, setting: Any, which: Any, chosen: dict[str, Any]) -> tuple[Any, list[BtmMap]]:
-    """The table of runs that have ended, and the maps of all, what contradicted itself in them taken out.
+    """Return the table of finished runs, and all their maps, repaired.
 
     Args:
       plan: `TraceJob`.

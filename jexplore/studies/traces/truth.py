@@ -101,7 +101,7 @@ def maps_from(world: World, truth: Truth, pose: tuple[float, float, float]) -> t
 
 
 def _around(clear, cell):
-    """The connected part of a mask in which a cell lies, or that is nearest to it."""
+    """Return the connected part of a mask in which a cell lies, or that is nearest to it."""
     if not clear.any():
         return clear
     parts = label_components(clear)
