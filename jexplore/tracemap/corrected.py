@@ -64,7 +64,7 @@ def moves(btm: BtmMap) -> list[tuple[int, int, list[float]]]:
 
 
 def laid_out(btm: BtmMap, moves: list[tuple[int, int, list[float]]]) -> tuple[np.ndarray, np.ndarray]:
-    """Places that fit moves between nodes best.
+    """Fit places to moves between nodes.
 
     Args:
       btm: the map.
@@ -99,7 +99,7 @@ def _moved(link):
 
 
 def _turned(link: Link, turn_deg) -> Link:
-    """A link with the bearings, and the move, that it has once the frames of its nodes are turned."""
+    """Turn a link's bearings and move with the frames of its nodes."""
     end_deg = None
     if link.end_bearing_deg is not None:
         end_deg = direction_deg(link.end_bearing_deg + turn_deg[link.end])

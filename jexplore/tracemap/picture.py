@@ -20,7 +20,7 @@ _COLOURS = {"terminal": "#ffffff", "divergence": "#f0e442", "free_space": "#56b4
 
 
 def nodes_and_links(btm: Any) -> bytes:
-    """The map as the bytes of a PNG, about `LONG_PX` on its longer side.
+    """Draw the map as the bytes of a PNG, about `LONG_PX` on its longer side.
 
     Squares are terminals, circles divergences, diamonds free spaces, triangles obstacles; links that nobody has
     followed are short grey strokes.

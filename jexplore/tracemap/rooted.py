@@ -44,7 +44,7 @@ def topology_from(topology: BtmMap, pose: tuple[float, float, float]) -> BtmMap:
 
 
 def _without_start(topology):
-    """Nodes by id and links, without the node where the map was begun."""
+    """Return nodes by id and links, without the node where the map was begun."""
     first, *others = topology.nodes
     ends = [link for link in topology.links if first.id in (link.start, link.end)]
     if first.type != "terminal" or len(ends) != 2:
@@ -62,7 +62,7 @@ def _without_start(topology):
 
 
 def _turned(link, as_it_is):
-    """The link as it is, or followed the other way."""
+    """Return the link as it is, or followed the other way."""
     if as_it_is:
         return link
     return dataclasses.replace(
@@ -75,7 +75,7 @@ def _turned(link, as_it_is):
 
 
 def _distance_m(nodes, link, pose):
-    """From a place to the straight way between the nodes of a link."""
+    """Return the distance from a place to the straight way between the nodes of a link."""
     a, b = nodes[link.start], nodes[link.end]
     dx, dy, px, py = b.x_m - a.x_m, b.y_m - a.y_m, pose[0] - a.x_m, pose[1] - a.y_m
     share = min(max((px * dx + py * dy) / max(dx * dx + dy * dy, 1e-12), 0.0), 1.0)
@@ -83,7 +83,7 @@ def _distance_m(nodes, link, pose):
 
 
 def _split(first, link, root, free):
-    """The parts of a link before and after the start."""
+    """Split a link at the start: the parts before and after."""
     bearing = math.radians(link.start_bearing_deg)
     along = (root.x_m - first.x_m) * math.cos(bearing) + (root.y_m - first.y_m) * math.sin(bearing)
     along = round(min(max(along, 0.0), link.length_m), 9)
@@ -94,14 +94,14 @@ def _split(first, link, root, free):
 
 
 def _ahead(link, heading_deg, parts):
-    """The part of a split link that a robot with this heading follows."""
+    """Return the part of a split link that a robot with this heading follows."""
     turn = math.radians(link.start_bearing_deg - heading_deg)
     onward = math.cos(turn) if abs(math.cos(turn)) > _SQUARE else math.sin(turn)
     return parts[1] if onward > 0 else parts[0]
 
 
 def _in_order(nodes, links, root, ahead):
-    """The map that begins at a node with a link, everything numbered as the robot comes to it."""
+    """Renumber everything as a robot meets it that begins at a node with a link: the map."""
     around = {number: [] for number in nodes}  # (bearing, link as it is followed from there)
     for link in links:
         around[link.start].append((link.start_bearing_deg, link))

@@ -99,7 +99,7 @@ class Index:
 
 
 def index_of(btm: BtmMap) -> Index:
-    """A proper map by ids."""
+    """Index a proper map by ids."""
     nodes, links = {node.id: node for node in btm.nodes}, {link.id: link for link in btm.links}
     ends: dict[int, dict[tuple[int, bool], float]] = {own: {} for own in nodes}
     for link in btm.links:
@@ -121,16 +121,16 @@ class Sheet:
 
     @functools.cached_property
     def part(self) -> dict[int, int]:
-        """Node -> a node of the part of the map that its links join, one for all of the part."""
+        """Return node -> a node of its connected part, one for all of the part."""
         return parts_of(self.index.nodes, self.index.links.values())
 
     @functools.cached_property
     def parts_with_stubs(self) -> frozenset[int]:
-        """Parts, as of `part`, with an un-searched link."""
+        """Return parts, as of `part`, with an un-searched link."""
         return frozenset(self.part[link.start] for link in self.index.links.values() if link.end == NOWHERE)
 
     def steps(self, nodes: Sequence[int], links: Sequence[int]) -> tuple[Step, ...]:
-        """The steps of a way.
+        """Make the steps of a way.
 
         Args:
           nodes: ids that links leave, in order; more of them do not count.

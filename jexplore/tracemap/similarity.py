@@ -60,7 +60,7 @@ def differences(
 
 
 def distance(a: BtmMap, b: BtmMap) -> int:
-    """Graph distance of two maps: the least number of changes that make the code of one the code of the other.
+    """Compute the graph distance of two maps: the least number of changes that make their codes equal.
 
     It is the edit distance of the trees that the codes write out, at unit costs. One change adds, removes or relabels
     one vertex: a node together with the link by which it is entered (one taken out of a way leaves its neighbours
@@ -119,7 +119,7 @@ _LETTER = {"terminal": "T", "divergence": "D", "free_space": "F", "obstacle": "O
 
 
 def _tree(btm):
-    """Vertices in preorder; the first is an extra one above the first node of every connected part."""
+    """Return vertices in preorder; the first is an extra one above the first node of every connected part."""
     around = ends_around(btm)
     nodes, reached, closing = {node.id: node for node in btm.nodes}, set(), {}
     tree = [_Vertex("", -1)]
@@ -149,7 +149,7 @@ def _tree(btm):
 
 
 def ends_around(btm):
-    """Ends of links by node, counter-clockwise: `(bearing, id, 0 at the start of the link or 1, link)`."""
+    """Return ends of links by node, counter-clockwise: `(bearing, id, 0 at the start of the link or 1, link)`."""
     around = {node.id: [] for node in btm.nodes}
     for link in btm.links:
         around[link.start].append((direction_deg(link.start_bearing_deg), link.id, 0, link))
@@ -170,7 +170,7 @@ _TURNED = {"start_bearing_deg": "end_bearing_deg", "end_bearing_deg": "start_bea
 
 
 def _measures(kind, item, match, turned, tolerance_m, tolerance_deg):
-    """Sentences about the measures of two records; `turned` if one link was followed the other way."""
+    """Yield sentences about the measures of two records; `turned` if one link was followed the other way."""
     for name in (field.name for field in dataclasses.fields(item)):
         unit, limit = ("m", tolerance_m) if name.endswith("_m") else ("degrees", tolerance_deg)
         if limit is None or not name.endswith(("_m", "_deg")) or (turned and name == "opening_m"):
@@ -198,7 +198,7 @@ _WORDS = {
 
 
 def _departure(first, second):
-    """Two trees that differ: how many of what, and where a common walk through both ends."""
+    """Describe where two trees differ: how many of what, and where a common walk through both ends."""
     found = []
     for mark, what in _WORDS.items():
         one, other = (sum(vertex.label[:1] == mark for vertex in tree) for tree in (first, second))
@@ -220,7 +220,7 @@ def _met(tree, at):
 
 
 def _postorder(tree):
-    """Labels in postorder, and of each vertex the place of the first in its subtree."""
+    """Return labels in postorder, and of each vertex the place of the first in its subtree."""
     size, depth = [1] * len(tree), [0] * len(tree)
     for i in range(len(tree) - 1, 0, -1):
         size[tree[i].parent] += size[i]

@@ -37,12 +37,12 @@ class Evidence:
 
     @property
     def tries(self) -> float:
-        """Logarithm of how many ways there are to lay one map on the other."""
+        """Return the logarithm of the number of ways to lay one map on the other."""
         first = sum(map(len, self.pair.one.ways.values()))
         return math.log(max(first * len(self.pair.other.ways), 1))
 
     def gain(self, guess: Guess) -> float:
-        """Logarithm of the likelihood ratio, nats: nodes, lengths, widths, inclinations, less contradictions."""
+        """Return the log likelihood ratio, nats: nodes, lengths, widths, inclinations, less contradictions."""
         whole = [(way, match) for way, match in guess.ways if way.is_whole and match.is_whole]
         total = sum(self._node(*entry) for entry in guess.entries) + self._lengths(whole)
         measured = set()
@@ -61,7 +61,7 @@ class Evidence:
         return total - CONTRADICTION * len(guess.contradictions)
 
     def _node(self, a, i, b, j):
-        """A node that looks alike, by how many others would as well."""
+        """Return the evidence of a node that looks alike, by how many others would as well."""
         pair = self.pair
         likeness = pair.alike((pair.one, a, i), (pair.other, b, j))
         lost = likeness.lost if likeness else 0
@@ -90,7 +90,7 @@ class Evidence:
         return _bell(length - other, math.sqrt(self._noise2 + self._scale2 * other**2))
 
     def _lengths(self, pairs):
-        """Lengths, all wrong by one factor that is not known and each a little besides."""
+        """Return the evidence of lengths, all wrong by one unknown factor and each by a small error."""
         noise2, scale2 = self._noise2, self._scale2
         off = [match.length_m - way.length_m for way, match in pairs]
         square = sum(way.length_m**2 for way, _ in pairs) / noise2 * scale2
@@ -105,7 +105,7 @@ class Evidence:
 
 
 def whole_ways(part: Places) -> list[Way]:
-    """Ways between places, each once."""
+    """Return ways between places, each once."""
     found = []
     for a, ways in part.ways.items():
         found += [way for i, way in enumerate(ways) if way.is_whole and (a, i) < (way.end, way.back)]
@@ -119,7 +119,7 @@ class _Usual:
         self._values, self.bell, self._sums = [value for value in values if value is not None], bell, {}
 
     def density(self, value: float, match: float, at_large: float) -> float:
-        """Of a value; it, and the one that it is matched with, are not counted."""
+        """Return the density of a value, without counting it and the matched one."""
         if value not in self._sums:
             self._sums[value] = sum(self.bell(value, other) for other in self._values)
         others = max(self._sums[value] - self.bell(value, value) - self.bell(value, match), 0.0)

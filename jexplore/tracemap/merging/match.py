@@ -101,7 +101,7 @@ def match(one: BtmMap, other: BtmMap, *, limits: Limits | None = None, min_commo
 
 
 def _weighed(one, other, limits):
-    """The pair, its evidence, and what its guesses are worth, the best first: a list of `_Candidate`."""
+    """Return the pair, its evidence, and its weighed guesses, the best first: a list of `_Candidate`."""
     pair = Pair(places_of(one), places_of(other), limits)
     evidence, found, places = Evidence(pair), [], (_places(one), _places(other))
     for guess in pair.guesses():
@@ -117,7 +117,7 @@ def _links(way, match):
 
 
 def _same_stops(guess, limits):
-    """Terminal nodes of two maps at one point of a way: `{of the second: of the first}`."""
+    """Return terminal nodes of two maps at one point of a way: `{of the second: of the first}`."""
     whole = [(way.length_m, match.length_m) for way, match in guess.ways if way.is_whole and match.is_whole]
     noise2, scale2 = limits.length_m**2 / 4 + 1e-6, limits.length_share**2 * 2 / 3 + 1e-9
     first, second = (sum(lengths[side] ** 2 for lengths in whole) / noise2 + 1 / scale2 for side in (0, 1))
@@ -134,7 +134,7 @@ def _same_stops(guess, limits):
 
 
 def _move(onto, points, guess, nodes, limits):
-    """The transform of a guess; None if places lie farther apart than drift allows."""
+    """Return the transform of a guess; None if places lie farther apart than drift allows."""
     move = _fit(onto, points, nodes, mean_deg([alike.turn_deg for alike in guess.alike.values()]))
     middle = [sum(onto[a][axis] for a in nodes.values()) / len(nodes) for axis in (0, 1)]
     limit_m = limits.place(max(math.dist(onto[a], middle) for a in nodes.values()))
@@ -170,7 +170,7 @@ def _together(best, candidate, other, limits):
 
 
 def _parts(best, rest, other, limits):
-    """The best guess and what goes with it, the best first."""
+    """Return the best guess and those compatible with it, the best first."""
     parts = [best]
     for candidate in itertools.takewhile(lambda candidate: candidate.gain > PART, rest):
         taken = {b for part in parts for b in part.nodes}

@@ -44,7 +44,7 @@ def with_neighbours(
 
 
 def _nearest(pair, nodes, turns, move, b):
-    """The place of the first map that a place of the second is, and how the second is turned there; None for none."""
+    """Return the place of the first map that matches a place of the second, and its turn there; None for none."""
     matched = [key for key in nodes if nodes[key] in turns]
     here = _place(pair.other, b)
     beside = min(matched, key=lambda key: math.dist(_place(pair.other, key), here))
@@ -70,7 +70,7 @@ def _place(part, key):
 
 
 def _ways(pair, nodes, ways, turns):
-    """The matched ways, and those of new places that agree."""
+    """Return the matched ways, and those of new places that agree."""
     found, taken = list(ways), {key for both in ways for key in _taken(*both)}
     for b, a in nodes.items():
         if a not in turns or b not in pair.other.nodes:
@@ -86,6 +86,6 @@ def _ways(pair, nodes, ways, turns):
 
 
 def _taken(way, match):
-    """Links that can be matched no more. A way that one map has gone along may be met once more at its other end."""
+    """Return links that can be matched no more. A way followed in one map may be met again at its other end."""
     is_half = way.is_whole != match.is_whole
     return {id(link) for one in (way, match) if not (is_half and one.is_whole) for link, _ in one.steps}

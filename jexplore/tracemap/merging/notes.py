@@ -18,12 +18,12 @@ OF_A_WRITER = ("robot", "frame")
 
 
 def sources_of(btm: BtmMap, name: str) -> list[str]:
-    """Names of the maps that a map was made of: its own, if it was not merged."""
+    """Return names of the maps that a map was made of: its own, if it was not merged."""
     return list(btm.attributes.get(MERGED_FROM, [name]))
 
 
 def stripped(btm: BtmMap, *names: str) -> BtmMap:
-    """The map with no attributes but `FROM`, by its names."""
+    """Strip the map of all attributes but `FROM`, by its names."""
 
     def bare(item):
         return dataclasses.replace(item, attributes={FROM: dict.fromkeys(names, item.id)})
@@ -60,7 +60,7 @@ def restored(btm: BtmMap, originals: Mapping[str, BtmMap]) -> BtmMap:
 
 
 def conflicts(btm: BtmMap) -> list[str]:
-    """Sentences about what the maps that one was made of say differently."""
+    """List the differences of the maps that one was made of, in sentences."""
     found = []
     for what, item in _named(btm):
         for name, told in item.attributes.get(CONFLICTS, {}).items():
@@ -73,14 +73,14 @@ def conflicts(btm: BtmMap) -> list[str]:
 
 
 def contradiction(names: Sequence[str], others: Sequence[str], count: int, nodes: Sequence[int]) -> str:
-    """The sentence about ways that leave the same nodes alike but go on otherwise in some maps than in others."""
+    """Describe ways that leave the same nodes alike but continue differently in some maps: a sentence."""
     what = f"{count} way leads" if count == 1 else f"{count} ways lead"
     where = f"node{'s' * (len(nodes) > 1)} {', '.join(map(str, nodes))}"
     return f"{where}: {what} elsewhere in {', '.join(others)} than in {', '.join(names)}; the map has both"
 
 
 def by_place(names: Sequence[str], others: Sequence[str], nodes: Sequence[int]) -> str:
-    """The sentence about nodes that are one only because they lie where they should."""
+    """Describe nodes that were matched by their position alone: a sentence."""
     where = f"node{'s' * (len(nodes) > 1)} {', '.join(map(str, nodes))}"
     return f"{where}: one in {', '.join(names)} and in {', '.join(others)} by place and bearings alone"
 

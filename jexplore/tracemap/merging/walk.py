@@ -83,7 +83,7 @@ class Pair:
         self._alike, self._rivals = {}, {}
 
     def rivals(self, part: Places, a: int, other: Places) -> list[int]:
-        """Places of a map that may look like a place: of its type and obstacle, with about as many ways."""
+        """Return places of a map that may look like a place: of its type and obstacle, with about as many ways."""
         node, n = part.nodes[a], len(part.ways[a])
         key = (id(other), node.type, node.obstacle, n)
         if key not in self._rivals:
@@ -119,7 +119,7 @@ class Pair:
     def aligned(
         self, ways: Sequence[Way], others: Sequence[Way], turn_deg: float, entry: tuple[int, int] | None = None
     ) -> tuple[tuple[tuple[int, int], ...], float]:
-        """Ways of two places that leave alike, once the second is turned about so, and the turn that suits them best.
+        """Return ways of two places that leave alike, with the second turned, and the turn that suits them best.
 
         Args:
           ways, others: of the places.
@@ -141,7 +141,7 @@ class Pair:
         return found, apart_deg(turn_deg + middle, 0.0)
 
     def guesses(self) -> Iterator[Guess]:
-        """All that can be grown, each once: from every pair of places that look alike, in every turn."""
+        """Yield all guesses, each once: from every pair of places that look alike, in every turn."""
         seen = set()
         for a, ways in self.one.ways.items():
             for b in self.rivals(self.one, a, self.other):

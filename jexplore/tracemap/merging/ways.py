@@ -35,13 +35,13 @@ class Way:
 
     @property
     def opening_m(self) -> float | None:
-        """Width of the opening; None where it is not known, as where the robot came in."""
+        """Return the width of the opening; None if unknown, as where the robot came in."""
         link, forward = self.steps[0]
         return link.opening_m if forward else None
 
     @property
     def width_m(self) -> float | None:
-        """Narrowest passage; None where it is not known."""
+        """Return the narrowest passage; None if unknown."""
         return least(link.min_width_m for link, _ in self.steps)
 
 
@@ -64,7 +64,7 @@ def most(values: Iterable[float | None]) -> float | None:
 
 
 def places_of(btm: BtmMap) -> Places:
-    """The places of a proper map. A link without a length is as long as its nodes are apart."""
+    """Return the places of a proper map. A link without a length is as long as its nodes are apart."""
     around, nodes = ends_around(btm), {node.id: node for node in btm.nodes}
     kept = {key: node for key, node in nodes.items() if node.type != "terminal" or len(around[key]) > 2}
     index = {end[1:3]: (key, i) for key in kept for i, end in enumerate(around[key])}

@@ -25,7 +25,7 @@ class Way(NamedTuple):
 
 
 def ways_of(btm: BtmMap, node: int) -> Iterator[Way]:
-    """Searched links of a node whose move is known; both ways of one that leads back to it."""
+    """Yield searched links of a node whose move is known; both ways of one that leads back to it."""
     for link in btm.links:
         moved = link.attributes.get("moved")
         if link.end == NOWHERE or link.end_bearing_deg is None or moved is None:
@@ -38,7 +38,7 @@ def ways_of(btm: BtmMap, node: int) -> Iterator[Way]:
 
 
 def inverse(move: Move) -> Move:
-    """The move back."""
+    """Return the move back."""
     x_m, y_m = Move(turn_deg=-move.turn_deg).place(-move.x_m, -move.y_m)
     return Move(x_m, y_m, -move.turn_deg)
 
@@ -59,7 +59,7 @@ def are_near(bearing_deg: float | None, other_deg: float | None) -> bool:
 
 
 def joined(btm: BtmMap, kept: int, gone: int, turn_deg: float) -> BtmMap | None:
-    """The map where two nodes are one, which has the links of both; None where they are of two types.
+    """Merge two nodes, keeping the links of both; None if their types differ.
 
     Un-searched links go that leave by an opening by which another one leaves.
 
@@ -77,7 +77,7 @@ def joined(btm: BtmMap, kept: int, gone: int, turn_deg: float) -> BtmMap | None:
 
 
 def without(btm: BtmMap, link: Link) -> BtmMap:
-    """The map without a link."""
+    """Remove a link."""
     return dataclasses.replace(btm, links=tuple(other for other in btm.links if other.id != link.id))
 
 
