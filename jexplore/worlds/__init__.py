@@ -65,7 +65,7 @@ _FILES = {
 
 
 def listing() -> Listing:
-    """The worlds that `load_world` knows, with what they take, as a table that shows itself: `jx.worlds()`."""
+    """List the worlds that `load_world` knows, with their parameters, as a table that shows itself: `jx.worlds()`."""
     rows = []
     for name in GENERATORS:
         told = ", ".join(f"{key}={value}" for key, value in generator_parameters(name).items())
@@ -86,7 +86,7 @@ sys.modules[__name__].__class__ = _Package
 
 @checked_names
 def load_world(name: str | os.PathLike[str], cell_m: float = 0.1) -> "World":
-    """The world of a name: a generated one, or one read from a map file.
+    """Load the world of a name: a generated one, or one read from a map file.
 
     `cave`, `cave#3`, `hospital#2:width_m=60,height_m=25`, `map.yaml`, `map.png@16x16`, `map.png@0.05:free=150`,
     `map.map@0.1`, `plan.json`, `scans.log`, `run.bag:topic=/map`: `names.parse` has the grammar, the readers say what a
@@ -158,7 +158,7 @@ def read_name(
 
 
 def _taken(parsed):
-    """A name without the parameters `names.INSIDE`, and what they choose: the arguments of `inside`, or None."""
+    """Take the parameters `names.INSIDE` off a name: the name, and the arguments of `inside` or None."""
     if parsed.kind == "generator":
         return parsed, None
     rest = {key: value for key, value in parsed.parameters.items() if key not in names.INSIDE}
@@ -198,7 +198,7 @@ def _generate(parsed, cell_m):
 
 
 def _as_default(parsed, key, value, default):
-    """`value` in the type of the parameter's default, so that `width_m=60` is the metres 60.0."""
+    """Convert `value` to the type of the parameter's default, so that `width_m=60` is the metres 60.0."""
     if isinstance(default, float) and type(value) is int:
         return float(value)
     if isinstance(default, (bool, int, float, str)) and type(value) is not type(default):

@@ -131,7 +131,7 @@ def joint_of(name: str) -> str | None:
 
 
 def short_names(names: Sequence[str]) -> list[str]:
-    """Short names that tell worlds, or other files, apart: of a path the shortest end that no other one has.
+    """Make short distinct names of worlds, or other files: of a path the shortest end that no other one has.
 
     Args:
       names: different names, such as `floor1/map.yaml`.

@@ -47,7 +47,7 @@ def draw_plan(
     cell_m: float,
     origin_m: tuple[float, float] = (0.0, 0.0),
 ) -> Any:
-    """A floor plan on matplotlib `Axes`, in metres.
+    """Draw a floor plan on matplotlib `Axes`, in metres.
 
     Args:
       ax: the axes.
@@ -72,7 +72,7 @@ def draw_plan(
 
 
 def _colours(occupied, rooms):
-    """`[H, W, 3]` uint8: walls black, floor white, rooms in soft colours."""
+    """Return `[H, W, 3]` uint8: walls black, floor white, rooms in soft colours."""
     rooms = None if rooms is None else np.asarray(rooms)
     colours = np.full((*occupied.shape, 3), 255, np.uint8)
     if rooms is not None and rooms.max() >= 0:
@@ -82,7 +82,7 @@ def _colours(occupied, rooms):
 
 
 def _arrow(middle, heading_deg):
-    """Corners of an arrow head, pixels of the fine image."""
+    """Yield corners of an arrow head, pixels of the fine image."""
     turn = math.radians(heading_deg)
     for ahead, left in ((1.0, 0.0), (-0.7, 0.7), (-0.3, 0.0), (-0.7, -0.7)):
         x, y = ahead * math.cos(turn) - left * math.sin(turn), ahead * math.sin(turn) + left * math.cos(turn)

@@ -30,7 +30,7 @@ class _Regions(NamedTuple):
 
 
 def _regions(world):
-    """The regions that are apart for the default robot: every free cell goes to the nearest along free cells."""
+    """Divide free cells into regions that are apart for the default robot, each by the nearest free cells."""
     floor = filled(label_components(clear_in(world, GAP_M)), ~world.occupied, world.occupied.size)
     m2 = np.bincount(floor[floor >= 0]) * world.cell_m**2
     at_edge = np.zeros(len(m2), bool)
@@ -40,7 +40,7 @@ def _regions(world):
 
 
 def _edge(array):
-    """The cells along the edge of an array, round it once."""
+    """Return the cells along the edge of an array, round it once."""
     return np.concatenate([array[0], array[-1], array[1:-1, 0], array[1:-1, -1]])
 
 

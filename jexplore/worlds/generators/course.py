@@ -122,7 +122,7 @@ def _paper(width_m, creases):
 
 
 def _drawn(rng, width_m, creases, dead_ends):
-    """A route that keeps clear of itself: with fewer elements where many do not fit. Two always do."""
+    """Draw a route that keeps clear of itself: with fewer elements if many do not fit. Two always do."""
     n = int(rng.integers(4, 9))
     route = None
     for n_elements in range(n, 1, -1):
@@ -155,7 +155,7 @@ def _attempt(rng, n_elements, width_m, creases, dead_ends):
 
 
 def _furnish(rng, route):
-    """A box in some passages, no nearer than 1.6 m to their ends, where the nodes are."""
+    """Place a box in some passages, no nearer than 1.6 m to their ends, where the nodes are."""
     for i, (rect, heading) in enumerate(route.straights):
         along, across = sorted((0, 1), key=lambda axis: axis != heading % 2)
         length, width = (rect[axis + 2] - rect[axis] for axis in (along, across))

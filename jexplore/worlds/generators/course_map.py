@@ -32,15 +32,15 @@ class _Grid:
         self.shape = tuple(math.ceil(side / cell_m - 1e-6) for side in (high - self.low)[::-1].tolist())
 
     def cells(self, value, axis):
-        """The nearest edge between cells; `axis` 0 for x, 1 for y."""
+        """Return the nearest edge between cells; `axis` 0 for x, 1 for y."""
         return to_cells((value - float(self.low[axis])) / self.cell_m)
 
     def snap(self, value, axis):
-        """The same in metres."""
+        """Return the same in metres."""
         return round(self.cells(value, axis) * self.cell_m, 9)
 
     def box(self, rect):
-        """Rows and columns of a rectangle."""
+        """Return rows and columns of a rectangle."""
         x0, y0, x1, y1 = (self.cells(value, i % 2) for i, value in enumerate(rect))
         return slice(y0, y1), slice(x0, x1)
 
@@ -49,13 +49,13 @@ class _Grid:
         return sum(self.snap(side, 1 - heading % 2) for side in lane) / 2
 
     def width(self, heading, lane):
-        """Metres, of a passage."""
+        """Return the width of a passage, metres."""
         low, high = (self.cells(side, 1 - heading % 2) for side in lane)
         return round((high - low) * self.cell_m, 9)
 
 
 def render(plan: Route | Network, cell_m: float, obstacle: str, riser_m: float) -> World:
-    """A course as a world.
+    """Render a course as a world.
 
     Args:
       plan: a `Route`, which ends at a goal, or a `Network`, in which the robot goes on until nothing is left.
@@ -170,7 +170,7 @@ def _node(number, stop, grid, obstacle, riser_m):
 
 
 def _links(route, nodes, grid):
-    """Links that the robot follows in the order of following, then the others."""
+    """Return links that the robot follows in the order of following, then the others."""
     links = []
     for leg in sorted(route.legs, key=lambda leg: leg.end is None):
         width = grid.width(leg.heading, leg.lane)

@@ -23,7 +23,7 @@ OUTER_M = 0.3
 
 
 def random_stream(seed: int, kind: int) -> np.random.Generator:
-    """The random numbers of a seed, different for every kind of world.
+    """Return the generator of a seed, different for every kind of world.
 
     Args:
       seed: integer from 0.
@@ -75,14 +75,14 @@ def passable_cells(cell_m: float) -> int:
 
 
 def to_cells(length: float) -> int:
-    """The nearest whole number; a half goes up, also one that rounding has made a little less."""
+    """Round to a whole number; a half goes up, also one that rounding has made slightly less."""
     return math.floor(length + 0.5 + 1e-6)
 
 
 def wall_span(
     middle_m: float, side_m: float, cell_m: float, *, wall_m: float = WALL_M, outer_m: float = OUTER_M
 ) -> tuple[int, int]:
-    """The cells that a wall covers across its thickness: at least one, and as many wherever it stands.
+    """Return the cells that a wall covers across its thickness: at least one, and as many wherever it stands.
 
     Args:
       middle_m: where the wall's middle lies, metres; 0 and `side_m` are the outer faces of the outer walls.
@@ -105,7 +105,7 @@ def wall_span(
 
 
 def block_cells(block: tuple[float, float, float, float], cell_m: float) -> tuple[slice, slice]:
-    """The rows and columns that a block covers: at least one of each."""
+    """Return the rows and columns that a block covers: at least one of each."""
     x, y = (
         slice(to_cells(low / cell_m), max(to_cells(low / cell_m) + 1, to_cells(high / cell_m)))
         for low, high in (block[::2], block[1::2])
@@ -127,7 +127,7 @@ class Side:
     """Ends of the side along the wall, metres."""
 
     def block(self, low: float, near: float, high: float, far: float) -> tuple[float, float, float, float]:
-        """A rectangle from `low` to `high` along the wall, and `near` to `far` from its middle, metres."""
+        """Return a rectangle from `low` to `high` along the wall, and `near` to `far` from its middle, metres."""
         first, last = sorted((self.wall + self.inward * near, self.wall + self.inward * far))
         return (first, low, last, high) if self.vertical else (low, first, high, last)
 
@@ -170,7 +170,7 @@ class FloorPlan:
         return len(self.rooms) - 1
 
     def beside(self, door: Door) -> tuple[int, int]:
-        """The numbers of the rooms on both sides of a door: at the lower and at the higher coordinate."""
+        """Return the numbers of the rooms on both sides of a door: at the lower and at the higher coordinate."""
         low, high = -1, -1
         for number, rects in enumerate(self.rooms):
             for rect in rects:
@@ -181,7 +181,7 @@ class FloorPlan:
         return low, high
 
     def shared_walls(self, a: int, b: int) -> list[tuple[bool, float, float, float]]:
-        """The straight stretches of wall that two rooms share: `(vertical, wall, low, high)`, metres, as in `Door`."""
+        """Return the straight stretches of wall that two rooms share: `(vertical, wall, low, high)`, see `Door`."""
         stretches = []
         for p in self.rooms[a]:
             for q in self.rooms[b]:
@@ -199,7 +199,7 @@ class FloorPlan:
         return apart
 
     def bare_walls(self, room: int, keep_m: float) -> list[Side]:
-        """The stretches of a room's walls that are `keep_m` metres and more away from its doors and openings."""
+        """Return the stretches of a room's walls that are `keep_m` metres and more away from its doors and openings."""
         stretches = []
         for rect in self.rooms[room]:
             x0, y0, x1, y1 = rect
@@ -225,17 +225,17 @@ class FloorPlan:
         return stretches
 
     def gap(self, stretch: tuple[bool, float, float, float], width: float, at: float = 0.5) -> None:
-        """A door in a stretch of wall. `at` goes from 0, at its lower end, to 1; jambs remain at both ends."""
+        """Add a door in a stretch of wall. `at` goes from 0, at its lower end, to 1; jambs remain at both ends."""
         vertical, wall, low, high = stretch
         margin = min((high - low) / 2, width / 2 + WALL_M / 2 + 0.25)
         self.doors.append(Door(vertical, wall, low + margin + at * (high - low - 2 * margin), width, low, high))
 
     def door(self, a: int, b: int, width: float, at: float = 0.5) -> None:
-        """A door between two rooms, in the longest stretch of wall that they share."""
+        """Add a door between two rooms, in the longest stretch of wall that they share."""
         self.gap(max(self.shared_walls(a, b), key=lambda stretch: stretch[3] - stretch[2]), width, at)
 
     def render(self, cell_m: float, *, flip_x: bool = False, flip_y: bool = False) -> World:
-        """The plan as cells.
+        """Render the plan as cells.
 
         A wall is at least one cell thick. A door has the whole number of cells nearest to its width, fewer where that
         leaves no cell of wall on either side, but never fewer than a robot passes (`passable_cells`).

@@ -95,7 +95,7 @@ def furnish(plan: FloorPlan, seed: int, kind: int, furniture: float) -> None:
 
 
 def _spaces(plan, number, doors, empty):
-    """The room in the cells of every check, `empty` being the plan in them."""
+    """Return the room in the cells of every check, `empty` being the plan in them."""
     return [
         _Space(world, number, plan.rooms[number], doors, clearance_m) for world, (_, clearance_m) in zip(empty, CHECKS)
     ]
@@ -150,7 +150,7 @@ def _at_a_wall(rng, plan, walls, rects, name, beyond_m):
 
 
 def _wall_piece(rng, name):
-    """A piece along a wall: its length, its depth, and its parts: `u` along the wall, `v` away from it, metres."""
+    """Draw a piece along a wall: length, depth, and its parts: `u` along the wall, `v` away from it, metres."""
     rank, later = rng.random(2)
     later = max(rank, later)
     if name == "desk":
@@ -174,7 +174,7 @@ def _wall_piece(rng, name):
 
 
 def _in_the_open(rng, rects, name):
-    """A table with chairs round it or desks face to face, away from the walls; None where the room is too small."""
+    """Draw a table with chairs or desks face to face, away from the walls; None if the room is too small."""
     x0, y0, x1, y1 = max(rects, key=_area)
     if name == "pod":  # as many desks in a row as there is room for, all rows one way
         turned, seats = x1 - x0 < y1 - y0, 2 if max(x1 - x0, y1 - y0) > 9 else 1
@@ -212,7 +212,7 @@ def _leg(u, v):
 
 
 def _legs(u0, v0, u1, v1):
-    """The legs at the corners of a rectangle."""
+    """Return the legs at the corners of a rectangle."""
     return [_leg(u, v) for u in (u0, u1 - _LEG_M) for v in (v0, v1 - _LEG_M)]
 
 
@@ -297,14 +297,14 @@ class _Space:
 
 
 def _components(mask):
-    """4-connected components, numbered from 1; 0 elsewhere."""
+    """Label 4-connected components from 1; 0 elsewhere."""
     labels = np.empty(mask.shape, np.int32)
     ndimage.label(mask, output=labels)
     return labels
 
 
 def _that_fit(pieces, before, spaces):
-    """Those of some pieces that fit into a room after others: each one that fits with all that fitted before it."""
+    """Return those pieces that fit into a room after others: each one that fits with all accepted before."""
     if not pieces or all(space.fits([*before, *pieces]) for space in spaces):
         return pieces
     if len(pieces) == 1:

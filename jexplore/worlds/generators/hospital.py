@@ -86,7 +86,7 @@ def hospital(
 
 
 def _ward(rng, plan, end, stack, corridor_m, kinds):
-    """The ward from x = 0 to `end`. Returns the number of its corridor."""
+    """Draw the ward from x = 0 to `end`; return the number of its corridor."""
     lines = stack[1::2]
     x = 0.0
     if len(lines) == 1:
@@ -113,7 +113,7 @@ def _ward(rng, plan, end, stack, corridor_m, kinds):
 
 
 def _patients(rng, plan, rect, front, kinds):
-    """A row of patient rooms and stores between a facade and a corridor that begins at y = `front`."""
+    """Draw a row of patient rooms and stores between a facade and a corridor that begins at y = `front`."""
     x0, y0, x1, y1 = rect
     left = bool(rng.random() < 0.5)
     for width in cut(rng, x1 - x0, kinds):
@@ -129,7 +129,7 @@ def _patients(rng, plan, rect, front, kinds):
 
 
 def _with_bathroom(rng, plan, rect, front, inner_m, left):
-    """A patient room with a bathroom `inner_m` wide in the corner at the corridor, left or right of the entrance."""
+    """Draw a patient room with a bathroom `inner_m` wide in the corner next to the entrance."""
     x0, y0, x1, y1 = rect
     depth = rng.uniform(1.8, 2.2)
     y = front + depth if front == y0 else front - depth
@@ -175,7 +175,7 @@ def _core(rng, plan, rect):
 
 
 def _desk(plan, x, y):
-    """A counter on three sides of a square place, open towards the top."""
+    """Draw a counter on three sides of a square place, open towards the top."""
     half_x, half_y, depth = 1.3, 0.85, 0.4
     plan.blocks += [
         (x - half_x, y - half_y, x + half_x, y - half_y + depth),
@@ -185,7 +185,7 @@ def _desk(plan, x, y):
 
 
 def _hall(rng, plan, ends, stack):
-    """The hall, from the facade to the last corridor, and the rooms behind it. Returns its number."""
+    """Draw the hall, from the facade to the last corridor, and the rooms behind it; return its number."""
     x0, x1 = ends
     y = stack[-2][1]
     rect = (x0, 0.0, x1, y)
@@ -199,7 +199,7 @@ def _hall(rng, plan, ends, stack):
 
 
 def _treatment(rng, plan, begin, stack, hall, kinds):
-    """The wing from x = `begin` to the end, along the first or the last corridor of the ward."""
+    """Draw the wing from x = `begin` to the end, along the first or the last corridor of the ward."""
     end = plan.width_m
     first = bool(rng.random() < 0.5)
     row, line = (stack[0], stack[1]) if first else (stack[-1], stack[-2])
@@ -221,7 +221,7 @@ def _treatment(rng, plan, begin, stack, hall, kinds):
 
 
 def _suites(rng, plan, ends, front, back):
-    """Waiting rooms at a corridor (y = `front`), each with two or three rooms behind it."""
+    """Draw waiting rooms at a corridor (y = `front`), each with two or three rooms behind it."""
     x0 = ends[0]
     for width in cut(rng, ends[1] - ends[0], [(1.0, 6.5, 10.0)]):
         middle = front + (back - front) * rng.uniform(0.42, 0.52)

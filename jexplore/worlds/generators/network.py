@@ -141,7 +141,7 @@ def _wanted(draw, sides, repeat):
 
 
 def _lines(draw, keys, repeat):
-    """Key -> the two sides of a line, metres. Those of equal junctions are alike and equally far apart."""
+    """Return key -> the two sides of a line, metres. Those of equal junctions are alike and equally far apart."""
     equal_width, equal_gap, at, found = draw.width(), draw.length(5.0, 8.0), 0.0, {}
     keys = sorted(keys)
     for key, after in zip(keys, [*keys[1:], None]):
@@ -174,7 +174,7 @@ class _Made:
         return x0, y0, x1, y1
 
     def spur(self, at, heading, length, may_fail=False):
-        """A passage with a dead end, so long from its mouth at a place on a line to its end.
+        """Add a passage with a dead end, of a length from its mouth at a place on a line to its end.
 
         One that may fail is left out where it would come too near to another passage.
         """
@@ -191,7 +191,7 @@ class _Made:
         self.spurs.append((at, far))
 
     def places_and_pairs(self):
-        """Rectangles of the places where passages meet or end, and the passages as pairs of them, dead ends first."""
+        """Return rectangles of places where passages meet or end, and passages as pairs, dead ends first."""
         keys = sorted(self.keys)
         places = [*map(self._place, keys), *(far for _, far in self.spurs)]
         pairs = [(len(keys) + i, keys.index(at)) for i, (at, _) in enumerate(self.spurs)]
@@ -219,7 +219,7 @@ def _overlap(a, b):
 
 
 def _turned(rects, quarters, mirrored):
-    """Rectangles turned counter-clockwise about the origin, then mirrored in x."""
+    """Turn rectangles counter-clockwise about the origin, then mirror them in x."""
     for _ in range(quarters):
         rects = [(-y1, x0, -y0, x1) for x0, y0, x1, y1 in rects]
     return [(-x1, y0, -x0, y1) for x0, y0, x1, y1 in rects] if mirrored else list(rects)

@@ -20,7 +20,7 @@ _OPENINGS, _LOOPS, _WIDTHS, _NICHES = 101, 102, 103, 104  # random streams
 
 
 def stream(seed: int, kind: int, use: int, *more: int) -> np.random.Generator:
-    """Random numbers of a seed for one use, apart from those that draw the building: a numpy `Generator`."""
+    """Return the generator of a seed for one use, apart from those that draw the building."""
     return np.random.default_rng([int(seed), kind, use, *more])
 
 
@@ -48,7 +48,7 @@ def require_variants(
 
 
 def corridor_widths(seed: int, kind: int, n: int, corridor_m: float, sd_m: float) -> list[float]:
-    """Widths of the corridors of a building: normally distributed, cut off where a corridor is no more.
+    """Draw widths of the corridors of a building: a truncated normal distribution.
 
     Args:
       seed, kind: of the building.
@@ -148,7 +148,7 @@ def widen_openings(plan: FloorPlan, seed: int, kind: int, share: float) -> None:
 
 
 def _widened(doors: list[Door], i: int, width: float) -> Door | None:
-    """Door `i` as an opening, between the ends of its wall and the other doors in it; None where it does not fit."""
+    """Widen door `i` to an opening, between the ends of its wall and its other doors; None if it does not fit."""
     door = doors[i]
     low, high = door.low + WALL_M / 2, door.high - WALL_M / 2
     for other in doors:

@@ -61,7 +61,7 @@ def free_cells(
 def upright(
     where: str, occupancy: np.ndarray, yaw_rad: float, resolution_m: float, origin_m: tuple[float, float]
 ) -> tuple[np.ndarray, tuple[float, float]]:
-    """A grid that lies turned in its frame, as one whose rows run along x.
+    """Resample a grid that lies turned in its frame to one whose rows run along x.
 
     A turn that is a multiple of 90 degrees moves whole cells; so does one that differs from it by so little that no
     cell is moved by half its edge. At another angle a cell has the largest occupancy of all cells that it overlaps, the
@@ -106,7 +106,7 @@ def upright(
 
 
 def _turned(occupancy, yaw_rad):
-    """The grid at any angle, and where its lower left corner lies: x, y in cells from the old one."""
+    """Turn the grid by any angle, and return its lower left corner: x, y in cells from the old one."""
     rows, cols = occupancy.shape
     cos, sin = math.cos(yaw_rad), math.sin(yaw_rad)
     x, y = (np.array([0, cols, 0, cols]) * a + np.array([0, 0, rows, rows]) * b for a, b in ((cos, -sin), (sin, cos)))

@@ -64,7 +64,7 @@ def _read_plan(path):
 
 
 def _numbers(path, key, value, width):
-    """`[n, width]` float64."""
+    """Return `[n, width]` float64."""
     try:
         numbers = np.array(value, float) if value else np.empty((0, width))
     except (TypeError, ValueError, OverflowError):
@@ -75,13 +75,13 @@ def _numbers(path, key, value, width):
 
 
 def _edges(corners):
-    """Edges of the closed outline, the lower end first: x0, y0, x1, y1 in cells."""
+    """Yield edges of the closed outline, the lower end first: x0, y0, x1, y1 in cells."""
     for (x0, y0), (x1, y1) in zip(corners, np.roll(corners, -1, axis=0)):
         yield (x0, y0, x1, y1) if y0 <= y1 else (x1, y1, x0, y0)
 
 
 def _outline(corners, shape):
-    """Cells that an edge passes through; a cell owns its left and lower sides."""
+    """Return cells that an edge passes through; a cell owns its left and lower sides."""
     wall = np.zeros(shape, bool)
     for x0, y0, x1, y1 in _edges(corners):
         for row in range(math.floor(y0), math.floor(y1) + 1):
@@ -96,7 +96,7 @@ def _clip(row, y0, y1):
 
 
 def _inside(corners, shape):
-    """Cells whose centres lie inside the outline, by the even-odd rule."""
+    """Return cells whose centres lie inside the outline, by the even-odd rule."""
     rows, cols = shape
     crossings = np.zeros((rows, cols + 1), np.int32)  # edges that cross a row's centre line left of a cell's centre
     for x0, y0, x1, y1 in _edges(corners):
@@ -128,6 +128,6 @@ def _rooms(path, categories, low, cell_m, occupied):
 
 
 def _between(low, high, n):
-    """Indices of the cells 0..n-1 with centres from low to below high."""
+    """Return indices of the cells 0..n-1 with centres from low to below high."""
     first, end = (min(max(math.ceil(value - 0.5 - 1e-6), 0), n) for value in (low, high))
     return slice(first, end)

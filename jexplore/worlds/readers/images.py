@@ -89,7 +89,7 @@ def _occupied(path, levels, free):
 
 
 def read_pixels(path: str | os.PathLike[str], *, as_stored: bool = False) -> np.ndarray:
-    """The pixels of a picture file, refused by its header if there are too many.
+    """Read the pixels of a picture file, refused by its header if there are too many.
 
     Args:
       path: the file.
@@ -140,7 +140,7 @@ def read_pixels(path: str | os.PathLike[str], *, as_stored: bool = False) -> np.
 
 
 def _upright(image):
-    """A picture turned as its EXIF data say; as it is where these are damaged."""
+    """Turn a picture as its EXIF data say; unchanged if these are damaged."""
     image.load()  # raises where the picture itself is damaged
     try:
         return ImageOps.exif_transpose(image)
@@ -149,7 +149,7 @@ def _upright(image):
 
 
 def _with_short_line_end(content, image):
-    """A PBM, PGM or PPM in binary as its format has it: one character between header and pixels, where CR LF are two.
+    """Normalise a binary PBM, PGM or PPM: one character between header and pixels, where CR LF are two.
 
     The two are told from CR and a first pixel of 10 by the length of the file.
     """
@@ -176,14 +176,14 @@ def _warn_of_blur(path, shade):
 
 
 def grey(levels: np.ndarray) -> np.ndarray:
-    """`[h, w]` uint8 greys of `[h, w, c]` levels: as they are, or the luma of ITU-R 601 as Pillow computes it."""
+    """Convert `[h, w, c]` levels to `[h, w]` uint8 greys: unchanged, or the luma of ITU-R 601 as in Pillow."""
     if levels.shape[2] == 1:
         return levels[..., 0]
     return np.asarray(Image.fromarray(np.ascontiguousarray(levels[..., :3])).convert("L"))
 
 
 def transparency(levels: np.ndarray) -> np.ndarray:
-    """`[h, w]` bool, where `[h, w, c]` levels are not fully opaque."""
+    """Return `[h, w]` bool, where `[h, w, c]` levels are not fully opaque."""
     if levels.shape[2] == 4:
         return levels[..., 3] < 255
     return np.zeros(levels.shape[:2], bool)
@@ -204,7 +204,7 @@ def _levels(path, image, form):
 
 
 def _levels_of_32_bits(path, values, plain):
-    """Greys of pixels that say nowhere what white is: the least of 1 (of floats), 255 and 65535 that none is above."""
+    """Scale greys of unknown range: white is the least of 1 (of floats), 255 and 65535 that none is above."""
     top = values.max()  # NaN is no number at all
     whites = (1, 255, 65535) if values.dtype.kind == "f" else (255, 65535)
     white = next((white for white in whites if top <= white), None)
@@ -219,7 +219,7 @@ def _brightest(shade, clear):
 
 
 def _extent(any_along):
-    """First index and length of the range from the first to the last True."""
+    """Return first index and length of the range from the first to the last True."""
     where = np.flatnonzero(any_along)
     return int(where[0]), int(where[-1] - where[0] + 1)
 

@@ -57,7 +57,7 @@ class RosInfo:
 
 
 def read_ros(path: str | os.PathLike[str]) -> tuple[np.ndarray, RosInfo]:
-    """The occupancy of a ROS map, cell for cell as the map server publishes it.
+    """Read the occupancy of a ROS map, cell for cell as the map server publishes it.
 
     Args:
       path: the yaml file. Its `image` is relative to it.
@@ -78,7 +78,7 @@ LONGEST = 300  # characters that are quoted of a message
 
 
 def _read(path):
-    """The picture's levels, row 0 at the bottom, and the `RosInfo`."""
+    """Read the picture's levels, row 0 at the bottom, and the `RosInfo`."""
     info = _read_yaml(path)
     try:
         return read_pixels(info.image, as_stored=True)[::-1], info
@@ -201,7 +201,7 @@ def write_ros(
 
 
 def _decimal(value):
-    """A length without the rounding errors of sums, in a form that every YAML reader takes for a number."""
+    """Format a length without the rounding errors of sums, as a number for every YAML reader."""
     return np.format_float_positional(round(value, 12) + 0.0, trim="0")
 
 
@@ -219,7 +219,7 @@ def _as_occupancy(grid):
 
 
 def _occupancy(levels, info):
-    """Occupancy by way of a table over greys, in 32 bits as the map server has it."""
+    """Compute the occupancy by a table over greys, in 32 bits as the map server does."""
     shade = np.arange(256)
     if info.mode == "raw":
         return np.where(shade > 100, -1, shade).astype(np.int8)[grey(levels)]
@@ -237,7 +237,7 @@ def _occupancy(levels, info):
 
 
 def _warn_of_unknown(path, levels, info, free):
-    """Warns where pixels are free that have the grey which map savers write for unknown."""
+    """Warn where pixels are free that have the grey which map savers write for unknown."""
     share = ((grey(levels) == _UNKNOWN) & free).mean()
     if share < _SUSPECT or info.mode == "raw":  # which has no such grey
         return
@@ -287,7 +287,7 @@ def _read_yaml(path):
 
 
 def _float(path, key, value, **bounds):
-    """A number as the map server takes it: also in quotes, and true for 1."""
+    """Parse a number as the map server does: also in quotes, and true for 1."""
     try:
         number = value if "_" in str(value) else float(value)
     except (TypeError, ValueError, OverflowError):
