@@ -82,7 +82,7 @@ def empty(n_nodes: int, n_links: int) -> Btm:
 
 
 def _put(array, at, value):
-    """`array` with one entry replaced; beyond the last nothing is.
+    """Replace one entry of `array`; an index beyond the last does nothing.
 
     Of so few entries all are looked at: a scatter each, a hundred of them, takes long to compile.
     """
@@ -90,7 +90,7 @@ def _put(array, at, value):
 
 
 def add_node(btm: Btm, kind: Array | int, x_m: Array | float, y_m: Array | float, **fields: Any) -> tuple[Btm, Array]:
-    """Adds a node.
+    """Add a node.
 
     Args:
       btm: `Btm`.
@@ -113,7 +113,7 @@ def add_node(btm: Btm, kind: Array | int, x_m: Array | float, y_m: Array | float
 def add_link(
     btm: Btm, start: Array | int, bearing: Array | float, *, when: Array | bool = True, **fields: Any
 ) -> tuple[Btm, Array]:
-    """Adds a link that has not been followed.
+    """Add a link that has not been followed.
 
     Args:
       btm: `Btm`.
@@ -139,7 +139,7 @@ def add_link(
 def end_link(
     btm: Btm, link: Array | int, end: Array | int, bearing: Array | float, *, when: Array | bool = True, **fields: Any
 ) -> Btm:
-    """Ends a link at a node: it has been followed.
+    """End a link at a node: it has been followed.
 
     Args:
       btm: `Btm`.
@@ -158,7 +158,7 @@ def end_link(
 
 
 def wrapped(angle: Any) -> Any:
-    """An angle in [-pi, pi), radians."""
+    """Return an angle in [-pi, pi), radians."""
     return (angle + math.pi) % (2 * math.pi) - math.pi
 
 
@@ -178,7 +178,7 @@ def nearest_node(btm: Btm, x_m: Array | float, y_m: Array | float, kind: Array |
 
 
 def open_links(btm: Btm) -> Array:
-    """Links that nobody has followed though one could: `[M] bool`."""
+    """Return links that nobody has followed though one could: `[M] bool`."""
     return (btm.status == UNSEARCHED) & ~btm.blocked
 
 
@@ -218,7 +218,7 @@ def hops_to_open(btm: Btm) -> Array:
 
 
 def next_hop(btm: Btm, node: Array | int) -> tuple[Array, Array, Array]:
-    """The link by which the shortest way to an un-searched link leaves a node.
+    """Return the link by which the shortest way to an un-searched link leaves a node.
 
     Returns:
       `(link, bearing, to)`: int32, radians, int32 node at its other end; `NONE`, 0 and `NONE` where there is no way.
@@ -240,7 +240,7 @@ def next_hop(btm: Btm, node: Array | int) -> tuple[Array, Array, Array]:
 
 
 def to_map(btm: Btm, *, origin_m: tuple[float, float] = (0.0, 0.0), **attributes: Any) -> BtmMap:
-    """The map as a record on the host.
+    """Convert the map to a record on the host.
 
     Args:
       btm: `Btm` of one run, on the host or a device.
@@ -301,7 +301,7 @@ def to_map(btm: Btm, *, origin_m: tuple[float, float] = (0.0, 0.0), **attributes
 
 
 def _bearing_deg(bearing):
-    """A bearing in radians, NaN for none, in degrees."""
+    """Convert a bearing in radians, NaN for none, to degrees."""
     return direction_deg(math.degrees(bearing)) if math.isfinite(bearing) else None
 
 

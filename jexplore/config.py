@@ -94,7 +94,7 @@ _Record = TypeVar("_Record")
 
 
 def as_record(name: str, given: Any, kind: type[_Record]) -> _Record:
-    """A record of settings, which a mapping of some of its fields stands for: `{"range_m": 4}` for `Lidar(range_m=4)`.
+    """Make a record of settings from a mapping of some of its fields: `{"range_m": 4}` for `Lidar(range_m=4)`.
 
     Raises:
       InputError: neither, a field that the record does not have, or a value that it refuses.
@@ -110,7 +110,7 @@ def as_record(name: str, given: Any, kind: type[_Record]) -> _Record:
 
 
 def require_whole(name: str, value: Any, low: int, high: int) -> int:
-    """`value` as an int within the bounds, both inclusive.
+    """Return `value` as an int within the bounds, both inclusive.
 
     Raises:
       InputError: not a whole number, or outside the bounds.
@@ -174,7 +174,7 @@ def require_different(kind: str, names: Sequence[str], hint: str = "") -> None:
 def unknown(
     kind: str, word: str, known: Collection[str], synonyms: Mapping[str, str] = MappingProxyType({})
 ) -> InputError:
-    """The error for a word that is not among those known: says which exist and which was probably meant.
+    """Return the error for an unknown word: names the known ones and the one probably meant.
 
     `synonyms`: what others call some of them -> their names.
     """
@@ -189,7 +189,7 @@ _Called = TypeVar("_Called", bound=Callable[..., Any])
 
 
 def checked_names(called: _Called, own: str = "") -> _Called:
-    """Makes a public function or class refuse keyword arguments that it does not take, with the nearest that it does.
+    """Make a public function or class refuse keyword arguments that it does not take, with the nearest that it does.
 
     Of a class that holds for making one and for its own public methods. Signatures stay as they are. `own` is what a
     message calls it, by default its name.
@@ -205,7 +205,7 @@ def checked_names(called: _Called, own: str = "") -> _Called:
 
 
 def _checked_function(function, own=""):
-    """A function whose unknown keyword arguments are an `InputError`."""
+    """Make unknown keyword arguments of a function an `InputError`."""
     parameters = inspect.signature(function).parameters
     kinds = {parameter.kind for parameter in parameters.values()}
     known = [name for name, parameter in parameters.items() if parameter.kind not in _NAMELESS]
@@ -233,7 +233,7 @@ def _name_of(function):
 
 
 def _unknown_argument(own, name, known, parameters):
-    """The error for an argument that a function does not take; a field of one of its records is told as such."""
+    """Return the error for an argument that a function does not take, with a hint for a field of one of its records."""
     records = {key: parameters[key].default for key in known if dataclasses.is_dataclass(parameters[key].default)}
     inside = {field.name: key for key, record in records.items() for field in dataclasses.fields(record)}
     without_unit = [one for one in (*known, *inside) if one.startswith(f"{name}_")]
@@ -247,7 +247,7 @@ class Settings:
     """Common base of records of settings."""
 
     def replace(self, **changes: Any) -> Self:
-        """The same settings with some fields changed.
+        """Return the same settings with some fields changed.
 
         Raises:
           InputError: no such field, or a value that it refuses.

@@ -59,7 +59,7 @@ def nearest_offset(sites: Array) -> tuple[Array, Array, Array]:
 
 @jax.jit
 def nearest_site(sites: Array) -> tuple[Array, Array]:
-    """Squared distance to the nearest site of every cell, and which site it is.
+    """Compute the squared distance to the nearest site of every cell, and which site it is.
 
     Args:
       sites: `[H, W]` bool, True at a site. H * W below 2**31.
@@ -79,7 +79,7 @@ def nearest_site(sites: Array) -> tuple[Array, Array]:
 
 
 def within(mask: Array, d2: int) -> Array:
-    """Cells that have a True cell within a distance: the test behind clearance.
+    """Return cells that have a True cell within a distance: the test behind clearance.
 
     Args:
       mask: `[H, W]` bool.
@@ -92,7 +92,7 @@ def within(mask: Array, d2: int) -> Array:
 
 
 def within_packed(words: Array, d2: int) -> Array:
-    """`within` for packed masks: `[K, W]` uint32 to the same."""
+    """Compute `within` for packed masks: `[K, W]` uint32 to the same."""
     radius = math.isqrt(d2)
     # spread[w]: True within w columns of a True cell; a disc needs one such row for every row offset.
     spread = [words]

@@ -14,7 +14,7 @@ from jexplore.grid import Grid, any_within_one_packed, is_free, is_known, is_occ
 
 
 def clear_cells(grid: Grid, *, p_free: Array | float, clearance_d2: int) -> Array:
-    """Free cells with no occupied cell within the clearance.
+    """Return free cells with no occupied cell within the clearance.
 
     Args:
       grid: `Grid`, `[H, W]`.
@@ -31,7 +31,7 @@ def clear_cells(grid: Grid, *, p_free: Array | float, clearance_d2: int) -> Arra
 
 
 def disc(shape: tuple[int, ...], row: Array | int, col: Array | int, d2: Array | float) -> Array:
-    """Cells within a distance of a cell.
+    """Return cells within a distance of a cell.
 
     Args:
       shape: `(H, W)`. Static.
@@ -66,7 +66,7 @@ def plan_masks(
     clearance_d2: int,
     stays_inside: bool = False,
 ) -> Masks:
-    """Traversable and frontier cells at once, packed.
+    """Compute traversable and frontier cells at once, packed.
 
     Traversable: clear cells, free ones near the robot, and the way that it has driven; without the last two, walls
     that are seen late close the way behind the robot. Frontier: clear cells that are 8-adjacent to an unknown cell
@@ -118,7 +118,7 @@ class Clusters:
 
 
 def label_clusters(cells: sparse.Cells) -> Array:
-    """For every cell of a list the lowest slot of its 8-connected group: `[K]` int32; its own in an unused slot.
+    """Return for every cell of a list the lowest slot of its 8-connected group: `[K]` int32; its own in an unused slot.
 
     Args:
       cells: `sparse.Cells`.
@@ -147,7 +147,7 @@ def frontier_clusters(
     max_cells: int | None = None,
     part: int = groups.PART,
 ) -> Clusters:
-    """Groups of frontier cells that touch each other along edges or corners.
+    """Group frontier cells that touch each other along edges or corners.
 
     Args:
       frontier: `[H, W]` bool.
@@ -182,8 +182,11 @@ def frontier_clusters(
 
 
 def _sizes(cells, width, max_clusters):
-    """The number of each listed cell's cluster, `[K]` int32, `max_clusters` for one that does not fit; how many
-    clusters there are; and their cells, the sum of their rows, and of their columns, `[3, M]` int32.
+    """Label the listed cells by cluster, and sum the clusters up.
+
+    Returns:
+      `(number, n, sums)`: `[K]` int32, `max_clusters` for one that does not fit; int32, clusters; `[3, M]` int32, their
+        cells, the sum of their rows, and of their columns.
     """
 
     def add(slot, used, state):
@@ -206,8 +209,10 @@ def _sizes(cells, width, max_clusters):
 
 
 def _members(cells, number, total, cost, shape):
-    """The flat index of the cell that stands for each cluster, `[M]` int32, and the cluster of every cell of the map,
-    `[H * W]` int32; arguments from `_sizes` and `frontier_clusters`.
+    """Choose the cell that stands for each cluster; arguments from `_sizes` and `frontier_clusters`.
+
+    Returns:
+      `(member, label)`: `[M]` int32, flat index; `[H * W]` int32, the cluster of every cell of the map.
     """
     none, width, max_clusters = shape[0] * shape[1], shape[1], total.shape[1]
 

@@ -39,7 +39,7 @@ class ViewGain(NamedTuple):
 def stops_and_unknown(
     grid: Grid, extent: Array | tuple[Array | int, Array | int], p_free: Array | float, within: Array | None = None
 ) -> tuple[Array, Array]:
-    """Cells that stop a simulated beam, and cells of which it would tell something new.
+    """Return cells that stop a simulated beam, and cells that it would observe.
 
     Beams end at the world's outermost cells, known or not.
 
@@ -60,7 +60,7 @@ def stops_and_unknown(
 def prospect(
     grid: Grid, extent: Array | tuple[Array | int, Array | int], p_free: Array | float, within: Array | None = None
 ) -> Prospect:
-    """`Prospect` of a map. Arguments as for `stops_and_unknown`. One cell in 16 may be mixed."""
+    """Make the `Prospect` of a map. Arguments as for `stops_and_unknown`. One cell in 16 may be mixed."""
     stops, unknown = stops_and_unknown(grid, extent, p_free, within)
     mixed = (grid.hits > 0) & (grid.misses > 0)
     none = mixed.size
@@ -73,7 +73,7 @@ def prospect(
 
 
 def window_of(beams: Beams, shape: tuple[int, ...]) -> tuple[int, ...]:
-    """Sides of the square, at most the map, that holds all that a look from its middle can reach: `(h, w)`, static."""
+    """Return the sides of the square, at most the map, that a look-around from its middle can reach: `(h, w)`."""
     radius = math.ceil(beams.offset.shape[1] / math.sqrt(2)) + 1
     return tuple(min(2 * radius + 1, n) for n in shape)
 
@@ -106,7 +106,7 @@ def most(prospect: Prospect, row: Array, col: Array, beams: Beams) -> Array:
 
 
 def _passed(prospect, row, col, beams, scratch):
-    """Cast a look-around on a scratch: the scratch, the corner of its window, and there the passed and unknown cells."""
+    """Cast a look-around on a scratch: scratch, corner of the window, and there the passed and unknown cells."""
     shape, zero = prospect.stops.shape, jnp.int32(0)
     found = scan(prospect.stops, row, col, zero, beams)
     scratch = fold(scratch, row, col, zero, found, beams)
@@ -117,7 +117,7 @@ def _passed(prospect, row, col, beams, scratch):
 
 
 def _wiped(scratch, corner, size):
-    """A scratch with zeros in a window again."""
+    """Reset a window of a scratch to zeros."""
     blank = jnp.zeros(size, jnp.int32)
     return Grid(*(lax.dynamic_update_slice(a, blank, corner) for a in (scratch.hits, scratch.misses)))
 
@@ -161,7 +161,7 @@ def unknown_near(
     beams: Beams,
     within: Array | None = None,
 ) -> Array:
-    """The most unknown cells that one beam of a look all round from a cell shows in its first `raycast.BLOCK` steps.
+    """Return the most unknown cells that a beam of a look-around shows in its first `raycast.BLOCK` steps.
 
     Args:
       grid, extent, p_free, within: as for `stops_and_unknown`.

@@ -51,7 +51,7 @@ class Scan:
 
 
 def exact_direction(deg: float | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Unit vector of an angle, free of rounding where the sine or cosine is 0, 1/2, 1 or sqrt(1/2).
+    """Return the unit vector of an angle, exact where the sine or cosine is 0, 1/2, 1 or sqrt(1/2).
 
     Args:
       deg: `[...]` float, degrees. Host.
@@ -69,7 +69,7 @@ def exact_direction(deg: float | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def beam_angles_deg(lidar: Lidar) -> np.ndarray:
-    """Angles of a scanner's beams relative to the robot's heading.
+    """Compute the angles of a scanner's beams relative to the robot's heading.
 
     Returns:
       `[B]` float64, degrees, from right to left. At a field of view of 360 degrees the last beam stops one step short
@@ -99,7 +99,7 @@ def advance_beams(xp: Any, state: Any, geometry: Any) -> tuple[Any, Any]:
 
 
 def beam_geometry(xp: Any, dx: Any, dy: Any, x: Any, y: Any, far: Any) -> Any:
-    """Signs, distance to the first crossing in units of the crossings' spacing, and that spacing, on each axis.
+    """Return signs, distance to the first crossing in units of the crossings' spacing, and that spacing, on each axis.
 
     `dx`, `dy` are the beams' directions, `x`, `y` where in its cell, 0 to 1, a beam begins, `far` a spacing beyond all.
     """
@@ -112,12 +112,12 @@ def beam_geometry(xp: Any, dx: Any, dy: Any, x: Any, y: Any, far: Any) -> Any:
 
 
 def n_steps(range_cells: float) -> int:
-    """Steps that a beam can need from anywhere in a cell, and one more that ends it, in whole blocks. A Python int."""
+    """Return the steps that a beam can need from anywhere in a cell, and one more to end it, in whole blocks."""
     return -(-(math.floor(range_cells * math.sqrt(2)) + 3) // BLOCK) * BLOCK
 
 
 def by_beam(offset: np.ndarray) -> np.ndarray:
-    """Cell numbers block by block, beam after beam: `[K, S, B]` as `[K, S / BLOCK, B, BLOCK]`.
+    """Reorder cell numbers block by block, beam after beam: `[K, S, B]` as `[K, S / BLOCK, B, BLOCK]`.
 
     Counted in this order, two beams side by side, which enter the same cells near the robot, add to a cell one long
     after the other. In the order of steps they do so one right after the other, and each waits for the one before
@@ -140,7 +140,7 @@ def scans_all_round(fov_deg: float) -> int:
 
 
 def all_round(beams: Beams) -> Beams:
-    """The beams of a look all round, from scans at evenly turned headings, as those of one scan.
+    """Merge the beams of a look-around, from scans at evenly turned headings, into one scan.
 
     Args:
       beams: `Beams` of 8 headings.
@@ -171,7 +171,7 @@ def farthest(lidar: Lidar, cell_m: float) -> float:
 
 
 def _cells_to(x, y):
-    """Cells entered on the way from a cell's centre to a point, cells: `[(drow, dcol), ...]` relative to it."""
+    """Return cells entered on the way from a cell's centre to a point, cells: `[(drow, dcol), ...]` relative to it."""
     col, row = math.floor(x + 0.5), math.floor(y + 0.5)
     # Where the way crosses edges of columns and of rows, as parts of its length; through a corner in x first.
     columns = [(round((i + 0.5) / abs(x), 9), 0, (0, int(math.copysign(1, x)))) for i in range(abs(col))]
@@ -181,7 +181,7 @@ def _cells_to(x, y):
 
 @functools.lru_cache(maxsize=8)
 def beam_table(lidar: Lidar, cell_m: float, width: int, longest: float = 0.0) -> Beams:
-    """The beams of a robot that stands on a cell's centre with a heading that is a multiple of 45 degrees.
+    """Compute the beams of a robot on a cell's centre with a heading that is a multiple of 45 degrees.
 
     A beam begins at the robot's centre, goes to the scanner and on from there; what stops it before the scanner, or
     nearer than the least range, makes it silent.
@@ -257,7 +257,7 @@ def scan(occupied: Array, row: Array | int, col: Array | int, heading: Array | i
         return flat.at[here + offset].get(mode="clip", wrap_negative_indices=False)
 
     def first_stop(offset, first):
-        """The first step of some, `[n, B]`, at which each beam is stopped or ends."""
+        """Return the first step of some, `[n, B]`, at which each beam is stopped or ends."""
         step = first + lax.broadcasted_iota(jnp.int32, (offset.shape[0], 1), 0)
         stopped = blocked(offset) | (step >= length)
         return jnp.min(jnp.where(stopped, step, NOT_ENDED), axis=0)
@@ -287,7 +287,7 @@ def fold(
     *,
     when: Array | bool = True,
 ) -> Grid:
-    """Counts one scan into the map: a miss for every cell passed, a hit where a beam was stopped.
+    """Count one scan into the map: a miss for every cell passed, a hit where a beam was stopped.
 
     Args:
       grid: `Grid`, `[H, W]`.
@@ -308,7 +308,7 @@ def fold(
     misses = grid.misses.reshape(-1).at[here].add(jnp.asarray(when, jnp.int32))
 
     def cells(offset, first):
-        """Cells that some blocks of steps pass; a cell that is not there where the beam has ended."""
+        """Return the cells that some blocks of steps pass; an invalid one beyond the end of the beam."""
         step = first + lax.broadcasted_iota(jnp.int32, offset.shape, offset.ndim - 1)
         return jnp.where(step < end[:, None], here + offset, outside)
 
@@ -360,7 +360,7 @@ def disturb(
     sigma_cells: Array | float,
     dropout: Array | float,
 ) -> Scan:
-    """A scan as a noisy scanner reports it.
+    """Add noise to a scan.
 
     A beam that was stopped reports its distance plus Gaussian noise; it is read as a hit in the cell at that distance,
     or as passing everything where that lies beyond the range. A beam that was not stopped is not disturbed. A beam that

@@ -23,20 +23,18 @@ STEPS = (STRAIGHT, DIAGONAL)
 
 
 def motions_into(words):
-    """For each motion, the cells into which a robot can make it: list of 8 packed masks, from the packed
-    traversable cells.
-    """
+    """Return the cells into which a robot can make each motion: list of 8 packed masks, from traversable cells."""
     diagonal = [words & bits.shifted(words, -drow, 0) & bits.shifted(words, 0, -dcol) for drow, dcol in MOTIONS[4:]]
     return [words] * 4 + diagonal
 
 
 def source(shape, row, col):
-    """FAR everywhere but 0 at one cell: `[H, W]` int32."""
+    """Return FAR everywhere but 0 at one cell: `[H, W]` int32."""
     return lax.dynamic_update_slice(jnp.full(shape, FAR, jnp.int32), jnp.zeros((1, 1), jnp.int32), (row, col))
 
 
 def _sweep(cost, possible, rows, steps, reverse):
-    """Motions from each row into the next (or the one before, if `reverse`), row after row.
+    """Move from each row into the next (or the one before, if `reverse`), row after row.
 
     One buffer, read and written in place a row at a time: half the time of a scan that stacks its rows.
 
@@ -64,7 +62,7 @@ def _sweep(cost, possible, rows, steps, reverse):
 
 
 def _lowest_change(cost, motions, goals, rows, steps):
-    """The cheapest cost that one more motion would make lower, and the cheapest goal, FAR for none: `(int32, int32)`.
+    """Return the least cost that one more motion lowers, and the cheapest goal, FAR for none: `(int32, int32)`.
 
     Row by row, of motions only those that a sweep to lower rows has not made. `cost`, `steps` as for `_sweep`;
     `motions` from `motions_into`; `goals` `[H, W]` bool, or None; `rows` `(first, last)` int32, that are looked at.
@@ -94,7 +92,7 @@ def _lowest_change(cost, motions, goals, rows, steps):
 
 @jax.jit
 def reach(traversable: Array, row: Array | int, col: Array | int, goals: Array | None = None) -> Array:
-    """Cost of the shortest path from a cell to every cell: the reachability map.
+    """Compute the cost of the shortest path from a cell to every cell: the reachability map.
 
     Args:
       traversable: `[H, W]` bool; the start need not be.
@@ -128,7 +126,7 @@ def reach_packed(
     *,
     limit: Array | int = FAR,
 ) -> Array:
-    """`reach` with packed traversable cells.
+    """Compute `reach` with packed traversable cells.
 
     Args:
       words: `[K, W]` uint32.
@@ -185,7 +183,7 @@ def _sweeps(words, start, at, goals, limit, steps):
     motions, across, rows, cols = stored(words[0, 0] >= 0, prepare)
 
     def up_and_down(cost, motions, extent, middle, far):
-        """Two sweeps, of the rows that hold traversable cells no further than `far`."""
+        """Make two sweeps, of the rows that hold traversable cells no further than `far`."""
         rows = jnp.maximum(extent[0], middle - far), jnp.minimum(extent[1], middle + far)
         ahead, (ne, nw, sw, se) = motions[0], motions[4:]
         cost = _sweep(cost, (ahead, ne, nw), rows, steps, reverse=False)
@@ -219,7 +217,7 @@ def spread(
     limit: Array | int,
     steps: tuple[int, int],
 ) -> Array:
-    """`_sweeps` as one piece of code: the rows are many small operations."""
+    """Run `_sweeps` as one piece of code: the rows are many small operations."""
 
     def run(words, start, at, goals, limit):
         return _sweeps(words, start, at, goals, limit, steps)
@@ -228,7 +226,7 @@ def spread(
 
 
 def flood(words: Array, row: Array | int, col: Array | int) -> Array:
-    """The cells to which a path leads, however long.
+    """Return the cells that a path reaches, however long.
 
     Args:
       words: `[K, W]` uint32, packed traversable cells; the start need not be one.
@@ -252,7 +250,7 @@ def _extent(words):
 
 
 def saturated(cost: Array, traversable: Array) -> Array:
-    """Cells one motion beyond those with a cost that hold FAR, because their cost would not fit.
+    """Return cells one motion beyond those with a cost that hold FAR, because their cost would not fit.
 
     Args:
       cost: `[H, W]` int32, from `reach`.
