@@ -288,7 +288,7 @@ class Lidar(Settings):
 
     @property
     def mount_m(self) -> float:
-        """Distance of the scanner from the robot's centre, metres."""
+        """Return distance of the scanner from the robot's centre, metres."""
         return math.hypot(self.forward_m, self.left_m)
 
     def without_noise(self) -> Self:

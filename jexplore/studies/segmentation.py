@@ -1,4 +1,4 @@
-"""The question behind `jexplore segment`: how well are the rooms of maps found, by which variant, and how early?"""
+"""Study behind `jexplore segment`: quality of found rooms, by variant and known share of the map."""
 
 import os
 from collections.abc import Callable, Iterable, Sequence

@@ -75,7 +75,7 @@ def listing() -> Listing:
 
 
 class _Package(types.ModuleType):
-    """This package, which lists the worlds when it is called."""
+    """Package `worlds`, which lists the worlds when it is called."""
 
     def __call__(self) -> Listing:
         return listing()
