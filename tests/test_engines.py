@@ -28,7 +28,7 @@ from jexplore.worlds.starts import draw_starts
 from jexplore.worlds.world import World
 
 LANES = {"serial": None, "lockstep": 3}
-ENGINES = ("serial", None), ("lockstep", 7)  # with so many lanes
+ENGINES = ("serial", None), ("lockstep", 7)  # with this number of lanes
 TESTS = Path(__file__).resolve().parent
 
 
@@ -316,7 +316,7 @@ def test_where_jax_has_no_cpu_the_serial_engine_is_none(monkeypatch):
 
 @pytest.mark.jit
 def test_engines_are_measured_as_they_are_used(monkeypatch):
-    """Beside an accelerator too: what is serial is compiled for the CPU."""
+    """With an accelerator too: serial programs are compiled for the CPU."""
     world, strategy, cpu = some_jobs()[0].world, parse_strategy("closest"), jax.local_devices()[0]
     monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
     traced, placed = [], []

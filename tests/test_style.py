@@ -1,4 +1,4 @@
-"""Docstrings and comments of the package are written in plain words; ruff's D4 rules hold the rest."""
+"""Docstrings and comments are written in plain words; ruff's D4 rules hold the rest."""
 
 import ast
 import io
@@ -6,7 +6,9 @@ import re
 import tokenize
 from pathlib import Path
 
-PACKAGE = Path(__file__).resolve().parents[1] / "jexplore"
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
 BEGINNINGS = re.compile(r"(What|Whether|Where|How|Which)\b")
 PHRASES = re.compile(
     r"\b(so many|so far|so much|is one|is none|such a one|what is|likewise|beside|the very|of it|thereof)\b"
@@ -25,8 +27,10 @@ def _is_text(node):
     return isinstance(node, ast.Constant) and isinstance(node.value, str)
 
 
-def test_docstrings_and_comments_are_plain():
-    found = {path.relative_to(PACKAGE): faults(path.read_text(encoding="utf-8")) for path in PACKAGE.rglob("*.py")}
+@pytest.mark.parametrize("folder", ["jexplore", "tests"])
+def test_docstrings_and_comments_are_plain(folder):
+    paths = [path for path in (ROOT / folder).rglob("*.py") if path != Path(__file__)]
+    found = {str(path.relative_to(ROOT)): faults(path.read_text(encoding="utf-8")) for path in paths}
     assert {path: texts for path, texts in found.items() if texts} == {}
 
 
