@@ -27,7 +27,7 @@ def _is_text(node):
     return isinstance(node, ast.Constant) and isinstance(node.value, str)
 
 
-@pytest.mark.parametrize("folder", ["jexplore", "tests"])
+@pytest.mark.parametrize("folder", ["jexplore", "tests", "benchmarks", "docs", "examples"])
 def test_docstrings_and_comments_are_plain(folder):
     paths = [path for path in (ROOT / folder).rglob("*.py") if path != Path(__file__)]
     found = {str(path.relative_to(ROOT)): faults(path.read_text(encoding="utf-8")) for path in paths}
